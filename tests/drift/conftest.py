@@ -29,8 +29,8 @@ def checked(twin: Twin, board: int) -> RunCheck:
     times_s, present = head.row_times_s(), sorted(frames)
     runner = TaskRunner(setup, lambda i, j: frames.get((i, j)))
     evidence = [runner.perform(task) for task in all_tasks(present, dict(enumerate(times_s)), setup)]
-    stitch = runner.conclude(times_s, present, evidence)
-    return check_run(f"run {board}", f"2026-01-01T00:00:{board:02d}Z", "small", setup, times_s, evidence, stitch)
+    _, findings = runner.conclude_with_findings(times_s, present, evidence)
+    return check_run(f"run {board}", f"2026-01-01T00:00:{board:02d}Z", "small", findings)
 
 
 @pytest.fixture(scope="session")

@@ -43,8 +43,8 @@ class Board:
         runner, present = TaskRunner(setup, lambda i, j: self._frames.get((i, j))), sorted(self._frames)
         tasks = all_tasks(present, dict(enumerate(self._times_s)), setup)
         evidence = [runner.perform(task) for task in tasks]
-        stitch = runner.conclude(self._times_s, present, evidence)
-        return check_run(f"{self.number}", "", "b", setup, self._times_s, evidence, stitch), stitch
+        stitch, findings = runner.conclude_with_findings(self._times_s, present, evidence)
+        return check_run(f"{self.number}", "", "b", findings), stitch
 
     def components_px(self, stitch: Stitch) -> str:
         """Error of component positions in all views: rms and largest, px; or that there are none."""

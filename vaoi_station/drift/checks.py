@@ -7,11 +7,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from vaoi_station.drift.attribution import Attribution, attribute_motion
-from vaoi_station.drift.displacement import PARAMETERS
-from vaoi_station.drift.equations import DisplacementEstimate
+from vaoi_station.drift.estimate import DisplacementEstimate
+from vaoi_station.geometry.displacement import PARAMETERS
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Strict
+from vaoi_station.stitching.adjustment.camera_prior import Attribution, attribute_motion
 
 _DIGITS = 7
 """Significant digits of stored matrices: more than the accuracy of the estimate, in half the text of full precision."""
@@ -51,7 +51,7 @@ class CameraCheck(Strict):
 class RunCheck(Strict):
     """The stored drift check of one run: the state of every camera, and the normal equations of the displacements.
 
-    `information` and `vector` are those of `equations.DisplacementEstimate`.
+    `information` and `vector` are those of `estimate.DisplacementEstimate`.
     """
 
     run: str

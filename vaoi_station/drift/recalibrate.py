@@ -8,14 +8,14 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from vaoi_station.drift.attribution import Attribution
 from vaoi_station.drift.checks import RunCheck, combine_runs
-from vaoi_station.drift.displacement import PARAMETERS, displace_camera, rms_displacement_px
 from vaoi_station.drift.watch import LEAST_PX
 from vaoi_station.errors import InputError
 from vaoi_station.geometry import Camera
+from vaoi_station.geometry.displacement import PARAMETERS, displace_camera, rms_displacement_px
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Calibration, CameraHead
+from vaoi_station.stitching.adjustment.camera_prior import Attribution
 
 LEAST_RUNS, MOST_RUNS = 3, 50
 LEAST_LINKS = 30

@@ -15,15 +15,12 @@ def check_recording(opened: OpenedRun) -> RunCheck:
     times_s, present = opened.recording.head.row_times_s(), opened.present
     runner = opened.runner()
     evidence = [runner.perform(task) for task in all_tasks(present, dict(enumerate(times_s)), opened.setup)]
-    stitch = runner.conclude(times_s, present, evidence)
+    _, findings = runner.conclude_with_findings(times_s, present, evidence)
     board_type = opened.setup.board_type
     known = "" if board_type is None else board_type.model_dump_json()
     return check_run(
         str(opened.recording.directory),
         "",
         hashlib.sha256(known.encode()).hexdigest()[:16],
-        opened.setup,
-        times_s,
-        evidence,
-        stitch,
+        findings,
     )

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vaoi_station.drift.checks import RunCheck
-from vaoi_station.drift.displacement import PARAMETERS, rms_displacement_px
+from vaoi_station.geometry.displacement import PARAMETERS, rms_displacement_px
 from vaoi_station.geometry.robust import median_sigma
 from vaoi_station.geometry.transforms import Floats
 

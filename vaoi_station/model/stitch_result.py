@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from enum import StrEnum
 from typing import Annotated, Any, Literal, Self
 
@@ -9,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ConfigDict, Field, model_validator
 
-from vaoi_station.geometry import Projective, System
+from vaoi_station.geometry import Camera, Projective, System
 from vaoi_station.model.frozen_model import FrozenModel, Matrix, Millimetres, Pixels, Point, PointMm, Positive, Whole
 
 _HalfSpan = Annotated[Positive, Field(ge=1e-6)]
@@ -61,6 +63,9 @@ class Stitch(FrozenModel):
     quality: dict[str, Any] = Field(default_factory=dict)
     surface: Surface | None = None
     components: dict[str, tuple[tuple[Whole, Whole, Pixels, Pixels], ...]] | None = None
+    camera_matrices: tuple[Matrix, ...] | None = None
+    """N_i of every camera as it was in this run: the calibrated N_i, corrected by the displacement that the run shows.
+    None in results of older versions, which took the calibrated N_i as exact."""
 
     @model_validator(mode="after")
     def _one_matrix_per_frame(self) -> Self:
@@ -75,6 +80,15 @@ class Stitch(FrozenModel):
         """Return M_ij of a camera and row, or None if stitching could not place that frame."""
         m = self.image_matrices[camera][row]
         return None if m is None else Projective(m, System.IMAGE, System.TESTER)
+
+    def cameras(self, calibrated: Sequence[Camera]) -> tuple[Camera, ...]:
+        """Return the cameras as they were in this run, from the calibrated cameras."""
+        if self.camera_matrices is None:
+            return tuple(calibrated)
+        return tuple(
+            replace(camera, image_from_row=Projective(np.asarray(n), System.IMAGE, System.ROW))
+            for camera, n in zip(calibrated, self.camera_matrices, strict=True)
+        )
 
     @property
     def tester_from_cad(self) -> Projective | None:

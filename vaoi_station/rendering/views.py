@@ -120,7 +120,8 @@ class ViewCalculator:
                 action="; ".join(stitch.reasons),
                 code="no-cad-mapping",
             )
-        self._board_type, self._surface, self._cameras = board_type, stitch.surface, tuple(cameras)
+        cameras = stitch.cameras(cameras)
+        self._board_type, self._surface, self._cameras = board_type, stitch.surface, cameras
         self._resolution = float(np.mean([c.px_per_mm for c in cameras]))
         self._keys = [
             (i, j) for i, rows in enumerate(stitch.image_matrices) for j, m in enumerate(rows) if m is not None

@@ -7,7 +7,7 @@ then the position of the board from its fiducials. Last, all unknowns are estima
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import cv2
@@ -19,9 +19,10 @@ from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import VISIBILITY, Stitch, Visibility
 from vaoi_station.stitching.adjustment.motion import nominal_motion
 from vaoi_station.stitching.adjustment.observations import LinkStore
-from vaoi_station.stitching.adjustment.problem import AdjustmentResult, Problem
+from vaoi_station.stitching.adjustment.problem import AdjustmentResult, Problem, SurfaceBasis
 from vaoi_station.stitching.adjustment.row_motion import board_texture, motion_from_links, motion_from_marks
 from vaoi_station.stitching.adjustment.solver import adjust
+from vaoi_station.stitching.adjustment.surface import SIGMA_MM
 from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.cad_mapping import CadMapping, MappingInputs, map_cad
 from vaoi_station.stitching.board.expectation import Expectation
@@ -97,16 +98,17 @@ def conclude(
     motion = _estimate_motion(scene, prior, problem, found)
     stages.finish("motion")
     mapping = _map_cad(scene, prior, problem, motion, found)
-    motion = _refine_motion(prior, problem, motion, mapping)
+    motion = _refine_motion(scene, prior, problem, motion, mapping)
+    corrected = _corrected_scene(scene, motion, mapping)
     stages.finish("cad")
     findings = Findings(
         prior.plane,
         prior.expectation,
-        scene,
+        corrected,
         prior.method,
         found.links,
-        problem,
         motion,
+        scene.cameras,
         mapping,
         prior.visibility,
         prior.reference.sigma_px if prior.reference else 0.0,
@@ -171,12 +173,28 @@ def _map_cad(
 
 
 def _refine_motion(
-    prior: PriorKnowledge, problem: Problem, motion: AdjustmentResult, mapping: CadMapping | Failure
+    scene: Scene,
+    prior: PriorKnowledge,
+    problem: Problem,
+    motion: AdjustmentResult,
+    mapping: CadMapping | Failure,
 ) -> AdjustmentResult:
-    """Iterate the motion from links to full convergence if there is no CAD mapping, which would have adjusted it."""
-    if isinstance(mapping, Failure) and prior.method.links:
-        return adjust(problem, motion.motion)
-    return motion
+    """Iterate the motion from links to full convergence if there is no CAD mapping, which would have adjusted it.
+
+    The board is then taken as a plane at an unknown height, and the displacements of the cameras are estimated too.
+    """
+    if not isinstance(mapping, Failure) or not prior.method.links:
+        return motion
+    if any(camera.working_distance_mm is None for camera in scene.cameras):
+        return adjust(replace(problem, cameras=scene.cameras), motion.motion)
+    height = SurfaceBasis(np.ones((len(problem.links), 1)), np.ones((0, 1)), SIGMA_MM[:1])
+    return adjust(replace(problem, surface=height, cameras=scene.cameras), motion.motion)
+
+
+def _corrected_scene(scene: Scene, motion: AdjustmentResult, mapping: CadMapping | Failure) -> Scene:
+    """Return the scene with the cameras as the adjustment displaced them."""
+    adjusted = motion if isinstance(mapping, Failure) else mapping.adjusted
+    return replace(scene, cameras=adjusted.problem.cameras) if adjusted.cameras is not None else scene
 
 
 def _provenance(prior: PriorKnowledge, stages: StageTimes) -> dict[str, Any]:

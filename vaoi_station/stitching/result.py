@@ -22,6 +22,7 @@ def build_result(
     return Stitch.model_construct(
         method=method,
         image_matrices=tuple(_image_matrices(findings)),
+        camera_matrices=tuple(_read_only(c.image_from_row.matrix) for c in findings.scene.cameras),
         cad_matrix=None if matrix is None else _read_only(matrix),
         row_motion=tuple(_read_only(findings.adjusted.motion.rows_from_tester)),
         status=status,

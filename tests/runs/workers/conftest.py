@@ -14,7 +14,8 @@ from vaoi_station.model import RecordingHead
 from vaoi_station.runs.workers.jobs import CheckJob, ConcludeJob, Linked, LinkJob, OpenRun, RunContext
 from vaoi_station.simulation import Twin, read_scenario
 from vaoi_station.stitching.matching.evidence import FrameKey, Task
-from vaoi_station.stitching.work import StitchSetup, all_tasks
+from vaoi_station.stitching.quality.findings import Findings
+from vaoi_station.stitching.work import StitchSetup, TaskRunner, all_tasks
 
 SCENARIO = Path(__file__).parents[2] / "drift" / "three.toml"
 CHECK = CheckJob("r1", "2026-01-01T00:00:00Z", "board-type", "calibration")
@@ -41,6 +42,12 @@ class RingBoard:
 
     def link(self, *tasks: Task) -> LinkJob:
         return LinkJob(self.context, tasks[0].a[0], tasks, self.slots)
+
+    def findings(self, linked: dict[Task, Linked]) -> Findings:
+        """Conclude the run outside a worker, from the same evidence."""
+        runner = TaskRunner(self.setup, lambda i, j: self.ring.frame(self.ring.slot(0, i, j)))
+        evidence = [found.evidence for found in linked.values()]
+        return runner.conclude_with_findings(self.head.row_times_s(), tuple(self.slots), evidence)[1]
 
     def conclusion(self, linked: dict[Task, Linked], check: CheckJob | None = None) -> ConcludeJob:
         return ConcludeJob(self.context, self.head, self.slots, linked, check=check)

@@ -104,12 +104,9 @@ def test_the_check_follows_the_result_and_equals_one_made_offline(
     replies = runtime.replies(ring_board.conclusion(linked, CHECK))
     result = next(replies)
     assert isinstance(result, Reply)
-    stitch = result.value.without_components
     (checked,) = replies
     assert isinstance(checked, Reply)
-    evidence = [found.evidence for found in linked.values()]
-    times_s = ring_board.head.row_times_s()
-    expected = check_run("r1", CHECK.time, CHECK.board_type, ring_board.setup, times_s, evidence, stitch)
+    expected = check_run("r1", CHECK.time, CHECK.board_type, ring_board.findings(linked))
     assert checked.value == expected
     assert isinstance(checked.value, RunCheck)
     assert all(camera.links > 0 for camera in checked.value.cameras)

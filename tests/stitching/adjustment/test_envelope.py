@@ -15,7 +15,9 @@ from vaoi_station.stitching.adjustment.envelope import (
     hold_first_row,
     inverse,
     row_blocks,
-    solve,
+    solve_backward,
+    solve_forward,
+    trailing_lines,
 )
 
 
@@ -42,7 +44,9 @@ def test_solution_and_inverse_are_those_of_the_whole_matrix(made: tuple[Envelope
     assert (whole[:3] == np.eye(3, envelope.size)).all()
     assert not normal.right[:3].any()
     factorise(normal)
-    assert solve(normal) == pytest.approx(np.linalg.solve(whole, normal.right), abs=1e-9)
+    assert solve_backward(normal, solve_forward(normal)) == pytest.approx(
+        np.linalg.solve(whole, normal.right), abs=1e-9
+    )
     inverted = np.linalg.inv(whole)
     found = inverse(normal, envelope.rows)
     kept = envelope.dense(np.ones(envelope.entries)) > 0
@@ -79,7 +83,7 @@ def test_an_unobserved_unknown_is_uncertain_and_disturbs_no_other() -> None:
     add_equations(np.array([[3, 4]]), np.array([[[1.0, 1.0]]]), np.array([[-2.0]]), normal)
     hold_first_row(normal)
     factorise(normal)
-    assert solve(normal)[3:].sum() == pytest.approx(2)
+    assert solve_backward(normal, solve_forward(normal))[3:].sum() == pytest.approx(2)
     assert inverse(normal, 1)[-1] > 1e12
 
 
@@ -88,3 +92,17 @@ def test_rows_that_share_no_equation_store_no_entry() -> None:
     assert alone.entries == 3 * 6
     assert coupled.entries == 3 * 6 + 2 * 9
     assert not alone.dense(np.ones(alone.entries))[3:6, :3].any()
+
+
+@given(envelopes())
+def test_the_trailing_block_of_the_factor_is_that_of_the_reduced_matrix(made: tuple[Envelope, NormalEquations]) -> None:
+    """Its square is the Schur complement: the normal matrix of the last unknowns, all others eliminated."""
+    envelope, normal = made
+    count = envelope.size - 3 * envelope.rows
+    whole = envelope.dense(normal.values)
+    factorise(normal)
+    lower = np.tril(normal.values[trailing_lines(envelope, count)])
+    rows = envelope.size - count
+    own, cross = whole[rows:, rows:], whole[:rows, rows:]
+    expected = own - cross.T @ np.linalg.solve(whole[:rows, :rows], cross)
+    assert lower @ lower.T == pytest.approx(expected, abs=1e-8)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from vaoi_station.geometry.similarity import apply_similarity
 from vaoi_station.stitching.adjustment.fiducial_equations import (
     detection_equations,
     detection_sigma_mm,
@@ -16,7 +17,6 @@ from vaoi_station.stitching.adjustment.fiducial_equations import (
 )
 from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.adjustment.problem import REFERENCE, FiducialPoints
-from vaoi_station.stitching.adjustment.similarity import apply_similarity
 
 Array = NDArray[np.float64]
 ROWS, POINTS, BASIS = 3, 8, 2
@@ -33,6 +33,7 @@ def points(which: list[int] | None = None) -> FiducialPoints:
         np.full(POINTS, 1e-3),
         np.full(POINTS, 20.0),
         np.array(which or [0, 0, 0, 1, 1, 2, 2, 2]),
+        np.zeros(POINTS, dtype=np.int_),
     )
 
 

@@ -8,24 +8,31 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from vaoi_station.stitching.adjustment.camera_equations import CameraEffects
 from vaoi_station.stitching.adjustment.envelope import Envelope, add_equations
-from vaoi_station.stitching.adjustment.link_equations import (
+from vaoi_station.stitching.adjustment.height_equations import (
     Coupling,
     HeightModel,
+    OtherColumns,
+    eliminate_heights,
+    height_changes,
+)
+from vaoi_station.stitching.adjustment.link_equations import (
+    LinkModel,
     LinkState,
     MotionArrays,
     NoiseModel,
     add_links,
     compute_residuals,
     compute_weights,
-    eliminate_heights,
-    height_changes,
 )
-from vaoi_station.stitching.adjustment.observations import LinkArrays
+from vaoi_station.stitching.adjustment.observations import CameraPairs, LinkArrays
 
 Array = NDArray[np.float64]
-ROWS, LINKS, BASIS, PARTS = 4, 60, 3, 5
-SIZE, TOTAL = 3 * ROWS + BASIS, 3 * ROWS + BASIS + PARTS
+ROWS, LINKS, BASIS, PARTS, CAMERAS = 4, 60, 3, 5, 3
+AT_CAMERAS = 3 * ROWS + BASIS
+SIZE = AT_CAMERAS + 3 * CAMERAS
+TOTAL = SIZE + PARTS
 
 
 @dataclass
@@ -33,20 +40,28 @@ class Scene:
     links: LinkArrays
     model: HeightModel
     pivot: Array
+    pairs: CameraPairs
+    effects: CameraEffects
 
     def motion(self, unknowns: Array) -> MotionArrays:
         rows = unknowns[: 3 * ROWS].reshape(ROWS, 3)
         return MotionArrays(np.ascontiguousarray(rows[:, 0]), np.ascontiguousarray(rows[:, 1:]), self.pivot)
 
     def residual(self, unknowns: Array) -> Array:
-        """(k, 2) from rows (φ, sx, sy), surface and heights in one vector, by the definition."""
+        """(k, 2) from rows (φ, sx, sy), surface, displacements and heights in one vector, by the definition."""
         o, rows = self.links, unknowns[: 3 * ROWS].reshape(ROWS, 3)
-        beta, heights = unknowns[3 * ROWS : SIZE], np.append(unknowns[SIZE:], 0.0)
+        beta, heights = unknowns[3 * ROWS : AT_CAMERAS], np.append(unknowns[SIZE:], 0.0)
+        displacements = unknowns[AT_CAMERAS:SIZE].reshape(CAMERAS, 3)
         out = []
         for n in range(LINKS):
             h = self.model.basis[n] @ beta + heights[self.model.component[n]]
             board, lean = [], []
-            for row, at, of in ((o.q[n], o.b_mm[n], o.b_lean[n]), (o.p[n], o.a_mm[n], o.a_lean[n])):
+            of_a, of_b = self.pairs.a[o.group[n]], self.pairs.b[o.group[n]]
+            ends = (o.q[n], o.b_mm[n], o.b_lean[n], of_b), (o.p[n], o.a_mm[n], o.a_lean[n], of_a)
+            for row, seen, of, camera in ends:
+                theta, tx, ty = self.effects.motion[camera] @ displacements[camera]
+                x, y = seen - self.effects.middle_mm[camera]
+                at = seen + (tx - theta * y, ty + theta * x)
                 c, s = np.cos(rows[row, 0]), np.sin(rows[row, 0])
                 turn = np.array([[c, -s], [s, c]])
                 board.append(turn @ (at - self.pivot) + self.pivot + rows[row, 1:])
@@ -57,7 +72,7 @@ class Scene:
     def evaluate(self, unknowns: Array) -> LinkState:
         """The compiled residuals at these unknowns."""
         heights = np.append(unknowns[SIZE:], 0.0)
-        height = self.model.basis @ unknowns[3 * ROWS : SIZE] + heights[self.model.component]
+        height = self.model.basis @ unknowns[3 * ROWS : AT_CAMERAS] + heights[self.model.component]
         state = LinkState.zeros(LINKS)
         compute_residuals(self.links, self.motion(unknowns), height, state)
         return state
@@ -80,11 +95,15 @@ def scene() -> Scene:
     noise = np.tile(np.diag([1e-4, 4e-4]), (LINKS, 1, 1))
     links = LinkArrays(p, q, places[0], places[1], leans[0], leans[1], noise, np.full(LINKS, 20.0), group)
     model = HeightModel(g.normal(0, 1, (LINKS, BASIS)), g.integers(-1, PARTS, LINKS))
-    return Scene(links, model, np.array([3.0, -2.0]))
+    a = g.integers(0, CAMERAS - 1, group[-1] + 1)
+    first = np.searchsorted(group, np.arange(len(a)))
+    pairs = CameraPairs(a, a + (p == q)[first])
+    effects = CameraEffects(g.normal(0, 0.1, (CAMERAS, 3, 3)), g.normal(0, 10, (CAMERAS, 2)))
+    return Scene(links, model, np.array([3.0, -2.0]), pairs, effects)
 
 
-def coupling(scene: Scene, component: NDArray[np.int_]) -> Coupling:
-    return Coupling.of(component, scene.links.p, scene.links.q, PARTS, BASIS)
+def coupling(scene: Scene, component: NDArray[np.int_], camera_column: int = AT_CAMERAS) -> Coupling:
+    return Coupling.of(component, scene.links, scene.pairs, OtherColumns(BASIS, 3 * ROWS, camera_column, PARTS))
 
 
 def test_the_residual_of_a_link_is_that_of_its_definition(scene: Scene) -> None:
@@ -111,9 +130,10 @@ def test_normal_equations_are_those_of_the_linearised_residuals(scene: Scene) ->
     state = scene.evaluate(unknowns)
     state.weight[:] = np.stack([matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 1]], -1)
     tied = coupling(scene, scene.model.component)
-    envelope = Envelope.of(np.full(ROWS, ROWS - 1), BASIS)
+    envelope = Envelope.of(np.full(ROWS, ROWS - 1), BASIS + 3 * CAMERAS)
     normal, heights = envelope.zeros(), tied.equations(np.zeros(PARTS), 1.0)
-    add_links(scene.links, scene.motion(unknowns), scene.model, state, heights, normal)
+    model = LinkModel(scene.model, tied, scene.pairs, scene.effects)
+    add_links(scene.links, scene.motion(unknowns), model, state, heights, normal)
 
     j = scene.jacobian(unknowns)
     whole = np.einsum("kic,kij,kjd->cd", j, matrices, j)
@@ -121,9 +141,12 @@ def test_normal_equations_are_those_of_the_linearised_residuals(scene: Scene) ->
     scale = np.abs(whole).max()
     assert envelope.dense(normal.values) == pytest.approx(whole[:SIZE, :SIZE], abs=1e-7 * scale)
     for c in range(PARTS):
-        own = heights.coupling[tied.at[c] : tied.at[c + 1]]
-        rows = whole[SIZE + c, 3 * tied.row[c] : 3 * tied.last[c] + 3]
-        assert own == pytest.approx(np.append(rows, whole[SIZE + c, 3 * ROWS : SIZE]), abs=1e-7 * scale)
+        own = heights.entries[tied.at[c] : tied.at[c + 1]]
+        line = whole[SIZE + c]
+        first = AT_CAMERAS + 3 * tied.camera[c]
+        cameras = line[first : first + len(own) - 3 * (tied.last[c] - tied.row[c] + 1) - BASIS]
+        expected = [line[3 * tied.row[c] : 3 * tied.last[c] + 3], line[3 * ROWS : AT_CAMERAS], cameras]
+        assert own == pytest.approx(np.concatenate(expected), abs=1e-7 * scale)
         assert np.count_nonzero(abs(whole[SIZE + c, :SIZE]) > 1e-6 * scale) <= len(own), "no coupling is left out"
     assert heights.normal - 1 == pytest.approx(np.diag(whole)[SIZE:], abs=1e-7 * scale)
     assert np.concatenate([normal.right, heights.right]) == pytest.approx(pull, abs=1e-7 * np.abs(pull).max())
@@ -132,24 +155,26 @@ def test_normal_equations_are_those_of_the_linearised_residuals(scene: Scene) ->
     right = normal.right.copy()
     add_equations(np.arange(SIZE)[None], np.eye(SIZE)[None], np.zeros((1, SIZE)), normal)
     assert (normal.right == right).all()
-    eliminate_heights(heights, normal)
+    eliminate_heights(tied, heights, normal)
     delta = np.asarray(np.linalg.solve(envelope.dense(normal.values), normal.right), dtype=np.float64)
     assert delta == pytest.approx(full[:SIZE], rel=1e-5)
-    assert height_changes(heights, delta) == pytest.approx(full[SIZE:], rel=1e-5)
+    assert height_changes(tied, heights, delta) == pytest.approx(full[SIZE:], rel=1e-5)
 
 
-def test_a_part_without_links_is_coupled_to_nothing(scene: Scene) -> None:
-    tied = coupling(scene, np.where(scene.model.component == 2, -1, scene.model.component))
-    assert tied.at[2] == tied.at[3]
-    assert tied.last[2] == -1
-    assert (np.diff(tied.at)[[0, 1, 3, 4]] >= 3 + BASIS).all()
-
-
-def test_the_prior_pulls_heights_to_zero(scene: Scene) -> None:
-    heights = coupling(scene, scene.model.component).equations(np.array([0.0, 1.0, -2.0, 0.0, 0.0]), 0.5)
-    assert heights.right / heights.normal == pytest.approx([0.0, -1.0, 2.0, 0.0, 0.0])
-    assert not heights.coupling.any()
-    assert height_changes(heights, np.ones(SIZE)) == pytest.approx([0.0, -1.0, 2.0, 0.0, 0.0])
+def test_without_cameras_the_equations_are_those_of_rows_and_surface(scene: Scene) -> None:
+    """The lines of rows and surface are the same, whether displacements are unknowns or not."""
+    unknowns, found = np.zeros(TOTAL), []
+    for column, others in ((AT_CAMERAS, BASIS + 3 * CAMERAS), (-1, BASIS)):
+        state, tied = scene.evaluate(unknowns), coupling(scene, scene.model.component, column)
+        state.weight[:] = (1.0, 0.2, 2.0)
+        envelope = Envelope.of(np.full(ROWS, ROWS - 1), others)
+        normal, heights = envelope.zeros(), tied.equations(np.zeros(PARTS), 1.0)
+        model = LinkModel(scene.model, tied, scene.pairs, scene.effects)
+        add_links(scene.links, scene.motion(unknowns), model, state, heights, normal)
+        eliminate_heights(tied, heights, normal)
+        found.append((envelope.dense(normal.values)[:AT_CAMERAS, :AT_CAMERAS], normal.right[:AT_CAMERAS]))
+    assert found[0][0] == pytest.approx(found[1][0], abs=1e-9)
+    assert found[0][1] == pytest.approx(found[1][1], abs=1e-9)
 
 
 def test_weights_follow_from_noise_noise_floor_and_length(scene: Scene) -> None:

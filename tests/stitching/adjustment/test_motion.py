@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vaoi_station.stitching.adjustment.motion import Motion, measured_velocity, nominal_motion, points_in_box
+from vaoi_station.stitching.adjustment.motion import (
+    Motion,
+    belt_equations,
+    measured_velocity,
+    nominal_motion,
+    points_in_box,
+)
 
 mm = st.floats(-300, 300)
 rows = st.lists(st.tuples(st.floats(-0.1, 0.1), mm, mm), min_size=1, max_size=6)
@@ -84,3 +92,32 @@ def test_points_in_a_box_are_those_that_a_row_moves_into_it(
 def test_a_gauged_motion_is_returned_unchanged() -> None:
     motion = nominal_motion(np.array([0.0, 0.1]), np.array([0.0, 50.0]), np.zeros(2))
     assert motion.in_gauge() is motion
+
+
+def test_a_belt_at_nominal_velocity_has_no_residual() -> None:
+    times, velocity = np.array([0.0, 0.1, 0.25]), np.array([30.0, 40.0])
+    columns, a, b = belt_equations(nominal_motion(times, velocity, np.zeros(2)), times, velocity)
+    np.testing.assert_allclose(b, 0, atol=1e-12)
+    whole = np.zeros((6, 9))
+    for n in range(2):
+        whole[3 * n : 3 * n + 3, columns[n]] = a[n]
+    assert np.linalg.matrix_rank(whole) == 6, "the first row is free"
+
+
+@pytest.mark.parametrize(
+    ("deviation", "sigma"),
+    [((0.0, 0.02 * 5 + 0.01, 0.0), (1, 0, 0)), ((0.15, 0.0, 0.0), (0, 1, 0)), ((0.0, 0.0, 0.003), (0, 0, 1))],
+)
+def test_one_standard_deviation_along_across_and_in_rotation(
+    deviation: tuple[float, float, float], sigma: tuple[float, float, float]
+) -> None:
+    """The belt moves 5 mm along y per step; its second row deviates from that by x, y in mm and an angle."""
+    times, velocity = np.array([0.0, 0.1]), np.array([0.0, 50.0])
+    motion = nominal_motion(times, velocity, np.zeros(2))
+    x, y, angle = deviation
+    moved = replace(motion, shift=motion.shift + [[0, 0], [x, y]], angle=np.array([0.0, angle]))
+    columns, a, b = belt_equations(moved, times, velocity)
+    assert columns.tolist() == [[0, 1, 2, 3, 4, 5]]
+    assert np.abs(b[0]) == pytest.approx(sigma, abs=1e-9)
+    change = np.concatenate([[0, 0, 0], [angle, x, y]])
+    assert a[0] @ change == pytest.approx(b[0], abs=1e-9), "the Jacobian of a linear residual"

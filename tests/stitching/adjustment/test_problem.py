@@ -11,7 +11,8 @@ def points(count: int, which: int) -> FiducialPoints:
     g = np.random.default_rng(count)
     pairs = g.normal(0, 1, (3, count, 2))
     sigma, px = g.uniform(0, 1, (2, count))
-    return FiducialPoints(np.arange(count), pairs[0], pairs[1], pairs[2], sigma, px, np.full(count, which))
+    camera = np.arange(count) % 3
+    return FiducialPoints(np.arange(count), pairs[0], pairs[1], pairs[2], sigma, px, np.full(count, which), camera)
 
 
 def test_joined_points_keep_their_values_and_their_order() -> None:
@@ -19,7 +20,7 @@ def test_joined_points_keep_their_values_and_their_order() -> None:
     joined = FiducialPoints.joined([first, FiducialPoints.empty(), second])
     assert joined.which.tolist() == [1, 1, 1, REFERENCE, REFERENCE]
     assert joined.row.tolist() == [0, 1, 2, 0, 1]
-    for name in ("ground_mm", "lean", "cad", "sigma_mm", "px_per_mm"):
+    for name in ("ground_mm", "lean", "cad", "sigma_mm", "px_per_mm", "camera"):
         np.testing.assert_array_equal(getattr(joined, name)[3:], getattr(second, name))
 
 

@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from vaoi_station.geometry import Camera
+from vaoi_station.geometry.similarity import apply_similarity
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment import solver as adjustment
 from vaoi_station.stitching.adjustment.initial_motion import chain_links
@@ -18,7 +19,6 @@ from vaoi_station.stitching.adjustment.motion import Motion, nominal_motion
 from vaoi_station.stitching.adjustment.noise_floor import noise_floor
 from vaoi_station.stitching.adjustment.observations import to_observations
 from vaoi_station.stitching.adjustment.problem import AdjustmentResult, FiducialPoints, Problem, SurfaceBasis
-from vaoi_station.stitching.adjustment.similarity import apply_similarity
 from vaoi_station.stitching.adjustment.solver import adjust, evaluate_at, solve_subsampled
 from vaoi_station.stitching.adjustment.surface import SIGMA_MM, basis
 from vaoi_station.stitching.matching.evidence import Links, Task
@@ -87,17 +87,17 @@ class Bench:
         board = apply_similarity(C, FIDUCIALS)
         height = self.height(board, np.full(len(board), -1))
         artwork = self.g.normal(0, MARK_PX, (len(board), 2))
-        found: list[tuple[int, Array, Array, Array, int]] = []
+        found: list[tuple[int, Array, Array, Array, int, int]] = []
         for i, camera in enumerate(self.cameras):
             for j in range(ROWS):
                 px = self.seen(i, j, board, height)
                 for n in np.flatnonzero(camera.sees(px, 8)):
                     ground = camera.ground(px[n] + artwork[n] + self.g.normal(0, MARK_PX, 2))
-                    found.append((j, ground, camera.parallax(ground), FIDUCIALS[n], int(n)))
-        row, ground, lean, cad, which = (np.array([f[k] for f in found]) for k in range(5))
+                    found.append((j, ground, camera.parallax(ground), FIDUCIALS[n], int(n), i))
+        row, ground, lean, cad, which, seen_by = (np.array([f[k] for f in found]) for k in range(6))
         k = len(found)
         sigma, resolution = np.full(k, 0.005 / PX_PER_MM), np.full(k, PX_PER_MM)
-        points = FiducialPoints(row, ground, lean, cad, sigma, resolution, which)
+        points = FiducialPoints(row, ground, lean, cad, sigma, resolution, which, seen_by)
         if not surface:
             return replace(problem, fiducials=points)
         o = problem.links

@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vaoi_station.geometry import apply
+from vaoi_station.geometry.similarity import apply_similarity
 from vaoi_station.model import BoardType
-from vaoi_station.stitching.adjustment.similarity import apply_similarity
 from vaoi_station.stitching.board.board_plane import BoardPlane, board_plane, expected_angle
 from vaoi_station.stitching.board.expectation import Expectation
 

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from vaoi_station.geometry import apply
 from vaoi_station.geometry.robust import Failure
+from vaoi_station.geometry.similarity import apply_similarity
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment.motion import nominal_motion
-from vaoi_station.stitching.adjustment.similarity import apply_similarity
 from vaoi_station.stitching.board.board_plane import BoardPlane, board_plane, expected_angle
 from vaoi_station.stitching.board.expectation import Expectation
 from vaoi_station.stitching.board.fiducial_assignment import (

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from vaoi_station.geometry import Euclidean, System
+from vaoi_station.geometry.similarity import apply_similarity
 from vaoi_station.model import BoardType, Surface
-from vaoi_station.stitching.adjustment.similarity import apply_similarity
 from vaoi_station.stitching.board.board_plane import board_plane
 from vaoi_station.stitching.board.component_index import ComponentIndex
 from vaoi_station.stitching.board.footprints import FootprintViews, component_at, landmarks, views_by_address

@@ -80,7 +80,6 @@ def test_the_first_c_is_that_of_the_reference_shifted_to_the_run() -> None:
     board = apply(PLANE.matrix(C), cad) + (0.8, -1.5)
     board[::5] += g.uniform(5, 9, (10, 2))
     none = np.zeros((50, 2))
-    points = FiducialPoints(
-        np.zeros(50, dtype=np.int_), board, none, PLANE.flat(cad), np.ones(50), np.ones(50), np.full(50, REFERENCE)
-    )
+    row, one = np.zeros(50, dtype=np.int_), np.ones(50)
+    points = FiducialPoints(row, board, none, PLANE.flat(cad), one, one, np.full(50, REFERENCE), row)
     assert initial_similarity(PLANE, reference(), points, motion) == pytest.approx(C + (0, 0, 0.8, -1.5), abs=1e-9)

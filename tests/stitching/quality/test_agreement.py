@@ -10,7 +10,8 @@ import pytest
 from vaoi_station.geometry import apply
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment.motion import Motion, nominal_motion
-from vaoi_station.stitching.adjustment.problem import AdjustmentResult, FiducialPoints
+from vaoi_station.stitching.adjustment.observations import Observations
+from vaoi_station.stitching.adjustment.problem import AdjustmentResult, FiducialPoints, Problem
 from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.outline import OutlineShift
 from vaoi_station.stitching.quality.agreement import fiducial_reasons, outline_reasons, uncertain_detections
@@ -27,6 +28,7 @@ BOARD = BoardType.model_validate(
 PLANE = BoardPlane(BOARD, mirrored=False)
 STILL: Motion = nominal_motion(np.array([0.0]), np.zeros(2), np.zeros(2))
 C = np.array([1.0, 0.0, -20.0, -10.0])
+NO_PROBLEM = Problem(np.zeros(1), np.zeros(2), Observations.empty(), np.zeros(0, dtype=np.int_))
 
 
 def points(count: int = 4, sigma_px: float = 0.02) -> FiducialPoints:
@@ -34,7 +36,7 @@ def points(count: int = 4, sigma_px: float = 0.02) -> FiducialPoints:
     flat, which = PLANE.fiducials[:count], np.arange(count)
     row, none = np.zeros(count, dtype=np.int_), np.zeros((count, 2))
     ground = apply(PLANE.matrix(C), flat)
-    return FiducialPoints(row, ground, none, flat, np.full(count, sigma_px / 10), np.full(count, 10.0), which)
+    return FiducialPoints(row, ground, none, flat, np.full(count, sigma_px / 10), np.full(count, 10.0), which, which)
 
 
 def adjusted(count: int = 4, scale: float = 1.0, surface: tuple[float, ...] = ()) -> AdjustmentResult:
@@ -52,6 +54,7 @@ def adjusted(count: int = 4, scale: float = 1.0, surface: tuple[float, ...] = ()
         np.zeros((count, 2)),
         0.01,
         1.0,
+        NO_PROBLEM,
     )
 
 

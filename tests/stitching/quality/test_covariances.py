@@ -11,10 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vaoi_station.stitching.adjustment.motion import Motion
-from vaoi_station.stitching.adjustment.problem import AdjustmentResult
+from vaoi_station.stitching.adjustment.observations import Observations
+from vaoi_station.stitching.adjustment.problem import AdjustmentResult, Problem
 from vaoi_station.stitching.quality.covariances import largest_sigma, matrix_sigmas, row_covariances
 
 PIVOT = np.array([3.0, -2.0])
+NO_PROBLEM = Problem(np.zeros(1), np.zeros(2), Observations.empty(), np.zeros(0, dtype=np.int_))
 MOTION = Motion(np.array([0.0, 0.3, -0.8]), np.array([[0.0, 0.0], [1.0, -8.0], [-2.0, -17.0]]), PIVOT)
 
 
@@ -26,7 +28,8 @@ def adjusted() -> AdjustmentResult:
         spread = g.normal(0, 1, (3, 3)) * ([1e-4], [2e-3], [3e-3])
         blocks[j] = spread @ spread.T
     none, pairs = np.zeros(0), np.zeros((0, 2))
-    return AdjustmentResult(MOTION, None, none, np.zeros((2, 0)), blocks, none, pairs, none, pairs, 0.01, 1.0)
+    rest = none, pairs, none, pairs, 0.01, 1.0, NO_PROBLEM
+    return AdjustmentResult(MOTION, None, none, np.zeros((2, 0)), blocks, *rest)
 
 
 def drawn(adjusted: AdjustmentResult, count: int) -> list[Motion]:

@@ -8,15 +8,17 @@ from typing import Any
 import numpy as np
 import pytest
 
+from vaoi_station.geometry.similarity import apply_similarity
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment.motion import Motion, nominal_motion
-from vaoi_station.stitching.adjustment.problem import AdjustmentResult
-from vaoi_station.stitching.adjustment.similarity import apply_similarity
+from vaoi_station.stitching.adjustment.observations import Observations
+from vaoi_station.stitching.adjustment.problem import AdjustmentResult, Problem
 from vaoi_station.stitching.board.board_plane import board_plane
 from vaoi_station.stitching.board.footprints import FootprintViews, landmarks
 from vaoi_station.stitching.matching.scene import Scene
 from vaoi_station.stitching.quality.uncertainty import (
     MODEL_PX,
+    DisplacementArrays,
     PointArrays,
     PredictedSigma,
     RowArrays,
@@ -27,6 +29,7 @@ from vaoi_station.stitching.quality.uncertainty import (
 )
 
 ROWS = 3
+NO_PROBLEM = Problem(np.zeros(1), np.zeros(2), Observations.empty(), np.zeros(0, dtype=np.int_))
 BOARD = {
     "name": "b",
     "y_axis": "down",
@@ -42,7 +45,8 @@ def adjusted(shift_sigma_mm: list[float], angle_sigma: float = 0.0, c_sigma_mm: 
     motion = nominal_motion(np.arange(ROWS, dtype=np.float64), np.array([0.0, 8.0]), np.zeros(2))
     nothing, pairs = np.zeros(0), np.zeros((0, 2))
     c = np.array([1.0, 0.0, -8.0, -24.0])
-    return AdjustmentResult(motion, c, nothing, nothing, covariance, nothing, pairs, nothing, pairs, 0.02, 1.0)
+    rest = nothing, pairs, nothing, pairs, 0.02, 1.0, NO_PROBLEM
+    return AdjustmentResult(motion, c, nothing, nothing, covariance, *rest)
 
 
 @pytest.fixture
@@ -94,7 +98,7 @@ def test_rows_without_a_component_in_view_have_the_sigma_of_their_motion(scene: 
 
 
 def test_position_covariances_match_numeric_derivatives() -> None:
-    """Row, C and surface all at once, against numpy and numeric derivatives of a detection's residual."""
+    """Row, C, surface and displacement at once, against numpy and numeric derivatives of a detection's residual."""
     g = np.random.default_rng(4)
     angle, shift, pivot, c = g.normal(0, 0.1, 2), g.normal(0, 5, (2, 2)), np.array([3.0, -2.0]), g.normal(0, 1, 4)
     flat, functions, place, lean = (
@@ -103,11 +107,17 @@ def test_position_covariances_match_numeric_derivatives() -> None:
         g.normal(0, 9, (4, 2)),
         g.normal(0, 0.1, (4, 2)),
     )
-    half = g.normal(0, 1, (2, 13, 13))
-    covariance = half @ half.swapaxes(1, 2)
+    half = g.normal(0, 1, (2, 19, 19))
+    half[:, 13:] = half[0, 13:]
+    whole = half @ half.swapaxes(1, 2)
+    covariance, cross, own = whole[:, :13, :13], whole[:, :13, 13:], whole[0, 13:, 13:]
+    camera, by_camera = np.array([0, 1, 0, 1]), g.normal(0, 1, (4, 3, 3))
     row, point = np.array([0, 1, 1, 0]), np.array([2, 0, 1, 1])
     found = position_covariances(
-        ViewArrays(row, point, place, lean), PointArrays(flat, functions), RowArrays(angle, pivot, covariance)
+        ViewArrays(row, point, place, lean),
+        PointArrays(flat, functions),
+        RowArrays(angle, pivot, np.ascontiguousarray(covariance)),
+        DisplacementArrays(camera, by_camera, np.ascontiguousarray(cross), np.ascontiguousarray(own)),
     )
 
     def residual(k: int, unknowns: Any) -> Any:
@@ -124,7 +134,10 @@ def test_position_covariances_match_numeric_derivatives() -> None:
     for k in range(4):
         at = np.concatenate([angle[row[k], None], shift[row[k]], c, np.zeros(6)])
         j = np.stack([(residual(k, at + d) - residual(k, at - d)) / 2e-6 for d in 1e-6 * np.eye(13)], -1)
-        assert found[k] == pytest.approx(j @ covariance[row[k]] @ j.T, rel=1e-6)
+        moved = np.zeros((2, 6))
+        moved[:, 3 * camera[k] : 3 * camera[k] + 3] = j[:, :3] @ by_camera[k]
+        j = np.concatenate([j, moved], 1)
+        assert found[k] == pytest.approx(j @ whole[row[k]] @ j.T, rel=1e-6)
 
 
 def test_json_has_every_view_with_four_significant_digits() -> None:

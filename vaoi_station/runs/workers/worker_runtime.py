@@ -22,7 +22,6 @@ from vaoi_station.errors import InternalError, VaoiError
 from vaoi_station.files import Recording, open_recording
 from vaoi_station.files.images import encode_jpeg, encode_png, encode_tiff
 from vaoi_station.files.results import stitch_text, without_components
-from vaoi_station.model import Stitch
 from vaoi_station.rendering import render
 from vaoi_station.runs.states.schemas import ImageFormat
 from vaoi_station.runs.workers.jobs import (
@@ -41,6 +40,7 @@ from vaoi_station.runs.workers.jobs import (
     WorkerReady,
 )
 from vaoi_station.stitching.matching.evidence import Evidence, FrameKey, Task
+from vaoi_station.stitching.quality.findings import Findings
 from vaoi_station.stitching.work import StitchSetup, TaskRunner
 
 T = TypeVar("T")
@@ -55,6 +55,8 @@ class _OpenedRun:
     slots: dict[FrameKey, int] = field(default_factory=dict)
     evidence: dict[Task, Evidence] = field(default_factory=dict)
     """Evidence that this worker found or received from other workers, by task."""
+    findings: Findings | None = None
+    """The findings of the conclusion, from which the calibration check is made; None before the conclusion."""
 
 
 class WorkerRuntime:
@@ -96,8 +98,8 @@ class WorkerRuntime:
                 reply = _reply_of(message, lambda: self._perform(message))
                 yield reply
                 if isinstance(message, ConcludeJob) and reply.error is None and message.check is not None:
-                    check, stitch = message.check, reply.value.without_components
-                    yield _reply_of(check, lambda: self._check(check, message, stitch))
+                    check = message.check
+                    yield _reply_of(check, lambda: self._check(check))
 
     def _open(self, opening: OpenRun) -> None:
         slots: dict[FrameKey, int] = {}
@@ -158,17 +160,20 @@ class WorkerRuntime:
         opened.slots.update(job.slots)
         self._gather(job)
         evidence = self._evidence(job)
-        stitch = self._guarded(
+        stitch, opened.findings = self._guarded(
             job.context.bay,
             job.context.generation,
-            lambda: opened.runner.conclude(job.head.row_times_s(), tuple(job.slots), evidence, job.head.doubts),
+            lambda: opened.runner.conclude_with_findings(
+                job.head.row_times_s(), tuple(job.slots), evidence, job.head.doubts
+            ),
         )
         return Concluded(without_components(stitch), stitch_text(stitch))
 
-    def _check(self, check: CheckJob, conclusion: ConcludeJob, stitch: Stitch) -> RunCheck:
-        setup, evidence = self._runs[check.run].setup, self._evidence(conclusion)
-        times_s = conclusion.head.row_times_s()
-        return check_run(check.run, check.time, check.board_type, setup, times_s, evidence, stitch)
+    def _check(self, check: CheckJob) -> RunCheck:
+        findings = self._runs[check.run].findings
+        if findings is None:
+            raise InternalError(f"{check} came before the conclusion of this run.")
+        return check_run(check.run, check.time, check.board_type, findings)
 
     def _evidence(self, job: ConcludeJob) -> list[Evidence]:
         return [found for task, found in self._runs[job.run].evidence.items() if task not in job.excluded]

@@ -140,19 +140,37 @@ def factorise(normal: NormalEquations) -> None:
 
 
 @compiled
-def solve(factor: NormalEquations) -> Floats:
-    """Return the solution (n,) of factorised normal equations."""
+def solve_forward(factor: NormalEquations) -> Floats:
+    """Return L⁻¹ times the right-hand side (n,), where L is the factor of the normal equations."""
     first, at, values = factor.first, factor.at, factor.values
     out = factor.right.copy()
     for i in range(len(first)):
         for k in range(first[i], i):
             out[i] -= values[at[i] + k] * out[k]
         out[i] /= values[at[i] + i]
+    return out
+
+
+@compiled
+def solve_backward(factor: NormalEquations, forward: Floats) -> Floats:
+    """Return the solution (n,) of factorised normal equations from the result (n,) of `solve_forward`."""
+    first, at, values = factor.first, factor.at, factor.values
+    out = forward.copy()
     for i in range(len(first) - 1, -1, -1):
         out[i] /= values[at[i] + i]
         for k in range(first[i], i):
             out[k] -= values[at[i] + k] * out[i]
     return out
+
+
+def trailing_lines(envelope: Envelope, count: int) -> Ints:
+    """Return the indices (count, count), in the stored values, of the block of the last `count` unknowns.
+
+    The entries above the diagonal are not stored: their indices are those of the mirrored entries.
+    """
+    n = envelope.size
+    i, j = np.meshgrid(np.arange(n - count, n), np.arange(n - count, n), indexing="ij")
+    return np.asarray(envelope.at[np.maximum(i, j)] + np.minimum(i, j))
 
 
 @compiled
@@ -191,7 +209,7 @@ def inverse(factor: NormalEquations, rows: int) -> Floats:
 def row_blocks(envelope: Envelope, values: Floats) -> Floats:
     """Return one block (u, u) per row of a symmetric matrix that is stored in an envelope: (m, u, u) for m rows.
 
-    The u unknowns of a block are the three of the row, followed by those that stand last.
+    The u unknowns of a block are the three of the row, followed by those that all rows share.
     """
     own = 3 * np.arange(envelope.rows)[:, None] + np.arange(3)
     others = np.broadcast_to(

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from vaoi_station.geometry.robust import huber_weights
+from vaoi_station.geometry.similarity import apply_similarity, similarity_jacobian
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.adjustment.observations import Ints
 from vaoi_station.stitching.adjustment.problem import FiducialPoints
-from vaoi_station.stitching.adjustment.similarity import apply_similarity, similarity_jacobian
 
 _SINGLE_PX, _COMMON_PX = 0.002, 0.004
 """Standard deviations of two errors of a detection beyond `sigma_mm`. `_SINGLE_PX` is independent in each detection.
@@ -55,8 +55,8 @@ def detection_equations(points: FiducialPoints, residual: Floats, jacobian: Floa
     Args:
         points: the detections.
         residual: (s, 2) residuals, mm.
-        jacobian: (s, 2, 3 + u) their derivatives by the row of each detection and by the u unknowns that stand last.
-        others: (u,) columns of the unknowns that stand last: C and the surface.
+        jacobian: (s, 2, 3 + u) their derivatives by the row of each detection and by u other unknowns.
+        others: (s, u) columns of the other unknowns of each detection: C, the surface, and the camera.
     """
     sigma = detection_sigma_mm(points)
     chi = np.sqrt((residual**2).sum(1) / 2) / sigma
@@ -68,9 +68,7 @@ def detection_equations(points: FiducialPoints, residual: Floats, jacobian: Floa
         chi, sigma = np.where(many, chi / scale, chi), np.where(many, sigma * scale, sigma)
     robust = np.where(many & (chi > _CUT), 0.0, huber_weights(chi, _KNEE))
     weight = (np.sqrt(robust) / sigma)[:, None]
-    columns = np.concatenate(
-        [3 * points.row[:, None] + np.arange(3), np.broadcast_to(others, (len(points.row), len(others)))], 1
-    )
+    columns = np.concatenate([3 * points.row[:, None] + np.arange(3), others], 1)
     return columns, weight[:, :, None] * jacobian, weight * residual
 
 

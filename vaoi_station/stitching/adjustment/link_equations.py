@@ -8,10 +8,9 @@ where board() is the map from ground to board of `Motion`, R(φ) a rotation, l_a
 the change of the residual per mm of height, and h the height of the point: that of the surface plus that of the
 component.
 
-Unknowns are (φ, sx, sy) of every row, in the columns 3·row to 3·row + 2, and the coefficients of the surface, in the
-last columns. The normal matrix is stored in its envelope (`envelope.py`). The heights of components have separate
-normal equations. Each height is coupled only to the rows that see the component and to the surface (`Coupling`). The
-heights are eliminated before the normal equations are solved (`eliminate_heights`).
+Unknowns are (φ, sx, sy) of every row, in the columns 3·row to 3·row + 2, the coefficients of the surface, and the
+displacements of the cameras (`camera_equations.py`). The normal matrix is stored in its envelope (`envelope.py`). The
+heights of components have separate normal equations (`height_equations.py`).
 
 Compiled functions take their arrays in named tuples, which Numba unpacks without a copy.
 """
@@ -19,15 +18,16 @@ Compiled functions take their arrays in named tuples, which Numba unpacks withou
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from vaoi_station.compiled import compiled, inlined
 from vaoi_station.geometry.transforms import Floats
+from vaoi_station.stitching.adjustment.camera_equations import CameraEffects, row_change
 from vaoi_station.stitching.adjustment.envelope import NormalEquations
-from vaoi_station.stitching.adjustment.observations import Ints, LinkArrays
+from vaoi_station.stitching.adjustment.height_equations import Coupling, HeightEquations, HeightModel
+from vaoi_station.stitching.adjustment.observations import CameraPairs, Ints, LinkArrays
 
 
 class MotionArrays(NamedTuple):
@@ -65,89 +65,16 @@ class NoiseModel(NamedTuple):
     """The noise of k links by kind of link, and the limits of the robust loss."""
 
     kind: Ints
-    """(k,) kind of each link, an index into `floor_px` and `shared_px`: 0 between rows, 1 between two cameras."""
+    """(k,) kind of each link, an index into `floor_px` and `shared_px`: 0 between rows, 1 + i between cameras i and
+    i + 1."""
     floor_px: Floats
-    """(2,) noise floor of each kind: scatter of single links beyond image noise."""
+    """(n,) noise floor of each of n kinds: scatter of single links beyond image noise."""
     shared_px: Floats
-    """(2,) standard deviation, for each kind, of the error that all links of one pair of frames have in common."""
+    """(n,) standard deviation, for each kind, of the error that all links of one pair of frames have in common."""
     knee: float
     """Residuals beyond this number of standard deviations lose weight (Huber)."""
     cut: float
     """Residuals beyond this number of standard deviations have no weight."""
-
-
-class HeightModel(NamedTuple):
-    """For each of k links, the surface functions and the component on which the height of its point depends."""
-
-    basis: Floats
-    """(k, f) values of the surface's f basis functions at the links; f may be 0."""
-    component: Ints
-    """(k,) index of the component height, −1 for a link on the bare board."""
-
-
-class HeightEquations(NamedTuple):
-    """The normal equations of c component heights, and their coupling to the other unknowns."""
-
-    row: Ints
-    """(c,) index of the first row that sees each component."""
-    at: Ints
-    """(c + 1,) index of the first entry of each component in `coupling`."""
-    surface: int
-    """The number of coefficients of the surface."""
-    coupling: Floats
-    """The entries of the normal matrix between each height and the other unknowns: (φ, sx, sy) of the rows that see the
-    component, then the coefficients of the surface."""
-    normal: Floats
-    """(c,) diagonal of the normal matrix of the heights, which are not coupled to one another."""
-    right: Floats
-    """(c,) right-hand side of the heights."""
-
-
-@dataclass(frozen=True, eq=False)
-class Coupling:
-    """The unknowns to which each of c component heights is coupled: a range of rows, and the surface."""
-
-    row: Ints
-    """(c,) the first row that sees each component; 0 for a component without links."""
-    last: Ints
-    """(c,) the last row that sees each component; −1 for a component without links."""
-    at: Ints
-    """(c + 1,) index of the first entry of each component in `HeightEquations.coupling`. The entries of a component are
-    those of (φ, sx, sy) of its rows, then those of the surface's coefficients."""
-    surface: int
-    """The number of coefficients of the surface."""
-
-    @staticmethod
-    def of(component: Ints, p: Ints, q: Ints, count: int, surface: int) -> Coupling:
-        """Build the coupling of `count` component heights to the rows and to `surface` coefficients.
-
-        `component` (k,) is the index of the height of every link, or −1; `p` and `q` (k,) are the rows of the link.
-        """
-        first, last = _rows_that_see(component, p, q, count)
-        widths = np.where(last >= 0, 3 * (last - first + 1) + surface, 0)
-        return Coupling(first, last, np.append(0, np.cumsum(widths)), surface)
-
-    def equations(self, heights_mm: Floats, sigma_mm: float) -> HeightEquations:
-        """Return the equations of the prior alone: every height is 0 with standard deviation `sigma_mm`.
-
-        `heights_mm` (c,) are the current heights, to which the solution is a change.
-        """
-        normal = np.full(len(heights_mm), 1 / sigma_mm**2)
-        coupling = np.zeros(int(self.at[-1]))
-        return HeightEquations(self.row, self.at, self.surface, coupling, normal, -heights_mm / sigma_mm**2)
-
-
-@compiled
-def _rows_that_see(component: Ints, p: Ints, q: Ints, count: int) -> tuple[Ints, Ints]:
-    """Return the first and the last row (c,) of the links of each component; 0 and −1 for one without links."""
-    first, last = np.zeros(count, np.int64), np.full(count, -1)
-    for n in range(len(component)):
-        c = component[n]
-        if c >= 0:
-            low, high = min(p[n], q[n]), max(p[n], q[n])
-            first[c] = low if last[c] < 0 else min(first[c], low)
-            last[c] = max(last[c], high)
-    return first, last
 
 
 @compiled
@@ -204,40 +131,56 @@ def compute_weights(links: LinkArrays, noise: NoiseModel, groups: int, state: Li
             weight[n, i] *= share
 
 
+class LinkModel(NamedTuple):
+    """The unknowns on which links depend, besides the rows."""
+
+    heights: HeightModel
+    coupling: Coupling
+    pairs: CameraPairs
+    cameras: CameraEffects
+
+
 @compiled
 def add_links(  # noqa: PLR0915  (one loop over links whose parts are inlined)
     links: LinkArrays,
     motion: MotionArrays,
-    model: HeightModel,
+    model: LinkModel,
     state: LinkState,
     heights: HeightEquations,
     normal: NormalEquations,
 ) -> None:
-    """Add all links to the normal equations of rows and surface, and to those of the heights.
+    """Add all links to the normal equations of rows, surface and cameras, and to those of the heights.
 
     Args:
         links: the links. Those of one group (pair of frames) are adjacent and have the same rows p and q.
         motion: the motion at which the residuals were computed.
-        model: the heights on which the links depend.
+        model: the other unknowns on which the links depend.
         state: the state of the links, of which residual, lean and weight are used.
         heights: normal equations of the heights, changed in place.
         normal: normal equations of the other unknowns, changed in place.
     """
     p, q, a_mm, b_mm, group = links.p, links.q, links.a_mm, links.b_mm, links.group
-    pivot, basis, component = motion.pivot, model.basis, model.component
+    pivot, basis, component = motion.pivot, model.heights.basis, model.heights.component
+    coupling, pairs, cameras = model.coupling, model.pairs, model.cameras
     residual, lean, weight = state.residual, state.lean, state.weight
-    tied_row, tied_at, coupling = heights.row, heights.at, heights.coupling
+    tied_row, tied_at, entries = coupling.row, coupling.at, heights.entries
     height_normal, height_right = heights.normal, heights.right
     cos, sin = np.cos(motion.angle), np.sin(motion.angle)
-    f, size = basis.shape[1], len(normal.right)
-    width = 6 + f
+    f, movable = basis.shape[1], coupling.camera_column >= 0
+    width = 6 + f + (6 if movable else 0)
     columns = np.zeros(width, np.int64)
     square, product = np.zeros((width, width)), np.zeros(width)
-    columns[6:] = np.arange(size - f, size)
+    for k in range(f):
+        columns[6 + k] = coupling.surface_column + k
+    # changes of (φ, sx, sy) of row p and of row q that have the effect of a displacement of the first, second camera
+    by_a, by_b = np.zeros((3, 3)), np.zeros((3, 3))
     most = _longest(group)
     at_lift, bases, count = np.empty((6, most)), np.empty((f, most)), 0
     for n in range(len(p)):
         i, j = p[n], q[n]
+        if movable and count == 0:
+            row_change(cameras, pairs.a[group[n]], cos[i], sin[i], pivot, by_a)
+            row_change(cameras, pairs.b[group[n]], cos[j], sin[j], pivot, by_b)
         ax, ay, bx, by = a_mm[n, 0] - pivot[0], a_mm[n, 1] - pivot[1], b_mm[n, 0] - pivot[0], b_mm[n, 1] - pivot[1]
         # derivatives of the residual by φ_p (px, py) and φ_q (qx, qy); those by the shifts of p and q are −1 and 1
         px, py = sin[i] * ax + cos[i] * ay, -cos[i] * ax + sin[i] * ay
@@ -272,15 +215,28 @@ def add_links(  # noqa: PLR0915  (one loop over links whose parts are inlined)
         if c >= 0:
             height_normal[c] += ll
             height_right[c] -= lr
-            _couple(coupling, tied_at[c] + 3 * (i - tied_row[c]), pl, -wlx, -wly)
-            _couple(coupling, tied_at[c] + 3 * (j - tied_row[c]), ql, wlx, wly)
+            _couple(entries, tied_at[c] + 3 * (i - tied_row[c]), pl, -wlx, -wly)
+            _couple(entries, tied_at[c] + 3 * (j - tied_row[c]), ql, wlx, wly)
+            first = tied_at[c] + 3 * (coupling.last[c] - tied_row[c] + 1)
             for k in range(f):
-                coupling[tied_at[c + 1] - f + k] += ll * basis[n, k]
+                entries[first + k] += ll * basis[n, k]
+            if movable:
+                at_a = first + f + 3 * (pairs.a[group[n]] - coupling.camera[c])
+                at_b = first + f + 3 * (pairs.b[group[n]] - coupling.camera[c])
+                for k in range(3):
+                    entries[at_a + k] += by_a[0, k] * pl - by_a[1, k] * wlx - by_a[2, k] * wly
+                    entries[at_b + k] += by_b[0, k] * ql + by_b[1, k] * wlx + by_b[2, k] * wly
         if n + 1 == len(p) or group[n + 1] != group[n]:
             for k in range(3):
                 columns[k], columns[3 + k] = 3 * i + k, 3 * j + k
+                if movable:
+                    columns[6 + f + k] = coupling.camera_column + 3 * pairs.a[group[n]] + k
+                    columns[9 + f + k] = coupling.camera_column + 3 * pairs.b[group[n]] + k
             _add_surface(at_lift, bases, count, square, product)
             count = 0
+            _complete(square, product, 6 + f)
+            if movable:
+                _add_cameras(by_a, by_b, 6 + f, square, product)
             _flush(columns, square, product, normal)
 
 
@@ -325,17 +281,16 @@ def _add_surface(at_lift: Floats, bases: Floats, count: int, square: Floats, pro
 
 
 @inlined
-def _couple(coupling: Floats, at: int, angle: float, x: float, y: float) -> None:
-    """Add the three entries between a component height and (φ, sx, sy) of a row to the coupling, from index `at` on."""
-    coupling[at] += angle
-    coupling[at + 1] += x
-    coupling[at + 2] += y
+def _couple(entries: Floats, at: int, angle: float, x: float, y: float) -> None:
+    """Add the three entries between a component height and (φ, sx, sy) of a row, from index `at` on."""
+    entries[at] += angle
+    entries[at + 1] += x
+    entries[at + 2] += y
 
 
 @inlined
-def _flush(columns: Ints, square: Floats, product: Floats, normal: NormalEquations) -> None:
-    """Add the sums of a group of links (`square`, `product`) to the normal equations, and reset these sums to 0."""
-    width, at, values, right = len(columns), normal.at, normal.values, normal.right
+def _complete(square: Floats, product: Floats, width: int) -> None:
+    """Fill in the entries by the shift of row p, and the upper triangle, of the leading `width` lines."""
     # derivatives by the shift of row p (columns 1 and 2) are those by the shift of row q (4 and 5) with opposite sign
     for x in range(1, 3):
         product[x] = -product[3 + x]
@@ -345,44 +300,53 @@ def _flush(columns: Ints, square: Floats, product: Floats, normal: NormalEquatio
     square[1, 1], square[2, 1], square[2, 2] = square[4, 4], square[5, 4], square[5, 5]
     square[4, 1], square[4, 2], square[5, 1], square[5, 2] = -square[4, 4], -square[5, 4], -square[5, 4], -square[5, 5]
     for k in range(width):
+        for m in range(k):
+            square[m, k] = square[k, m]
+
+
+@inlined
+def _add_cameras(by_a: Floats, by_b: Floats, width: int, square: Floats, product: Floats) -> None:
+    """Add the lines of the two cameras of a pair of frames to its small matrix.
+
+    A displacement of a camera has the effect of a change of the row in which it saw its end of the links. The lines of
+    the cameras are therefore combinations of the lines of rows p and q.
+
+    Args:
+        by_a: (3, 3) change of (φ, sx, sy) of row p per displacement of the first camera.
+        by_b: (3, 3) the same for row q and the second camera.
+        width: number of lines of rows and surface, which are complete.
+        square: (width + 6, width + 6) the small normal matrix, changed in place.
+        product: (width + 6,) its right-hand side with opposite sign, changed in place.
+    """
+    for k in range(3):
+        for m in range(width):
+            a, b = 0.0, 0.0
+            for x in range(3):
+                a, b = a + by_a[x, k] * square[x, m], b + by_b[x, k] * square[3 + x, m]
+            square[width + k, m], square[width + 3 + k, m] = a, b
+        a, b = 0.0, 0.0
+        for x in range(3):
+            a, b = a + by_a[x, k] * product[x], b + by_b[x, k] * product[3 + x]
+        product[width + k], product[width + 3 + k] = a, b
+    for k in range(6):
+        for m in range(3):
+            a, b = 0.0, 0.0
+            for x in range(3):
+                a, b = a + square[width + k, x] * by_a[x, m], b + square[width + k, 3 + x] * by_b[x, m]
+            square[width + k, width + m], square[width + k, width + 3 + m] = a, b
+
+
+@inlined
+def _flush(columns: Ints, square: Floats, product: Floats, normal: NormalEquations) -> None:
+    """Add the sums of a group of links (`square`, `product`) to the normal equations, and reset these sums to 0."""
+    width, at, values, right = len(columns), normal.at, normal.values, normal.right
+    for k in range(width):
         right[columns[k]] -= product[k]
         product[k] = 0.0
         for m in range(k + 1):
             high, low = max(columns[k], columns[m]), min(columns[k], columns[m])
-            # for a link between two cameras p = q: an entry off the diagonal of `square` then falls on the diagonal of
-            # the normal matrix, together with its mirror image, and counts twice
+            # for a link between two cameras p = q, and for one between two rows both cameras are the same: an entry off
+            # the diagonal of `square` then falls on the diagonal of the normal matrix, together with its mirror image,
+            # and counts twice
             values[at[high] + low] += square[k, m] * (2 if high == low and k != m else 1)
-            square[k, m] = 0.0
-
-
-@compiled
-def eliminate_heights(heights: HeightEquations, normal: NormalEquations) -> None:
-    """Eliminate the heights: subtract their Schur complement from the normal equations of the other unknowns."""
-    tied_row, tied_at, surface, coupling = heights.row, heights.at, heights.surface, heights.coupling
-    height_normal, height_right = heights.normal, heights.right
-    at, values, right = normal.at, normal.values, normal.right
-    for c in range(len(height_normal)):
-        begin, end = tied_at[c], tied_at[c + 1]
-        rows, others = end - begin - surface, len(right) - surface
-        for a in range(end - begin):
-            own = coupling[begin + a] / height_normal[c]
-            if own != 0:
-                i = 3 * tied_row[c] + a if a < rows else others + a - rows
-                right[i] -= own * height_right[c]
-                for b in range(a + 1):
-                    j = 3 * tied_row[c] + b if b < rows else others + b - rows
-                    values[at[i] + j] -= own * coupling[begin + b]
-
-
-@compiled
-def height_changes(heights: HeightEquations, delta: Floats) -> Floats:
-    """Return the changes of the heights (c,) for changes (n,) of all other unknowns (back-substitution)."""
-    tied_row, tied_at, surface, coupling = heights.row, heights.at, heights.surface, heights.coupling
-    out = heights.right.copy()
-    for c in range(len(out)):
-        begin, end = tied_at[c], tied_at[c + 1]
-        rows, others = end - begin - surface, len(delta) - surface
-        for a in range(end - begin):
-            out[c] -= coupling[begin + a] * delta[3 * tied_row[c] + a if a < rows else others + a - rows]
-        out[c] /= heights.normal[c]
-    return out
+    square[:] = 0.0

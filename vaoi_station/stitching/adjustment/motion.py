@@ -89,6 +89,34 @@ def measured_velocity(motion: Motion, times_s: Floats, rows: np.ndarray) -> Floa
     return np.asarray(-(motion.shift[last] - motion.shift[first]) / (times_s[last] - times_s[first]))
 
 
+def belt_equations(motion: Motion, times_s: Floats, velocity_mm_s: Floats) -> tuple[Ints, Floats, Floats]:
+    """Return the prior of the belt's motion as whitened equations a·δ + b ≈ 0, one set per pair of consecutive rows.
+
+    The three equations of a set are those of the motion along the belt, across it, and of the rotation.
+
+    Args:
+        motion: the current motion of the m rows, to which δ is a change.
+        times_s: (m,) time of every row's pulse.
+        velocity_mm_s: (2,) velocity from which the steps are predicted.
+
+    Returns:
+        Columns (m − 1, 6) of the unknowns, coefficients a (m − 1, 3, 6), constant terms b (m − 1, 3).
+    """
+    m = len(motion.angle)
+    dt = np.diff(times_s)
+    speed = max(float(np.hypot(*velocity_mm_s)), 1e-9)
+    along = velocity_mm_s / speed
+    sigma = np.stack([STEP_TOLERANCE * np.abs(dt) * speed + 0.01, np.full(m - 1, SWAY_MM), np.full(m - 1, YAW_RAD)], -1)
+    # residuals along and across the belt, which have different tolerances
+    frame = np.array([along, (-along[1], along[0])])
+    residual = (np.diff(motion.shift, axis=0) + dt[:, None] * velocity_mm_s) @ frame.T
+    residual = np.concatenate([residual, np.diff(motion.angle)[:, None]], 1) / sigma
+    step = np.zeros((3, 3))
+    step[:2, 1:], step[2, 0] = frame, 1
+    both = np.concatenate([-step, step], 1)
+    return 3 * np.arange(m - 1)[:, None] + np.arange(6), both / sigma[:, :, None], residual
+
+
 @compiled
 def _moved(row: Ints, ground_mm: Floats, angle: Floats, pivot: Floats, to: Floats) -> Floats:
     """Rotate points (k, 2) of rows (k,) about a pivot (2,) by the angle of the row, and add a shift.

@@ -50,6 +50,15 @@ class LinkArrays(NamedTuple):
     """(k,) index of the pair of frames from which each link comes; links of one pair are adjacent."""
 
 
+class CameraPairs(NamedTuple):
+    """The cameras of g pairs of frames, in the form that compiled functions take."""
+
+    a: Ints
+    """(g,) camera of the first frame of each pair."""
+    b: Ints
+    """(g,) camera of the second frame: the same camera, or the next one."""
+
+
 @dataclass(frozen=True, eq=False)
 class Observations:
     """k links on the ground with the evidence from which they come. The arrays are those of `LinkArrays`."""
@@ -84,9 +93,26 @@ class Observations:
             self.group,
         )
 
+    @cached_property
+    def pairs(self) -> CameraPairs:
+        """The cameras of each pair of frames."""
+        frames = [(e.task.a[0], (e.task.b or e.task.a)[0]) for e in self.groups]
+        a, b = np.array(frames, dtype=np.int_).reshape(-1, 2).T
+        return CameraPairs(np.ascontiguousarray(a), np.ascontiguousarray(b))
+
+    @staticmethod
+    def empty() -> Observations:
+        """Return a set without links."""
+        return Observations(*LinkArrays._make(column.copy() for column in _NO_LINKS), ())
+
     def select(self, at: Ints) -> Observations:
         """Return the links with these indices, in this order."""
         return Observations(*LinkArrays._make(values[at] for values in self.arrays), self.groups)
+
+
+_NO_LINKS = LinkArrays(
+    *(np.zeros(0, dtype=np.int_),) * 2, *(np.zeros((0, 2)),) * 4, np.zeros((0, 2, 2)), np.zeros(0), np.zeros(0, np.int_)
+)
 
 
 class LinkStore:

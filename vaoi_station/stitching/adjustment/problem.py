@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.adjustment.observations import Ints, Observations
@@ -33,18 +34,20 @@ class FiducialPoints:
     """(k,) local resolution."""
     which: Ints
     """(k,) index of the fiducial of the board type; `FIXTURE` or `REFERENCE`, both negative, for other points."""
+    camera: Ints
+    """(k,) camera that saw each point."""
 
     @staticmethod
     def joined(parts: Sequence[FiducialPoints]) -> FiducialPoints:
         """Concatenate several sets of points."""
-        names = ("row", "ground_mm", "lean", "cad", "sigma_mm", "px_per_mm", "which")
+        names = ("row", "ground_mm", "lean", "cad", "sigma_mm", "px_per_mm", "which", "camera")
         return FiducialPoints(*(np.concatenate([getattr(p, name) for p in parts]) for name in names))
 
     @staticmethod
     def empty() -> FiducialPoints:
         """Return a set without points."""
         pairs, no = np.zeros((0, 2)), np.zeros(0, dtype=np.int_)
-        return FiducialPoints(no, pairs, pairs, pairs, np.zeros(0), np.zeros(0), no)
+        return FiducialPoints(no, pairs, pairs, pairs, np.zeros(0), np.zeros(0), no, no)
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +78,28 @@ class Problem:
     """Nominal scale of C, mm per CAD unit."""
     surface: SurfaceBasis | None = None
     """The surface to estimate; None if the board is assumed to lie in the calibrated plane."""
+    cameras: tuple[Camera, ...] = ()
+    """The cameras whose displacements are estimated; none if the calibration is taken as exact."""
+
+
+@dataclass(frozen=True, eq=False)
+class CameraEstimate:
+    """The displacements of n cameras against their calibration, as one run shows them."""
+
+    displacement_px: Floats
+    """(n, 3) estimate of x, y and turn of each camera."""
+    covariance: Floats
+    """(3n, 3n) covariance of the estimate, px²."""
+    cross: Floats
+    """(m, u, 3n) covariance of the displacements with the u unknowns of `AdjustmentResult.covariance`, by row."""
+    information: Floats
+    """(3n, 3n) px⁻², information matrix of the displacements by the run alone, without any prior on them.
+
+    It is singular for motions of the whole array, which pictures of a board do not show."""
+    vector: Floats
+    """(3n,) px⁻¹, the product of `information` and the displacements that fit the run best without a prior."""
+    rivals: tuple[int, ...] = ()
+    """Cameras that may have moved instead of those with a displacement."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,3 +129,7 @@ class AdjustmentResult:
     """Noise floor of the links between rows."""
     sigma0: float
     """Square root of the reduced χ² of the links."""
+    problem: Problem
+    """The problem, with links and points as the displaced cameras see them, and with the displaced cameras."""
+    cameras: CameraEstimate | None = None
+    """The displacements of the cameras; None if the calibration was taken as exact."""

@@ -1,9 +1,9 @@
 """Adjust a run: estimate the motion of all rows and C together, from all links and detections.
 
 The unknowns are (φ_j, s_j) of every row j, the four numbers of the similarity C once fiducials are assigned, the
-coefficients of the surface if one is requested, and the heights of the components on which links lie. The paper chains
-the rows (equations 11–16), so that their errors add up. Here all links are used together, in a robust least-squares
-solution by iteratively reweighted Gauss-Newton.
+coefficients of the surface if one is requested, the heights of the components on which links lie, and the displacements
+of the cameras against their calibration. The paper chains the rows (equations 11–16), so that their errors add up. Here
+all links are used together, in a robust least-squares solution by iteratively reweighted Gauss-Newton.
 
 The equations are linear in the heights: a ground point moves by its lean per mm of height. The heights of components
 are eliminated from the normal equations, because each of them occurs only in the links that lie on the component.
@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.geometry.transforms import Floats
+from vaoi_station.stitching.adjustment.camera_equations import MovingCameras, row_changes
 from vaoi_station.stitching.adjustment.envelope import (
     Envelope,
     NormalEquations,
@@ -25,7 +26,7 @@ from vaoi_station.stitching.adjustment.envelope import (
     hold_first_row,
     inverse,
     row_blocks,
-    solve,
+    solve_backward,
 )
 from vaoi_station.stitching.adjustment.fiducial_equations import (
     Equations,
@@ -33,22 +34,25 @@ from vaoi_station.stitching.adjustment.fiducial_equations import (
     fiducial_residuals,
     scale_equation,
 )
-from vaoi_station.stitching.adjustment.link_equations import (
+from vaoi_station.stitching.adjustment.height_equations import (
     Coupling,
     HeightEquations,
     HeightModel,
+    OtherColumns,
+    eliminate_heights,
+    height_changes,
+)
+from vaoi_station.stitching.adjustment.link_equations import (
+    LinkModel,
     LinkState,
     MotionArrays,
     NoiseModel,
     add_links,
     compute_residuals,
     compute_weights,
-    eliminate_heights,
-    height_changes,
 )
-from vaoi_station.stitching.adjustment.motion import SPEED_TOLERANCE, STEP_TOLERANCE, Motion
+from vaoi_station.stitching.adjustment.motion import SPEED_TOLERANCE, STEP_TOLERANCE, Motion, belt_equations
 from vaoi_station.stitching.adjustment.noise_floor import noise_floor
-from vaoi_station.stitching.adjustment.normal_blocks import belt_steps
 from vaoi_station.stitching.adjustment.observations import Ints, Observations
 from vaoi_station.stitching.adjustment.problem import AdjustmentResult, Problem
 
@@ -135,26 +139,30 @@ class _Solver:
         basis = surface.at_links if surface else np.zeros((len(links), 0))
         self.n_surface = basis.shape[1]
         self.surface_mm = np.zeros(self.n_surface)
-        self.kind = (links.p == links.q).astype(np.int_)
-        """(k,) kind of each link: 0 between rows, 1 between two cameras in one row."""
+        between = (links.p == links.q).astype(np.int_)
+        self.kind = between * (1 + links.pairs.a[links.group])
+        """(k,) kind of each link: 0 between rows, 1 + i between cameras i and i + 1 in one row."""
         # a component has two heights, one for each kind of link. What two cameras see of it (its top) and what is seen
         # from row to row (its leads, the board between them) may be at different heights. With a single unknown, the
         # difference would lift the whole board
         self.n_parts = int(problem.component.max(initial=-1)) + 1
-        component = np.where(problem.component < 0, -1, problem.component + self.n_parts * self.kind)
+        component = np.where(problem.component < 0, -1, problem.component + self.n_parts * between)
         self.heights_mm = np.zeros(2 * self.n_parts)
-        self.model = HeightModel(basis, component)
         # the first weights need a noise floor before it is estimated: start near its usual value
-        self.floor_px = np.array([0.05, 0.05])
-        others = (4 if problem.fiducials else 0) + self.n_surface
-        self.others = np.arange(3 * self.rows, 3 * self.rows + others)
-        """Columns of the unknowns of C and of the surface, which stand last."""
-        self.coupling = Coupling.of(component, links.p, links.q, 2 * self.n_parts, self.n_surface)
-        self.envelope = _envelope(links, self.coupling, self.rows, others)
+        self.floor_px = np.full(1 + max(int(self.kind.max(initial=0)), 1), 0.05)
+        shared = (4 if problem.fiducials else 0) + self.n_surface
+        self.shared = np.arange(3 * self.rows, 3 * self.rows + shared)
+        """Columns of the unknowns of C and of the surface, which stand after the rows."""
+        self.cameras = MovingCameras(problem, 3 * self.rows + shared)
+        surface_column = 3 * self.rows + shared - self.n_surface
+        columns = OtherColumns(self.n_surface, surface_column, self.cameras.first_column, 2 * self.n_parts)
+        self.coupling = Coupling.of(component, links.arrays, links.pairs, columns)
+        self.heights = HeightModel(basis, component)
+        self.envelope = _envelope(links, self.coupling, self.rows, shared + self.cameras.unknowns)
         self.factor: NormalEquations | None = None
         self.state = LinkState.zeros(len(links))
         self.linked_steps = _linked_steps(links, self.rows)
-        bare = [np.flatnonzero((problem.component < 0) & (self.kind == kind)) for kind in (0, 1)]
+        bare = [np.flatnonzero((problem.component < 0) & (self.kind == kind)) for kind in range(len(self.floor_px))]
         # contiguous copies: for slices with a step, Numba would compile another variant while a board waits
         self.floor_samples = [np.ascontiguousarray(at[:: max(len(at) // _FLOOR_SAMPLE, 1)]) for at in bare]
         """Indices of sampled links on the bare board, by kind. The model explains these links: their residuals are
@@ -164,7 +172,8 @@ class _Solver:
     def run(self, converged_mm: float) -> None:
         """Make steps until one moves no row by `converged_mm` or more, at most `_MAX_STEPS`."""
         for _ in range(_MAX_STEPS):
-            if self.step() < converged_mm:
+            # cameras may seem displaced as long as their prior is wide: the first steps do not count
+            if self.step() < converged_mm and self.cameras.settled and not self.cameras.reconsider():
                 break
 
     def step(self) -> float:
@@ -178,12 +187,15 @@ class _Solver:
         # in this order: the noise floor depends on the residuals, and the weights depend on the noise floor
         self._update_noise_floor()
         self._compute_weights()
-        add_links(self.problem.links.arrays, self._motion_arrays(), self.model, self.state, heights, normal)
-        eliminate_heights(heights, normal)
+        model = LinkModel(self.heights, self.coupling, self.problem.links.pairs, self.cameras.effects)
+        add_links(self.cameras.links, self._motion_arrays(), model, self.state, heights, normal)
+        eliminate_heights(self.coupling, heights, normal)
         hold_first_row(normal)
+        self.cameras.regularise(self.envelope, normal)
         factorise(normal)
+        forward = self.cameras.constrain(self.envelope, normal)
         self.factor = normal
-        return self._move(solve(normal), heights)
+        return self._move(solve_backward(normal, forward), heights)
 
     def _move(self, delta: Floats, heights: HeightEquations) -> float:
         """Add the solution (n,) of a step to all unknowns; return the largest change of a shift in mm.
@@ -193,9 +205,10 @@ class _Solver:
         rows = delta[: 3 * self.rows].reshape(self.rows, 3)
         self.motion = replace(self.motion, angle=self.motion.angle + rows[:, 0], shift=self.motion.shift + rows[:, 1:])
         if self.similarity is not None:
-            self.similarity = self.similarity + delta[3 * self.rows : 3 * self.rows + 4]
-        self.surface_mm = self.surface_mm + delta[len(delta) - self.n_surface :]
-        self.heights_mm = self.heights_mm + height_changes(heights, delta)
+            self.similarity = self.similarity + delta[self.shared[:4]]
+        self.surface_mm = self.surface_mm + delta[self.shared[len(self.shared) - self.n_surface :]]
+        self.heights_mm = self.heights_mm + height_changes(self.coupling, heights, delta)
+        self.cameras.move(delta)
         return float(np.abs(rows[:, 1:]).max())
 
     def _motion_arrays(self) -> MotionArrays:
@@ -204,32 +217,34 @@ class _Solver:
 
     def _compute_residuals(self) -> None:
         """Compute the residual of every link at the current unknowns."""
-        height = self.model.basis @ self.surface_mm + np.append(self.heights_mm, 0.0)[self.model.component]
-        compute_residuals(self.problem.links.arrays, self._motion_arrays(), height, self.state)
+        height = self.heights.basis @ self.surface_mm + np.append(self.heights_mm, 0.0)[self.heights.component]
+        compute_residuals(self.cameras.links, self._motion_arrays(), height, self.state)
 
     def _compute_weights(self) -> None:
         """Compute robust weights at the current residuals and noise floor."""
         links = self.problem.links
-        shared_px = np.maximum(_PAIR_SIGMA_PX, _PAIR_SHARE * self.floor_px)
+        common_px = np.full(len(self.floor_px), _PAIR_SIGMA_PX[1])
+        common_px[0] = _PAIR_SIGMA_PX[0]
+        shared_px = np.maximum(common_px, _PAIR_SHARE * self.floor_px)
         noise = NoiseModel(self.kind, self.floor_px, shared_px, _KNEE, _CUT)
         compute_weights(links.arrays, noise, len(links.groups), self.state)
 
     def _update_noise_floor(self) -> None:
         """Estimate the noise floor of each kind of link from links on the bare board.
 
-        Links between rows and links between cameras have separate noise floors. A lifted board at first causes a large
-        scatter of the links between cameras only. The links between rows keep their weight until the surface explains
-        this scatter.
+        Each pair of neighbouring cameras is a kind of its own. A lifted board, or a displaced camera, at first causes a
+        large scatter of the links between the cameras that show it only. All other links keep their weight until
+        surface and displacements explain this scatter.
         """
         if self.steps > _FLOOR_STEPS:
             return
         links = self.problem.links
         for kind, at in enumerate(self.floor_samples):
             if len(at) >= _FLOOR_MIN_LINKS:
-                self.floor_px[kind] = noise_floor(self.state.residual, links.noise_mm2, links.px_per_mm, at, *_FLOOR_PX)
-        if self.problem.surface is not None:
-            scatter = self.floor_px[1]
-            self.floor_px[1] = max(min(scatter, _SEAM_PX), scatter / _NARROWING)
+                scatter = noise_floor(self.state.residual, links.noise_mm2, links.px_per_mm, at, *_FLOOR_PX)
+                if kind > 0 and self.problem.surface is not None:
+                    scatter = max(min(scatter, _SEAM_PX), scatter / _NARROWING)
+                self.floor_px[kind] = scatter
 
     def _belt(self) -> Equations:
         """Return the prior of the motion between consecutive rows: the belt moves at its measured mean velocity.
@@ -243,25 +258,31 @@ class _Solver:
             # weighted mean of the steps and the nominal speed, each with its own variance
             prior = STEP_TOLERANCE**2 / SPEED_TOLERANCE**2
             velocity = (steps.sum(0) + prior * velocity) / (len(steps) + prior)
-        return belt_steps(self.motion, problem.times_s, velocity)
+        return belt_equations(self.motion, problem.times_s, velocity)
 
     def _surface(self) -> Equations:
         """Return the prior of the surface: every coefficient is 0 with its prior standard deviation."""
         sigma = self.problem.surface.sigma_mm if self.problem.surface else np.ones(0)
-        columns = self.others[None, len(self.others) - self.n_surface :]
+        columns = self.shared[None, len(self.shared) - self.n_surface :]
         return columns, np.diag(1 / sigma)[None], (self.surface_mm / sigma)[None]
 
     def _fiducials(self) -> list[Equations]:
         """Return the equations of the detections and of the scale of C; none if the problem has no fiducials."""
-        points, c = self.problem.fiducials, self.similarity
+        points, c = self.cameras.points, self.similarity
         if points is None or c is None:
             return []
-        detections = detection_equations(points, *self._fiducial_residuals(c), self.others)
-        return [detections, scale_equation(c, self.problem.nominal_scale, self.others[:2])]
+        residual, jacobian = self._fiducial_residuals(c)
+        others = np.broadcast_to(self.shared, (len(points.row), len(self.shared)))
+        if self.cameras.unknowns:
+            turn = row_changes(self.cameras.effects, points.camera, self.motion.angle[points.row], self.motion.pivot)
+            jacobian = np.concatenate([jacobian, jacobian[:, :, :3] @ turn], 2)
+            others = np.concatenate([others, self.cameras.columns_of(points.camera)], 1)
+        detections = detection_equations(points, residual, jacobian, others)
+        return [detections, scale_equation(c, self.problem.nominal_scale, self.shared[:2])]
 
     def _fiducial_residuals(self, c: Floats) -> tuple[Floats, Floats]:
         """Return the residuals and the Jacobian of the detections at similarity c and the other current unknowns."""
-        points, surface = self.problem.fiducials, self.problem.surface
+        points, surface = self.cameras.points, self.problem.surface
         assert points is not None
         basis = surface.at_fiducials if surface else np.zeros((len(points.row), 0))
         return fiducial_residuals(points, self.motion, c, basis, self.surface_mm)
@@ -278,23 +299,30 @@ class _Solver:
         fiducial_px = np.zeros((0, 2))
         if points is not None and self.similarity is not None:
             fiducial_px = self._fiducial_residuals(self.similarity)[0] * points.px_per_mm[:, None]
+        covariance = self._covariance()
+        u = 3 + len(self.shared)
         return AdjustmentResult(
             self.motion,
             self.similarity,
             self.surface_mm,
             self._reported_heights(),
-            self._covariance(),
+            np.ascontiguousarray(covariance[:, :u, :u]),
             state.sigma,
             state.residual * links.px_per_mm[:, None],
             state.robust,
             fiducial_px,
             float(self.floor_px[0]),
             sigma0,
+            self.cameras.displaced_problem(),
+            self.cameras.estimate(covariance, u),
         )
 
     def _covariance(self) -> Floats:
-        """Return for each row the covariance (u, u) of its unknowns, C and the surface; 0 before the first step."""
-        size = 3 + len(self.others)
+        """Return for each row the covariance (v, v) of its unknowns, C, the surface and the cameras.
+
+        It is 0 before the first step.
+        """
+        size = 3 + len(self.shared) + self.cameras.unknowns
         covariance = np.zeros((self.rows, size, size))
         if self.factor is not None:
             covariance = row_blocks(self.envelope, inverse(self.factor, self.rows))
@@ -304,7 +332,7 @@ class _Solver:
 
     def _reported_heights(self) -> Floats:
         """Return the heights of all components for both kinds of links (2, parts); NaN where too few links are used."""
-        component = self.model.component
+        component = self.heights.component
         on = component >= 0
         used = np.bincount(component[on], self.state.robust[on] > _USED_WEIGHT, minlength=2 * self.n_parts)
         return np.where(used >= _HEIGHT_MIN_LINKS, self.heights_mm, np.nan).reshape(2, self.n_parts)

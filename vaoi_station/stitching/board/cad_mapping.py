@@ -104,7 +104,10 @@ def map_cad(
     adjusted = adjust(whole, moved.motion, guess.c)
     if contradiction := _disagreeing_reference(points, adjusted):
         return contradiction
-    return CadMapping(adjusted, whole, outline, guess.ambiguous, _measured_shift(plane, scene, adjusted))
+    # the outline is measured as the displaced cameras see it, as everything after the adjustment is
+    corrected = replace(scene, cameras=adjusted.problem.cameras)
+    shift = _measured_shift(plane, corrected, adjusted)
+    return CadMapping(adjusted, adjusted.problem, outline, guess.ambiguous, shift)
 
 
 def _disagreeing_reference(points: FiducialPoints, adjusted: AdjustmentResult) -> Failure | None:
@@ -231,7 +234,7 @@ def _turned_failure(plane: BoardPlane, orientation: Orientation) -> Turned:
 def _with_board(
     problem: Problem, points: FiducialPoints, plane: BoardPlane, scene: Scene, motion: Motion, c: Floats
 ) -> Problem:
-    """Extend the problem by the fiducial points, by the component under each link, and by the board's surface.
+    """Extend the problem by the fiducial points, the component under each link, the board's surface, and the cameras.
 
     The surface is added only if the working distances of all cameras are known.
     """
@@ -246,4 +249,5 @@ def _with_board(
         fiducials=points,
         nominal_scale=plane.board_type.mm_per_unit,
         surface=SurfaceBasis(at_links, at_marks, SIGMA_MM) if knows_height else None,
+        cameras=scene.cameras,
     )

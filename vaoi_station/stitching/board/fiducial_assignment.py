@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from vaoi_station.compiled import compiled
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.robust import Failure
+from vaoi_station.geometry.similarity import apply_similarity
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.adjustment.problem import FIXTURE, FiducialPoints
-from vaoi_station.stitching.adjustment.similarity import apply_similarity
 from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.expectation import Expectation
 from vaoi_station.stitching.board.fiducial_detection import fixture_kind, kind_of, mark_kinds
@@ -167,7 +167,7 @@ def assign_fiducials(
         lean[mine] = cameras[i].parallax(ground[mine])
         resolution[mine] = [cameras[i].image_from_row.scale_at(p) for p in ground[mine]]
     sigma = np.concatenate([s.sigma_px for s in seen])[at] / resolution
-    return FiducialPoints(row, ground, lean, flat[mark], sigma, resolution, number[mark])
+    return FiducialPoints(row, ground, lean, flat[mark], sigma, resolution, number[mark], camera)
 
 
 @compiled

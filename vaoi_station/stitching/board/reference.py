@@ -54,7 +54,7 @@ def cad_points(
 
     The reference run gives the CAD coordinates of each linked point.
     """
-    rows, ground, lean, cad, sigma, resolution = [], [], [], [], [], []
+    rows, ground, lean, cad, sigma, resolution, seen_by = [], [], [], [], [], [], []
     c = reference.stitch.cad_matrix
     assert c is not None
     for e in links:
@@ -67,6 +67,7 @@ def cad_points(
         # The mean of a frame's n links has the variance σ²/n + shared². Each link carries a part of the shared error.
         single = np.hypot(px, _SCATTER_PX) * np.sqrt(1 + len(px) * (_SHARED_PX / _SCATTER_PX) ** 2)
         rows.append(np.full(len(here), row))
+        seen_by.append(np.full(len(here), e.task.a[0]))
         ground.append(here)
         lean.append(camera.parallax(here))
         cad.append(plane.flat(apply(np.linalg.inv(c), there)))
@@ -82,6 +83,7 @@ def cad_points(
         np.concatenate(sigma),
         np.concatenate(resolution),
         np.full(sum(map(len, rows)), REFERENCE),
+        np.concatenate(seen_by),
     )
 
 

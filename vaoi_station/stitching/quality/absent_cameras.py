@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from vaoi_station.geometry.similarity import apply_similarity
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.stitching.adjustment.motion import Motion
-from vaoi_station.stitching.adjustment.similarity import apply_similarity
 from vaoi_station.stitching.board.board_plane import BoardPlane, expected_angle
 from vaoi_station.stitching.board.expectation import Expectation
 from vaoi_station.stitching.matching.scene import Scene

@@ -8,6 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
+from vaoi_station.geometry import Camera
+from vaoi_station.geometry.displacement import PARAMETERS, rms_displacement_px
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import VISIBILITY, Surface, Visibility
@@ -33,6 +35,10 @@ _SAME_HEIGHT_PX = 0.5
 """Largest difference, in px at the seam, between a component's height by links across the seam and by other links."""
 SEAM_LIMIT_PX = 0.30
 """Largest disagreement of two cameras at their seam, px."""
+DISPLACED_PX = 0.20
+"""Largest displacement of a camera since its calibration, rms over the frame, that is corrected without a reason."""
+_SIGNIFICANT = 4.0
+"""Standard deviations from which on a displacement is significant."""
 _SEAM_LINKS = 12
 """Least number of links between two cameras that show whether the cameras agree."""
 
@@ -46,9 +52,10 @@ class Findings:
     scene: Scene
     method: Method
     links: tuple[Links, ...]
-    links_only: Problem
     moved: AdjustmentResult
-    """The solution of the adjustment with links alone."""
+    """The solution of the adjustment without CAD data."""
+    calibrated: tuple[Camera, ...]
+    """The cameras as calibrated. Those of `scene` are the displaced cameras of the adjustment."""
     found: CadMapping | Failure
     """The CAD mapping of the board, or the reason why the board was not found."""
     visibility: Visibility = VISIBILITY
@@ -68,8 +75,8 @@ class Findings:
 
     @property
     def problem(self) -> Problem:
-        """The adjustment problem of which `adjusted` is the solution."""
-        return self.found.problem if isinstance(self.found, CadMapping) else self.links_only
+        """The adjustment problem of which `adjusted` is the solution, as the displaced cameras see it."""
+        return self.adjusted.problem
 
     @property
     def rows(self) -> int:
@@ -172,6 +179,24 @@ class Findings:
             if len(mine) >= _SEAM_LINKS:
                 out[i, i + 1] = float(np.hypot(*np.median(mine, axis=0)))
         return out
+
+    @cached_property
+    def displaced_cameras(self) -> tuple[tuple[int, Floats, tuple[int, ...]], ...]:
+        """Cameras whose picture moved by more than `DISPLACED_PX`, rms over the frame, since the calibration.
+
+        Each is given with its displacement (3,) px and the cameras that may have moved instead.
+        """
+        estimate = self.adjusted.cameras
+        if estimate is None:
+            return ()
+        found = []
+        for i, d in enumerate(estimate.displacement_px):
+            own = estimate.covariance[PARAMETERS * i : PARAMETERS * (i + 1), PARAMETERS * i : PARAMETERS * (i + 1)]
+            # a displacement within its uncertainty is no finding: σ of the positions includes it
+            significant = float(d @ np.linalg.solve(own, d)) > _SIGNIFICANT**2
+            if rms_displacement_px(d) > DISPLACED_PX and significant:
+                found.append((i, d, estimate.rivals))
+        return tuple(found)
 
     @cached_property
     def _usable_seam_links(self) -> np.ndarray:

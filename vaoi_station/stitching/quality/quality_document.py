@@ -44,6 +44,8 @@ def quality_document(f: Findings) -> dict[str, Any]:
             "sigma0": _rounded(a.sigma0),
         },
         "seams_px": {f"{i}-{j}": _rounded(v) for (i, j), v in f.seams_px.items()},
+        "camera_displacement_px": _displacements(f)[0],
+        "camera_displacement_sigma_px": _displacements(f)[1],
         "fiducials": _fiducials(f),
         "orientation": None if f.mapping is None else AMBIGUOUS if f.mapping.ambiguous else "certain",
         "scale_error": _scale_error(f),
@@ -91,6 +93,15 @@ def _points_used(f: Findings) -> dict[str, dict[str, int]]:
     return {
         kind: {"found": int(mine.sum()), "used": int((mine & (off <= _OUTLIER)).sum())} for kind, mine in kinds.items()
     }
+
+
+def _displacements(f: Findings) -> tuple[list[list[float]], list[list[float]]] | tuple[None, None]:
+    """Return x, y and turn (px) of every camera's displacement, and their σ; None if cameras were taken as exact."""
+    estimate = f.adjusted.cameras
+    if estimate is None:
+        return None, None
+    sigma = np.sqrt(np.maximum(np.diag(estimate.covariance), 0)).reshape(estimate.displacement_px.shape)
+    return np.round(estimate.displacement_px, 4).tolist(), np.round(sigma, 4).tolist()
 
 
 def _fiducials(f: Findings) -> list[dict[str, Any]]:

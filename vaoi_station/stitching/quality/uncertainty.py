@@ -17,7 +17,10 @@ import numpy as np
 
 from vaoi_station.compiled import compiled
 from vaoi_station.geometry import Camera
+from vaoi_station.geometry.camera_error import basis_px
+from vaoi_station.geometry.displacement import PARAMETERS
 from vaoi_station.geometry.transforms import Floats
+from vaoi_station.stitching.adjustment.camera_equations import camera_effects, row_changes
 from vaoi_station.stitching.adjustment.observations import Ints
 from vaoi_station.stitching.adjustment.problem import AdjustmentResult
 from vaoi_station.stitching.adjustment.surface import basis
@@ -113,10 +116,12 @@ def predict_sigma(
         ViewArrays(row, part, place, _leans(scene.cameras, camera, place)),
         PointArrays(plane.flat(cad), functions),
         RowArrays(adjusted.motion.angle, adjusted.motion.pivot, adjusted.covariance),
+        _displacements(scene, adjusted, camera, row),
     )
     px_per_mm = np.array([c.px_per_mm for c in scene.cameras])[camera]
-    # The adjustment takes calibration and artwork as exact, so their errors are added to every view here.
+    # The adjustment takes artwork and the shape of the cameras' pictures as exact: their errors are added here.
     covariance = covariance * px_per_mm[:, None, None] ** 2 + MODEL_PX**2 * np.eye(2)
+    covariance = covariance + shape_covariances(scene.cameras, camera, views.px[inside])
     rows = np.zeros(len(motion))
     np.maximum.at(rows, row, largest_sigma(covariance))
     worst = float(rows.max(initial=0)) or None
@@ -130,6 +135,33 @@ def _leans(cameras: Sequence[Camera], camera: Ints, place: Floats) -> Floats:
     for i in np.unique(camera).tolist():
         lean[camera == i] = cameras[i].parallax(place[camera == i])
     return lean
+
+
+def shape_covariances(cameras: Sequence[Camera], camera: Ints, raw_px: Floats) -> Floats:
+    """Compute the covariance (k, 2, 2) px² that errors of the calibration cause at raw pixels (k, 2).
+
+    Only the shape of the picture counts: scale, stretch, perspective and radial distortion. A displacement (shift and
+    turn) is an unknown of the adjustment. The result is 0 for cameras whose calibration states no covariance.
+    """
+    out = np.zeros((len(raw_px), 2, 2))
+    for i in np.unique(camera).tolist():
+        if cameras[i].covariance_px2 is not None:
+            mine = camera == i
+            shape = basis_px(cameras[i], cameras[i].lens.undistort(raw_px[mine]))[:, :, PARAMETERS:]
+            own = np.asarray(cameras[i].covariance_px2)[PARAMETERS:, PARAMETERS:]
+            out[mine] = shape @ own @ shape.swapaxes(1, 2)
+    return out
+
+
+def _displacements(scene: Scene, adjusted: AdjustmentResult, camera: Ints, row: Ints) -> DisplacementArrays:
+    """Collect the uncertainty of the cameras' displacements for k views, of cameras (k,) in rows (k,)."""
+    estimate, motion = adjusted.cameras, adjusted.motion
+    if estimate is None:
+        u = adjusted.covariance.shape[1]
+        return DisplacementArrays(camera, np.zeros((len(camera), 3, 3)), np.zeros((1, u, 0)), np.zeros((0, 0)))
+    effects = camera_effects(scene.cameras, np.zeros_like(estimate.displacement_px))
+    by_camera = row_changes(effects, camera, motion.angle[row], motion.pivot)
+    return DisplacementArrays(camera, by_camera, estimate.cross, estimate.covariance)
 
 
 def surface_sigma_mm(plane: BoardPlane, adjusted: AdjustmentResult, cad: Floats) -> Floats:
@@ -174,15 +206,37 @@ class RowArrays(NamedTuple):
     """(m, u, u) covariance of the u = 7 + f unknowns: (φ, sx, sy) of the row, (a, b, x, y) of C, and the surface."""
 
 
+class DisplacementArrays(NamedTuple):
+    """The uncertainty of the displacements of n cameras, for k views; the covariances are empty for exact cameras."""
+
+    camera: Ints
+    """(k,) camera of each view."""
+    by_camera: Floats
+    """(k, 3, 3) changes of (φ, sx, sy) of the view's row that have the effect of a displacement of its camera."""
+    cross: Floats
+    """(m, u, 3n) covariance of the unknowns of `RowArrays.covariance` with the displacements."""
+    covariance: Floats
+    """(3n, 3n) covariance of the displacements."""
+
+
 @compiled
-def position_covariances(views: ViewArrays, points: PointArrays, rows: RowArrays) -> Floats:
+def position_covariances(
+    views: ViewArrays, points: PointArrays, rows: RowArrays, displacements: DisplacementArrays
+) -> Floats:
     """Compute for each view the covariance (k, 2, 2) mm² of the residual that a detection of its point would have."""
     row, point, place, lean = views.row, views.point, views.place_mm, views.lean
     flat, basis = points.flat, points.basis
     angle, pivot, covariance = rows.angle, rows.pivot, rows.covariance
+    camera, by_camera, cross, own = (
+        displacements.camera,
+        displacements.by_camera,
+        displacements.cross,
+        displacements.covariance,
+    )
+    movable = len(own) > 0
     f = basis.shape[1]
     u = 7 + f
-    j, out = np.zeros((2, u)), np.empty((len(row), 2, 2))
+    j, jc, out = np.zeros((2, u)), np.zeros((2, 3)), np.empty((len(row), 2, 2))
     # Columns of the Jacobian: φ, sx, sy of the row, then a, b, x, y of C, then the surface. The four entries set
     # here are the same for all views.
     j[0, 1] = j[1, 2] = 1.0
@@ -202,5 +256,24 @@ def position_covariances(views: ViewArrays, points: PointArrays, rows: RowArrays
                 wx += covariance[row[k], a, b] * j[0, b]
                 wy += covariance[row[k], a, b] * j[1, b]
             xx, xy, yy = xx + j[0, a] * wx, xy + j[0, a] * wy, yy + j[1, a] * wy
+        if movable:
+            first = 3 * camera[k]
+            for i in range(2):
+                for c in range(3):
+                    jc[i, c] = 0.0
+                    for x in range(3):
+                        jc[i, c] += j[i, x] * by_camera[k, x, c]
+            for c in range(3):
+                wx, wy = 0.0, 0.0
+                for b in range(u):
+                    wx += cross[row[k], b, first + c] * j[0, b]
+                    wy += cross[row[k], b, first + c] * j[1, b]
+                xx, yy = xx + 2 * jc[0, c] * wx, yy + 2 * jc[1, c] * wy
+                xy += jc[0, c] * wy + jc[1, c] * wx
+                for b in range(3):
+                    value = own[first + c, first + b]
+                    xx += jc[0, c] * value * jc[0, b]
+                    xy += jc[0, c] * value * jc[1, b]
+                    yy += jc[1, c] * value * jc[1, b]
         out[k, 0, 0], out[k, 0, 1], out[k, 1, 0], out[k, 1, 1] = xx, xy, xy, yy
     return out

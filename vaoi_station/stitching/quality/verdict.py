@@ -21,7 +21,7 @@ from vaoi_station.stitching.board.cad_mapping import CadMapping
 from vaoi_station.stitching.board.fiducial_assignment import outside_share
 from vaoi_station.stitching.quality.absent_cameras import absent_camera_reasons
 from vaoi_station.stitching.quality.agreement import fiducial_reasons, outline_reasons, uncertain_detections
-from vaoi_station.stitching.quality.findings import SEAM_LIMIT_PX, Findings
+from vaoi_station.stitching.quality.findings import DISPLACED_PX, SEAM_LIMIT_PX, Findings
 from vaoi_station.stitching.quality.row_offsets import shifted_cameras
 from vaoi_station.stitching.quality.unseen import unseen_reasons
 
@@ -117,6 +117,17 @@ def _disagreeing_cameras(f: Findings) -> Iterator[str]:
             )
 
 
+def _displaced_cameras(f: Findings) -> Iterator[str]:
+    for camera, displacement_px, rivals in f.displaced_cameras:
+        x, y, turn = displacement_px
+        others = "".join(f" (or camera {i} the other way)" for i in rivals)
+        yield (
+            f"camera {camera}{others} is displaced by ({x:+.2f}, {y:+.2f}) px, and by {turn:+.2f} px at its corners "
+            f"by a turn, against its calibration (limit {DISPLACED_PX}). This run is corrected by it: "
+            "correct the calibration with `vaoi recalibrate`, or calibrate again"
+        )
+
+
 def _non_overlapping_cameras(f: Findings) -> Iterator[str]:
     for (i, j), rows in f.non_overlapping_pairs.items():
         if (i, j) not in f.row_offsets:
@@ -194,6 +205,7 @@ _RUN_CHECKS: tuple[Callable[[Findings], Iterable[str]], ...] = (
     _scattered_links,
     _cameras_in_wrong_rows,
     _disagreeing_cameras,
+    _displaced_cameras,
     _non_overlapping_cameras,
 )
 _BOARD_CHECKS: tuple[Callable[[_Placed], Iterable[str]], ...] = (

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vaoi_station.drift.attribution import attribute_motion
 from vaoi_station.geometry.transforms import Floats
+from vaoi_station.stitching.adjustment.camera_prior import attribute_motion
 
 SIGMA_PX = 0.02
 

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vaoi_station.stitching.adjustment.similarity import apply_similarity, similarity_jacobian
+from vaoi_station.geometry.similarity import apply_similarity, similarity_jacobian
 
 number = st.floats(-10, 10)
 points = st.lists(st.tuples(number, number), min_size=1, max_size=4)

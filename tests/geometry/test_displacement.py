@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vaoi_station.drift.displacement import (
+from vaoi_station.geometry import Camera, Lens, Projective, System
+from vaoi_station.geometry.displacement import (
     corner_radius_px,
     displace_camera,
     moved_from_calibrated,
     rms_displacement_px,
 )
-from vaoi_station.geometry import Camera, Lens, Projective, System
 from vaoi_station.geometry.transforms import apply
 
 N = np.array([[40.0, 0.1, 300.0], [-0.1, 40.0, 200.0], [1e-6, -2e-6, 1.0]])

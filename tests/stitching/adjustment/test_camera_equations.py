@@ -1,0 +1,179 @@
+"""Displacements of cameras: their effect on ground points, and their estimate from links and fiducials."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from vaoi_station.geometry import Camera, Lens, Projective, System
+from vaoi_station.geometry.displacement import displace_camera
+from vaoi_station.geometry.similarity import apply_similarity
+from vaoi_station.stitching.adjustment.camera_equations import (
+    camera_effects,
+    displaced_cameras,
+    ground_changes,
+    move_points,
+    row_changes,
+)
+from vaoi_station.stitching.adjustment.motion import Motion
+from vaoi_station.stitching.adjustment.observations import Observations, to_observations
+from vaoi_station.stitching.adjustment.problem import AdjustmentResult, FiducialPoints, Problem, SurfaceBasis
+from vaoi_station.stitching.adjustment.solver import adjust
+from vaoi_station.stitching.adjustment.surface import SIGMA_MM
+from vaoi_station.stitching.matching.evidence import Links, Task
+
+Array = NDArray[np.float64]
+SIZE, PX_PER_MM, ROWS = (480, 360), 14.0, 4
+TIMES = np.arange(ROWS, dtype=np.float64) * 0.1
+MOTION = Motion(np.array([0.0, 1e-3, -5e-4, 2e-4]), np.array([[0.02 * j, -6.1 * j] for j in range(ROWS)]), np.zeros(2))
+C = np.array([1.0, 0.0, -12.0, -10.0])
+FIDUCIALS = np.array([(5.0, 5.0), (75.0, 25.0)])
+
+
+def camera(x_mm: float) -> Camera:
+    n = np.array([[PX_PER_MM, 0, 239.5 - PX_PER_MM * x_mm], [0, PX_PER_MM, 179.5], [0, 0, 1.0]])
+    return Camera(*SIZE, Projective(n, System.IMAGE, System.ROW), Lens((0.0, 0.0), 1.0), 300.0)
+
+
+CAMERAS = tuple(camera(28.0 * i) for i in range(3))
+
+
+def links_of(cameras: tuple[Camera, ...], noise_px: float) -> Observations:
+    """Links of a textured board under displaced cameras, projected by the calibration."""
+    g = np.random.default_rng(0)
+    board, out = g.uniform((-14, -30), (70, 14), (900, 2)), []
+    rows = [((i, j), (i, j + 1)) for i in range(3) for j in range(ROWS - 1)]
+    for a, b in rows + [((i, j), (i + 1, j)) for i in (0, 1) for j in range(ROWS)]:
+        px = [cameras[i].project(MOTION.row_from_tester(j)(board)) for i, j in (a, b)]
+        use = np.flatnonzero(cameras[a[0]].sees(px[0], 8) & cameras[b[0]].sees(px[1], 8))[:40]
+        task = Task("rows" if a[0] == b[0] else "neighbours", a, b)
+        seen = px[1][use] + g.normal(0, noise_px, (len(use), 2))
+        out.append(Links(task, px[0][use], seen, np.tile(np.eye(2) / 0.02**2, (len(use), 1, 1)), np.ones(len(use))))
+    return to_observations(out, CAMERAS)
+
+
+def adjusted(displacement_px: Array, noise_px: float = 0.0) -> AdjustmentResult:
+    """Adjust a run whose cameras have moved since their calibration."""
+    cameras = displaced_cameras(CAMERAS, displacement_px)
+    links, found = links_of(cameras, noise_px), []
+    for i, j in np.ndindex(3, ROWS):
+        px = cameras[i].project(MOTION.row_from_tester(j)(apply_similarity(C, FIDUCIALS)))
+        found += [(j, CAMERAS[i].ground(px[n]), n, i) for n in np.flatnonzero(cameras[i].sees(px, 8))]
+    row, ground, which, seen_by = (np.array([f[k] for f in found]) for k in range(4))
+    k, basis = len(found), np.zeros((len(found), 6))
+    basis[:, 0] = 1
+    points = FiducialPoints(
+        row,
+        ground,
+        np.array([CAMERAS[i].parallax(g) for i, g in zip(seen_by, ground, strict=True)]),
+        FIDUCIALS[which],
+        np.full(k, 0.01 / PX_PER_MM),
+        np.full(k, PX_PER_MM),
+        which,
+        seen_by,
+    )
+    at_links = np.zeros((len(links), 6))
+    at_links[:, 0] = 1
+    bare = np.full(len(links), -1)
+    surface = SurfaceBasis(at_links, basis, SIGMA_MM)
+    problem = Problem(TIMES, np.array([0.0, 61.0]), links, bare, points, surface=surface, cameras=CAMERAS)
+    return adjust(problem, MOTION, C)
+
+
+def moved(camera_number: int, *by: float) -> Array:
+    d = np.zeros((3, 3))
+    d[camera_number] = by
+    return d
+
+
+@given(st.integers(0, 2), st.integers(0, 2))
+def test_the_effect_on_a_row_is_that_of_the_displaced_camera(number: int, parameter: int) -> None:
+    """A camera that moved by a little sees ground points where a changed row would have put them."""
+    step = moved(number, *(0.01 * np.eye(3)[parameter]))
+    g, pivot = np.random.default_rng(3), np.array([20.0, -3.0])
+    px = g.uniform((0, 0), SIZE, (20, 2))
+    angle, row = np.array([0.2]), np.zeros(20, dtype=np.int_)
+    here = Motion(angle, np.zeros((1, 2)), pivot)
+    change = row_changes(camera_effects(CAMERAS, np.zeros((3, 3))), np.array([number]), angle, pivot)[0] @ step[number]
+    as_row = Motion(angle + change[0], change[None, 1:], pivot).board(row, CAMERAS[number].ground(px))
+    as_camera = here.board(row, displace_camera(CAMERAS[number], step[number]).ground(px))
+    # the rest is the keystone distortion of a camera that turned, which a motion of the row cannot have
+    assert as_row == pytest.approx(as_camera, abs=1e-5)
+
+
+def test_moved_points_are_those_of_the_displaced_camera() -> None:
+    d = np.random.default_rng(2).normal(0, 3, (3, 3))
+    px = np.random.default_rng(3).uniform((0, 0), SIZE, (9, 2))
+    number = np.arange(9) % 3
+    ground = np.array([CAMERAS[i].ground(p) for i, p in zip(number, px, strict=True)])
+    expected = [displace_camera(CAMERAS[i], d[i]).ground(p) for i, p in zip(number, px, strict=True)]
+    assert move_points(ground, number, ground_changes(CAMERAS, d)) == pytest.approx(np.array(expected), abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("number", "by"), [(1, (0.3, 0.0, 0.0)), (1, (0.0, -3.0, 0.5)), (2, (1.0, 0.0, 0.0)), (0, (0.1, 0.1, -0.4))]
+)
+def test_the_camera_that_moved_is_found_and_corrected(number: int, by: tuple[float, float, float]) -> None:
+    found = adjusted(moved(number, *by), noise_px=0.02)
+    assert found.cameras is not None
+    estimate = found.cameras
+    named = {i for i in range(3) if np.hypot.reduce(estimate.displacement_px[i]) > 0.06} | {*estimate.rivals}
+    assert number in named
+    o = found.problem.links
+    assert np.abs(np.median(found.link_px[o.p == o.q], axis=0)).max() < 0.01
+    assert (found.weight[o.p == o.q] > 0.2).mean() > 0.95, "links to a moved camera are no outliers"
+    # in every camera, the corrected cameras see points of the board where they are
+    board = np.array([(5.0, 5.0), (20.0, 0.0), (30.0, -5.0), (45.0, 3.0), (60.0, 8.0)])
+    true = displaced_cameras(CAMERAS, moved(number, *by))
+    for i, j in np.ndindex(3, ROWS):
+        assert found.similarity is not None
+        seen = true[i].project(MOTION.row_from_tester(j)(apply_similarity(C, board)))
+        lift = found.surface_mm[0]
+        place = found.motion.row_from_tester(j)(apply_similarity(found.similarity, board))
+        off = found.problem.cameras[i].project(place, np.full(5, lift)) - seen
+        here = true[i].sees(seen)
+        assert np.abs(off[here]).max(initial=0.0) < 0.05
+
+
+def test_cameras_as_calibrated_stay_where_they_are() -> None:
+    found = adjusted(np.zeros((3, 3)), noise_px=0.02)
+    assert found.cameras is not None
+    assert np.abs(found.cameras.displacement_px).max() < 0.01
+    assert found.cameras.rivals == ()
+
+
+def test_the_true_displacement_solves_the_equations_of_the_run() -> None:
+    d = moved(1, 0.3, 0.2, -0.4)
+    found = adjusted(d).cameras
+    assert found is not None
+
+    def violation(at: Array) -> float:
+        left = found.information @ at.ravel() - found.vector
+        return float((np.abs(left) / np.sqrt(np.diag(found.information))).max())
+
+    assert violation(d) < 0.5
+    assert violation(np.zeros((3, 3))) > 3
+    assert np.linalg.eigvalsh(found.information).min() > -1e-6 * np.abs(found.information).max()
+
+
+def test_a_shift_of_the_whole_array_is_not_observable() -> None:
+    found = adjusted(np.zeros((3, 3))).cameras
+    assert found is not None
+    together, alone = np.zeros((3, 3)), np.zeros((3, 3))
+    together[:, 0], alone[1, 0] = 1, 1
+    of_all = together.ravel() @ found.information @ together.ravel()
+    assert of_all < 1e-3 * (alone.ravel() @ found.information @ alone.ravel())
+
+
+def test_without_cameras_the_calibration_is_exact() -> None:
+    links = links_of(CAMERAS, 0.02)
+    problem = Problem(TIMES, np.array([0.0, 61.0]), links, np.full(len(links), -1))
+    found = adjust(problem, MOTION)
+    assert found.cameras is None
+    assert found.problem is problem
+    assert adjust(replace(problem, cameras=CAMERAS), MOTION).cameras is not None

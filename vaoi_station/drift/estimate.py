@@ -1,0 +1,95 @@
+"""The displacements of the cameras as the adjustment of a run estimated them, with residuals per camera."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vaoi_station.geometry.displacement import PARAMETERS
+from vaoi_station.geometry.transforms import Floats
+from vaoi_station.stitching.adjustment.camera_equations import ground_changes, move_points
+from vaoi_station.stitching.adjustment.observations import Ints
+from vaoi_station.stitching.quality.findings import Findings
+
+_USED = 0.1
+"""Robust weight above which a link counts as used."""
+
+
+@dataclass(frozen=True, eq=False)
+class DisplacementEstimate:
+    """The displacements d̂ of n cameras estimated from one run, as normal equations.
+
+    A displacement d fits the run the worse, the larger (d − d̂)ᵀ·information·(d − d̂) is.
+    """
+
+    information: Floats
+    """(3n, 3n) px⁻², information matrix of d̂; singular for motions of the whole array."""
+    vector: Floats
+    """(3n,) px⁻¹, the product information · d̂. It is finite even where d̂ is undetermined."""
+    rms_px: Floats
+    """(n,) rms residual, without displacements, of links to neighbouring cameras and fiducials; NaN if none exist."""
+    left_px: Floats
+    """(n,) rms of the same residuals after the estimated displacements are applied."""
+    links: Ints
+    """(n,) number of links to neighbouring cameras that were used."""
+    fiducials: Ints
+    """(n,) number of fiducial detections that were used."""
+
+
+def estimate_displacements(findings: Findings) -> DisplacementEstimate:
+    """Return the displacements that the adjustment of a run estimated, with counts and residuals per camera."""
+    adjusted, n = findings.adjusted, len(findings.scene.cameras)
+    if adjusted.cameras is None:
+        # without links the cameras were taken as exact: the run is no evidence of their displacements
+        none, nothing = np.full(n, np.nan), np.zeros(n, dtype=np.int_)
+        size = PARAMETERS * n
+        return DisplacementEstimate(np.zeros((size, size)), np.zeros(size), none, none, nothing, nothing)
+    o, points = adjusted.problem.links, adjusted.problem.fiducials
+    # links on components are left out: the height of a component is no displacement of a camera
+    kept = np.flatnonzero((o.p == o.q) & (adjusted.weight > _USED) & (findings.problem.component < 0))
+    a, b = o.pairs.a[o.group[kept]], o.pairs.b[o.group[kept]]
+    seen_by = points.camera[points.which >= 0] if points is not None else np.zeros(0, dtype=np.int_)
+    marks = np.bincount(seen_by, minlength=n)
+    links = np.bincount(a, minlength=n) + np.bincount(b, minlength=n)
+    left = adjusted.link_px[kept], adjusted.fiducial_px[points.which >= 0] if points is not None else np.zeros((0, 2))
+    before = left[0] + _explained(findings, kept), left[1] + _explained_detections(findings)
+
+    def rms(residuals: tuple[Floats, Floats]) -> Floats:
+        of_links, of_marks = ((r**2).sum(1) for r in residuals)
+        total = np.bincount(a, of_links, minlength=n) + np.bincount(b, of_links, minlength=n)
+        total = total + np.bincount(seen_by, of_marks, minlength=n)
+        count = links + marks
+        return np.asarray(np.sqrt(np.divide(total, count, out=np.full(n, np.nan), where=count > 0)))
+
+    information = adjusted.cameras.information
+    return DisplacementEstimate(information, adjusted.cameras.vector, rms(before), rms(left), links, marks)
+
+
+def _calibrated(findings: Findings, ground_mm: Floats, camera: Ints) -> Floats:
+    """Return ground points (k, 2) of displaced cameras as the calibrated cameras would see them."""
+    estimate = findings.adjusted.cameras
+    assert estimate is not None
+    changes = ground_changes(findings.calibrated, estimate.displacement_px)
+    return move_points(np.ascontiguousarray(ground_mm), camera, np.ascontiguousarray(np.linalg.inv(changes)))
+
+
+def _explained(findings: Findings, kept: Ints) -> Floats:
+    """Return the part (k, 2) px of the links' residuals that the displacements explain."""
+    adjusted = findings.adjusted
+    o, motion = adjusted.problem.links, adjusted.motion
+    a_mm = _calibrated(findings, o.a_mm[kept], o.pairs.a[o.group[kept]])
+    b_mm = _calibrated(findings, o.b_mm[kept], o.pairs.b[o.group[kept]])
+    change = motion.turned(o.q[kept], b_mm - o.b_mm[kept]) - motion.turned(o.p[kept], a_mm - o.a_mm[kept])
+    return np.asarray(change * o.px_per_mm[kept, None])
+
+
+def _explained_detections(findings: Findings) -> Floats:
+    """Return the part (s, 2) px of the residuals of the fiducials' detections that the displacements explain."""
+    adjusted, points = findings.adjusted, findings.adjusted.problem.fiducials
+    if points is None:
+        return np.zeros((0, 2))
+    at = np.flatnonzero(points.which >= 0)
+    before = _calibrated(findings, points.ground_mm[at], points.camera[at])
+    change = adjusted.motion.turned(points.row[at], before - points.ground_mm[at])
+    return np.asarray(change * points.px_per_mm[at, None])

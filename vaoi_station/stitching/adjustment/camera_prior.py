@@ -1,0 +1,136 @@
+"""The prior of the cameras' displacements, and the attribution of motion to as few cameras as possible.
+
+Links between neighbouring cameras show how these cameras moved against one another. Links do not show a motion of the
+whole array. A stretch of the array along the row of cameras looks to them like boards that lie higher. A camera is
+either where it was calibrated, to a few hundredths of a pixel, or it was moved by an unknown amount. This knowledge is
+a prior with heavy tails for each camera: Student's t distribution with one degree of freedom. Under this prior, of all
+displacements that explain the links, those in which most cameras have not moved are the most likely.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vaoi_station.geometry.displacement import PARAMETERS
+from vaoi_station.geometry.transforms import Floats
+
+STILL_PX = 0.03
+"""Standard deviation, over many runs, of the displacement of a camera that was not moved, for each of x, y and turn."""
+MOVED_PX = 2 * STILL_PX
+"""Length of the displacement vector (x, y, turn) above which a camera counts as moved."""
+_WIDE_PX = 100.0
+_ITERATIONS = 60
+_CLOSE = 10.0
+"""Difference of log-probability up to which two explanations count as equally good.
+
+Two explanations can name different cameras. Only the keystone distortion that a turned camera shows decides between
+them, and a camera that was shifted instead of turned shows no keystone distortion."""
+
+
+@dataclass(frozen=True, eq=False)
+class Attribution:
+    """The most likely displacements of n cameras, their covariance, and the cameras that may have moved instead."""
+
+    displacement_px: Floats
+    """(n, 3) displacement x, y and turn of each camera."""
+    covariance: Floats
+    """(3n, 3n) covariance of the displacements, px², camera by camera."""
+    rivals: tuple[int, ...] = ()
+    """Cameras that have moved in another, equally good explanation, but have not moved in this one."""
+
+    @property
+    def moved(self) -> tuple[int, ...]:
+        """Cameras whose displacement exceeds `MOVED_PX`."""
+        return tuple(np.flatnonzero(np.hypot.reduce(self.displacement_px, axis=1) > MOVED_PX).tolist())
+
+    @property
+    def sigma_px(self) -> Floats:
+        """Standard deviations (n, 3) of the displacements."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)).reshape(-1, PARAMETERS))
+
+
+def attribute_motion(information: Floats, vector: Floats, still_px: float | Floats = STILL_PX) -> Attribution:
+    """Find an explanation of the displacements of n cameras that is the same for many runs.
+
+    Of equally good explanations, it is the one with the lowest camera numbers, so that every run names the same camera.
+
+    Args:
+        information: (3n, 3n) px⁻², normal matrix of the displacements, without their prior.
+        vector: (3n,) px⁻¹, right-hand side of the same normal equations.
+        still_px: standard deviation of the displacement of a camera that was not moved, for all or for each (n,).
+    """
+    good = _good_explanations(information, vector, still_px)
+    return _with_rivals(min(good, key=lambda a: a.moved) if good[0].moved else good[0], good)
+
+
+def most_likely_motion(information: Floats, vector: Floats, still_px: Floats) -> Attribution:
+    """Find the most likely displacements of n cameras, for the same arguments as `attribute_motion`."""
+    good = _good_explanations(information, vector, still_px)
+    return _with_rivals(good[0], good)
+
+
+def _good_explanations(information: Floats, vector: Floats, still_px: float | Floats) -> list[Attribution]:
+    """Find the most likely explanation, and after it those that are nearly as likely and move as many cameras."""
+    # The probability has several maxima, so one search starts from each camera as the fixed one.
+    n = len(vector) // PARAMETERS
+    tight = 1 / np.broadcast_to(still_px, n) ** 2
+    starts = [np.where(np.arange(n) == still, tight, 1 / _WIDE_PX**2) for still in range(n)]
+    found = sorted((_maximum(information, vector, weight, still_px) for weight in starts), key=lambda f: f[0])
+    least, best = found[0]
+    return [a for cost, a in found if cost < least + _CLOSE and len(a.moved) == len(best.moved)]
+
+
+def _with_rivals(chosen: Attribution, good: list[Attribution]) -> Attribution:
+    """Return an explanation with the cameras that moved in another good one."""
+    others = {camera for a in good for camera in a.moved} - {*chosen.moved}
+    return Attribution(chosen.displacement_px, chosen.covariance, tuple(sorted(others)))
+
+
+def prior_weights(displacement_px: Floats, still_px: float | Floats) -> Floats:
+    """Return the weight (n,) px⁻² of the prior of each camera, at displacements (n, 3).
+
+    The prior is a t distribution. A normal distribution with this weight has the same gradient at the displacements.
+    """
+    return np.asarray((1 + PARAMETERS) / (still_px**2 + (displacement_px**2).sum(1)))
+
+
+def most_likely(
+    information: Floats, vector: Floats, weight: Floats, still_px: float | Floats, iterations: int
+) -> tuple[Floats, Floats]:
+    """Find a local maximum of the probability of displacements by iterative reweighting (EM).
+
+    Args:
+        information: (3n, 3n) px⁻², normal matrix without the prior.
+        vector: (3n,) px⁻¹, its right-hand side.
+        weight: (n,) px⁻², weights of the prior with which the search starts.
+        still_px: standard deviation of the displacement of a camera that was not moved, for all or for each (n,).
+        iterations: number of iterations.
+
+    Returns:
+        The displacements (n, 3), and the weights (n,) of the prior with which they were computed.
+    """
+    for left in range(iterations - 1, -1, -1):
+        whole = information + np.diag(np.repeat(weight, PARAMETERS))
+        d = np.asarray(np.linalg.solve(whole, vector), dtype=np.float64).reshape(-1, PARAMETERS)
+        if left:
+            weight = prior_weights(d, still_px)
+    return d, weight
+
+
+def _maximum(
+    information: Floats, vector: Floats, weight: Floats, still_px: float | Floats
+) -> tuple[float, Attribution]:
+    """Find one local maximum of the probability from an initial weight (n,) of each camera's prior.
+
+    Return the negative log-probability of the maximum, up to a constant, and the displacements there.
+    """
+    d, _ = most_likely(information, vector, weight, still_px, _ITERATIONS)
+    x, moved = d.ravel(), (d**2).sum(1)
+    cost = float(x @ information @ x / 2 - x @ vector) + (1 + PARAMETERS) / 2 * float(
+        np.log1p(moved / still_px**2).sum()
+    )
+    prior = np.diag(np.repeat(prior_weights(d, still_px), PARAMETERS))
+    covariance = np.asarray(np.linalg.inv(information + prior), dtype=np.float64)
+    return cost, Attribution(d, covariance)
