@@ -32,7 +32,7 @@ SIZE, PX_PER_MM, ROWS = (480, 360), 14.0, 4
 TIMES = np.arange(ROWS, dtype=np.float64) * 0.1
 MOTION = Motion(np.array([0.0, 1e-3, -5e-4, 2e-4]), np.array([[0.02 * j, -6.1 * j] for j in range(ROWS)]), np.zeros(2))
 C = np.array([1.0, 0.0, -12.0, -10.0])
-FIDUCIALS = np.array([(5.0, 5.0), (75.0, 25.0)])
+FIDUCIALS = np.array([(5.0, 5.0), (75.0, 25.0), (40.0, -12.0)])
 
 
 def camera(x_mm: float) -> Camera:
@@ -57,12 +57,12 @@ def links_of(cameras: tuple[Camera, ...], noise_px: float) -> Observations:
     return to_observations(out, CAMERAS)
 
 
-def adjusted(displacement_px: Array, noise_px: float = 0.0) -> AdjustmentResult:
+def adjusted(displacement_px: Array, noise_px: float = 0.0, fiducials: int = 3) -> AdjustmentResult:
     """Adjust a run whose cameras have moved since their calibration."""
     cameras = displaced_cameras(CAMERAS, displacement_px)
     links, found = links_of(cameras, noise_px), []
     for i, j in np.ndindex(3, ROWS):
-        px = cameras[i].project(MOTION.row_from_tester(j)(apply_similarity(C, FIDUCIALS)))
+        px = cameras[i].project(MOTION.row_from_tester(j)(apply_similarity(C, FIDUCIALS[:fiducials])))
         found += [(j, CAMERAS[i].ground(px[n]), n, i) for n in np.flatnonzero(cameras[i].sees(px, 8))]
     row, ground, which, seen_by = (np.array([f[k] for f in found]) for k in range(4))
     k, basis = len(found), np.zeros((len(found), 6))
@@ -138,6 +138,15 @@ def test_the_camera_that_moved_is_found_and_corrected(number: int, by: tuple[flo
         off = found.problem.cameras[i].project(place, np.full(5, lift)) - seen
         here = true[i].sees(seen)
         assert np.abs(off[here]).max(initial=0.0) < 0.05
+
+
+@pytest.mark.parametrize("number", [0, 1, 2])
+def test_where_two_explanations_fit_the_uncertainty_covers_both(number: int) -> None:
+    """With two fiducials a moved camera looks like another one that moved by half, on a board that lies lower."""
+    found = adjusted(moved(number, 1.0, 0.0, 0.0), noise_px=0.02, fiducials=2).cameras
+    assert found is not None
+    sigma = np.sqrt(np.diag(found.covariance)).reshape(3, 3)
+    assert (np.abs(found.displacement_px - moved(number, 1.0, 0.0, 0.0)) < 4 * sigma + 0.02).all()
 
 
 def test_cameras_as_calibrated_stay_where_they_are() -> None:

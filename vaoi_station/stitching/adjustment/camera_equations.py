@@ -166,6 +166,7 @@ class MovingCameras:
         self._weight: Floats | None = None
         self._information, self._vector = np.zeros((self.unknowns,) * 2), np.zeros(self.unknowns)
         self._rivals: tuple[int, ...] = ()
+        self._spread: Floats | None = None
         self._considered = not self.unknowns
 
     @property
@@ -246,11 +247,26 @@ class MovingCameras:
         if np.hypot.reduce(self.displacement_px, axis=1).max() <= MOVED_PX:
             return False
         found = most_likely_motion(self._information, self._vector, self._final_px)
-        self._rivals = found.rivals
+        self._rivals, self._spread = found.rivals, found.spread
         if np.abs(found.displacement_px - self.displacement_px).max() <= _OTHER_PX:
             return False
         self._weight = prior_weights(found.displacement_px, self._final_px)
         return True
+
+    def widen(self, covariance: Floats, others: int) -> Floats:
+        """Return the covariance widened by the spread of other good explanations of the displacements.
+
+        If two explanations fit equally well, positions are as uncertain as their difference. All other unknowns follow
+        the displacements linearly.
+
+        Args:
+            covariance: (m, v, v) for each row, covariance of its unknowns, the shared ones, and the displacements.
+            others: number u of unknowns before the displacements.
+        """
+        if self._spread is None:
+            return covariance
+        follow = covariance[:, :, others:] @ np.linalg.inv(covariance[0, others:, others:])
+        return np.asarray(covariance + follow @ self._spread @ follow.swapaxes(1, 2))
 
     def estimate(self, covariance: Floats, others: int) -> CameraEstimate | None:
         """Return the estimate of the displacements; None if the cameras are taken as exact.

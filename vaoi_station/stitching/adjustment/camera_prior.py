@@ -21,7 +21,9 @@ STILL_PX = 0.03
 MOVED_PX = 2 * STILL_PX
 """Length of the displacement vector (x, y, turn) above which a camera counts as moved."""
 _WIDE_PX = 100.0
-_ITERATIONS = 60
+_ITERATIONS = 40
+_SAME_PX = 0.01
+"""Largest difference of two explanations that are the same one."""
 _CLOSE = 10.0
 """Difference of log-probability up to which two explanations count as equally good.
 
@@ -39,6 +41,8 @@ class Attribution:
     """(3n, 3n) covariance of the displacements, px², camera by camera."""
     rivals: tuple[int, ...] = ()
     """Cameras that have moved in another, equally good explanation, but have not moved in this one."""
+    spread: Floats | None = None
+    """(3n, 3n) px², mean square of the differences of all good explanations from this one, weighted by probability."""
 
     @property
     def moved(self) -> tuple[int, ...]:
@@ -61,31 +65,48 @@ def attribute_motion(information: Floats, vector: Floats, still_px: float | Floa
         vector: (3n,) px⁻¹, right-hand side of the same normal equations.
         still_px: standard deviation of the displacement of a camera that was not moved, for all or for each (n,).
     """
-    good = _good_explanations(information, vector, still_px)
-    return _with_rivals(min(good, key=lambda a: a.moved) if good[0].moved else good[0], good)
+    good = _explanations(information, vector, still_px)
+    alike = _of_as_many_cameras(good)
+    return _with_rivals(min(alike, key=lambda a: a.moved) if good[0][1].moved else good[0][1], good)
 
 
 def most_likely_motion(information: Floats, vector: Floats, still_px: Floats) -> Attribution:
     """Find the most likely displacements of n cameras, for the same arguments as `attribute_motion`."""
-    good = _good_explanations(information, vector, still_px)
-    return _with_rivals(good[0], good)
+    good = _explanations(information, vector, still_px)
+    return _with_rivals(good[0][1], good)
 
 
-def _good_explanations(information: Floats, vector: Floats, still_px: float | Floats) -> list[Attribution]:
-    """Find the most likely explanation, and after it those that are nearly as likely and move as many cameras."""
-    # The probability has several maxima, so one search starts from each camera as the fixed one.
+def _explanations(information: Floats, vector: Floats, still_px: float | Floats) -> list[tuple[float, Attribution]]:
+    """Find the good explanations, the most likely first, each with its negative log-probability."""
+    # The probability has several maxima, so one search starts from each camera as the only fixed one, and one from each
+    # camera as the only moved one.
     n = len(vector) // PARAMETERS
-    tight = 1 / np.broadcast_to(still_px, n) ** 2
-    starts = [np.where(np.arange(n) == still, tight, 1 / _WIDE_PX**2) for still in range(n)]
+    tight, wide = 1 / np.broadcast_to(still_px, n) ** 2, np.full(n, 1 / _WIDE_PX**2)
+    starts = [np.where(np.arange(n) == still, tight, wide) for still in range(n)]
+    starts += [np.where(np.arange(n) == moved, wide, tight) for moved in range(n)]
     found = sorted((_maximum(information, vector, weight, still_px) for weight in starts), key=lambda f: f[0])
-    least, best = found[0]
-    return [a for cost, a in found if cost < least + _CLOSE and len(a.moved) == len(best.moved)]
+    good: list[tuple[float, Attribution]] = []
+    for cost, a in found:
+        known = any(np.abs(a.displacement_px - other.displacement_px).max() < _SAME_PX for _, other in good)
+        if cost < found[0][0] + _CLOSE and not known:
+            good.append((cost, a))
+    return good
 
 
-def _with_rivals(chosen: Attribution, good: list[Attribution]) -> Attribution:
-    """Return an explanation with the cameras that moved in another good one."""
-    others = {camera for a in good for camera in a.moved} - {*chosen.moved}
-    return Attribution(chosen.displacement_px, chosen.covariance, tuple(sorted(others)))
+def _of_as_many_cameras(good: list[tuple[float, Attribution]]) -> list[Attribution]:
+    """Return the explanations that move as many cameras as the most likely one."""
+    return [a for _, a in good if len(a.moved) == len(good[0][1].moved)]
+
+
+def _with_rivals(chosen: Attribution, good: list[tuple[float, Attribution]]) -> Attribution:
+    """Return an explanation with the cameras that moved in another good one, and with the spread of all."""
+    others = {camera for a in _of_as_many_cameras(good) for camera in a.moved} - {*chosen.moved}
+    # How far a moved camera moved says nothing about which one moved: explanations by as many cameras count alike.
+    as_many = [len(a.moved) == len(good[0][1].moved) for _, a in good]
+    odds = np.where(as_many, 1.0, np.exp([good[0][0] - cost for cost, _ in good]))
+    apart = np.array([a.displacement_px.ravel() - chosen.displacement_px.ravel() for _, a in good])
+    spread = np.asarray((apart * (odds / odds.sum())[:, None]).T @ apart, dtype=np.float64)
+    return Attribution(chosen.displacement_px, chosen.covariance, tuple(sorted(others)), spread)
 
 
 def prior_weights(displacement_px: Floats, still_px: float | Floats) -> Floats:

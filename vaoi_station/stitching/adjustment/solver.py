@@ -299,8 +299,8 @@ class _Solver:
         fiducial_px = np.zeros((0, 2))
         if points is not None and self.similarity is not None:
             fiducial_px = self._fiducial_residuals(self.similarity)[0] * points.px_per_mm[:, None]
-        covariance = self._covariance()
         u = 3 + len(self.shared)
+        covariance = self.cameras.widen(self._covariance(), u)
         return AdjustmentResult(
             self.motion,
             self.similarity,

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from vaoi_station.geometry import Camera
-from vaoi_station.geometry.displacement import PARAMETERS, rms_displacement_px
+from vaoi_station.geometry.displacement import rms_displacement_px
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import VISIBILITY, Surface, Visibility
@@ -38,7 +38,7 @@ SEAM_LIMIT_PX = 0.30
 DISPLACED_PX = 0.20
 """Largest displacement of a camera since its calibration, rms over the frame, that is corrected without a reason."""
 _SIGNIFICANT = 4.0
-"""Standard deviations from which on a displacement is significant."""
+"""Standard deviations from which on the displacements of all cameras together are significant."""
 _SEAM_LINKS = 12
 """Least number of links between two cameras that show whether the cameras agree."""
 
@@ -189,14 +189,14 @@ class Findings:
         estimate = self.adjusted.cameras
         if estimate is None:
             return ()
-        found = []
-        for i, d in enumerate(estimate.displacement_px):
-            own = estimate.covariance[PARAMETERS * i : PARAMETERS * (i + 1), PARAMETERS * i : PARAMETERS * (i + 1)]
-            # a displacement within its uncertainty is no finding: σ of the positions includes it
-            significant = float(d @ np.linalg.solve(own, d)) > _SIGNIFICANT**2
-            if rms_displacement_px(d) > DISPLACED_PX and significant:
-                found.append((i, d, estimate.rivals))
-        return tuple(found)
+        # a displacement that the run does not show is no finding: σ of the positions includes it. The covariance is not
+        # used for that, since it is wide where two explanations name different cameras, both of them displaced
+        d = estimate.displacement_px.ravel()
+        explained = float(2 * d @ estimate.vector - d @ estimate.information @ d)
+        if explained < _SIGNIFICANT**2:
+            return ()
+        large = [i for i, own in enumerate(estimate.displacement_px) if rms_displacement_px(own) > DISPLACED_PX]
+        return tuple((i, estimate.displacement_px[i], estimate.rivals) for i in large)
 
     @cached_property
     def _usable_seam_links(self) -> np.ndarray:
