@@ -14,8 +14,9 @@ from vaoi_station.stitching.work import TaskRunner
 
 def points(which: list[int], sigma_px: list[float]) -> FiducialPoints:
     k, resolution = len(which), np.full(len(which), 20.0)
-    pairs = np.zeros((k, 2))
-    return FiducialPoints(np.zeros(k, int), pairs, pairs, pairs, np.array(sigma_px) / 20.0, resolution, np.array(which))
+    pairs, none = np.zeros((k, 2)), np.zeros(k, int)
+    sigma = np.array(sigma_px) / 20.0
+    return FiducialPoints(none, pairs, pairs, pairs, sigma, resolution, np.array(which), none)
 
 
 def test_the_share_is_that_of_the_information() -> None:
