@@ -73,6 +73,8 @@ class Line(Section):
     tail_s: NotNegative
     """Time for which pulses continue after the board has left the barrier."""
     longest_board_mm: Positive
+    carrier_mm: Positive | None = None
+    """Length along the motion of the carrier in which boards ride; None if the barrier sees the boards themselves."""
     debounce_s: NotNegative = 0.005
     """Shorter interruptions of the barrier are ignored as bounces."""
     expected_board: ExpectedBoard = ExpectedBoard()
@@ -241,6 +243,8 @@ class RingConfig(Section):
     """Slots per camera beyond the longest board, for unassigned frames."""
     lease_s: Positive = 600.0
     """Time after which a hold on a run ends, unless the caller renews it."""
+    keep_s: Annotated[Finite, Field(ge=0.1, le=3600)] = 5.0
+    """Time from the announcement of a run during which its frames are not evicted for the next board."""
 
 
 class ApiConfig(Section):

@@ -277,7 +277,7 @@ class HeldStation(StationCoordinator):
         self.run(after)
         return next((r for r in self._finished() if r.id > after), None)
 
-    def release(self, run: str) -> RunDetail:
+    def release(self, run: str, holder: str | None = None) -> RunDetail:
         detail = self.run(run).model_copy(update={"state": RunState.RELEASED, "frames_available": False})
         self.filmed[run] = detail
         self.publish("run", f"Run {run} is released.", run=run, state="released")

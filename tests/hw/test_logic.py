@@ -18,6 +18,9 @@ from tests.hw.emulated.line import TIMING, ms, us
 from tests.needs import LONG, need
 from vaoi_station.acquisition.controller.interface import (
     BarrierBlocked,
+    BarrierBlockedAgain,
+    BarrierClear,
+    BarrierClearAfterRun,
     ControllerEvent,
     PulseFired,
     RunEnded,
@@ -115,6 +118,15 @@ def test_the_same_rule_as_the_simulated_controller(
     assert [(e.index, e.tick) for e in ours if e.kind == Kind.PULSE] == pulses
     begun = [round(e.time_s / TICK_S) for e in theirs if isinstance(e, BarrierBlocked)]
     assert [e.tick for e in ours if e.kind == Kind.BARRIER and e.detail] == begun
+    edge_kinds = {
+        (Kind.BARRIER, 1): BarrierBlocked,
+        (Kind.BARRIER, 0): BarrierClear,
+        (Kind.EDGE, 1): BarrierBlockedAgain,
+        (Kind.EDGE, 0): BarrierClearAfterRun,
+    }
+    assert [(edge_kinds[Kind(e.kind), e.detail], e.tick) for e in ours if e.kind in (Kind.BARRIER, Kind.EDGE)] == [
+        (type(e), round(e.time_s / TICK_S)) for e in theirs if type(e) in edge_kinds.values()
+    ]
     ends = [
         (e.pulses, {"clear": RunEnd.CLEAR, "max-rows": RunEnd.MAX_ROWS}[e.reason])
         for e in theirs

@@ -17,8 +17,10 @@ from tests.needs import LONG
 from vaoi_station.acquisition.cameras.interface import DeviceFault
 from vaoi_station.acquisition.controller.interface import (
     BarrierBlocked,
+    BarrierBlockedAgain,
     BarrierBounce,
     BarrierClear,
+    BarrierClearAfterRun,
     ControllerEvent,
     PulseFired,
     RunEnded,
@@ -71,6 +73,22 @@ def test_boards_one_after_another_until_it_is_disarmed(host: Host) -> None:
     host.chip.rest(250)
     assert len(host.chip.rises("PB1")) == before
     assert host.seen == []
+
+
+def test_every_edge_of_boards_that_follow_too_closely_is_reported(host: Host) -> None:
+    """The second board blocks the barrier within the tail of the first, and leaves it after the end of the run."""
+    host.controller.arm(PLAN)
+    now = host.chip.do("pin PD2 0")
+    for ms, level in ((50, 1), (150, 0), (170, 1), (750, 0)):
+        host.chip.do(f"at {now + ms * HZ // 1000} PB0 {level}")
+    assert host.next(RunEnded).reason == "max-rows"
+    clear = host.next(BarrierClearAfterRun)
+    edges = [e for e in host.seen if isinstance(e, BarrierBlocked | BarrierClear | BarrierBlockedAgain)]
+    assert [type(e) for e in edges] == [BarrierBlocked, BarrierClear, BarrierBlockedAgain]
+    assert [e.time_s - edges[0].time_s for e in [*edges, clear]] == pytest.approx([0, 0.1, 0.12, 0.7], abs=1e-4)
+    host.seen.clear()
+    host.chip.rest(20)
+    assert len(host.run()) == 6
 
 
 def test_single_pulses(host: Host) -> None:

@@ -16,6 +16,7 @@ import pytest
 from tests.runs.peer import PATIENCE_S, Peer
 from vaoi_station.acquisition.pairing.doubts import doubts_of
 from vaoi_station.acquisition.pairing.proof import TriggerProof
+from vaoi_station.acquisition.pairing.run_record import Interruption
 from vaoi_station.acquisition.process import messages
 from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import CameraConfig, Line, ReplayConfig, RingConfig, StationConfig
@@ -73,7 +74,7 @@ def a_calibration(cameras: int = 2) -> Calibration:
     )
 
 
-def a_config(directory: Path, runs: int = 3, cameras: int = 2) -> StationConfig:
+def a_config(directory: Path, runs: int = 3, cameras: int = 2, keep_s: float = 0.0) -> StationConfig:
     (directory / "ring").mkdir(exist_ok=True)
     return StationConfig(
         name="test",
@@ -91,7 +92,8 @@ def a_config(directory: Path, runs: int = 3, cameras: int = 2) -> StationConfig:
         ),
         controller={"backend": "replay"},
         replay=ReplayConfig(recordings=(directory,)),
-        ring=RingConfig(directory=directory / "ring", runs=runs),
+        # 0 is shorter than station.toml allows: boards of a test follow one another within milliseconds.
+        ring=RingConfig(directory=directory / "ring", runs=runs).model_copy(update={"keep_s": keep_s}),
     )  # fmt: skip
 
 
@@ -271,6 +273,7 @@ class Rig:
         records: list[FrameRecord],
         reason: str = "clear",
         proof: TriggerProof | None = None,
+        interruptions: tuple[Interruption, ...] = (),
     ) -> None:
         """Every frame has its verdict."""
         rows = 1 + max(r.row for r in records)
@@ -278,7 +281,9 @@ class Rig:
         head = a_head(rows, missing).model_copy(update={"doubts": doubts_of(proof)})
         ordered = tuple(sorted(records, key=lambda r: (r.camera, r.row)))
         self.peer.report(
-            messages.RunFinished(grant.run, grant.bay, head, ordered, time.monotonic(), reason, proof=proof)
+            messages.RunFinished(
+                grant.run, grant.bay, head, ordered, time.monotonic(), reason, proof=proof, interruptions=interruptions
+            )
         )
 
     def board(self, grant: messages.Grant, rows: int = 3, verdicts: dict[int, Verdict] | None = None) -> None:

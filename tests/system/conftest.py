@@ -55,7 +55,7 @@ def config_of(twin: Twin, directory: Path, backend: str, **more: Any) -> Station
                 for n in range(array.cameras)
             ],
             "controller": {"backend": backend},
-            "ring": RingConfig(directory=directory / "shm", runs=3),
+            "ring": RingConfig(directory=directory / "shm", runs=3, keep_s=0.1),
             **more,
         }
     )  # fmt: skip

@@ -109,7 +109,7 @@ def check_frames(client: Client, run: str, recording: Recording) -> None:
             filmed = recording.frame(camera, row)
             assert filmed is not None
             assert np.array_equal(np.frombuffer(raw, filmed.dtype).reshape(head.height, head.width), filmed)
-    client.post(f"/runs/{run}/release")
+    client.post(f"/runs/{run}/release?holder=test")
 
 
 def resources(client: Client, pid: int, shared: Path) -> dict[str, int]:

@@ -125,5 +125,7 @@ def test_arming_is_refused_with_the_holders_names_if_all_bays_are_held(client: C
     assert all(client.get(f"/runs/{run}")["frames_available"] for run in held)
     with pytest.raises(BusyError, match="tester"):
         client.post("/station/arm", board_type="small")
-    for run in held:
-        client.post(f"/runs/{run}/release")
+    refusal = problem(client, "POST", f"/runs/{held[0]}/release")
+    assert (refusal["status"], refusal["code"]) == (409, "held")
+    for run, holder in zip(held, ("tester", "review", "archive"), strict=True):
+        client.post(f"/runs/{run}/release?holder={holder}")

@@ -77,9 +77,25 @@ class StationRun:
         height, sigma = component_height(self.result, ref)
         return ComponentImages(ref, tuple(self._image(view) for view in views), height, sigma, self.status)
 
-    def release(self) -> None:
-        """Give up the frames of the run, so that the next board can use their memory; the result stays."""
-        self._client.post(f"/runs/{quote(self.id)}/release")
+    def hold(self, holder: str, purpose: str = "") -> None:
+        """Keep the frames of the run in memory until the hold expires or ends; a repeated call renews the hold.
+
+        Raises:
+            GoneError: the station no longer keeps the frames.
+        """
+        self._client.put(f"/runs/{quote(self.id)}/hold", holder=holder, purpose=purpose)
+
+    def release(self, holder: str | None = None) -> None:
+        """Give up the frames of the run, so that the next board can use their memory; the result stays.
+
+        Args:
+            holder: the name under which the caller held the run; None if it did not.
+
+        Raises:
+            StateError: another caller holds the run.
+        """
+        query = f"?holder={quote(holder, safe='')}" if holder else ""
+        self._client.post(f"/runs/{quote(self.id)}/release{query}")
 
     def _image(self, view: ViewReply) -> ComponentImage:
         def load() -> NDArray[Any]:

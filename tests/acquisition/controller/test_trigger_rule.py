@@ -11,8 +11,10 @@ from hypothesis import strategies as st
 
 from vaoi_station.acquisition.controller.interface import (
     BarrierBlocked,
+    BarrierBlockedAgain,
     BarrierBounce,
     BarrierClear,
+    BarrierClearAfterRun,
     ControllerEvent,
     PulseFired,
     RunEnded,
@@ -62,6 +64,28 @@ def test_a_board_that_sticks_ends_at_the_most_rows_and_the_next_is_seen() -> Non
     events = run(replace(PLAN, max_rows=4), [(1.0, True), (9.0, False), (10.0, True), (10.1, False)])
     ends = [e for e in events if isinstance(e, RunEnded)]
     assert [(e.pulses, e.reason) for e in ends] == [(4, "max-rows"), (3, "clear")]
+
+
+def test_every_edge_of_boards_that_follow_too_closely_is_an_event() -> None:
+    """Three boards of 50 mm, 40 mm apart, at 100 mm/s: the tail of deploy/station.toml is 48 mm long."""
+    plan = replace(PLAN, start_delay_s=0.32, period_s=0.105, tail_s=0.48, max_rows=11)
+    edges = [(1.0 + 0.9 * k + after, blocked) for k in range(3) for after, blocked in ((0.0, True), (0.5, False))]
+    events = run(plan, edges)
+    edge_events = [e for e in events if not isinstance(e, PulseFired | RunEnded)]
+    assert [(round(e.time_s, 3), type(e)) for e in edge_events] == [
+        (1.0, BarrierBlocked),
+        (1.5, BarrierClear),
+        (1.9, BarrierBlockedAgain),
+        (2.4, BarrierClearAfterRun),
+        (2.8, BarrierBlocked),
+        (3.3, BarrierClear),
+    ]
+    assert [e.reason for e in events if isinstance(e, RunEnded)] == ["max-rows", "clear"]
+
+
+def test_a_board_that_needs_exactly_the_most_rows_has_left() -> None:
+    exact = run(replace(PLAN, max_rows=7), [(1.0, True), (1.52, False)])
+    assert ended(exact, 1.9) == (7, "clear")
 
 
 def test_short_interruptions_are_bounces_and_fire_nothing() -> None:

@@ -36,6 +36,7 @@ EXAMPLES: list[Any] = [
     messages.FrameSettled("r1", FRAME, 18.0),
     messages.RunFinished("r1", 2, HEAD, (FRAME,), 18.0, "clear"),
     messages.BoardMissed(19.0, "no pulse was fired"),
+    messages.MissedPassage(19.0, ((0.0, 0.5), (0.9, None))),
     messages.Health((CameraHealth(True),), "idle", 20.0),
     messages.Trouble("camera-lost", "camera c0: is lost.", "Check its cable."),
 ]

@@ -35,12 +35,15 @@ def test_arming_by_body_or_by_query(client: Any, by: str) -> None:
     assert content["state"] == "armed"
     assert content["armed_with"] == {
         "board_type": "demo-board", "board_id": "B1", "job_id": "J1", "runs_left": 2, "method": "auto",
+        "board_id_certain": True,
     }  # fmt: skip
 
 
 def test_the_query_completes_the_body(client: Any) -> None:
     content = client.post(f"{STATION}/arm?board_id=B2", json={"board_type": "demo-board"}).json()
-    assert content["armed_with"] == {"board_type": "demo-board", "board_id": "B2", "method": "auto"}
+    assert content["armed_with"] == {
+        "board_type": "demo-board", "board_id": "B2", "method": "auto", "board_id_certain": True,
+    }  # fmt: skip
 
 
 def test_contradicting_ids_are_refused(client: Any, station: Any) -> None:

@@ -35,7 +35,9 @@ def test_results_and_records_survive_a_restart_and_frames_do_not(
     later = Store(Database(tmp_path / "data" / "station.db"))
     archive = Archive(later, EventLog(later))
     finished = archive.get(grant.run)
-    assert finished.detail == before.model_copy(update={"state": "gone", "frames_available": False})
+    assert finished.detail == before.model_copy(
+        update={"state": "gone", "frames_available": False, "frames_kept_until": None}
+    )
     assert finished.result.model_dump_json() == stitch.model_dump_json()
     assert finished.timeline == timeline
     assert finished.board_type.components[0].ref == "U1"

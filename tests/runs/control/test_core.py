@@ -94,7 +94,7 @@ def test_a_missed_board_is_counted_and_names_the_memory_if_that_is_the_cause(sta
     [event] = [e for e in station.log.read(0, 0.0, 100) if e.kind == "board-missed"]
     assert event.message == "A board passed and was not filmed: no memory was granted."
     assert event.action.startswith("Memory: ")
-    assert station.core.boards_missed == 1
+    assert station.core.boards.missed == 1
 
 
 def test_what_had_arrived_is_stitched_when_the_acquisition_process_ends(station: Station) -> None:

@@ -149,6 +149,7 @@ def test_acquisition_ends_in_mid_run_and_what_had_arrived_is_stitched(rig: Any) 
     rig.peer.die()
     run = rig.result_of(grant.run)
     assert (run.state, run.verdict) == ("degraded", Status.DEGRADED)
+    assert rig.coordinator.stitch(run.id).status is Status.DEGRADED, "also for callers that read only the matrices"
     assert (run.counts.ok, run.counts.missing) == (4, 2)
     assert {reason.code for reason in run.reasons} == {"frames-missing", "acquisition-lost"}
     assert np.all(rig.coordinator.frame(grant.run, 1, 1)[0] == 31)
@@ -159,7 +160,9 @@ def test_acquisition_ends_in_mid_run_and_what_had_arrived_is_stitched(rig: Any) 
     rig.peer.report(messages.Armed())
     rig.until("armed")
     rig.board(rearmed)
-    assert rig.result_of(rearmed.run).board_id == "b 1"
+    after = rig.result_of(rearmed.run)
+    assert after.board_id is None, "boards may have passed unnoticed, so the id may belong to another board"
+    assert [reason.code for reason in after.reasons] == ["board-id-uncertain"]
     assert rig.link.status().restarts == 1
 
 
@@ -239,3 +242,48 @@ def test_a_run_takes_the_verdict_of_its_stitch(
     assert (run.state, run.verdict) == (state, status)
     assert run.reasons[0].message == "two fiducials only"
     assert rig.coordinator.stitch(grant.run).status is status
+
+
+def test_boards_that_follow_too_closely_take_no_id_that_is_not_theirs(rig: Any) -> None:
+    """Three boards: the second passes in the tail of the first, while SN-2 is armed; the third must not become SN-2."""
+    first = rig.arm(board_id="SN-1")
+    started_s = rig.begin(first)
+    rig.workers.keep = True
+    records = [r for row in range(3) for r in rig.row(first, row)]
+    two = ((0.0, 0.3), (0.45, 0.75))
+    rig.finish(first, records, interruptions=two)
+    second = rig.peer.expect(messages.Grant)
+    rig.until("armed")
+    rig.coordinator.arm("small", "SN-2")
+    rig.begin(second, started_s + 2.0)
+    rig.wait_run(second.run, lambda run: run.state == "filming", "the third board")
+    rig.workers.keep = False
+    rig.workers.perform_kept()
+    rig.finish(second, rig.row(second, 0))
+    one, three = rig.result_of(first.run), rig.result_of(second.run)
+    assert (one.verdict, one.state) == (Status.DEGRADED, "degraded")
+    assert [reason.code for reason in one.reasons] == ["boards-too-close", "board-id-uncertain"]
+    assert tuple((i.blocked_s, i.clear_s) for i in one.interruptions) == two
+    assert rig.coordinator.stitch(one.id).status is Status.DEGRADED
+    assert (three.board_id, three.verdict) == (None, Status.DEGRADED)
+    assert [reason.code for reason in three.reasons] == ["board-id-uncertain"]
+    snapshot = rig.coordinator.snapshot()
+    assert snapshot.boards_missed == 1
+    assert not snapshot.armed_with.board_id_certain
+    assert [warning.code for warning in snapshot.warnings] == ["board-id-uncertain"]
+    [missed] = [e for e in rig.coordinator.events() if e.kind == "board-missed"]
+    assert (missed.run, missed.code) == (one.id, "boards-too-close")
+    rig.coordinator.arm("small", "SN-3")
+    fourth = rig.peer.expect(messages.Grant)
+    rig.board(fourth)
+    assert rig.result_of(fourth.run).board_id == "SN-3"
+    assert rig.coordinator.snapshot().warnings == ()
+
+
+def test_a_run_with_the_most_rows_is_degraded(rig: Any) -> None:
+    grant = rig.arm()
+    rig.begin(grant)
+    rig.finish(grant, rig.row(grant, 0), "max-rows", ((-0.1, None),))
+    run = rig.result_of(grant.run)
+    assert (run.verdict, run.ended) == (Status.DEGRADED, "max-rows")
+    assert [reason.code for reason in run.reasons] == ["run-too-long"]

@@ -84,12 +84,70 @@ def test_ending_a_hold_unblocks_the_line(rig: Any) -> None:
     rig.board(grant)
     run = rig.result_of(grant.run)
     assert run.verdict is Status.OK
-    assert run.state == "gone", "all others are held, so it is evicted for the next board at once"
+
+
+def test_a_run_that_is_announced_keeps_its_frames_and_the_next_board_is_refused_before_it_comes(make_rig: Any) -> None:
+    """Two holds in a ring of three: every further run was announced with frames, and its frames were gone at once."""
+    rig = make_rig(keep_s=3600.0)
+    rig.ready()
+    grant = rig.arm()
+    for _ in range(2):
+        rig.board(grant)
+        rig.result_of(grant.run)
+        rig.coordinator.hold(grant.run, "tester", "AOI")
+        grant = rig.peer.expect(messages.Grant)
+    assert [warning.code for warning in rig.coordinator.snapshot().warnings] == ["memory-short"]
+    rig.board(grant)
+    run = rig.result_of(grant.run)
+    assert run.frames_available
+    assert run.frames_kept_until > run.finished
+    rig.until("blocked")
+    snapshot = rig.coordinator.snapshot()
+    assert snapshot.times_blocked == 1
+    [reason] = snapshot.reasons
+    assert reason.code == "ring-full"
+    assert f"run {run.id} is kept for" in reason.message
+    assert [e.code for e in rig.coordinator.events() if e.kind == "trouble"] == ["ring-full"]
+    assert rig.coordinator.frame(run.id, 0, 0)[0].any()
+    rig.coordinator.release(run.id)
+    rig.peer.expect(messages.Grant)
+    rig.until("armed")
+    assert rig.coordinator.run(run.id).frames_kept_until is None
+    assert rig.coordinator.snapshot().reasons == ()
+
+
+def test_a_run_may_be_evicted_when_the_stated_time_has_passed(make_rig: Any) -> None:
+    rig = make_rig(keep_s=0.1)
+    rig.ready()
+    grant = rig.arm()
+    runs = []
+    for _ in range(4):
+        rig.board(grant)
+        rig.result_of(grant.run)
+        runs.append(grant.run)
+        grant = rig.peer.expect(messages.Grant)
+    assert [rig.coordinator.run(run).state for run in runs] == ["gone", "gone", "ready", "ready"]
+
+
+def test_only_its_holder_releases_a_held_run(rig: Any) -> None:
+    runs = full(rig)
+    for holder in (None, "tester 4"):
+        with pytest.raises(
+            StateError, match=rf"{runs[0]} is held by tester 3 \(AOI\).*nothing was released"
+        ) as refusal:
+            rig.coordinator.release(runs[0], holder)
+        assert refusal.value.code == "held"
+    assert rig.coordinator.run(runs[0]).frames_available
+    rig.coordinator.hold(runs[1], "tester 4", "a second look")
+    with pytest.raises(StateError, match=r"held by tester 4 \(a second look\)"):
+        rig.coordinator.release(runs[1], "tester 3")
+    assert rig.coordinator.release(runs[0], "tester 3").state == "released"
+    assert {lease.run for lease in rig.coordinator.snapshot().ring.leases} == set(runs[1:])
 
 
 def test_a_released_run_keeps_its_result(rig: Any) -> None:
     runs = full(rig)
-    assert rig.coordinator.release(runs[2]).state == "released"
+    assert rig.coordinator.release(runs[2], "tester 3").state == "released"
     rig.peer.expect(messages.Grant)
     rig.until("armed")
     assert rig.coordinator.release(runs[2]).state == "released"

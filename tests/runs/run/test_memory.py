@@ -11,6 +11,13 @@ from vaoi_station.runs.run.leases import Leases
 from vaoi_station.runs.run.memory import Memory
 
 
+class Clock:
+    now_s = 100.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
 class Claims:
     """Counts generations as the ring does."""
 
@@ -22,15 +29,16 @@ class Claims:
         return self.generation
 
 
-def memory_of(bays: int) -> tuple[Memory, Leases]:
+def memory_of(bays: int, clock: Clock | None = None) -> tuple[Memory, Leases]:
     leases = Leases(1e9)
-    return Memory(Claims(), bays, leases), leases
+    return Memory(Claims(), bays, leases, clock or Clock()), leases
 
 
-def finish(memory: Memory, run: str) -> None:
+def finish(memory: Memory, run: str, keep_s: float = 0.0) -> None:
     memory.grant(run)
     for use in ("filming", "stitching", "finished"):
         memory.use(run, use)
+    memory.keep(run, Clock.now_s + keep_s)
 
 
 def test_the_oldest_finished_run_is_evicted() -> None:
@@ -51,7 +59,42 @@ def test_oldest_means_finished_first_not_begun_first() -> None:
     memory.grant("r2")
     memory.use("r2", "finished")
     memory.use("r1", "finished")
+    memory.keep("r1", 0.0)
+    memory.keep("r2", 0.0)
     assert memory.grant("r3").evicted == "r2"
+
+
+def test_a_run_is_not_evicted_before_it_was_announced_and_its_time_has_passed() -> None:
+    clock = Clock()
+    memory, _ = memory_of(1, clock)
+    finish(memory, "r1", keep_s=5.0)
+    with pytest.raises(BusyError, match=r"run r1 is kept for 5 s more") as refusal:
+        memory.grant("r2")
+    assert "Release a run, or wait" in refusal.value.action
+    assert memory.kept()
+    clock.now_s += 5.0
+    assert not memory.kept()
+    assert memory.grant("r2").evicted == "r1"
+    memory.use("r2", "finished")
+    clock.now_s += 1e6
+    with pytest.raises(BusyError, match="run r2 is being written to disk"):
+        memory.grant("r3")
+    memory.keep("r2", clock.now_s)
+    assert memory.grant("r3").evicted == "r2"
+
+
+def test_holds_that_leave_memory_for_fewer_than_two_boards_are_a_warning() -> None:
+    memory, leases = memory_of(3)
+    for run in ("r1", "r2"):
+        finish(memory, run)
+        assert memory.warning() is None
+        leases.take(run, "tester", "AOI")
+    warning = memory.warning()
+    assert warning is not None
+    assert warning.code == "memory-short"
+    assert "one further board at a time: run r1 is held by tester (AOI); run r2 is held by tester" in warning.message
+    leases.end("r1", "tester")
+    assert memory.warning() is None
 
 
 def test_a_full_ring_names_the_holders() -> None:
@@ -77,6 +120,7 @@ def test_the_refusal_distinguishes_held_memory_from_busy_memory() -> None:
         memory.grant("r2")
     assert "Wait until a run is stitched" in refusal.value.action
     memory.use("r1", "finished")
+    memory.keep("r1", 0.0)
     assert memory.held()
     with pytest.raises(BusyError) as refusal:
         memory.grant("r2")
@@ -125,6 +169,7 @@ class Line(RuleBasedStateMachine):
     def end(self, data: st.DataObject) -> None:
         run = data.draw(st.sampled_from(sorted(self.needed)))
         self.memory.use(run, "finished")
+        self.memory.keep(run, 0.0)
         self.needed.remove(run)
         self.finished.append(run)
 

@@ -65,6 +65,24 @@ class BarrierClear(ControllerEvent):
 
 
 @dataclass(frozen=True)
+class BarrierBlockedAgain(ControllerEvent):
+    """An interruption within the tail of a run: a cut-out of the board, or another board; the run continues."""
+
+
+@dataclass(frozen=True)
+class BarrierClearAfterRun(ControllerEvent):
+    """The end of an interruption outside a run: a board that was refused, that stood in the barrier when the controller
+    was armed, or whose run had ended before."""
+
+
+@dataclass(frozen=True)
+class BoardTooSoon(ControllerEvent):
+    """A board that was not filmed because it came within the minimum gap; `gap_s` after the one before had left."""
+
+    gap_s: float
+
+
+@dataclass(frozen=True)
 class BarrierBounce(ControllerEvent):
     """An interruption of the barrier that was ignored, because it was too short for a board."""
 
@@ -96,7 +114,7 @@ class RunEnded(ControllerEvent):
     pulses: int
     """Number of rows, including skipped ones."""
     reason: str
-    """"clear" (board left, tail over), "max-rows" (the board did not leave in time), "disarmed", "single"
+    """"clear" (board left, tail over), "max-rows" (more rows were due than allowed), "disarmed", "single"
     (requested by `fire_one`), or a sentence on the failure of the controller."""
 
 

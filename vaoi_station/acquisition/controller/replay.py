@@ -17,7 +17,6 @@ from vaoi_station.acquisition.cameras.interface import DeviceFault
 from vaoi_station.acquisition.clocks import ClockReading
 from vaoi_station.acquisition.controller.interface import (
     BarrierBlocked,
-    BarrierClear,
     ControllerEvent,
     EventQueue,
     PulseFired,
@@ -165,7 +164,7 @@ class ReplayController:
                 return
         with self._change:
             if not stop():
-                self._put(BarrierClear(next(self._numbers), first_s + run[-1].time_s))
+                # No BarrierClear: a recording does not hold when its board left the barrier.
                 self._end_run(first_s + run[-1].time_s, "clear")
 
     def _begin_run(self, barrier_s: float, stop: Callable[[], bool]) -> bool:

@@ -3,8 +3,8 @@
 It specifies what the firmware does; `tests/hw/test_logic.py` compares the two. Times are seconds of the controller's
 clock. Pulse j of a run is due at edge + delay + j · period, always computed from the edge, so that rounding errors do
 not add up. An edge counts once the level has lasted `debounce_s`; the run starts at the edge. A pulse is fired
-if it is due no later than the end of the tail. A board that blocks the barrier again within its tail (a cut-out in the
-board) continues the same run.
+if it is due no later than the end of the tail. An interruption within the tail (a cut-out of the board, or another
+board that follows too closely) continues the same run. Every confirmed edge is an event.
 """
 
 from __future__ import annotations
@@ -14,8 +14,10 @@ from itertools import count
 
 from vaoi_station.acquisition.controller.interface import (
     BarrierBlocked,
+    BarrierBlockedAgain,
     BarrierBounce,
     BarrierClear,
+    BarrierClearAfterRun,
     ControllerEvent,
     PulseFired,
     RunEnded,
@@ -109,13 +111,13 @@ class TriggerRule:
         edge_s, self._pending_s, self._blocked = self._pending_s, None, self._raw
         if self._blocked:
             if self._passage is not None:
-                # A cut-out of the same board: cancel the tail.
+                # A cut-out of the same board, or another one: cancel the tail.
                 self._passage.clear_s = None
-                return []
+                return [BarrierBlockedAgain(next(self._numbers), edge_s)]
             self._passage = _Passage(edge_s + self.plan.start_delay_s)
             return [BarrierBlocked(next(self._numbers), edge_s)]
         if self._passage is None:
-            return []
+            return [BarrierClearAfterRun(next(self._numbers), edge_s)]
         self._passage.clear_s = edge_s
         # The debounce time has passed since the edge, and the run cannot end before it is confirmed.
         return [BarrierClear(next(self._numbers), edge_s), *self._end_if_over(edge_s + self.plan.debounce_s)]
@@ -129,12 +131,12 @@ class TriggerRule:
 
     def _end_if_over(self, now_s: float) -> list[ControllerEvent]:
         assert self._passage is not None
-        if self._passage.fired >= self.plan.max_rows:
-            return self._end(now_s, "max-rows")
         next_s, clear_s = self._pulse_s(), self._passage.clear_s
         assert next_s is not None
-        over = clear_s is not None and next_s > clear_s + self.plan.tail_s
-        return self._end(now_s, "clear") if over else []
+        # This is checked first: a board that needed exactly `max_rows` has left.
+        if clear_s is not None and next_s > clear_s + self.plan.tail_s:
+            return self._end(now_s, "clear")
+        return self._end(now_s, "max-rows") if self._passage.fired >= self.plan.max_rows else []
 
     def _end(self, now_s: float, reason: str) -> list[ControllerEvent]:
         assert self._passage is not None

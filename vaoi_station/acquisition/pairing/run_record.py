@@ -39,6 +39,10 @@ class ObservedFrame:
     """Count of the camera's outages before this frame. Frames of one epoch share one clock and one frame counter."""
 
 
+Interruption = tuple[float, float | None]
+"""Times at which the barrier was interrupted and clear again; None if it was not clear when the run ended."""
+
+
 @dataclass
 class RunRecord:
     """The pulses and frames of one run, collected while the run is filmed.
@@ -75,6 +79,9 @@ class RunRecord:
     finished: bool = False
     latency_known: dict[int, bool] = field(default_factory=dict)
     """Camera whose latency was learnt from this run → whether the beginning of the run confirms it."""
+
+    interruptions: list[Interruption] = field(default_factory=list)
+    """Interruptions of the barrier during the run, by the controller's clock."""
 
     @property
     def first_s(self) -> float:
@@ -128,11 +135,22 @@ class RunRecord:
 
         A pulse whose report was lost is placed one period after the pulse before it.
         """
-        known = {r: p.pulse.time_s for r, p in self.pulses.items()}
-        first = min(known)
-        times = {r: t - known[first] for r, t in known.items()}
+        times = self._row_times_s()
+        return tuple(round(times[r] - times[0], 9) for r in range(self.rows))
+
+    def interruptions_s(self) -> tuple[Interruption, ...]:
+        """Return the interruptions of the barrier, relative to row 0 and rounded to ns."""
+        zero_s = self._row_times_s()[0]
+        return tuple(
+            (round(blocked_s - zero_s, 9), None if clear_s is None else round(clear_s - zero_s, 9))
+            for blocked_s, clear_s in self.interruptions
+        )
+
+    def _row_times_s(self) -> dict[int, float]:
+        """Return every row's pulse time by the controller's clock."""
+        times = {r: p.pulse.time_s for r, p in self.pulses.items()}
+        first, first_s = min(times.items())
         for row in range(self.rows):
             if row not in times:
-                times[row] = times[row - 1] + self.period_s if row else min(times.values()) - self.period_s * first
-        zero = times[0]
-        return tuple(round(times[r] - zero, 9) for r in range(self.rows))
+                times[row] = times[row - 1] + self.period_s if row else first_s - self.period_s * first
+        return times

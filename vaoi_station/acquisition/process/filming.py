@@ -104,6 +104,10 @@ class FilmingProcess:
             if self.handlers.frame_settled is not None and slot is not None and report.frame.verdict is Verdict.OK:
                 self.handlers.frame_settled(report, self.ring, self.generations[self.ring.layout.place(slot)[0]])
         elif isinstance(report, RunFinished):
+            if report.reason == "max-rows":
+                self.handlers.notice("The run ended before the board had left: it is too long, or it was stopped.")
+            if (times := len(report.interruptions)) > 1:
+                self.handlers.notice(f"The barrier was interrupted {times} times: by cut-outs, or by several boards.")
             self.handlers.run_finished(report, self.ring, self.generations[report.bay])
         elif isinstance(report, BoardMissed):
             self.handlers.notice(f"A board was missed: {report.reason}.")

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from vaoi_station.acquisition.cameras.interface import CameraHealth
 from vaoi_station.acquisition.controller.interface import TriggerPlan
 from vaoi_station.acquisition.pairing.proof import TriggerProof
+from vaoi_station.acquisition.pairing.run_record import Interruption
 from vaoi_station.model import FrameRecord, Pulse, RecordingHead
 
 
@@ -120,14 +121,27 @@ class RunFinished:
     """Count of frames that belong to no pulse of a run."""
     proof: TriggerProof | None = None
     """The check that every frame belongs to its pulse; None if the acquisition process ended before it was made."""
+    interruptions: tuple[Interruption, ...] = ()
+    """Interruptions of the barrier during the run, in s since row 0 by the controller's clock; empty if unknown."""
 
 
 @dataclass(frozen=True)
 class BoardMissed:
-    """The report that a board passed and was not filmed: no memory was granted, or no pulse was fired."""
+    """The report that a board passed and was not filmed: no memory, no pulse, or it came at a wrong time."""
 
     host_time_s: float
     reason: str
+
+
+@dataclass(frozen=True)
+class MissedPassage:
+    """The end of the passage of a missed board; further boards may have followed within it.
+
+    `host_time_s` is the time of the first interruption, to which `interruptions` are relative.
+    """
+
+    host_time_s: float
+    interruptions: tuple[Interruption, ...]
 
 
 @dataclass(frozen=True)
@@ -149,5 +163,15 @@ class Trouble:
 
 
 Report = (
-    Ready | Armed | Disarmed | RunStarted | PulseReported | FrameSettled | RunFinished | BoardMissed | Health | Trouble
+    Ready
+    | Armed
+    | Disarmed
+    | RunStarted
+    | PulseReported
+    | FrameSettled
+    | RunFinished
+    | BoardMissed
+    | MissedPassage
+    | Health
+    | Trouble
 )

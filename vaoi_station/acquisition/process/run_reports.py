@@ -39,6 +39,7 @@ def finished_report(config: StationConfig, finished: Finished, now_s: float) -> 
         reason=record.reason,
         unassigned=record.unassigned,
         proof=finished.proof,
+        interruptions=record.interruptions_s(),
     )
 
 

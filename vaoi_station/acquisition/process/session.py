@@ -13,6 +13,10 @@ from vaoi_station.acquisition.cameras.interface import Arrival, CameraBack, Came
 from vaoi_station.acquisition.clocks import ClockModel
 from vaoi_station.acquisition.controller.interface import (
     BarrierBlocked,
+    BarrierBlockedAgain,
+    BarrierClear,
+    BarrierClearAfterRun,
+    BoardTooSoon,
     ControllerEvent,
     PulseFired,
     PulseSkipped,
@@ -23,12 +27,14 @@ from vaoi_station.acquisition.devices import Devices
 from vaoi_station.acquisition.pairing.latency import LatencySettings
 from vaoi_station.acquisition.pairing.recorder import Finished, Outcome, Recorder, Unassigned
 from vaoi_station.acquisition.pairing.run_record import RunRecord
+from vaoi_station.acquisition.process.barrier_log import BarrierLog, since_first
 from vaoi_station.acquisition.process.messages import (
     Armed,
     BoardMissed,
     Disarmed,
     FrameSettled,
     Grant,
+    MissedPassage,
     PulseReported,
     Report,
     RunStarted,
@@ -96,6 +102,7 @@ class Session:
         """Row → why its pulse was not fired, for rows that were skipped before the first pulse of a board."""
         self._given_up = False
         """Whether a run was closed before its end was reported; later events of it are ignored."""
+        self._barrier = BarrierLog()
         self._edge_s = 0.0
         """Host time of the latest edge of the barrier, or of the latest request of a single pulse."""
         self._disarming = False
@@ -178,6 +185,7 @@ class Session:
                 "there is no memory for a pulse: all bays of the ring are in use.", action="Fire again in a moment."
             )
         self._edge_s = now_s
+        self._barrier = BarrierLog()
         self._devices.controller.fire_one()
 
     def finish_disarming(self, now_s: float) -> None:
@@ -188,6 +196,8 @@ class Session:
         if self._run is not None:
             self._end_run(self._run.rows, "disarmed", now_s)
         self._plan = None
+        # While disarmed no edge is reported: what is in the barrier at the next arming is unknown.
+        self._barrier = BarrierLog()
         self._given_up = False
         self._disarming = True
         self._apply(self._recorder.settle(now_s), now_s)
@@ -197,12 +207,7 @@ class Session:
         self._recorder.note_controller_time(event.time_s)
         if self._is_outdated(event):
             return
-        if isinstance(event, BarrierBlocked):
-            self._edge_s = min(self._clocks[0].host_s(event.time_s), now_s)
-            self._skipped = {}
-            # The start delay leaves time to queue slots before the first pulse.
-            self._load_while_waiting()
-        elif isinstance(event, PulseFired):
+        if isinstance(event, PulseFired):
             # An index that does not grow belongs to the next board: the report of the previous run's end was lost.
             if self._run is None or event.index <= max(self._run.pulses, default=-1):
                 self._begin_run(now_s)
@@ -214,9 +219,39 @@ class Session:
             (self._skipped if self._run is None else self._run.skipped)[event.index] = event.reason
         elif isinstance(event, RunEnded):
             if self._run is None:
+                self._barrier.over = True
                 self._send(BoardMissed(self._edge_s, f"no pulse was fired; the run ended with {event.reason!r}"))
             else:
                 self._end_run(event.pulses, event.reason, now_s)
+        else:
+            self._handle_edge(event, now_s)
+
+    def _handle_edge(self, event: ControllerEvent, now_s: float) -> None:
+        """Account for a confirmed edge of the barrier."""
+        if isinstance(event, BarrierBlocked):
+            self._edge_s = min(self._clocks[0].host_s(event.time_s), now_s)
+            self._barrier = BarrierLog()
+            self._barrier.blocked(event.time_s)
+            self._skipped = {}
+            # The start delay leaves time to queue slots before the first pulse.
+            self._load_while_waiting()
+        elif isinstance(event, BarrierBlockedAgain):
+            self._barrier.blocked(event.time_s)
+        elif isinstance(event, BarrierClear):
+            self._barrier.clear(event.time_s)
+        elif isinstance(event, BarrierClearAfterRun):
+            # What outlasted its run belongs to that run. Everything else was in the barrier before its edge counted.
+            if self._barrier.is_open:
+                self._barrier.clear(event.time_s)
+            else:
+                self._miss(event.time_s, now_s, "it stood in the barrier when the line was armed")
+        elif isinstance(event, BoardTooSoon):
+            self._barrier = BarrierLog()
+            self._barrier.blocked(event.time_s)
+            self._miss(event.time_s, now_s, f"it came {event.gap_s:.3f} s after the one before had left")
+
+    def _miss(self, time_s: float, now_s: float, reason: str) -> None:
+        self._send(BoardMissed(min(self._clocks[0].host_s(time_s), now_s), reason))
 
     def _require_clocks(self, limit_s: float) -> None:
         """Raise ClockError if a clock's error bound exceeds `limit_s`; cameras that are away are not checked."""
@@ -265,10 +300,19 @@ class Session:
             self._run = self._recorder.begin_run(grant.run, grant.bay, period_s)
             self._send(RunStarted(grant.run, grant.bay, self._edge_s))
         self._run.skipped, self._skipped = self._skipped, {}
+        if self._barrier.over:
+            self._barrier = BarrierLog()  # the report of this board's edge was lost
+        # The same list: it grows until the end of the run.
+        self._run.interruptions = self._barrier.interruptions
 
     def _end_run(self, pulses: int, reason: str, now_s: float) -> None:
         assert self._run is not None
         record, self._run, self._silent_s = self._run, None, float("inf")
+        # From here on the log belongs to what is still in the barrier; the run keeps what was known when it ended.
+        self._barrier.over = self._barrier.over or record.interruptions is self._barrier.interruptions
+        record.interruptions = list(record.interruptions)
+        if record.run is None:
+            self._send(MissedPassage(self._edge_s, since_first(record.interruptions)))
         self._apply(self._recorder.end_pulses(record, pulses, reason, now_s), now_s)
         self._load_next()
 

@@ -69,10 +69,17 @@ def router(services: Services) -> APIRouter:
         return conditional_response(request, content, "application/json", cache=IMMUTABLE)
 
     @routes.post("/{run}/release", response_model_exclude_none=True)
-    async def release_run(response: Response, run: RunId) -> RunDetail:
-        """Release a finished run's frames, so that their memory is free for the next board. The result is kept."""
+    async def release_run(
+        response: Response,
+        run: RunId,
+        holder: Annotated[str | None, Query(description="Name of the holder.", min_length=1, max_length=80)] = None,
+    ) -> RunDetail:
+        """Release a finished run's frames, so that their memory is free for the next board. The result is kept.
+
+        Ends the hold of `holder`. Replies 409 `held`, and releases nothing, while another caller holds the run.
+        """
         response.headers["Cache-Control"] = LIVE
-        return await ask(coordinator.release, run)
+        return await ask(coordinator.release, run, holder)
 
     @routes.put("/{run}/hold", response_model_exclude_none=True)
     async def hold_run(

@@ -9,6 +9,7 @@ import { texts } from "./texts.en.js";
 const $ = (id) => document.getElementById(id);
 const SOON_MS = 5000; // attempts that are due sooner are not shown
 const TONES = { blocked: "caution", lacking: "caution", faulted: "fault" };
+const OWN_ORDER = { blocked: 1, lacking: 1, filming: 1 }; // whatever the reason, first of all hold the board or let it pass
 
 for (const element of document.querySelectorAll("[data-text]")) element.textContent = texts[element.dataset.text];
 
@@ -66,9 +67,9 @@ function showStation(now) {
   if (TONES[known]) document.body.classList.add(TONES[known]);
   draw($("state-shape"), known);
   setText($("state-word"), word);
-  setText($("what-to-do"), (known !== "lacking" && first?.action) || sentence);
+  setText($("what-to-do"), (!(known in OWN_ORDER) && first?.action) || sentence);
   setText($("armed-with"), now.armed_with ? texts.armedWith(now.armed_with) : "");
-  const reasons = now.reasons.map((r) => (known === "lacking" ? `${r.message} ${r.action}` : r.message));
+  const reasons = now.reasons.map((r) => (known in OWN_ORDER ? `${r.message} ${r.action}` : r.message));
   showLines($("reasons"), [...reasons, ...nextTries(now)]);
   showLines($("warnings"), now.warnings.map((w) => `${w.message} ${w.action}`));
   $("warnings").hidden = now.warnings.length === 0;

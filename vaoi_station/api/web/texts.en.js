@@ -17,7 +17,7 @@ export const texts = {
     armed: ["Ready", "Let the next board in."],
     lacking: ["Camera missing", "Hold the next board back. It would be filmed without one camera."],
     filming: ["Filming", "A board is passing. Do not touch it."],
-    blocked: ["Memory full", "Hold the next board back until the tester has released a board."],
+    blocked: ["Memory full", "Hold the next board back until this page shows Ready."],
     faulted: ["Fault", "Hold the next board back and call the engineer."],
     stopping: ["Stopping", "The station is shutting down. Hold the next board back."],
     unknown: ["Unknown", "Reload this page."],

@@ -160,7 +160,7 @@ def _config(run: PrerenderedRun, rate: float, workers: int, folder: Path, ring: 
         ),
         controller={"backend": "replay"},
         replay=ReplayConfig(recordings=(run.directory,)),
-        ring=RingConfig(directory=ring, runs=3),
+        ring=RingConfig(directory=ring, runs=3, keep_s=0.1),
     )  # fmt: skip
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import OrderedDict
+from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -21,6 +22,7 @@ from vaoi_station.rendering import ViewCalculator
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.run.run_views import detail_of, summary_of, timeline_of
+from vaoi_station.runs.states.run_ids import utc_of_host
 from vaoi_station.runs.states.schemas import Reason, RunDetail, RunSummary, Timeline
 from vaoi_station.runs.states.tables import IN_MEMORY, RUN, RunState, RunStep
 from vaoi_station.store import RunRow, Store
@@ -78,6 +80,10 @@ class Archive:
     def __init__(self, store: Store, events: EventLog) -> None:
         self._store = store
         self._events = events
+        self.keep_s = 0.0
+        """Time from the announcement of a run during which its frames are not evicted, s."""
+        self.on_announced: Callable[[str, float], None] = lambda _run, _until_s: None
+        """Function that is called when a run is announced, with its id and the host time until which it is kept."""
         self._changed = threading.Condition()
         self._recent: OrderedDict[str, FinishedRun] = OrderedDict()
         self._under_way: set[str] = set()
@@ -238,7 +244,15 @@ class Archive:
                 run=finished.detail.id,
                 code="store",
             )
+        # From here on callers learn of the run, so from here on its frames are kept for the stated time.
+        until_s = time.monotonic() + self.keep_s
+        # Before callers are woken: a caller that arms at once must find memory that is no longer kept.
+        self.on_announced(finished.detail.id, until_s)
         with self._changed:
+            latest = self._recent.get(finished.detail.id, finished)
+            if latest.detail.frames_available:
+                kept = latest.detail.model_copy(update={"frames_kept_until": utc_of_host(until_s)})
+                self._cache(replace(latest, detail=kept))
             self._announced = finished.finish_number
             self._changed.notify_all()
         self._events.add("run", summary_line(finished.detail), state=finished.detail.state, run=finished.detail.id)
@@ -284,7 +298,9 @@ def summary_line(detail: RunDetail) -> str:
 
 
 def _in_state(document: R, state: RunState) -> R:
-    return document.model_copy(update={"state": state, "frames_available": state in IN_MEMORY})
+    available = state in IN_MEMORY
+    kept = {} if available else {"frames_kept_until": None}
+    return document.model_copy(update={"state": state, "frames_available": available, **kept})
 
 
 def _row(progress: Progress, detail: RunDetail, finish_number: int | None) -> RunRow:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Protocol
 
 from vaoi_station.acquisition.process.messages import FrameSettled, PulseReported, RunFinished
@@ -35,8 +35,15 @@ class ActiveRuns:
     Methods that may end runs return the runs that have ended, oldest first.
     """
 
-    def __init__(self, workers: Workers, archive: Archive, events: EventLog) -> None:
-        self._workers, self._archive, self._events = workers, archive, events
+    def __init__(
+        self,
+        workers: Workers,
+        archive: Archive,
+        events: EventLog,
+        before_end: Callable[[Progress], None] = lambda _progress: None,
+    ) -> None:
+        """Begin without runs; `before_end` is called with each run before its final state is decided."""
+        self._workers, self._archive, self._events, self._before_end = workers, archive, events, before_end
         self.active: dict[str, Progress] = {}
 
     @property
@@ -118,6 +125,8 @@ class ActiveRuns:
         return ended
 
     def _end(self, progress: Progress) -> None:
+        self._before_end(progress)
+        progress.weaken_result()
         progress.advance(_final_step(progress))
         del self.active[progress.run]
         self._workers.close_run(progress.run)

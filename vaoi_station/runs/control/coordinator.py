@@ -89,6 +89,7 @@ class StationCoordinator:
         self._inbox = Inbox(self._tick)
         self._gc_policy = GcPolicy()
         self._core = Core(parts)
+        parts.archive.on_announced = lambda run, until_s: self._inbox.post(self._core.announced, run, until_s)
         requests = PictureRequests(parts.workers)
         self._frames = FrameAccess(self._inbox, self._core, ring, parts.archive, requests)
         self._board_types = BoardTypeService(
@@ -270,9 +271,12 @@ class StationCoordinator:
         finished = self._parts.archive.next(after, timeout_s)
         return finished.detail if finished else None
 
-    def release(self, run: str) -> RunDetail:
-        """Give up the frames of a finished run; its result is kept. `StateError` if the run has not ended."""
-        self._inbox.ask(self._core.release, run)
+    def release(self, run: str, holder: str | None = None) -> RunDetail:
+        """Give up the frames of a finished run, and end the hold of `holder`; the result of the run is kept.
+
+        `StateError` if the run has not ended, or if a caller other than `holder` holds it.
+        """
+        self._inbox.ask(self._core.release, run, holder)
         return self.run(run)
 
     def hold(self, run: str, holder: str, purpose: str) -> LeaseStatus:

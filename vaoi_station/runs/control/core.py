@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 from typing import assert_never
 
@@ -16,6 +17,7 @@ from vaoi_station.runs.control.calibration_watch import CalibrationWatch
 from vaoi_station.runs.control.line_control import Acquisition, Completion, LineControl
 from vaoi_station.runs.control.reasons import sentence
 from vaoi_station.runs.control.station_state import StationStateMachine
+from vaoi_station.runs.run.board_account import UNWATCHED, BoardAccount
 from vaoi_station.runs.run.leases import Leases
 from vaoi_station.runs.run.memory import BayRing, Memory
 from vaoi_station.runs.run.order import Order
@@ -53,14 +55,17 @@ class Core:
         self._config, self._events, self._archive = parts.config, parts.events, parts.archive
         self.leases = Leases(parts.config.ring.lease_s)
         self.memory = Memory(parts.ring, parts.config.ring.runs, self.leases)
-        self.runs = ActiveRuns(parts.workers, parts.archive, parts.events)
+        parts.archive.keep_s = parts.config.ring.keep_s
         self.machine = StationStateMachine(parts.events)
         self.line = LineControl(
             parts.config, parts.acquisition, self.machine, self.memory, parts.run_ids, parts.archive, parts.events
         )
+        self.boards = BoardAccount(parts.config.line, self.line.orders, parts.events.add)
+        self.runs = ActiveRuns(
+            parts.workers, parts.archive, parts.events, lambda run: self.boards.end(run, time.monotonic())
+        )
         self.health: messages.Health | None = None
         self.trigger = TriggerWatch([camera.label for camera in parts.config.cameras])
-        self.boards_missed = 0
         self._stopping: list[Completion] = []
 
     # --- requests of callers
@@ -73,11 +78,19 @@ class Core:
         """Disarm the line. The completion is set once the acquisition process ignores the barrier."""
         self.line.disarm(completion)
 
-    def release(self, run: str) -> None:
-        """Give up the frames of a finished run. Leases of callers on them end."""
+    def release(self, run: str, holder: str | None = None) -> None:
+        """Give up the frames of a finished run, and end the hold of `holder`; `StateError` if another one holds it."""
         if run in self.runs.active:
             raise StateError(
                 f"Run {run} is {self.runs.active[run].state}; its memory is needed.", action="Wait for its result."
+            )
+        if others := [lease for lease in self.leases.of_callers(run) if lease.holder != holder]:
+            names = ", ".join(f"{lease.holder} ({lease.purpose})" for lease in others)
+            left_s = max(self.leases.remaining_s(lease) for lease in others)
+            raise StateError(
+                f"Run {run} is held by {names} for at most another {left_s:.0f} s; nothing was released.",
+                action="Its holder releases it with its name (release?holder=NAME) or ends its hold; or wait.",
+                code="held",
             )
         self._archive.mark(run, RunStep.RELEASE)
         self.memory.free(run)
@@ -87,6 +100,11 @@ class Core:
     def end_lease(self, run: str, holder: str) -> None:
         """End a holder's lease of a run. If the line was blocked for lack of memory, it may continue now."""
         self.leases.end(run, holder)
+        self.line.keep_memory_granted()
+
+    def announced(self, run: str, until_s: float) -> None:
+        """Keep the frames of a run that was announced until a host time, unless they are released before."""
+        self.memory.keep(run, until_s)
         self.line.keep_memory_granted()
 
     def stop(self, completion: Completion) -> None:
@@ -146,7 +164,10 @@ class Core:
             case messages.Trouble():
                 self._on_trouble(message)
             case messages.BoardMissed():
-                self._on_board_missed(message)
+                memory = "" if self.line.has_grant else f"Memory: {self.memory.holders()}."
+                self.boards.board_missed(message, memory, time.monotonic())
+            case messages.MissedPassage():
+                self.boards.passage_missed(message, time.monotonic())
             case messages.Armed():
                 self.line.on_armed()
             case messages.Disarmed():
@@ -166,6 +187,7 @@ class Core:
         for progress in self.runs.filming:
             self._salvage(progress)
         self.health = None
+        self.boards.unwatched(time.monotonic(), f"{description}, and boards may have passed unnoticed")
         self.line.on_acquisition_ended(description)
 
     def _on_run_started(self, report: messages.RunStarted) -> None:
@@ -175,7 +197,9 @@ class Core:
             return
         bay = self.memory.use(report.run, "filming")
         self.machine.advance_if_allowed(StationStep.BOARD_ARRIVED)
-        self.runs.open(Progress.begin(report, bay, order))
+        progress = Progress.begin(report, bay, order)
+        self.boards.begin(progress, self.line.orders.taken_since_s)
+        self.runs.open(progress)
         # The next board may follow closely and needs memory at once: its bay is granted while this bay is filled.
         self.line.keep_memory_granted()
 
@@ -202,15 +226,6 @@ class Core:
                 "camera", f"{name[0].upper()}{name[1:]}: its frames match the pulses again.", run=report.run
             )
 
-    def _on_board_missed(self, report: messages.BoardMissed) -> None:
-        self.boards_missed += 1
-        self._events.add(
-            "board-missed",
-            f"A board passed and was not filmed: {report.reason}",
-            code="board-missed",
-            action="" if self.line.has_grant else f"Memory: {self.memory.holders()}.",
-        )
-
     def _on_health(self, report: messages.Health) -> None:
         for change in readiness.changes(self.health, report, self._config.cameras):
             self._events.add("camera", change)
@@ -220,6 +235,8 @@ class Core:
         reason = self.machine.reasons.trouble(report)
         if reason is not None:
             self._events.add("trouble", reason.message, code=reason.code, action=reason.action)
+        if report.code in UNWATCHED:
+            self.boards.unwatched(time.monotonic(), "the controller did not report all boards for a time")
         self.line.on_trouble(report)
 
     # --- runs

@@ -57,6 +57,8 @@ class LineControl:
         self._after_disarm: list[tuple[Order, int | None, Completion]] = []
         """Requests to arm (order, number of runs, completion) that came while the line was being disarmed."""
         self._disarm_sent = False
+        self.times_blocked = 0
+        """How often the armed line had no memory for the next board."""
 
     # --- requests
 
@@ -190,7 +192,8 @@ class LineControl:
     def keep_memory_granted(self) -> None:
         """Grant a bay for the next board while the line takes boards.
 
-        If no bay is free, an armed line becomes blocked. A blocked line becomes armed again when a bay is granted.
+        If no bay is free, an armed line becomes blocked, and a line that films shows the reason at once. A blocked line
+        becomes armed again when a bay is granted.
         """
         taking = self._machine.state in _TAKING_BOARDS and not self._disarm_sent
         if not self.orders.wants_more or not taking:
@@ -198,17 +201,32 @@ class LineControl:
         try:
             self._grant()
         except BusyError as refusal:
+            # Held anew each time, because the message names the present use of the memory.
+            self._machine.reasons.hold(Reason.of(refusal))
             if self._machine.state is StationState.ARMED:
-                self._machine.reasons.hold(Reason.of(refusal))
-                # Without a hold, memory becomes free as soon as a stitch ends: the status page shows the reason, but no
-                # event is published.
-                if self._memory.held():
+                self.times_blocked += 1
+                # If no run is held or kept, memory becomes free as soon as a stitch ends: the status page shows the
+                # reason, but no event is published.
+                if self._memory.held() or self._memory.kept():
                     self._events.add("trouble", refusal.message, code=refusal.code, action=refusal.action)
                 self._machine.advance(StationStep.RING_FULL)
             return
+        self._machine.reasons.drop("ring-full")
         if self._machine.state is StationState.BLOCKED:
-            self._machine.reasons.drop("ring-full")
             self._machine.advance(StationStep.MEMORY_FREED)
+
+    def warnings(self) -> tuple[Reason, ...]:
+        """Return warnings about the next board: too little memory because of holds, a board id that is not certain."""
+        found = [self._memory.warning() if self._machine.state in _TAKING_BOARDS else None]
+        if (why := self.orders.present_doubt) is not None and self.orders.order is not None:
+            found.append(
+                Reason(
+                    code="board-id-uncertain",
+                    message=f"The next run gets no board id: {self.orders.order.board_id!r} was armed, but {why}.",
+                    action="Arm again with the id of the next board.",
+                )
+            )
+        return tuple(warning for warning in found if warning is not None)
 
     def _unblock(self) -> None:
         """Leave the state BLOCKED by granting a bay. Raise BusyError, which names the holders, if no bay is free."""

@@ -51,7 +51,12 @@ def snapshot_of(
         state=core.machine.state,
         since=core.machine.since,
         reasons=(*core.machine.reasons.all(), *readiness.reasons(core.health, config.cameras)),
-        warnings=(*core.trigger.warnings(), *core.watch.warnings(), *worker_warnings(processes)),
+        warnings=(
+            *core.trigger.warnings(),
+            *core.watch.warnings(),
+            *core.line.warnings(),
+            *worker_warnings(processes),
+        ),
         armed_with=core.line.orders.shown(),
         cameras=cameras,
         all_cameras_ready=all(camera.connected for camera in cameras),
@@ -71,7 +76,8 @@ def snapshot_of(
         last_run=last_run,
         filming=filming[0].run if filming else None,
         last_event=last_event,
-        boards_missed=core.boards_missed,
+        boards_missed=core.boards.missed,
+        times_blocked=core.line.times_blocked,
     )
 
 
@@ -124,9 +130,12 @@ def _retention(config: StationConfig) -> Retention:
     return Retention(
         runs_in_memory=runs,
         lease_s=config.ring.lease_s,
+        keep_s=config.ring.keep_s,
         frames=(
-            f"Frames of at most {runs} runs are in memory. While the line is armed, one place is kept for the next "
-            "board: the oldest finished run without a hold is evicted. A restart of the station loses all frames."
+            f"Frames of at most {runs} runs are in memory. A finished run keeps its frames while a caller holds it, "
+            f"and for {config.ring.keep_s:g} s after it was announced. While the line is armed, one place is kept for "
+            "the next board: the oldest other finished run is evicted; if there is none, the line is blocked. "
+            "A restart of the station loses all frames."
         ),
         results=f"Results and the records of runs are kept in {config.data}, also over restarts.",
         events=f"The last {EVENTS_KEPT} events are kept, also over restarts.",

@@ -34,7 +34,7 @@ class Leases:
 
     def take(self, run: str, holder: str, purpose: str) -> Lease:
         """Begin or renew a lease; `BusyError` if the run has `MAX_HOLDERS` other holders."""
-        others = [lease.holder for lease in self.of(run) if lease.holder != holder and not lease.holder.startswith(OWN)]
+        others = [lease.holder for lease in self.of_callers(run) if lease.holder != holder]
         if len(others) >= MAX_HOLDERS and not holder.startswith(OWN):
             raise BusyError(
                 f"Run {run} has {len(others)} holders, which is the limit: {', '.join(others[:3])} …",
@@ -57,6 +57,10 @@ class Leases:
     def of(self, run: str) -> tuple[Lease, ...]:
         """Return the leases of one run that have not expired."""
         return tuple(lease for lease in self.all() if lease.run == run)
+
+    def of_callers(self, run: str) -> tuple[Lease, ...]:
+        """Return the leases of one run that callers hold; those of the station itself are short."""
+        return tuple(lease for lease in self.of(run) if not lease.holder.startswith(OWN))
 
     def all(self) -> tuple[Lease, ...]:
         """Return all leases that have not expired, sorted by the age of their runs, oldest first."""

@@ -1,17 +1,21 @@
 """Assignment of the ring's bays to runs, and eviction of finished runs.
 
-The next board gets a free bay. If no bay is free, the run without a lease that finished first is evicted. A run that is
-filmed or stitched is never evicted.
+The next board gets a free bay. If no bay is free, the run that finished first is evicted, unless a lease holds it or it
+is still kept: until it is announced, and for a stated time after that. A run that is filmed or stitched is never
+evicted. If no run may be evicted, the next board is refused memory before it comes.
 """
 
 from __future__ import annotations
 
+import math
+import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal, Protocol
 
 from vaoi_station.errors import BusyError, GoneError
 from vaoi_station.runs.run.leases import Leases
-from vaoi_station.runs.states.schemas import BayStatus
+from vaoi_station.runs.states.schemas import BayStatus, Reason
 
 Use = Literal["free", "granted", "filming", "stitching", "finished"]
 
@@ -33,6 +37,8 @@ class Bay:
     generation: int = 0
     finished: int = 0
     """Rank of the run in the order in which runs finished; the run with the lowest rank finished first."""
+    kept_until_s: float = math.inf
+    """Host time until which the frames of a finished run are not evicted; infinite until the run is announced."""
 
 
 @dataclass(frozen=True)
@@ -46,9 +52,10 @@ class GrantedBay:
 class Memory:
     """The bays of the ring and the runs that use them. Used by the coordinator's thread only."""
 
-    def __init__(self, ring: BayRing, bays: int, leases: Leases) -> None:
+    def __init__(self, ring: BayRing, bays: int, leases: Leases, clock: Callable[[], float] = time.monotonic) -> None:
         self._ring = ring
         self._leases = leases
+        self._clock = clock
         self._bays = [Bay(k) for k in range(bays)]
         self._finished = 0
 
@@ -58,9 +65,7 @@ class Memory:
         if bay is None:
             raise BusyError(
                 f"The memory for all {len(self._bays)} runs is in use: {self.holders()}.",
-                action="Release a run, end a hold, or increase [ring] runs."
-                if self.held()
-                else "Wait until a run is stitched; increase [ring] runs or workers to avoid this.",
+                action=self._remedy(),
                 code="ring-full",
             )
         # The claim raises the bay's generation, by which readers of the evicted run detect that its pixels are gone.
@@ -76,6 +81,12 @@ class Memory:
             self._finished += 1
         self._bays[bay.number] = replace(bay, use=use, finished=self._finished)
         return self._bays[bay.number]
+
+    def keep(self, run: str, until_s: float) -> None:
+        """Note that a finished run was announced, and keep its frames until a host time. No effect without a bay."""
+        for bay in self._bays:
+            if bay.run == run:
+                self._bays[bay.number] = replace(bay, kept_until_s=until_s)
 
     def free(self, run: str) -> None:
         """Free the bay of a run and end the leases of the run. Nothing happens if the run has no bay."""
@@ -103,6 +114,23 @@ class Memory:
         """Return whether a lease holds a finished run, so that its memory is not available for the next board."""
         return any(bay.use == "finished" and bay.run and self._leases.of(bay.run) for bay in self._bays)
 
+    def kept(self) -> bool:
+        """Return whether a finished run is still kept for the callers to whom it was announced."""
+        return any(bay.use == "finished" and bay.kept_until_s > self._clock() for bay in self._bays)
+
+    def warning(self) -> Reason | None:
+        """Return a warning if callers hold so much memory that boards have to wait for each other; else None."""
+        left = sum(not (bay.run and self._leases.of_callers(bay.run)) for bay in self._bays)
+        # Two bays are the least for boards that follow one another: one is filmed while the one before is fetched.
+        if left >= min(2, len(self._bays)):
+            return None
+        what = "no further board" if left == 0 else "one further board at a time"
+        return Reason(
+            code="memory-short",
+            message=f"Holds leave memory for {what}: {self.holders()}.",
+            action="Release runs or end holds; until then hold each board back until the line is armed again.",
+        )
+
     def bays(self) -> tuple[BayStatus, ...]:
         """Return all bays for the status page."""
         return tuple(BayStatus(bay=b.number, use=b.use, run=b.run) for b in self._bays)
@@ -113,15 +141,35 @@ class Memory:
         for bay in self._bays:
             leases = self._leases.of(bay.run) if bay.run else ()
             who = ", ".join(f"{lease.holder} ({lease.purpose})" for lease in leases)
-            parts.append(f"run {bay.run} is {f'held by {who}' if who else _IN_WORDS.get(bay.use, bay.use)}")
+            parts.append(f"run {bay.run} is {f'held by {who}' if who else self._in_words(bay)}")
         return "; ".join(parts)
+
+    def _in_words(self, bay: Bay) -> str:
+        if bay.use != "finished":
+            return _IN_WORDS.get(bay.use, bay.use)
+        if math.isinf(bay.kept_until_s):
+            return "being written to disk"
+        left_s = bay.kept_until_s - self._clock()
+        return f"kept for {math.ceil(left_s)} s more after its announcement" if left_s > 0 else "being kept"
+
+    def _remedy(self) -> str:
+        if self.held():
+            return "Release a run, end a hold, or increase [ring] runs."
+        if self.kept():
+            return "Release a run, or wait until it is no longer kept; increase [ring] runs or lower [ring] keep_s."
+        return "Wait until a run is stitched; increase [ring] runs or workers to avoid this."
 
     def _next_bay(self) -> Bay | None:
         free = [bay for bay in self._bays if bay.use == "free"]
         if free:
             return free[0]
         # The order of finishing counts, not that of beginning: a run that waited for late frames has the newer result.
-        idle = [b for b in self._bays if b.use == "finished" and b.run and not self._leases.of(b.run)]
+        now_s = self._clock()
+        idle = [
+            b
+            for b in self._bays
+            if b.use == "finished" and b.run and b.kept_until_s <= now_s and not self._leases.of(b.run)
+        ]
         return min(idle, key=lambda bay: bay.finished, default=None)
 
 
@@ -129,5 +177,4 @@ _IN_WORDS = {
     "granted": "reserved for the next board",
     "filming": "being filmed",
     "stitching": "being stitched",
-    "finished": "being kept",
 }

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from vaoi_station.config import Line, MethodName
 from vaoi_station.errors import StateError, VaoiError
@@ -46,6 +48,16 @@ class Order:
         )
 
 
+class Doubt(NamedTuple):
+    """A board that may have passed without a run."""
+
+    edge_s: float
+    """Host time at which it met the barrier, or until which it may have done so."""
+    published_s: float
+    """Host time at which callers could first know of it."""
+    why: str
+
+
 @dataclass
 class Orders:
     """The order in force, and the previous one, which still applies to boards that met the barrier before the change.
@@ -57,18 +69,24 @@ class Orders:
     order: Order | None = None
     runs_left: int | None = None
     since_s: float = field(default=float("-inf"))
+    taken_since_s: float = float("-inf")
+    """Time since which the order that was taken last has been in force."""
     _before: Order | None = None
+    _before_since_s: float = float("-inf")
+    _doubts: deque[Doubt] = field(default_factory=lambda: deque(maxlen=64))
 
     def accept(self, order: Order, runs: int | None, now_s: float) -> None:
         """Put an order in force for the boards that interrupt the barrier after `now_s`; `runs` limits their number."""
-        self._before, self.order = self.order, order
-        self.runs_left, self.since_s = runs, now_s
+        self._before, self._before_since_s = self.order, self.since_s
+        self.order, self.runs_left, self.since_s = order, runs, now_s
 
     def take(self, barrier_s: float) -> Order | None:
         """Return the order of a board that interrupted the barrier at `barrier_s`, and count the board."""
         # The time at the barrier decides: the report of an earlier board may arrive after a new order was accepted.
         if self.order is None or (barrier_s < self.since_s and self._before is not None):
+            self.taken_since_s = self._before_since_s
             return self._before
+        self.taken_since_s = self.since_s
         # Only boards of the present order are counted, because `runs_left` belongs to it.
         if self.runs_left is not None:
             self.runs_left = max(self.runs_left - 1, 0)
@@ -77,7 +95,31 @@ class Orders:
     def cancel(self, now_s: float) -> None:
         """End the order in force. A board that interrupted the barrier before `now_s` keeps the order."""
         if self.order is not None:
-            self._before, self.order, self.runs_left, self.since_s = self.order, None, None, now_s
+            self._before, self._before_since_s = self.order, self.since_s
+            self.order, self.runs_left, self.since_s = None, None, now_s
+
+    def doubt(self, edge_s: float, published_s: float, why: str) -> None:
+        """Note that a board may have passed without a run, and when callers could first know of it."""
+        self._doubts.append(Doubt(edge_s, published_s, why))
+
+    def doubt_of(self, since_s: float, barrier_s: float) -> str | None:
+        """Return why the board id of an order is not certain for a board; None if it is certain.
+
+        Args:
+            since_s: time since which the order was in force.
+            barrier_s: time at which the board met the barrier.
+        """
+        # An order counts boards from its own acceptance on, or from that of its caller's knowledge. A board that passed
+        # unnoticed may have been the one for which the order was given.
+        why = (d.why for d in reversed(self._doubts) if d.edge_s < barrier_s and since_s <= d.published_s)
+        return next(why, None)
+
+    @property
+    def present_doubt(self) -> str | None:
+        """Why the board id of the order in force is not certain for the next board; None if it is, or without id."""
+        if self.order is None or self.order.board_id is None:
+            return None
+        return self.doubt_of(self.since_s, float("inf"))
 
     @property
     def references(self) -> set[str]:
@@ -91,7 +133,10 @@ class Orders:
 
     def shown(self) -> ArmedWith | None:
         """Return the part of the order in force that the status page shows; None if no order is in force."""
-        return None if self.order is None else self.order.shown(self.runs_left)
+        if self.order is None:
+            return None
+        shown = self.order.shown(self.runs_left)
+        return shown.model_copy(update={"board_id_certain": self.present_doubt is None})
 
 
 class OrderFactory:

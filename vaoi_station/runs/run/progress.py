@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 
 from vaoi_station.acquisition.process.messages import FrameSettled, RunFinished, RunStarted
 from vaoi_station.errors import VaoiError
+from vaoi_station.files.results import stitch_text
 from vaoi_station.model import FrameRecord, Pulse, RecordingHead, Status, Stitch, Verdict
 from vaoi_station.runs.run.memory import Bay
 from vaoi_station.runs.run.order import Order
@@ -47,6 +48,10 @@ class Progress:
     timings: list[TaskTiming] = field(default_factory=list)
     recorded: RunFinished | None = None
     """The final report of the acquisition process; None while filming."""
+    armed_s: float = float("-inf")
+    """Time since which the order has been in force."""
+    id_doubted: bool = False
+    """Whether the order's board id may belong to another board."""
     faults: list[Reason] = field(default_factory=list)
     """Reasons why the run is degraded or failed, other than missing or incomplete frames."""
     unstitchable: bool = False
@@ -205,6 +210,34 @@ class Progress:
         """Add a fault to the reasons of the run, unless the same fault is present already."""
         if reason not in self.faults:
             self.faults.append(reason)
+
+    def weaken_result(self) -> None:
+        """Degrade an ok result of a run with faults: callers that read only the matrices must not find them sound."""
+        if self.result is None or not self.faults or self.result.without_components.status is not Status.OK:
+            return
+        whole = Stitch.model_validate_json(self.result.document)
+        change = {"status": Status.DEGRADED, "reasons": (*whole.reasons, *(fault.message for fault in self.faults))}
+        self.result = Concluded(
+            self.result.without_components.model_copy(update=change), stitch_text(whole.model_copy(update=change))
+        )
+
+    @property
+    def board_id(self) -> str | None:
+        """The caller's id of the board; None if there is none, or if it may belong to another board."""
+        return None if self.id_doubted else self.order.board_id
+
+    def doubt_id(self, why: str) -> None:
+        """Withhold the order's board id, and add the cause to the faults. No effect without an id."""
+        if self.order.board_id is None or self.id_doubted:
+            return
+        self.id_doubted = True
+        self.add_fault(
+            Reason(
+                code="board-id-uncertain",
+                message=f"This run has no board id: {self.order.board_id!r} was armed, but {why}.",
+                action="Identify the board, arm again with the id of the next board, and film this one again.",
+            )
+        )
 
     def _add_error(self, error: VaoiError) -> None:
         self.add_fault(Reason.of(error))

@@ -18,6 +18,7 @@ from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.states.run_ids import utc, utc_of_host
 from vaoi_station.runs.states.schemas import (
     BeltSpeed,
+    Interruption,
     Reason,
     RunDetail,
     RunSummary,
@@ -46,7 +47,7 @@ def detail_of(progress: Progress) -> RunDetail:
     return RunDetail(
         id=progress.run,
         board_type=order.board_type.name,
-        board_id=order.board_id,
+        board_id=progress.board_id,
         job_id=order.job_id,
         state=progress.state,
         verdict=progress.verdict,
@@ -66,6 +67,9 @@ def detail_of(progress: Progress) -> RunDetail:
         frames_available=progress.state in IN_MEMORY,
         frames=frames,
         ended=recorded.reason if recorded else "",
+        interruptions=tuple(Interruption(blocked_s=b, clear_s=c) for b, c in recorded.interruptions)
+        if recorded
+        else (),
         strays=recorded.unassigned if recorded else 0,
         proof=recorded.proof if recorded else None,
         software=versions(),
@@ -103,8 +107,8 @@ def reasons_of(progress: Progress) -> tuple[Reason, ...]:
     """
     stitch = progress.stitch
     recorded = progress.recorded
-    # The doubts of the recording are reasons of the result too. Here they have a code and an action of their own.
-    known = recorded.head.doubts if recorded else ()
+    # Doubts of the recording and faults of the run are reasons of the result too. Here they have codes and actions.
+    known = {*(recorded.head.doubts if recorded else ()), *(fault.message for fault in progress.faults)}
     texts = [text for text in stitch.reasons if text not in known] if stitch else []
     words = [Reason(code=f"stitch-{stitch.status}", message=text) for text in texts] if stitch else []
     bad = [f for _, f in sorted(progress.frames.items()) if f.verdict is not Verdict.OK]

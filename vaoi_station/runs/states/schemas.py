@@ -50,6 +50,9 @@ class ArmedWith(Schema):
     method: MethodName = "auto"
     reference: str | None = None
     """Id of the run against which boards are placed; None: no reference is used."""
+    board_id_certain: bool = True
+    """Whether `board_id` still belongs to the next board. If False, a board may have passed without a run since it was
+    armed, and the next runs get no board id: arm again with the id of the next board."""
 
 
 class CameraStatus(Schema):
@@ -122,6 +125,9 @@ class Retention(Schema):
     runs_in_memory: int
     """Number of bays of the ring. One bay receives the frames of the present board, one is kept for the next board."""
     lease_s: float
+    """Time after which a hold ends unless it is renewed."""
+    keep_s: float = 0.0
+    """Time from the announcement of a run during which its frames are not evicted."""
     frames: str
     results: str
     events: str
@@ -161,6 +167,8 @@ class StationSnapshot(Schema):
     last_event: int
     """Number of the newest event; 0 if there is no event yet."""
     boards_missed: int
+    times_blocked: int = 0
+    """How often the armed line had no memory for the next board since the station was started."""
 
 
 class BoardTypeSummary(Schema):
@@ -261,6 +269,17 @@ class RunSummary(Schema):
     belt: BeltSpeed | None
     timings: Timings | None
     frames_available: bool
+    frames_kept_until: str | None = None
+    """Time until which the frames of a finished run are not evicted, unless the run is released before; later they stay
+    only as long as a caller holds them or their memory is not needed."""
+
+
+class Interruption(Schema):
+    """One interruption of the light barrier; times are in seconds since row 0, by the controller's clock."""
+
+    blocked_s: float
+    clear_s: float | None = None
+    """None if the barrier was still interrupted when the run ended."""
 
 
 class Unseen(Schema):
@@ -282,7 +301,9 @@ class RunDetail(RunSummary):
 
     frames: tuple[FrameRecord, ...]
     ended: str
-    """Why the trigger pulses ended: "clear" (the board has left), "max-rows", …; "" while filming."""
+    """Why the pulses ended: "clear" (the board has left), "max-rows" (more rows were due), …; "" while filming."""
+    interruptions: tuple[Interruption, ...] = ()
+    """Interruptions of the light barrier during the run; empty if they are not known."""
     strays: int
     """Number of frames that could not be assigned to a pulse."""
     proof: TriggerProof | None = None

@@ -1,4 +1,4 @@
-/* The messages of hw/protocol.md, version 1.0: little-endian, packed; sizes are part of the protocol. */
+/* The messages of hw/protocol.md, version 1.1: little-endian, packed; sizes are part of the protocol. */
 #ifndef PROTOCOL_H
 #define PROTOCOL_H
 
@@ -8,7 +8,7 @@
 #include "limits.h"
 
 #define PROTOCOL_MAJOR 1
-#define PROTOCOL_MINOR 0
+#define PROTOCOL_MINOR 1
 
 #define PAYLOAD_LONGEST 58
 #define CONTENT_LONGEST (2 + PAYLOAD_LONGEST + 2) /* type, sequence, payload, CRC-16 */
@@ -59,6 +59,7 @@ enum event_kind {
     EVENT_SUPPRESSED = 4, /* detail: enum suppressed, index: row, value: see there */
     EVENT_RUN_END = 5,    /* detail: enum run_end, index: pulses fired, value: rows suppressed */
     EVENT_FAULT = 6,      /* detail: enum fault */
+    EVENT_EDGE = 7,       /* detail: 1 blocked again within a run, 0 clear outside a run; index: run */
 };
 
 enum suppressed {

@@ -65,8 +65,9 @@ static void start_run(struct controller *c, const struct edge *edge)
 
 static void on_board_arrival(struct controller *c, const struct edge *edge)
 {
-    if (c->state == STATE_RUNNING) { /* a cut-out of the board: the same run continues */
+    if (c->state == STATE_RUNNING) { /* a cut-out, or another board: the same run continues, the host decides */
         c->passage.left = 0;
+        report(c, edge->tick, EVENT_EDGE, 1, c->run, (uint32_t)edge->position);
         return;
     }
     if (c->state != STATE_ARMED) return;
@@ -84,6 +85,8 @@ static void on_board_departure(struct controller *c, const struct edge *edge)
 {
     c->last_clear = edge->tick;
     c->clear_known = 1;
+    if (c->state == STATE_ARMED) /* what leaves was refused, stood here before, or outlasted its run */
+        report(c, edge->tick, EVENT_EDGE, 0, c->run, (uint32_t)edge->position);
     if (c->state != STATE_RUNNING) return;
     c->passage.left = 1;
     c->passage.clear = *edge;
@@ -109,11 +112,12 @@ void controller_edge(struct controller *c, const struct edge *edge)
 static uint8_t run_is_over(const struct controller *c)
 {
     const struct passage *p = &c->passage;
-    if (p->row >= timing(c)->max_rows) return END_MAX_ROWS;
-    if (!p->left) return 0;
-    int32_t beyond = by_distance(c) ? p->place - p->clear.position - (int32_t)timing(c)->tail
-                                    : ticks_since(p->due, p->clear.tick + timing(c)->tail);
-    return beyond > 0 ? END_CLEAR : 0;
+    if (p->left) { /* first: a board that needed exactly max_rows has left */
+        int32_t beyond = by_distance(c) ? p->place - p->clear.position - (int32_t)timing(c)->tail
+                                        : ticks_since(p->due, p->clear.tick + timing(c)->tail);
+        if (beyond > 0) return END_CLEAR;
+    }
+    return p->row >= timing(c)->max_rows ? END_MAX_ROWS : 0;
 }
 
 static uint8_t start_pulse(struct controller *c, ticks_t due, uint16_t trigger_width, const struct step *light, uint16_t row)

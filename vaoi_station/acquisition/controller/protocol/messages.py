@@ -1,4 +1,4 @@
-"""The binary messages of the protocol, version 1.0: little-endian, without padding, in ticks of 0.5 µs.
+"""The binary messages of the protocol, version 1.1: little-endian, without padding, in ticks of 0.5 µs.
 
 `hw/firmware/logic/link/protocol.h` defines the same structs in C. `hw/protocol_vectors.json` has examples that both
 must encode to the same bytes.
@@ -13,7 +13,7 @@ from enum import IntEnum
 from struct import Struct
 from typing import Any, ClassVar, TypeVar
 
-VERSION = (1, 0)
+VERSION = (1, 1)
 TICK_S = 0.5e-6
 ROW_NONE = 0xFFFF
 """Index of a pulse that belongs to no row."""
@@ -89,6 +89,7 @@ class Kind(IntEnum):
     SUPPRESSED = 4
     RUN_END = 5
     FAULT = 6
+    EDGE = 7
 
 
 class Suppressed(IntEnum):

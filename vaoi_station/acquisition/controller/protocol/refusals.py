@@ -7,7 +7,7 @@ from vaoi_station.errors import DeviceError
 
 BOARD = b"m328p16"
 """Name of the board type that this station drives: an ATmega328P at 16 MHz."""
-OLDEST_FIRMWARE = (1, 0, 0)
+OLDEST_FIRMWARE = (1, 1, 0)
 _FLASH = "Write the firmware that came with this station: make -C hw/firmware flash."
 _FIELDS = (
     "pacing",

@@ -8,8 +8,11 @@ from itertools import count
 from vaoi_station.acquisition.cameras.interface import DeviceFault
 from vaoi_station.acquisition.controller.interface import (
     BarrierBlocked,
+    BarrierBlockedAgain,
     BarrierBounce,
     BarrierClear,
+    BarrierClearAfterRun,
+    BoardTooSoon,
     ControllerEvent,
     PulseFired,
     PulseSkipped,
@@ -83,6 +86,8 @@ class EventTranslator:
         self._time_s = time_s
         if event.kind == Kind.BARRIER:
             self._barrier(event, time_s)
+        elif event.kind == Kind.EDGE:
+            self._edge(event, time_s)
         elif event.kind == Kind.PULSE:
             self._pulse(event, time_s)
         elif event.kind == Kind.SUPPRESSED:
@@ -114,6 +119,15 @@ class EventTranslator:
         elif self._running:
             self._emit(BarrierClear(next(self._numbers), time_s))
 
+    def _edge(self, event: Event, time_s: float) -> None:
+        if event.detail:
+            # An interruption within a run also begins a run whose barrier event was lost.
+            if not self._running:
+                self._running, self._rows = True, 0
+            self._emit(BarrierBlockedAgain(next(self._numbers), time_s))
+        else:
+            self._emit(BarrierClearAfterRun(next(self._numbers), time_s))
+
     def _pulse(self, event: Event, time_s: float) -> None:
         if event.index == ROW_NONE:
             # The firmware has one event for a single pulse; the interface has a run of one row.
@@ -128,6 +142,7 @@ class EventTranslator:
         if event.detail == Suppressed.BOUNCE:
             self._emit(BarrierBounce(next(self._numbers), time_s, event.value * TICK_S))
         elif event.detail == Suppressed.GAP:
+            self._emit(BoardTooSoon(next(self._numbers), time_s, event.value * TICK_S))
             self.report_fault(
                 DeviceError(
                     f"A board came {event.value * TICK_S:.3f} s after the one before had left, and was not filmed.",

@@ -1,0 +1,182 @@
+"""Every board has a run or is counted as missed, and no board id goes to another board."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import pytest
+
+from vaoi_station.acquisition.pairing.run_record import Interruption
+from vaoi_station.acquisition.process.messages import BoardMissed, MissedPassage, RunFinished
+from vaoi_station.config import StationConfig
+from vaoi_station.model import RecordingHead, Stitch
+from vaoi_station.runs.run.board_account import BoardAccount
+from vaoi_station.runs.run.order import Orders
+from vaoi_station.runs.run.progress import Progress
+from vaoi_station.runs.run.run_views import detail_of
+from vaoi_station.runs.workers.jobs import Concluded
+
+TOUCHING: tuple[Interruption, ...] = ((0.0, 0.6),)
+"""60 mm; the board is at most 40 mm long."""
+TWO: tuple[Interruption, ...] = ((0.0, 0.3), (0.4, 0.7))
+
+
+@dataclass
+class Books:
+    """An account, its orders, and what it publishes."""
+
+    account: BoardAccount
+    orders: Orders
+    progress: Progress
+    make_head: Callable[[int], RecordingHead]
+    published: list[tuple[str, dict[str, Any]]] = field(default_factory=list)
+
+    def finish(self, interruptions: tuple[Interruption, ...], reason: str = "clear", rows: int = 3) -> None:
+        self.progress.recorded = RunFinished(
+            "r1", 1, self.make_head(rows), (), 51.0, reason, interruptions=interruptions
+        )
+        self.account.end(self.progress, 60.0)
+
+    def codes(self) -> list[str]:
+        return [fault.code for fault in self.progress.faults]
+
+
+@pytest.fixture
+def books(config: StationConfig, progress: Progress, make_head: Callable[[int], RecordingHead]) -> Books:
+    """Return the account of a run that met the barrier at 50 s with the id SN-1, which was armed at 40 s."""
+    line = config.line.model_copy(update={"tail_s": 0.3})
+    progress.order = replace(progress.order, board_id="SN-1")
+    orders, published = Orders(), []
+
+    def publish(kind: str, message: str, **more: Any) -> None:
+        published.append((kind, {"message": message, **more}))
+
+    orders.accept(progress.order, None, 40.0)
+    account = BoardAccount(line, orders, publish)
+    assert orders.take(50.0) is progress.order
+    account.begin(progress, orders.taken_since_s)
+    return Books(account, orders, progress, make_head, published)
+
+
+def test_one_board_is_its_run(books: Books) -> None:
+    books.finish(((0.0, 0.1), (0.2, 0.3)))
+    assert (books.codes(), books.account.missed, books.published) == ([], 0, [])
+    assert books.progress.board_id == "SN-1"
+
+
+def test_a_second_board_is_named_counted_and_takes_the_id_from_its_run(books: Books) -> None:
+    books.finish(TWO)
+    assert books.codes() == ["boards-too-close", "board-id-uncertain"]
+    [reason] = [fault for fault in books.progress.faults if fault.code == "boards-too-close"]
+    assert (
+        "2 boards passed in this run: the barrier was interrupted over 30, 30 mm with 10 mm between" in reason.message
+    )
+    assert "more than 30 mm apart" in reason.action
+    assert books.account.missed == 1
+    [(kind, event)] = books.published
+    assert (kind, event["code"], event["run"]) == ("board-missed", "boards-too-close", "r1")
+    assert books.progress.board_id is None
+    assert detail_of(books.progress).board_id is None
+
+
+def test_boards_that_touch_are_noticed_by_their_length(books: Books) -> None:
+    books.finish(TOUCHING)
+    assert "boards-too-close" in books.codes()
+    assert books.account.missed == 1
+
+
+def test_the_next_run_does_not_get_the_id_that_was_armed_before_the_second_board_was_published(books: Books) -> None:
+    """SN-2 was armed at 55 s, when the second board, to which it belongs, had passed as part of the first run."""
+    books.orders.accept(replace(books.progress.order, board_id="SN-2"), None, 55.0)
+    books.finish(TWO)
+    assert books.orders.present_doubt is not None
+    shown = books.orders.shown()
+    assert shown is not None
+    assert (shown.board_id, shown.board_id_certain) == ("SN-2", False)
+    order = books.orders.take(58.0)
+    assert order is not None
+    third = replace(books.progress, order=order, barrier_s=58.0, faults=[], id_doubted=False)
+    books.account.begin(third, books.orders.taken_since_s)
+    assert third.board_id is None
+    assert third.faults[0].code == "board-id-uncertain"
+    assert "'SN-2' was armed, but a board had passed without a run" in third.faults[0].message
+    books.orders.accept(replace(third.order, board_id="SN-3"), None, 61.0)
+    assert books.orders.doubt_of(61.0, 70.0) is None
+    shown = books.orders.shown()
+    assert shown is not None
+    assert shown.board_id_certain
+
+
+def test_a_board_that_passed_before_does_not_lose_its_id(books: Books) -> None:
+    books.account.board_missed(BoardMissed(50.5, "no memory was free"), "", 50.6)
+    books.finish(((0.0, 0.3),))
+    assert books.progress.board_id == "SN-1"
+    assert books.account.missed == 1
+
+
+def test_a_missed_board_takes_the_id_from_the_next_run(books: Books) -> None:
+    books.account.board_missed(BoardMissed(49.0, "no memory was free"), "Memory: all held.", 49.1)
+    books.finish(((0.0, 0.3),))
+    assert books.codes() == ["board-id-uncertain"]
+    [(_, event)] = books.published
+    assert event["message"] == "A board passed and was not filmed: no memory was free"
+    assert event["action"] == "Memory: all held."
+
+
+def test_boards_that_follow_a_missed_board_too_closely_are_counted_as_well(books: Books) -> None:
+    books.account.passage_missed(MissedPassage(49.0, ((0.0, 0.3),)), 49.9)
+    books.account.passage_missed(MissedPassage(49.0, ()), 49.9)
+    assert books.account.missed == 0
+    books.account.passage_missed(MissedPassage(49.0, TWO), 49.9)
+    assert books.account.missed == 1
+    assert books.published[0][1]["message"].startswith("1 board followed a missed board too closely")
+
+
+def test_while_the_barrier_is_not_watched_ids_become_uncertain(books: Books) -> None:
+    books.account.unwatched(45.0, "the controller did not report all boards for a time")
+    books.finish(((0.0, 0.3),))
+    assert books.progress.board_id is None
+    assert books.account.missed == 0
+
+
+def test_a_run_without_an_id_needs_no_certainty(books: Books) -> None:
+    books.progress.order = replace(books.progress.order, board_id=None)
+    books.account.unwatched(45.0, "the controller did not report all boards for a time")
+    books.finish(((0.0, 0.3),))
+    assert books.codes() == []
+
+
+@pytest.mark.parametrize(
+    ("interruptions", "words"),
+    [(((0.0, None),), "while the barrier was still interrupted"), (((0.0, 0.1),), "while its tail was not over")],
+)
+def test_a_run_with_the_most_rows_is_not_as_planned(
+    books: Books, interruptions: tuple[Interruption, ...], words: str
+) -> None:
+    books.finish(interruptions, "max-rows")
+    [fault] = [fault for fault in books.progress.faults if fault.code == "run-too-long"]
+    assert f"the most that line.longest_board_mm = 50 allows, {words}" in fault.message
+    assert "raise line.longest_board_mm" in fault.action
+    assert books.account.missed == 0
+    assert (books.orders.present_doubt is not None) == (interruptions[-1][1] is None), "another board may have followed"
+
+
+def test_a_run_that_was_cut_short_is_not_measured(books: Books) -> None:
+    books.finish(((0.0, None),), "disarmed")
+    assert books.codes() == []
+
+
+def test_the_measured_motion_decides_when_the_belt_was_slow(
+    books: Books, make_stitch: Callable[..., Stitch], make_head: Callable[[int], RecordingHead]
+) -> None:
+    """In 0.7 s the belt moved 30 mm, not 70."""
+    whole = make_stitch(make_head(8))
+    slow = tuple(m * [[1, 1, 1], [1, 1, 0.4], [1, 1, 1]] for m in whole.row_motion)
+    books.progress.result = Concluded(whole.model_copy(update={"row_motion": slow}), "{}")
+    books.finish(((0.0, 0.7),), rows=8)
+    assert books.codes() == []
+    books.progress.result = Concluded(whole, "{}")
+    books.finish(((0.0, 0.7),), rows=8)
+    assert "boards-too-close" in books.codes()

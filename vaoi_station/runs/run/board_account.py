@@ -1,0 +1,153 @@
+"""The account of the boards that met the barrier: each is a run, or is counted and published as missed.
+
+A board id is armed for one board. As soon as a board may have passed without a run, the ids that were armed before
+that was published are no longer certain: the runs that follow have no id, and say so, until a caller arms again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from vaoi_station.acquisition.process.messages import BoardMissed, MissedPassage, RunFinished
+from vaoi_station.config import Line
+from vaoi_station.runs.run.order import Order, Orders
+from vaoi_station.runs.run.passage import Passage, limit_of, measure_passage, way_of
+from vaoi_station.runs.run.progress import Progress
+from vaoi_station.runs.states.schemas import Reason
+
+UNWATCHED = frozenset({"controller-safe", "controller-reset", "events-lost"})
+"""Codes of troubles during which boards may have passed without a report."""
+
+
+class BoardAccount:
+    """Counts the boards that were missed, and decides which board ids are certain. Used by the coordinator's thread."""
+
+    def __init__(self, line: Line, orders: Orders, publish: Callable[..., Any]) -> None:
+        """Begin without a missed board.
+
+        Args:
+            line: geometry and speed of the line.
+            orders: the orders in force, whose board ids become uncertain.
+            publish: function that writes an event, with the signature of `EventLog.add`.
+        """
+        self._line, self._orders, self._publish = line, orders, publish
+        self.missed = 0
+        """Count of boards that passed and were not filmed as a run."""
+
+    def board_missed(self, report: BoardMissed, action: str, now_s: float) -> None:
+        """Count a board that passed without a run; `action` is what the user can do."""
+        message = f"A board passed and was not filmed: {report.reason}"
+        self._miss(1, (report.host_time_s, now_s), Reason(code="board-missed", message=message, action=action))
+
+    def passage_missed(self, report: MissedPassage, now_s: float) -> None:
+        """Count the boards that followed a missed board within the same passage; it was counted when it came."""
+        order = self._orders.order
+        if order is None or len(report.interruptions) == 0:
+            return
+        limit_mm = limit_of(order.board_type, self._line, None)
+        end_s = max(c if c is not None else b for b, c in report.interruptions)
+        passage = measure_passage(report.interruptions, end_s, lambda s: self._line.speed_mm_s * s, limit_mm)
+        if passage.boards > 1:
+            message = f"{_boards(passage.boards - 1)} followed a missed board too closely and passed as well."
+            edge_s = report.host_time_s + passage.leading_s[-1]
+            reason = Reason(code="boards-too-close", message=message, action=self._keep_apart())
+            self._miss(passage.boards - 1, (edge_s, now_s), reason)
+
+    def unwatched(self, now_s: float, why: str) -> None:
+        """Note that boards may have passed without a report until now."""
+        self._orders.doubt(now_s, now_s, why)
+
+    def begin(self, progress: Progress, armed_s: float) -> None:
+        """Note since when the order of a new run was in force, and whether its board id is certain by now."""
+        progress.armed_s = armed_s
+        self._check_id(progress)
+
+    def end(self, progress: Progress, now_s: float) -> None:
+        """Add what the barrier shows about an ended run to its faults; count the boards that have no run.
+
+        Runs end in the order of their boards, so that all that is known of earlier boards is known here.
+        """
+        recorded = progress.recorded
+        self._check_id(progress)
+        if recorded is None:
+            return
+        passage = self._passage(progress, recorded)
+        if passage is not None and passage.boards > 1:
+            reason = self._too_close(progress.order, passage)
+            progress.add_fault(reason)
+            # The pictures may show either board, so the id would be that of the wrong one.
+            progress.doubt_id("several boards passed in this run")
+            edge_s = _host_s(progress, recorded, passage.leading_s[-1])
+            self._miss(passage.boards - 1, (edge_s, now_s), reason, progress.run)
+        if recorded.reason == "max-rows":
+            progress.add_fault(self._too_long(recorded))
+            if recorded.interruptions and recorded.interruptions[-1][1] is None:
+                # What is still in the barrier may be another board that touches the first.
+                edge_s = _host_s(progress, recorded, recorded.interruptions[-1][0])
+                self._orders.doubt(edge_s, now_s, "the barrier was still interrupted when the run before ended")
+
+    def _passage(self, progress: Progress, recorded: RunFinished) -> Passage | None:
+        # A run that was cut short is faulty already, and how long its last interruption was is unknown.
+        known = [i for i in recorded.interruptions if i[1] is not None or recorded.reason == "max-rows"]
+        if not known:
+            return None
+        times_s = recorded.head.row_times_s()
+        stitch = progress.stitch
+        limit_mm = limit_of(progress.order.board_type, self._line, stitch)
+        end_s = float(times_s[-1])
+        return measure_passage(tuple(known), end_s, way_of(self._line, stitch, times_s), limit_mm)
+
+    def _check_id(self, progress: Progress) -> None:
+        if (why := self._orders.doubt_of(progress.armed_s, progress.barrier_s)) is not None:
+            progress.doubt_id(why)
+
+    def _miss(self, count: int, times_s: tuple[float, float], reason: Reason, run: str | None = None) -> None:
+        """Count boards; `times_s` are the host times of the last one's edge and of now."""
+        self.missed += count
+        self._publish("board-missed", reason.message, run=run, code=reason.code, action=reason.action)
+        # Published now: an order that comes later was given by a caller who could know of it.
+        self._orders.doubt(*times_s, "a board had passed without a run of its own before")
+
+    def _keep_apart(self) -> str:
+        line = self._line
+        return (
+            f"Keep boards more than {line.tail_s * line.speed_mm_s:.0f} mm apart, the way of the belt in line.tail_s, "
+            "and film the boards again."
+        )
+
+    def _too_close(self, order: Order, passage: Passage) -> Reason:
+        lengths = ", ".join(f"{length:.0f}" for length in passage.lengths_mm)
+        gaps = f" with {', '.join(f'{gap:.0f}' for gap in passage.gaps_mm)} mm between" if passage.gaps_mm else ""
+        return Reason(
+            code="boards-too-close",
+            message=(
+                f"{_boards(passage.boards)} passed in this run: the barrier was interrupted over {lengths} mm{gaps}, "
+                f"but a board of type {order.board_type.name!r} is at most {passage.limit_mm:.0f} mm long there."
+            ),
+            action=self._keep_apart(),
+        )
+
+    def _too_long(self, recorded: RunFinished) -> Reason:
+        open_ = bool(recorded.interruptions) and recorded.interruptions[-1][1] is None
+        what = "the barrier was still interrupted" if open_ else "its tail was not over"
+        return Reason(
+            code="run-too-long",
+            message=(
+                f"The run ended after {recorded.head.rows} rows, the most that line.longest_board_mm = "
+                f"{self._line.longest_board_mm:g} allows, while {what}: the rest was not filmed."
+            ),
+            action=(
+                "Check whether the board or the belt was stuck, another board followed, or the barrier is dirty; "
+                "else raise line.longest_board_mm."
+            ),
+        )
+
+
+def _host_s(progress: Progress, recorded: RunFinished, time_s: float) -> float:
+    """Return the host time of an edge that is given relative to row 0."""
+    return progress.barrier_s + time_s - recorded.interruptions[0][0]
+
+
+def _boards(count: int) -> str:
+    return f"{count} boards" if count != 1 else "1 board"

@@ -1,0 +1,118 @@
+"""How many boards interrupted the barrier during one run, from the times of the edges and the motion of the belt.
+
+One board may interrupt the barrier several times, if it has cut-outs; two boards that touch interrupt it once. So not
+the edges are counted but the lengths: everything within one length of the board after a leading edge is that board.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from vaoi_station.acquisition.pairing.run_record import Interruption
+from vaoi_station.config import Line
+from vaoi_station.geometry import apply
+from vaoi_station.geometry.transforms import Floats
+from vaoi_station.model import BoardType, Stitch
+
+LENGTH_SHARE, LENGTH_MM = 0.1, 5.0
+"""A passage is longer than its board if it exceeds the board's length by this share and by this length in mm, which
+cover errors of the belt's speed between barrier and cameras, of the outline, and the width of the barrier."""
+
+PositionMm = Callable[[float], float]
+"""Function from a time in s since row 0 to the belt's way along the motion in mm."""
+
+
+class Passage(NamedTuple):
+    """What passed the barrier during one run."""
+
+    boards: int
+    """Count of boards, at least 1."""
+    leading_s: tuple[float, ...]
+    """Times of the leading edges of the boards, s since row 0; of touching boards only the first is known."""
+    lengths_mm: tuple[float, ...]
+    """Length of each interruption that ended; of an open one, up to the end of the run."""
+    gaps_mm: tuple[float, ...]
+    """Distance between consecutive interruptions."""
+    limit_mm: float
+    """Greatest length of one board in the barrier."""
+
+
+def measure_passage(interruptions: tuple[Interruption, ...], end_s: float, way: PositionMm, limit_mm: float) -> Passage:
+    """Count the boards of a run.
+
+    Args:
+        interruptions: interruptions of the barrier, s since row 0, not empty.
+        end_s: time of the end of the run, up to which an open interruption is known to last.
+        way: the belt's way over time.
+        limit_mm: greatest length of one board in the barrier.
+    """
+    spans = [(way(b), way(max(end_s, b) if c is None else c)) for b, c in interruptions]
+    boards, leading, start_mm = 0, [], -math.inf
+    for (blocked_s, clear_s), (from_mm, to_mm) in zip(interruptions, spans, strict=True):
+        apart = from_mm - start_mm > limit_mm
+        if not apart and (clear_s is None or to_mm - start_mm <= limit_mm):
+            continue  # a cut-out of the same board lies before this part of it
+        if clear_s is None:
+            boards += 1  # it may be stuck, so its length shows nothing
+        elif apart:
+            boards += max(1, math.ceil((to_mm - from_mm) / limit_mm))
+        else:
+            # It begins within the length of the board and ends beyond it: further boards touch the board, or nearly.
+            boards += max(1, math.ceil((to_mm - start_mm) / limit_mm) - 1)
+        start_mm = max(from_mm, to_mm - limit_mm)
+        leading.append(blocked_s)
+    gaps = tuple(b[0] - a[1] for a, b in itertools.pairwise(spans))
+    return Passage(boards, tuple(leading), tuple(b - a for a, b in spans), gaps, limit_mm)
+
+
+def limit_of(board_type: BoardType, line: Line, stitch: Stitch | None) -> float:
+    """Return the greatest length that one board, or its carrier, has in the barrier, in mm.
+
+    Args:
+        board_type: gives the extent of the board.
+        line: direction of the motion, expected rotation, carrier.
+        stitch: the result, which gives the rotation on the belt; None to use the longer side.
+    """
+    low, high = board_type.extent()
+    size_mm = (high - low) * board_type.mm_per_unit
+    from_cad = stitch.tester_from_cad if stitch is not None else None
+    if from_cad is None:
+        # Diagonals are not used: boards ride along a rail, at a multiple of 90 degrees.
+        length_mm = float(max(size_mm))
+    else:
+        corners = from_cad(np.array([[x, y] for x in (low[0], high[0]) for y in (low[1], high[1])]))
+        length_mm = float(np.ptp(corners @ _direction(line)))
+    return max(length_mm, line.carrier_mm or 0.0) * (1 + LENGTH_SHARE) + LENGTH_MM
+
+
+def way_of(line: Line, stitch: Stitch | None, times_s: Floats) -> PositionMm:
+    """Return the belt's way over time: as measured from the pictures, or at the nominal speed if there is no result.
+
+    Args:
+        line: nominal velocity.
+        stitch: the result with the motion of every row.
+        times_s: times of the rows, (rows,), s since row 0.
+    """
+    nominal_mm_s = line.speed_mm_s
+    if stitch is None or len(stitch.row_motion) < 2 or len(stitch.row_motion) != len(times_s):
+        return lambda time_s: nominal_mm_s * time_s
+    centre_mm = np.zeros(2) if stitch.tester_from_cad is None else stitch.tester_from_cad(np.zeros(2))
+    ways_mm = np.array([apply(m, centre_mm) for m in stitch.row_motion]) @ _direction(line)
+    # Before the first row and after the last one the belt is taken to run as it did on average.
+    mean_mm_s = float((ways_mm[-1] - ways_mm[0]) / (times_s[-1] - times_s[0]))
+
+    def way(time_s: float) -> float:
+        beyond_s = min(time_s - times_s[0], 0.0) + max(time_s - times_s[-1], 0.0)
+        return float(np.interp(time_s, times_s, ways_mm) + beyond_s * mean_mm_s)
+
+    return way
+
+
+def _direction(line: Line) -> Floats:
+    velocity = np.array(line.conveyor_mm_s)
+    return np.asarray(velocity / np.hypot(*velocity))
