@@ -283,7 +283,7 @@ def test_boards_that_follow_too_closely_take_no_id_that_is_not_theirs(rig: Any) 
 def test_a_run_with_the_most_rows_is_degraded(rig: Any) -> None:
     grant = rig.arm()
     rig.begin(grant)
-    rig.finish(grant, rig.row(grant, 0), "max-rows", ((-0.1, None),))
+    rig.finish(grant, rig.row(grant, 0), "max-rows", interruptions=((-0.1, None),))
     run = rig.result_of(grant.run)
     assert (run.verdict, run.ended) == (Status.DEGRADED, "max-rows")
     assert [reason.code for reason in run.reasons] == ["run-too-long"]
