@@ -25,6 +25,8 @@ from vaoi_station.stitching.quality.uncertainty import (
     ViewArrays,
     position_covariances,
     predict_sigma,
+    seam_sigma_px,
+    shape_covariances,
     surface_sigma_mm,
 )
 
@@ -157,3 +159,26 @@ def test_surface_sigma_is_that_of_the_basis_functions(plane: Any) -> None:
     assert surface_sigma_mm(plane, replace(flat, surface_mm=np.zeros(6), covariance=whole), places) == pytest.approx(
         [0.5, 0.5]
     )
+
+
+def test_errors_of_the_calibrated_shape_widen_every_view(scene: Scene, plane: Any) -> None:
+    """A radial error of 1 px at the corners shifts points near the sides, and with the seams the whole picture."""
+    sound = predicted(scene, plane, adjusted([0.0] * 3))
+    covariance = np.zeros((9, 9))
+    covariance[8, 8] = 1.0
+    camera = replace(scene.cameras[0], covariance_px2=covariance)
+    assert seam_sigma_px(scene.cameras[0]) == 0
+    assert 0.05 < seam_sigma_px(camera) < 1
+    corner = np.array([[0.0, 0.0], [camera.width_px - 1.0, camera.height_px - 1.0]])
+    found = shape_covariances((camera,), np.zeros(2, dtype=np.int_), corner)
+    assert np.trace(found, axis1=1, axis2=2) == pytest.approx(1 + 4 * seam_sigma_px(camera) ** 2, rel=0.5)
+    wide = predicted(replace(scene, cameras=(camera,)), plane, adjusted([0.0] * 3))
+    assert wide.worst_px is not None
+    assert sound.worst_px is not None
+    assert wide.worst_px > sound.worst_px + seam_sigma_px(camera)
+
+
+def test_shift_and_turn_of_a_calibration_are_no_error_of_its_shape(scene: Scene) -> None:
+    camera = replace(scene.cameras[0], covariance_px2=np.diag([1.0, 1.0, 1.0, *[0.0] * 6]))
+    assert seam_sigma_px(camera) == 0
+    assert not shape_covariances((camera,), np.zeros(1, dtype=np.int_), np.zeros((1, 2))).any()

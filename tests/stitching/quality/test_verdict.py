@@ -85,6 +85,18 @@ def test_a_camera_that_was_pushed_is_never_ok(filmed: Any, camera: int, push: tu
     assert any(word in reason for reason in result.reasons for word in expected)
 
 
+def test_a_calibration_that_does_not_determine_the_lens_is_named(filmed: Any) -> None:
+    """Too few marks leave ± 1.5 px of distortion at the corners: the run is not ok, and the cause is named."""
+    open_lens = np.zeros((9, 9))
+    open_lens[8, 8] = 1.5**2
+    covariance = tuple(tuple(tuple(row) for row in open_lens.tolist()) for _ in filmed.calibration.camera_matrices)
+    calibration = filmed.calibration.model_copy(update={"covariance": covariance})
+    result = filmed.stitched(calibration=calibration)
+    assert result.status is Status.DEGRADED
+    assert any("calibrate with more marks" in reason for reason in result.reasons)
+    assert filmed.error_px(result) < 3 * result.quality["cad_sigma_px"]
+
+
 def test_a_fiducial_that_is_not_there_costs_little(filmed: Any) -> None:
     marks = [f.model_dump() for f in filmed.board_type.fiducials]
     more = [*marks, {"name": "FID9", "x": 20.0, "y": 20.0, "diameter": 1.0}]

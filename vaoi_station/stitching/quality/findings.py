@@ -26,7 +26,7 @@ from vaoi_station.stitching.method import Method
 from vaoi_station.stitching.quality.heights import Height, component_heights
 from vaoi_station.stitching.quality.reference_share import reference_share, with_common_error
 from vaoi_station.stitching.quality.row_offsets import row_offset
-from vaoi_station.stitching.quality.uncertainty import PredictedSigma, predict_sigma
+from vaoi_station.stitching.quality.uncertainty import PredictedSigma, predict_sigma, seam_sigma_px
 from vaoi_station.stitching.quality.unseen import FilmedBoard, UnseenComponent, find_unseen
 
 _USED = 0.1
@@ -195,7 +195,10 @@ class Findings:
         explained = float(2 * d @ estimate.vector - d @ estimate.information @ d)
         if explained < _SIGNIFICANT**2:
             return ()
-        large = [i for i, own in enumerate(estimate.displacement_px) if rms_displacement_px(own) > DISPLACED_PX]
+        # what the calibration leaves open at the seams looks like a displacement
+        limits = [max(DISPLACED_PX, _SIGNIFICANT * seam_sigma_px(camera)) for camera in self.calibrated]
+        each = zip(estimate.displacement_px, limits, strict=True)
+        large = [i for i, (own, limit) in enumerate(each) if rms_displacement_px(own) > limit]
         return tuple((i, estimate.displacement_px[i], estimate.rivals) for i in large)
 
     @cached_property

@@ -141,16 +141,39 @@ def shape_covariances(cameras: Sequence[Camera], camera: Ints, raw_px: Floats) -
     """Compute the covariance (k, 2, 2) px² that errors of the calibration cause at raw pixels (k, 2).
 
     Only the shape of the picture counts: scale, stretch, perspective and radial distortion. A displacement (shift and
-    turn) is an unknown of the adjustment. The result is 0 for cameras whose calibration states no covariance.
+    turn) is an unknown of the adjustment. It is estimated where the camera overlaps with its neighbours, so that an
+    error of the shape there shifts the whole picture: that error is added. The result is 0 for cameras whose
+    calibration states no covariance.
     """
     out = np.zeros((len(raw_px), 2, 2))
     for i in np.unique(camera).tolist():
-        if cameras[i].covariance_px2 is not None:
+        own = shape_covariance(cameras[i])
+        if own is not None:
             mine = camera == i
-            shape = basis_px(cameras[i], cameras[i].lens.undistort(raw_px[mine]))[:, :, PARAMETERS:]
-            own = np.asarray(cameras[i].covariance_px2)[PARAMETERS:, PARAMETERS:]
-            out[mine] = shape @ own @ shape.swapaxes(1, 2)
+            here = basis_px(cameras[i], cameras[i].lens.undistort(raw_px[mine]))[:, :, PARAMETERS:]
+            # at a seam the shapes of both cameras count
+            out[mine] = here @ own @ here.swapaxes(1, 2) + 2 * _at_seams(cameras[i], own)
     return out
+
+
+def shape_covariance(camera: Camera) -> Floats | None:
+    """Return the covariance (6, 6) of the fields of a camera's shape, px²; None if its calibration states none."""
+    if camera.covariance_px2 is None:
+        return None
+    return np.asarray(camera.covariance_px2, dtype=np.float64)[PARAMETERS:, PARAMETERS:]
+
+
+def seam_sigma_px(camera: Camera) -> float:
+    """Return the standard deviation of the camera's shape at its seams, px, in the worst direction; 0 if unknown."""
+    own = shape_covariance(camera)
+    return 0.0 if own is None else float(largest_sigma(_at_seams(camera, own)))
+
+
+def _at_seams(camera: Camera, shape: Floats) -> Floats:
+    """Return the mean covariance (2, 2) px² of a camera's shape at the middles of its four sides."""
+    x, y = camera.center_px
+    sides = basis_px(camera, np.array([(0.0, y), (2 * x, y), (x, 0.0), (x, 2 * y)]))[:, :, PARAMETERS:]
+    return np.asarray((sides @ shape @ sides.swapaxes(1, 2)).mean(0))
 
 
 def _displacements(scene: Scene, adjusted: AdjustmentResult, camera: Ints, row: Ints) -> DisplacementArrays:
