@@ -52,6 +52,7 @@ def test_optional_keys_round_trip(tmp_path: Path, write: Write, document: dict[s
         "half_span": [3.0, 4.0],
     }
     document |= {"surface": surface, "components": {"U1": [[0, 0, 1.5, 2.5]]}, "cad_matrix": EYE, "x_run": 7}
+    document |= {"camera_matrices": [EYE]}
     write_stitch(tmp_path / "again.json", read_stitch(write(document)))
     assert read_json(tmp_path / "again.json") == document
 

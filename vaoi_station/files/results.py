@@ -10,6 +10,7 @@ from vaoi_station.files.documents import check_format, parse, read_json, write_j
 from vaoi_station.model import Stitch
 
 _OF_COMPONENTS = ("component_sigma_px", "component_covariance_px2", "heights_mm", "height_sigma_mm")
+_LEFT_OUT_IF_NONE = ("surface", "components", "camera_matrices")
 
 
 def read_stitch(path: Path) -> Stitch:
@@ -22,7 +23,7 @@ def read_stitch(path: Path) -> Stitch:
 def stitch_document(stitch: Stitch) -> dict[str, Any]:
     """Return the JSON object of a result. Null matrices are kept; optional keys without a value are left out."""
     document = stitch.model_dump(mode="json")
-    for key in ("surface", "components"):
+    for key in _LEFT_OUT_IF_NONE:
         if document[key] is None:
             del document[key]
     return document
@@ -36,7 +37,7 @@ def stitch_text(stitch: Stitch) -> str:
     Raises:
         ValueError: a number is NaN or infinite, which JSON does not have.
     """
-    unused = {key for key in ("surface", "components") if getattr(stitch, key) is None}
+    unused = {key for key in _LEFT_OUT_IF_NONE if getattr(stitch, key) is None}
     text = stitch.model_dump_json(exclude=unused)
     # The text holds such a number, or a name that contains the word. The slower writer raises only for the number.
     if "NaN" in text or "Infinity" in text:
