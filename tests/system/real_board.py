@@ -10,6 +10,9 @@ import numpy as np
 from vaoi_station.config import StationConfig
 from vaoi_station.files import open_recording, read_board_type, write_board_type
 
+BAYS = 3
+"""Number of runs whose frames the ring of the station holds."""
+
 
 def station_of(case: Path, directory: Path, **replay: Any) -> StationConfig:
     """Return the configuration of the station; the position of the board on the belt is not known beforehand.
@@ -50,6 +53,7 @@ def station_of(case: Path, directory: Path, **replay: Any) -> StationConfig:
             ],
             "controller": {"backend": "replay"},
             "replay": {"recordings": [case], **replay},
-            "ring": {"directory": directory / "shm", "runs": 3},
+            # The recorded boards follow closely; frames that were kept for longer would make the line miss boards.
+            "ring": {"directory": directory / "shm", "runs": BAYS, "keep_s": 0.1},
         }
     )

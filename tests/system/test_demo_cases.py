@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tests.needs import LONG
-from tests.system.real_board import station_of
+from tests.system.real_board import BAYS, station_of
 from vaoi_station.config import StationConfig, read_config
 from vaoi_station.demo.client import Client
 from vaoi_station.demo.service import Service
@@ -28,8 +28,6 @@ RUNS, WARM = (20, 7) if LONG else (8, 4)
 """Number of runs, and of those after which memory and open files may no longer grow."""
 SANE_MS = 5000.0
 """Limit for the delay on a machine with other load; the measured figure is printed."""
-EVERY = 4
-"""Period, in runs, of comparing all frames: fetching them takes time from the next run."""
 
 
 def station_toml(case: Path, directory: Path) -> Path:
@@ -67,16 +65,20 @@ def test_boards_at_the_recorded_pace_give_the_offline_result_in_time(
         [board_type] = client.get("/board-types")["board_types"]
         client.post("/station/arm", board_type=board_type["name"], runs=RUNS)
         after = None
-        for number in range(RUNS):
+        for _ in range(RUNS):
             run = wait_for_run(client, after)
             after = run["id"]
             assert (run["verdict"], run["counts"]["ok"]) == (expected.status, 18), run["reasons"]
             assert apart_px(client.get(f"/runs/{after}/matrices"), expected, recording) <= 1e-6
-            if number % EVERY == 0:
-                check_frames(client, after, recording)
             waits_ms.append(run["timings"]["ready_after_last_frame_ms"])
             held.append(resources(client, service.pid, tmp_path / "shm"))
         assert client.get("/station")["boards_missed"] == 0
+        # The frames of the last runs stay in memory, as no board follows. A client that fetched the frames of each run
+        # would have to be faster than the line, which no machine with other load guarantees.
+        held_runs = [run["id"] for run in client.get("/runs")["runs"] if run["frames_available"]]
+        assert len(held_runs) == BAYS
+        for run in held_runs:
+            check_frames(client, run, recording)
     with capsys.disabled():
         print(f"\nmatrices after the last frame: median {np.median(waits_ms):.0f} ms, "
               f"p99 {np.percentile(waits_ms, 99):.0f} ms, first {waits_ms[0]:.0f} ms")  # fmt: skip
