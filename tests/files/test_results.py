@@ -31,6 +31,7 @@ def document() -> dict[str, Any]:
         "row_motion": [EYE, [[1.0, 0.0, 0.0], [0.0, 1.0, 12.5], [0.0, 0.0, 1.0]]],
         "status": "degraded",
         "reasons": ["row 1 shows nothing"],
+        "reason_codes": ["rows-not-connected"],
         "quality": {"rms_px": 0.02, "rows": [{"sd": 0.01}, None]},
     }
 

@@ -12,7 +12,7 @@ from vaoi_station.model import Stitch
 
 def test_image_matrices_are_camera_matrix_times_row_motion(filmed: Any) -> None:
     stitch = filmed.stitch
-    for camera, matrices in zip(filmed.setup.cameras, stitch.image_matrices, strict=True):
+    for camera, matrices in zip(stitch.cameras(filmed.setup.cameras), stitch.image_matrices, strict=True):
         for motion, matrix in zip(stitch.row_motion, matrices, strict=True):
             np.testing.assert_allclose(matrix, camera.image_from_row.matrix @ motion, rtol=1e-12)
 

@@ -132,6 +132,7 @@ class Matrices(BaseModel):
     row_motion: list[Matrix3] = Field(description="D_j, one per row.")
     status: Literal["ok", "degraded", "failed"]
     reasons: list[str]
+    reason_codes: list[str] = Field(default=[], description="The code of each of `reasons`, see `docs/formats.md`.")
     quality: dict[str, Any]
     surface: dict[str, Any] | None = None
     components: dict[str, list[tuple[int, int, float, float]]] | None = None

@@ -25,6 +25,8 @@ class Failure:
     """The reason why an estimate is not possible, as a sentence with numbers."""
 
     reason: str
+    code: str = ""
+    """Code of the reason, if it can become a reason of a verdict (`ReasonCode`); otherwise empty."""
 
 
 def fit_similarity(

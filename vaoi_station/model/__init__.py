@@ -17,6 +17,7 @@ from vaoi_station.model.board_type import (
 from vaoi_station.model.calibration import Calibration, Distortion
 from vaoi_station.model.frame_record import FrameRecord, Pulse, Verdict
 from vaoi_station.model.frozen_model import Finite, FrozenModel, Positive, Strict, Whole
+from vaoi_station.model.reason_code import Reason, ReasonCode
 from vaoi_station.model.recording import CameraHead, RecordingHead
 from vaoi_station.model.stitch_result import Status, Stitch, Surface
 
@@ -36,6 +37,8 @@ __all__ = [
     "Place",
     "Positive",
     "Pulse",
+    "Reason",
+    "ReasonCode",
     "RecordingHead",
     "Status",
     "Stitch",

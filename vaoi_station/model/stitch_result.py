@@ -60,12 +60,20 @@ class Stitch(FrozenModel):
     row_motion: tuple[Matrix, ...]
     status: Status
     reasons: tuple[str, ...] = ()
+    reason_codes: tuple[str, ...] = ()
+    """The code of every entry of `reasons` (`ReasonCode`); empty in results of older versions."""
     quality: dict[str, Any] = Field(default_factory=dict)
     surface: Surface | None = None
     components: dict[str, tuple[tuple[Whole, Whole, Pixels, Pixels], ...]] | None = None
     camera_matrices: tuple[Matrix, ...] | None = None
     """N_i of every camera as it was in this run: the calibrated N_i, corrected by the displacement that the run shows.
     None in results of older versions, which took the calibrated N_i as exact."""
+
+    @model_validator(mode="after")
+    def _one_code_per_reason(self) -> Self:
+        if self.reason_codes and len(self.reason_codes) != len(self.reasons):
+            raise ValueError(f"reason_codes has {len(self.reason_codes)} entries, must have {len(self.reasons)}")
+        return self
 
     @model_validator(mode="after")
     def _one_matrix_per_frame(self) -> Self:

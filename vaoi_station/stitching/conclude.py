@@ -16,7 +16,7 @@ import numpy as np
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.model import VISIBILITY, Stitch, Visibility
+from vaoi_station.model import VISIBILITY, ReasonCode, Stitch, Visibility
 from vaoi_station.stitching.adjustment.motion import nominal_motion
 from vaoi_station.stitching.adjustment.observations import LinkStore
 from vaoi_station.stitching.adjustment.problem import AdjustmentResult, Problem, SurfaceBasis
@@ -38,7 +38,7 @@ from vaoi_station.stitching.result import build_result
 from vaoi_station.stitching.stage_times import StageTimes
 from vaoi_station.version import __version__
 
-NO_BOARD_TYPE = Failure("no board type was given, so there is no CAD mapping")
+NO_BOARD_TYPE = Failure("no board type was given, so there is no CAD mapping", ReasonCode.NO_BOARD_TYPE)
 
 
 @dataclass(frozen=True, eq=False)

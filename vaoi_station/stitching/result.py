@@ -8,13 +8,13 @@ from typing import Any
 from numpy.typing import NDArray
 
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.model import Status, Stitch
+from vaoi_station.model import Reason, Status, Stitch
 from vaoi_station.stitching.board.footprints import views_by_address
 from vaoi_station.stitching.quality.findings import Findings
 
 
 def build_result(
-    findings: Findings, method: str, status: Status, reasons: tuple[str, ...], quality: dict[str, Any]
+    findings: Findings, method: str, status: Status, reasons: tuple[Reason, ...], quality: dict[str, Any]
 ) -> Stitch:
     """Return the result document: matrices, surface, positions of components, and the verdict."""
     matrix = findings.cad_matrix
@@ -26,7 +26,8 @@ def build_result(
         cad_matrix=None if matrix is None else _read_only(matrix),
         row_motion=tuple(_read_only(findings.adjusted.motion.rows_from_tester)),
         status=status,
-        reasons=reasons,
+        reasons=tuple(reason.text for reason in reasons),
+        reason_codes=tuple(reason.code.value for reason in reasons),
         quality=quality,
         surface=findings.surface,
         components=_component_views(findings),

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,7 +12,7 @@ from hypothesis import strategies as st
 
 from vaoi_station.acquisition.pairing.proof import TriggerFinding, TriggerProof
 from vaoi_station.model import Status, Stitch
-from vaoi_station.runs.run.run_views import belt_speed, trigger_reasons, versions
+from vaoi_station.runs.run.run_views import belt_speed, reasons_of, trigger_reasons, versions
 
 
 def stitch_of(vx: float, vy: float, turn: float, about: tuple[float, float], times: np.ndarray) -> Stitch:
@@ -55,6 +58,20 @@ def test_trigger_findings_are_reasons_with_camera_and_row() -> None:
     ]
     assert all(r.action for r in reasons)
     assert list(trigger_reasons(None)) == []
+
+
+def test_reasons_of_a_result_state_its_codes() -> None:
+    reasons = {"reasons": ("too dark", "a doubt"), "reason_codes": ("no-texture", "trigger-doubtful")}
+    stitch = Stitch(method="auto", image_matrices=(()), cad_matrix=None, row_motion=(), status=Status.FAILED, **reasons)
+    recorded = SimpleNamespace(head=SimpleNamespace(doubts=("a doubt",)), proof=None)
+    progress: Any = SimpleNamespace(
+        stitch=stitch, recorded=recorded, faults=[], frames={}, order=SimpleNamespace(notes=())
+    )
+    (reason,) = reasons_of(progress)
+    assert (reason.code, reason.cause, reason.message) == ("stitch-failed", "no-texture", "too dark")
+    progress.stitch = stitch.model_copy(update={"reason_codes": ()})
+    (reason,) = reasons_of(progress)
+    assert reason.cause == "", "results of older versions have no codes"
 
 
 def test_versions_name_what_computed() -> None:

@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.stitching.quality.test_findings import findings_of
 from vaoi_station.model import BoardType, Calibration, Status
+from vaoi_station.stitching.quality.verdict import decide_verdict
 
 
 def with_changes(board_type: BoardType, **keys: Any) -> BoardType:
@@ -165,6 +167,16 @@ def test_an_absent_camera_is_the_first_reason_with_its_fiducials(filmed: Any) ->
     assert "1 place(s) look like fiducials" in result.reasons[1]
     anywhere = filmed.stitched(frames=left)
     assert anywhere.reasons[0] == f"{nothing}: fiducials that only this camera shows cannot be found"
+
+
+@pytest.mark.parametrize("lost", [(1, 2), (2, 3), (3, 4)])
+def test_lost_rows_are_blamed_before_the_fiducials(filmed: Any, lost: tuple[int, ...]) -> None:
+    """Rows beside the gap do not overlap: only the belt's speed, here wrong by 3 %, places one part by the other."""
+    there = {key: p for key, p in filmed.frames.items() if key[1] not in lost}
+    slow = tuple(0.97 * v for v in filmed.setup.conveyor_mm_s)
+    reasons = decide_verdict(findings_of(filmed, there, conveyor_mm_s=slow))[1]
+    assert reasons[0].code == "rows-lost", reasons
+    assert f"of rows {', '.join(map(str, lost))}" in reasons[0].text
 
 
 def test_a_row_that_never_arrived_is_not_placed(filmed: Any) -> None:

@@ -216,7 +216,11 @@ class Progress:
         if self.result is None or not self.faults or self.result.without_components.status is not Status.OK:
             return
         whole = Stitch.model_validate_json(self.result.document)
-        change = {"status": Status.DEGRADED, "reasons": (*whole.reasons, *(fault.message for fault in self.faults))}
+        change = {
+            "status": Status.DEGRADED,
+            "reasons": (*whole.reasons, *(fault.message for fault in self.faults)),
+            "reason_codes": (*whole.reason_codes, *(fault.code for fault in self.faults)),
+        }
         self.result = Concluded(
             self.result.without_components.model_copy(update=change), stitch_text(whole.model_copy(update=change))
         )

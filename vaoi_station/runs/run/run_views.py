@@ -109,8 +109,14 @@ def reasons_of(progress: Progress) -> tuple[Reason, ...]:
     recorded = progress.recorded
     # Doubts of the recording and faults of the run are reasons of the result too. Here they have codes and actions.
     known = {*(recorded.head.doubts if recorded else ()), *(fault.message for fault in progress.faults)}
-    texts = [text for text in stitch.reasons if text not in known] if stitch else []
-    words = [Reason(code=f"stitch-{stitch.status}", message=text) for text in texts] if stitch else []
+    words = []
+    if stitch:
+        codes = stitch.reason_codes or ("",) * len(stitch.reasons)
+        words = [
+            Reason(code=f"stitch-{stitch.status}", message=text, cause=code)
+            for text, code in zip(stitch.reasons, codes, strict=True)
+            if text not in known
+        ]
     bad = [f for _, f in sorted(progress.frames.items()) if f.verdict is not Verdict.OK]
     causes = {(f.verdict, f.cause) for f in bad}
     for verdict, cause in sorted(causes):

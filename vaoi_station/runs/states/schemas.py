@@ -32,6 +32,8 @@ class Reason(Schema):
     code: str
     message: str
     action: str = ""
+    cause: str = ""
+    """For a reason of a run's result, its code in `reason_codes` of the matrices; otherwise empty."""
 
     @staticmethod
     def of(error: VaoiError) -> Reason:

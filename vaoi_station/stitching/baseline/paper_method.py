@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from vaoi_station.geometry import Camera, Euclidean
 from vaoi_station.geometry.robust import Failure
-from vaoi_station.model import RecordingHead, Status, Stitch
+from vaoi_station.model import Reason, ReasonCode, RecordingHead, Status, Stitch
 from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.baseline.paper_features import chain_rows
 from vaoi_station.stitching.board.board_plane import board_plane, expected_angle
@@ -50,7 +50,8 @@ def stitch_by_paper(setup: StitchSetup, head: RecordingHead, frame: Frames) -> S
     if isinstance(motion, Failure):
         identity = tuple(np.eye(3) for _ in range(head.rows))
         nothing = tuple(tuple(None for _ in range(head.rows)) for _ in setup.cameras)
-        return _result(nothing, None, identity, (f"the chain of rows is broken: {motion.reason}",), start)
+        broken = Reason(ReasonCode.ROWS_NOT_CHAINED, f"the chain of rows is broken: {motion.reason}")
+        return _result(nothing, None, identity, (broken,), start)
     images = tuple(
         tuple(c.image_from_row.matrix @ d.matrix if (i, j) in frames else None for j, d in enumerate(motion))
         for i, c in enumerate(setup.cameras)
@@ -58,7 +59,7 @@ def stitch_by_paper(setup: StitchSetup, head: RecordingHead, frame: Frames) -> S
     found = _cad_matrix(setup, frames, as_motion(motion, setup.cameras))
     rows = tuple(d.matrix for d in motion)
     if isinstance(found, Failure):
-        return _result(images, None, rows, (found.reason,), start)
+        return _result(images, None, rows, (Reason(ReasonCode(found.code), found.reason),), start)
     return _result(images, found, rows, (), start)
 
 
@@ -78,7 +79,7 @@ def _cad_matrix(
     setup: StitchSetup, frames: dict[tuple[int, int], PreparedFrame], motion: Motion
 ) -> NDArray[np.float64] | Failure:
     if setup.board_type is None:
-        return Failure("no board type was given, so there is no CAD mapping")
+        return Failure("no board type was given, so there is no CAD mapping", ReasonCode.NO_BOARD_TYPE)
     frame = board_plane(setup.board_type, setup.cameras[0])
     detections = [detect_marks(Task("marks", k), p, setup.cameras[k[0]], setup.board_type) for k, p in frames.items()]
     places = merge_detections(detections, setup.cameras, motion)
@@ -92,16 +93,18 @@ def _result(
     images: tuple[tuple[NDArray[np.float64] | None, ...], ...],
     cad_matrix: NDArray[np.float64] | None,
     rows: tuple[NDArray[np.float64], ...],
-    reasons: tuple[str, ...],
+    reasons: tuple[Reason, ...],
     start: float,
 ) -> Stitch:
+    why = reasons or (Reason(ReasonCode.NO_ERROR_MEASURE, NO_MEASURE),)
     return Stitch(
         method="paper",
         image_matrices=images,
         cad_matrix=cad_matrix,
         row_motion=rows,
         status=Status.FAILED if reasons else Status.DEGRADED,
-        reasons=reasons or (NO_MEASURE,),
+        reasons=tuple(text for _, text in why),
+        reason_codes=tuple(code.value for code, _ in why),
         quality={
             "timings_ms": {"whole": round((time.perf_counter() - start) * 1e3, 3)},
             "software": f"vaoi_station {__version__}",

@@ -13,6 +13,7 @@ import numpy as np
 
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
+from vaoi_station.model import ReasonCode
 from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.adjustment.problem import REFERENCE, AdjustmentResult, FiducialPoints, Problem, SurfaceBasis
 from vaoi_station.stitching.adjustment.solver import adjust
@@ -120,7 +121,8 @@ def _disagreeing_reference(points: FiducialPoints, adjusted: AdjustmentResult) -
     # Links of a frame that shows another place agree among themselves, but not with those of other frames.
     return Failure(
         f"only {fitting} of {len(points.which)} points of the reference agree on a place of the board (limit "
-        f"{_LEAST_AGREEING:.0%}): it is turned, or of another type, or looks unlike the reference"
+        f"{_LEAST_AGREEING:.0%}): it is turned, or of another type, or looks unlike the reference",
+        ReasonCode.REFERENCE_CONTRADICTS,
     )
 
 
@@ -151,7 +153,7 @@ def _c_from_detections(
 ) -> Hypothesis | Failure:
     """Find C from the detections; fail if the pictures show that the board is turned by 180°."""
     if not known.method.marks:
-        return Failure("no point of the run was found again in the reference")
+        return Failure("no point of the run was found again in the reference", ReasonCode.REFERENCE_NOT_FOUND)
     expectation, detections = known.expectation, known.detections
     angle = expected_angle(plane, scene.cameras[0], expectation)
     places = merge_detections(detections, scene.cameras, moved.motion)
@@ -188,7 +190,8 @@ def _by_reference(
             return Turned(
                 f"the board lies turned by 180°, or is of another type than {plane.board_type.name!r}: its pictures "
                 f"match the reference only when turned (correlation {found.turned:.2f} against {found.as_placed:.2f} "
-                f"at {found.patches} places)"
+                f"at {found.patches} places)",
+                ReasonCode.BOARD_TURNED,
             )
         if found.confirms:
             return guess
@@ -204,7 +207,8 @@ def _by_fiducial_count(plane: BoardPlane, guess: Hypothesis, turned: Hypothesis)
     if fit_turned > fit:
         return Failure(
             f"the board lies turned by 180°, or is of another type than {plane.board_type.name!r}: "
-            f"{fit_turned} of its fiducials fit the turned board, {fit} the board as expected"
+            f"{fit_turned} of its fiducials fit the turned board, {fit} the board as expected",
+            ReasonCode.BOARD_TURNED,
         )
     return replace(guess, ambiguous=True)
 
@@ -227,7 +231,8 @@ def _turned_failure(plane: BoardPlane, orientation: Orientation) -> Turned:
     contrast = f"{orientation.turned:.0f} against {orientation.as_placed:.0f} grey levels"
     return Turned(
         f"the board lies turned by 180°, or is of another type than {plane.board_type.name!r}: "
-        f"by its {orientation.evidence} the pictures fit the turned board (edge contrast {contrast})"
+        f"by its {orientation.evidence} the pictures fit the turned board (edge contrast {contrast})",
+        ReasonCode.BOARD_TURNED,
     )
 
 

@@ -19,6 +19,7 @@ from vaoi_station.geometry import Camera
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.similarity import apply_similarity
 from vaoi_station.geometry.transforms import Floats
+from vaoi_station.model import ReasonCode
 from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.adjustment.problem import FIXTURE, FiducialPoints
 from vaoi_station.stitching.board.board_plane import BoardPlane
@@ -114,7 +115,8 @@ def find_board(
     # Two points define a similarity. Each pair of fiducials is tried on each pair of candidates at the same distance.
     board_type, flat = plane.board_type, plane.fiducials
     if len(flat) < 2:
-        return Failure(f"board type {board_type.name!r} has {len(flat)} fiducials; two are needed for the CAD mapping")
+        few = f"board type {board_type.name!r} has {len(flat)} fiducials; two are needed for the CAD mapping"
+        return Failure(few, ReasonCode.TOO_FEW_FIDUCIALS)
     kinds = [mark_kinds(board_type).index(kind_of(f, board_type)) for f in board_type.fiducials]
     best: Hypothesis | None = None
     nearest: tuple[float, str] = (np.inf, "")
@@ -137,7 +139,8 @@ def find_board(
         return best
     seen = f"{len(places.mm)} place(s) look like fiducials"
     hint = f"; the nearest fit is {nearest[1]}" if nearest[1] else ""
-    return Failure(f"the fiducials of {board_type.name!r} are not where they should be: {seen}, no pair fits{hint}")
+    nowhere = f"the fiducials of {board_type.name!r} are not where they should be: {seen}, no pair fits{hint}"
+    return Failure(nowhere, ReasonCode.FIDUCIALS_NOT_FOUND)
 
 
 def assign_fiducials(

@@ -6,6 +6,7 @@ import numpy as np
 
 from vaoi_station.geometry.similarity import apply_similarity
 from vaoi_station.geometry.transforms import Floats, apply
+from vaoi_station.model import Reason, ReasonCode
 from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.board.board_plane import BoardPlane, expected_angle
 from vaoi_station.stitching.board.expectation import Expectation
@@ -14,7 +15,7 @@ from vaoi_station.stitching.matching.scene import Scene
 
 def absent_camera_reasons(
     scene: Scene, plane: BoardPlane | None, expectation: Expectation, motion: Motion
-) -> list[str]:
+) -> list[Reason]:
     """Return a reason for each camera without a good frame, naming the fiducials that only this camera would show.
 
     Args:
@@ -30,7 +31,7 @@ def absent_camera_reasons(
     board_mm = None if plane is None else expected_fiducials(plane, scene, expectation)
     if plane is None or board_mm is None:
         unknown = "" if plane is None else ": fiducials that only this camera shows cannot be found"
-        return [f"camera {i} delivered no complete frame of this board{unknown}" for i in absent]
+        return [_absent(i, unknown) for i in absent]
     names = np.array([f.name for f in plane.board_type.fiducials])
     # The neighbouring camera also shows a fiducial in the overlap. Only the other fiducials are lost.
     shown = np.zeros(len(names), dtype=np.bool_)
@@ -38,10 +39,11 @@ def absent_camera_reasons(
         shown |= _in_frame(scene, i, row, motion, board_mm)
     rows = range(len(motion.angle))
     hidden = {i: ~shown & np.any([_in_frame(scene, i, j, motion, board_mm) for j in rows], axis=0) for i in absent}
-    return [
-        f"camera {i} delivered no complete frame of this board{_hidden_clause(names[hidden[i]].tolist())}"
-        for i in absent
-    ]
+    return [_absent(i, _hidden_clause(names[hidden[i]].tolist())) for i in absent]
+
+
+def _absent(camera: int, clause: str) -> Reason:
+    return Reason(ReasonCode.CAMERA_ABSENT, f"camera {camera} delivered no complete frame of this board{clause}")
 
 
 def expected_fiducials(plane: BoardPlane, scene: Scene, expectation: Expectation) -> Floats | None:

@@ -6,6 +6,7 @@ import numpy as np
 
 from vaoi_station.geometry.robust import Failure, fit_similarity
 from vaoi_station.geometry.transforms import Floats, System
+from vaoi_station.model import Reason, ReasonCode
 from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.adjustment.problem import AdjustmentResult, FiducialPoints
 from vaoi_station.stitching.adjustment.surface import SIGMA_MM
@@ -27,7 +28,7 @@ _PLAINLY = 4.0
 
 def fiducial_reasons(
     plane: BoardPlane, adjusted: AdjustmentResult, points: FiducialPoints | None, moved: Motion, px_per_mm: float
-) -> list[str]:
+) -> list[Reason]:
     """List the reasons if fiducials do not fit the CAD data: residuals, scale, surface, and the wrong fiducial.
 
     Args:
@@ -44,7 +45,8 @@ def fiducial_reasons(
     seen = _places(adjusted, points, moved)
     for n, (_, off_px) in seen.items():
         if off_px > _FIDUCIAL_LIMIT_PX:
-            out.append(f"fiducial {fiducials[n].name} lies {off_px:.2f} px from its place (limit {_FIDUCIAL_LIMIT_PX})")
+            text = f"fiducial {fiducials[n].name} lies {off_px:.2f} px from its place (limit {_FIDUCIAL_LIMIT_PX})"
+            out.append(Reason(ReasonCode.FIDUCIAL_OFF_PLACE, text))
     scale = float(np.hypot(*adjusted.similarity[:2])) / plane.board_type.mm_per_unit - 1
     if abs(scale) > _SCALE_LIMIT:
         out.append(_scale_reason(plane, scale, px_per_mm))
@@ -70,7 +72,7 @@ def uncertain_detections(plane: BoardPlane, points: FiducialPoints | None, limit
     return f"; fiducials that are partly covered, smudged or in a glare: {names}"
 
 
-def outline_reasons(shift: OutlineShift | None, px_per_mm: float) -> list[str]:
+def outline_reasons(shift: OutlineShift | None, px_per_mm: float) -> list[Reason]:
     """List the reasons if the outline is shifted or turned against the position that the fiducials predict."""
     if shift is None:
         return []
@@ -78,16 +80,23 @@ def outline_reasons(shift: OutlineShift | None, px_per_mm: float) -> list[str]:
     (x, y), (sx, sy) = shift.mm, shift.sigma_mm
     if shift.excess_mm:
         out.append(
-            f"the board's outline lies {shift.excess_mm:.2f} mm ({shift.excess_mm * px_per_mm:.0f} px) from where the "
-            f"fiducials put it, ({x:+.2f}, {y:+.2f}) mm ± ({sx:.2f}, {sy:.2f}) over {shift.pieces} places: other marks "
-            "may have been taken for the fiducials; compare fiducials and outline of the board type with the board"
+            Reason(
+                ReasonCode.OUTLINE_SHIFTED,
+                f"the board's outline lies {shift.excess_mm:.2f} mm ({shift.excess_mm * px_per_mm:.0f} px) from where "
+                f"the fiducials put it, ({x:+.2f}, {y:+.2f}) mm ± ({sx:.2f}, {sy:.2f}) over {shift.pieces} places: "
+                "other marks may have been taken for the fiducials; compare fiducials and outline of the board type "
+                "with the board",
+            )
         )
     if shift.turned_mm:
         turn, sigma = 1e3 * shift.turn_rad, 1e3 * shift.turn_sigma_rad
         out.append(
-            f"the board's outline is turned by {turn:+.1f} ± {sigma:.1f} mrad against the fiducials, "
-            f"{shift.turned_mm:.2f} mm ({shift.turned_mm * px_per_mm:.0f} px) at its ends: a fiducial is not at its "
-            "CAD position, or another mark was taken for it"
+            Reason(
+                ReasonCode.OUTLINE_TURNED,
+                f"the board's outline is turned by {turn:+.1f} ± {sigma:.1f} mrad against the fiducials, "
+                f"{shift.turned_mm:.2f} mm ({shift.turned_mm * px_per_mm:.0f} px) at its ends: a fiducial is not at "
+                "its CAD position, or another mark was taken for it",
+            )
         )
     return out
 
@@ -109,7 +118,7 @@ def _places(adjusted: AdjustmentResult, points: FiducialPoints | None, moved: Mo
     return {n: (place[points.which == n].mean(0), float(off_px[points.which == n].mean())) for n in numbers}
 
 
-def _surface_reasons(surface_mm: Floats) -> list[str]:
+def _surface_reasons(surface_mm: Floats) -> list[Reason]:
     if not len(surface_mm):
         return []
     unlikely = np.abs(surface_mm / SIGMA_MM)[1:]
@@ -118,12 +127,15 @@ def _surface_reasons(surface_mm: Floats) -> list[str]:
         return []
     what = ("tilt along x", "tilt along y", "bow along x", "twist", "bow along y")[k]
     return [
-        f"fiducials and links agree only if the board has a {what} of {surface_mm[k + 1]:+.2f} mm (limit "
-        f"{_SURFACE_LIMIT * SIGMA_MM[k + 1]:.2f} mm): a fiducial is not at its CAD position, or the board is bent"
+        Reason(
+            ReasonCode.SURFACE_UNLIKELY,
+            f"fiducials and links agree only if the board has a {what} of {surface_mm[k + 1]:+.2f} mm (limit "
+            f"{_SURFACE_LIMIT * SIGMA_MM[k + 1]:.2f} mm): a fiducial is not at its CAD position, or the board is bent",
+        )
     ]
 
 
-def _wrong_fiducial(plane: BoardPlane, places: dict[int, Floats], px_per_mm: float) -> list[str]:
+def _wrong_fiducial(plane: BoardPlane, places: dict[int, Floats], px_per_mm: float) -> list[Reason]:
     """Return a reason that names the one fiducial which contradicts the others; none for fewer than three fiducials."""
     if len(places) < 3:
         return []
@@ -135,8 +147,11 @@ def _wrong_fiducial(plane: BoardPlane, places: dict[int, Floats], px_per_mm: flo
         return []
     off_mm, name = without[n][1], plane.board_type.fiducials[n].name
     return [
-        f"without fiducial {name} the others agree: {name} lies {off_mm:.2f} mm ({off_mm * px_per_mm:.1f} px) from its "
-        f"CAD position; check {name} in the CAD data and on the board"
+        Reason(
+            ReasonCode.FIDUCIAL_WRONG,
+            f"without fiducial {name} the others agree: {name} lies {off_mm:.2f} mm ({off_mm * px_per_mm:.1f} px) from "
+            f"its CAD position; check {name} in the CAD data and on the board",
+        )
     ]
 
 
@@ -154,11 +169,13 @@ def _fit_without(n: int, plane: BoardPlane, places: dict[int, Floats]) -> tuple[
     return cost, float(np.hypot(*(fit(cad[n]) - places[n])))
 
 
-def _scale_reason(plane: BoardPlane, scale: float, px_per_mm: float) -> str:
+def _scale_reason(plane: BoardPlane, scale: float, px_per_mm: float) -> Reason:
     apart_mm = float(np.hypot(*np.ptp(plane.fiducials, axis=0))) * plane.board_type.mm_per_unit
     off_mm = abs(scale) * apart_mm
-    return (
+    return Reason(
+        ReasonCode.SCALE_WRONG,
         f"the board appears {scale:+.2%} larger than its CAD data (limit {_SCALE_LIMIT:.2%}), {off_mm:.2f} mm "
         f"({off_mm * px_per_mm:.1f} px) over its fiducials: a fiducial is not at its CAD position, the CAD data are "
-        "scaled, the calibration is wrong, the board lies above or below the calibrated plane, or it is of another type"
+        "scaled, the calibration is wrong, the board lies above or below the calibrated plane, or it is of another "
+        "type",
     )

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.model import VISIBILITY, BoardType, Surface, Visibility
+from vaoi_station.model import VISIBILITY, BoardType, Reason, ReasonCode, Surface, Visibility
 from vaoi_station.stitching.board.component_index import ComponentIndex
 from vaoi_station.stitching.board.coverage import Coverage, component_coverage
 from vaoi_station.stitching.matching.evidence import FrameKey
@@ -125,7 +125,7 @@ def find_unseen(
 
 def unseen_reasons(
     unseen: Sequence[UnseenComponent], total: int, cameras: int, rows: int, present: Collection[FrameKey]
-) -> Iterable[str]:
+) -> Iterable[Reason]:
     """Yield one reason for each cause, with the names of the components and what to do.
 
     Args:
@@ -139,9 +139,10 @@ def unseen_reasons(
         mine = [u for u in unseen if u.cause == cause]
         if mine:
             lost = f"{_lost_frames(cameras, rows, present)}: " if cause == "frames-lost" else ""
-            yield (
+            yield Reason(
+                ReasonCode.COMPONENTS_UNSEEN,
                 f"the good frames show too little of {len(mine)} of {total} components "
-                f"({_named(mine)}): {lost}{explanation}"
+                f"({_named(mine)}): {lost}{explanation}",
             )
 
 

@@ -8,13 +8,15 @@ failed if it contains no component positions.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.model import Status
+from vaoi_station.model import Reason, ReasonCode, Status
+from vaoi_station.stitching.adjustment.observations import Ints
 from vaoi_station.stitching.adjustment.problem import FiducialPoints
 from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.cad_mapping import CadMapping
@@ -50,20 +52,23 @@ class _Placed(NamedTuple):
         return float(np.mean([camera.px_per_mm for camera in self.findings.scene.cameras]))
 
 
-def decide_verdict(f: Findings) -> tuple[Status, tuple[str, ...]]:
+def decide_verdict(f: Findings) -> tuple[Status, tuple[Reason, ...]]:
     """Decide the status of a result and return it with its reasons. The first reasons of a failure are its cause."""
     if not f.scene.present:
         nothing = "no usable frame of any camera arrived: there is nothing to stitch"
-        return Status.FAILED, (nothing, *f.scene.doubts)
-    reasons = list(_reasons(f))
+        return Status.FAILED, (Reason(ReasonCode.NO_FRAMES, nothing), *_doubtful_frames(f))
+    reasons = tuple(_reasons(f))
     if isinstance(f.found, Failure):
         # A camera that delivered no frame explains the failure better than the fiducials missing because of it.
         absent = absent_camera_reasons(f.scene, f.plane if f.method.marks else None, f.expectation, f.moved.motion)
-        return Status.FAILED, (*absent, f.found.reason, *reasons)
-    return (Status.DEGRADED if reasons else Status.OK), tuple(reasons)
+        # The same holds for lost rows: where the rows beside them are unconnected, no fiducial is where it should be.
+        causes = (*absent, *(reason for reason in reasons if reason.code is ReasonCode.ROWS_LOST))
+        failure = Reason(ReasonCode(f.found.code), f.found.reason)
+        return Status.FAILED, (*causes, failure, *(reason for reason in reasons if reason not in causes))
+    return (Status.DEGRADED if reasons else Status.OK), reasons
 
 
-def _reasons(f: Findings) -> Iterator[str]:
+def _reasons(f: Findings) -> Iterator[Reason]:
     for check in _RUN_CHECKS:
         yield from check(f)
     if f.plane is not None and f.mapping is not None and f.adjusted.similarity is not None:
@@ -72,73 +77,108 @@ def _reasons(f: Findings) -> Iterator[str]:
             yield from board_check(board)
 
 
-def _doubtful_frames(f: Findings) -> Iterable[str]:
-    return f.scene.doubts
+def _doubtful_frames(f: Findings) -> Iterable[Reason]:
+    return (Reason(ReasonCode.TRIGGER_DOUBTFUL, doubt) for doubt in f.scene.doubts)
 
 
-def _no_texture(f: Findings) -> Iterator[str]:
+def _no_texture(f: Findings) -> Iterator[Reason]:
     if f.method.links and not any(len(e.a_px) for e in f.links):
-        yield "no texture was found in any frame: is there a board?"
+        yield Reason(ReasonCode.NO_TEXTURE, "no texture was found in any frame: is there a board?")
 
 
-def _unconnected_rows(f: Findings) -> Iterator[str]:
+def _unconnected_rows(f: Findings) -> Iterator[Reason]:
+    groups = _groups_of_rows(f)
+    if len(groups) < 2:
+        return
+    parts = ", ".join(f"{g.min()}–{g.max()}" for g in groups)
+    unlinked = f"no links connect the rows {parts} with one another: the belt's nominal speed gives their distance"
+    ends = [(int(a.max()), int(b.min())) for a, b in pairwise(groups)]
+    lost = [row for last, first in ends for row in range(last + 1, first) if not f.placed[row]]
+    if not lost:
+        yield Reason(ReasonCode.ROWS_NOT_CONNECTED, unlinked)
+        return
+    yield Reason(
+        ReasonCode.ROWS_LOST,
+        f"no camera delivered a good frame of row{'s' if len(lost) > 1 else ''} {', '.join(map(str, lost))}, and "
+        f"{unlinked}. Fiducials on both sides of the gap may not fit together for that reason: repair what lost these "
+        "frames and film the board again",
+    )
+
+
+def _groups_of_rows(f: Findings) -> list[Ints]:
+    """Return the groups of rows that nothing connects with one another."""
     if len(f.connected_groups) > 1:
-        parts = ", ".join(f"{g.min()}–{g.max()}" for g in f.connected_groups)
-        yield f"no links connect the rows {parts} with one another: the belt's nominal speed gives their distance"
+        return f.connected_groups
+    # A single row that is cut off is in no group: it has links between cameras only.
+    o, points = f.problem.links, f.problem.fiducials
+    seen, placed = np.append(o.p, o.q), np.flatnonzero(f.placed)
+    marked = points.row if points is not None else np.zeros(0, dtype=np.int_)
+    for last, first in pairwise(placed.tolist()):
+        sides = [((rows <= last).any(), (rows >= first).any()) for rows in (seen, marked)]
+        spanned = ((o.p <= last) & (o.q >= first) | (o.q <= last) & (o.p >= first)).any()
+        if first > last + 1 and not spanned and all(sides[0]) and not all(sides[1]):
+            return [placed[placed <= last], placed[placed >= first]]
+    return f.connected_groups
 
 
-def _scattered_links(f: Findings) -> Iterator[str]:
+def _scattered_links(f: Findings) -> Iterator[Reason]:
     if f.adjusted.floor_px > _FLOOR_LIMIT_PX:
-        yield f"links scatter by {f.adjusted.floor_px:.2f} px (limit {_FLOOR_LIMIT_PX}): the board is not rigid or flat"
+        scatter = f"links scatter by {f.adjusted.floor_px:.2f} px (limit {_FLOOR_LIMIT_PX})"
+        yield Reason(ReasonCode.LINKS_SCATTER, f"{scatter}: the board is not rigid or flat")
 
 
-def _cameras_in_wrong_rows(f: Findings) -> Iterator[str]:
+def _cameras_in_wrong_rows(f: Findings) -> Iterator[Reason]:
     shifted = shifted_cameras(f.row_offsets, len(f.scene.cameras))
     check = "check its trigger line and the latency of its time stamps (latency_us in station.toml)"
     for camera, offset in shifted.items():
         where = "later" if offset < 0 else "earlier"
-        yield (
+        yield Reason(
+            ReasonCode.WRONG_ROWS,
             f"the frames of camera {camera} match those of its neighbours one row {where}: they are in wrong rows, "
-            f"and their matrices are those of other places; {check}"
+            f"and their matrices are those of other places; {check}",
         )
     if not shifted:
         for (i, j), offset in f.row_offsets.items():
-            yield (
+            yield Reason(
+                ReasonCode.WRONG_ROWS,
                 f"the frames of camera {j} match those of camera {i} one row {'later' if offset < 0 else 'earlier'}: "
-                f"those of one of the two are in wrong rows; {check}"
+                f"those of one of the two are in wrong rows; {check}",
             )
 
 
-def _disagreeing_cameras(f: Findings) -> Iterator[str]:
+def _disagreeing_cameras(f: Findings) -> Iterator[Reason]:
     for (i, j), px in f.seams_px.items():
         if (i, j) not in f.row_offsets and px > SEAM_LIMIT_PX:
-            yield (
+            yield Reason(
+                ReasonCode.NOT_EXPLAINED,
                 f"cameras {i} and {j} disagree by {px:.2f} px (limit {SEAM_LIMIT_PX}): "
-                "a camera has moved, or the board is bent too much"
+                "a camera has moved, or the board is bent too much",
             )
 
 
-def _displaced_cameras(f: Findings) -> Iterator[str]:
+def _displaced_cameras(f: Findings) -> Iterator[Reason]:
     for camera, displacement_px, rivals in f.displaced_cameras:
         x, y, turn = displacement_px
         others = "".join(f" (or camera {i} the other way)" for i in rivals)
-        yield (
+        yield Reason(
+            ReasonCode.CAMERA_DISPLACED,
             f"camera {camera}{others} is displaced by ({x:+.2f}, {y:+.2f}) px, and by {turn:+.2f} px at its corners "
             f"by a turn, against its calibration (limit {DISPLACED_PX}). This run is corrected by it: "
-            "correct the calibration with `vaoi recalibrate`, or calibrate again"
+            "correct the calibration with `vaoi recalibrate`, or calibrate again",
         )
 
 
-def _non_overlapping_cameras(f: Findings) -> Iterator[str]:
+def _non_overlapping_cameras(f: Findings) -> Iterator[Reason]:
     for (i, j), rows in f.non_overlapping_pairs.items():
         if (i, j) not in f.row_offsets:
-            yield (
+            yield Reason(
+                ReasonCode.NOT_EXPLAINED,
                 f"cameras {i} and {j} show different things where they should overlap (in {rows} rows): "
-                "a camera has moved"
+                "a camera has moved",
             )
 
 
-def _missing_fiducials(b: _Placed) -> Iterator[str]:
+def _missing_fiducials(b: _Placed) -> Iterator[Reason]:
     # A reference run or fixture marks also place the board. A missing fiducial is then no reason.
     if not b.findings.method.marks:
         return
@@ -148,52 +188,57 @@ def _missing_fiducials(b: _Placed) -> Iterator[str]:
         return
     for n, fiducial in enumerate(b.plane.board_type.fiducials):
         if n not in seen:
-            yield f"fiducial {fiducial.name} was not found; one fiducial alone does not locate the board"
+            alone = f"fiducial {fiducial.name} was not found; one fiducial alone does not locate the board"
+            yield Reason(ReasonCode.FIDUCIAL_MISSING, alone)
 
 
-def _disagreeing_fiducials(b: _Placed) -> Iterable[str]:
+def _disagreeing_fiducials(b: _Placed) -> Iterable[Reason]:
     return fiducial_reasons(b.plane, b.findings.adjusted, b.points, b.findings.moved.motion, b.px_per_mm)
 
 
-def _shifted_outline(b: _Placed) -> Iterable[str]:
+def _shifted_outline(b: _Placed) -> Iterable[Reason]:
     return outline_reasons(b.mapping.shift, b.px_per_mm)
 
 
-def _ambiguous_orientation(b: _Placed) -> Iterator[str]:
+def _ambiguous_orientation(b: _Placed) -> Iterator[Reason]:
     if b.mapping.ambiguous:
-        yield (
+        yield Reason(
+            ReasonCode.ORIENTATION_AMBIGUOUS,
             "the fiducials also fit a board that is turned by 180°, and neither outline nor components decide: "
             "the expected orientation is used (one taught reference whose orientation a person has confirmed decides: "
-            "`vaoi teach --confirm-orientation`; or a third fiducial that breaks the symmetry)"
+            "`vaoi teach --confirm-orientation`; or a third fiducial that breaks the symmetry)",
         )
 
 
-def _invisible_outline(b: _Placed) -> Iterator[str]:
+def _invisible_outline(b: _Placed) -> Iterator[Reason]:
     outline = b.mapping.outline
     if outline is not None and not outline.visible:
-        yield (
+        yield Reason(
+            ReasonCode.OUTLINE_INVISIBLE,
             f"there is no edge where the board's outline should be (contrast {outline.contrast:.1f} "
-            f"grey levels over {outline.pieces} places): the board is of another type, or it lies elsewhere"
+            f"grey levels over {outline.pieces} places): the board is of another type, or it lies elsewhere",
         )
 
 
-def _texture_off_the_board(b: _Placed) -> Iterator[str]:
+def _texture_off_the_board(b: _Placed) -> Iterator[Reason]:
     o, adjusted = b.findings.problem.links, b.findings.adjusted
     # Only links from row to row are used. Their points move with the board; those of a seam may lie on the conveyor.
     use = (adjusted.weight > 0.5) & (o.p != o.q)
     share = outside_share(b.plane, b.similarity, adjusted.motion.board(o.p[use], o.a_mm[use]))
     if share > _OUTSIDE_LIMIT:
-        yield f"{share:.0%} of the texture lies off the board (limit {_OUTSIDE_LIMIT:.0%}): another type, or turned?"
+        off = f"{share:.0%} of the texture lies off the board (limit {_OUTSIDE_LIMIT:.0%}): another type, or turned?"
+        yield Reason(ReasonCode.TEXTURE_OFF_BOARD, off)
 
 
-def _uncertain_positions(b: _Placed) -> Iterator[str]:
+def _uncertain_positions(b: _Placed) -> Iterator[Reason]:
     worst = b.findings.sigma.worst_px
     if worst is not None and worst > _OK_SIGMA_PX:
         blamed = uncertain_detections(b.plane, b.points, _OK_SIGMA_PX) + _uncertain_calibration(b.findings)
-        yield f"positions are uncertain by {worst:.2f} px (1 σ, limit {_OK_SIGMA_PX}){blamed}"
+        uncertain = f"positions are uncertain by {worst:.2f} px (1 σ, limit {_OK_SIGMA_PX}){blamed}"
+        yield Reason(ReasonCode.POSITIONS_UNCERTAIN, uncertain)
 
 
-def _unseen_components(b: _Placed) -> Iterable[str]:
+def _unseen_components(b: _Placed) -> Iterable[Reason]:
     f, total = b.findings, len(b.plane.board_type.components)
     return unseen_reasons(f.unseen, total, len(f.scene.cameras), f.rows, f.scene.present)
 
@@ -209,7 +254,7 @@ def _uncertain_calibration(f: Findings) -> str:
 
 
 # A result lists the reasons in this order: checks of the run come first, then checks of the board.
-_RUN_CHECKS: tuple[Callable[[Findings], Iterable[str]], ...] = (
+_RUN_CHECKS: tuple[Callable[[Findings], Iterable[Reason]], ...] = (
     _doubtful_frames,
     _no_texture,
     _unconnected_rows,
@@ -219,7 +264,7 @@ _RUN_CHECKS: tuple[Callable[[Findings], Iterable[str]], ...] = (
     _displaced_cameras,
     _non_overlapping_cameras,
 )
-_BOARD_CHECKS: tuple[Callable[[_Placed], Iterable[str]], ...] = (
+_BOARD_CHECKS: tuple[Callable[[_Placed], Iterable[Reason]], ...] = (
     _missing_fiducials,
     _disagreeing_fiducials,
     _shifted_outline,

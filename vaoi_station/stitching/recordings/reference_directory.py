@@ -97,7 +97,7 @@ def with_confirmed_orientation(stitch: Stitch) -> Stitch:
     if not awaits_confirmation(stitch):
         return stitch
     quality = stitch.quality | {"orientation": "confirmed"}
-    return stitch.model_copy(update={"status": Status.OK, "reasons": (), "quality": quality})
+    return stitch.model_copy(update={"status": Status.OK, "reasons": (), "reason_codes": (), "quality": quality})
 
 
 def write_reference(

@@ -1,0 +1,49 @@
+"""The reasons of a verdict: why a result is not `ok`, as a stable code for programs and a sentence for people."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import NamedTuple
+
+
+class ReasonCode(StrEnum):
+    """The code of a reason, the same in every version. `docs/formats.md` states what each means and what to do."""
+
+    NO_FRAMES = "no-frames"
+    CAMERA_ABSENT = "camera-absent"
+    TRIGGER_DOUBTFUL = "trigger-doubtful"
+    NO_TEXTURE = "no-texture"
+    ROWS_LOST = "rows-lost"
+    ROWS_NOT_CONNECTED = "rows-not-connected"
+    LINKS_SCATTER = "links-scatter"
+    WRONG_ROWS = "wrong-rows"
+    CAMERA_DISPLACED = "camera-displaced"
+    NOT_EXPLAINED = "not-explained"
+    NO_BOARD_TYPE = "no-board-type"
+    TOO_FEW_FIDUCIALS = "too-few-fiducials"
+    FIDUCIALS_NOT_FOUND = "fiducials-not-found"
+    FIDUCIAL_MISSING = "fiducial-missing"
+    FIDUCIAL_OFF_PLACE = "fiducial-off-place"
+    FIDUCIAL_WRONG = "fiducial-wrong"
+    SCALE_WRONG = "scale-wrong"
+    SURFACE_UNLIKELY = "surface-unlikely"
+    OUTLINE_SHIFTED = "outline-shifted"
+    OUTLINE_TURNED = "outline-turned"
+    OUTLINE_INVISIBLE = "outline-invisible"
+    BOARD_TURNED = "board-turned"
+    ORIENTATION_AMBIGUOUS = "orientation-ambiguous"
+    REFERENCE_NOT_FOUND = "reference-not-found"
+    REFERENCE_CONTRADICTS = "reference-contradicts"
+    TEXTURE_OFF_BOARD = "texture-off-board"
+    POSITIONS_UNCERTAIN = "positions-uncertain"
+    COMPONENTS_UNSEEN = "components-unseen"
+    ROWS_NOT_CHAINED = "rows-not-chained"
+    NO_ERROR_MEASURE = "no-error-measure"
+
+
+class Reason(NamedTuple):
+    """One reason of a verdict."""
+
+    code: ReasonCode
+    text: str
+    """A sentence with names, values and limits, and with what to do."""
