@@ -155,7 +155,7 @@ def _film(name: str, case: Path) -> None:
         shutil.rmtree(aside, ignore_errors=True)
 
 
-SLOW_FIRST = ("acquisition", "system", "hw", "benchmarks", "cases", "rig", "runs", "demo", "doctor", "drift")
+SLOW_FIRST = ("acquisition", "system", "hw", "benchmarks", "cases", "hostile", "rig", "runs", "demo", "doctor", "drift")
 """Folders whose tests wait for devices and processes, the slowest first."""
 
 

@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-SLOW = ("acquisition", "benchmarks", "cases", "demo", "drift", "hw", "rig", "system")
+SLOW = ("acquisition", "benchmarks", "cases", "demo", "drift", "hostile", "hw", "rig", "system")
 """Folders of tests that wait for real time, start whole stations or film boards; chosen only for their own subject."""
 ALWAYS = ("tests/project/test_documents.py", "tests/project/test_structure.py")
 FIGURES = "tests/cases/test_figures.py"

@@ -1,0 +1,61 @@
+"""Tables of the finds of the hostile suite, and the finds that are kept as regressions."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from tests.hostile.drawing import FORM
+from tests.hostile.judging import CLASSES, OK_AND_WRONG, Outcome
+from tests.hostile.mistakes import KINDS
+
+KEPT = Path(__file__).with_name("finds.json")
+"""Finds of earlier runs: seed, classes, diagnosis, and whether the cause is mended."""
+_MOST_SEEDS = 12
+
+
+def kept_finds() -> list[dict[str, Any]]:
+    """Return the finds that are kept for this form of the generator."""
+    document = json.loads(KEPT.read_text(encoding="utf-8"))
+    return list(document["finds"]) if document["form"] == FORM else []
+
+
+def open_classes(seed: int) -> set[str]:
+    """Return the classes in which the drawing of a seed is a known find whose cause is not mended yet."""
+    return {name for find in kept_finds() if find["seed"] == seed and not find["mended"] for name in find["classes"]}
+
+
+def table(outcomes: Sequence[Outcome]) -> str:
+    """Return the finds by class as a table in Markdown: number, rate, and seeds."""
+    expected, ok = sum(o.expected for o in outcomes), sum(o.status == "ok" for o in outcomes)
+    lines = ["| class | finds | of | rate | seeds |", "|---|---|---|---|---|"]
+    for name, sentence in CLASSES.items():
+        seeds = [o.seed for o in outcomes if name in o.finds]
+        of = {"refused": expected, "exception": len(outcomes)}.get(name, ok)
+        named = ", ".join(map(str, seeds[:_MOST_SEEDS])) + (", …" if len(seeds) > _MOST_SEEDS else "")
+        lines.append(f"| {name}: {sentence} | {len(seeds)} | {of} | {len(seeds) / max(of, 1):.1%} | {named} |")
+    return "\n".join(lines)
+
+
+def table_of_mistakes(outcomes: Sequence[Outcome]) -> str:
+    """Return a table in Markdown: for each mistake the drawings that have it, their verdicts, and their finds."""
+    lines = ["| mistake | drawings | ok | degraded | failed | finds that are `ok` and wrong | refused |"]
+    lines += ["|---|---|---|---|---|---|---|"]
+    for name in ("", *sorted(KINDS)):
+        have = [o for o in outcomes if (name in {m.split()[0] for m in o.mistakes} if name else not o.mistakes)]
+        counts = [sum(o.status == status for o in have) for status in ("ok", "degraded", "failed")]
+        wrong = [o.seed for o in have if set(o.finds) & set(OK_AND_WRONG)]
+        refused = [o.seed for o in have if "refused" in o.finds]
+        cells = [name or "none", len(have), *counts, ", ".join(map(str, wrong)), ", ".join(map(str, refused))]
+        lines.append(f"| {' | '.join(map(str, cells))} |")
+    return "\n".join(lines)
+
+
+def line(o: Outcome) -> str:
+    """Return one line about an outcome, to show progress and finds."""
+    figures = f"{o.rms_px:.3f} px rms, σ {o.sigma_px:.3f}, worst {o.worst_px:.2f} px, {o.worst_sigma:.1f} σ"
+    expected = "expected ok" if o.expected else f"not expected ({'; '.join(o.impossible)})"
+    finds, mistakes = ",".join(o.finds) or "-", ", ".join(o.mistakes) or "no mistake"
+    return f"{o.seed:6d} {o.status:9s} {figures}; {expected}; {mistakes}; {finds}"
