@@ -46,6 +46,8 @@ class Kind:
     high: float
     limit: float
     unit: str
+    whole: bool = False
+    """Whether sizes are whole numbers."""
 
 
 _NEVER = -1.0
@@ -55,12 +57,12 @@ KINDS: Mapping[str, Kind] = {
     "slip": Kind(0.01, 0.2, 0.03, "rms share of the speed"),
     "yaw": Kind(0.3, 12, 3, "degrees"),
     "yaw-rate": Kind(0.05, 8, 0.5, "degrees/s"),
-    "stuck": Kind(1, 4, _NEVER, "row at which the board stops"),
+    "stuck": Kind(1, 4, _NEVER, "row at which the board stops", whole=True),
     "turned": Kind(90, 270, _NEVER, "degrees"),
     "lift": Kind(0.1, 5, 0.8, "mm"),
     "bow": Kind(0.05, 2.5, 0.4, "mm"),
     "tilt": Kind(0.02, 1.5, 0.15, "mm at the edge"),
-    "absent-parts": Kind(1, 6, 6, "parts"),
+    "absent-parts": Kind(1, 6, 6, "parts", whole=True),
     # light and sensor
     "dark": Kind(1, 12, 2.5, "times less light"),
     "bright": Kind(1, 4, 1.3, "times more light"),
@@ -89,8 +91,8 @@ KINDS: Mapping[str, Kind] = {
     "mirrored": Kind(1, 1, _NEVER, "wrong y axis"),
     # frames
     "missing-camera": Kind(1, 1, _NEVER, "camera without frames"),
-    "missing-rows": Kind(1, 3, 1, "rows one after the other"),
-    "missing-frames": Kind(1, 6, 2, "frames"),
+    "missing-rows": Kind(1, 3, 1, "rows one after the other", whole=True),
+    "missing-frames": Kind(1, 6, 2, "frames", whole=True),
     "frozen": Kind(1, 1, _NEVER, "camera that repeats its first frame"),
     "repeated": Kind(1, 1, _NEVER, "frame that is that of the row before"),
     "late-camera": Kind(1, 1, _NEVER, "camera whose frames are one row late"),
@@ -111,6 +113,7 @@ def draw_mistakes(g: Random, cameras: int) -> tuple[Mistake, ...]:
 def _draw_one(name: str, g: Random, cameras: int) -> Mistake:
     kind = KINDS[name]
     size = float(np.exp(g.uniform(np.log(kind.low), np.log(kind.high))))
+    size = float(np.floor(size)) if kind.whole else size
     return Mistake(name, size, int(g.integers(cameras)), float(g.uniform(-np.pi, np.pi)))
 
 
