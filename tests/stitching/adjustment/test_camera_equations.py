@@ -18,7 +18,9 @@ from vaoi_station.stitching.adjustment.camera_equations import (
     displaced_cameras,
     ground_changes,
     move_points,
+    rotation_of_all,
     row_changes,
+    without_direction,
 )
 from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.adjustment.observations import Observations, to_observations
@@ -186,3 +188,31 @@ def test_without_cameras_the_calibration_is_exact() -> None:
     assert found.cameras is None
     assert found.problem is problem
     assert adjust(replace(problem, cameras=CAMERAS), MOTION).cameras is not None
+
+
+@pytest.mark.parametrize("moved_px", [(0.0, 34.0, 0.0), (0.0, -34.0, 0.0)])
+def test_one_far_displaced_camera_is_not_taken_for_a_rotated_array(moved_px: tuple[float, float, float]) -> None:
+    displacement = np.zeros((3, 3))
+    displacement[1] = moved_px
+    found = adjusted(displacement).cameras
+    assert found is not None
+    np.testing.assert_allclose(found.displacement_px, displacement, atol=0.1)
+
+
+def test_the_rotation_of_all_cameras_rotates_their_views_about_one_point() -> None:
+    d = 1e-4 * rotation_of_all(camera_effects(CAMERAS, np.zeros((3, 3)))).reshape(3, 3)
+    corners = np.array([(0.0, 0.0), (479.0, 0.0), (479.0, 359.0)])
+    for calibrated, displaced in zip(CAMERAS, displaced_cameras(CAMERAS, d), strict=True):
+        x, y = (before := calibrated.row_from_image(corners)).T
+        expected = before + 1e-4 * np.column_stack([-y, x])
+        np.testing.assert_allclose(displaced.row_from_image(corners), expected, atol=2e-3)
+
+
+def test_a_direction_that_is_left_out_has_no_information() -> None:
+    g = np.random.default_rng(0)
+    information, vector, direction = np.cov(g.normal(size=(4, 20))), g.normal(size=4), g.normal(size=4)
+    remaining, other = without_direction(information, vector, direction)
+    np.testing.assert_allclose([*(remaining @ direction), other @ direction], 0, atol=1e-12)
+    same, unchanged = without_direction(np.zeros((4, 4)), vector, direction)
+    assert not same.any()
+    np.testing.assert_array_equal(unchanged, vector)

@@ -76,7 +76,7 @@ def test_the_mean_of_many_detections_is_never_better_than_their_common_error() -
 
 
 def test_an_outlier_among_fiducials_loses_weight_and_one_among_many_points_has_none() -> None:
-    s, jacobian, others = points(), np.ones((POINTS, 2, 7)), np.arange(9, 13)
+    s, jacobian, others = points(), np.ones((POINTS, 2, 7)), np.tile(np.arange(9, 13), (POINTS, 1))
     residual = np.zeros((POINTS, 2))
     residual[0] = 1.0
     columns, a, _ = detection_equations(s, residual, jacobian, others)
@@ -89,7 +89,9 @@ def test_an_outlier_among_fiducials_loses_weight_and_one_among_many_points_has_n
 
 def test_many_points_that_are_all_far_off_keep_their_weight() -> None:
     many, far = replace(points(), which=np.full(POINTS, REFERENCE)), np.full((POINTS, 2), 3.0)
-    assert (detection_equations(many, far, np.ones((POINTS, 2, 7)), np.arange(9, 13))[1] > 0).all()
+    assert (
+        detection_equations(many, far, np.ones((POINTS, 2, 7)), np.tile(np.arange(9, 13), (POINTS, 1)))[1] > 0
+    ).all()
 
 
 @pytest.mark.parametrize("stretch", [1.0, 1.0003, 0.999])

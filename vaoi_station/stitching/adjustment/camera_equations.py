@@ -40,6 +40,8 @@ _ANYWHERE_PX = 1000.0
 """Standard deviation of the weak prior that makes the normal matrix regular, before the real prior replaces it."""
 _EM_ITERATIONS = 5
 """Iterations of the search for the most likely displacements in each step of the adjustment."""
+_LARGE_PX = 1.0
+"""Displacement from which on, in the first steps, every camera is tried as the only moved one."""
 _UNCHANGED_PX = 1e-7
 """Displacements that change by less need no new projection of the links."""
 _NEW_EFFECTS_PX = 0.5
@@ -133,6 +135,28 @@ def row_changes(cameras: CameraEffects, camera: Ints, angle: Floats, pivot: Floa
     return out
 
 
+def rotation_of_all(cameras: CameraEffects) -> Floats:
+    """Return the displacements (3n,) of n cameras in px by which the whole array is rotated by 1 rad."""
+    steps = [
+        np.linalg.solve(motion, (1.0, -y, x)) for motion, (x, y) in zip(cameras.motion, cameras.middle_mm, strict=True)
+    ]
+    return np.concatenate(steps)
+
+
+def without_direction(information: Floats, vector: Floats, direction: Floats) -> tuple[Floats, Floats]:
+    """Return normal equations (n, n), (n,) without what they say about a motion along a direction (n,).
+
+    Links show no rotation of the whole array. At large displacements, nonlinear effects and the prior of
+    the belt seem to show one, and the displacement of one camera would be taken for that of all others.
+    """
+    effect = information @ direction
+    strength = float(direction @ effect)
+    if strength <= 0:
+        return information, vector
+    remaining = information - np.outer(effect, effect) / strength
+    return remaining, vector - effect * (float(direction @ vector) / strength)
+
+
 def _still_px(cameras: Sequence[Camera]) -> Floats:
     """Return the standard deviation (n,) of each camera's displacement if it was not moved, px.
 
@@ -200,9 +224,15 @@ class MovingCameras:
         self._information, reduced = lower @ lower.T, lower @ forward[-self.unknowns :]
         self._information -= np.eye(self.unknowns) / _ANYWHERE_PX**2
         d = self.displacement_px.ravel()
+        self._information, reduced = without_direction(self._information, reduced, rotation_of_all(self.effects))
         self._vector = reduced + self._information @ d
         start = prior_weights(self.displacement_px, self._still_px) if self._weight is None else self._weight
-        _, weight = most_likely(self._information, self._vector, start, self._still_px, _EM_ITERATIONS)
+        found, weight = most_likely(self._information, self._vector, start, self._still_px, _EM_ITERATIONS)
+        if not self.settled and np.abs(found).max() > _LARGE_PX:
+            # One large displacement is otherwise shared out as a rotation of the whole array, which no link shows. From
+            # there, the truth is too far for linear equations.
+            found = most_likely_motion(self._information, self._vector, self._still_px).displacement_px
+            weight = prior_weights(found, self._still_px)
         prior = np.repeat(weight, PARAMETERS)
         lower = np.asarray(np.linalg.cholesky(self._information + np.diag(prior)), dtype=np.float64)
         stored = np.tril_indices(self.unknowns)

@@ -71,6 +71,10 @@ constant and of the share `_PAIR_SHARE` of the noise floor. The constant is 0.00
 above the board)."""
 _FLOOR_PX = (0.003, 5.0)
 """Limits of the noise floor of links."""
+_AT_LIMIT, _DISPLACED_FLOOR_PX = 0.99, 60.0
+"""Share of the upper limit from which on the noise floor counts as limited by it, and the second upper limit, that
+of the noise floor between two cameras whose displacements are unknowns. It is above the displacement by
+a turn of 0.1°, some 35 px: a lower limit would reject all links of the displaced camera before it is estimated."""
 _FLOOR_SAMPLE, _FLOOR_MIN_LINKS = 4000, 20
 """The noise floor of a kind of link is estimated from about `_FLOOR_SAMPLE` links, to some 2 %, and from no fewer than
 `_FLOOR_MIN_LINKS`."""
@@ -238,10 +242,13 @@ class _Solver:
         """
         if self.steps > _FLOOR_STEPS:
             return
-        links = self.problem.links
+        links, (low, high) = self.problem.links, _FLOOR_PX
         for kind, at in enumerate(self.floor_samples):
             if len(at) >= _FLOOR_MIN_LINKS:
-                scatter = noise_floor(self.state.residual, links.noise_mm2, links.px_per_mm, at, *_FLOOR_PX)
+                scatter = noise_floor(self.state.residual, links.noise_mm2, links.px_per_mm, at, low, high)
+                if kind > 0 and self.cameras.unknowns and scatter > _AT_LIMIT * high:
+                    limits = high, _DISPLACED_FLOOR_PX
+                    scatter = noise_floor(self.state.residual, links.noise_mm2, links.px_per_mm, at, *limits)
                 if kind > 0 and self.problem.surface is not None:
                     scatter = max(min(scatter, _SEAM_PX), scatter / _NARROWING)
                 self.floor_px[kind] = scatter
