@@ -13,12 +13,16 @@ from numpy.typing import NDArray
 
 from vaoi_station.errors import InputError, NotFoundError, StateError
 from vaoi_station.files import Recording, write_stitch
-from vaoi_station.geometry import Camera
+from vaoi_station.geometry import Camera, apply
+from vaoi_station.geometry.displacement import PARAMETERS, displace_camera
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.library.arguments import require_path, require_text, whole
 from vaoi_station.library.component_images import ComponentImage, ComponentImages
 from vaoi_station.model import BoardType, Component, Status, Stitch
 from vaoi_station.rendering import View, ViewCalculator, render
+
+_SAME_PX = 0.01
+"""Largest difference of two equal calibrations in a frame: results state displacements with four decimals."""
 
 
 def component_covariances(result: Stitch, ref: str) -> dict[tuple[int, int], Floats]:
@@ -170,18 +174,37 @@ def check_result(result: Stitch, rows: int, cameras: Sequence[Camera], name: str
     """Refuse a result that belongs to another recording or another calibration.
 
     Raises:
-        InputError: the number of cameras or rows differs, or M_i0 is not N_i.
+        InputError: the number of cameras or rows differs, or M_i0 is not N_i as the result displaced it.
     """
     n, m = len(result.image_matrices), len(result.row_motion)
     if (n, m) != (len(cameras), rows):
         raise _other_recording(
             name, f"it has {n} cameras and {m} rows, the recording has {len(cameras)} cameras and {rows} rows"
         )
-    for i, (matrices, camera) in enumerate(zip(result.image_matrices, cameras, strict=True)):
+    for i, (matrices, camera) in enumerate(zip(result.image_matrices, _as_in_run(result, cameras), strict=True)):
         first = matrices[0]
         # M_i0 equals N_i in every result (docs/conventions.md, gauge), so this detects another calibration.
-        if first is not None and not np.allclose(first, camera.image_from_row.matrix, rtol=1e-6, atol=1e-9):
+        if first is not None and _apart_px(first, camera) > _SAME_PX:
             raise _other_recording(name, f"camera {i} has another calibration")
+
+
+def _as_in_run(result: Stitch, cameras: Sequence[Camera]) -> Sequence[Camera]:
+    """Return the calibrated cameras, displaced as the result says; as calibrated if it does not say so."""
+    try:
+        displacement_px = np.array(result.quality.get("camera_displacement_px"), dtype=np.float64)
+    except (TypeError, ValueError):  # from a file, whose `quality` is not checked
+        return cameras
+    if displacement_px.shape != (len(cameras), PARAMETERS) or not np.isfinite(displacement_px).all():
+        return cameras
+    return [displace_camera(camera, d) for camera, d in zip(cameras, displacement_px, strict=True)]
+
+
+def _apart_px(matrix: Floats, camera: Camera) -> float:
+    """Return the largest distance at the corners of a camera's frame between its N_i and a matrix, px."""
+    w, h = camera.width_px - 1, camera.height_px - 1
+    corners = np.array([(0, 0), (w, 0), (w, h), (0, h)], dtype=np.float64)
+    image_from_image = np.asarray(matrix) @ np.linalg.inv(camera.image_from_row.matrix)
+    return float(np.abs(apply(image_from_image, corners) - corners).max())
 
 
 def _other_recording(name: str | Path, difference: str) -> InputError:
