@@ -198,8 +198,18 @@ class Findings:
         # what the calibration leaves open at the seams looks like a displacement
         limits = [max(DISPLACED_PX, _SIGNIFICANT * seam_sigma_px(camera)) for camera in self.calibrated]
         each = zip(estimate.displacement_px, limits, strict=True)
-        large = [i for i, (own, limit) in enumerate(each) if rms_displacement_px(own) > limit]
+        large = [
+            i for i, (own, limit) in enumerate(each) if rms_displacement_px(own) > limit and i not in self._unexplained
+        ]
         return tuple((i, estimate.displacement_px[i], estimate.rivals) for i in large)
+
+    @cached_property
+    def _unexplained(self) -> set[int]:
+        """Cameras that disagree with a neighbour in spite of their estimated displacements, and agree with none."""
+        apart = {pair for pair, px in self.seams_px.items() if px > SEAM_LIMIT_PX} | set(self.non_overlapping_pairs)
+        agreeing = {camera for pair in set(self.seams_px) - apart for camera in pair}
+        # false links suggest a displacement, too: it is believed if it leaves a seam of the camera without a residual
+        return {camera for pair in apart for camera in pair} - agreeing
 
     @cached_property
     def _usable_seam_links(self) -> np.ndarray:

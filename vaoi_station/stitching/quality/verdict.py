@@ -18,13 +18,16 @@ from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Reason, ReasonCode, Status
 from vaoi_station.stitching.adjustment.observations import Ints
 from vaoi_station.stitching.adjustment.problem import FiducialPoints
+from vaoi_station.stitching.adjustment.row_motion import board_texture
 from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.cad_mapping import CadMapping
 from vaoi_station.stitching.board.fiducial_assignment import outside_share
 from vaoi_station.stitching.quality.absent_cameras import absent_camera_reasons
 from vaoi_station.stitching.quality.agreement import fiducial_reasons, outline_reasons, uncertain_detections
+from vaoi_station.stitching.quality.fiducial_sizes import wrong_size
 from vaoi_station.stitching.quality.findings import DISPLACED_PX, SEAM_LIMIT_PX, Findings
 from vaoi_station.stitching.quality.row_offsets import shifted_cameras
+from vaoi_station.stitching.quality.seam_causes import explain_seam
 from vaoi_station.stitching.quality.uncertainty import seam_sigma_px
 from vaoi_station.stitching.quality.unseen import unseen_reasons
 
@@ -64,8 +67,19 @@ def decide_verdict(f: Findings) -> tuple[Status, tuple[Reason, ...]]:
         # The same holds for lost rows: where the rows beside them are unconnected, no fiducial is where it should be.
         causes = (*absent, *(reason for reason in reasons if reason.code is ReasonCode.ROWS_LOST))
         failure = Reason(ReasonCode(f.found.code), f.found.reason)
-        return Status.FAILED, (*causes, failure, *(reason for reason in reasons if reason not in causes))
+        sizes = () if causes else _other_sizes(f, failure.code)
+        others = (reason for reason in reasons if reason not in causes)
+        return Status.FAILED, (*causes, *sizes, failure, *others)
     return (Status.DEGRADED if reasons else Status.OK), reasons
+
+
+def _other_sizes(f: Findings, failure: ReasonCode) -> tuple[Reason, ...]:
+    """Return a reason if the fiducials were not found because they have another size than the board type states."""
+    if failure is not ReasonCode.FIDUCIALS_NOT_FOUND or f.plane is None:
+        return ()
+    texture = board_texture(f.problem.links, f.moved)
+    found = wrong_size(f.plane.board_type, f.scene, f.expectation, f.moved.motion, texture)
+    return () if found is None else (found,)
 
 
 def _reasons(f: Findings) -> Iterator[Reason]:
@@ -149,11 +163,13 @@ def _cameras_in_wrong_rows(f: Findings) -> Iterator[Reason]:
 def _disagreeing_cameras(f: Findings) -> Iterator[Reason]:
     for (i, j), px in f.seams_px.items():
         if (i, j) not in f.row_offsets and px > SEAM_LIMIT_PX:
-            yield Reason(
-                ReasonCode.NOT_EXPLAINED,
-                f"cameras {i} and {j} disagree by {px:.2f} px (limit {SEAM_LIMIT_PX}): "
-                "a camera has moved, or the board is bent too much",
-            )
+            symptom = f"cameras {i} and {j} disagree by {px:.2f} px (limit {SEAM_LIMIT_PX})"
+            yield explain_seam(f.scene, f.links, (i, j), symptom, _lift_mm(f))
+
+
+def _lift_mm(f: Findings) -> float | None:
+    """Return the height of the board above the calibrated plane; None if it was not estimated."""
+    return float(f.adjusted.surface_mm[0]) if len(f.adjusted.surface_mm) else None
 
 
 def _displaced_cameras(f: Findings) -> Iterator[Reason]:
@@ -171,11 +187,8 @@ def _displaced_cameras(f: Findings) -> Iterator[Reason]:
 def _non_overlapping_cameras(f: Findings) -> Iterator[Reason]:
     for (i, j), rows in f.non_overlapping_pairs.items():
         if (i, j) not in f.row_offsets:
-            yield Reason(
-                ReasonCode.NOT_EXPLAINED,
-                f"cameras {i} and {j} show different things where they should overlap (in {rows} rows): "
-                "a camera has moved",
-            )
+            symptom = f"cameras {i} and {j} show different things where they should overlap (in {rows} rows)"
+            yield explain_seam(f.scene, f.links, (i, j), symptom, _lift_mm(f))
 
 
 def _missing_fiducials(b: _Placed) -> Iterator[Reason]:

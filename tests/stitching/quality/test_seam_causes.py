@@ -1,0 +1,127 @@
+"""The cause why two cameras disagree: each is named from the pixels, and none is called a moved camera."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tests.stitching.conftest import Filmed
+from tests.stitching.quality.test_findings import findings_of
+from vaoi_station.geometry import apply
+from vaoi_station.model import Reason, Status
+from vaoi_station.simulation import Twin, read_scenario, scenario_path
+from vaoi_station.stitching.quality.seam_causes import explain_seam
+from vaoi_station.stitching.quality.verdict import decide_verdict
+from vaoi_station.stitching.work import StitchSetup
+
+Frames = dict[tuple[int, int], NDArray[Any]]
+
+
+def film(**changes: dict[str, Any]) -> Filmed:
+    """Film the small board with changed keys of its scenario, by section."""
+    scenario = read_scenario(scenario_path("small"))
+    sections = {name: getattr(scenario, name).model_copy(update=keys) for name, keys in changes.items()}
+    twin = Twin(scenario.model_copy(update=sections))
+    passage = twin.passage(0)
+    head = passage.head()
+    cameras = twin.calibration.cameras(head.cameras)
+    setup = StitchSetup(cameras, head.conveyor_mm_s, head.trigger_period_s, twin.board_type)
+    return Filmed(head, twin.calibration, setup, passage.render_all(), passage.truth())
+
+
+def verdict(filmed: Filmed, frames: Frames | None = None) -> dict[str, str]:
+    """Return code and text of the reasons of a run that is not ok; none blames a camera without evidence."""
+    status, reasons = decide_verdict(findings_of(filmed, frames))
+    assert status is not Status.OK
+    assert not any("has moved" in text for _, text in reasons), reasons
+    return {code.value: text for code, text in reasons}
+
+
+def in_camera_1(frames: Frames, change: Callable[[NDArray[Any]], NDArray[Any]]) -> Frames:
+    return {key: change(p) if key[0] == 1 else p for key, p in frames.items()}
+
+
+def brighter(factor: float) -> Callable[[NDArray[Any]], NDArray[Any]]:
+    return lambda pixels: np.clip(pixels * factor, 0, 255).astype(np.uint8)
+
+
+def pushed(px: int) -> Callable[[NDArray[Any]], NDArray[Any]]:
+    return lambda pixels: pixels[:, np.clip(np.arange(pixels.shape[1]) - px, 0, pixels.shape[1] - 1)]
+
+
+def test_a_blank_overlap_is_blank() -> None:
+    reasons = verdict(film(board={"density": 0.0}))
+    assert "shows no texture beyond noise" in reasons["overlap-blank"]
+    assert "camera-displaced" not in reasons
+    assert "not-explained" not in reasons
+
+
+def test_a_board_far_below_the_plane_is_named_with_its_height() -> None:
+    reasons = verdict(film(board={"lift_mm": -3.0}))
+    assert "2.9 mm below the calibrated plane (limit 2 mm)" in reasons["board-off-plane"]
+
+
+@pytest.mark.parametrize("factor", [8.0, 20.0])
+def test_a_saturated_neighbour_is_named(filmed: Any, factor: float) -> None:
+    reasons = verdict(filmed, in_camera_1(filmed.frames, brighter(factor)))
+    assert "of the overlap is saturated in camera 1" in reasons["overlap-exposure"]
+
+
+def test_exposures_of_one_to_four_are_named() -> None:
+    """The middle camera exposes four times as long as the first, the last one a third."""
+    bright = film(array={"cameras": 3, "exposures_us": (250.0, 1000.0, 75.0)}, board={"width_mm": 90.0})
+    assert "camera 1" in verdict(bright)["overlap-exposure"]
+
+
+def test_texture_that_noise_hides_in_the_darker_camera_is_a_matter_of_exposure(filmed: Any) -> None:
+    g = np.random.default_rng(1)
+
+    def dark(pixels: NDArray[Any]) -> NDArray[Any]:
+        return np.clip(np.round(pixels * 0.1 + g.normal(4, 8, pixels.shape)), 2, 255).astype(np.uint8)
+
+    found = findings_of(filmed, in_camera_1(filmed.frames, dark))
+    code, text = explain_seam(found.scene, found.links, (0, 1), "cameras 0 and 1 disagree", None)
+    assert code == "overlap-exposure"
+    assert "times as bright as camera 1, and the noise hides its texture" in text
+
+
+@pytest.mark.parametrize(("pitch_mm", "off_px"), [(1.27, 10), (2.0, 12)])
+def test_a_grid_of_leds_is_a_repeated_pattern(pitch_mm: float, off_px: int) -> None:
+    """Their tops appear shifted in camera 1: the search finds a place that is wrong by whole spacings."""
+    filmed = film(array={"overlap": 1.3}, board={"density": 0.0})
+    frames = {}
+    for (i, j), pixels in filmed.frames.items():
+        y, x = np.mgrid[: pixels.shape[0], : pixels.shape[1]].astype(np.float64)
+        ground = filmed.setup.cameras[i].ground(np.stack([x.ravel() - off_px * i, y.ravel()], -1))
+        board = apply(np.linalg.inv(filmed.truth["row_motion"][j]), ground)
+        off_mm = np.hypot(*(board % pitch_mm - pitch_mm / 2).T).reshape(pixels.shape)
+        frames[i, j] = np.clip(pixels + 150 * np.exp(-((off_mm / 0.3) ** 2)), 0, 255).astype(np.uint8)
+    assert "fit at several places" in verdict(filmed, frames)["overlap-repetitive"]
+
+
+@pytest.mark.parametrize("px", [9, 36, 60, -18])
+def test_what_the_overlap_cannot_explain_is_not_explained(filmed: Any, px: int) -> None:
+    """The overlap of 36 px leaves too little to find such a displacement: it is not claimed, and not excluded."""
+    reasons = verdict(filmed, in_camera_1(filmed.frames, pushed(px)))
+    assert set(reasons) & {"camera-displaced", "overlap-blank", "overlap-exposure", "board-off-plane"} == set()
+    text = reasons["not-explained"]
+    assert "not explained by a displacement within ±4 mm that leaves an overlap" in text
+    assert "saturated" in text
+    assert "by height (" in text
+
+
+def test_a_displacement_that_explains_the_overlap_is_the_cause(filmed: Any) -> None:
+    status, reasons = decide_verdict(findings_of(filmed, in_camera_1(filmed.frames, pushed(2))))
+    assert status is Status.DEGRADED
+    assert [code for code, _ in reasons] == ["camera-displaced"]
+
+
+def test_without_frames_of_both_cameras_nothing_is_explained(filmed: Any) -> None:
+    found = findings_of(filmed, {key: p for key, p in filmed.frames.items() if key[0] == 0})
+    reason = explain_seam(found.scene, found.links, (0, 1), "cameras 0 and 1 disagree", None)
+    nothing = "cameras 0 and 1 disagree: no row has good frames of both cameras to compare"
+    assert reason == Reason("not-explained", nothing)  # type: ignore[arg-type]
