@@ -11,7 +11,7 @@ import pytest
 
 from vaoi_station.model import VISIBILITY, BoardType, Status, Visibility
 from vaoi_station.stitching.board.component_index import ComponentIndex
-from vaoi_station.stitching.quality.unseen import FilmedBoard, find_unseen, required_visibility
+from vaoi_station.stitching.quality.unseen import FilmedBoard, SeenFrames, find_unseen, required_visibility
 
 
 def with_changes(board_type: BoardType, **keys: Any) -> BoardType:
@@ -52,6 +52,20 @@ def test_a_lost_camera_degrades_and_names_its_components(filmed: Any) -> None:
     assert all(re.search(rf"\b{ref} \d+ %", reason) for ref in unseen)
 
 
+@pytest.mark.parametrize("kind", ["frozen", "black"])
+def test_a_camera_that_sends_other_pictures_than_those_of_the_board_degrades(filmed: Any, kind: str) -> None:
+    """All frames are complete, but those of camera 0 repeat the first one, or are black."""
+    first = filmed.frames[0, 0]
+    other = first if kind == "frozen" else np.zeros_like(first)
+    frames = {key: other if key[0] == 0 else pixels for key, pixels in filmed.frames.items()}
+    result = filmed.stitched(frames=frames)
+    assert result.status is not Status.OK
+    if result.cad_matrix is not None:
+        # the first frame of a camera that froze is a true one
+        lost = truly_unseen(filmed, [key for key in frames if key[0] == 1 or key == (0, 0)])
+        assert lost <= set(result.quality["unseen"])
+
+
 def test_rows_that_were_not_filmed_are_the_cause(filmed: Any) -> None:
     """The first three of six rows; the other rows show two fiducials."""
     frames = {(i, j - 3): pixels for (i, j), pixels in filmed.frames.items() if j >= 3}
@@ -66,11 +80,12 @@ def test_rows_that_were_not_filmed_are_the_cause(filmed: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("center", "lost", "cause"),
-    [((0, -60), [], "filming-ended"), ((0, 30), [], "filming-began"), ((60, 0), [], "beyond-view"),
-     ((0, 0), [(0, 0), (0, 1)], "frames-lost"), ((9.5, 0), [], "seam")],
+    ("center", "lost", "odd", "cause"),
+    [((0, -60), [], [], "filming-ended"), ((0, 30), [], [], "filming-began"), ((60, 0), [], [], "beyond-view"),
+     ((0, 0), [(0, 0), (0, 1)], [], "frames-lost"), ((9.5, 0), [], [], "seam"),
+     ((0, 0), [], [(0, 0), (0, 1)], "frames-unconfirmed")],
 )  # fmt: skip
-def test_the_cause_is_the_one_that_was_tested(workshop: Any, center: Any, lost: Any, cause: str) -> None:
+def test_the_cause_is_the_one_that_was_tested(workshop: Any, center: Any, lost: Any, odd: Any, cause: str) -> None:
     """Two cameras of 20 × 16 mm over two rows, 7 mm apart; a board that moves along y."""
     cameras = [workshop.camera((x, 0.0)) for x in (0.0, 19.0)]
     rows = np.repeat(np.eye(3)[None], 2, 0)
@@ -79,7 +94,8 @@ def test_the_cause_is_the_one_that_was_tested(workshop: Any, center: Any, lost: 
     kind = BoardType.model_validate({"name": "b", "y_axis": "down", "components": [part]})
     board = FilmedBoard(kind, ComponentIndex.of(kind), np.eye(3), cameras, rows, None)
     present = [(i, j) for i in range(2) for j in range(2) if (i, j) not in lost]
-    (unseen,) = find_unseen(board, present, np.array([0.0, 50.0]), Visibility())
+    frames = SeenFrames(present, [key for key in present if key not in odd])
+    (unseen,) = find_unseen(board, frames, np.array([0.0, 50.0]), Visibility())
     assert (unseen.address, unseen.cause) == ("U1", cause)
     assert (unseen.coverage == 1) == (cause == "seam")
 

@@ -20,14 +20,14 @@ from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.cad_mapping import CadMapping
 from vaoi_station.stitching.board.expectation import Expectation
 from vaoi_station.stitching.board.footprints import FootprintViews, landmarks
-from vaoi_station.stitching.matching.evidence import Links
+from vaoi_station.stitching.matching.evidence import FrameKey, Links
 from vaoi_station.stitching.matching.scene import Scene
 from vaoi_station.stitching.method import Method
 from vaoi_station.stitching.quality.heights import Height, component_heights
 from vaoi_station.stitching.quality.reference_share import reference_share, with_common_error
 from vaoi_station.stitching.quality.row_offsets import row_offset
 from vaoi_station.stitching.quality.uncertainty import PredictedSigma, predict_sigma, seam_sigma_px
-from vaoi_station.stitching.quality.unseen import FilmedBoard, UnseenComponent, find_unseen
+from vaoi_station.stitching.quality.unseen import FilmedBoard, SeenFrames, UnseenComponent, find_unseen
 
 _USED = 0.1
 """Weight above which a link counts as used."""
@@ -112,6 +112,22 @@ class Findings:
         return FootprintViews.of(landmarks(self.plane)[1], self.cad_matrix, self.scene.cameras, rows, self.surface)
 
     @cached_property
+    def confirmed(self) -> frozenset[FrameKey]:
+        """The good frames whose pictures fit the board's motion: by a used link, or by a point with CAD coordinates.
+
+        A frame that is black, covered or repeated is complete and fits nothing: it shows no component.
+        """
+        if not self.method.links:
+            # without links there is nothing that could confirm a frame between two fiducials
+            return frozenset(self.scene.present)
+        o, points = self.problem.links, self.problem.fiducials
+        groups = np.unique(o.group[self.adjusted.weight > _USED]).tolist()
+        frames = {key for g in groups for key in (o.groups[g].task.a, o.groups[g].task.b) if key is not None}
+        if points is not None:
+            frames |= set(zip(points.camera.tolist(), points.row.tolist(), strict=True))
+        return frozenset(frames & set(self.scene.present))
+
+    @cached_property
     def unseen(self) -> tuple[UnseenComponent, ...]:
         """The components that the good frames show too little of; empty without C."""
         if self.plane is None or self.cad_matrix is None:
@@ -120,7 +136,8 @@ class Findings:
         board = FilmedBoard(
             self.plane.board_type, self.plane.components, self.cad_matrix, self.scene.cameras, rows, self.surface
         )
-        return find_unseen(board, self.scene.present, self.problem.velocity_mm_s, self.visibility)
+        frames = SeenFrames(self.scene.present, self.confirmed)
+        return find_unseen(board, frames, self.problem.velocity_mm_s, self.visibility)
 
     @cached_property
     def heights(self) -> dict[str, Height]:

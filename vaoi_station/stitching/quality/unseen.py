@@ -20,7 +20,7 @@ from vaoi_station.stitching.board.component_index import ComponentIndex
 from vaoi_station.stitching.board.coverage import Coverage, component_coverage
 from vaoi_station.stitching.matching.evidence import FrameKey
 
-Cause = Literal["frames-lost", "filming-ended", "filming-began", "seam", "beyond-view"]
+Cause = Literal["frames-unconfirmed", "frames-lost", "filming-ended", "filming-began", "seam", "beyond-view"]
 
 _SLACK = 1e-9
 """Rounding of a share that is the sum of parts."""
@@ -61,6 +61,15 @@ class FilmedBoard(NamedTuple):
         )
 
 
+class SeenFrames(NamedTuple):
+    """The frames of a run, by what is known of them."""
+
+    present: Collection[FrameKey]
+    """Camera and row of the good frames."""
+    confirmed: Collection[FrameKey]
+    """Those good frames whose pictures fit the board; components in other frames count as unseen."""
+
+
 class _Asked(NamedTuple):
     """What is asked of each of n components."""
 
@@ -92,24 +101,25 @@ def _asked(required: Sequence[Visibility]) -> _Asked:
 
 
 def find_unseen(
-    board: FilmedBoard, present: Collection[FrameKey], velocity_mm_s: Floats, station: Visibility
+    board: FilmedBoard, frames: SeenFrames, velocity_mm_s: Floats, station: Visibility
 ) -> tuple[UnseenComponent, ...]:
-    """Find the components that the frames `present` show too little of, in the order of the board type.
+    """Find the components that the confirmed frames show too little of, in the order of the board type.
 
     Args:
         board: the board and its position.
-        present: camera and row of the good frames.
+        frames: the frames of the run.
         velocity_mm_s: (2,) nominal velocity of the conveyor.
         station: what the station asks for, unless the board type asks for something else.
     """
     required = required_visibility(board.board_type, station)
     asked = _asked(required)
     # Counting all views takes most of the time, and a number of views is rarely asked for.
-    at = np.flatnonzero(~asked.met(board.coverage(present, count_views=bool(asked.views.any()))))
+    at = np.flatnonzero(~asked.met(board.coverage(frames.confirmed, count_views=bool(asked.views.any()))))
     if not len(at):
         return ()
     few = board._replace(parts=board.parts.take(at))
-    seen, causes = few.coverage(present), _causes(few, asked.take(at), velocity_mm_s)
+    seen = few.coverage(frames.confirmed)
+    causes = _causes(few, frames.present, asked.take(at), velocity_mm_s)
     return tuple(
         UnseenComponent(
             few.parts.addresses[n],
@@ -147,6 +157,8 @@ def unseen_reasons(
 
 
 _EXPLANATIONS: dict[Cause, str] = {
+    "frames-unconfirmed": "frames that should show them fit neither the frames before and after them nor the board: "
+    "look at these pictures; a camera that is frozen, covered or without light sends such frames",
     "frames-lost": "repair what lost these frames and film the board again",
     "filming-ended": "the frames ended before these components had passed; check barrier, tail and number of rows, and "
     "film the board again",
@@ -159,13 +171,14 @@ _EXPLANATIONS: dict[Cause, str] = {
 }
 
 
-def _causes(board: FilmedBoard, asked: _Asked, velocity_mm_s: Floats) -> list[Cause]:
+def _causes(board: FilmedBoard, present: Collection[FrameKey], asked: _Asked, velocity_mm_s: Floats) -> list[Cause]:
     """Return the cause for each component of a board that has only components of which too little is seen."""
     complete = board.coverage(_all_frames(board))
     # Enough area, but not in one frame: no further frame of these cameras would change that.
     causes: list[Cause] = ["seam" if enough else "beyond-view" for enough in complete.share >= asked.coverage - _SLACK]
     # The tests follow in the order of their costs; those of more rows are needed for what lost frames do not explain.
-    open_ = _explain(causes, "frames-lost", np.arange(len(causes)), asked.met(complete))
+    open_ = _explain(causes, "frames-unconfirmed", np.arange(len(causes)), asked.met(board.coverage(present)))
+    open_ = _explain(causes, "frames-lost", open_, asked.met(complete)[open_])
     for cause, way in (("filming-ended", 1), ("filming-began", -1)):
         if len(open_):
             more = _with_more_rows(board._replace(parts=board.parts.take(open_)), way, velocity_mm_s)
