@@ -73,6 +73,17 @@ class ArraySection(Section):
         return self.exposures_us[camera % len(self.exposures_us)]
 
 
+class SpeedChange(Section):
+    """A time in which the belt runs at `factor` times its speed: 0 is a stop.
+
+    `at_s` counts from the time at which a board interrupts the barrier. Every board sees the change.
+    """
+
+    at_s: NotNegative
+    for_s: Positive
+    factor: Annotated[float, Field(ge=0, le=2)]
+
+
 class BeltSection(Section):
     """The motion of the conveyor, and the position of boards on it."""
 
@@ -90,6 +101,7 @@ class BeltSection(Section):
     offset_sigma_mm: NotNegative = 0.5
     wander_period_s: Positive = 0.8
     grey: Annotated[float, Field(ge=0, le=255)] = 18.0
+    changes: tuple[SpeedChange, ...] = ()
     seed: Index = 1
 
 

@@ -29,6 +29,7 @@ from vaoi_station.stitching.board.expectation import Expectation
 from vaoi_station.stitching.board.reference import Reference
 from vaoi_station.stitching.matching.evidence import Detections, Evidence, FrameKey, Links
 from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
+from vaoi_station.stitching.matching.relinking import RowLinks, relink_rows
 from vaoi_station.stitching.matching.scene import Scene
 from vaoi_station.stitching.method import METHODS, Method
 from vaoi_station.stitching.quality.findings import Findings
@@ -95,6 +96,8 @@ def conclude(
     stages = StageTimes()
     found = sort_evidence(evidence)
     problem = _links_problem(prior, times_s, found, link_store)
+    if prior.method.links:
+        found, problem = _relinked(scene, prior, problem, found, link_store)
     motion = _estimate_motion(scene, prior, problem, found)
     stages.finish("motion")
     mapping = _map_cad(scene, prior, problem, motion, found)
@@ -113,6 +116,7 @@ def conclude(
         prior.visibility,
         prior.reference.sigma_px if prior.reference else 0.0,
     )
+    findings = _without_unknown_rows(findings)
     status, reasons = decide_verdict(findings)
     quality = quality_document(findings) | _provenance(prior, stages)
     stages.finish("verdict")
@@ -139,6 +143,20 @@ def _links_problem(prior: PriorKnowledge, times_s: Floats, found: SortedEvidence
     """
     links = link_store.observations(found.links)
     return Problem(times_s, prior.velocity_mm_s, links, np.full(len(links), -1))
+
+
+def _relinked(
+    scene: Scene, prior: PriorKnowledge, problem: Problem, found: SortedEvidence, link_store: LinkStore
+) -> tuple[SortedEvidence, Problem]:
+    """Link rows again between which the belt did not move as its nominal speed says."""
+    o = problem.links
+    between = o.p != o.q
+    measured = RowLinks(o.p[between], o.q[between], o.b_mm[between] - o.a_mm[between])
+    links = relink_rows(found.links, measured, scene, prior.velocity_mm_s, problem.times_s)
+    if all(new is old for new, old in zip(links, found.links, strict=False)) and len(links) == len(found.links):
+        return found, problem
+    found = found._replace(links=links)
+    return found, _links_problem(prior, problem.times_s, found, link_store)
 
 
 def _estimate_motion(scene: Scene, prior: PriorKnowledge, problem: Problem, found: SortedEvidence) -> AdjustmentResult:
@@ -189,6 +207,24 @@ def _refine_motion(
         return adjust(replace(problem, cameras=scene.cameras), motion.motion)
     height = SurfaceBasis(np.ones((len(problem.links), 1)), np.ones((0, 1)), SIGMA_MM[:1])
     return adjust(replace(problem, surface=height, cameras=scene.cameras), motion.motion)
+
+
+def _without_unknown_rows(findings: Findings) -> Findings:
+    """Return the findings without the rows whose place is not known; without a CAD mapping if that is all of them."""
+    if findings.unplaceable:
+        return replace(
+            findings,
+            found=Failure(
+                "the board is not placed: no links connect the rows that show its fiducials, so that the distance of "
+                "the fiducials depends on the belt's nominal speed",
+                ReasonCode.ROWS_NOT_CONNECTED,
+            ),
+        )
+    rows = findings.unknown_rows
+    if not rows:
+        return findings
+    scene = replace(findings.scene, present=tuple(key for key in findings.scene.present if key[1] not in rows))
+    return replace(findings, scene=scene, unplaced=rows)
 
 
 def _corrected_scene(scene: Scene, motion: AdjustmentResult, mapping: CadMapping | Failure) -> Scene:

@@ -128,11 +128,25 @@ def test_a_board_larger_than_its_data_is_a_reason(filmed: Any) -> None:
 
 
 def test_unconnected_rows_are_a_reason(filmed: Any) -> None:
-    """Two blank rows: only the belt gives the distance of the second half from the first."""
+    """Two blank rows: only the belt gives the distance of the second half from the first, and belts stop."""
     frames = {key: np.full_like(p, 20) if key[1] in (2, 3) else p for key, p in filmed.frames.items()}
     result = filmed.stitched(frames=frames)
     assert result.status is not Status.OK
-    assert any("no links connect the rows 0–1, 4–5 with one another" in r for r in result.reasons), result.reasons
+    assert any("no links connect the rows 0–3 with the rows" in r for r in result.reasons), result.reasons
+    assert any("other rows are not placed: film the board again" in r for r in result.reasons), result.reasons
+    assert result.quality["unplaced_rows"] == [0, 1, 2, 3]
+    assert [m is not None for m in result.image_matrices[0]] == [False] * 4 + [True] * 2
+    assert result.components is not None
+    assert {row for views in result.components.values() for _, row, *_ in views} <= {4, 5}
+
+
+def test_a_board_whose_fiducials_no_links_connect_is_not_placed(filmed: Any) -> None:
+    """Every fiducial is in rows that only the belt's nominal speed connects to those of the others."""
+    lone = [f for f in filmed.board_type.fiducials if f.name in ("FID1", "FID2")]
+    frames = {key: np.full_like(p, 20) if key[1] in (2, 3) else p for key, p in filmed.frames.items()}
+    result = filmed.stitched(frames=frames, board_type=with_changes(filmed.board_type, fiducials=lone))
+    assert result.status is Status.FAILED
+    assert result.cad_matrix is None
 
 
 def test_empty_frames_fail_for_lack_of_texture(filmed: Any) -> None:

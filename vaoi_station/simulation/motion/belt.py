@@ -95,6 +95,8 @@ class BoardMotion:
     yaw_rad: float
     stop_s: float = math.inf
     """Time at which the board stops, in seconds since the start of the passage; infinite if it does not stop."""
+    changes_from_s: float = 0.0
+    """Time from which the belt's changes of speed count, in seconds since the start of the passage."""
 
     def pose(self, t_s: float, center_mm: tuple[float, float]) -> Floats:
         """Return tester_from_board at a time: a rigid transform (3, 3) from board mm to tester mm.
@@ -110,7 +112,7 @@ class BoardMotion:
         """Return tester x and y (mm) of the board's centre, and the rotation of the board (rad), at a time."""
         section = self.belt.section
         # A board that sticks stops at once, while the belt below it moves on.
-        t = min(t_s, self.stop_s)
+        t = self._belt_time_s(min(t_s, self.stop_s))
         now = self.start_s + t
         way = self.belt.travelled_mm(now) - self.belt.travelled_mm(self.start_s)
         skew = math.radians(section.skew_deg)
@@ -118,6 +120,17 @@ class BoardMotion:
         across = self.across_mm + way * math.sin(skew) + self.belt.sway_mm(now)
         angle = self.yaw_rad + self.belt.yaw_rad(now) + math.radians(section.yaw_rate_deg_s) * t
         return across, section.direction * along, angle
+
+    def _belt_time_s(self, t_s: float) -> float:
+        """Return the time in which a belt without changes of its speed would have come as far.
+
+        All that varies with the belt's motion varies with this time: a board on a belt at rest does not sway.
+        """
+        t = t_s
+        for change in self.belt.section.changes:
+            begin = self.changes_from_s + change.at_s
+            t -= (1 - change.factor) * min(max(t_s - begin, 0.0), change.for_s)
+        return t
 
 
 def board_motion(

@@ -57,6 +57,7 @@ def timetable(scenario: Scenario, board_number: int) -> Timetable:
     across = array_center_mm(scenario)
     way = board_motion(belt, board_number, start_s=start_s, start_along_mm=0.0, across_mm=across, turned_deg=turned)
     # The start position is chosen so that the board interrupts the barrier exactly `approach_s` after the start.
+    way = replace(way, changes_from_s=line.approach_s)
     lead = belt.direction * way.center(line.approach_s)[1]
     way = replace(way, start_along_mm=barrier - half - lead)
 

@@ -28,6 +28,11 @@ SWAY_MM = 0.15
 """Standard deviation of the motion across the belt between two rows."""
 YAW_RAD = 0.003
 """Standard deviation of the rotation between two rows."""
+SLIP_SHARE, PLAY_MM = 0.15, 1.0
+"""Links are first searched within this share of the nominal motion, plus `PLAY_MM`. A larger deviation from the mean
+motion is not slip: the belt has stopped, or changed its speed."""
+_UNKNOWN_SHARE = 0.5
+"""Standard deviation of the steps without links in a run whose belt stopped or changed its speed, relative."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,6 +120,28 @@ def belt_equations(motion: Motion, times_s: Floats, velocity_mm_s: Floats) -> tu
     step[:2, 1:], step[2, 0] = frame, 1
     both = np.concatenate([-step, step], 1)
     return 3 * np.arange(m - 1)[:, None] + np.arange(6), both / sigma[:, :, None], residual
+
+
+def let_irregular_steps_free(rest: Floats, slopes: Floats, step_mm: Floats, linked: np.ndarray) -> None:
+    """Change the equations of `belt_equations` where links show that the belt stopped or changed its speed.
+
+    Such a step is predicted by itself: the belt's mean speed would pull it. The other steps without links may then have
+    any speed. The equations of a belt that only slips are not changed.
+
+    Args:
+        rest: (m − 1, 3) constant terms.
+        slopes: (m − 1, 3, 6) coefficients.
+        step_mm: (m − 1,) way of each step at the velocity of the prediction.
+        linked: (m − 1,) whether links connect rows across each step.
+    """
+    sigma_mm = STEP_TOLERANCE * np.abs(step_mm) + 0.01
+    irregular = linked & (np.abs(rest[:, 0]) * sigma_mm > SLIP_SHARE * np.abs(step_mm) + PLAY_MM)
+    if not irregular.any():
+        return
+    rest[irregular, 0] = 0.0
+    wider = sigma_mm[~linked] / (_UNKNOWN_SHARE * np.abs(step_mm[~linked]) + PLAY_MM)
+    rest[~linked, 0] *= wider
+    slopes[~linked, 0] *= wider[:, None]
 
 
 @compiled

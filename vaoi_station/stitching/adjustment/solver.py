@@ -51,7 +51,13 @@ from vaoi_station.stitching.adjustment.link_equations import (
     compute_residuals,
     compute_weights,
 )
-from vaoi_station.stitching.adjustment.motion import SPEED_TOLERANCE, STEP_TOLERANCE, Motion, belt_equations
+from vaoi_station.stitching.adjustment.motion import (
+    SPEED_TOLERANCE,
+    STEP_TOLERANCE,
+    Motion,
+    belt_equations,
+    let_irregular_steps_free,
+)
 from vaoi_station.stitching.adjustment.noise_floor import noise_floor
 from vaoi_station.stitching.adjustment.observations import Ints, Observations
 from vaoi_station.stitching.adjustment.problem import AdjustmentResult, Problem
@@ -265,7 +271,10 @@ class _Solver:
             # weighted mean of the steps and the nominal speed, each with its own variance
             prior = STEP_TOLERANCE**2 / SPEED_TOLERANCE**2
             velocity = (steps.sum(0) + prior * velocity) / (len(steps) + prior)
-        return belt_equations(self.motion, problem.times_s, velocity)
+        columns, slopes, rest = belt_equations(self.motion, problem.times_s, velocity)
+        if self.rows > 1:
+            let_irregular_steps_free(rest, slopes, dt * float(np.hypot(*velocity)), self.linked_steps)
+        return columns, slopes, rest
 
     def _surface(self) -> Equations:
         """Return the prior of the surface: every coefficient is 0 with its prior standard deviation."""

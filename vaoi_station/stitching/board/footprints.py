@@ -81,6 +81,11 @@ class FootprintViews:
         order = np.argsort(point, kind="stable")
         return FootprintViews(point[order], *(values[order] for values in others))
 
+    def without_rows(self, rows: Sequence[int]) -> FootprintViews:
+        """Return the views of all other rows."""
+        keep = ~np.isin(self.row, rows)
+        return FootprintViews(self.point[keep], self.camera[keep], self.row[keep], self.place_mm[keep], self.px[keep])
+
 
 def views_by_address(addresses: Sequence[str], views: FootprintViews) -> dict[str, tuple[View, ...]]:
     """Return the views of each footprint's centre: {address: ((camera, row, x, y), …)}, x and y in raw pixels."""

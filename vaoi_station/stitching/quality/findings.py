@@ -23,6 +23,7 @@ from vaoi_station.stitching.board.footprints import FootprintViews, landmarks
 from vaoi_station.stitching.matching.evidence import FrameKey, Links
 from vaoi_station.stitching.matching.scene import Scene
 from vaoi_station.stitching.method import Method
+from vaoi_station.stitching.quality.covariances import largest_sigma
 from vaoi_station.stitching.quality.heights import Height, component_heights
 from vaoi_station.stitching.quality.reference_share import reference_share, with_common_error
 from vaoi_station.stitching.quality.row_offsets import row_offset
@@ -39,6 +40,8 @@ DISPLACED_PX = 0.20
 """Largest displacement of a camera since its calibration, rms over the frame, that is corrected without a reason."""
 _SIGNIFICANT = 4.0
 """Standard deviations from which on the displacements of all cameras together are significant."""
+_PLACED_SIGMA_PX = 2.0
+"""Largest standard deviation of a position in a row that neither links nor points of the CAD data tie to the others."""
 _SEAM_LINKS = 12
 """Least number of links between two cameras that show whether the cameras agree."""
 
@@ -62,6 +65,8 @@ class Findings:
     """How much of every component the frames must show, unless the board type asks for something else."""
     reference_sigma_px: float = 0.0
     """Standard deviation of positions by the CAD mapping of the reference; 0 without a reference."""
+    unplaced: tuple[int, ...] = ()
+    """Rows with good frames that are not placed, because nothing shows where the board was; not part of `scene`."""
 
     @property
     def mapping(self) -> CadMapping | None:
@@ -109,7 +114,8 @@ class Findings:
         if self.plane is None or self.cad_matrix is None:
             return None
         rows = self.adjusted.motion.rows_from_tester
-        return FootprintViews.of(landmarks(self.plane)[1], self.cad_matrix, self.scene.cameras, rows, self.surface)
+        views = FootprintViews.of(landmarks(self.plane)[1], self.cad_matrix, self.scene.cameras, rows, self.surface)
+        return views.without_rows(self.unplaced) if self.unplaced else views
 
     @cached_property
     def confirmed(self) -> frozenset[FrameKey]:
@@ -174,6 +180,39 @@ class Findings:
         if points is None:
             return False
         return len(np.unique(points.cad[np.isin(points.row, rows)], axis=0)) >= 2
+
+    @cached_property
+    def unknown_rows(self) -> tuple[int, ...]:
+        """Rows whose place is not known: only the belt's nominal speed gives it, and belts stop or slow down.
+
+        These are groups of rows that no link connects to the rows which CAD points place, and which have no CAD point
+        of their own, and rows beside those groups in which a position is uncertain by more than `_PLACED_SIGMA_PX`.
+        """
+        if self.mapping is None or not self.method.links:
+            return ()
+        main = self._rows_fixed_by_cad
+        points = self.problem.fiducials
+        with_points = set(points.row.tolist()) if points is not None else set()
+        unknown = {
+            row
+            for g in self.connected_groups
+            if not main & set(g.tolist()) and not with_points & set(g.tolist())
+            for row in g.tolist()
+        }
+        vague = largest_sigma(self.sigma.covariance_px2) > _PLACED_SIGMA_PX
+        unknown |= set(self.sigma.seen_in[vague, 1].tolist()) - main
+        return tuple(sorted(unknown & {row for _, row in self.scene.present}))
+
+    @property
+    def unplaceable(self) -> bool:
+        """Whether no rows that are connected show two CAD points: the place of the whole board is then unknown."""
+        several = self.mapping is not None and self.method.links and len(self.connected_groups) > 1
+        return several and not self._rows_fixed_by_cad
+
+    @cached_property
+    def _rows_fixed_by_cad(self) -> set[int]:
+        """The rows of those groups that CAD points place without any other group."""
+        return {row for g in self.connected_groups if self._fixed_by_cad(g) for row in g.tolist()}
 
     @cached_property
     def seam_of_link(self) -> np.ndarray:

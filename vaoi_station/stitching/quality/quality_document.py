@@ -38,6 +38,7 @@ def quality_document(f: Findings) -> dict[str, Any]:
         "unlinked": [
             {"a": list(e.task.a), "b": list(e.task.b or ()), "reason": e.note} for e in f.links if not len(e.a_px)
         ],
+        "unplaced_rows": list(f.unplaced),
         "residual_px": {
             "median": _rounded(float(np.sqrt(np.median((a.link_px**2).sum(1)[used])))) if used.any() else None,
             "scatter": _rounded(a.floor_px),

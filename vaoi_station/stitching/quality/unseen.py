@@ -134,7 +134,12 @@ def find_unseen(
 
 
 def unseen_reasons(
-    unseen: Sequence[UnseenComponent], total: int, cameras: int, rows: int, present: Collection[FrameKey]
+    unseen: Sequence[UnseenComponent],
+    total: int,
+    cameras: int,
+    rows: int,
+    present: Collection[FrameKey],
+    unplaced: Collection[int] = (),
 ) -> Iterable[Reason]:
     """Yield one reason for each cause, with the names of the components and what to do.
 
@@ -144,11 +149,14 @@ def unseen_reasons(
         cameras: number of cameras.
         rows: number of rows.
         present: camera and row of the good frames.
+        unplaced: rows with good frames that are not placed, and therefore not in `present`.
     """
     for cause, explanation in _EXPLANATIONS.items():
         mine = [u for u in unseen if u.cause == cause]
         if mine:
             lost = f"{_lost_frames(cameras, rows, present)}: " if cause == "frames-lost" else ""
+            if lost and unplaced:
+                lost, explanation = "other rows are not placed: ", "film the board again"  # noqa: PLW2901
             yield Reason(
                 ReasonCode.COMPONENTS_UNSEEN,
                 f"the good frames show too little of {len(mine)} of {total} components "

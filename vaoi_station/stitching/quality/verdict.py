@@ -101,6 +101,9 @@ def _no_texture(f: Findings) -> Iterator[Reason]:
 
 
 def _unconnected_rows(f: Findings) -> Iterator[Reason]:
+    if f.unplaced:
+        yield from _unplaced_rows(f)
+        return
     groups = _groups_of_rows(f)
     if len(groups) < 2:
         return
@@ -133,6 +136,32 @@ def _groups_of_rows(f: Findings) -> list[Ints]:
         if first > last + 1 and not spanned and all(sides[0]) and not all(sides[1]):
             return [placed[placed <= last], placed[placed >= first]]
     return f.connected_groups
+
+
+def _unplaced_rows(f: Findings) -> Iterator[Reason]:
+    """Name the rows that are not placed, unless they are needless: rows at the board's ends that hardly show it."""
+    if not f.unseen and not any(set(f.unplaced) & set(g.tolist()) for g in f.connected_groups):
+        return
+    rows = ", ".join(f"{a}" if a == b else f"{a}–{b}" for a, b in _ranges(f.unplaced))
+    unlinked = (
+        f"no links connect the rows {rows} with the rows in which the board is placed: how far the belt moved "
+        "in between is not known, and these rows have no matrices and no views"
+    )
+    lost = [row for row, placed in enumerate(f.placed) if not placed and row not in f.unplaced]
+    if not lost:
+        yield Reason(ReasonCode.ROWS_NOT_CONNECTED, f"{unlinked}. Check the belt, and film the board again")
+        return
+    yield Reason(
+        ReasonCode.ROWS_LOST,
+        f"no camera delivered a good frame of row{'s' if len(lost) > 1 else ''} {', '.join(map(str, lost))}, and "
+        f"{unlinked}: repair what lost these frames and film the board again",
+    )
+
+
+def _ranges(rows: tuple[int, ...]) -> list[tuple[int, int]]:
+    """Return the first and the last row of each group of consecutive rows."""
+    ends = [(a, b) for a, b in pairwise(rows) if b > a + 1]
+    return list(zip((rows[0], *(b for _, b in ends)), (*(a for a, _ in ends), rows[-1]), strict=True))
 
 
 def _scattered_links(f: Findings) -> Iterator[Reason]:
@@ -253,7 +282,7 @@ def _uncertain_positions(b: _Placed) -> Iterator[Reason]:
 
 def _unseen_components(b: _Placed) -> Iterable[Reason]:
     f, total = b.findings, len(b.plane.board_type.components)
-    return unseen_reasons(f.unseen, total, len(f.scene.cameras), f.rows, f.scene.present)
+    return unseen_reasons(f.unseen, total, len(f.scene.cameras), f.rows, f.scene.present, f.unplaced)
 
 
 def _uncertain_calibration(f: Findings) -> str:

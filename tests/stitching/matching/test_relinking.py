@@ -1,0 +1,96 @@
+"""Boards on belts that stop, slow down or hurry: found from the pictures, or not placed and said so."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vaoi_station.model import Status
+from vaoi_station.simulation import Twin, read_scenario, scenario_path
+from vaoi_station.simulation.scenario import Scenario, SpeedChange
+from vaoi_station.stitching.matching.evidence import Links
+from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
+from vaoi_station.stitching.matching.relinking import RowLinks, relink_rows
+from vaoi_station.stitching.matching.scene import Scene
+from vaoi_station.stitching.work import StitchSetup, TaskRunner, all_tasks
+
+
+def filmed_on(belt: dict[str, Any], **array: Any) -> tuple[Any, Any, Any]:
+    """Film the small board on another belt; return recording head, setup and passage."""
+    known: Scenario = read_scenario(scenario_path("small"))
+    line = known.line.model_copy(update={"longest_board_mm": 150.0, "tail_s": 1.3})
+    scenario = known.model_copy(
+        update={
+            "belt": known.belt.model_copy(update=belt),
+            "line": line,
+            "array": known.array.model_copy(update=array),
+        }
+    )
+    twin = Twin(scenario)
+    passage = twin.passage(0)
+    head = passage.head()
+    setup = StitchSetup(
+        twin.calibration.cameras(head.cameras), head.conveyor_mm_s, head.trigger_period_s, twin.board_type
+    )
+    return head, setup, passage
+
+
+def stitched(head: Any, setup: StitchSetup, frames: dict[tuple[int, int], Any]) -> Any:
+    runner = TaskRunner(setup, lambda i, j: frames.get((i, j)))
+    times = head.row_times_s()
+    tasks = all_tasks(frames, dict(enumerate(times)), setup)
+    return runner.conclude(times, tuple(frames), [runner.perform(task) for task in tasks])
+
+
+def worst_px(result: Any, truth: Any) -> float:
+    ours = {(ref, i, j): (x, y) for ref, views in result.components.items() for i, j, x, y in views}
+    off = [
+        np.hypot(ours[ref, i, j][0] - x, ours[ref, i, j][1] - y)
+        for ref, views in truth["views"].items()
+        for i, j, x, y in views
+        if result.image_matrices[i][j] is not None
+    ]
+    return float(max(off))
+
+
+BELTS: dict[str, dict[str, Any]] = {
+    "stop": {"changes": (SpeedChange(at_s=0.62, for_s=0.4, factor=0.0),)},
+    "slow": {"speed_error": -0.4},
+    "slow for a while": {"changes": (SpeedChange(at_s=0.6, for_s=0.5, factor=0.45),)},
+}
+
+
+@pytest.mark.parametrize("belt", BELTS.values(), ids=BELTS)
+def test_a_belt_that_stops_or_slows_down_is_followed(belt: dict[str, Any]) -> None:
+    head, setup, passage = filmed_on(belt)
+    result = stitched(head, setup, passage.render_all())
+    assert result.status == Status.OK, result.reasons
+    assert worst_px(result, passage.truth()) < 0.15
+
+
+def test_static_structure_in_the_scene_is_no_stop(workshop: Any) -> None:
+    camera = workshop.camera(size_px=(320, 240), px_per_mm=10.0)
+    dirt = workshop.waves(seed=5, finest=0.8, coarsest=6.0).seen_by(camera, lambda at: at)
+    noise = np.random.default_rng(3)
+    frames = [workshop.digitised(dirt + noise.normal(0, 2, dirt.shape)) for _ in range(4)]
+    board = workshop.waves(seed=9, finest=0.8, coarsest=6.0)
+    # the board moves by 3 mm from row to row in the lower half of the frames, far less than the nominal 10 mm
+    for j, frame in enumerate(frames):
+        frame[100:] = board.seen_by(camera, lambda at, j=j: at - np.array([0.0, 3.0 * j]))[100:]
+    prepared = {(0, j): PreparedFrame(frame) for j, frame in enumerate(frames)}
+    scene = Scene((camera,), tuple(sorted(prepared)), prepared.__getitem__)
+    none = RowLinks(np.zeros(0, int), np.zeros(0, int), np.zeros((0, 2)))
+    links = relink_rows((), none, scene, np.array([0.0, 100.0]), 0.1 * np.arange(4))
+    moved = {e.task.b[1]: np.median((camera.ground(e.b_px) - camera.ground(e.a_px))[:, 1]) for e in links if e.task.b}
+    assert moved == pytest.approx({1: 3.0, 2: 3.0, 3: 3.0}, abs=0.05)
+
+
+def test_links_at_the_nominal_motion_stay_as_they_are(filmed: Any) -> None:
+    runner = TaskRunner(filmed.setup, filmed.frame)
+    tasks = all_tasks(filmed.present, dict(enumerate(filmed.times_s)), filmed.setup)
+    evidence = [runner.perform(task) for task in tasks]
+    _, findings = runner.conclude_with_findings(filmed.times_s, filmed.present, evidence)
+    found = {e.task: e for e in evidence if isinstance(e, Links)}
+    assert all(e is found[e.task] for e in findings.links)

@@ -1,0 +1,115 @@
+"""Search the motion of the board between two rows in the whole range that a belt can move, by correlation.
+
+The reduced, high-passed frames of each camera are correlated at all shifts at once by Fourier transforms. The sums of
+all cameras are added at the shifts that one motion on the conveyor's plane causes in each of them, so that the texture
+of the whole row decides. The result is several candidates; only links of patches show which of them is right.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from vaoi_station.geometry.transforms import Floats
+from vaoi_station.stitching.matching.coarse_search import best_peaks
+from vaoi_station.stitching.matching.link import FramePair
+from vaoi_station.stitching.matching.overlap import predict
+
+FASTEST = 1.5
+"""Largest motion between two rows that is searched, as a share of the nominal one. The smallest is none."""
+_ACROSS_MM = 2.0
+"""Largest motion across the belt between two rows that is searched."""
+_BACK_MM = 1.0
+"""Range of the search against the belt's direction: a board at rest has its peak at 0, and a peak needs neighbours."""
+_LEAST_OVERLAP = 0.12
+"""Least share of a frame that both rows must show."""
+_MIN_CONTRAST = 1.0
+"""Contrast, rms of the high-passed grey levels, below which a frame counts as empty."""
+_MIN_SCORE = 0.12
+"""Smallest correlation of a candidate. It is low: links decide, and parts that lean reduce the correlation."""
+_CANDIDATES = 5
+
+
+@dataclass(frozen=True, eq=False)
+class _Sums:
+    """The sums of one pair of frames over their common pixels at every cyclic shift (h, w) of the reduced frames."""
+
+    products: Floats
+    energy_a: Floats
+    energy_b: Floats
+    overlap: Floats
+    """Number of common pixels, as a share of the frame."""
+
+
+def candidate_motions(pairs: Sequence[FramePair]) -> list[Floats]:
+    """Return motions (2,) in mm of the board from rows p to q that fit their pictures, the most likely first.
+
+    Args:
+        pairs: the frames of rows p and q of each camera; `shift_mm` is the nominal motion, which gives direction and
+            range.
+    """
+    textured = [pair for pair in pairs if min(_contrast(pair.a.coarse), _contrast(pair.b.coarse)) >= _MIN_CONTRAST]
+    if not textured:
+        return []
+    nominal = textured[0].shift_mm
+    way = float(np.hypot(*nominal))
+    if way <= 0:
+        return []
+    along = np.asarray(nominal) / way
+    cell = max(pair.a.factor / pair.camera_a.px_per_mm for pair in textured)
+    # whole cells, so that a motion of exactly 0 is one of the samples
+    u = np.arange(-math.ceil(_BACK_MM / cell) - 1, math.ceil(FASTEST * way / cell) + 2) * cell
+    v = np.arange(-math.ceil(_ACROSS_MM / cell), math.ceil(_ACROSS_MM / cell) + 1) * cell
+    across = np.array([-along[1], along[0]])
+    motion = u[None, :, None] * along + v[:, None, None] * across
+    products, energy_a, energy_b, overlap = (np.zeros(motion.shape[:2]) for _ in range(4))
+    for pair in textured:
+        sums, (at, within) = _correlated(pair), _pixels(pair, motion)
+        products += np.where(within, sums.products[at], 0.0)
+        energy_a += np.where(within, sums.energy_a[at], 0.0)
+        energy_b += np.where(within, sums.energy_b[at], 0.0)
+        overlap += np.where(within, sums.overlap[at], 0.0) / len(textured)
+    energy = np.sqrt(np.maximum(energy_a * energy_b, 0.0))
+    whole = max(float(energy.max()), 1e-9)
+    # at shifts at which the frames share hardly any texture, the correlation of noise is large
+    known = (overlap >= _LEAST_OVERLAP) & (energy > 0.02 * whole)
+    score = np.where(known, products / np.maximum(energy, 1e-9 * whole), 0.0).astype(np.float32)
+    peaks = best_peaks(np.ascontiguousarray(score), _CANDIDATES).tolist()
+    return [(u[0] + x * cell) * along + (v[0] + y * cell) * across for s, x, y in peaks if s >= _MIN_SCORE]
+
+
+def _contrast(coarse: np.ndarray) -> float:
+    return math.sqrt(float(np.vdot(coarse, coarse)) / max(coarse.size, 1))
+
+
+def _correlated(pair: FramePair) -> _Sums:
+    """Correlate the reduced frames of a pair at all shifts, by Fourier transforms with zeros beside the frames."""
+    a, b = (np.asarray(frame.coarse, dtype=np.float64) for frame in (pair.a, pair.b))
+    # half a frame more would do for most shifts; the whole frame is certain
+    shape = (a.shape[0] + b.shape[0], a.shape[1] + b.shape[1])
+    inside_a, inside_b = np.ones(a.shape), np.ones(b.shape)
+    fa, fb, fa2, fb2, ma, mb = (np.fft.rfft2(x, shape) for x in (a, b, a * a, b * b, inside_a, inside_b))
+
+    def at_shifts(x: np.ndarray, y: np.ndarray) -> Floats:
+        return np.asarray(np.fft.irfft2(np.conj(x) * y, shape))
+
+    return _Sums(at_shifts(fa, fb), at_shifts(fa2, mb), at_shifts(ma, fb2), at_shifts(ma, mb) / a.size)
+
+
+def _pixels(pair: FramePair, motion: Floats) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
+    """Return the indices into the sums of a pair at which a board at the centre of the frame has moved by `motion`.
+
+    The second value tells where the frames still overlap after this motion.
+    """
+    centre = np.array([pair.camera_a.center_px])
+    # the picture's shift is linear in the motion to a reduced pixel or two
+    by_x, by_y = (predict(centre, pair.camera_a, pair.camera_b, np.array(e))[0] for e in ((1.0, 0.0), (0.0, 1.0)))
+    still = predict(centre, pair.camera_a, pair.camera_b, np.zeros(2))[0]
+    jacobian = np.stack([by_x - still, by_y - still], 1)
+    shift = np.rint((motion @ jacobian.T + (still - centre[0])) / pair.a.factor).astype(np.int64)
+    h, w = (x + y for x, y in zip(pair.a.coarse.shape, pair.b.coarse.shape, strict=True))
+    within = (np.abs(shift[..., 1]) < pair.a.coarse.shape[0]) & (np.abs(shift[..., 0]) < pair.a.coarse.shape[1])
+    return (shift[..., 1] % h, shift[..., 0] % w), within

@@ -1,0 +1,267 @@
+"""Link rows again between which the belt moved otherwise than its nominal speed says: slower, faster, or not at all.
+
+The links of a run are searched near the nominal motion, frame by frame, as the frames arrive. Where those of two
+consecutive rows are too few or disagree, the motion is searched here in its whole range, for all cameras together, and
+the rows are linked around the motion found. A run whose belt keeps its speed is not changed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from vaoi_station.geometry.transforms import Floats
+from vaoi_station.stitching.matching.evidence import Links, Task
+from vaoi_station.stitching.matching.link import FramePair, link_rows
+from vaoi_station.stitching.matching.motion_search import candidate_motions
+from vaoi_station.stitching.matching.patches import inside_both, match_patches
+from vaoi_station.stitching.matching.scene import Scene
+
+_AGREE_MM = 0.5
+"""Largest distance from the median at which links of two rows agree. Parts that lean, and turns, cause it."""
+_CERTAIN, _SHARE = 24, 0.4
+"""Number of agreeing links, and share of the tried corners, from which on a motion found is certain."""
+_FEW, _MOST = 8, 0.6
+"""The same where an overlap has few corners: at least `_FEW` links, of at least the share `_MOST` of the corners.
+Links near the nominal motion of at least this number and share need no search: pins of parts and other periodic
+texture reached the share 0.3 at a wrong motion, where the right one reached 0.9."""
+_BETTER = 2.0
+"""By which factor the agreeing links around a motion found must outnumber those around the nominal motion."""
+_REST_MM = 1.0
+"""Motion between two rows up to which the board counts as at rest. The scene's static structure is then excluded."""
+_STATIC_PX, _STATIC_SCORE = 1.5, 0.8
+"""A link is static if its patch shows in the same place, within `_STATIC_PX` px and with a correlation of at least
+`_STATIC_SCORE`, in a row before or after the board was at rest."""
+
+
+class RowLinks(NamedTuple):
+    """The k links between rows near the nominal motion: their rows, and the motion that each of them measures."""
+
+    p: np.ndarray
+    """(k,) row of the first frame."""
+    q: np.ndarray
+    """(k,) row of the second frame."""
+    motion_mm: Floats
+    """(k, 2) motion of the board from row p to row q on the conveyor's plane."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """The links of all cameras between two rows around one motion."""
+
+    motion_mm: Floats
+    links: tuple[Links, ...]
+    agreeing: int
+
+    @property
+    def certain(self) -> bool:
+        """Whether false links do not explain them."""
+        return _certain(self.agreeing, sum(e.tried for e in self.links))
+
+    @property
+    def at_rest(self) -> bool:
+        return float(np.hypot(*self.motion_mm)) < _REST_MM
+
+
+@dataclass(frozen=True, eq=False)
+class _Relinker:
+    """The frames of a run, and what is known about the motion between its rows."""
+
+    scene: Scene
+    velocity_mm_s: Floats
+    times_s: Floats
+    rows: tuple[int, ...] = ()
+    """Rows with frames, sorted."""
+    step_mm: dict[tuple[int, int], Floats] = field(default_factory=dict)
+    """Motion between consecutive rows with frames: as found, by links near the nominal one, else the nominal one."""
+
+    def pairs(self, p: int, q: int, motion_mm: Floats) -> list[tuple[Task, FramePair]]:
+        """Return the tasks that link rows p and q, camera by camera, with their frames."""
+        present, dt_s = set(self.scene.present), round(float(self.times_s[q] - self.times_s[p]), 6)
+        out = []
+        for i, camera in enumerate(self.scene.cameras):
+            if (i, p) in present and (i, q) in present:
+                a, b = self.scene.prepared((i, p)), self.scene.prepared((i, q))
+                out.append((Task("rows", (i, p), (i, q), dt_s), FramePair(a, b, camera, camera, motion_mm)))
+        return out
+
+    def link(self, p: int, q: int, motion_mm: Floats) -> _Found:
+        """Link rows p and q around a motion (2,)."""
+        return self.counted(motion_mm, tuple(link_rows(task, pair) for task, pair in self.pairs(p, q, motion_mm)))
+
+    def counted(self, motion_mm: Floats, links: tuple[Links, ...]) -> _Found:
+        """Count the links that agree, and return the motion that they measure; without links that which is given."""
+        each = [
+            self.scene.cameras[e.task.a[0]].ground(e.b_px) - self.scene.cameras[e.task.a[0]].ground(e.a_px)
+            for e in links
+            if len(e.a_px)
+        ]
+        if not each:
+            return _Found(motion_mm, links, 0)
+        measured = np.concatenate(each)
+        return _Found(np.median(measured, axis=0), links, _agreeing(measured))
+
+    def search(self, p: int, q: int, before: int) -> list[_Found]:
+        """Search the motion from row p to row q; return those that links confirm, that with the most links first.
+
+        `before` is the number of agreeing links around the nominal motion.
+        """
+        nominal = self.velocity_mm_s * (self.times_s[q] - self.times_s[p])
+        found = []
+        for motion in candidate_motions([pair for _, pair in self.pairs(p, q, nominal)]):
+            one = self.link(p, q, motion)
+            if one.certain and one.agreeing >= _BETTER * before:
+                found.append(one)
+        return sorted(found, key=lambda one: -one.agreeing)
+
+    def without_static(self, one: _Found, outside: Sequence[int]) -> _Found:
+        """Return the links without those of texture that is in the same place in one of the rows `outside`."""
+        present = set(self.scene.present)
+        kept = []
+        for e in one.links:
+            moving = np.ones(len(e.a_px), dtype=np.bool_)
+            a = self.scene.prepared(e.task.a).grey
+            for row in outside:
+                if (e.task.a[0], row) in present and len(e.a_px):
+                    moving &= ~_shows(a, self.scene.prepared((e.task.a[0], row)).grey, e.a_px)
+            kept.append(_selected(e, moving))
+        return self.counted(one.motion_mm, tuple(kept))
+
+
+def relink_rows(
+    links: Sequence[Links], measured: RowLinks, scene: Scene, velocity_mm_s: Floats, times_s: Floats
+) -> tuple[Links, ...]:
+    """Return the links of a run, with those of rows between which the motion was not the nominal one linked again.
+
+    Args:
+        links: all links of the run near the nominal motion, sorted by task; those between cameras are not changed.
+        measured: the same links between rows, as motions on the conveyor's plane.
+        scene: cameras and frames.
+        velocity_mm_s: (2,) nominal velocity of the conveyor.
+        times_s: (m,) time of every row's pulse.
+    """
+    run = _Relinker(scene, velocity_mm_s, times_s, tuple(sorted({row for _, row in scene.present})))
+    found = _find_steps(run, links, measured)
+    if not found:
+        return tuple(links)
+    new = {e.task[:3]: e for one in found.values() for e in one.links}
+    for e in links:
+        if e.task.kind == "rows" and e.task[:3] not in new and e.task.b is not None:
+            steps = _steps_between(run.rows, e.task.a[1], e.task.b[1])
+            if any(step in found for step in steps):
+                motion = np.sum([run.step_mm[step] for step in steps], axis=0)
+                camera = e.task.a[0]
+                a, b = scene.prepared(e.task.a), scene.prepared(e.task.b)
+                new[e.task[:3]] = link_rows(
+                    e.task, FramePair(a, b, scene.cameras[camera], scene.cameras[camera], motion)
+                )
+    kept = [e for e in links if e.task[:3] not in new]
+    return tuple(sorted((*kept, *new.values()), key=lambda e: (e.task.a, e.task.b or (-1, -1), e.task.kind)))
+
+
+def _find_steps(run: _Relinker, links: Sequence[Links], measured: RowLinks) -> dict[tuple[int, int], _Found]:
+    """Return the links around the motions found, by pairs of consecutive rows; fill in all steps of the run."""
+    candidates: dict[tuple[int, int], list[_Found]] = {}
+    tried = _tried(links)
+    for p, q in pairwise(run.rows):
+        motions = measured.motion_mm[(measured.p == p) & (measured.q == q)]
+        agreeing = _agreeing(motions)
+        run.step_mm[p, q] = (
+            np.median(motions, axis=0) if agreeing else run.velocity_mm_s * (run.times_s[q] - run.times_s[p])
+        )
+        if agreeing < max(_FEW, _MOST * tried.get((p, q), 0)):
+            candidates[p, q] = run.search(p, q, agreeing)
+    found = {step: each[0] for step, each in candidates.items() if each}
+    for group in _rests(run.rows, found):
+        _exclude_static(run, group, found, candidates)
+    run.step_mm.update({step: one.motion_mm for step, one in found.items()})
+    return found
+
+
+def _exclude_static(
+    run: _Relinker,
+    group: Sequence[tuple[int, int]],
+    found: dict[tuple[int, int], _Found],
+    candidates: Mapping[tuple[int, int], list[_Found]],
+) -> None:
+    """Remove the links of the scene's static structure from rows at rest; what remains decides whether they rest.
+
+    The belt's frame and reflections of the LEDs are in the same place in every row; the board is not. A board that
+    rests from the first row to the last one cannot be told from them, and is taken as a board.
+    """
+    first, last = run.rows.index(group[0][0]), run.rows.index(group[-1][1])
+    outside = [*run.rows[max(first - 1, 0) : first], *run.rows[last + 1 : last + 2]]
+    for step in group:
+        moving = run.without_static(found[step], outside)
+        others = [one for one in candidates[step] if not one.at_rest]
+        if moving.certain:
+            found[step] = moving
+        elif others:
+            found[step] = others[0]
+        else:
+            del found[step]
+
+
+def _rests(rows: Sequence[int], found: Mapping[tuple[int, int], _Found]) -> list[list[tuple[int, int]]]:
+    """Return the groups of consecutive steps in which the board is at rest."""
+    groups: list[list[tuple[int, int]]] = []
+    for p, q in pairwise(rows):
+        if (p, q) in found and found[p, q].at_rest:
+            if groups and groups[-1][-1][1] == p:
+                groups[-1].append((p, q))
+            else:
+                groups.append([(p, q)])
+    return groups
+
+
+def _steps_between(rows: Sequence[int], p: int, q: int) -> list[tuple[int, int]]:
+    """Return the steps between consecutive rows with frames from row p to row q."""
+    return [(a, b) for a, b in pairwise(rows) if p <= a and b <= q]
+
+
+def _tried(links: Sequence[Links]) -> dict[tuple[int, int], int]:
+    """Return the number of corners that were tried, by pair of rows."""
+    out: dict[tuple[int, int], int] = {}
+    for e in links:
+        if e.task.kind == "rows" and e.task.b is not None:
+            rows = (e.task.a[1], e.task.b[1])
+            out[rows] = out.get(rows, 0) + e.tried
+    return out
+
+
+def _agreeing(motion_mm: Floats) -> int:
+    """Return how many of the motions (k, 2) agree with their median."""
+    if not len(motion_mm):
+        return 0
+    return int((np.hypot(*(motion_mm - np.median(motion_mm, axis=0)).T) <= _AGREE_MM).sum())
+
+
+def _certain(agreeing: int, tried: int) -> bool:
+    """Whether false links to similar texture do not explain so many agreeing links."""
+    return (agreeing >= _CERTAIN and agreeing >= _SHARE * tried) or (agreeing >= _FEW and agreeing >= _MOST * tried)
+
+
+def _shows(a: np.ndarray, b: np.ndarray, a_px: Floats) -> np.ndarray:
+    """Return (k,) whether image b shows the patches of image a, centred at a_px (k, 2), in the same place."""
+    corners, out = np.rint(a_px - 0.5).astype(np.int64), np.zeros(len(a_px), dtype=np.bool_)
+    inside, guess = inside_both(a.shape, b.shape, corners, corners + 0.5)
+    if len(inside):
+        m = match_patches(a, b, inside, guess)
+        same = m.found & (m.score >= _STATIC_SCORE) & (np.hypot(*(m.b_px - guess).T) <= _STATIC_PX)
+        static = {(x, y) for x, y in inside[same].tolist()}
+        out = np.array([(x, y) in static for x, y in corners.tolist()], dtype=np.bool_)
+    return out
+
+
+def _selected(e: Links, keep: np.ndarray) -> Links:
+    """Return those links of a pair of frames that are to be kept."""
+    if keep.all():
+        return e
+    if not keep.any():
+        return Links.empty(e.task, "the texture does not move with the board", e.tried)
+    tried = e.tried - int((~keep).sum())
+    return Links(e.task, e.a_px[keep], e.b_px[keep], e.information[keep], e.score[keep], e.note, e.coarse_px, tried)
