@@ -82,7 +82,7 @@ def test_static_structure_in_the_scene_is_no_stop(workshop: Any) -> None:
     prepared = {(0, j): PreparedFrame(frame) for j, frame in enumerate(frames)}
     scene = Scene((camera,), tuple(sorted(prepared)), prepared.__getitem__)
     none = RowLinks(np.zeros(0, int), np.zeros(0, int), np.zeros((0, 2)))
-    links = relink_rows((), none, scene, np.array([0.0, 100.0]), 0.1 * np.arange(4))
+    links = relink_rows((), none, scene, np.array([0.0, 100.0]), np.array([0.0, 0.1, 0.2, 0.3]))
     moved = {e.task.b[1]: np.median((camera.ground(e.b_px) - camera.ground(e.a_px))[:, 1]) for e in links if e.task.b}
     assert moved == pytest.approx({1: 3.0, 2: 3.0, 3: 3.0}, abs=0.05)
 

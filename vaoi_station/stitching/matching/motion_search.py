@@ -102,7 +102,7 @@ def _correlated(pair: FramePair) -> _Sums:
 def _pixels(pair: FramePair, motion: Floats) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
     """Return the indices into the sums of a pair at which a board at the centre of the frame has moved by `motion`.
 
-    The second value tells where the frames still overlap after this motion.
+    The second value is where the frames still overlap after this motion.
     """
     centre = np.array([pair.camera_a.center_px])
     # the picture's shift is linear in the motion to a reduced pixel or two

@@ -18,7 +18,7 @@ from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.matching.evidence import Links, Task
 from vaoi_station.stitching.matching.link import FramePair, link_rows
 from vaoi_station.stitching.matching.motion_search import candidate_motions
-from vaoi_station.stitching.matching.patches import inside_both, match_patches
+from vaoi_station.stitching.matching.patches import inside_both, match_patches, patch_centres
 from vaoi_station.stitching.matching.scene import Scene
 
 _AGREE_MM = 0.5
@@ -191,7 +191,7 @@ def _exclude_static(
     """Remove the links of the scene's static structure from rows at rest; what remains decides whether they rest.
 
     The belt's frame and reflections of the LEDs are in the same place in every row; the board is not. A board that
-    rests from the first row to the last one cannot be told from them, and is taken as a board.
+    rests from the first row to the last one cannot be distinguished from them, and is taken as a board.
     """
     first, last = run.rows.index(group[0][0]), run.rows.index(group[-1][1])
     outside = [*run.rows[max(first - 1, 0) : first], *run.rows[last + 1 : last + 2]]
@@ -241,14 +241,14 @@ def _agreeing(motion_mm: Floats) -> int:
 
 
 def _certain(agreeing: int, tried: int) -> bool:
-    """Whether false links to similar texture do not explain so many agreeing links."""
+    """Whether false links to similar texture do not explain that number of agreeing links."""
     return (agreeing >= _CERTAIN and agreeing >= _SHARE * tried) or (agreeing >= _FEW and agreeing >= _MOST * tried)
 
 
 def _shows(a: np.ndarray, b: np.ndarray, a_px: Floats) -> np.ndarray:
     """Return (k,) whether image b shows the patches of image a, centred at a_px (k, 2), in the same place."""
     corners, out = np.rint(a_px - 0.5).astype(np.int64), np.zeros(len(a_px), dtype=np.bool_)
-    inside, guess = inside_both(a.shape, b.shape, corners, corners + 0.5)
+    inside, guess = inside_both(a.shape, b.shape, corners, patch_centres(corners))
     if len(inside):
         m = match_patches(a, b, inside, guess)
         same = m.found & (m.score >= _STATIC_SCORE) & (np.hypot(*(m.b_px - guess).T) <= _STATIC_PX)
