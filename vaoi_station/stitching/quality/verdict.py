@@ -202,6 +202,13 @@ def _lift_mm(f: Findings) -> float | None:
 
 
 def _displaced_cameras(f: Findings) -> Iterator[Reason]:
+    # Seen by cameras in a line, a board off its plane looks like an array that is stretched.
+    height = (
+        ""
+        if len(f.adjusted.surface_mm)
+        else ". A board off the calibrated plane, or bent, looks alike: without working_distance_mm in the calibration "
+        "its height is not estimated"
+    )
     for camera, displacement_px, rivals in f.displaced_cameras:
         x, y, turn = displacement_px
         others = "".join(f" (or camera {i} the other way)" for i in rivals)
@@ -209,7 +216,7 @@ def _displaced_cameras(f: Findings) -> Iterator[Reason]:
             ReasonCode.CAMERA_DISPLACED,
             f"camera {camera}{others} is displaced by ({x:+.2f}, {y:+.2f}) px, and by {turn:+.2f} px at its corners "
             f"by a turn, against its calibration (limit {DISPLACED_PX}). This run is corrected by it: "
-            "correct the calibration with `vaoi recalibrate`, or calibrate again",
+            f"correct the calibration with `vaoi recalibrate`, or calibrate again{height}",
         )
 
 
