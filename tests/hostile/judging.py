@@ -94,7 +94,7 @@ def _found(o: Outcome, filmed: Film) -> dict[str, bool]:
         "too-sure": ok and o.rms_px > SURE_RATIO * o.sigma_px,
         "outlier": ok and o.worst_sigma > limit,
         "wrong": ok and o.worst_px > WRONG_PX,
-        "unseen": ok and least_seen(filmed) < UNSEEN_SHARE,
+        "unseen": ok and least_seen(filmed, borders=False) < UNSEEN_SHARE,
         "exception": bool(o.messages),
         "refused": o.expected and not ok,
     }

@@ -77,7 +77,7 @@ KINDS: Mapping[str, Kind] = {
     # calibration
     "pushed": Kind(0.03, 1.2, 0.15, "px"),
     "knocked": Kind(0.003, 0.1, 0.015, "degrees about the optical axis"),
-    "tilted": Kind(0.003, 0.1, 0.005, "degrees about the image's x axis"),
+    "tilted": Kind(0.001, 0.03, 0.0018, "degrees about the image's x axis; 0.0018 are 0.15 px"),
     "four-marks": Kind(0.05, 2, _NEVER, "px of distortion, calibrated with four marks a camera"),
     "many-marks": Kind(0.05, 2, 1, "px of distortion, calibrated with 25 marks a camera"),
     "lens-ignored": Kind(0.1, 2, _NEVER, "px of distortion that the calibration leaves out"),

@@ -65,10 +65,15 @@ def least_overlap(film: Film) -> float:
     return 1 - max(steps, default=0.0) / film.twin.scenario.array.view_mm[1]
 
 
-def least_seen(film: Film) -> float:
-    """Return the share of the footprint that is in view least, of the board that was filmed."""
+def least_seen(film: Film, *, borders: bool = True) -> float:
+    """Return the share of the footprint that is in view least, of the board that was filmed.
+
+    With `borders`, points on the border of a footprint count like those inside, so that hardly one may be out of view;
+    without, the share is that of the area.
+    """
     share = 1.0
-    grid = np.stack(np.meshgrid(np.linspace(-0.5, 0.5, 7), np.linspace(-0.5, 0.5, 7)), axis=-1).reshape(-1, 2)
+    steps = np.linspace(-0.5, 0.5, 7) if borders else (np.arange(15) + 0.5) / 15 - 0.5
+    grid = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
     for part in film.twin.parts:
         share = min(share, float(_inside(film, part.to_board(grid * part.package.size), 0.0).mean()))
     return share
