@@ -40,6 +40,8 @@ class RecordingHead(FrozenModel):
     trigger_times_s: tuple[Finite, ...] | None = None
     exposures_us: tuple[tuple[Microseconds, ...], ...] | None = None
     lights: tuple[str, ...] | None = None
+    rotation_deg: Literal[0, 90, 180, 270] | None = None
+    """Expected rotation of the board on the belt, counter-clockwise from CAD-upright as the camera sees it."""
     doubts: tuple[str, ...] = ()
     """What was doubtful when the run was filmed; each is a reason of the result, which is then never ok."""
 

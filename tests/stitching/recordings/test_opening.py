@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from pathlib import Path
 
@@ -10,9 +11,11 @@ import pytest
 
 from vaoi_station.errors import InputError, NotFoundError
 from vaoi_station.files import read_calibration, write_calibration
+from vaoi_station.model import Status, Stitch
 from vaoi_station.simulation import Twin, read_scenario, scenario_path
 from vaoi_station.simulation.recording_writer import write_passage
-from vaoi_station.stitching.recordings.opening import open_run
+from vaoi_station.stitching.recordings.offline import stitch_frames
+from vaoi_station.stitching.recordings.opening import OpenedRun, open_run
 
 
 @pytest.fixture(scope="module")
@@ -63,3 +66,24 @@ def test_inputs_that_do_not_fit_are_refused(kept: Path, tmp_path: Path) -> None:
         open_run(kept, method="reference")
     with pytest.raises(NotFoundError):
         open_run(kept, calibration=tmp_path / "absent.json")
+
+
+@pytest.mark.parametrize("turned_deg", [90, 180, 270])
+def test_a_turned_board_is_stitched_with_its_rotation(tmp_path: Path, turned_deg: int) -> None:
+    known = read_scenario(scenario_path("small"))
+    board = known.board.model_copy(update={"turned_deg": turned_deg, "width_mm": 40.0, "length_mm": 40.0})
+    write_passage(Twin(known.model_copy(update={"board": board})).passage(0), tmp_path / "run", with_truth=False)
+    assert stitched(open_run(tmp_path / "run")).status is Status.FAILED, "nothing states that the board is turned"
+    assert stitched(open_run(tmp_path / "run", rotation_deg=turned_deg)).status is Status.OK
+    head = json.loads((tmp_path / "run" / "recording.json").read_text())
+    (tmp_path / "run" / "recording.json").write_text(json.dumps(head | {"rotation_deg": turned_deg}))
+    assert stitched(open_run(tmp_path / "run")).status is Status.OK
+
+
+def stitched(opened: OpenedRun) -> Stitch:
+    return stitch_frames(opened.setup, opened.recording.head, opened.recording.frame)
+
+
+def test_a_rotation_that_is_no_quarter_turn_is_refused(kept: Path) -> None:
+    with pytest.raises(InputError, match="must be 0, 90, 180 or 270"):
+        open_run(kept, rotation_deg=45)

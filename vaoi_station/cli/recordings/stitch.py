@@ -31,6 +31,9 @@ def stitch(
         Path | None, typer.Option(help="Use this reference, a directory written by `vaoi teach`.")
     ] = None,
     method: Annotated[Method, typer.Option(help="Use this evidence, or the paper's method.")] = Method.AUTO,
+    rotation: Annotated[
+        int | None, typer.Option(help="Expected rotation of the board: 0, 90, 180 or 270 degrees [recording.json].")
+    ] = None,
 ) -> None:
     """Stitch a recorded run: compute one matrix per frame, and C from CAD to tester."""
     from vaoi_station.errors import InputError
@@ -42,7 +45,9 @@ def stitch(
 
     # The paper's method ignores the kind of evidence, but opening a run requires one.
     evidence = cast("MethodName", "auto" if method is Method.PAPER else method.value)
-    opened = open_run(case, calibration=calibration, board=board, reference=reference, method=evidence)
+    opened = open_run(
+        case, calibration=calibration, board=board, reference=reference, method=evidence, rotation_deg=rotation
+    )
     recording = opened.recording
     # Overwriting one of these input files with the result would make the recording unusable.
     if out.resolve() in {(case / name).resolve() for name in ("recording.json", "calibration.json", "board.json")}:

@@ -24,6 +24,12 @@ class Expectation:
     tolerance_mm: float = 4.0
 
 
+def turned_by(rotation_deg: int | None) -> Expectation:
+    """Return the expectation of a board of which only the rotation on the belt is known; None: CAD-upright."""
+    # CAD rotations count counter-clockwise, angles in an image clockwise (docs/conventions.md).
+    return Expectation(angle_rad=-math.radians(rotation_deg)) if rotation_deg else Expectation()
+
+
 def expectation_of(line: Line, board_type: BoardType) -> Expectation:
     """Derive the expectation from the line: the leading edge at the first pulse, and the rail or centre line."""
     expected = line.expected_board

@@ -8,6 +8,7 @@ from pathlib import Path
 from vaoi_station.errors import InputError
 from vaoi_station.files import Recording, open_recording, read_board_type, read_calibration
 from vaoi_station.model import Calibration
+from vaoi_station.stitching.board.expectation import turned_by
 from vaoi_station.stitching.board.placeable import refuse_unplaceable
 from vaoi_station.stitching.matching.evidence import FrameKey
 from vaoi_station.stitching.method import MethodName
@@ -50,6 +51,7 @@ def open_run(
     board: Path | None = None,
     reference: Path | None = None,
     method: MethodName = "auto",
+    rotation_deg: int | None = None,
 ) -> OpenedRun:
     """Open a recording for stitching.
 
@@ -59,6 +61,7 @@ def open_run(
         board: file of the board type; by default that in the recording, if there is one.
         reference: directory of a reference, made by `vaoi teach`.
         method: name of the method, which selects the evidence to use.
+        rotation_deg: expected rotation of the board, 0, 90, 180 or 270; by default that of the recording.
 
     Raises:
         InputError: the inputs do not fit together, for example by the number of cameras, the board type has too few
@@ -74,11 +77,17 @@ def open_run(
     board_type = read_board_type(board_path) if board_path else None
     if board_type is not None and board_path is not None:
         refuse_unplaceable(board_type, board_path)
+    if rotation_deg not in (None, 0, 90, 180, 270):
+        raise InputError(
+            f"the rotation is {rotation_deg}, but must be 0, 90, 180 or 270 degrees.",
+            action="Give the turn of the board on the belt, counter-clockwise from CAD-upright as the camera sees it.",
+        )
     setup = StitchSetup(
         cameras=known.cameras(head.cameras),
         conveyor_mm_s=head.conveyor_mm_s,
         trigger_period_s=head.trigger_period_s,
         board_type=board_type,
+        expectation=turned_by(head.rotation_deg if rotation_deg is None else rotation_deg),
         method=method,
     )
     stored = _open_reference(reference, setup)

@@ -26,6 +26,7 @@ from vaoi_station.files.atomic_directory import new_directory, refuse_existing
 from vaoi_station.files.images import Image
 from vaoi_station.geometry import Camera
 from vaoi_station.model import BoardType, Calibration, RecordingHead, Status, Stitch
+from vaoi_station.stitching.board.expectation import turned_by
 from vaoi_station.stitching.board.placeable import refuse_unplaceable
 from vaoi_station.stitching.board.reference import Reference
 from vaoi_station.stitching.quality.quality_document import AMBIGUOUS
@@ -166,7 +167,9 @@ def with_reference(setup: StitchSetup, stored: StoredReference | None) -> Stitch
 
 
 def _setup(recording: Recording, cameras: tuple[Camera, ...], board_type: BoardType) -> StitchSetup:
-    return StitchSetup(cameras, recording.head.conveyor_mm_s, recording.head.trigger_period_s, board_type)
+    head = recording.head
+    expected = turned_by(head.rotation_deg)
+    return StitchSetup(cameras, head.conveyor_mm_s, head.trigger_period_s, board_type, expected)
 
 
 def _name(head: RecordingHead, stitch: Stitch) -> str:
