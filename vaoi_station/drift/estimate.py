@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from vaoi_station.geometry.displacement import PARAMETERS
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.stitching.adjustment.camera_equations import ground_changes, move_points
+from vaoi_station.stitching.adjustment.camera_equations import comparable_cameras, ground_changes, move_points
 from vaoi_station.stitching.adjustment.observations import Ints
+from vaoi_station.stitching.adjustment.problem import AdjustmentResult, SurfaceBasis
+from vaoi_station.stitching.adjustment.solver import adjust
+from vaoi_station.stitching.adjustment.surface import SIGMA_MM
 from vaoi_station.stitching.quality.findings import Findings
 
 _USED = 0.1
@@ -39,9 +42,9 @@ class DisplacementEstimate:
 
 def estimate_displacements(findings: Findings) -> DisplacementEstimate:
     """Return the displacements that the adjustment of a run estimated, with counts and residuals per camera."""
-    adjusted, n = findings.adjusted, len(findings.scene.cameras)
+    adjusted, n = _with_displacements(findings), len(findings.scene.cameras)
     if adjusted.cameras is None:
-        # without links the cameras were taken as exact: the run is no evidence of their displacements
+        # a single camera, or a run without links: the run is no evidence of displacements
         none, nothing = np.full(n, np.nan), np.zeros(n, dtype=np.int_)
         size = PARAMETERS * n
         return DisplacementEstimate(np.zeros((size, size)), np.zeros(size), none, none, nothing, nothing)
@@ -53,7 +56,7 @@ def estimate_displacements(findings: Findings) -> DisplacementEstimate:
     marks = np.bincount(seen_by, minlength=n)
     links = np.bincount(a, minlength=n) + np.bincount(b, minlength=n)
     left = adjusted.link_px[kept], adjusted.fiducial_px[points.which >= 0] if points is not None else np.zeros((0, 2))
-    before = left[0] + _explained(findings, kept), left[1] + _explained_detections(findings)
+    before = left[0] + _explained(findings, adjusted, kept), left[1] + _explained_detections(findings, adjusted)
 
     def rms(residuals: tuple[Floats, Floats]) -> Floats:
         of_links, of_marks = ((r**2).sum(1) for r in residuals)
@@ -66,30 +69,45 @@ def estimate_displacements(findings: Findings) -> DisplacementEstimate:
     return DisplacementEstimate(information, adjusted.cameras.vector, rms(before), rms(left), links, marks)
 
 
-def _calibrated(findings: Findings, ground_mm: Floats, camera: Ints) -> Floats:
+def _with_displacements(findings: Findings) -> AdjustmentResult:
+    """Return the adjustment of a run with the displacements of its cameras.
+
+    A result without CAD mapping takes the cameras as exact and the board as lying in the calibrated plane. Its links
+    are then adjusted once more, for a plane board at an unknown height.
+    """
+    adjusted, cameras = findings.adjusted, comparable_cameras(findings.calibrated)
+    if findings.mapping is not None or not findings.method.links or not cameras:
+        return adjusted
+    problem = replace(adjusted.problem, cameras=cameras)
+    if all(camera.working_distance_mm is not None for camera in cameras):
+        height = SurfaceBasis(np.ones((len(problem.links), 1)), np.ones((0, 1)), SIGMA_MM[:1])
+        problem = replace(problem, surface=height)
+    return adjust(problem, adjusted.motion)
+
+
+def _calibrated(findings: Findings, adjusted: AdjustmentResult, ground_mm: Floats, camera: Ints) -> Floats:
     """Return ground points (k, 2) of displaced cameras as the calibrated cameras would see them."""
-    estimate = findings.adjusted.cameras
+    estimate = adjusted.cameras
     assert estimate is not None
     changes = ground_changes(findings.calibrated, estimate.displacement_px)
     return move_points(np.ascontiguousarray(ground_mm), camera, np.ascontiguousarray(np.linalg.inv(changes)))
 
 
-def _explained(findings: Findings, kept: Ints) -> Floats:
+def _explained(findings: Findings, adjusted: AdjustmentResult, kept: Ints) -> Floats:
     """Return the part (k, 2) px of the links' residuals that the displacements explain."""
-    adjusted = findings.adjusted
     o, motion = adjusted.problem.links, adjusted.motion
-    a_mm = _calibrated(findings, o.a_mm[kept], o.pairs.a[o.group[kept]])
-    b_mm = _calibrated(findings, o.b_mm[kept], o.pairs.b[o.group[kept]])
+    a_mm = _calibrated(findings, adjusted, o.a_mm[kept], o.pairs.a[o.group[kept]])
+    b_mm = _calibrated(findings, adjusted, o.b_mm[kept], o.pairs.b[o.group[kept]])
     change = motion.turned(o.q[kept], b_mm - o.b_mm[kept]) - motion.turned(o.p[kept], a_mm - o.a_mm[kept])
     return np.asarray(change * o.px_per_mm[kept, None])
 
 
-def _explained_detections(findings: Findings) -> Floats:
+def _explained_detections(findings: Findings, adjusted: AdjustmentResult) -> Floats:
     """Return the part (s, 2) px of the residuals of the fiducials' detections that the displacements explain."""
-    adjusted, points = findings.adjusted, findings.adjusted.problem.fiducials
+    points = adjusted.problem.fiducials
     if points is None:
         return np.zeros((0, 2))
     at = np.flatnonzero(points.which >= 0)
-    before = _calibrated(findings, points.ground_mm[at], points.camera[at])
+    before = _calibrated(findings, adjusted, points.ground_mm[at], points.camera[at])
     change = adjusted.motion.turned(points.row[at], before - points.ground_mm[at])
     return np.asarray(change * points.px_per_mm[at, None])

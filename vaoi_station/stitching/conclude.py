@@ -19,10 +19,9 @@ from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import VISIBILITY, ReasonCode, Stitch, Visibility
 from vaoi_station.stitching.adjustment.motion import nominal_motion
 from vaoi_station.stitching.adjustment.observations import LinkStore
-from vaoi_station.stitching.adjustment.problem import AdjustmentResult, Problem, SurfaceBasis
+from vaoi_station.stitching.adjustment.problem import AdjustmentResult, Problem
 from vaoi_station.stitching.adjustment.row_motion import board_texture, motion_from_links, motion_from_marks
 from vaoi_station.stitching.adjustment.solver import adjust
-from vaoi_station.stitching.adjustment.surface import SIGMA_MM
 from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.cad_mapping import CadMapping, MappingInputs, map_cad
 from vaoi_station.stitching.board.expectation import Expectation
@@ -101,8 +100,8 @@ def conclude(
     motion = _estimate_motion(scene, prior, problem, found)
     stages.finish("motion")
     mapping = _map_cad(scene, prior, problem, motion, found)
-    motion = _refine_motion(scene, prior, problem, motion, mapping)
-    corrected = _corrected_scene(scene, motion, mapping)
+    motion = _refine_motion(prior, problem, motion, mapping)
+    corrected = _corrected_scene(scene, mapping)
     stages.finish("cad")
     findings = Findings(
         prior.plane,
@@ -191,22 +190,12 @@ def _map_cad(
 
 
 def _refine_motion(
-    scene: Scene,
-    prior: PriorKnowledge,
-    problem: Problem,
-    motion: AdjustmentResult,
-    mapping: CadMapping | Failure,
+    prior: PriorKnowledge, problem: Problem, motion: AdjustmentResult, mapping: CadMapping | Failure
 ) -> AdjustmentResult:
-    """Iterate the motion from links to full convergence if there is no CAD mapping, which would have adjusted it.
-
-    The board is then taken as a plane at an unknown height, and the displacements of the cameras are estimated too.
-    """
-    if not isinstance(mapping, Failure) or not prior.method.links:
-        return motion
-    if any(camera.working_distance_mm is None for camera in scene.cameras):
-        return adjust(replace(problem, cameras=scene.cameras), motion.motion)
-    height = SurfaceBasis(np.ones((len(problem.links), 1)), np.ones((0, 1)), SIGMA_MM[:1])
-    return adjust(replace(problem, surface=height, cameras=scene.cameras), motion.motion)
+    """Iterate the motion from links to full convergence if there is no CAD mapping, which would have adjusted it."""
+    if isinstance(mapping, Failure) and prior.method.links:
+        return adjust(problem, motion.motion)
+    return motion
 
 
 def _without_unknown_rows(findings: Findings) -> Findings:
@@ -227,10 +216,11 @@ def _without_unknown_rows(findings: Findings) -> Findings:
     return replace(findings, scene=scene, unplaced=rows)
 
 
-def _corrected_scene(scene: Scene, motion: AdjustmentResult, mapping: CadMapping | Failure) -> Scene:
-    """Return the scene with the cameras as the adjustment displaced them."""
-    adjusted = motion if isinstance(mapping, Failure) else mapping.adjusted
-    return replace(scene, cameras=adjusted.problem.cameras) if adjusted.cameras is not None else scene
+def _corrected_scene(scene: Scene, mapping: CadMapping | Failure) -> Scene:
+    """Return the scene with the cameras as the common adjustment displaced them."""
+    if isinstance(mapping, Failure) or mapping.adjusted.cameras is None:
+        return scene
+    return replace(scene, cameras=mapping.adjusted.problem.cameras)
 
 
 def _provenance(prior: PriorKnowledge, stages: StageTimes) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from vaoi_station.geometry.displacement import displace_camera
 from vaoi_station.geometry.similarity import apply_similarity
 from vaoi_station.stitching.adjustment.camera_equations import (
     camera_effects,
+    comparable_cameras,
     displaced_cameras,
     ground_changes,
     move_points,
@@ -179,6 +180,11 @@ def test_a_shift_of_the_whole_array_is_not_observable() -> None:
     together[:, 0], alone[1, 0] = 1, 1
     of_all = together.ravel() @ found.information @ together.ravel()
     assert of_all < 1e-3 * (alone.ravel() @ found.information @ alone.ravel())
+
+
+def test_a_single_camera_has_nothing_to_be_compared_with() -> None:
+    assert comparable_cameras(CAMERAS[:1]) == ()
+    assert comparable_cameras(CAMERAS) is CAMERAS
 
 
 def test_without_cameras_the_calibration_is_exact() -> None:

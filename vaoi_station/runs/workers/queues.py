@@ -75,7 +75,10 @@ class JobQueues:
         self._queues[queued.job.priority].append(queued)
 
     def put_back(self, queued: Queued) -> None:
-        """Put a job whose worker has died at the front of its queue."""
+        """Put a job whose worker has died at the front of its queue, unless its run has been closed meanwhile."""
+        # Link and gather jobs of a closed run are of no use, and the set-up that a worker needs for them is gone.
+        if isinstance(queued.job, LinkJob | GatherJob) and queued.job.run not in self.runs:
+            return
         self._queues[queued.job.priority].appendleft(queued)
 
     def forget(self, run: str) -> None:

@@ -77,6 +77,14 @@ def camera_effects(cameras: Sequence[Camera], displacement_px: Floats) -> Camera
     return CameraEffects(motion, middle)
 
 
+def comparable_cameras(cameras: tuple[Camera, ...]) -> tuple[Camera, ...]:
+    """Return the cameras whose displacements a run can show: all of an array, none if there is only one camera.
+
+    A single camera has no neighbour to compare it with. Its displacement would only follow the priors of the belt.
+    """
+    return cameras if len(cameras) > 1 else ()
+
+
 def displaced_cameras(cameras: Sequence[Camera], displacement_px: Floats) -> tuple[Camera, ...]:
     """Return the cameras with the matrices N_i that they have with displacements (n, 3)."""
     return tuple(displace_camera(camera, d) for camera, d in zip(cameras, displacement_px, strict=True))

@@ -14,6 +14,7 @@ import numpy as np
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import ReasonCode
+from vaoi_station.stitching.adjustment.camera_equations import comparable_cameras
 from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.adjustment.problem import REFERENCE, AdjustmentResult, FiducialPoints, Problem, SurfaceBasis
 from vaoi_station.stitching.adjustment.solver import adjust
@@ -106,7 +107,7 @@ def map_cad(
     if contradiction := _disagreeing_reference(points, adjusted):
         return contradiction
     # the outline is measured as the displaced cameras see it, as everything after the adjustment is
-    corrected = replace(scene, cameras=adjusted.problem.cameras)
+    corrected = replace(scene, cameras=adjusted.problem.cameras) if adjusted.cameras is not None else scene
     shift = _measured_shift(plane, corrected, adjusted)
     return CadMapping(adjusted, adjusted.problem, outline, guess.ambiguous, shift)
 
@@ -254,5 +255,5 @@ def _with_board(
         fiducials=points,
         nominal_scale=plane.board_type.mm_per_unit,
         surface=SurfaceBasis(at_links, at_marks, SIGMA_MM) if knows_height else None,
-        cameras=scene.cameras,
+        cameras=comparable_cameras(scene.cameras),
     )

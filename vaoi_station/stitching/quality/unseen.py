@@ -166,7 +166,7 @@ def unseen_reasons(
 
 _EXPLANATIONS: dict[Cause, str] = {
     "frames-unconfirmed": "frames that should show them fit neither the frames before and after them nor the board: "
-    "look at these pictures; a camera that is frozen, covered or without light sends such frames",
+    "check these pictures; a camera that is frozen, covered or without light sends such frames",
     "frames-lost": "repair what lost these frames and film the board again",
     "filming-ended": "the frames ended before these components had passed; check barrier, tail and number of rows, and "
     "film the board again",
