@@ -42,6 +42,7 @@ class ReasonCode(StrEnum):
     TEXTURE_OFF_BOARD = "texture-off-board"
     POSITIONS_UNCERTAIN = "positions-uncertain"
     COMPONENTS_UNSEEN = "components-unseen"
+    FRAMES_UNCONFIRMED = "frames-unconfirmed"
     ROWS_NOT_CHAINED = "rows-not-chained"
     NO_ERROR_MEASURE = "no-error-measure"
 

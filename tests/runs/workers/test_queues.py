@@ -175,6 +175,14 @@ def test_closing_a_run_drops_its_links_and_keeps_its_pictures(hall: Hall) -> Non
     assert set(hall.queues.runs) == {"r2"}
 
 
+def test_a_job_of_a_closed_run_is_not_put_back(hall: Hall) -> None:
+    """The worker died after the run was closed: nothing needs the job, and its set-up is gone."""
+    job = hall.link(0, 0)
+    hall.queues.forget(job.run)
+    hall.queues.put_back(Queued(job, deaths=1))
+    assert hall.queues.emptied() == []
+
+
 def test_a_job_that_is_put_back_is_the_next_one(hall: Hall) -> None:
     hall.add(hall.link(0, 1))
     hall.queues.put_back(Queued(hall.link(0, 0), deaths=1))

@@ -66,6 +66,14 @@ def test_a_camera_that_sends_other_pictures_than_those_of_the_board_degrades(fil
         assert lost <= set(result.quality["unseen"])
 
 
+def test_a_single_frame_of_another_moment_degrades(filmed: Any) -> None:
+    """Row 3 of camera 0 repeats row 1. Other frames show its components, but a picture from it would be wrong."""
+    frames = filmed.frames | {(0, 3): filmed.frames[0, 1]}
+    result = filmed.stitched(frames=frames)
+    assert result.status is not Status.OK
+    assert any("camera 0 row 3" in reason for reason in result.reasons)
+
+
 def test_rows_that_were_not_filmed_are_the_cause(filmed: Any) -> None:
     """The first three of six rows; the other rows show two fiducials."""
     frames = {(i, j - 3): pixels for (i, j), pixels in filmed.frames.items() if j >= 3}

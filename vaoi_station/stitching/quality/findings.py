@@ -134,6 +134,15 @@ class Findings:
         return frozenset(frames & set(self.scene.present))
 
     @cached_property
+    def unconfirmed(self) -> tuple[FrameKey, ...]:
+        """The good frames that should show the centre of a component, and whose pictures fit nothing, in order."""
+        views = self.views
+        if views is None:
+            return ()
+        seen = set(zip(views.camera.tolist(), views.row.tolist(), strict=True))
+        return tuple(sorted((seen & set(self.scene.present)) - self.confirmed))
+
+    @cached_property
     def unseen(self) -> tuple[UnseenComponent, ...]:
         """The components that the good frames show too little of; empty without C."""
         if self.plane is None or self.cad_matrix is None:

@@ -34,6 +34,9 @@ from vaoi_station.stitching.quality.unseen import unseen_reasons
 _OK_SIGMA_PX = 0.20
 _FLOOR_LIMIT_PX = 0.30
 _OUTSIDE_LIMIT = 0.03
+_LEAST_UNCONFIRMED = 1
+"""Least number of frames that fit nothing from which on they are a reason."""
+_MOST_NAMED_FRAMES = 6
 
 
 class _Placed(NamedTuple):
@@ -287,6 +290,20 @@ def _uncertain_positions(b: _Placed) -> Iterator[Reason]:
         yield Reason(ReasonCode.POSITIONS_UNCERTAIN, uncertain)
 
 
+def _unconfirmed_frames(b: _Placed) -> Iterator[Reason]:
+    # A picture of a component from such a frame may show anything, even if other frames show the component well.
+    keys = b.findings.unconfirmed
+    if len(keys) >= _LEAST_UNCONFIRMED:
+        named = ", ".join(f"camera {i} row {j}" for i, j in keys[:_MOST_NAMED_FRAMES])
+        more = f" and {len(keys) - _MOST_NAMED_FRAMES} more" if len(keys) > _MOST_NAMED_FRAMES else ""
+        yield Reason(
+            ReasonCode.FRAMES_UNCONFIRMED,
+            f"{len(keys)} frames that should show components fit neither the frames before and after them nor the "
+            f"board ({named}{more}): check these pictures; a camera that is frozen, covered or without light sends "
+            "such frames",
+        )
+
+
 def _unseen_components(b: _Placed) -> Iterable[Reason]:
     f, total = b.findings, len(b.plane.board_type.components)
     return unseen_reasons(f.unseen, total, len(f.scene.cameras), f.rows, f.scene.present, f.unplaced)
@@ -321,5 +338,6 @@ _BOARD_CHECKS: tuple[Callable[[_Placed], Iterable[Reason]], ...] = (
     _invisible_outline,
     _texture_off_the_board,
     _uncertain_positions,
+    _unconfirmed_frames,
     _unseen_components,
 )
