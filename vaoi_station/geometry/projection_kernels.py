@@ -66,10 +66,11 @@ def image_to_ground(
     Args:
         raw: raw pixels (k, 2).
         height: heights (k,) of the points above the calibrated plane, mm, or one height (1,) for all points.
-        viewpoint: foot of the camera and inverse working distance.
+        viewpoint: (x, y, 1/d): the point of the calibrated plane below the camera, mm, and the inverse of the working
+            distance, 1/mm.
         n: inverse of N_i (3, 3).
-        radial: coefficients of the distortion.
-        lens: shape of the distortion.
+        radial: coefficients a1, a2, … of the distortion.
+        lens: centre, radius and limits of the distortion, as the module describes them.
         out: points (k, 2), mm in row coordinates.
     """
     x0, y0, inverse = viewpoint

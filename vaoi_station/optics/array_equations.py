@@ -1,4 +1,7 @@
-"""Number, pitch and overlap of the cameras of an array, from w·r·m_h ≤ n·p_h in section 2.4 of the paper."""
+"""Number, pitch and overlap of the cameras of an array (paper, section 2.4).
+
+n cameras, each p_h px wide, must cover the width w at r px/mm, and m_h cameras must see each point: w·r·m_h ≤ n·p_h.
+"""
 
 from __future__ import annotations
 

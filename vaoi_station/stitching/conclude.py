@@ -226,7 +226,7 @@ def _corrected_scene(scene: Scene, mapping: CadMapping | Failure) -> Scene:
 def _provenance(prior: PriorKnowledge, stages: StageTimes) -> dict[str, Any]:
     """Return the entries of the quality document on software versions, reference, and wall times of the stages.
 
-    The dictionary of times is that of `stages`, so that a stage which ends after this call is contained as well.
+    `timings_ms` is the same object as `stages.ms`, not a copy: a stage that ends later still appears in it.
     """
     used = prior.reference is not None and prior.method.reference
     return {

@@ -53,7 +53,10 @@ class BiasCurve:
 
 @dataclass(frozen=True)
 class BiasFigures:
-    """The results of `vaoi bench --links`: curves of the bias of links."""
+    """Figures of `vaoi bench --links`: the mean error of links over the sub-pixel part of the shift.
+
+    There is one curve for each axis and each noise.
+    """
 
     curves: tuple[BiasCurve, ...]
 

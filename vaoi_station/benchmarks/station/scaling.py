@@ -30,7 +30,7 @@ _SAMPLE_S = 0.005
 
 @dataclass(frozen=True)
 class ScalingFigures:
-    """The results for stitching one board. Times are CPU time of one thread, without compilation."""
+    """CPU time and memory for stitching one board of a given length. Times are of one thread, without compilation."""
 
     frames: int
     rows: int

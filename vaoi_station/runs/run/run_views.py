@@ -127,7 +127,10 @@ def reasons_of(progress: Progress) -> tuple[Reason, ...]:
 
 
 def trigger_reasons(proof: TriggerProof | None) -> Iterator[Reason]:
-    """Yield a reason for each doubt of the trigger proof. Findings on missing frames are left to `reasons_of`."""
+    """Yield a reason for each finding of the trigger proof that is a doubt.
+
+    Findings that only explain missing frames give none: `reasons_of` reports those frames from their verdicts.
+    """
     for f in doubtful(proof):
         where = f"Camera {f.camera}" if f.row is None else f"Camera {f.camera}, row {f.row}"
         unused = " Its frames are not used." if f.kind in QUESTIONING_KINDS and f.row is None else ""

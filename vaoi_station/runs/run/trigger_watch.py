@@ -1,4 +1,8 @@
-"""Watch of the trigger proofs: a camera whose frames are in doubt is a warning until a run shows no doubt about it."""
+"""Warnings from the trigger proofs of runs.
+
+A doubt about the frames of a camera raises one. The next run that has frames of this camera, and no doubt about them,
+ends it.
+"""
 
 from __future__ import annotations
 

@@ -26,7 +26,10 @@ def mermaid(table: Table[Any, Any]) -> str:
 
 
 def redrawn(document: str) -> str:
-    """Return the document with a new diagram after each comment `<!-- drawn: NAME -->`; NAME is a key of `TABLES`."""
+    """Return the document with its mermaid blocks replaced by newly drawn ones.
+
+    A block is replaced if it follows a comment `<!-- drawn: NAME -->`, where NAME is a key of `TABLES`.
+    """
 
     def draw(found: re.Match[str]) -> str:
         return f"<!-- drawn: {found[1]} -->\n```mermaid\n{mermaid(TABLES[found[1]])}\n```"

@@ -45,7 +45,10 @@ class Canvas:
     def blank(
         cls, origin_mm: tuple[float, float], size_mm: tuple[float, float], px_per_mm: float, grey: float
     ) -> Canvas:
-        """Create a canvas filled with one grey value. It covers at least a rectangle of `size_mm` at `origin_mm`."""
+        """Create a canvas of one grey value, without metal.
+
+        The outer corner of pixel (0, 0) lies at `origin_mm`. The size is rounded up to whole pixels.
+        """
         w, h = (math.ceil(s * px_per_mm) for s in size_mm)
         return cls(np.full((h, w), grey, np.float32), np.zeros((h, w), np.float32), origin_mm, px_per_mm)
 

@@ -6,7 +6,10 @@ from vaoi_station.acquisition.controller.protocol.messages import Event
 
 
 class EventOrder:
-    """A buffer that restores the order of the controller's events, from one reset of the controller to the next."""
+    """Passes each numbered message of the controller on once, and in order.
+
+    One object serves one boot of the controller, which numbers its messages from 0 after a reset.
+    """
 
     def __init__(self) -> None:
         self.next_number = 0
