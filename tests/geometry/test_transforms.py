@@ -118,7 +118,7 @@ def test_handedness_does_not_depend_on_the_scale_of_the_matrix(n: Projective) ->
 
 @given(homographies, shifts)
 def test_scale_at_is_the_root_of_the_area_ratio(n: Projective, p: tuple[float, float]) -> None:
-    e = 1e-3
+    e = 1e-5
     corners = n(np.array(p) + np.array([[0, 0], [e, 0], [0, e]]))
     (ax, ay), (bx, by) = corners[1] - corners[0], corners[2] - corners[0]
     assert n.scale_at(p) == pytest.approx(math.sqrt(abs(ax * by - ay * bx)) / e, rel=1e-4)

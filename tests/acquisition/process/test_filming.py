@@ -16,7 +16,7 @@ from vaoi_station.acquisition.process.messages import Command, FireOne, Grant, R
 from vaoi_station.acquisition.process.recording_export import export_run
 from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import StationConfig
-from vaoi_station.errors import DeviceError, GoneError, InputError, StateError
+from vaoi_station.errors import DeviceError, GoneError, InputError
 from vaoi_station.files import open_recording, read_calibration
 from vaoi_station.model import RecordingHead
 from vaoi_station.simulation import Twin, read_scenario
@@ -103,7 +103,7 @@ def test_a_recording_is_never_overwritten_nor_left_incomplete(make_config: Make,
             export_run(target, finished, ring, generation, {"board.json": tmp_path / "absent.json"})
         assert list(target.parent.iterdir()) == []
         export_run(target, finished, ring, generation)
-        with pytest.raises(StateError, match="exists already"):
+        with pytest.raises(InputError, match="exists already"):
             export_run(target, finished, ring, generation)
         exported.append(target)
 

@@ -31,7 +31,7 @@ _STEP_PX = 0.05
 """Step of the numeric derivatives by a displacement. The functions are smooth over hundreds of px."""
 
 
-_STILL_PX = 0.01
+_STILL_PX = 0.006
 """Standard deviation, in one run, of the displacement of a camera that was not moved, for each of x, y and turn."""
 _FIRST_STILL_PX, _TIGHTENING = 0.5, 4.0
 """The first step uses `_FIRST_STILL_PX` in place of `_STILL_PX`, each further step a `_TIGHTENING`th of the one before.

@@ -122,12 +122,10 @@ def explain_seam(
         symptom: how the two cameras disagree, as the beginning of a sentence.
         lift_mm: height of the board above the calibrated plane; None if it was not estimated.
     """
-    seen = [overlap for key in _rows(links, pair[0], scene) if (overlap := _examine(scene, key)) is not None]
-    if not seen:
+    evidence = _gather(scene, links, pair, lift_mm)
+    if evidence is None:
         nothing = "no row has good frames of both cameras to compare"
         return Reason(ReasonCode.NOT_EXPLAINED, f"{symptom}: {nothing}")
-    mean = _Overlap(*(np.mean([o[k] for o in seen], 0) for k in range(len(_Overlap._fields))))
-    evidence = _Evidence((f"camera {pair[0]}", f"camera {pair[1]}"), lift_mm, len(seen), mean)
     code, text = (
         _off_plane(evidence)
         or _clipped(evidence)
@@ -136,6 +134,25 @@ def explain_seam(
         or _unexplained(evidence)
     )
     return Reason(code, f"{symptom}: {text}")
+
+
+def repeated_overlap(scene: Scene, links: Iterable[Links], pair: tuple[int, int], symptom: str) -> Reason | None:
+    """Return the reason that the overlap of two cameras shows a repeated pattern; None if it does not.
+
+    Links on a repeated pattern agree at a place that is wrong by whole spacings, which looks like a displacement.
+    """
+    evidence = _gather(scene, links, pair, None)
+    cause = None if evidence is None else _repetitive(evidence)
+    return None if cause is None else Reason(cause[0], f"{symptom}: {cause[1]}")
+
+
+def _gather(scene: Scene, links: Iterable[Links], pair: tuple[int, int], lift_mm: float | None) -> _Evidence | None:
+    """Collect what the overlaps of two cameras show; None if no row has good frames of both."""
+    seen = [overlap for key in _rows(links, pair[0], scene) if (overlap := _examine(scene, key)) is not None]
+    if not seen:
+        return None
+    mean = _Overlap(*(np.mean([o[k] for o in seen], 0) for k in range(len(_Overlap._fields))))
+    return _Evidence((f"camera {pair[0]}", f"camera {pair[1]}"), lift_mm, len(seen), mean)
 
 
 def _off_plane(e: _Evidence) -> Cause | None:

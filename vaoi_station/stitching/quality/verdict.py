@@ -27,7 +27,7 @@ from vaoi_station.stitching.quality.agreement import fiducial_reasons, outline_r
 from vaoi_station.stitching.quality.fiducial_sizes import wrong_size
 from vaoi_station.stitching.quality.findings import DISPLACED_PX, SEAM_LIMIT_PX, Findings
 from vaoi_station.stitching.quality.row_offsets import shifted_cameras
-from vaoi_station.stitching.quality.seam_causes import explain_seam
+from vaoi_station.stitching.quality.seam_causes import explain_seam, repeated_overlap
 from vaoi_station.stitching.quality.uncertainty import seam_sigma_px
 from vaoi_station.stitching.quality.unseen import unseen_reasons
 
@@ -214,6 +214,12 @@ def _displaced_cameras(f: Findings) -> Iterator[Reason]:
     )
     for camera, displacement_px, rivals in f.displaced_cameras:
         x, y, turn = displacement_px
+        pairs = [(i, i + 1) for i in (camera - 1, camera) if 0 <= i < len(f.scene.cameras) - 1]
+        symptom = f"camera {camera} seems displaced by ({x:+.1f}, {y:+.1f}) px"
+        repeated = (repeated_overlap(f.scene, f.links, pair, symptom) for pair in pairs)
+        if pattern := next((reason for reason in repeated if reason is not None), None):
+            yield pattern
+            continue
         others = "".join(f" (or camera {i} the other way)" for i in rivals)
         yield Reason(
             ReasonCode.CAMERA_DISPLACED,
