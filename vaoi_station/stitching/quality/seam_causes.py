@@ -47,6 +47,9 @@ _REPEATED, _APART_PX, _SEARCH_MM = 0.85, 8, 4.0
 """Correlation of a corner with another place at least `_APART_PX` and at most `_SEARCH_MM` away that is a repetition.
 The latter is the range in which a displaced camera is searched."""
 _MOSTLY = 0.5
+_NEARLY_ALL = 0.9
+"""Share of repeated corners from which on agreeing links do not confirm a displacement. On ordinary boards, half of the
+corners look like another place, and the rest decides."""
 _QUARTILE = 0.3186
 """Lower quartile of the absolute values of a normal distribution with standard deviation 1."""
 
@@ -142,7 +145,9 @@ def repeated_overlap(scene: Scene, links: Iterable[Links], pair: tuple[int, int]
     Links on a repeated pattern agree at a place that is wrong by whole spacings, which looks like a displacement.
     """
     evidence = _gather(scene, links, pair, None)
-    cause = None if evidence is None else _repetitive(evidence)
+    if evidence is None or evidence.mean.repeated <= _NEARLY_ALL * evidence.mean.clear:
+        return None
+    cause = _repetitive(evidence)
     return None if cause is None else Reason(cause[0], f"{symptom}: {cause[1]}")
 
 
