@@ -84,7 +84,7 @@ def test_a_camera_that_was_pushed_is_never_ok(filmed: Any, camera: int, push: tu
         "show different things where they should overlap",
         "larger than its CAD data",
     )
-    assert any(word in reason for reason in result.reasons for word in expected)
+    assert any(word in reason for reason in result.reasons for word in expected), result.reasons
 
 
 def test_a_calibration_that_does_not_determine_the_lens_is_named(filmed: Any) -> None:

@@ -145,7 +145,9 @@ def repeated_overlap(scene: Scene, links: Iterable[Links], pair: tuple[int, int]
     Links on a repeated pattern agree at a place that is wrong by whole spacings, which looks like a displacement.
     """
     evidence = _gather(scene, links, pair, None)
-    if evidence is None or evidence.mean.repeated <= _NEARLY_ALL * evidence.mean.clear:
+    if evidence is None or evidence.mean.clear < _CLEAR_CORNERS:
+        return None
+    if evidence.mean.repeated <= _NEARLY_ALL * evidence.mean.clear:
         return None
     cause = _repetitive(evidence)
     return None if cause is None else Reason(cause[0], f"{symptom}: {cause[1]}")
