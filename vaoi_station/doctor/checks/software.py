@@ -59,7 +59,7 @@ def judge_cache(given: str | None, package: Path, home: Path) -> Finding:
         if writable(Path(given)):
             return ok(f"is stored in {given}")
         return warning(
-            f"NUMBA_CACHE_DIR={given} cannot be written to: every start compiles for half a minute.",
+            f"NUMBA_CACHE_DIR={given} cannot be written to: every start compiles for about a minute.",
             f"install -d -o $USER {given}, or unset NUMBA_CACHE_DIR",
         )
     # Without NUMBA_CACHE_DIR Numba tries these two in this order.
@@ -68,6 +68,6 @@ def judge_cache(given: str | None, package: Path, home: Path) -> Finding:
         if writable(place):
             return ok(f"is stored in {place}")
     return warning(
-        f"neither {places[0]} nor {places[1]} can be written to: every start compiles for half a minute.",
+        f"neither {places[0]} nor {places[1]} can be written to: every start compiles for about a minute.",
         "Set NUMBA_CACHE_DIR to a directory of this user, as deploy/vaoi-station.service does.",
     )

@@ -29,8 +29,6 @@ from vaoi_station.stitching.adjustment.problem import CameraEstimate, FiducialPo
 
 _STEP_PX = 0.05
 """Step of the numeric derivatives by a displacement. The functions are smooth over hundreds of px."""
-
-
 _STILL_PX = 0.006
 """Standard deviation, in one run, of the displacement of a camera that was not moved, for each of x, y and turn."""
 _FIRST_STILL_PX, _TIGHTENING = 0.5, 4.0

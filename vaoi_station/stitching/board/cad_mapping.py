@@ -54,16 +54,20 @@ class Turned(Failure):
 
 @dataclass(frozen=True, eq=False)
 class CadMapping:
-    """The result for a board that was found: the common adjustment, its problem, and the checks of the outline."""
+    """The result for a board that was found: the common adjustment of all unknowns, and the checks of the outline."""
 
     adjusted: AdjustmentResult
-    problem: Problem
     outline: OutlineContrast | None
     """Contrast along the outline where the first C puts it; None where too little of it is in view."""
     ambiguous: bool = False
     """Whether the board may as well be turned by 180°, because neither fiducials nor pictures decide."""
     shift: OutlineShift | None = None
     """Measured shift of the outline against the adjusted C; None where too little of the outline shows an edge."""
+
+    @property
+    def problem(self) -> Problem:
+        """The problem of the adjustment, with links and points as the displaced cameras see them."""
+        return self.adjusted.problem
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +113,7 @@ def map_cad(
     # the outline is measured as the displaced cameras see it, as everything after the adjustment is
     corrected = replace(scene, cameras=adjusted.problem.cameras) if adjusted.cameras is not None else scene
     shift = _measured_shift(plane, corrected, adjusted)
-    return CadMapping(adjusted, adjusted.problem, outline, guess.ambiguous, shift)
+    return CadMapping(adjusted, outline, guess.ambiguous, shift)
 
 
 def _disagreeing_reference(points: FiducialPoints, adjusted: AdjustmentResult) -> Failure | None:

@@ -29,6 +29,7 @@ def quality_document(f: Findings) -> dict[str, Any]:
         velocity = measured_velocity(a.motion, f.problem.times_s, group)
     nominal = float(np.hypot(*f.problem.velocity_mm_s))
     used, rows = a.weight > 0.1, row_covariances(a)
+    displacement, displacement_sigma = _displacements(f)
     return {
         "links": {
             kind: {"found": int(mine.sum()), "used": int((mine & used).sum())}
@@ -45,8 +46,8 @@ def quality_document(f: Findings) -> dict[str, Any]:
             "sigma0": _rounded(a.sigma0),
         },
         "seams_px": {f"{i}-{j}": _rounded(v) for (i, j), v in f.seams_px.items()},
-        "camera_displacement_px": _displacements(f)[0],
-        "camera_displacement_sigma_px": _displacements(f)[1],
+        "camera_displacement_px": displacement,
+        "camera_displacement_sigma_px": displacement_sigma,
         "fiducials": _fiducials(f),
         "orientation": None if f.mapping is None else AMBIGUOUS if f.mapping.ambiguous else "certain",
         "scale_error": _scale_error(f),

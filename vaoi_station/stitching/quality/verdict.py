@@ -34,8 +34,6 @@ from vaoi_station.stitching.quality.unseen import unseen_reasons
 _OK_SIGMA_PX = 0.20
 _FLOOR_LIMIT_PX = 0.30
 _OUTSIDE_LIMIT = 0.03
-_LEAST_UNCONFIRMED = 1
-"""Least number of frames that fit nothing from which on they are a reason."""
 _MOST_NAMED_FRAMES = 6
 
 
@@ -299,7 +297,7 @@ def _uncertain_positions(b: _Placed) -> Iterator[Reason]:
 def _unconfirmed_frames(b: _Placed) -> Iterator[Reason]:
     # A picture of a component from such a frame may show anything, even if other frames show the component well.
     keys = b.findings.unconfirmed
-    if len(keys) >= _LEAST_UNCONFIRMED:
+    if keys:
         named = ", ".join(f"camera {i} row {j}" for i, j in keys[:_MOST_NAMED_FRAMES])
         more = f" and {len(keys) - _MOST_NAMED_FRAMES} more" if len(keys) > _MOST_NAMED_FRAMES else ""
         yield Reason(
