@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vaoi_station.pixel_formats import PIXEL_FORMATS, PixelFormat, picture, samples
+from vaoi_station.pixel_formats import PIXEL_FORMATS, PixelFormat, eight_bit_grey, picture, samples, to_full_scale
 
 FORMATS = st.sampled_from(list(PIXEL_FORMATS.values()))
 SIZES = st.tuples(st.integers(1, 9), st.integers(1, 7))
@@ -89,3 +90,17 @@ def test_format_numbers_hold_the_bits_per_pixel() -> None:
         assert known.nbytes(1392, 1040) == 1392 * 1040 * bits // 8
     assert PIXEL_FORMATS["Mono12p"].nbytes(3, 1) == 5
     assert [PIXEL_FORMATS[name].bytes_per_pixel for name in ("Mono8", "Mono12", "Mono12p")] == [1, 2, 0]
+
+
+@given(st.sampled_from([10, 12, 14, 16]), st.integers(1, 255), st.integers(0, 1000))
+def test_pictures_of_more_bits_have_the_scale_of_their_bits(bits: int, top: int, seed: int) -> None:
+    """However dark a picture is, it is not brightened."""
+    eight = np.random.default_rng(seed).integers(0, top, (20, 30), endpoint=True).astype(np.uint16)
+    full = to_full_scale(eight << (bits - 8), bits)
+    assert np.array_equal(eight_bit_grey(full), eight.astype(np.uint8))
+
+
+def test_colour_becomes_luminance_and_grey_stays() -> None:
+    colour = np.random.default_rng(0).integers(0, 256, (20, 30, 3), dtype=np.uint8)
+    assert np.array_equal(eight_bit_grey(colour), cv2.cvtColor(colour, cv2.COLOR_BGR2GRAY))
+    assert eight_bit_grey(colour[..., 0]).base is colour

@@ -138,6 +138,16 @@ def to_full_scale(values: NDArray[Any], bits: int) -> NDArray[Any]:
     return np.asarray(values << room | values >> bits - room, dtype=np.uint16) if room else values
 
 
+def eight_bit_grey(pixels: NDArray[Any]) -> NDArray[np.uint8]:
+    """Return the 8-bit luminance (h, w) of a picture (h, w) or (h, w, 3); an 8-bit grey one unchanged.
+
+    Pictures of 16 bits are at full scale (`picture`, `Recording.frame`). The scale never depends on the pixels:
+    thresholds in grey levels then mean the same in every frame, for stitching, calibration and viewing alike.
+    """
+    grey = pixels if pixels.ndim == 2 else np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY))
+    return grey if grey.dtype == np.uint8 else np.asarray(grey >> 8, dtype=np.uint8)
+
+
 def samples(frame: NDArray[np.uint8], count: int, pixel_format: PixelFormat) -> NDArray[Any]:
     """Unpack the camera's sample values, (count,): uint8 in place, or a new uint16 array, 0 … 2^bits − 1."""
     bits = pixel_format.bits

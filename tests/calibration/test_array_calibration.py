@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -9,9 +10,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from vaoi_station.calibration import Outcome
+from vaoi_station.calibration import Outcome, calibrate
 from vaoi_station.errors import InputError
+from vaoi_station.files import write_recording
 from vaoi_station.files.layouts import Layout
+from vaoi_station.model import RecordingHead
 
 
 def _moved(layout: Layout, change: Callable[[Any], Any]) -> Layout:
@@ -55,6 +58,27 @@ def test_cameras_off_their_nominal_position_are_calibrated(
     assert outcome.cameras[0].fit is not None
     bent, sigma = outcome.cameras[0].fit.lens_px
     assert abs(bent + distortion_px) < 4 * sigma
+
+
+@pytest.mark.parametrize("bits", [12, 16])
+def test_frames_of_more_bits_calibrate_as_those_of_8_bits(rig: Any, bits: int, tmp_path: Path) -> None:
+    """A dark frame beside one with glare: the scale is that of the recording, not that of each frame."""
+    cameras = [head.model_copy(update={"bits": bits}) for head in rig.heads]
+    head = RecordingHead(
+        format="vaoi-recording", version=1, rows=1, trigger_period_s=0.1, conveyor_mm_s=(0, 100), cameras=tuple(cameras)
+    )
+    frames = [np.asarray(f * (0.3 if k else 1.0), np.uint8) for k, f in enumerate(rig.frames)]
+    frames[0][:60, :60] = 255
+    deep = [(k, 0, frame.astype(np.uint16) << bits - 8) for k, frame in enumerate(frames)]
+    recording = write_recording(tmp_path / "deep", head, deep)
+    plain = rig.calibrate(change=lambda k, _: frames[k])
+    found = calibrate(rig.heads, lambda k: recording.frame(k, 0), rig.layout)
+    for one, other in zip(found.cameras, plain.cameras, strict=True):
+        assert np.array_equal(one.detected.px, other.detected.px)
+        assert one.detected.contrast == other.detected.contrast
+    assert found.calibration().cameras(rig.heads)[1].ground((0.0, 0.0)) == pytest.approx(
+        plain.calibration().cameras(rig.heads)[1].ground((0.0, 0.0))
+    )
 
 
 def test_four_marks_suffice_with_a_warning(film: Any) -> None:

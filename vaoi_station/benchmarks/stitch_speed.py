@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from vaoi_station.benchmarks.benchmark_board import BenchmarkBoard
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.model import Stitch
+from vaoi_station.pixel_formats import eight_bit_grey
 from vaoi_station.rendering import ViewCalculator, render
 from vaoi_station.stitching.baseline import paper_features as paper
 from vaoi_station.stitching.matching.evidence import Evidence
-from vaoi_station.stitching.matching.prepared_frame import to_eight_bit, to_grey
 from vaoi_station.stitching.work import TaskRunner, all_tasks
 
 
@@ -118,7 +118,7 @@ def _stitch(board: BenchmarkBoard) -> Stitch:
 
 def _paper(board: BenchmarkBoard) -> Any:
     def grey(camera: int, row: int) -> NDArray[np.uint8]:
-        return to_eight_bit(to_grey(board.frames[camera, row]))
+        return eight_bit_grey(board.frames[camera, row])
 
     return paper.chain_rows(board.setup.cameras, board.head.rows, grey)
 

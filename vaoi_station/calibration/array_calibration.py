@@ -12,7 +12,7 @@ from vaoi_station.calibration.array_assignment import assign_array
 from vaoi_station.calibration.blank_ground import find_blank_ground
 from vaoi_station.calibration.camera_fit import CameraResult, Limits, calibrate_camera
 from vaoi_station.calibration.layout_variants import find_symmetries, vary_layout
-from vaoi_station.calibration.mark_detection import DetectedMarks, MarkAppearance, detect_marks, to_grey
+from vaoi_station.calibration.mark_detection import DetectedMarks, MarkAppearance, detect_marks
 from vaoi_station.calibration.mark_identification import find_hypotheses
 from vaoi_station.calibration.nominal_view import nominal_matrix
 from vaoi_station.calibration.plausibility import local_scales, print_scale_note
@@ -21,6 +21,7 @@ from vaoi_station.files.images import Image
 from vaoi_station.files.layouts import Layout
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Calibration, CameraHead, Distortion
+from vaoi_station.pixel_formats import eight_bit_grey
 
 _NEGLIGIBLE_PX = 1e-3
 """Distortion at the corner below which a lens is written as ideal, which is faster to project."""
@@ -121,7 +122,7 @@ def calibrate(
                 f"camera {camera}: its frame of the calibration board is listed as missing.",
                 action="Film the board again; every camera is needed.",
             )
-        detections.append(detect_marks(to_grey(frame), kinds[camera]))
+        detections.append(detect_marks(eight_bit_grey(frame), kinds[camera]))
     marks_mm = np.array([(m.x, m.y) for m in layout.marks]) * layout.mm_per_unit
     results = _calibrate_cameras(heads, detections, kinds, marks_mm, limits)
     # The search for a hint calibrates the array once per variant, so it runs after a refusal only.

@@ -8,7 +8,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vaoi_station.files.images import Image
 from vaoi_station.files.layouts import Layout
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
@@ -64,15 +63,6 @@ class DetectedMarks:
     contrast: float = 0.0
     """Difference between the darkest and the lightest parts of the frame, grey levels."""
     grey: NDArray[np.uint8] = field(default_factory=lambda: np.zeros((0, 0), np.uint8))
-
-
-def to_grey(image: Image) -> NDArray[np.uint8]:
-    """Convert a frame to 8-bit grey; 16-bit frames are stretched, since sensors may use only some of the bits."""
-    grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
-    if grey.dtype == np.uint8:
-        return np.asarray(grey)
-    top = max(float(np.percentile(grey, 99.9)), 1.0)
-    return np.asarray(np.clip(np.rint(grey * (250.0 / top)), 0, 255), dtype=np.uint8)
 
 
 def detect_marks(grey: NDArray[np.uint8], kind: MarkAppearance) -> DetectedMarks:

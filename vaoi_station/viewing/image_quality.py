@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vaoi_station.calibration.mark_detection import to_grey
 from vaoi_station.files.images import Image
+from vaoi_station.pixel_formats import eight_bit_grey
 
 TILES = 3
 """Parts per side of the frame whose blur is measured separately: a tilted camera is sharp on one side only."""
@@ -69,7 +69,7 @@ def measure_quality(pixels: Image) -> ImageQuality:
     full = full_scale(channels)
     # Every second pixel in each direction suffices for percentiles, at a quarter of the cost.
     low, high = (float(v) / full for v in np.percentile(channels[::2, ::2], [1, 99]))
-    grey = to_grey(pixels)
+    grey = eight_bit_grey(pixels)
     blurs = _blur_of_blocks(grey)
     rows = [np.array_split(part, TILES, axis=1) for part in np.array_split(blurs, TILES, axis=0)]
     blur = _sharpest(blurs)

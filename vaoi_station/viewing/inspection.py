@@ -7,11 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from vaoi_station.calibration.mark_detection import SURROUND, MarkAppearance, detect_marks, to_grey
+from vaoi_station.calibration.mark_detection import SURROUND, MarkAppearance, detect_marks
 from vaoi_station.files.images import Image
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.marks import find_candidates, locate_mark
 from vaoi_station.marks.candidate_search import reduction_factor
+from vaoi_station.pixel_formats import eight_bit_grey
 from vaoi_station.viewing.image_quality import ImageQuality, measure_quality
 from vaoi_station.viewing.mark_spec import MarkSpec
 
@@ -54,7 +55,7 @@ class FrameInspection:
 def inspect_frame(pixels: Image, spec: MarkSpec | None) -> FrameInspection:
     """Measure a frame and detect the marks in it."""
     quality = measure_quality(pixels)
-    marks = () if spec is None else find_marks(to_grey(pixels), spec)
+    marks = () if spec is None else find_marks(eight_bit_grey(pixels), spec)
     remarks = (*_exposure_remarks(quality), *_focus_remarks(quality), *_mark_remarks(marks, spec))
     return FrameInspection(quality, marks, spec.size_px if spec else None, spec.expected if spec else None, remarks)
 

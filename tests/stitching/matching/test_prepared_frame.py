@@ -4,14 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from vaoi_station.pixel_formats import to_full_scale
-from vaoi_station.stitching.matching.prepared_frame import PreparedFrame, downsampled, half_size, to_eight_bit, to_grey
+from vaoi_station.stitching.matching.prepared_frame import PreparedFrame, downsampled, half_size
 
 
 def test_copies_keep_positions(workshop: Any) -> None:
@@ -42,21 +38,6 @@ def test_the_coarse_copy_does_not_depend_on_light(workshop: Any) -> None:
     inner = np.s_[10:-10, 10:-10]
     assert np.abs(plain.coarse[inner] - lit.coarse[inner]).mean() < 0.5
     assert plain.coarse.std() > 5
-
-
-@given(st.sampled_from([10, 12, 14, 16]), st.integers(1, 255), st.integers(0, 1000))
-def test_frames_of_more_bits_have_the_scale_of_their_bits(bits: int, top: int, seed: int) -> None:
-    """However dark a frame is, it is not brightened."""
-    eight = np.random.default_rng(seed).integers(0, top, (20, 30), endpoint=True).astype(np.uint16)
-    full = to_full_scale(eight << (bits - 8), bits)
-    assert np.array_equal(to_eight_bit(full), eight.astype(np.uint8))
-
-
-def test_colour_becomes_luminance_and_grey_stays() -> None:
-    colour = np.random.default_rng(0).integers(0, 256, (20, 30, 3), dtype=np.uint8)
-    assert np.array_equal(to_grey(colour), cv2.cvtColor(colour, cv2.COLOR_BGR2GRAY))
-    assert to_grey(colour[..., 0]) is not colour
-    assert PreparedFrame(colour).grey.shape == (20, 30)
 
 
 def test_half_size_leaves_an_odd_border_out() -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.files.images import encode_jpeg
-from vaoi_station.stitching.matching.prepared_frame import to_eight_bit, to_grey
+from vaoi_station.pixel_formats import eight_bit_grey
 
 WIDEST_PX, NARROWEST_PX = 240, 40
 _ALL_PX = 128 * 96 * 600
@@ -43,7 +43,7 @@ def thumbnail_width(frames: int) -> int:
 
 def thumbnail(pixels: NDArray[Any], width: int) -> Thumbnail:
     """Reduce a frame (h, w) or (h, w, 3), 8 or 16 bit, to a width in px, and brighten it. Never enlarge a frame."""
-    grey = to_eight_bit(to_grey(pixels))
+    grey = eight_bit_grey(pixels)
     h, w = grey.shape
     width = min(width, w)
     size = (width, max(round(h * width / w), 1))

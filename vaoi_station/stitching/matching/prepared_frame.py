@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.compiled import compiled
+from vaoi_station.pixel_formats import eight_bit_grey
 
 _COARSE_WIDTH_PX = 150
 """Smallest width of `PreparedFrame.coarse`."""
@@ -32,7 +33,7 @@ class PreparedFrame:
         Numba compiles separate variants for read-only and for writable arrays, and the two may round differently. A
         frame in the ring and the same frame from a file must give the same evidence.
         """
-        return read_only(to_eight_bit(to_grey(self._pixels)))
+        return read_only(eight_bit_grey(self._pixels))
 
     @cached_property
     def quarter(self) -> NDArray[np.uint8]:
@@ -72,19 +73,6 @@ def downsampled(frame: PreparedFrame, factor: int) -> NDArray[np.uint8]:
     if factor not in frame.copies:
         frame.copies[factor] = frame.quarter if factor == 4 else read_only(half_size(downsampled(frame, factor // 2)))
     return frame.copies[factor]
-
-
-def to_grey(pixels: NDArray[Any]) -> NDArray[Any]:
-    """Return the luminance of a colour frame, or a grey frame unchanged."""
-    return pixels if pixels.ndim == 2 else np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY))
-
-
-def to_eight_bit(grey: NDArray[Any]) -> NDArray[np.uint8]:
-    """Convert grey pixels to 8 bit. Pixels of 16 bits are at full scale (`Recording.frame`, `Ring.frame`).
-
-    The scale never depends on the pixels: thresholds in grey levels then mean the same in every frame.
-    """
-    return grey if grey.dtype == np.uint8 else np.asarray(grey >> 8, dtype=np.uint8)
 
 
 @compiled
