@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import json
 import socket
-import threading
 from collections.abc import Iterator
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from typing import Any
 
 import numpy as np
 import pytest
 
+from tests.web_server import ScriptedHandler, serving
 from vaoi_station.demo.client import Client
 from vaoi_station.errors import (
     BusyError,
@@ -43,10 +41,10 @@ REPLIES = {
 PICTURE = np.arange(12, dtype=np.uint8).reshape(3, 4)
 
 
-class ScriptedStation(BaseHTTPRequestHandler):
+class ScriptedStation(ScriptedHandler):
     """Serves `/refuse/STATUS`, `/picture`, `/events`, `/nothing`, and `REPLIES`; replies to others with the request."""
 
-    def do_GET(self) -> None:
+    def do_GET(self) -> None:  # noqa: N802  (the name is that of the base class)
         path = self.path.removeprefix("/api/v1")
         if path.startswith("/refuse/"):
             problem = {"detail": "No.", "action": "Wait.", "code": "because"}
@@ -70,7 +68,7 @@ class ScriptedStation(BaseHTTPRequestHandler):
         else:
             self.echo()
 
-    def do_POST(self) -> None:
+    def do_POST(self) -> None:  # noqa: N802  (the name is that of the base class)
         self.echo()
 
     do_PUT = do_POST  # noqa: N815  (the names are the base class's)
@@ -79,26 +77,11 @@ class ScriptedStation(BaseHTTPRequestHandler):
         body = self.rfile.read(int(self.headers.get("Content-Length") or 0))
         self.send(200, json.dumps({"request": [self.command, self.path, body.decode()]}).encode())
 
-    def send(self, status: int, content: bytes, length: int | None = None) -> None:
-        """Send a reply; `length` is the length that it declares, by default the true one."""
-        self.send_response(status)
-        self.send_header("Content-Length", str(len(content) if length is None else length))
-        self.end_headers()
-        self.wfile.write(content)
-
-    def log_message(self, *_: Any) -> None:
-        return
-
 
 @pytest.fixture(scope="module")
 def address() -> Iterator[str]:
-    server = ThreadingHTTPServer(("127.0.0.1", 0), ScriptedStation)
-    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
-    thread.start()
-    yield f"http://127.0.0.1:{server.server_address[1]}"
-    server.shutdown()
-    thread.join()
-    server.server_close()
+    with serving(ScriptedStation) as address:
+        yield address
 
 
 @pytest.fixture

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import copy
 import json
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
 import numpy as np
 import pytest
 
 import vaoi_station as vaoi
+from tests.web_server import ScriptedHandler, serving
 from vaoi_station.files.images import encode_png
 from vaoi_station.files.results import stitch_document
 from vaoi_station.library.replies import RunIdReply, ViewReply, checked
@@ -63,32 +62,20 @@ RIGHT: list[tuple[tuple[str | int, ...], Any]] = [
 """Values of the test below that are right for their keys."""
 
 
-class ScriptedReplies(BaseHTTPRequestHandler):
+class ScriptedReplies(ScriptedHandler):
     """Replies to each path with the entry of `replies`: an object as JSON, or bytes as they are."""
 
     replies: dict[str, Any] = {}  # noqa: RUF012  (each test sets it)
 
-    def do_GET(self) -> None:
+    def do_GET(self) -> None:  # noqa: N802  (the name is that of the base class)
         reply = self.replies[self.path.split("?")[0].removeprefix("/api/v1")]
-        content = reply if isinstance(reply, bytes) else json.dumps(reply).encode()
-        self.send_response(200)
-        self.send_header("Content-Length", str(len(content)))
-        self.end_headers()
-        self.wfile.write(content)
-
-    def log_message(self, *_: Any) -> None:
-        return
+        self.send(200, reply if isinstance(reply, bytes) else json.dumps(reply).encode())
 
 
 @pytest.fixture(scope="module")
 def address() -> Iterator[str]:
-    server = ThreadingHTTPServer(("127.0.0.1", 0), ScriptedReplies)
-    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
-    thread.start()
-    yield f"http://127.0.0.1:{server.server_address[1]}"
-    server.shutdown()
-    thread.join()
-    server.server_close()
+    with serving(ScriptedReplies) as address:
+        yield address
 
 
 @pytest.mark.parametrize("path", USES)

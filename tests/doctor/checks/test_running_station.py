@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import http.server
 import os
 import socket
-import threading
 from collections.abc import Iterator
-from typing import Any
+from contextlib import contextmanager
 
 import pytest
 
 from tests.doctor.conftest import assert_problem, at_port, only, without_privileges
+from tests.web_server import ScriptedHandler, serving
 from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import StationConfig
 from vaoi_station.doctor.check_context import CheckContext, RunningProcess
@@ -27,30 +26,16 @@ def owned(config: StationConfig) -> Iterator[StationConfig]:
         yield config
 
 
-class FixedReplyServer:
-    """A web server that gives the same reply to every request."""
+@contextmanager
+def replying(status: int, body: bytes) -> Iterator[int]:
+    """Serve the same reply to every request, at the port that is returned."""
 
-    def __init__(self, status: int, body: bytes) -> None:
-        class Handler(http.server.BaseHTTPRequestHandler):
-            def do_GET(self) -> None:
-                self.send_response(status)
-                self.send_header("Content-Length", str(len(body)))
-                self.end_headers()
-                self.wfile.write(body)
+    class Handler(ScriptedHandler):
+        def do_GET(self) -> None:  # noqa: N802  (the name is that of the base class)
+            self.send(status, body)
 
-            def log_message(self, *_: Any) -> None:
-                pass
-
-        self.server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-        self.port: int = self.server.server_address[1]
-
-    def __enter__(self) -> FixedReplyServer:
-        threading.Thread(target=self.server.serve_forever, kwargs={"poll_interval": 0.02}, daemon=True).start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.server.shutdown()
-        self.server.server_close()
+    with serving(Handler) as address:
+        yield int(address.rpartition(":")[2])
 
 
 def test_no_ring_means_no_running_station(config: StationConfig) -> None:
@@ -75,9 +60,9 @@ def test_station_of_another_user_is_recognised_by_its_reply(config: StationConfi
     path.chmod(0)
     for directory in [path.parent, *path.parent.parents][:-2]:
         directory.chmod(directory.stat().st_mode | 0o011)
-    with FixedReplyServer(200, snapshot) as server, without_privileges():
-        found = running_station.find(at_port(config, server.port))
-        context = CheckContext(at_port(config, server.port), Machine(), found)
+    with replying(200, snapshot) as port, without_privileges():
+        found = running_station.find(at_port(config, port))
+        context = CheckContext(at_port(config, port), Machine(), found)
         finding = only(running_station.station(context))
         lock = only(memory.lock_limit(context))
     assert (finding.level, finding.message) == (
@@ -91,8 +76,8 @@ def test_station_of_another_user_is_recognised_by_its_reply(config: StationConfi
     ("status", "body"), [(200, b"hello"), (404, b'{"state": "idle"}'), (200, b"[]"), (200, b'{"status": "ok"}')]
 )
 def test_reply_of_another_program_is_not_taken_for_a_station(owned: StationConfig, status: int, body: bytes) -> None:
-    with FixedReplyServer(status, body) as other:
-        found = running_station.find(at_port(owned, other.port))
+    with replying(status, body) as port:
+        found = running_station.find(at_port(owned, port))
     assert found is not None
     assert found.no_reply_reason.startswith(("ValueError", "JSONDecodeError"))
 
