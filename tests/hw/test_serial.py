@@ -6,6 +6,8 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
 
@@ -31,6 +33,25 @@ from vaoi_station.config import ControllerConfig, Line, StationConfig
 from vaoi_station.errors import DeviceError, StateError
 
 ROOT = Path(__file__).resolve().parents[2]
+
+
+@contextmanager
+def armed_process(chip: PacedChip) -> Iterator[tuple[subprocess.Popen[str], Iterator[str]]]:
+    """Arm the chip from another process; return the process and its lines of events. The process is killed at exit."""
+    with subprocess.Popen(
+        [sys.executable, "-m", "tests.hw.emulated.serial_host", str(chip.link)],
+        stdout=subprocess.PIPE,
+        text=True,
+        cwd=ROOT,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+    ) as process:
+        try:
+            assert process.stdout is not None
+            lines = iter(process.stdout)
+            assert next(lines) == "armed\n"
+            yield process, lines
+        finally:
+            process.kill()
 
 
 def test_a_board_passes(host: Host) -> None:
@@ -199,17 +220,7 @@ def test_noise_costs_time_and_nothing_else(host: Host) -> None:
 
 def test_a_host_that_was_stopped(paced: PacedChip) -> None:
     """SIGSTOP for longer than the heartbeat's limit: outputs off, a report, and armed again."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "tests.hw.emulated.serial_host", str(paced.link)],
-        stdout=subprocess.PIPE,
-        text=True,
-        cwd=ROOT,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-    )
-    assert process.stdout is not None
-    try:
-        lines = iter(process.stdout)
-        assert next(lines) == "armed\n"
+    with armed_process(paced) as (process, lines):
         paced.board(60_000)
         while "PulseFired" not in next(lines):
             pass
@@ -227,10 +238,6 @@ def test_a_host_that_was_stopped(paced: PacedChip) -> None:
             line = next(lines)
             if line == "nothing new\n":
                 paced.board(100)
-    finally:
-        process.kill()
-        process.wait()
-        process.stdout.close()
 
 
 def test_another_process_with_the_same_port_is_refused(host: Host) -> None:
@@ -269,24 +276,10 @@ def test_cameras_that_are_absent_leave_the_port_free(paced: PacedChip) -> None:
 
 def test_events_of_an_earlier_process_are_not_reported(paced: PacedChip) -> None:
     """It was killed while armed: its events are not reported again, and no board is filmed for it."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "tests.hw.emulated.serial_host", str(paced.link)],
-        stdout=subprocess.PIPE,
-        text=True,
-        cwd=ROOT,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-    )
-    assert process.stdout is not None
-    try:
-        lines = iter(process.stdout)
-        assert next(lines) == "armed\n"
+    with armed_process(paced) as (_, lines):
         paced.do("pin PB0 1")
         while "PulseFired" not in next(lines):
             pass
-    finally:
-        process.kill()
-        process.wait()
-        process.stdout.close()
     second = Host(paced)
     try:
         paced.do("pin PB0 0")
