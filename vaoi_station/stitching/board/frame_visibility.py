@@ -106,13 +106,7 @@ class _Poses(NamedTuple):
 
 @compiled
 def _nearest(board_mm: Floats, poses: _Poses, view_mm: Floats, size_px: Floats) -> Ints:
-    frame, rows, image_from_row, radial, lens = (
-        poses.frame,
-        poses.rows,
-        poses.image_from_row,
-        poses.radial,
-        poses.lens,
-    )
+    frame, rows, image_from_row, radial, lens = poses
     chosen = np.full(len(board_mm), -1)
     for k in range(len(board_mm)):
         best = np.inf
@@ -138,13 +132,7 @@ def _nearest(board_mm: Floats, poses: _Poses, view_mm: Floats, size_px: Floats) 
 
 @compiled
 def _projected(board_mm: Floats, number: Ints, poses: _Poses) -> Floats:
-    frame, rows, image_from_row, radial, lens = (
-        poses.frame,
-        poses.rows,
-        poses.image_from_row,
-        poses.radial,
-        poses.lens,
-    )
+    frame, rows, image_from_row, radial, lens = poses
     out = np.full(board_mm.shape, np.nan)
     for k in range(len(board_mm)):
         if number[k] < 0:
