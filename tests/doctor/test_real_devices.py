@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
 import sys
-from pathlib import Path
 from typing import Any
 
 import pytest
 
 from tests.needs import need_emulator
-from vaoi_station.rig.devices.network import NAMESPACE_VARIABLE, isolation_command
-
-ROOT = Path(__file__).resolve().parents[2]
+from tests.processes import run_in_own_network
 
 
 @pytest.fixture(scope="module")
@@ -22,16 +17,7 @@ def reports(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """The output of `rig_session`."""
     need_emulator()
     directory = tmp_path_factory.mktemp("doctor") / "rig"
-    command = [*isolation_command(), sys.executable, "-m", "tests.doctor.rig_session", str(directory)]
-    done = subprocess.run(
-        command,
-        cwd=ROOT,
-        env=os.environ | {NAMESPACE_VARIABLE: "1"},
-        check=False,
-        timeout=280,
-        capture_output=True,
-        text=True,
-    )
+    done = run_in_own_network(sys.executable, "-m", "tests.doctor.rig_session", str(directory))
     assert done.returncode == 0, done.stderr
     document: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
     return document

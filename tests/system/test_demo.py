@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import select
 import signal
 import subprocess
 import sys
@@ -17,6 +16,7 @@ from typing import Any
 import cv2
 import pytest
 
+from tests.processes import ends_within
 from vaoi_station.demo.client import Client
 from vaoi_station.demo.demo_report import DemoReport
 from vaoi_station.simulation import scenario_path
@@ -120,7 +120,7 @@ def test_service_ends_when_its_demo_is_killed(start: Start) -> None:
     process.kill()
     process.communicate()
     for pid in processes:
-        until_ended(pid)
+        assert ends_within(pid, TIMEOUT_S), f"process {pid} outlived its demo"
 
 
 def until_board(process: subprocess.Popen[str], count: int) -> tuple[str, list[int]]:
@@ -141,15 +141,3 @@ def until_board(process: subprocess.Popen[str], count: int) -> tuple[str, list[i
 def parent_of(pid: int) -> int:
     """Return the id of the parent process."""
     return int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[1])
-
-
-def until_ended(pid: int) -> None:
-    """Wait for a process that is not our child."""
-    try:
-        handle = os.pidfd_open(pid)
-    except ProcessLookupError:
-        return
-    try:
-        assert select.select([handle], [], [], TIMEOUT_S)[0], f"process {pid} outlived its demo"
-    finally:
-        os.close(handle)

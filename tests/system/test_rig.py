@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import os
-import select
 import signal
 import subprocess
 import sys
@@ -17,6 +16,7 @@ from typing import Any
 import pytest
 
 from tests.needs import need_aravis, need_emulator
+from tests.processes import ends_within
 from vaoi_station.config import read_config
 from vaoi_station.files import open_recording
 
@@ -45,18 +45,6 @@ def rig_run(folder: Path, films: Path, *options: str) -> tuple[int, dict[str, An
     output = done.stdout + done.stderr
     assert report.is_file(), output
     return done.returncode, json.loads(report.read_text()), output
-
-
-def ended(pid: int) -> bool:
-    """Return whether a process ends within 10 s: the tracker of multiprocessing ends a little after its parent."""
-    try:
-        handle = os.pidfd_open(pid)
-    except ProcessLookupError:
-        return True
-    try:
-        return bool(select.select([handle], [], [], 10.0)[0])
-    finally:
-        os.close(handle)
 
 
 def affected(board: dict[str, Any]) -> set[tuple[int, int]]:
@@ -124,7 +112,7 @@ def test_configuration_of_a_rig_has_addresses_of_devices_only(tmp_path: Path, fi
         output.append(process.stdout.read())
         assert process.wait(30) == 0, "".join(output)
     assert len(children) >= 3, "".join(output)
-    assert all(ended(int(pid)) for pid in children)
+    assert all(ends_within(int(pid), 10.0) for pid in children)
     config = read_config(out / "station.toml")
     assert [camera.address for camera in config.cameras] == ["127.0.0.2", "127.0.0.3"]
     assert all(camera.nominal_center_mm and camera.nominal_px_per_mm for camera in config.cameras)

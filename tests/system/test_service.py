@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import select
 import signal
 import subprocess
 import sys
@@ -16,6 +15,7 @@ from typing import Any
 import httpx2
 import pytest
 
+from tests.processes import ends_within
 from vaoi_station.config import StationConfig
 
 TIMEOUT_S = 60.0
@@ -113,7 +113,7 @@ def test_killed_station_leaves_no_process_and_the_next_one_removes_its_ring(serv
     pids = [p["pid"] for p in service.get("/station")["processes"]]
     service.stop(signal.SIGKILL)
     for pid in pids:
-        ended(pid)
+        assert ends_within(pid, TIMEOUT_S), f"process {pid} outlived its station"
     assert len(list((tmp_path / "shm").iterdir())) == 1
     again = Service(tmp_path / "station.toml")
     again.until_idle()
@@ -153,16 +153,4 @@ def test_station_that_is_not_stopped_ends_with_its_program(
         check=True,
     )
     for pid in done.stdout.split():
-        ended(int(pid))
-
-
-def ended(pid: int) -> None:
-    """Wait until a process that is not our child has ended."""
-    try:
-        handle = os.pidfd_open(pid)
-    except ProcessLookupError:
-        return
-    try:
-        assert select.select([handle], [], [], TIMEOUT_S)[0], f"process {pid} outlived its station"
-    finally:
-        os.close(handle)
+        assert ends_within(int(pid), TIMEOUT_S), f"process {pid} outlived its station"

@@ -4,21 +4,12 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Iterator
 from concurrent.futures import Future
 
 import pytest
 
 from vaoi_station.errors import InternalError, NotFoundError, StateError
 from vaoi_station.runs.control.inbox import Inbox
-
-
-@pytest.fixture
-def inbox() -> Iterator[Inbox]:
-    made = Inbox(lambda: None)
-    made.start()
-    yield made
-    made.close()
 
 
 def test_answers_come_from_one_thread(inbox: Inbox) -> None:

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
 from typing import Any
-
-import pytest
 
 from vaoi_station.acquisition.process.messages import Ready
 from vaoi_station.runs.control.inbox import Inbox
@@ -22,14 +19,6 @@ class RecordedCore:
 
     def __getattr__(self, name: str) -> Any:
         return lambda *values: self.calls.append((name, threading.current_thread().name, values))
-
-
-@pytest.fixture
-def inbox() -> Iterator[Inbox]:
-    made = Inbox(lambda: None)
-    made.start()
-    yield made
-    made.close()
 
 
 def test_events_are_processed_in_order_in_the_coordinators_thread(inbox: Inbox) -> None:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from enum import Enum
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-from vaoi_station.config import CameraConfig
+from vaoi_station.config import CameraConfig, StationConfig
 from vaoi_station.pixel_formats import PIXEL_FORMATS
 
 
@@ -298,3 +299,25 @@ def camera_config(**changes: object) -> CameraConfig:
         "exposure_us": 250.0,
     }
     return CameraConfig.model_validate(content | changes)
+
+
+def station_config(directory: Path, cameras: list[CameraConfig], period_s: float = 0.1) -> StationConfig:
+    """The configuration of a station of these cameras, with its ring in a directory."""
+    return StationConfig.model_validate(
+        {
+            "calibration": "calibration.json",
+            "board_types": "types",
+            "data": "data",
+            "line": {
+                "conveyor_mm_s": (0.0, 100.0),
+                "barrier_mm": -40.0,
+                "start_delay_s": 0.1,
+                "trigger_period_s": period_s,
+                "tail_s": 0.2,
+                "longest_board_mm": 40.0,
+            },
+            "cameras": [camera.model_dump() for camera in cameras],
+            "controller": {"backend": "serial"},
+            "ring": {"directory": directory},
+        }
+    )

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.acquisition.cameras.aravis.stand_in import camera_config
+from tests.acquisition.cameras.aravis.stand_in import camera_config, station_config
 from vaoi_station.acquisition.cameras.aravis import network, opening
 from vaoi_station.acquisition.cameras.aravis.connection import Identity, PortShare
 from vaoi_station.acquisition.cameras.aravis.discovery import FoundDevice
@@ -68,23 +68,8 @@ def _no_devices(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def station(tmp_path: Path, *cameras: dict[str, Any], period_s: float = 0.1) -> StationConfig:
     """A station of cameras of 16 × 16 px."""
-    return StationConfig.model_validate(
-        {
-            "calibration": "calibration.json",
-            "board_types": "types",
-            "data": "data",
-            "line": {
-                "conveyor_mm_s": (0.0, 100.0),
-                "barrier_mm": -40.0,
-                "start_delay_s": 0.1,
-                "trigger_period_s": period_s,
-                "tail_s": 0.2,
-                "longest_board_mm": 40.0,
-            },
-            "cameras": [camera_config(name=f"c{k}", **camera).model_dump() for k, camera in enumerate(cameras)],
-            "controller": {"backend": "serial"},
-            "ring": {"directory": tmp_path},
-        }
+    return station_config(
+        tmp_path, [camera_config(name=f"c{k}", **camera) for k, camera in enumerate(cameras)], period_s
     )
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.acquisition.cameras.aravis.stand_in import camera_config, station_config
 from tests.acquisition.cameras.aravis.wire.stage import HEIGHT, WIDTH, Device, Stage, thread_names, wait_for_remains
 from vaoi_station.config import StationConfig
 from vaoi_station.rig.devices.network import LoopbackAddresses, addresses
@@ -39,27 +40,11 @@ def station(tmp_path: Path) -> Callable[..., StationConfig]:
     """A station of these devices, by address; keyword arguments change all cameras."""
 
     def make(*devices: Device, **changes: object) -> StationConfig:
-        camera = {"backend": "aravis", "width": WIDTH, "height": HEIGHT, "exposure_us": 250.0}
-        return StationConfig.model_validate(
-            {
-                "calibration": "calibration.json",
-                "board_types": "types",
-                "data": "data",
-                "line": {
-                    "conveyor_mm_s": (0.0, 100.0),
-                    "barrier_mm": -40.0,
-                    "start_delay_s": 0.1,
-                    "trigger_period_s": 0.1,
-                    "tail_s": 0.2,
-                    "longest_board_mm": 40.0,
-                },
-                "cameras": [
-                    {"name": f"c{k}", "address": d.address, **camera, **changes} for k, d in enumerate(devices)
-                ],
-                "controller": {"backend": "serial"},
-                "ring": {"directory": tmp_path},
-            }
-        )
+        cameras = [
+            camera_config(name=f"c{k}", address=d.address, width=WIDTH, height=HEIGHT, **changes)
+            for k, d in enumerate(devices)
+        ]
+        return station_config(tmp_path, cameras)
 
     return make
 
