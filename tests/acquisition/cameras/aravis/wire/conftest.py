@@ -41,7 +41,7 @@ def station(tmp_path: Path) -> Callable[..., StationConfig]:
 
     def make(*devices: Device, **changes: object) -> StationConfig:
         cameras = [
-            camera_config(name=f"c{k}", address=d.address, width=WIDTH, height=HEIGHT, **changes)
+            camera_config(**{"name": f"c{k}", "address": d.address, "width": WIDTH, "height": HEIGHT} | changes)
             for k, d in enumerate(devices)
         ]
         return station_config(tmp_path, cameras)
