@@ -1,0 +1,81 @@
+"""docs/codes.md lists every code that the package can give, except the codes of a result's reasons."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import get_args
+
+from vaoi_station.acquisition.pairing.doubts import ACTIONS
+from vaoi_station.acquisition.pairing.proof import Kind
+from vaoi_station.api.problems import KINDS
+from vaoi_station.model import Status
+from vaoi_station.model.frame_record import Verdict
+
+ROOT = Path(__file__).resolve().parents[2]
+DOCUMENT = ROOT / "docs" / "codes.md"
+FAMILIES = {
+    "stitch-": {f"stitch-{status}" for status in Status if status is not Status.OK},
+    "frames-": {f"frames-{verdict}" for verdict in Verdict if verdict is not Verdict.OK},
+    "trigger-": {f"trigger-{kind}" for kind in ACTIONS},
+}
+"""Codes that are composed when they are given, by their first part."""
+BASE_CLASS = "error"
+"""Code of the base class of errors, of which no error is made."""
+
+
+def given_codes() -> Iterator[str]:
+    """Yield the codes in the package's sources; a composed one as its first part."""
+    for path in sorted((ROOT / "vaoi_station").rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            for value in _values(node):
+                if isinstance(value, ast.Constant) and isinstance(value.value, str):
+                    yield value.value
+                elif isinstance(value, ast.JoinedStr):
+                    first = value.values[0]
+                    assert isinstance(first, ast.Constant), ast.unparse(value)
+                    yield str(first.value)
+
+
+def _values(node: ast.AST) -> Iterator[ast.expr | None]:
+    """Yield what a node of a syntax tree gives as a code: an argument, a class attribute or a constant of a module."""
+    if isinstance(node, ast.keyword) and node.arg == "code":
+        yield node.value
+    elif isinstance(node, ast.Assign) and [ast.unparse(t) for t in node.targets] in (["code"], ["CODE"]):
+        yield node.value
+    elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith(".add_reason"):
+        yield node.args[0]
+
+
+def listed_rows() -> list[list[str]]:
+    """Return the cells of every row of the document's tables, without the heads."""
+    lines = DOCUMENT.read_text(encoding="utf-8").splitlines()
+    return [line.strip("|").split("|") for line in lines if line.startswith("| `")]
+
+
+def test_the_document_lists_every_code() -> None:
+    given = set(given_codes()) - {"", BASE_CLASS}
+    composed = {code for code in given if code.endswith("-")}
+    assert composed == set(FAMILIES)
+    expected = (given - composed).union(KINDS, *FAMILIES.values())
+    listed = {code for codes, *_ in listed_rows() for code in re.findall("`(.+?)`", codes)}
+    assert sorted(listed) == sorted(expected)
+
+
+def test_every_code_has_a_meaning_and_an_action() -> None:
+    for codes, meaning, action in listed_rows():
+        assert meaning.strip(), codes
+        assert action.strip(), codes
+
+
+def test_no_section_lists_a_code_twice() -> None:
+    for section in DOCUMENT.read_text(encoding="utf-8").split("\n## "):
+        listed = re.findall("`(.+?)`", " ".join(line.split("|")[1] for line in section.splitlines() if "| `" in line))
+        assert len(listed) == len(set(listed))
+
+
+def test_findings_without_an_action_are_no_reasons() -> None:
+    """They explain missing frames only, so they are not in the document."""
+    assert set(get_args(Kind)) - set(ACTIONS) == {"ignored-trigger"}
