@@ -41,12 +41,11 @@ def given_codes() -> Iterator[str]:
 
 def _values(node: ast.AST) -> Iterator[ast.expr | None]:
     """Yield what a node of a syntax tree gives as a code: an argument, a class attribute or a constant of a module."""
-    if isinstance(node, ast.keyword) and node.arg == "code":
-        yield node.value
-    elif isinstance(node, ast.Assign) and [ast.unparse(t) for t in node.targets] in (["code"], ["CODE"]):
-        yield node.value
-    elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith(".add_reason"):
-        yield node.args[0]
+    match node:
+        case ast.keyword(arg="code", value=value) | ast.Assign(targets=[ast.Name(id="code" | "CODE")], value=value):
+            yield value
+        case ast.Call(func=ast.Attribute(attr="add_reason"), args=[value, *_]):
+            yield value
 
 
 def listed_rows() -> list[list[str]]:
