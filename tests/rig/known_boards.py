@@ -105,7 +105,8 @@ def report_of(*boards: BoardScore, **more: Any) -> RigReport:
     return RigReport(
         **{
             "ok": True, "scenario": "small", "cameras": 2, "width_px": 640, "height_px": 480, "frames_per_s": 9.09,
-            "faults": (), "boards": boards, "boards_missed": 0, "stray_pulses": 0, "rms_px": 0.01, "max_px": 0.02,
+            "faults": (), "boards": boards, "boards_missed": 0, "stray_pulses": 0, "rms_px": 0.01,
+            "max_px": 0.02, "runs": len(boards),
             "recoveries": (), "load": None, "machine_load": 0.1, "took_s": 9.0, "failings": (), **more,
         }
     )  # fmt: skip

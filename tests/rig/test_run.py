@@ -58,6 +58,7 @@ class Station:
             "rows": ROWS,
             "cameras": CAMERAS,
             "counts": {"ok": CAMERAS * ROWS},
+            "board_id": self.commands[-1].split()[-1],
         }
         with self.change:
             self.hidden.append((time.monotonic() + self.stitching_s, run | self.changes.get(passage.board, {})))
@@ -92,7 +93,7 @@ class Station:
         return run
 
     def post(self, path: str, **fields: Any) -> None:
-        self.commands.append(f"{path} {fields['board_type']}")
+        self.commands.append(f"{path} {fields['board_type']} {fields.get('board_id', '')}".strip())
 
 
 class Devices:
@@ -182,7 +183,7 @@ def test_every_board_is_matched_with_its_run(rig: Rig) -> None:
     assert (report.ok, report.failings) == (True, ())
     assert [board.run for board in report.boards] == ["r0", "r1", "r2"]
     assert all(board.faultless for board in report.boards)
-    assert rig.station.commands == ["/station/arm small"]
+    assert rig.station.commands == ["/station/arm small", *(f"/station/arm small board-{n}" for n in range(3))]
     assert [line for line in rig.lines if line.startswith("run")] == [
         f"run {n}: ok, 12 of 12 frames." for n in (1, 2, 3)
     ]

@@ -94,16 +94,21 @@ def find_gaps(
     return found
 
 
-def explain_missing(row: int, numbered: AbstractSet[int], gaps: Sequence[Gap]) -> str:
+def explain_missing(row: int, numbered: AbstractSet[int], gaps: Sequence[Gap], unassigned: int = 0) -> str:
     """Return a text that states why a row has no frame.
 
     Args:
         row: the missing row.
         numbered: rows of the same camera whose frame has an id.
         gaps: the intervals between the numbered rows (`find_gaps`).
+        unassigned: number of frames that came during the run and belong to no row.
     """
     if not numbered:
-        return "the camera sent no frame in this run; check its cable, its power and its trigger line"
+        return (
+            f"the camera sent {unassigned} frame(s) in this run, but no time stamp fits a pulse"
+            if unassigned
+            else "the camera sent no frame in this run; check its cable, its power and its trigger line"
+        )
     gap = next((g for g in gaps if row in g.missing), None)
     if gap is None:
         return "no frame arrived for the first pulses" if row < min(numbered) else "no frame arrived after the last one"

@@ -24,10 +24,11 @@ _ROW_FAULTS = ("kill", "stall", "reset")
 
 
 def frame_faults_of(faults: Sequence[Fault]) -> FrameFaults:
-    """Return those faults that concern frames: packet loss and ignored pulses. The virtual line injects them."""
+    """Return those faults that concern frames: lost packets, ignored pulses, late stamps. The line injects them."""
     return FrameFaults(
         loss=max((f.share for f in faults if f.kind == "loss"), default=0.0),
         ignored=frozenset((f.board, f.row, f.camera) for f in faults if f.kind == "ignored"),
+        late_stamps=tuple((f.board, f.camera, f.by_s) for f in faults if f.kind == "stamps"),
     )
 
 

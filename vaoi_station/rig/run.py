@@ -16,10 +16,10 @@ from vaoi_station.demo.client import Client
 from vaoi_station.demo.service import Service
 from vaoi_station.demo.temporary_folder import temporary_folder
 from vaoi_station.demo.waiting import wait_until_idle
-from vaoi_station.errors import GoneError, NotFoundError
+from vaoi_station.errors import GoneError, NotFoundError, VaoiError
 from vaoi_station.rig.fault_injection import FaultInjector, frame_faults_of
 from vaoi_station.rig.line.assembly import Devices, prepare_boards
-from vaoi_station.rig.line.faults import Fault, with_belt_faults
+from vaoi_station.rig.line.faults import Fault, followers, with_belt_faults
 from vaoi_station.rig.line.feeder import BoardFeeder
 from vaoi_station.rig.line.rendered_boards import RenderedBoard
 from vaoi_station.rig.line.scenarios import min_interval_s
@@ -70,7 +70,28 @@ class _Record:
     matrices: dict[str, dict[str, Any]] = field(default_factory=dict)
     ring_checks: dict[str, RingCheck] = field(default_factory=dict)
     missed: int = 0
+    board_ids: list[str | None] = field(default_factory=list)
+    """For each board the id with which the station was armed for it; None: that was not possible."""
     load: Load | None = None
+
+
+class _BoardIds:
+    """Arms the station for every board with an id of its own, as a line does that reads a code on each board."""
+
+    def __init__(self, client: Client, watch: StatusWatch, board_type: str) -> None:
+        self._client, self._watch, self.board_type = client, watch, board_type
+        self.armed: list[str | None] = []
+
+    def arm_next(self, timeout_s: float) -> bool:
+        """Wait until the station is ready, and arm it with the id of the next board. Return False after the timeout."""
+        ready, board_id = self._watch.wait_ready(timeout_s), f"board-{len(self.armed)}"
+        try:
+            self._client.post("/station/arm", board_type=self.board_type, board_id=board_id, job_id="rig")
+        except VaoiError:  # a fault may keep the station from being armed again; the board then passes without an id
+            self.armed.append(None)
+        else:
+            self.armed.append(board_id)
+        return ready
 
 
 def run_rig(plan: Plan, progress: Callable[[str], None]) -> RigReport:
@@ -101,7 +122,15 @@ def run_rig(plan: Plan, progress: Callable[[str], None]) -> RigReport:
                 record, passages, recoveries = _run_boards(plan, service, devices, rendered, injector, progress)
         unexpected_pulses = len(devices.line.unexpected_pulses)
     boards = _score_boards(scenario, passages, record, injector)
-    return _report(plan, boards, record, recoveries, unexpected_pulses, injector.failed, time.monotonic() - began_s)
+    failed = [*injector.failed, *_borrowed_ids(boards, record.runs)]
+    return _report(plan, boards, record, recoveries, unexpected_pulses, failed, time.monotonic() - began_s)
+
+
+def _borrowed_ids(boards: Sequence[BoardScore], runs: Sequence[dict[str, Any]]) -> list[str]:
+    """Return a sentence for each run that is of no fed board and has the board id of one."""
+    fed = {board.run for board in boards}
+    others = [run for run in runs if run["id"] not in fed and run.get("board_id") is not None]
+    return [f"run {run['id']} of a board without an id has the board id {run['board_id']!r}" for run in others]
 
 
 def _run_boards(
@@ -118,16 +147,17 @@ def _run_boards(
     with StatusWatch(Client(service.address)) as watch:
         injector.attach(devices)
         injector.set_process_source(lambda: _processes(service, watch.last))
-        client.post("/station/arm", board_type=rendered[0].board_type.name, job_id="rig")
+        ids = _BoardIds(client, watch, rendered[0].board_type.name)
+        client.post("/station/arm", board_type=ids.board_type, job_id="rig")
         watch.wait_ready(READY_TIMEOUT_S)
         meter = CpuLoadMeter(_measured_processes(service, watch.last, devices))
         interval_s = min_interval_s(plan.scenario, rendered)
-        with BoardFeeder(devices.line, rendered, interval_s, watch.wait_ready) as feeder:
+        with BoardFeeder(devices.line, rendered, interval_s, ids.arm_next) as feeder:
             _collect_runs(plan, client, feeder, record, progress)
         record.load = meter.read(sum(run["counts"]["ok"] for run in record.runs))
         injector.finish()
         recoveries = _recoveries(injector, watch, record.began_ns)
-    record.missed = client.get("/station")["boards_missed"]
+    record.missed, record.board_ids = client.get("/station")["boards_missed"], ids.armed
     for run in record.runs:
         record.matrices[run["id"]] = _matrices(client, run["id"])
     return record, feeder.passages, recoveries
@@ -137,8 +167,9 @@ def _collect_runs(
     plan: Plan, client: Client, feeder: BoardFeeder, record: _Record, progress: Callable[[str], None]
 ) -> None:
     """Collect ended runs into `record`, until there is one run for each board or no more runs can be expected."""
-    after, finished_s, busy_s = None, math.inf, 0.0
-    while len(record.runs) < plan.boards:
+    after, finished_s, busy_s, extra = None, math.inf, 0.0, followers(plan.faults)
+    # A board that follows another one too closely has a run of its own, or is missed.
+    while len(record.runs) < plan.boards + max(extra - record.missed, 0):
         # The time limits start when all boards have passed. Until then a run may take any time.
         if feeder.finished.is_set() and math.isinf(finished_s):
             finished_s = time.monotonic()
@@ -167,6 +198,7 @@ def _check_ring(client: Client, feeder: BoardFeeder, record: _Record) -> bool:
         True if a run is still being filmed or stitched.
     """
     station = client.get("/station")
+    record.missed = station["boards_missed"]
     for run, bay in bays_to_check(station).items():
         if run in record.ring_checks:
             continue
@@ -194,6 +226,7 @@ def _score_boards(
             record.matrices.get(run, {}) if run else {},
             record.ring_checks.get(run) if run else None,
             resolution,
+            record.board_ids[passage.board],
         )
         scores.append(score(evidence, injector.outages))
     return tuple(scores)
@@ -234,6 +267,7 @@ def _report(
         frames_per_s=round(1 / plan.scenario.line.period_s, 3),
         faults=plan.fault_texts,
         boards=boards,
+        runs=len(record.runs),
         boards_missed=record.missed,
         stray_pulses=unexpected_pulses,
         rms_px=round(math.sqrt(sum(d.views * d.rms_px**2 for d in placed) / views), 4) if views else 0.0,

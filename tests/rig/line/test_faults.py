@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from vaoi_station.errors import InputError
-from vaoi_station.rig.line.faults import KINDS, check_faults, parse_fault, with_belt_faults
+from vaoi_station.rig.line.faults import KINDS, check_faults, followers, parse_fault, with_belt_faults
 from vaoi_station.simulation import Scenario
 
 
@@ -38,6 +38,9 @@ def test_keys_change_what_they_name() -> None:
         ("stall:who=camera", "who is 'camera', but must be station, acquisition, or worker N"),
         ("stall:who=", "who is '', but must be station, acquisition, or worker N"),
         ("stall:who=worker x", "who is 'worker x', but must be station, acquisition, or worker N"),
+        ("follow:gap_mm=0", "gap_mm is 0.0, but must be above 0, at most 10000 mm"),
+        ("follow:count=0", "count is 0, but must be from 1 to 20"),
+        ("stamps:by_s=nan", "by_s is nan, but must be above 0, at most 60 s"),
         ("bounce:at_s=-1", "at_s is -1.0, but must be from 0 to 60 s"),
         ("bounce:at_s=nan", "at_s is nan, but must be from 0 to 60 s"),
         ("kill:camera=1,camera=2", "is 'kill:camera=1,camera=2', but must be written with camera once"),
@@ -62,3 +65,11 @@ def test_the_twin_plays_what_happens_on_the_belt() -> None:
     known = with_belt_faults(Scenario(), faults).faults
     assert [(f.board, f.row) for f in known.stuck] == [(2, 5)]
     assert [(f.board, f.at_s, f.duration_s) for f in known.bounces] == [(0, 0.1, 0.002)]
+
+
+def test_boards_that_follow_interrupt_the_barrier_for_their_length() -> None:
+    """Boards of 60 mm at 100 mm/s with 40 mm between them."""
+    faults = [parse_fault("follow:board=1,gap_mm=40,count=2"), parse_fault("follow:board=2")]
+    known = with_belt_faults(Scenario(), faults).faults.bounces
+    assert [(f.board, f.at_s, f.duration_s) for f in known] == [(1, 1.0, 0.6), (1, 2.0, 0.6), (2, 1.0, 0.6)]
+    assert followers(faults) == 3

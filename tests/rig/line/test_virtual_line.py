@@ -139,3 +139,9 @@ def test_a_chip_that_has_ended_ends_the_boards(line: Line, boards: tuple[Rendere
     ):
         assert feeder.finished.wait(30)
     assert feeder.passages == []
+
+
+def test_stamps_come_late_from_a_board_on() -> None:
+    faults = FrameFaults(late_stamps=((1, 0, 0.02), (2, 0, 0.001), (0, 1, 0.1)))
+    assert [faults.stamp_delay_ns(board, 0) for board in range(3)] == [0, 20_000_000, 21_000_000]
+    assert faults.stamp_delay_ns(0, 1) == 100_000_000

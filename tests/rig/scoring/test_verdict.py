@@ -107,3 +107,38 @@ def test_a_rig_that_delays_frames_is_no_judge(known: RenderedBoard, sent_ms: flo
 def test_a_late_rig_that_lost_nothing_passes(known: RenderedBoard) -> None:
     board = scored(known).model_copy(update={"sent_late_ms": 900.0})
     assert failings(report_of(board), [], 1) == ()
+
+
+@pytest.mark.parametrize(
+    ("runs", "missed", "accounted"), [(1, 1, True), (2, 0, True), (1, 0, False), (1, 2, False), (2, 1, False)]
+)
+def test_every_board_that_follows_is_a_run_or_missed(
+    known: RenderedBoard, runs: int, missed: int, accounted: bool
+) -> None:
+    report = report_of(scored(known), boards_missed=missed, runs=runs)
+    sentence = f"2 boards met the barrier, but the station has {runs} run(s) and {missed} missed board(s)"
+    assert failings(report, [parse_fault("follow:board=0")], 1) == (() if accounted else (sentence,))
+
+
+@pytest.mark.parametrize(
+    ("board_id", "reasons", "sentence"),
+    [
+        ("board-0", (), None),
+        ("board-1", (), "board 0: its run has the board id 'board-1', armed was 'board-0'"),
+        (None, (), "board 0: its run has no board id and no reason, armed was 'board-0'"),
+        (None, ("This run has no board id.",), None),
+    ],
+)
+def test_a_run_has_the_id_of_its_own_board(
+    known: RenderedBoard, board_id: str | None, reasons: tuple[str, ...], sentence: str | None
+) -> None:
+    change = {"armed_id": "board-0", "board_id": board_id, "reasons": reasons, "status": "degraded"}
+    found = failings(report_of(scored(known).model_copy(update=change)), [parse_fault("reset:board=0")], 1)
+    assert found == (() if sentence is None else (sentence,))
+
+
+def test_a_board_whose_stamps_change_must_say_so(known: RenderedBoard) -> None:
+    fault = parse_fault("stamps:board=0")
+    named = scored(known).model_copy(update={"status": "failed", "reasons": ("latency",), "proven": 3})
+    assert failings(report_of(named), [fault], 1) == ()
+    assert failings(report_of(named.model_copy(update={"status": "ok", "reasons": ()})), [fault], 1) != ()

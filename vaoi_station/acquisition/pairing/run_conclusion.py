@@ -45,7 +45,7 @@ def conclude_run(
         frames.append([_with_epoch(f, outages.count_ended(camera, f.host_s)) for f in observed])
         opening = _opening_gap(run, previous, camera, extra, outages, taken[camera])
         gaps.append([*opening, *_gaps(run, frames[-1], taken[camera])])
-        missing += _missing(run, camera, gaps[-1], outages)
+        missing += _missing(run, camera, gaps[-1], outages, sum(f.row is None for f in observed))
     # The proof comes before the missing frames are recorded: its findings annotate frames that did arrive.
     unconfirmed = {camera for camera, confirmed in run.latency_known.items() if not confirmed}
     proof = prove(run.pulses, pulse_bound_s, frames, gaps, unconfirmed)
@@ -107,7 +107,7 @@ def _opening_gap(
     return [gap] if gap.missing and 0 <= gap.unanswered <= len(gap.missing) else []
 
 
-def _missing(run: RunRecord, camera: int, gaps: Sequence[Gap], outages: Outages) -> list[FrameRecord]:
+def _missing(run: RunRecord, camera: int, gaps: Sequence[Gap], outages: Outages, unassigned: int) -> list[FrameRecord]:
     numbered = {f.row for f in run.complete_frames[camera] if f.row is not None and f.frame_id is not None}
     records = []
     for row in range(run.rows):
@@ -119,7 +119,7 @@ def _missing(run: RunRecord, camera: int, gaps: Sequence[Gap], outages: Outages)
             cause = (
                 run.refused.get((camera, row))
                 or outages.cause_at(camera, run.pulses[row].host_s)
-                or explain_missing(row, numbered, gaps)
+                or explain_missing(row, numbered, gaps, unassigned)
             )
         records.append(FrameRecord(camera=camera, row=row, verdict=Verdict.MISSING, cause=cause))
     return records

@@ -111,7 +111,7 @@ def prepare_boards(
         folder: where rendered boards are kept.
         progress: called with one line of text.
     """
-    affected = {fault.board for fault in faults if fault.kind in ("stuck", "bounce")}
+    affected = {fault.board for fault in faults if fault.kind in ("stuck", "bounce", "follow")}
     numbers = [board if board in affected else board % different for board in range(boards)]
     distinct = sorted(set(numbers))
     rendered = dict(zip(distinct, render_boards(scenario, distinct, folder, progress), strict=True))

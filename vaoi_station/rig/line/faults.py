@@ -24,6 +24,9 @@ class Fault:
     at_s: float = 0.0
     for_s: float = 0.0
     who: str = "station"
+    gap_mm: float = 0.0
+    by_s: float = 0.0
+    count: int = 1
 
     def at(self, board: int, row: int) -> bool:
         """Return whether the fault begins at the pulse of this row of this board."""
@@ -50,6 +53,16 @@ KINDS: dict[str, tuple[Fault, tuple[str, ...], str]] = {
         Fault("bounce", at_s=0.004, for_s=0.001),
         ("board", "at_s", "for_s"),
         "the barrier shows the opposite for a moment",
+    ),
+    "follow": (
+        Fault("follow", gap_mm=40.0),
+        ("board", "gap_mm", "count"),
+        "further boards follow this closely; they interrupt the barrier, but no picture shows them",
+    ),
+    "stamps": (
+        Fault("stamps", board=0, by_s=0.02),
+        ("camera", "board", "by_s"),
+        "from this board on the time stamps of a camera come later after the pulses",
     ),
 }
 """Name of a fault → the fault with its default values, the keys that the command line may set, a description."""
@@ -100,9 +113,24 @@ def with_belt_faults(scenario: Scenario, faults: Sequence[Fault]) -> Scenario:
     stuck = tuple(StuckBoard(board=f.board, row=f.row) for f in faults if f.kind == "stuck")
     bounces = tuple(
         Bounce(board=f.board, at_s=f.at_s, duration_s=f.for_s) for f in faults if f.kind == "bounce"
-    )  # fmt: skip
+    ) + tuple(bounce for f in faults if f.kind == "follow" for bounce in _followers(f, scenario))  # fmt: skip
     more = {"stuck": known.stuck + stuck, "bounces": known.bounces + bounces}
     return scenario.model_copy(update={"faults": known.model_copy(update=more)})
+
+
+def followers(faults: Sequence[Fault]) -> int:
+    """Return how many boards follow others without pictures of their own."""
+    return sum(f.count for f in faults if f.kind == "follow")
+
+
+def _followers(fault: Fault, scenario: Scenario) -> list[Bounce]:
+    """Return the interruptions of the barrier by the boards that follow one, each as long as a board."""
+    speed_mm_s, length_mm = scenario.belt.speed_mm_s, scenario.board.length_mm
+    pitch_s = (length_mm + fault.gap_mm) / speed_mm_s
+    return [
+        Bounce(board=fault.board, at_s=n * pitch_s, duration_s=length_mm / speed_mm_s)
+        for n in range(1, fault.count + 1)
+    ]
 
 
 def _check(fault: Fault) -> None:
@@ -116,5 +144,11 @@ def _check(fault: Fault) -> None:
     # The range is tested with `not`, so that nan is refused as well.
     if "at_s" in KINDS[fault.kind][1] and not 0 <= fault.at_s <= 60:
         raise InputError.field("vaoi rig", f"{where}: at_s", fault.at_s, "from 0 to 60 s")
+    if not 0 < fault.gap_mm <= 10_000 and "gap_mm" in KINDS[fault.kind][1]:
+        raise InputError.field("vaoi rig", f"{where}: gap_mm", fault.gap_mm, "above 0, at most 10000 mm")
+    if not 0 < fault.by_s <= 60 and "by_s" in KINDS[fault.kind][1]:
+        raise InputError.field("vaoi rig", f"{where}: by_s", fault.by_s, "above 0, at most 60 s")
+    if not 1 <= fault.count <= 20:
+        raise InputError.field("vaoi rig", f"{where}: count", fault.count, "from 1 to 20")
     if not re.fullmatch(r"station|acquisition|worker( \d+)?", fault.who):
         raise InputError.field("vaoi rig", f"{where}: who", fault.who, "station, acquisition, or worker N")

@@ -107,6 +107,12 @@ class FrameFaults:
     """Share of the frames that lose packets."""
     ignored: frozenset[tuple[int, int, int]] = frozenset()
     """(board, row, camera) of pulses that a camera ignores."""
+    late_stamps: tuple[tuple[int, int, float], ...] = ()
+    """(first board, camera, seconds) by which the time stamps of a camera come later from that board on."""
+
+    def stamp_delay_ns(self, board: int, camera: int) -> int:
+        """Return by how much the time stamp of a camera's frame comes later than its pulse."""
+        return sum(round(by_s * 1e9) for first, late, by_s in self.late_stamps if late == camera and first <= board)
 
 
 class VirtualLine:
@@ -242,6 +248,7 @@ class VirtualLine:
             return
         fired.outcomes[camera], lost = self._outcome(passage, row, camera)
         picture = row * len(self._cameras) + camera
+        timestamp_ns += self._frame_faults.stamp_delay_ns(passage.board, camera)
         if not self._cameras[camera].trigger(TriggerCommand(picture, timestamp_ns, fired.brightness[camera], lost)):
             fired.outcomes[camera] = "dead"
 
@@ -265,7 +272,8 @@ class VirtualLine:
     def _trigger_all(self, frames: Path | None, pulse: Pulse) -> None:
         timestamp_ns = wall_clock_ns(pulse.host_ns)
         for n, camera in enumerate(self._cameras):
-            command = TriggerCommand(n if frames else DARK, timestamp_ns, self._lighting.brightness(pulse, n))
+            stamp_ns = timestamp_ns + self._frame_faults.stamp_delay_ns(max(self._boards - 1, 0), n)
+            command = TriggerCommand(n if frames else DARK, stamp_ns, self._lighting.brightness(pulse, n))
             camera.trigger(command, frames)
 
 

@@ -36,6 +36,10 @@ class BoardScore(Strict):
     """Id of the station's run of this board; None: there is none."""
     state: str | None
     status: str | None
+    armed_id: str | None
+    """Board id with which the station was armed for this board; None: it was not."""
+    board_id: str | None
+    """Board id of the station's run; None: the run has none."""
     reasons: tuple[str, ...]
     cameras: int
     rows: int
@@ -106,7 +110,7 @@ class RigReport(Strict):
     """The document that `vaoi rig run --json` writes."""
 
     format: str = "vaoi-rig"
-    version: int = 1
+    version: int = 2
     ok: bool
     scenario: str
     cameras: int
@@ -116,6 +120,8 @@ class RigReport(Strict):
     """Frame rate of each camera while a board passes."""
     faults: tuple[str, ...]
     boards: tuple[BoardScore, ...]
+    runs: int
+    """Number of runs of the station; more than `boards` if other boards followed closely."""
     boards_missed: int
     stray_pulses: int
     rms_px: float

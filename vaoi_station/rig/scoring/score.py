@@ -53,6 +53,8 @@ class BoardEvidence:
     ring_check: RingCheck | None
     """Comparison of the ring with the rendered frames; None: not done."""
     px_per_mm: Sequence[float]
+    armed_id: str | None = None
+    """Board id with which the station was armed for this board; None: it was not."""
 
 
 def score(evidence: BoardEvidence, outages: Sequence[Outage]) -> BoardScore:
@@ -75,6 +77,8 @@ def score(evidence: BoardEvidence, outages: Sequence[Outage]) -> BoardScore:
         run=run["id"] if run else None,
         state=run["state"] if run else None,
         status=run["verdict"] if run else None,
+        armed_id=evidence.armed_id,
+        board_id=(run or {}).get("board_id"),
         reasons=tuple(reason["message"] for reason in run["reasons"]) if run else (),
         cameras=passage.rendered.metadata.cameras,
         rows=len(passage.fired),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from vaoi_station.rig.line.faults import Fault
+from vaoi_station.rig.line.faults import Fault, followers
 from vaoi_station.rig.scoring.rig_report import LATE_MS, LIMIT_PX, READY_LIMIT_S, BoardScore, RigReport
 
 
@@ -17,9 +17,14 @@ def _failings(report: RigReport, faults: Sequence[Fault], boards: int) -> Iterat
     if len(report.boards) < boards:
         yield f"only {len(report.boards)} of {boards} boards passed"
     # After these faults a board has fewer rows, so its missing rows and its verdict are expected.
-    hurt = {f.board for f in faults if f.kind in ("stuck", "reset") or f.who == "acquisition"}
+    hurt = {f.board for f in faults if f.kind in ("stuck", "reset", "follow") or f.who == "acquisition"}
+    # With the first board whose stamps come later, its frames may be in wrong rows; the station must say so.
+    shifted = {f.board for f in faults if f.kind == "stamps"}
     for board in report.boards:
+        if board.board in shifted and board.status != "ok" and board.reasons:
+            continue
         yield from _board_failings(board, hurt)
+    yield from _account_failings(report, faults)
     if report.boards_missed and not hurt:
         yield f"the station missed {report.boards_missed} board(s)"
     if report.stray_pulses:
@@ -31,6 +36,21 @@ def _failings(report: RigReport, faults: Sequence[Fault], boards: int) -> Iterat
             yield f"after {recovery.fault} the station did not become ready again"
         elif recovery.ready_after_s > READY_LIMIT_S:
             yield f"after {recovery.fault} it took {recovery.ready_after_s} s to be ready, the limit is {READY_LIMIT_S}"
+
+
+def _account_failings(report: RigReport, faults: Sequence[Fault]) -> Iterator[str]:
+    """Yield what is wrong with the account of boards: each is a run or is missed, and no run has the id of another."""
+    extra = followers(faults)
+    if extra and report.runs + report.boards_missed != len(report.boards) + extra:
+        yield (
+            f"{len(report.boards) + extra} boards met the barrier, but the station has {report.runs} run(s) and "
+            f"{report.boards_missed} missed board(s)"
+        )
+    for board in report.boards:
+        if board.board_id is not None and board.board_id != board.armed_id:
+            yield f"board {board.board}: its run has the board id {board.board_id!r}, armed was {board.armed_id!r}"
+        elif board.board_id is None and board.run is not None and board.armed_id is not None and not board.reasons:
+            yield f"board {board.board}: its run has no board id and no reason, armed was {board.armed_id!r}"
 
 
 def _board_failings(board: BoardScore, hurt: set[int]) -> Iterator[str]:
