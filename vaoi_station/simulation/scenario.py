@@ -121,6 +121,7 @@ class BoardSection(Section):
     width_mm: Annotated[float, Field(ge=8, le=4000)] = 96.0
     length_mm: Annotated[float, Field(ge=8, le=4000)] = 60.0
     density: Annotated[float, Field(ge=0, le=6)] = 2.0
+    grid_mm: Annotated[float, Field(ge=1.5, le=100)] | None = None
     height_scale: NotNegative = 1.0
     fiducials: tuple[FiducialMark, ...] | None = None
     placement_sigma_mm: NotNegative = 0.03

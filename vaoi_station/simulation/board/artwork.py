@@ -124,7 +124,9 @@ def _paint_silk(canvas: Canvas, section: BoardSection, parts: tuple[Part, ...]) 
             x, y = w / 2 + 0.18, h / 2 + 0.18
             local = np.array([[-x, -y], [x, -y], [x, y], [-x, y], [-x, -y]])
         outlines.append(part.to_board(local))
-        _paint_ref(canvas, part)
+        # Boards of LEDs have no room for names, and need none.
+        if section.grid_mm is None:
+            _paint_ref(canvas, part)
         if part.package.finish is Finish.EPOXY and part.package.size[0] > 4:
             u, v, *_ = part.package.pads[0]
             canvas.disc(part.to_board_point(u, v - 0.9), 0.35, SILK)

@@ -13,7 +13,7 @@ import numpy as np
 
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import MM_PER_UNIT, BoardType, Component, Fiducial
-from vaoi_station.simulation.board.packages import BIG, MIDDLE, SMALL, Package
+from vaoi_station.simulation.board.packages import BIG, MIDDLE, SMALL, Package, light_emitting_diode
 from vaoi_station.simulation.scenario import BoardSection
 
 _EDGE_MM = 1.5
@@ -109,8 +109,12 @@ def board_type(section: BoardSection, parts: tuple[Part, ...]) -> BoardType:
 
 
 def place_parts(section: BoardSection) -> tuple[Part, ...]:
-    """Place parts at random free positions: large parts first, small parts last and in aligned groups."""
-    return _PartPlacer(section).fill()
+    """Place parts at random free positions: large parts first, small parts last and in aligned groups.
+
+    A board with `grid_mm` has equal parts on a regular grid instead, as boards of LEDs have.
+    """
+    placer = _PartPlacer(section)
+    return placer.fill() if section.grid_mm is None else placer.fill_grid(section.grid_mm)
 
 
 class _PartPlacer:
@@ -125,6 +129,7 @@ class _PartPlacer:
         self.taken = [(m.x_mm, m.y_mm, 1.6 * m.diameter_mm + 0.4, 1.6 * m.diameter_mm + 0.4) for m in section.marks] + [
             (*place, 2.6, 2.6) for place in mounting_holes(section)
         ]
+        self.reserved = tuple(self.taken)
 
     def fill(self) -> tuple[Part, ...]:
         """Place all parts and return them."""
@@ -139,6 +144,19 @@ class _PartPlacer:
         while len(self.parts) < wanted and misses < 40:
             package = SMALL[int(self.random.integers(len(SMALL)))]()
             misses += not self._place_group(package, min(int(self.random.integers(2, 7)), wanted - len(self.parts)))
+        return tuple(self.parts)
+
+    def fill_grid(self, pitch_mm: float) -> tuple[Part, ...]:
+        """Place equal parts on a square grid, wherever there is room, and return them."""
+        package = light_emitting_diode()
+        half = _half_extent(package, 0.0)
+        least = [h + _EDGE_MM for h in half]
+        for y in np.arange(least[1], self.size[1] - least[1], pitch_mm):
+            for x in np.arange(least[0], self.size[0] - least[0], pitch_mm):
+                place = round(float(x), 3), round(float(y), 3)
+                # Parts may be closer to one another than those of other boards, but not to marks and holes.
+                if self._clear_of_marks(place, half):
+                    self._add_part(package, place, 0.0, half)
         return tuple(self.parts)
 
     def _place_group(self, package: Package, count: int) -> bool:
@@ -175,6 +193,11 @@ class _PartPlacer:
         return inside and not any(
             abs(x - u) < half[0] + w + _GAP_MM and abs(y - v) < half[1] + h + _GAP_MM for u, v, w, h in self.taken
         )
+
+    def _clear_of_marks(self, place: tuple[float, float], half: tuple[float, float]) -> bool:
+        """Return whether a part of a grid at this position covers no mark and no hole."""
+        x, y = place
+        return not any(abs(x - u) < half[0] + w and abs(y - v) < half[1] + h for u, v, w, h in self.reserved)
 
     def _add_part(self, package: Package, place: tuple[float, float], turned: float, half: tuple[float, float]) -> None:
         """Add a part. Its name is the prefix of its package with the next free number, such as R12."""

@@ -152,6 +152,7 @@ MIDDLE: tuple[Callable[[], Package], ...] = (
     lambda: chip("1210", "R", (3.2, 2.5), 0.6, Finish.RESISTOR),
 )
 
+
 SMALL: tuple[Callable[[], Package], ...] = (
     lambda: chip("0603", "R", (1.6, 0.8), 0.45, Finish.RESISTOR),
     lambda: chip("0402", "C", (1.0, 0.5), 0.5, Finish.CERAMIC),
@@ -160,3 +161,8 @@ SMALL: tuple[Callable[[], Package], ...] = (
     lambda: chip("0805", "C", (2.0, 1.25), 1.0, Finish.CERAMIC),
     lambda: chip("0805", "R", (2.0, 1.25), 0.5, Finish.RESISTOR),
 )
+
+
+def light_emitting_diode() -> Package:
+    """Return the package of an LED: the only part of boards with a grid."""
+    return chip("LED", "D", (1.0, 0.9), 0.5, Finish.CERAMIC)
