@@ -25,7 +25,7 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
     """Compile a function of arrays and numbers to machine code when it is first called.
 
     The code is cached on disk (in `NUMBA_CACHE_DIR`, else beside the module, else in the user's cache), so that only
-    the first process after an installation waits for the compiler. The GIL is released while the code runs. Results are
+    the first process after an installation waits for the compiler. The GIL is released while the code runs. Values are
     the same in all processes of one machine and may differ in the last digits between machines.
 
     A function of many arrays takes them as fields of a `typing.NamedTuple`, which Numba unpacks in one or two

@@ -84,7 +84,7 @@ class Station:
                 notify_watchdog,
             )
             # The exit stack calls in reverse order: the link stops first, then the workers, then the coordinator, which
-            # thus receives the last events of both.
+            # thus receives the last reports of both.
             parts.callback(coordinator.close)
             coordinator.start()
             parts.callback(workers.stop)

@@ -59,7 +59,7 @@ class Gap:
 def in_counting_order(ids: Mapping[int, int]) -> dict[int, int]:
     """Return the same rows and frame ids, with the ids assigned to the rows in ascending order: {row: id}.
 
-    The result differs from `ids` in those rows whose frames are exchanged.
+    The returned ids differ from `ids` in those rows whose frames are exchanged.
     """
     rows = sorted(ids)
     if not rows:

@@ -22,7 +22,7 @@ class Outages:
         self._outages: defaultdict[int, deque[_Outage]] = defaultdict(lambda: deque(maxlen=keep))
 
     def begin(self, camera: int, since_s: float, why: str) -> None:
-        """Record that a camera has been away since `since_s`, for the reason `why`."""
+        """Record that a camera has been away since `since_s`, because of `why`, which is a phrase for messages."""
         self._outages[camera].append(_Outage(since_s, math.inf, why))
 
     def end(self, camera: int, at_s: float) -> None:

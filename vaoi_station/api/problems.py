@@ -35,7 +35,7 @@ class Fault(BaseModel):
 
 
 class Problem(BaseModel):
-    """The reason of a refusal (RFC 9457)."""
+    """A refusal as a problem detail (RFC 9457)."""
 
     type: str
     title: str

@@ -21,7 +21,7 @@ class WebServer:
     """The web server uvicorn in a separate thread. The main thread keeps its signal handlers."""
 
     def __init__(self, app: FastAPI, listener: socket.socket, ended: Callable[[], None]) -> None:
-        """Prepare the server. It calls `ended` when it ends, for any reason."""
+        """Prepare the server. It calls `ended` when it ends, whatever the cause."""
         # Imported here: uvicorn takes long to load, and most commands do not serve.
         import uvicorn
 

@@ -44,7 +44,7 @@ class SpeedFigures:
     ratio_to_paper_method: float
     """Time of the paper's method divided by the time of our method."""
     paper_failed: str
-    """Reason for which the paper's method found no chain; empty if it did."""
+    """Why the paper's method found no chain; empty if it did."""
     ready_after_last_frame_ms: float
     """Wall time of the tasks of the last row and of the adjustment, when all earlier tasks are done."""
     images_per_s: float

@@ -29,7 +29,7 @@ _NEGLIGIBLE_PX = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """The calibration results of all cameras of an array. Each camera is calibrated or refused with a reason."""
+    """The calibrations of all cameras of an array. A camera that is not calibrated has a cause instead."""
 
     cameras: tuple[CameraResult, ...]
     limits: Limits
@@ -61,7 +61,7 @@ class Outcome:
         return (*notes, *([about_print] if about_print else []), *([about_layout] if self.ambiguous else []))
 
     def error(self) -> InputError:
-        """Return an InputError that lists all refused cameras with reasons and remedies."""
+        """Return an InputError that lists all refused cameras with causes and remedies."""
         refused = [c for c in self.cameras if c.refusal]
         reasons = "; ".join(f"camera {c.camera}: {c.refusal}" for c in refused)
         actions = " ".join(dict.fromkeys(c.action for c in refused))
@@ -106,7 +106,7 @@ def calibrate(
         heads: frame sizes and nominal views of the cameras.
         frame_of: returns the frame of one camera, or None if it is missing.
         layout: layout of the board; its coordinates become the tester's.
-        limits: limits of the result, and the working distance.
+        limits: limits that a calibration must keep, and the working distance.
 
     Raises:
         InputError: if a frame or a camera's nominal view is missing. Refusals because of the frames' content are in

@@ -1,4 +1,4 @@
-"""Calibration of one camera: N_i and lens from detected marks, or a refusal with its reason."""
+"""Calibration of one camera: N_i and lens from detected marks, or a refusal with its cause."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _NO_FREEDOM = 0.5
 
 @dataclass(frozen=True, eq=False)
 class MarkObservation:
-    """A mark of the layout expected in the frame: its measured position, or the reason why it was not used."""
+    """A mark of the layout expected in the frame: its measured position, or why it was not used."""
 
     index: int
     """Index of the mark in the layout."""
@@ -51,7 +51,7 @@ class MarkObservation:
 
 @dataclass(frozen=True, eq=False)
 class CameraResult:
-    """The result for one camera: the fit or the reason of the refusal, and all marks, which the picture shows."""
+    """The calibration of one camera: the fit or the cause of the refusal, and all marks, which the picture shows."""
 
     camera: int
     head: CameraHead
@@ -59,7 +59,7 @@ class CameraResult:
     marks: tuple[MarkObservation, ...] = ()
     fit: Fit | None = None
     refusal: str = ""
-    """The reason why the camera was refused, with value and limit; empty if it was calibrated."""
+    """Why the camera was refused, with value and limit; empty if it was calibrated."""
     action: str = ""
     """The remedy for the refusal."""
     notes: tuple[str, ...] = ()
@@ -119,9 +119,9 @@ def calibrate_camera(
         assignment: assignment of the detected marks to the layout.
         marks_mm: (k, 2) all marks of the layout.
         appearance: appearance of marks in this frame.
-        limits: limits of the result, and the working distance.
+        limits: limits that a calibration must keep, and the working distance.
     """
-    # Checks from cheap and general to specific: the first reason found is the most useful one for the operator.
+    # Checks from cheap and general to specific: the first cause found is the most useful one for the operator.
     hypothesis = assignment.chosen
     due = _expected_marks(head, camera, detected, hypothesis, marks_mm, appearance)
     if (unfit := _check_size(appearance, head) or _check_frame(detected, hypothesis, due)) is not None:
@@ -150,7 +150,7 @@ def calibrate_camera(
 
 
 def _check_size(appearance: MarkAppearance, head: CameraHead) -> tuple[str, str] | None:
-    """Return reason and remedy if marks of this size in px cannot be measured; None if they can."""
+    """Return cause and remedy if marks of this size in px cannot be measured; None if they can."""
     most = min(head.width, head.height) / 2
     if _MIN_SIZE_PX <= appearance.size_px <= most:
         return None
@@ -164,7 +164,7 @@ def _check_size(appearance: MarkAppearance, head: CameraHead) -> tuple[str, str]
 def _check_frame(
     detected: DetectedMarks, hypothesis: Hypothesis | None, due: tuple[MarkObservation, ...]
 ) -> tuple[str, str] | None:
-    """Return reason and remedy if a frame has too few usable marks; None if it has enough."""
+    """Return cause and remedy if a frame has too few usable marks; None if it has enough."""
     known = 0 if hypothesis is None else len(hypothesis.pairs)
     if detected.contrast < _MIN_CONTRAST:
         return (
@@ -208,7 +208,7 @@ def _missing_places(due: tuple[MarkObservation, ...], hypothesis: Hypothesis | N
 
 
 def _check_fit(result: CameraResult, hypothesis: Hypothesis, limits: Limits) -> tuple[str, str]:
-    """Return reason and remedy if a fit is not plausible. Return two empty strings if it is plausible."""
+    """Return cause and remedy if a fit is not plausible. Return two empty strings if it is plausible."""
     fit = result.fit
     assert fit is not None
     wrong = "Check that layout.json belongs to this board, its unit, and that it is written as cameras see the board."
@@ -350,7 +350,7 @@ def _count(number: int) -> str:
 
 
 def _describe_ambiguity(assignment: Assignment, limits: Limits) -> tuple[str, str]:
-    """Return reason and remedy of a camera for which frames and nominal views leave two assignments of the marks."""
+    """Return cause and remedy for a camera if frames and nominal views leave two assignments of the marks."""
     x, y = assignment.shift_mm
     return (
         f"its marks fit the layout in two ways: shifted by ({x:.1f}, {y:.1f}) mm it explains them as well, and "

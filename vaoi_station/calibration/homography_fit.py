@@ -1,6 +1,6 @@
 """Least-squares fit of N_i and the lens to at least four marks; equation 10.
 
-A normalised direct linear transform gives the initial value. Gauss-Newton on pixel residuals gives the result and its
+A normalised direct linear transform gives the initial value. Gauss-Newton on pixel residuals gives the fit and its
 covariance. What is known of cameras beforehand (`camera_prior`) takes part as further measurements, so that stretch,
 perspective and distortion which the marks leave free stay near zero, with the standard deviation of the prior.
 """

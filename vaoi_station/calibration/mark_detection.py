@@ -57,7 +57,7 @@ class DetectedMarks:
     blur_px: float
     """Standard deviation of the blur, measured at the edges of the marks or, without marks, in the whole frame."""
     doubtful: tuple[tuple[tuple[float, float], str], ...] = ()
-    """Positions of rejected marks, with the reasons."""
+    """Positions of rejected marks in px, each with the cause of the rejection."""
     opposite: int = 0
     """Number of marks of the opposite polarity."""
     contrast: float = 0.0
@@ -140,7 +140,7 @@ def score_limit(scores: Floats) -> float:
 
 
 def _reject_outliers(marks: list[Mark]) -> tuple[list[Mark], tuple[tuple[tuple[float, float], str], ...]]:
-    """Return the accepted marks, and the positions of the rejected ones with the reason."""
+    """Return the accepted marks, and the positions of the rejected ones with the cause."""
     # With one or two marks the median of the scores is not meaningful.
     if len(marks) < 3:
         return marks, ()

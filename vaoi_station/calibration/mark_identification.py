@@ -125,7 +125,7 @@ class _Matching:
         first, second = np.triu_indices(m, 1)
         length = np.hypot(*(self.seen[second] - self.seen[first]).T)
         far = np.flatnonzero(length >= np.quantile(length, 0.5))
-        # Seeded by the number of marks: the same frame always gives the same result.
+        # Seeded by the number of marks: the same frame always gives the same identification.
         chosen = np.random.default_rng(m).permutation(far)[:_MAX_SEEDS]
         return [(int(first[k]), int(second[k])) for k in chosen]
 

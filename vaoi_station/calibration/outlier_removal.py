@@ -78,7 +78,7 @@ def _robust_starts(marks_mm: Floats, px: Floats, least: int) -> list[list[int]]:
     if math.comb(n, 4) <= _MAX_SUBSETS:
         subsets = [list(subset) for subset in combinations(range(n), 4)]
     else:
-        # With two fifths of outliers, one of eight subsets has none. The seed is fixed: equal marks give equal results.
+        # With two fifths of outliers, one of eight subsets has none. The seed is fixed: equal marks, equal outliers.
         g = np.random.default_rng(0)
         subsets = [g.choice(n, 4, replace=False).tolist() for _ in range(_MAX_SUBSETS)]
     found: list[tuple[float, list[int]]] = []

@@ -21,7 +21,7 @@ _MAX_PRINT_ERROR = 0.02
 
 
 def find_implausibility(matrix: Floats, head: CameraHead, working_distance_mm: float | None) -> str | None:
-    """Return the reason why N_i (3, 3) is implausible, with value and limit, or None.
+    """Return a sentence that says why N_i (3, 3) is implausible, with value and limit; None if it is plausible.
 
     Args:
         matrix: tester mm → undistorted px.

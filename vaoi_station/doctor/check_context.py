@@ -20,7 +20,7 @@ class RunningProcess:
     snapshot: dict[str, Any] = field(default_factory=dict)
     """The station's reply to GET station; empty if it did not reply."""
     no_reply_reason: str = ""
-    """Reason why there is no reply; empty if there is one."""
+    """Why there is no reply; empty if there is one."""
 
     @property
     def description(self) -> str:

@@ -40,7 +40,7 @@ def find_crossing_edges(outline: Sequence[tuple[float, float]]) -> tuple[int, in
     """Find two non-adjacent edges of a polygon that cross or touch.
 
     Args:
-        outline: at least three corners in order; for two opposite corners the result is None.
+        outline: at least three corners in order; for two opposite corners None is returned.
 
     Returns:
         The indices of the first corners of both edges, or None.

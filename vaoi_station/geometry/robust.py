@@ -1,4 +1,4 @@
-"""Robust estimation, and estimates that can fail: these return a value or a `Failure` with the reason.
+"""Robust estimation, and estimates that can fail: these return a value or a `Failure` that says why.
 
 A failed estimate is a value and not an exception, because the caller decides what it means for the run.
 """
@@ -22,11 +22,11 @@ _UNRELATED = 1e-12
 
 @dataclass(frozen=True)
 class Failure:
-    """The reason why an estimate is not possible, as a sentence with numbers."""
+    """The failure of an estimate, with a sentence that says with numbers why it is not possible."""
 
     reason: str
     code: str = ""
-    """Code of the reason, if it can become a reason of a verdict (`ReasonCode`); otherwise empty."""
+    """Code of the failure, if it can become a reason of a verdict (`ReasonCode`); otherwise empty."""
 
 
 def fit_similarity(

@@ -1,8 +1,8 @@
 """Sub-pixel localisation of a mark, with errors of a few hundredths of a pixel.
 
 Discs are located by a fit of their image (`disc_fit`), all other marks by their point symmetry (`symmetry_fit`). The
-results of both methods do not depend on brightness, gain, a gradient of the gain, or the width of the bare rim. A mark
-that is partly covered or lies in glare gets a large standard deviation (`asymmetry`).
+positions of both methods do not depend on brightness, gain, a gradient of the gain, or the width of the bare rim. A
+mark that is partly covered or lies in glare gets a large standard deviation (`asymmetry`).
 """
 
 from __future__ import annotations

@@ -147,7 +147,7 @@ def _interpolate_window(
 ) -> None:
     """Interpolate a square of 2·reach + 1 pixels, centred at (x, y), with Lagrange polynomials over six pixels.
 
-    The result is written to `window`; `lines` is work space.
+    The interpolated grey levels are written to `window`; `lines` is work space.
 
     Bilinear interpolation has errors of opposite sign on opposite edges of a mark, which would displace the centre.
     """

@@ -24,7 +24,7 @@ def plan_to_json(plan: Plan, figures: Sequence[PaperFigure] = ()) -> dict[str, A
 
 
 def format_plan(plan: Plan, figures: Sequence[PaperFigure] = ()) -> str:
-    """Format a plan as text tables: requirements, results, constraints with margins, and the paper's figures."""
+    """Format a plan as text tables: requirements, computed values, constraints with margins, the paper's figures."""
     blocks = [
         _block("Requirements", _requirements(plan)),
         _block("Results", _results(plan)),

@@ -35,7 +35,7 @@ def achieved_multiplicity_v(
 def spare_time_us(period_us: float, exposure_us: float, readout_us: float = 0.0) -> float:
     """Compute the trigger period minus exposure and readout. It is negative if both do not fit into the period.
 
-    A sensor that exposes while it reads out has a readout of 0. A positive result is then the paper's t < 1/s.
+    A sensor that exposes while it reads out has a readout of 0. A positive value is then the paper's t < 1/s.
 
     Raises:
         InputError: if period or exposure is not above 0, or the readout below 0.

@@ -146,7 +146,7 @@ class ViewCalculator:
     def compute_all(
         self, components: Sequence[Component], *, px_per_mm: float | None = None, min_coverage: float = 0.5
     ) -> dict[str, tuple[View, ...]]:
-        """Compute the views of many components at once; the keys of the result are the components' addresses."""
+        """Compute the views of many components at once; the keys are the components' addresses."""
         require_resolution(px_per_mm)
         require_coverage(min_coverage)
         if not components:

@@ -251,7 +251,7 @@ def _tasks_of(
 def _strip_px(camera: Camera, velocity_mm_s: tuple[float, float], dt_s: float) -> float:
     """Return the shorter side in px of the overlap of two frames that one camera takes `dt_s` apart at nominal motion.
 
-    The result is 0 or negative if the frames do not overlap.
+    The value is 0 or negative if the frames do not overlap.
     """
     # plain floats instead of numpy, which takes longer for a single point: this runs for every frame that arrives
     (a, b, c), (d, e, f), (g, h, i) = camera.image_from_row.matrix.tolist()

@@ -32,7 +32,7 @@ LEAST_MARKS = 4
 
 @dataclass(frozen=True)
 class MarkDetection:
-    """A mark found in a frame, in raw px. `doubt` is the reason why the mark is not used; empty if it is used."""
+    """A mark found in a frame, in raw px. `doubt` says why the mark is not used; empty if it is used."""
 
     x: float
     y: float

@@ -34,7 +34,7 @@ class ViewedFrame:
     @property
     def inspection(self) -> FrameInspection:
         """Image quality, marks and remarks of the frame, computed on first access."""
-        # Two requests may come at the same time; the second waits for the result of the first.
+        # Two requests may come at the same time; the second waits for the picture of the first.
         with self._lock:
             return self._inspection
 

@@ -81,7 +81,7 @@ class CameraLost:
     since_s: float
     """Earliest time.monotonic() from which on the camera may have been away."""
     why: str
-    """The reason in a few words; it appears in the cause of every frame that is missing during the outage."""
+    """Why it stopped, in a few words; this appears in the cause of every frame that is missing during the outage."""
     error: VaoiError
 
 

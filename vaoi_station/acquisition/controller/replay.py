@@ -1,7 +1,7 @@
 """A controller that replays recordings. It fires at the recorded times, or when the last row was processed.
 
-Device times are the recording's trigger times shifted by a whole number of ns per run. The results are therefore
-exactly those of the recording when it is stitched from its files.
+Device times are the recording's trigger times shifted by a whole number of ns per run. A replayed run
+therefore has exactly the result of its recording when it is stitched from its files.
 """
 
 from __future__ import annotations

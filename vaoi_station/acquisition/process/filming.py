@@ -34,7 +34,7 @@ STOP_S = 5.0
 
 @dataclass(frozen=True)
 class FilmingHandlers:
-    """The functions that filming calls with its results. They are always called in the caller's thread."""
+    """The functions that filming calls to report. They are always called in the caller's thread."""
 
     run_finished: Callable[[RunFinished, Ring, int], None]
     """Called with a finished run, the ring and the generation of the run's bay. The bay is reused after the return."""

@@ -91,7 +91,7 @@ class MarkCurve:
 
 @dataclass(frozen=True)
 class MarkFigures:
-    """The results of `vaoi bench --marks`: errors of marks, and curves of bias."""
+    """The figures of `vaoi bench --marks`: errors of marks, and curves of bias."""
 
     rows: tuple[MarkErrors, ...]
     curves: tuple[MarkCurve, ...]

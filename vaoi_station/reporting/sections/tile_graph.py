@@ -120,7 +120,7 @@ def _edge(plan: Layout, pair: FramePair) -> str:
 
 
 def _unlinked(stitched: StitchedRun) -> str:
-    """List the pairs of frames without links, grouped by the reason."""
+    """List the pairs of frames without links, grouped by why there are none."""
     by_reason: dict[str, list[str]] = defaultdict(list)
     for pair in stitched.pairs:
         if not len(pair.links.a_px):

@@ -188,7 +188,7 @@ def render_worker(
 ) -> None:
     """Render each board into its directory. This function is the main function of the rendering process.
 
-    If a file cannot be written, the reason is sent over the connection. On success the connection is closed without a
+    If a file cannot be written, the error is sent over the connection. On success the connection is closed without a
     message. The process ends when its parent ends.
     """
     threading.Thread(target=_exit_with_parent, daemon=True).start()

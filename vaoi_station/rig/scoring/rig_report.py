@@ -133,4 +133,4 @@ class RigReport(Strict):
     """Load average of the machine over the last minute, at the end."""
     took_s: float
     failings: tuple[str, ...]
-    """The reasons why `ok` is false, one sentence each."""
+    """What makes `ok` false, one sentence each."""

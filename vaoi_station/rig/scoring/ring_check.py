@@ -24,7 +24,7 @@ MONO_8, MONO_16 = 0x01080001, 0x01100007
 
 @dataclass(frozen=True)
 class RingCheck:
-    """Result of the check of one bay: its frames, as (camera, row), sorted by what their memory contains."""
+    """The check of one bay: its frames, as (camera, row), sorted by what their memory contains."""
 
     proven: frozenset[tuple[int, int]]
     """Complete frames of which every pixel equals the frame rendered for that camera and row."""
@@ -33,7 +33,7 @@ class RingCheck:
     wrong: dict[tuple[int, int], str]
     """All other frames, with a description of the difference."""
     valid: bool = True
-    """Whether the bay still belonged to the run after the comparison; if not, the result means nothing."""
+    """Whether the bay still belonged to the run after the comparison; if not, the check means nothing."""
 
 
 def check_bay(ring: Ring, bay: int, passage: BoardPassage) -> RingCheck:

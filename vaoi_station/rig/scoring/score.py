@@ -128,7 +128,7 @@ def _reasons(passage: BoardPassage, outages: Sequence[Outage]) -> dict[Cell, str
         for camera, outcome in enumerate(fired.outcomes):
             causes = [t.reason for t in outages if t.covers(fired.pulse.host_ns, camera)]
             sent_ms = fired.sent_ms.get(camera, math.inf)
-            # A fault of this frame comes before an outage, because it is the more specific reason.
+            # A fault of this frame comes before an outage, because it is the more specific cause.
             if outcome in _OUTCOME_TEXTS:
                 reasons[camera, row] = _OUTCOME_TEXTS[outcome]
             elif causes:

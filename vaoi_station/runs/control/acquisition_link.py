@@ -178,7 +178,10 @@ class AcquisitionLink:
         self._thread.start()
 
     def send(self, command: Command) -> None:
-        """Send a command to the process. If the process has ended, the command is lost and an event reports the end."""
+        """Send a command to the process.
+
+        If the process has ended, the command is lost; `StationEvents.acquisition_ended` reports the end.
+        """
         with self._lock:
             if self._attempt is not None:
                 _send(self._attempt.connection, command)

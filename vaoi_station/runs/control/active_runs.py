@@ -20,7 +20,7 @@ class Workers(Protocol):
     """The methods of the worker pool that runs use."""
 
     def submit(self, job: Job) -> None:
-        """Queue a job for a worker. Its reply is reported as an event."""
+        """Queue a job for a worker. Its reply is reported by `WorkerEvents.worker_reply`."""
 
     def open_run(self, opening: OpenRun) -> None:
         """Announce a run to the pool, before its first job is submitted."""
@@ -81,7 +81,7 @@ class ActiveRuns:
         return self._conclude_if_complete(progress)
 
     def give_up(self, progress: Progress, reason: Reason) -> list[Progress]:
-        """End a run without a result, for a reason."""
+        """End a run without a result, with a reason for its verdict."""
         progress.add_fault(reason)
         progress.unstitchable = True
         return self._conclude_if_complete(progress)

@@ -62,7 +62,7 @@ class CalibrationWatch:
         )
 
     def checked(self, job: CheckJob, reply: Reply) -> None:
-        """Store the result of a drift check, and publish an event for each drift that begins or ends with it."""
+        """Store a drift check, and publish an event for each drift that begins or ends with it."""
         run, digest = job.run, job.calibration
         if reply.error is not None:
             if not isinstance(reply.error, StateError):  # a StateError means that the station stops: no trouble

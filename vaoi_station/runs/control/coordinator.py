@@ -102,7 +102,7 @@ class StationCoordinator:
             self._frames,
         )
         self.process_events: StationEvents = InboxEvents(self._inbox, self._core, requests)
-        """Receiver of the events of the acquisition process and the workers."""
+        """Receiver of the reports of the acquisition process and the workers."""
 
     # --- start and stop
 
@@ -222,7 +222,8 @@ class StationCoordinator:
         """Make a finished run the reference of its board type, from the next arming on.
 
         Returns True if the board type had no reference before. With `confirm_orientation`, a person has confirmed that
-        the board lay as its board type expects it, which settles a verdict that is degraded for this reason alone.
+        the board lay as its board type expects it. This settles a verdict that is degraded only because the orientation
+        is ambiguous.
 
         Raises:
             NotFoundError: there is no such run or board type.

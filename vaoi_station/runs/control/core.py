@@ -1,4 +1,4 @@
-"""The decisions of the coordinator's thread: how the station reacts to each request, each event and each tick."""
+"""The decisions of the coordinator's thread: how the station reacts to requests, reports of processes and ticks."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ class Parts:
 
 
 class Core:
-    """Decides how the station reacts to requests, events and ticks. Used by the coordinator's thread only.
+    """Decides how the station reacts to requests, reports of processes and ticks.
 
-    `InboxEvents` passes the events of other threads to the coordinator's thread.
+    It is used by the coordinator's thread only, to which `InboxEvents` passes the reports from other threads.
     """
 
     def __init__(self, parts: Parts) -> None:
@@ -123,7 +123,7 @@ class Core:
             self.machine.reasons.expire()
         self.line.keep_memory_granted()
 
-    # --- events of the workers
+    # --- reports of the workers
 
     def worker_reply(self, job: Job, reply: Reply, at_s: float) -> None:
         """Process a worker's reply to a job. `at_s` is the time of its arrival by time.monotonic()."""
@@ -145,7 +145,7 @@ class Core:
         """Publish that all workers are ready."""
         self._events.add("workers", "The workers are ready: results come at once.")
 
-    # --- events of the acquisition process
+    # --- reports of the acquisition process
 
     def acquisition_message(self, message: messages.Report) -> None:
         """Process a message from the acquisition process."""

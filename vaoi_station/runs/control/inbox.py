@@ -38,7 +38,7 @@ class Inbox:
         self._messages.put(lambda: work(*args, **kwargs))
 
     def ask(self, work: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
-        """Let the inbox's thread call a function, wait for the call, and return its result.
+        """Let the inbox's thread call a function, wait for the call, and return what the function returns.
 
         Raises:
             VaoiError: the function raised it; any other exception of the function becomes an `InternalError`.
@@ -57,7 +57,7 @@ class Inbox:
         return self.wait(answer, do)
 
     def wait(self, answer: Future[T], do: Callable[[], Any], timeout_s: float | None = None) -> T:
-        """Let the inbox's thread call `do`, wait until the future `answer` is set, and return its result.
+        """Let the inbox's thread call `do`, wait until the future `answer` is set, and return its value.
 
         `answer` may be set after `do` has returned, by a later message.
 

@@ -1,4 +1,4 @@
-"""Receiver of the processes' events, which posts them to the coordinator's inbox."""
+"""Receiver of the processes' reports, which posts them to the coordinator's inbox."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from vaoi_station.runs.workers.jobs import Job, RenderJob, Reply
 
 
 class InboxEvents:
-    """Implementation of `StationEvents` that turns every event into one message to the coordinator's thread.
+    """Implementation of `StationEvents` that turns every report into one message to the coordinator's thread.
 
     Only replies to render jobs go directly to the callers that wait for a picture.
     """

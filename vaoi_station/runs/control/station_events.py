@@ -1,4 +1,4 @@
-"""The interface by which the workers and the acquisition process report their events to the coordinator."""
+"""The interface by which the workers and the acquisition process report to the coordinator."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ from vaoi_station.runs.workers.worker_events import WorkerEvents
 
 
 class StationEvents(WorkerEvents, Protocol):
-    """Receiver of all events. Every method returns at once and may be called from any thread.
+    """Receiver of all reports of the workers and the acquisition process.
 
+    Every method returns at once and may be called from any thread.
     `inbox_events.InboxEvents` implements it. The worker pool uses only the methods of `WorkerEvents`, because
     `runs.workers` must not import `runs.control`.
     """

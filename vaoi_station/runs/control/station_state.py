@@ -23,7 +23,7 @@ class StationStateMachine:
         self.reasons = Reasons()
 
     def require(self, event: StationStep) -> None:
-        """Raise StateError, with the first reason, if the event is illegal in the present state."""
+        """Raise StateError, with the first reason, if the step is illegal in the present state."""
         if not STATION.allows(self.state, event):
             reason = next(iter(self.reasons.all()), None)
             why = f" ({reason.message})" if reason else ""
@@ -31,14 +31,14 @@ class StationStateMachine:
             raise StateError(message, action=ADVICE.get(self.state, ""))
 
     def advance(self, event: StationStep) -> None:
-        """Change to the state that follows the event. Raise StateError if the event is illegal in the present state."""
+        """Change to the state that follows a step. Raise StateError if the step is illegal in the present state."""
         state = STATION.next(self.state, event)
         if state is not self.state:
             self.state, self.since = state, utc()
             self._events.add("station", f"The station is {state}.", state=state)
 
     def advance_if_allowed(self, event: StationStep) -> None:
-        """Change to the state that follows the event; ignore an event that is illegal in the present state."""
+        """Change to the state that follows a step; ignore a step that is illegal in the present state."""
         # Devices report asynchronously: a Disarmed or RunFinished may arrive after a fault or a stop.
         if STATION.allows(self.state, event):
             self.advance(event)

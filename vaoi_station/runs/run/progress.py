@@ -105,7 +105,7 @@ class Progress:
         return Status.DEGRADED if self.stitch.status is Status.OK and doubted else self.stitch.status
 
     def advance(self, event: RunStep) -> None:
-        """Change to the state that follows the event in the table `RUN`; `StateError` if the event is illegal."""
+        """Change to the state that follows a step in the table `RUN`; `StateError` if the step is illegal."""
         self.state = RUN.next(self.state, event)
 
     def settle(self, report: FrameSettled) -> list[LinkJob]:

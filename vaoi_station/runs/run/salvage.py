@@ -1,4 +1,4 @@
-"""Runs that ended early: the reason, and the report of a run whose acquisition process has ended."""
+"""Runs that ended early: the reason of their verdict, and the report of a run whose acquisition process has ended."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.states.schemas import Reason
 
 _AS_PLANNED = frozenset({"clear", "single"})
-"""Reasons of `controller.RunEnded` for a regular end of the pulses."""
+"""Values of `controller.RunEnded.reason` for a regular end of the pulses."""
 CAUSE = "the acquisition process ended before it arrived"
 """Cause that the records of missing frames give."""
 

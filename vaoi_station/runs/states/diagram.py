@@ -16,7 +16,7 @@ TABLES: dict[str, Table[Any, Any]] = {"station": STATION, "run": RUN}
 
 
 def mermaid(table: Table[Any, Any]) -> str:
-    """Return a state table as a Mermaid state diagram. Events that lead from one state to another share an arrow."""
+    """Return a state table as a Mermaid state diagram. Steps that lead from one state to another share an arrow."""
     arrows: dict[tuple[str, str], list[str]] = {}
     for (state, event), target in table.steps.items():
         arrows.setdefault((state, target), []).append(event)

@@ -18,7 +18,7 @@ def utc(moment: datetime | None = None) -> str:
 
 def utc_of_host(host_s: float) -> str:
     """Format a recent host time, a value of time.monotonic(), as RFC 3339 in UTC."""
-    # The two clocks are compared now. If the wall clock was set since `host_s`, the result is wrong by that step.
+    # The two clocks are compared now. If the wall clock was set since `host_s`, the time is wrong by that step.
     return utc(datetime.now(UTC) - timedelta(seconds=time.monotonic() - host_s))
 
 

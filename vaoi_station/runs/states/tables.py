@@ -1,7 +1,8 @@
 """The two state machines, as tables: one for the station, one for a run.
 
-A table maps (state, event) to the next state. A pair that is not in the table is illegal: it raises `StateError` and
-does not change the state. The diagrams in `docs/internals/runs.md` are drawn from these tables.
+A table maps (state, step) to the next state. A step is what happens: a request, or a report of a process. A pair that
+is not in the table is illegal: it raises `StateError` and does not change the state. The diagrams in
+`docs/internals/runs.md` are drawn from these tables.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ class StationState(StrEnum):
 
 
 class StationStep(StrEnum):
-    """An event that may change the state of the station."""
+    """A step, which may change the state of the station."""
 
     READY = "ready"
     ARM = "arm"
@@ -70,7 +71,7 @@ class RunState(StrEnum):
 
 
 class RunStep(StrEnum):
-    """An event that changes the state of a run."""
+    """A step, which changes the state of a run."""
 
     FILMED = "filmed"
     STITCHED = "stitched"
@@ -87,21 +88,21 @@ E = TypeVar("E", bound=StrEnum)
 
 @dataclass(frozen=True)
 class Table(Generic[S, E]):
-    """A state machine: its name in messages, its first state, and the next state for each legal (state, event)."""
+    """A state machine: its name in messages, its first state, and the next state for each legal (state, step)."""
 
     what: str
     start: S
     steps: Mapping[tuple[S, E], S]
 
     def next(self, state: S, event: E, action: str = "") -> S:
-        """Return the state that follows an event; `StateError`, with the given action, if the event is illegal."""
+        """Return the state that follows a step; `StateError`, with the given action, if the step is illegal."""
         try:
             return self.steps[state, event]
         except KeyError:
             raise StateError(f"The {self.what} is {state}; {event!s} is not possible now.", action=action) from None
 
     def allows(self, state: S, event: E) -> bool:
-        """Return whether the table permits this event in this state."""
+        """Return whether the table permits this step in this state."""
         return (state, event) in self.steps
 
 

@@ -54,7 +54,7 @@ MAX_ATTEMPTS = 2
 class WorkerPool:
     """The worker processes of the station. Its methods may be called from any thread.
 
-    Events are mostly reported in the pool's own thread.
+    It reports to the `WorkerEvents` given at the start, mostly in its own thread.
     """
 
     def __init__(self, count: int, ring_path: Path) -> None:
@@ -69,7 +69,7 @@ class WorkerPool:
         self._thread = threading.Thread(target=self._run, name="workers", daemon=True)
 
     def start(self, events: WorkerEvents) -> None:
-        """Start the workers, and report events to `events`. Jobs may be submitted before the workers are ready."""
+        """Start the workers, and report to `events`. Jobs may be submitted before the workers are ready."""
         self._events = events
         # Workers ignore SIGTERM and SIGINT. Without this exit handler they would survive a station that exits by an
         # exception.
@@ -82,7 +82,7 @@ class WorkerPool:
             return all(w.ready for w in self._workers)
 
     def submit(self, job: Job) -> None:
-        """Queue a job; its reply is reported as an event."""
+        """Queue a job; its reply is reported by `WorkerEvents.worker_reply`."""
         with self._lock:
             if not self._stopping:
                 self._queues.add(Queued(job))
@@ -208,14 +208,14 @@ class WorkerPool:
                 worker.backoff.record_success()
                 complete = self.all_ready()
             self._dispatch()
-        # Events are reported outside the lock: a receiver may call back into the pool.
+        # Reports are made outside the lock: a receiver may call back into the pool.
         if complete and self._events is not None:
             self._events.workers_ready()
         if isinstance(message, Reply) and queued is not None:
             self._report(queued.job, message)
 
     def _report(self, job: Job, reply: Reply) -> None:
-        """Report the outcome of a job as an event. Gather jobs are not reported, because only the pool submits them."""
+        """Report the outcome of a job. Gather jobs are not reported, because only the pool submits them."""
         if self._events is not None and not isinstance(job, GatherJob):
             self._events.worker_reply(job, reply)
 

@@ -1,4 +1,4 @@
-"""The interface by which the worker pool reports events."""
+"""The interface by which the worker pool reports replies and the state of its workers."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from vaoi_station.runs.workers.jobs import Job, Reply
 
 
 class WorkerEvents(Protocol):
-    """Receiver of the pool's events. Every method returns at once and may be called from any thread."""
+    """Receiver of the pool's reports. Every method returns at once and may be called from any thread."""
 
     def worker_reply(self, job: Job, answer: Reply) -> None:
         """Report the outcome of a job. The pool calls this method once for each submitted job.

@@ -194,7 +194,7 @@ def bands(rows: int) -> Iterator[slice]:
 
 
 def to_bytes(plane: Plane, gain: float = 1.0) -> Bytes:
-    """Multiply an image by a gain, round it and clip it to 8 bits. The result is read-only."""
+    """Multiply an image by a gain, round it and clip it to 8 bits. The returned image is read-only."""
     result = np.empty(plane.shape, np.uint8)
     for band in bands(len(plane)):
         result[band] = np.clip(np.rint(plane[band] * np.float32(gain)), 0, 255)

@@ -56,7 +56,7 @@ class Lattice:
         return slice(self.y0 * k, self.y1 * k), slice(self.x0 * k, self.x1 * k)
 
     def spread(self, values: Floats, shape: tuple[int, int]) -> NDArray[np.float32]:
-        """Interpolate values (k,) at the nodes to all samples of the window, and cut the result to `shape` (h, w)."""
+        """Interpolate values (k,) at the nodes to all samples of the window, and cut them to `shape` (h, w)."""
         columns, rows = self.x1 - self.x0 + 2, self.y1 - self.y0 + 2
         k = BLOCK_PX * OVERSAMPLING
         coarse = values.reshape(rows, columns).astype(np.float32)

@@ -217,7 +217,7 @@ class MovingCameras:
         normal.values[envelope.at[own] + own] += 1 / _ANYWHERE_PX**2
 
     def constrain(self, envelope: Envelope, normal: NormalEquations) -> Floats:
-        """Add the prior of the displacements to factorised normal equations; return the result of `solve_forward`.
+        """Add the prior of the displacements to factorised normal equations; return the vector of `solve_forward`.
 
         The displacements stand last. The trailing block of the factor therefore is the factor of their reduced normal
         matrix, from which all other unknowns are eliminated. The prior is added there.

@@ -153,7 +153,7 @@ def solve_forward(factor: NormalEquations) -> Floats:
 
 @compiled
 def solve_backward(factor: NormalEquations, forward: Floats) -> Floats:
-    """Return the solution (n,) of factorised normal equations from the result (n,) of `solve_forward`."""
+    """Return the solution (n,) of factorised normal equations from the vector (n,) that `solve_forward` returns."""
     first, at, values = factor.first, factor.at, factor.values
     out = forward.copy()
     for i in range(len(first) - 1, -1, -1):

@@ -81,7 +81,7 @@ class NoiseModel(NamedTuple):
 def compute_residuals(links: LinkArrays, motion: MotionArrays, height_mm: Floats, state: LinkState) -> None:
     """Compute residual and lean of every link, for points at heights (k,) above the calibrated plane.
 
-    The results are written to `state`.
+    The values are written to `state`.
     """
     p, q, a_mm, b_mm, a_lean, b_lean = links.p, links.q, links.a_mm, links.b_mm, links.a_lean, links.b_lean
     shift, pivot, residual, lean = motion.shift, motion.pivot, state.residual, state.lean

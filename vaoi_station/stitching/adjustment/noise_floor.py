@@ -24,10 +24,10 @@ def noise_floor(residual: Floats, noise: Floats, per_unit: Floats, use: Ints, lo
     Args:
         residual: (k, 2) residuals.
         noise: (k, 2, 2) covariances of the stated noise.
-        per_unit: (k,) units of the result per unit of the residuals, for example px per mm.
+        per_unit: (k,) units of the noise floor per unit of the residuals, for example px per mm.
         use: indices of the measurements that are used.
-        low: lower limit of the result.
-        high: upper limit of the result.
+        low: lower limit of the noise floor.
+        high: upper limit of the noise floor.
     """
     left = use.copy()
     surely, undecided = 0, len(use)

@@ -1,4 +1,4 @@
-"""Data classes for the input of an adjustment and for its result."""
+"""Data classes for the input of an adjustment and for its solution."""
 
 from __future__ import annotations
 

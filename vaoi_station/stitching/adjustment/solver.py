@@ -132,7 +132,7 @@ def solve_subsampled(problem: Problem, start: Motion) -> Motion | None:
 def evaluate_at(problem: Problem, motion: Motion) -> AdjustmentResult:
     """Return residuals and weights of all links at a given motion, as if it were the solution.
 
-    The covariance is not computed: it is 0 in the result.
+    The covariance is not computed: it is 0 in the solution.
     """
     return _Solver(problem, motion, None).result()
 

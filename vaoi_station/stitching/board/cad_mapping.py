@@ -54,7 +54,7 @@ class Turned(Failure):
 
 @dataclass(frozen=True, eq=False)
 class CadMapping:
-    """The result for a board that was found: the common adjustment of all unknowns, and the checks of the outline."""
+    """The CAD mapping of a board that was found: the adjustment of all unknowns, and the checks of the outline."""
 
     adjusted: AdjustmentResult
     outline: OutlineContrast | None

@@ -127,7 +127,7 @@ def find_board(
             off = max(abs(turn) / expectation.angle_tolerance_rad, abs(scale) / _SCALE_LIMIT)
             if off > 1:
                 what = f"turned by {np.degrees(turn):.1f}°, scale off by {scale:.2%}"
-                # This text serves for the reason of a failure only. It shows the engineer what was nearly accepted.
+                # This text serves for the message of a failure only. It shows the engineer what was nearly accepted.
                 nearest = min(nearest, (off, what))
                 continue
             cost, used = _score_cost(plane, c, places, kinds, pair, (i, j))

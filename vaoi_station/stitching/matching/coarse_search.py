@@ -39,7 +39,7 @@ Small = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class CoarseShift:
-    """The result of a coarse search: the shift (2,) to add to the prediction, in px, and its correlation."""
+    """The estimate of a coarse search: the shift (2,) to add to the prediction, in px, and its correlation."""
 
     px: Floats
     score: float

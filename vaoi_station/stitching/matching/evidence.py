@@ -42,7 +42,7 @@ class Links:
     score: Floats
     """(k,) zero-mean normalised correlation of the patches."""
     note: str = ""
-    """The reason if there are no links, otherwise empty."""
+    """Why there are no links; empty if there are links."""
     coarse_px: tuple[float, float] | None = None
     """Shift that the coarse search added to the predicted one; None if no links were found."""
     tried: int = 0

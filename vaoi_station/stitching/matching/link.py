@@ -142,7 +142,7 @@ def _too_few(links: Links) -> bool:
 def _link_corners(task: Task, pair: FramePair, box: Box, correction_px: Floats, count: int = _CORNERS) -> Links:
     """Choose corners in the overlap of frame a, match them in frame b, and return the good matches as links.
 
-    Frame b is searched at the prediction plus `correction_px` (2,), the result of the coarse search.
+    Frame b is searched at the prediction plus `correction_px` (2,), the shift that the coarse search found.
     """
     a, b = pair.a, pair.b
     corners = choose_corners(a, _shrink(box, a.grey.shape, correction_px), count)

@@ -2,7 +2,7 @@
 
 The reduced, high-passed frames of each camera are correlated at all shifts at once by Fourier transforms. The sums of
 all cameras are added at the shifts that one motion on the conveyor's plane causes in each of them, so that the texture
-of the whole row decides. The result is several candidates; only links of patches show which of them is right.
+of the whole row decides. It yields several candidates; only links of patches show which of them is right.
 """
 
 from __future__ import annotations

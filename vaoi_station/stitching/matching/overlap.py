@@ -39,7 +39,7 @@ def overlap_box(a: Camera, b: Camera, shift_mm: Floats, margin_px: float = 0.0) 
     (ax, ay), (bx, by), (cx, cy), (dx, dy) = back.tolist()
     x0, y0 = max(ax, dx, 0.0) + margin_px, max(ay, by, 0.0) + margin_px
     x1, y1 = min(bx, cx, a.width_px - 1.0) - margin_px, min(cy, dy, a.height_px - 1.0) - margin_px
-    # an overlap less than two pixels wide is the result of rounding
+    # an overlap less than two pixels wide comes from rounding
     if x1 - x0 < 2 or y1 - y0 < 2:
         return None
     return math.ceil(x0), math.ceil(y0), int(x1) + 1, int(y1) + 1

@@ -107,7 +107,7 @@ def read_only(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
 def half_size(image: NDArray[Any]) -> NDArray[Any]:
     """Return the means of blocks of 2×2 pixels.
 
-    An odd last line or column is left out: OpenCV would otherwise stretch the result, and pixel centres would shift.
+    An odd last line or column is left out: OpenCV would otherwise stretch the picture, and pixel centres would shift.
     """
     h, w = image.shape[0] // 2 * 2, image.shape[1] // 2 * 2
     return np.asarray(cv2.resize(image[:h, :w], (w // 2, h // 2), interpolation=cv2.INTER_AREA))

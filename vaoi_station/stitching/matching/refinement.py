@@ -76,7 +76,7 @@ _Float = np.float32
 
 
 class Refinement(NamedTuple):
-    """The results of refining k patches."""
+    """k patches after the refinement."""
 
     b_px: Floats
     """(k, 2) centres of the patches in image b; the guess if the patch has too little texture to be searched."""

@@ -47,7 +47,7 @@ def blur(raw: Pixels, half_way: Plane, out: Plane, size: int, pitch: int, less: 
     """Blur raw pixels to a tile `out` of side `size`, and subtract the constant `less`.
 
     The blur first runs down the columns, in exact whole numbers, and then along the lines. `half_way` is a buffer for
-    the result in between. Lines of `raw` lie `pitch` apart.
+    the values in between. Lines of `raw` lie `pitch` apart.
     """
     w0, w1, w2, w3 = BINOMIAL
     p = pitch

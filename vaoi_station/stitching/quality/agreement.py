@@ -33,7 +33,7 @@ def fiducial_reasons(
 
     Args:
         plane: plane of the board type.
-        adjusted: result of the common adjustment of all unknowns.
+        adjusted: solution of the common adjustment of all unknowns.
         points: fiducial points of that adjustment.
         moved: motion of the rows from links alone, which does not depend on the fiducials.
         px_per_mm: resolution of the station.

@@ -60,7 +60,7 @@ class Findings:
     calibrated: tuple[Camera, ...]
     """The cameras as calibrated. Those of `scene` are the displaced cameras of the adjustment."""
     found: CadMapping | Failure
-    """The CAD mapping of the board, or the reason why the board was not found."""
+    """The CAD mapping of the board, or the failure that says why the board was not found."""
     visibility: Visibility = VISIBILITY
     """How much of every component the frames must show, unless the board type asks for something else."""
     reference_sigma_px: float = 0.0

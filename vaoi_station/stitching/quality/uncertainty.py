@@ -142,7 +142,7 @@ def shape_covariances(cameras: Sequence[Camera], camera: Ints, raw_px: Floats) -
 
     Only the shape of the picture counts: scale, stretch, perspective and radial distortion. A displacement (shift and
     turn) is an unknown of the adjustment. It is estimated where the camera overlaps with its neighbours, so that an
-    error of the shape there shifts the whole picture: that error is added. The result is 0 for cameras whose
+    error of the shape there shifts the whole picture: that error is added. The value is 0 for cameras whose
     calibration states no covariance.
     """
     out = np.zeros((len(raw_px), 2, 2))

@@ -270,7 +270,7 @@ def check_silence(connections: list[Connection], settle_s: float = 0.15, watch_s
     time.sleep(settle_s)
     # No slot is queued yet, so the streams count arriving packets without storing them.
     before = [connection.traffic() for connection in connections]
-    # The absence of packets is no event to wait for: only time can show it.
+    # Nothing signals the absence of packets: only time can show it.
     time.sleep(watch_s)
     for connection, count in zip(connections, before, strict=True):
         if connection.traffic() != count:

@@ -155,7 +155,7 @@ def link_mbit_s(interface: str) -> float | None:
 def widen_receive_buffer(port: int, wanted_bytes: int) -> int:
     """Set the receive buffer of the UDP socket that this process has at a port; return the granted size, in bytes.
 
-    The kernel grants at most net.core.rmem_max. The result is 0 if this process has no UDP socket at the port.
+    The kernel grants at most net.core.rmem_max. The value is 0 if this process has no UDP socket at the port.
     """
     # Aravis itself sets the size when the first packet has arrived, which loses the rest of the first frame
     # (decisions/0009), and does not report the granted size. Aravis gives no access to its socket, so the socket is

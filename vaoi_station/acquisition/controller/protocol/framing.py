@@ -65,7 +65,7 @@ def crc16(data: bytes) -> int:
 
 
 def cobs(content: bytes) -> bytes:
-    """Encode at most 253 bytes by COBS, so that the result contains no zero byte."""
+    """Encode at most 253 bytes by COBS, so that the code contains no zero byte."""
     # Blocks of 254 bytes without a zero, which COBS treats specially, cannot occur in so short a content.
     return b"".join(bytes([len(part) + 1]) + part for part in content.split(b"\0"))
 

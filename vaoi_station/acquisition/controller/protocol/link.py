@@ -45,7 +45,7 @@ class Replied:
 
 @dataclass(frozen=True)
 class Refused:
-    """A request that the controller refused, with the reason."""
+    """A request that the controller refused, with the message (NAK) that says why."""
 
     request: Request
     nak: Nak

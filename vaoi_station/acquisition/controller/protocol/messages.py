@@ -42,7 +42,7 @@ class Type(IntEnum):
 
 
 class Reason(IntEnum):
-    """The reason for which the controller refuses a request."""
+    """Why the controller refuses a request: the field `reason` of a NAK message."""
 
     UNKNOWN = 1
     LENGTH = 2
@@ -93,7 +93,7 @@ class Kind(IntEnum):
 
 
 class Suppressed(IntEnum):
-    """The reason why a run was not started, or a pulse was not fired."""
+    """Why the controller did not start a run or did not fire a pulse."""
 
     BOUNCE = 1
     GAP = 2
@@ -103,7 +103,7 @@ class Suppressed(IntEnum):
 
 
 class RunEnd(IntEnum):
-    """The reason why a run ended."""
+    """Why the controller ended the pulses of a run: the field `detail` of the event RUN_END."""
 
     CLEAR = 1
     MAX_ROWS = 2
@@ -240,7 +240,7 @@ class ClockReply(_Wire):
 
 @dataclass(frozen=True)
 class Nak(_Wire):
-    """A refusal: type of the refused request, reason, number of the field, and nearest allowed value."""
+    """A refusal: type of the refused request, why it was refused, number of the field, and nearest allowed value."""
 
     LAYOUT = Struct("<BBBxI")
     request: int

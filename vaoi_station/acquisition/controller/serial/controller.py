@@ -28,7 +28,7 @@ def open_serial_controller(config: StationConfig) -> SerialController:
     """Open the controller of `[controller]` in station.toml.
 
     Raises:
-        DeviceError: the controller cannot be used; the message has the reason.
+        DeviceError: the controller cannot be used; the message says why.
     """
     return SerialController(config.controller)
 

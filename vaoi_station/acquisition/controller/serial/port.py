@@ -52,7 +52,7 @@ class Port:
         """Open a port.
 
         Raises:
-            DeviceError: the port cannot be opened; the error has the reason and the action.
+            DeviceError: the port cannot be opened; the error says why, and what to do.
         """
         try:
             self._serial = serial.Serial(name, baud, exclusive=True)

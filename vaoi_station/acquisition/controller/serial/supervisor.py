@@ -119,7 +119,7 @@ class Supervisor:
                     return
 
     def mark_lost(self, error: DeviceError) -> None:
-        """Refuse requests from now on. `error` is the reason."""
+        """Refuse requests from now on. `error` is the error of each refusal."""
         self.link.drop_requests()
         with self.lock:
             self.unavailable = error
