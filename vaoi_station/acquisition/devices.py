@@ -62,7 +62,7 @@ class Devices:
     feedback: Feedback = field(default_factory=Feedback)
 
     def close(self) -> None:
-        """Close all devices."""
+        """Close cameras and controller."""
         # The controller is closed first: it must not fire a pulse without cameras.
         self.controller.close()
         for camera in self.cameras:

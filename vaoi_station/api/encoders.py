@@ -122,6 +122,6 @@ def _offer(*, names: bool) -> str:
 
 
 def raw_from_npy(content: bytes) -> tuple[bytes, dict[str, str]]:
-    """Convert the content of an npy file to raw pixels and their X-Image-* headers."""
+    """Convert an npy file's content to bare pixels, and to the HTTP headers (X-Image-*) that describe their layout."""
     pixels: Image = np.load(io.BytesIO(content), allow_pickle=False)
     return np.ascontiguousarray(pixels).tobytes(), describe(pixels)

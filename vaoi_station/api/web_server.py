@@ -38,7 +38,7 @@ class WebServer:
         return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
 
     def start(self) -> None:
-        """Start to serve."""
+        """Start to serve requests, in a thread."""
         self._thread.start()
         _log.info("listening on %s", self.address)
 

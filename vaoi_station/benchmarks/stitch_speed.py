@@ -56,7 +56,7 @@ class SpeedFigures:
     opencv: str
 
     def document(self) -> dict[str, Any]:
-        """Return the figures for JSON."""
+        """Return all figures of the benchmark as a dictionary for JSON."""
         return asdict(self)
 
 

@@ -34,7 +34,7 @@ _SEED_RANGE = 30.0
 
 @dataclass(frozen=True, eq=False)
 class Assignment:
-    """The hypothesis chosen for one camera, and the best different one."""
+    """The hypothesis (which mark of the layout is which of the frame) chosen for a camera, and the best other."""
 
     chosen: Hypothesis | None
     rival: Hypothesis | None = None
@@ -124,11 +124,11 @@ class _Search:
 
     @property
     def seen(self) -> NDArray[np.bool_]:
-        """Which cameras have hypotheses, (n,)."""
+        """Whether each camera has a hypothesis about its marks, (n,)."""
         return np.isfinite(self.score[:, 0])
 
     def best(self) -> NDArray[np.intp]:
-        """Return the best choice (n,) that is reached from any single hypothesis."""
+        """Return the best choice of one hypothesis per camera, (n,) indices, after a search from every hypothesis."""
         first = np.argmax(self._with_prior(np.zeros(3)), axis=1)
         found = self.climb(first)
         total = self.total(found)
@@ -141,7 +141,7 @@ class _Search:
         return found
 
     def climb(self, choice: NDArray[np.intp], camera: int | None = None, kept: int = 0) -> NDArray[np.intp]:
-        """Improve a choice until it stays. If `camera` is given, it keeps hypothesis `kept`.
+        """Improve a choice of one hypothesis per camera until none changes. If given, `camera` keeps `kept`.
 
         Two starts are compared then: the others stay as they are, or the whole board moves with that camera.
         """

@@ -33,9 +33,9 @@ _TO_BASIS = np.linalg.pinv(basis_fields(_GRID).reshape(-1, FIELDS))
 
 @dataclass(frozen=True)
 class CameraPrior:
-    """Frame, nominal view and stated accuracies of one camera, and what follows from them, in px.
+    """What is known of one camera before its calibration, and the standard deviations in px that follow from it.
 
-    Lengths on the board are standard deviations; 0 is exact.
+    The accuracies are those of the calibration board, as standard deviations in mm; 0 is exact.
     """
 
     center_px: tuple[float, float]

@@ -59,7 +59,7 @@ class Fit:
 
     @property
     def rms_px(self) -> float:
-        """Root mean square length of the residuals."""
+        """Root mean square distance of the measured marks from their predicted positions, px."""
         return float(np.sqrt((self.residuals_px**2).sum(1).mean()))
 
     @property
@@ -178,7 +178,7 @@ def _solve(p: Floats, px: Floats, prior: CameraPrior, h: Floats, lens: Lens, wei
 
 
 def _design(h: Floats, lens: Lens, p: Floats, px: Floats) -> Floats:
-    """Compute the derivative (k, 2, 8 + q) of projected minus undistorted pixels by all parameters."""
+    """Compute the derivative (k, 2, 8 + q) of projected minus undistorted px by 8 entries of N_i and q of the lens."""
     return np.concatenate([_homography_jacobian(h, p), -_lens_jacobian(lens, px)], axis=2)
 
 

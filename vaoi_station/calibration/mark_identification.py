@@ -61,7 +61,7 @@ def find_hypotheses(
     size_px: float,
     ground: BlankGround | None = None,
 ) -> tuple[Hypothesis, ...]:
-    """Find the best assignments of detected marks, best first; none if fewer than two marks match.
+    """Find the best hypotheses which detected mark is which mark of the layout, best first; none below two matches.
 
     Args:
         detected_px: (m, 2) raw pixels of detected marks, best first.

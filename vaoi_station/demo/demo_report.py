@@ -82,7 +82,7 @@ class DemoReport(Strict):
 
 
 def as_text(report: DemoReport) -> str:
-    """Format the report as text."""
+    """Format the report of the demo as text."""
     lines = [f"board 1 of scenario {report.scenario!r}, run {report.run}: {report.status.upper()}"]
     lines += [f"  {name:<10s}{text}" for name, text in _entries(report)]
     lines += [f"  - {reason.message}" for reason in report.reasons]

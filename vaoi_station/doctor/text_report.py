@@ -8,7 +8,7 @@ _SIGNS = {Level.OK: "ok", Level.WARNING: "WARNING", Level.FAULT: "FAULT", Level.
 
 
 def as_text(report: Report) -> str:
-    """Format the report as text."""
+    """Format the report of `vaoi doctor` as text, one line for each finding."""
     width = max(len(finding.check) for finding in report.findings)
     lines = [line for finding in report.findings for line in _lines(finding, width)]
     return "\n".join([*lines, "", _summary(report)]) + "\n"

@@ -41,7 +41,7 @@ class RecordedRun:
 
     @property
     def rows(self) -> int:
-        """Number of trigger pulses."""
+        """Number of rows: one for each trigger pulse."""
         return self._opened.recording.head.rows
 
     @property

@@ -37,7 +37,7 @@ class Plan:
 
 
 def make_plan(requirements: Requirements) -> Plan:
-    """Compute all figures of a plan for given requirements, and check all constraints.
+    """Plan the optics of a station for given requirements: compute all figures, and check all constraints.
 
     Raises:
         InputError: if valid quantities contradict each other.

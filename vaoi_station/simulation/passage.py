@@ -77,7 +77,7 @@ class Passage:
 
     @property
     def lights(self) -> tuple[str, ...]:
-        """Light pattern of each row."""
+        """Name of the light pattern of each row."""
         names = self.twin.scenario.line.lights
         return tuple(names[row % len(names)] for row in range(self.rows))
 

@@ -213,7 +213,7 @@ class OnBoard(Section):
 
 
 class LostFrame(OnBoard):
-    """A frame that never arrives."""
+    """A fault: the frame of one camera and row never arrives."""
 
     camera: Index
     row: Index

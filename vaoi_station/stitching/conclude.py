@@ -147,7 +147,7 @@ def _links_problem(prior: PriorKnowledge, times_s: Floats, found: SortedEvidence
 def _relinked(
     scene: Scene, prior: PriorKnowledge, problem: Problem, found: SortedEvidence, link_store: LinkStore
 ) -> tuple[SortedEvidence, Problem]:
-    """Link rows again between which the belt did not move as its nominal speed says."""
+    """Search links again between those rows between which the belt moved otherwise than at its nominal speed."""
     o = problem.links
     between = o.p != o.q
     measured = RowLinks(o.p[between], o.q[between], o.b_mm[between] - o.a_mm[between])
@@ -217,7 +217,7 @@ def _without_unknown_rows(findings: Findings) -> Findings:
 
 
 def _corrected_scene(scene: Scene, mapping: CadMapping | Failure) -> Scene:
-    """Return the scene with the cameras as the common adjustment displaced them."""
+    """Return the scene with the cameras displaced as the adjustment of the CAD mapping found them."""
     if isinstance(mapping, Failure) or mapping.adjusted.cameras is None:
         return scene
     return replace(scene, cameras=mapping.adjusted.problem.cameras)

@@ -40,7 +40,7 @@ class RunRow:
 
 @dataclass(frozen=True)
 class EventRow:
-    """An event as stored."""
+    """An entry of the event log as stored: its number and its JSON text."""
 
     number: int
     document: str

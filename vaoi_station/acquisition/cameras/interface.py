@@ -48,7 +48,7 @@ class Arrival:
 
 @dataclass(frozen=True)
 class CameraHealth:
-    """The state of one camera, for status pages."""
+    """The state of one camera, for `GET station`, the page and `vaoi doctor`."""
 
     connected: bool
     message: str = ""

@@ -55,7 +55,7 @@ class VirtualCamera:
         self._delivered = self._incomplete = self._dropped = 0
 
     def start(self, events: SimpleQueue[CameraEvent]) -> None:
-        """Begin to deliver frames."""
+        """Begin to deliver frames as arrivals into the queue `events`."""
         self._thread = threading.Thread(target=self._deliver, args=(events,), name=f"camera-{self.number}")
         self._thread.start()
 
@@ -84,7 +84,7 @@ class VirtualCamera:
         return CameraHealth(not self._closing, message, None, self._delivered, self._incomplete)
 
     def close(self) -> None:
-        """End the thread; frames in transfer are dropped."""
+        """End the thread that delivers frames, and wait for its end; frames in transfer are dropped."""
         with self._change:
             self._closing = True
             self._change.notify()

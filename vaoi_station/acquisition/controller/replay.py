@@ -85,7 +85,7 @@ class ReplayController:
         self._thread.start()
 
     def arm(self, plan: TriggerPlan) -> None:
-        """Play recordings from now on."""
+        """Replay recordings from now on: put their barrier changes and pulses into the queue of events."""
         with self._change:
             self._plan, self._episode = plan, self._episode + 1
             self._change.notify_all()
@@ -114,7 +114,7 @@ class ReplayController:
         return f"replay: {self._played} runs played"
 
     def close(self) -> None:
-        """End the thread."""
+        """End the thread that replays recordings, and wait for its end."""
         with self._change:
             self._plan, self._closing = None, True
             self._wake()

@@ -60,7 +60,7 @@ class SimulatedController:
         self._thread: threading.Thread | None = None
 
     def start(self, events: EventQueue) -> None:
-        """Begin to report events."""
+        """Begin to put events into the queue `events`."""
         self._events = events
         self._thread = threading.Thread(target=self._work, name="controller")
         self._thread.start()
@@ -111,7 +111,7 @@ class SimulatedController:
         return f"simulated: {'armed' if self._rule else 'idle'}, {self._runs} boards seen"
 
     def close(self) -> None:
-        """End the thread."""
+        """End the thread that simulates the controller, and wait for its end."""
         with self._changed:
             self._closing, self._rule = True, None
             self._changed.notify()

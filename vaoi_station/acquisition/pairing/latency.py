@@ -70,18 +70,19 @@ class CameraLatency:
         self.confirmed = self.given
 
     def learn(self, begun: Beginning) -> Learnt | None:
-        """Take over what the beginning of a run shows, and return it; None if more frames or pulses are needed."""
+        """Set the latency from the beginning of a run, and return it; None if more frames or pulses are needed."""
         found = learn(begun, self.value_s, self.gate_s)
         if found is not None:
             self.value_s, self.confirmed = found.latency_s, found.confirmed
         return found
 
     def revise(self, measured_s: float | None, in_order_s: float | None, assigned: int, extra: int) -> None:
-        """Follow what a finished run has shown; a given latency is never changed.
+        """Update the latency from the frames of a finished run. A configured latency is never changed.
 
         Args:
             measured_s: median latency of the assigned frames.
-            in_order_s: the latency at which all frames follow the pulses in order, if it is another one.
+            in_order_s: latency at which all frames, unassigned ones too, follow the pulses one by one; None if that is
+                the latency by which they were assigned, or if there is none.
             assigned: count of the frames that were assigned.
             extra: count of the frames that were not.
         """

@@ -20,7 +20,7 @@ class WaitingFrame(NamedTuple):
 
 
 class Latencies:
-    """The latencies of all cameras."""
+    """The latencies (pulse to time stamp) of all cameras of a station, learnt from one run to the next."""
 
     def __init__(self, settings: Sequence[LatencySettings], bound_s: Callable[[int, float], float]) -> None:
         """Begin with the configured latencies.
@@ -82,7 +82,7 @@ class Latencies:
                 run.latency_known[camera] = found.confirmed
 
     def revise(self, proof: TriggerProof) -> None:
-        """Follow what the proof of a finished run has shown."""
+        """Update the latencies of all cameras from the proof of a finished run."""
         for camera in proof.cameras:
             # Frames in doubt show nothing about the latency, except the one at which they would follow their pulses.
             measured_us = camera.latency_us if camera.proven else None

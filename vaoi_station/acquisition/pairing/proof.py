@@ -42,7 +42,7 @@ class TriggerFinding(FrozenModel):
 
 
 class CameraProof(FrozenModel):
-    """The measured values of the proof for one camera."""
+    """What the proof of a run measured on the frames of one camera."""
 
     camera: int
     pulses: int
@@ -316,7 +316,7 @@ def _in_order_s(
 
 
 def _residuals(pulses: Mapping[int, ObservedPulse], assigned: Sequence[ObservedFrame]) -> dict[int, float]:
-    """Return {row: residual of its frame, s}. Each epoch is fitted separately: its clock may have restarted."""
+    """Return {row: time stamp minus fitted pulse time, s}. Each epoch is fitted alone: its clock may have restarted."""
     found: dict[int, float] = {}
     for epoch in {f.epoch for f in assigned}:
         frames = [f for f in assigned if f.epoch == epoch and f.row is not None]

@@ -203,7 +203,7 @@ class Session:
         self._apply(self._recorder.settle(now_s), now_s)
 
     def handle_event(self, event: ControllerEvent, now_s: float) -> None:
-        """Process an event of the controller."""
+        """Record an event of the controller (barrier, pulse, end of a run) in the run to which it belongs."""
         self._recorder.note_controller_time(event.time_s)
         if self._is_outdated(event):
             return
@@ -266,7 +266,7 @@ class Session:
         return late
 
     def handle_arrival(self, arrival: Arrival, now_s: float) -> None:
-        """Process the arrival of a frame: a slot that a camera has delivered."""
+        """Assign a frame, delivered by a camera in a slot, to its run and pulse."""
         self._slot_queue.mark_returned(arrival.slot)
         self._apply(self._recorder.add_arrival(arrival, now_s), now_s)
 

@@ -61,7 +61,7 @@ def read_owner(path: Path) -> tuple[int, bool] | None:
 
 
 def remove_leftovers(directory: Path) -> list[Path]:
-    """Unlink the rings of owners that ended without doing so; return the removed paths."""
+    """Delete the ring files of processes that ended without deleting them; return the paths of the deleted files."""
     removed = []
     for path in sorted(directory.glob(f"*{SUFFIX}")):
         owner = read_owner(path)

@@ -69,7 +69,7 @@ class FrameShape:
 
     @property
     def nbytes(self) -> int:
-        """Size of one frame, bytes."""
+        """Size of the pixels of one frame, bytes."""
         return self.format.nbytes(self.width, self.height)
 
 
@@ -137,7 +137,7 @@ class RingLayout:
 
     @property
     def file_bytes(self) -> int:
-        """Size of the file, bytes."""
+        """Size of the ring's file, bytes."""
         return self.first_slot + self.slots * self.slot_bytes
 
     def slot(self, bay: int, camera: int, k: int) -> int:

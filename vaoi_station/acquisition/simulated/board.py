@@ -33,11 +33,11 @@ class SimulatedBoard:
 
     @property
     def ready(self) -> bool:
-        """Whether all frames are rendered."""
+        """Whether all frames of the board are rendered."""
         return not self._to_render
 
     def render_one(self) -> None:
-        """Render the next frame."""
+        """Render the next frame of the board that is not rendered yet."""
         camera, row = self._to_render.pop(0)
         pulse = self.pulses[row]
         image = self.passage.frame_at(camera, pulse.time_s, pulse.light, row)

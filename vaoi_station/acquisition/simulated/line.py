@@ -158,7 +158,7 @@ class SimulatedLine:
             self._cameras[n].trigger(host_s + (k + 1 / 3) * interval_s, board.pixels(n, 0))
 
     def close(self) -> None:
-        """End the thread."""
+        """End the thread that lets boards pass, and wait for its end."""
         with self._change:
             self._closing = True
             self._change.notify()

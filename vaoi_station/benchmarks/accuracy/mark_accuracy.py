@@ -101,14 +101,14 @@ class MarkFigures:
     """CPU time to search a whole frame for marks, without the reduction to quarter size; median over a board."""
 
     def document(self) -> dict[str, Any]:
-        """Return the figures as a dictionary for JSON."""
+        """Return all figures of the benchmark as a dictionary for JSON."""
         document: dict[str, Any] = json_document(asdict(self))
         # "said_px" is the key of the JSON file, which programs outside may read.
         document["rows"] = [_renamed(row, "claimed_px", "said_px") for row in document["rows"]]
         return document
 
     def plot(self) -> str:
-        """Draw the curves as SVG."""
+        """Draw the error of marks over their sub-pixel position as SVG."""
         panels = [Panel(_NAMES.get(c.shape, c.shape), c.fraction, c.error_px, c.paper_px) for c in self.curves]
         size = self.curves[0].size_px if self.curves else 0.0
         title = f"error along x, px, over the fraction of a pixel; light marks of {size:g} px, clean"

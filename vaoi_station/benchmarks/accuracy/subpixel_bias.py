@@ -61,12 +61,12 @@ class BiasFigures:
     curves: tuple[BiasCurve, ...]
 
     def document(self) -> dict[str, Any]:
-        """Return the figures for JSON."""
+        """Return all figures of the benchmark as a dictionary for JSON."""
         # "pulls" is the key of the JSON file, which programs outside may read.
         return {"pulls": [asdict(curve) for curve in self.curves]}
 
     def plot(self) -> str:
-        """Draw the curves as SVG."""
+        """Draw the error over the sub-pixel position as SVG."""
         panels = [Panel(f"{p.axis}, noise {p.noise:g}", p.fraction, p.error_px, p.lucas_kanade_px) for p in self.curves]
         title = "mean error of links along the motion, px, over the fraction of a pixel"
         return draw_bias_panels(panels, title, ("ours", "Lucas-Kanade"))

@@ -34,7 +34,7 @@ class PrerenderedRun:
 
     @property
     def head(self) -> RecordingHead:
-        """Cameras, rows and trigger times."""
+        """The head of the recording: cameras, number of rows, trigger times."""
         return parse(RecordingHead, read_json(self.directory / _HEAD), self.directory / _HEAD)
 
     @property
@@ -49,7 +49,7 @@ class PrerenderedRun:
 
     @property
     def line(self) -> Line:
-        """Mechanics of the simulated line."""
+        """Speed, barrier, delays and trigger period of the simulated line."""
         return parse(Line, read_json(self.directory / _LINE), self.directory / _LINE)
 
     def map(self) -> NDArray[np.uint8]:

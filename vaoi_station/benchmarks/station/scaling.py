@@ -46,7 +46,7 @@ class ScalingFigures:
     reasons: tuple[str, ...]
 
     def document(self) -> dict[str, Any]:
-        """Return the figures for JSON."""
+        """Return all figures of the benchmark as a dictionary for JSON."""
         return asdict(self)
 
 

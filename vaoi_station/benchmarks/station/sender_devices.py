@@ -92,7 +92,7 @@ class SenderCamera:
         self._delivered = self._without_slot = 0
 
     def start(self, arrivals: SimpleQueue[CameraEvent]) -> None:
-        """Start to deliver frames."""
+        """Start to put arrivals into the queue `arrivals`."""
         self._sender.start(arrivals)
 
     def trigger(self, row: int, time_s: float) -> None:

@@ -92,7 +92,7 @@ class RateFigures:
     each: tuple[BoardFigures, ...]
 
     def document(self) -> dict[str, Any]:
-        """Return the figures for JSON."""
+        """Return all figures of the benchmark as a dictionary for JSON."""
         document: dict[str, Any] = json_document(asdict(self))
         return document
 

@@ -69,7 +69,7 @@ def link_arrays(stitched: StitchedRun) -> dict[str, NDArray[Any]]:
 
 
 def detection_arrays(stitched: StitchedRun) -> dict[str, NDArray[Any]]:
-    """Return all detections of marks, before they are assigned to fiducials."""
+    """Return all detections of marks as arrays with one entry each, before they are assigned to fiducials."""
     seen = [e for e in stitched.evidence if isinstance(e, Detections)]
     keys = np.array([e.task.a for e in seen], dtype=np.int32).reshape(-1, 2)
     return {

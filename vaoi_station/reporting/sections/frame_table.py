@@ -28,7 +28,7 @@ def picture_id(key: FrameKey) -> str:
 
 
 def frame_table(stitched: StitchedRun) -> Section:
-    """Show the frames as a table of rows and cameras."""
+    """Return the section that shows the state of every frame, in a table of rows and cameras."""
     links = links_of(stitched)
     head = tag("tr", tag("th"), *(tag("th", text(f"camera {i}")) for i in range(stitched.cameras)))
     body = "".join(

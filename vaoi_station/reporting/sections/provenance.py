@@ -27,7 +27,7 @@ _STAGES = {
 
 
 def timings(stitched: StitchedRun) -> Section:
-    """List the wall times of all tasks and of the conclusion. They were stitched again on one core for the report."""
+    """Return the section that lists the wall times of tasks and conclusion, measured on one core for the report."""
     tasks = [[_TASKS.get(k, k), number(ms, 1)] for k, ms in stitched.task_ms.items()]
     stages = [[_STAGES.get(k, k), number(ms, 1)] for k, ms in stitched.result.quality["timings_ms"].items()]
     lead = (
@@ -38,7 +38,7 @@ def timings(stitched: StitchedRun) -> Section:
 
 
 def identity(stitched: StitchedRun) -> Section:
-    """List software versions and input files."""
+    """Return the section of the report that lists software versions and input files."""
     o, q = stitched.opened, stitched.result.quality
     known = o.calibration
     residual = "–" if known.residual_px is None else ", ".join(number(r) for r in known.residual_px) + " px"

@@ -57,7 +57,7 @@ def deviation(f: Findings) -> Deviation:
 
 
 def row_motion(stitched: StitchedRun) -> Section:
-    """Draw three deviations over the rows: along the belt, across it, and in rotation (yaw)."""
+    """Return the section that draws how rows deviate from uniform motion: along the belt, across it, in rotation."""
     d = deviation(stitched.findings)
     names = (("along the belt", "µm"), ("across the belt", "µm"), ("yaw", "mrad"))
     width = _NARROW_PX if stitched.head.rows <= _FEW_ROWS else _WIDE_PX

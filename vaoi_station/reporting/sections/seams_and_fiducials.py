@@ -14,7 +14,7 @@ _COLOURS = ("#22456b", "#c0561a", "#18603f", "#7a2a6b", "#6b6b18", "#1a7f8c")
 
 
 def seams(stitched: StitchedRun) -> Section:
-    """Show for each pair of neighbouring cameras how well their links agree, over all rows."""
+    """Return the section that shows how well the links of each pair of neighbouring cameras agree, over all rows."""
     f, rows = stitched.findings, []
     for i in range(stitched.cameras - 1):
         pairs = [p for p in stitched.pairs if p.links.task.kind == "neighbours" and p.a[0] == i]
@@ -38,7 +38,7 @@ def seams(stitched: StitchedRun) -> Section:
 
 
 def fiducials(stitched: StitchedRun) -> Section:
-    """Compare the detected positions of fiducials with the positions that the result predicts."""
+    """Return the section that compares the detected positions of fiducials with those that the result predicts."""
     listed = stitched.result.quality["fiducials"]
     if not listed:
         why = "The board was not found." if stitched.opened.setup.board_type else "There is no board type."

@@ -23,7 +23,7 @@ def head(stitched: StitchedRun, name: str) -> str:
 
 
 def key_numbers(stitched: StitchedRun) -> Section:
-    """List the numbers on which the verdict is based."""
+    """Return the section that lists the numbers on which the verdict is based."""
     q = stitched.result.quality
     left, right = facts(_accuracy(q)), facts(_evidence(stitched, q))
     return Section("numbers", "Key numbers", "", tag("div", left, right, class_="columns"))

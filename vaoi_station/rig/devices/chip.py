@@ -61,13 +61,13 @@ class Chip:
 
     @property
     def pid(self) -> int:
-        """Process id of the emulator."""
+        """Process id of the emulator of the chip."""
         assert self._process is not None
         return self._process.pid
 
     @property
     def alive(self) -> bool:
-        """Whether the emulator runs."""
+        """Whether the emulator of the chip runs."""
         return self._process is not None and self._process.poll() is None
 
     def cycle_at(self, host_ns: int) -> int:

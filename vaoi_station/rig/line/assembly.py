@@ -84,7 +84,7 @@ class Devices:
         self._resources.close()
 
     def lay_calibration_board(self) -> None:
-        """Render the frames of the calibration board, shown by pulses outside a passage. Call it before such pulses."""
+        """Render frames of the calibration board, which cameras send for pulses fired while no board passes."""
         self._renderer.render(FrameRequest(None))
 
     def _on_camera_report(self, camera: int, word: str, picture: int, _: int) -> None:

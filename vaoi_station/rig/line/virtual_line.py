@@ -101,7 +101,7 @@ class BoardPassage:
 
 @dataclass(frozen=True)
 class FrameFaults:
-    """Faults that the virtual line injects into frames."""
+    """The faults of frames (lost packets, ignored pulses) that the virtual line injects, by camera and row."""
 
     loss: float = 0.0
     """Share of the frames that lose packets."""

@@ -26,7 +26,7 @@ MOST = 40
 
 
 def as_text(report: RigReport) -> str:
-    """Format the report for people."""
+    """Format the report of a rig run as text tables."""
     return "\n".join(_lines(report))
 
 

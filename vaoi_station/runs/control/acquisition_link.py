@@ -48,22 +48,22 @@ _ABSENT = frozenset(
 
 
 class Process(Protocol):
-    """The attributes and methods of a process that the link uses. `multiprocessing.Process` has all of them."""
+    """The part of `multiprocessing.Process` that `AcquisitionLink` uses; tests replace it by a scripted process."""
 
     @property
     def pid(self) -> int | None:
-        """The process id."""
+        """The id of the acquisition process."""
 
     @property
     def sentinel(self) -> int:
-        """Handle that `multiprocessing.connection.wait` reports as ready when the process has ended."""
+        """The file descriptor that `multiprocessing.connection.wait` reports as ready when the process has ended."""
 
     @property
     def exitcode(self) -> int | None:
         """Exit code of the process; None while it runs."""
 
     def kill(self) -> None:
-        """Kill the process at once."""
+        """Kill the acquisition process at once."""
 
     def join(self, timeout: float | None = None) -> None:
         """Wait until the process has ended, or `timeout` seconds have passed."""
@@ -187,7 +187,7 @@ class AcquisitionLink:
                 _send(self._attempt.connection, command)
 
     def status(self) -> ProcessStatus:
-        """Return the state of the process for the status page."""
+        """Return the state of the acquisition process, for `GET station` and the page."""
         with self._lock:
             attempt = self._attempt
             return ProcessStatus(

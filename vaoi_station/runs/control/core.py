@@ -126,7 +126,7 @@ class Core:
     # --- reports of the workers
 
     def worker_reply(self, job: Job, reply: Reply, at_s: float) -> None:
-        """Process a worker's reply to a job. `at_s` is the time of its arrival by time.monotonic()."""
+        """Give a worker's reply to the run of its job. `at_s` is the time of its arrival by time.monotonic()."""
         match job:
             case LinkJob():
                 self._after_runs(self.runs.linked(job, reply, at_s))
@@ -148,7 +148,7 @@ class Core:
     # --- reports of the acquisition process
 
     def acquisition_message(self, message: messages.Report) -> None:
-        """Process a message from the acquisition process."""
+        """Act on a message of the acquisition process, by its type."""
         # The most frequent kinds are tested first: a station of 8 cameras sends hundreds of frames per second.
         match message:
             case messages.FrameSettled():
@@ -180,7 +180,7 @@ class Core:
     def acquisition_ended(self, description: str) -> None:
         """Conclude the runs that the acquisition process was filming when it ended, and take its memory back.
 
-        The link restarts the process.
+        `AcquisitionLink` restarts the process.
         """
         self.machine.add_reason("acquisition-lost", f"{sentence(description)}.", "The station restarts it.")
         self.machine.reasons.mark_outdated()

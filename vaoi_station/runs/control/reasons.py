@@ -21,7 +21,7 @@ def sentence(text: str) -> str:
 
 
 class Reasons:
-    """The reasons that the status page shows, oldest first. Used by one thread."""
+    """The reasons for the station's state, which `GET station` and the page show, oldest first. Used by one thread."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
@@ -63,7 +63,7 @@ class Reasons:
         self._reasons.pop(code, None)
 
     def clear(self) -> None:
-        """Remove all reasons and troubles."""
+        """Remove all reasons, and all troubles of devices."""
         self._reasons.clear()
         self._reported_s.clear()
         self._outdated = set()

@@ -20,4 +20,4 @@ class StationEvents(WorkerEvents, Protocol):
         """Report a message from the acquisition process."""
 
     def acquisition_ended(self, description: str) -> None:
-        """Report that the acquisition process has ended unexpectedly. The link restarts it."""
+        """Report that the acquisition process has ended unexpectedly. `AcquisitionLink` restarts it."""

@@ -132,7 +132,7 @@ class Memory:
         )
 
     def bays(self) -> tuple[BayStatus, ...]:
-        """Return all bays for the status page."""
+        """Return the use and the run of every bay, for `GET station` and the page."""
         return tuple(BayStatus(bay=b.number, use=b.use, run=b.run) for b in self._bays)
 
     def holders(self) -> str:

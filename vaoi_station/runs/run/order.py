@@ -37,7 +37,7 @@ class Order:
     """Film boards although a camera is not connected, as the caller allowed."""
 
     def shown(self, runs_left: int | None) -> ArmedWith:
-        """Return the part of the order that the status page shows."""
+        """Return the part of the order that `GET station` and the page show."""
         return ArmedWith(
             board_type=self.board_type.name,
             board_id=self.board_id,
@@ -132,7 +132,7 @@ class Orders:
         return self.order is not None and self.runs_left != 0
 
     def shown(self) -> ArmedWith | None:
-        """Return the part of the order in force that the status page shows; None if no order is in force."""
+        """Return what `GET station` and the page show of the order in force; None if no order is in force."""
         if self.order is None:
             return None
         shown = self.order.shown(self.runs_left)
@@ -196,10 +196,10 @@ class OrderFactory:
     def _reference(
         self, board_type: BoardType, method: MethodName
     ) -> tuple[StoredReference | None, tuple[Reason, ...]]:
-        """Return the reference of a board type and notes for its runs.
+        """Return the reference of a board type, and reasons that its runs must show.
 
-        Without a usable reference, the first value is None. If a reference exists but is unusable, a note gives the
-        cause. If the method needs a reference, both cases raise `StateError` instead.
+        Without a usable reference, the first value is None. If a reference exists but is unusable, a reason says
+        why. If the method needs a reference, both cases raise `StateError` instead.
         """
         if not METHODS[method].reference:
             return None, ()

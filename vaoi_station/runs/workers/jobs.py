@@ -72,7 +72,7 @@ class LinkJob:
 
 @dataclass(frozen=True)
 class GatherJob:
-    """Take over evidence that another worker found.
+    """Collect the evidence that another worker found.
 
     The job is sent to the worker that will conclude the run, before the run is complete.
     """

@@ -184,7 +184,7 @@ class WorkerPool:
             worker.process, worker.connection, worker.since_s = process, here, time.monotonic()
 
     def _receive(self, worker: Worker) -> None:
-        """Process one message of a worker."""
+        """Handle one message of a worker: that it is ready, or the reply to a job."""
         assert worker.connection is not None
         try:
             message = worker.connection.recv()

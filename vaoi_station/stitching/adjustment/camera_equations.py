@@ -134,7 +134,10 @@ def row_change(cameras: CameraEffects, i: int, cos: float, sin: float, pivot: Fl
 
 @compiled
 def row_changes(cameras: CameraEffects, camera: Ints, angle: Floats, pivot: Floats) -> Floats:
-    """Return `row_change` (k, 3, 3) for cameras numbered `camera` (k,) in rows with angles (k,)."""
+    """Return the changes (k, 3, 3) of k rows that have the effect of a displacement of a camera; see `row_change`.
+
+    The cameras are numbered `camera` (k,); the rows have angles (k,), rad.
+    """
     out = np.empty((len(camera), 3, 3))
     for k in range(len(camera)):
         row_change(cameras, camera[k], np.cos(angle[k]), np.sin(angle[k]), pivot, out[k])
@@ -273,7 +276,7 @@ class MovingCameras:
         return replace(self._problem, links=links, fiducials=self.points, cameras=cameras)
 
     def reconsider(self) -> bool:
-        """Search once for a better explanation by other cameras; return whether there is one, which needs more steps.
+        """Search once whether displacements of other cameras explain the links better. If True, more steps are needed.
 
         The search is made only if a camera is displaced. The next step starts from the explanation found.
         """

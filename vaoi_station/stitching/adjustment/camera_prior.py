@@ -56,9 +56,10 @@ class Attribution:
 
 
 def attribute_motion(information: Floats, vector: Floats, still_px: float | Floats = STILL_PX) -> Attribution:
-    """Find an explanation of the displacements of n cameras that is the same for many runs.
+    """Find which of n cameras were displaced, and how far, in a way that gives the same cameras for many runs.
 
-    Of equally good explanations, it is the one with the lowest camera numbers, so that every run names the same camera.
+    Different cameras can explain the same links. Of equally probable explanations, the one with the lowest camera
+    numbers is returned, so that every run names the same camera.
 
     Args:
         information: (3n, 3n) px⁻², normal matrix of the displacements, without their prior.
@@ -99,7 +100,7 @@ def _of_as_many_cameras(good: list[tuple[float, Attribution]]) -> list[Attributi
 
 
 def _with_rivals(chosen: Attribution, good: list[tuple[float, Attribution]]) -> Attribution:
-    """Return an explanation with the cameras that moved in another good one, and with the spread of all."""
+    """Return the chosen displacements with the cameras that may have moved instead, and with the spread of all good."""
     others = {camera for a in _of_as_many_cameras(good) for camera in a.moved} - {*chosen.moved}
     # How far a moved camera moved says nothing about which one moved: explanations by as many cameras count alike.
     as_many = [len(a.moved) == len(good[0][1].moved) for _, a in good]

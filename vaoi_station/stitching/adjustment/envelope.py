@@ -74,7 +74,7 @@ class Envelope:
 
     @property
     def entries(self) -> int:
-        """The number of stored entries."""
+        """The number of matrix entries that lie inside the envelope."""
         return int(self.at[-1]) + self.size
 
     def zeros(self) -> NormalEquations:

@@ -153,7 +153,7 @@ def eliminate_heights(coupling: Coupling, heights: HeightEquations, normal: Norm
 
 @compiled
 def height_changes(coupling: Coupling, heights: HeightEquations, delta: Floats) -> Floats:
-    """Return the changes of the heights (c,) for changes (n,) of all other unknowns (back-substitution)."""
+    """Return the changes (c,) of component heights, mm, that follow from changes (n,) of all other unknowns."""
     out, columns = heights.right.copy(), np.empty(len(delta), np.int64)
     for c in range(len(out)):
         begin = coupling.at[c]

@@ -242,7 +242,7 @@ def add_links(  # noqa: PLR0915  (one loop over links whose parts are inlined)
 
 @inlined
 def _longest(group: Ints) -> int:
-    """Return the number of links of the largest group (pair of frames)."""
+    """Return the largest number of links that a pair of frames has. Links of one pair are adjacent."""
     most, begin = 0, 0
     for n in range(len(group)):
         if group[n] != group[begin]:
@@ -253,7 +253,7 @@ def _longest(group: Ints) -> int:
 
 @inlined
 def _add_surface(at_lift: Floats, bases: Floats, count: int, square: Floats, product: Floats) -> None:
-    """Add the links of a group to those entries of the small matrix that belong to the surface.
+    """Add the links of a pair of frames to the surface's entries in the small normal matrix of this pair.
 
     The inner loops run over links, which are adjacent in memory, so that the compiler keeps the sums in vector
     registers.
@@ -290,7 +290,13 @@ def _couple(entries: Floats, at: int, angle: float, x: float, y: float) -> None:
 
 @inlined
 def _complete(square: Floats, product: Floats, width: int) -> None:
-    """Fill in the entries by the shift of row p, and the upper triangle, of the leading `width` lines."""
+    """Complete the small normal matrix of a pair of frames: the shift of row p, then the upper triangle.
+
+    Args:
+        square: the matrix, changed in place; its lines are (φ, sx, sy) of row p, the same of row q, the surface.
+        product: its right-hand side with opposite sign, changed in place.
+        width: number of lines to complete.
+    """
     # derivatives by the shift of row p (columns 1 and 2) are those by the shift of row q (4 and 5) with opposite sign
     for x in range(1, 3):
         product[x] = -product[3 + x]
@@ -306,7 +312,7 @@ def _complete(square: Floats, product: Floats, width: int) -> None:
 
 @inlined
 def _add_cameras(by_a: Floats, by_b: Floats, width: int, square: Floats, product: Floats) -> None:
-    """Add the lines of the two cameras of a pair of frames to its small matrix.
+    """Add the lines of the two cameras of a pair of frames to the small normal matrix of this pair.
 
     A displacement of a camera has the effect of a change of the row in which it saw its end of the links. The lines of
     the cameras are therefore combinations of the lines of rows p and q.
@@ -338,7 +344,7 @@ def _add_cameras(by_a: Floats, by_b: Floats, width: int, square: Floats, product
 
 @inlined
 def _flush(columns: Ints, square: Floats, product: Floats, normal: NormalEquations) -> None:
-    """Add the sums of a group of links (`square`, `product`) to the normal equations, and reset these sums to 0."""
+    """Add the small matrix of a pair of frames (`square`, `product`) to the normal equations, and set it to 0."""
     width, at, values, right = len(columns), normal.at, normal.values, normal.right
     for k in range(width):
         right[columns[k]] -= product[k]

@@ -39,7 +39,7 @@ class FiducialPoints:
 
     @staticmethod
     def joined(parts: Sequence[FiducialPoints]) -> FiducialPoints:
-        """Concatenate several sets of points."""
+        """Concatenate several sets of observed points to one."""
         names = ("row", "ground_mm", "lean", "cad", "sigma_mm", "px_per_mm", "which", "camera")
         return FiducialPoints(*(np.concatenate([getattr(p, name) for p in parts]) for name in names))
 

@@ -231,7 +231,7 @@ class _Solver:
         compute_residuals(self.cameras.links, self._motion_arrays(), height, self.state)
 
     def _compute_weights(self) -> None:
-        """Compute robust weights at the current residuals and noise floor."""
+        """Compute the robust weights of the links from their current residuals and the noise floor."""
         links = self.problem.links
         common_px = np.full(len(self.floor_px), _PAIR_SIGMA_PX[1])
         common_px[0] = _PAIR_SIGMA_PX[0]
@@ -368,13 +368,13 @@ def _envelope(links: Observations, coupling: Coupling, rows: int, others: int) -
 
 
 def _index_in_group(group: Ints) -> Ints:
-    """Return the index (k,) of each link within its group; links of one group are adjacent."""
+    """Return the index (k,) of each link within its pair of frames (`group`). Links of one pair are adjacent."""
     begins = _begins(group)
     return np.arange(len(group)) - np.repeat(begins, np.diff(begins, append=len(group)))
 
 
 def _begins(group: Ints) -> Ints:
-    """Return the index of the first link of each group; links of one group are adjacent."""
+    """Return the index of the first link of each pair of frames (`group`). Links of one pair are adjacent."""
     return np.flatnonzero(np.diff(group, prepend=-1))
 
 

@@ -63,7 +63,7 @@ def board_plane(board_type: BoardType, camera: Camera) -> BoardPlane:
 
 
 def expected_angle(plane: BoardPlane, camera: Camera, expectation: Expectation) -> float:
-    """Compute the direction of the flat x axis in tester coordinates, in rad, for a board that lies as expected."""
+    """Compute the expected direction of the x axis of flat coordinates, as an angle in tester coordinates, rad."""
     upright = np.pi if plane.board_type.side == "bottom" else 0.0
     turn = upright + expectation.angle_rad
     middle = np.asarray(camera.center_px)

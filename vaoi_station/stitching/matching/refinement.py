@@ -76,7 +76,7 @@ _Float = np.float32
 
 
 class Refinement(NamedTuple):
-    """k patches after the refinement."""
+    """k patches after the refinement: where each was found in the second image, and how well."""
 
     b_px: Floats
     """(k, 2) centres of the patches in image b; the guess if the patch has too little texture to be searched."""

@@ -220,7 +220,7 @@ class Findings:
 
     @cached_property
     def _rows_fixed_by_cad(self) -> set[int]:
-        """The rows of those groups that CAD points place without any other group."""
+        """The rows of the groups that fiducials or reference points place on the board without any other group."""
         return {row for g in self.connected_groups if self._fixed_by_cad(g) for row in g.tolist()}
 
     @cached_property

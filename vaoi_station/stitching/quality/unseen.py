@@ -103,13 +103,13 @@ def _asked(required: Sequence[Visibility]) -> _Asked:
 def find_unseen(
     board: FilmedBoard, frames: SeenFrames, velocity_mm_s: Floats, station: Visibility
 ) -> tuple[UnseenComponent, ...]:
-    """Find the components that the confirmed frames show too little of, in the order of the board type.
+    """Find the components of which the frames show less than their visibility asks for, in the board type's order.
 
     Args:
         board: the board and its position.
         frames: the frames of the run.
         velocity_mm_s: (2,) nominal velocity of the conveyor.
-        station: what the station asks for, unless the board type asks for something else.
+        station: the visibility that the station asks for where the board type states none.
     """
     required = required_visibility(board.board_type, station)
     asked = _asked(required)

@@ -52,7 +52,7 @@ class _Placed(NamedTuple):
 
     @property
     def px_per_mm(self) -> float:
-        """Mean resolution of the cameras."""
+        """Mean resolution of the cameras in the calibrated plane."""
         return float(np.mean([camera.px_per_mm for camera in self.findings.scene.cameras]))
 
 

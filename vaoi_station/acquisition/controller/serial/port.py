@@ -82,7 +82,7 @@ class Port:
         return data
 
     def write(self, data: bytes) -> None:
-        """Send all of these bytes."""
+        """Write all bytes to the serial port."""
         # Not pyserial's write: it measures its timeout over the whole call, so a process that was stopped (SIGSTOP)
         # within it would find a stuck port.
         while data:
@@ -91,7 +91,7 @@ class Port:
             data = data[os.write(self._serial.fileno(), data) :]
 
     def close(self) -> None:
-        """Close the port."""
+        """Close the serial port."""
         with contextlib.suppress(OSError, termios.error):  # it may be gone already
             self._serial.close()
 

@@ -170,7 +170,7 @@ class Supervisor:
         exchange.request(arm(arming.number, program.crc))
 
     def _report_reset(self) -> None:
-        """Report a reset with its cause and its effect. The run keeps the pulses that were fired before the reset."""
+        """Report that the controller was reset: why, and what it cost. A run under way ends with the rows it has."""
         causes = [words for bit, words in _RESET_CAUSES.items() if self.ident.reset_cause & bit]
         with self.lock:
             cost = (
