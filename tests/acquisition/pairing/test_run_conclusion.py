@@ -44,10 +44,10 @@ def test_every_row_has_a_record_afterwards() -> None:
 def test_frames_whose_stamps_fit_no_pulse_were_sent() -> None:
     """A camera with another latency needs no new cable."""
     run = run_with_frames({}, rows=3)
-    strangers = [
+    unassigned = [
         ObservedFrame(None, n, at, at, at + 0.02) for n, at in enumerate(START_S + 0.05 + 0.1 * k for k in (0, 1))
     ]
-    missing, _ = conclude_run(run, [strangers], Outages(), 1e-4)
+    missing, _ = conclude_run(run, [unassigned], Outages(), 1e-4)
     assert {m.cause for m in missing} == {"the camera sent 2 frame(s) in this run, but no time stamp fits a pulse"}
     assert set(causes(run_with_frames({}, rows=1)).values()) == {
         "the camera sent no frame in this run; check its cable, its power and its trigger line"
