@@ -258,7 +258,7 @@ class Core:
             self._after_runs(self.runs.give_up(progress, reason))
 
     def _after_runs(self, ended: list[Progress]) -> None:
-        """Mark the memory of ended runs as evictable, grant memory if it is needed, and complete a stop that waits."""
+        """Let the memory of ended runs be evicted, grant memory to the next board, and complete requests to stop."""
         for progress in ended:
             self.memory.use(progress.run, "finished")
             self.line.keep_memory_granted()

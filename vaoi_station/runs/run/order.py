@@ -116,7 +116,7 @@ class Orders:
 
     @property
     def present_doubt(self) -> str | None:
-        """Why the board id of the order in force is not certain for the next board; None if it is, or without id."""
+        """Why the armed board id may not be that of the next board; None if it certainly is, or if none is armed."""
         if self.order is None or self.order.board_id is None:
             return None
         return self.doubt_of(self.since_s, float("inf"))

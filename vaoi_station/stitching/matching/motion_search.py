@@ -35,7 +35,7 @@ _CANDIDATES = 5
 
 @dataclass(frozen=True, eq=False)
 class _Sums:
-    """The sums of one pair of frames over their common pixels at every cyclic shift (h, w) of the reduced frames."""
+    """Sums over the common pixels of two reduced frames, (h, w): one for each cyclic shift of one against the other."""
 
     products: Floats
     energy_a: Floats
@@ -100,9 +100,10 @@ def _correlated(pair: FramePair) -> _Sums:
 
 
 def _pixels(pair: FramePair, motion: Floats) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
-    """Return the indices into the sums of a pair at which a board at the centre of the frame has moved by `motion`.
+    """Convert motions (..., 2) of the board, mm, to the shifts of the picture that they cause at the frame's centre.
 
-    The second value is where the frames still overlap after this motion.
+    Returns:
+        The shifts as indices of line and column (...) of the arrays in `_Sums`; whether the frames overlap there (...).
     """
     centre = np.array([pair.camera_a.center_px])
     # the picture's shift is linear in the motion to a reduced pixel or two

@@ -51,7 +51,7 @@ class RowLinks(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _Found:
-    """The links of all cameras between two rows around one motion."""
+    """A motion between two rows that was tried, with the links of all cameras that were searched near it."""
 
     motion_mm: Floats
     links: tuple[Links, ...]
@@ -59,7 +59,7 @@ class _Found:
 
     @property
     def certain(self) -> bool:
-        """Whether false links do not explain them."""
+        """Whether so large a share of the links agrees that false links cannot explain it."""
         return _certain(self.agreeing, sum(e.tried for e in self.links))
 
     @property
@@ -90,11 +90,14 @@ class _Relinker:
         return out
 
     def link(self, p: int, q: int, motion_mm: Floats) -> _Found:
-        """Link rows p and q around a motion (2,)."""
+        """Link rows p and q in all cameras, with patches searched near a motion (2,) of the board, mm."""
         return self.counted(motion_mm, tuple(link_rows(task, pair) for task, pair in self.pairs(p, q, motion_mm)))
 
     def counted(self, motion_mm: Floats, links: tuple[Links, ...]) -> _Found:
-        """Count the links that agree, and return the motion that they measure; without links that which is given."""
+        """Return the motion that links measure (their median), with the count of links that agree with it.
+
+        Without links it is the motion that was tried, `motion_mm` (2,).
+        """
         each = [
             self.scene.cameras[e.task.a[0]].ground(e.b_px) - self.scene.cameras[e.task.a[0]].ground(e.a_px)
             for e in links
@@ -106,7 +109,7 @@ class _Relinker:
         return _Found(np.median(measured, axis=0), links, _agreeing(measured))
 
     def search(self, p: int, q: int, before: int) -> list[_Found]:
-        """Search the motion from row p to row q; return those that links confirm, that with the most links first.
+        """Search the motion from row p to row q in its whole range; return those that links confirm, most links first.
 
         `before` is the number of agreeing links around the nominal motion.
         """
@@ -119,7 +122,7 @@ class _Relinker:
         return sorted(found, key=lambda one: -one.agreeing)
 
     def without_static(self, one: _Found, outside: Sequence[int]) -> _Found:
-        """Return the links without those of texture that is in the same place in one of the rows `outside`."""
+        """Remove the links of texture that is in the same place in a row of `outside`: it does not belong to the board."""
         present = set(self.scene.present)
         kept = []
         for e in one.links:
@@ -135,7 +138,7 @@ class _Relinker:
 def relink_rows(
     links: Sequence[Links], measured: RowLinks, scene: Scene, velocity_mm_s: Floats, times_s: Floats
 ) -> tuple[Links, ...]:
-    """Return the links of a run, with those of rows between which the motion was not the nominal one linked again.
+    """Return the links of a run, searched again between rows between which the belt did not move as nominal.
 
     Args:
         links: all links of the run near the nominal motion, sorted by task; those between cameras are not changed.
@@ -164,7 +167,10 @@ def relink_rows(
 
 
 def _find_steps(run: _Relinker, links: Sequence[Links], measured: RowLinks) -> dict[tuple[int, int], _Found]:
-    """Return the links around the motions found, by pairs of consecutive rows; fill in all steps of the run."""
+    """Find the consecutive rows (p, q) whose motion was not the nominal one: {(p, q): motion and links}.
+
+    The motion between all consecutive rows is written to `run.step_mm`.
+    """
     candidates: dict[tuple[int, int], list[_Found]] = {}
     tried = _tried(links)
     for p, q in pairwise(run.rows):
@@ -207,7 +213,7 @@ def _exclude_static(
 
 
 def _rests(rows: Sequence[int], found: Mapping[tuple[int, int], _Found]) -> list[list[tuple[int, int]]]:
-    """Return the groups of consecutive steps in which the board is at rest."""
+    """Return the groups of consecutive rows between which the board is at rest, as lists of pairs (p, q)."""
     groups: list[list[tuple[int, int]]] = []
     for p, q in pairwise(rows):
         if (p, q) in found and found[p, q].at_rest:
@@ -219,12 +225,12 @@ def _rests(rows: Sequence[int], found: Mapping[tuple[int, int], _Found]) -> list
 
 
 def _steps_between(rows: Sequence[int], p: int, q: int) -> list[tuple[int, int]]:
-    """Return the steps between consecutive rows with frames from row p to row q."""
+    """Return the pairs of consecutive rows with frames that lead from row p to row q."""
     return [(a, b) for a, b in pairwise(rows) if p <= a and b <= q]
 
 
 def _tried(links: Sequence[Links]) -> dict[tuple[int, int], int]:
-    """Return the number of corners that were tried, by pair of rows."""
+    """Return for each pair of rows the number of corners whose patches were searched."""
     out: dict[tuple[int, int], int] = {}
     for e in links:
         if e.task.kind == "rows" and e.task.b is not None:
@@ -241,7 +247,7 @@ def _agreeing(motion_mm: Floats) -> int:
 
 
 def _certain(agreeing: int, tried: int) -> bool:
-    """Whether false links to similar texture do not explain that number of agreeing links."""
+    """Return whether false links to similar texture cannot explain that number of agreeing links."""
     return (agreeing >= _CERTAIN and agreeing >= _SHARE * tried) or (agreeing >= _FEW and agreeing >= _MOST * tried)
 
 
@@ -258,7 +264,7 @@ def _shows(a: np.ndarray, b: np.ndarray, a_px: Floats) -> np.ndarray:
 
 
 def _selected(e: Links, keep: np.ndarray) -> Links:
-    """Return those links of a pair of frames that are to be kept."""
+    """Return the links of a pair of frames where `keep` (k,) is True."""
     if keep.all():
         return e
     if not keep.any():
