@@ -42,7 +42,7 @@ class Recording:
         )
 
     def frame(self, camera: int, row: int) -> Image | None:
-        """Read one frame and check it against the head; None if the frame is missing. 16-bit pixels are full scale."""
+        """Read a frame and check it against the head; None if it is missing. 16-bit pixels are scaled to 0 … 65535."""
         image = self._read(camera, row)
         return image if image is None or image.dtype == np.uint8 else self._at_full_scale(image, camera, row)
 

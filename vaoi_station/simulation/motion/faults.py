@@ -76,7 +76,7 @@ class PassageFaults:
         return next((f.interval_s for f in found if f.camera == camera), None)
 
     def stamps_late_s(self, camera: int) -> float:
-        """Return how much later than its exposure this camera stamps each frame; 0 for its start."""
+        """Return the time from the start of an exposure to its time stamp for a camera; 0 if it stamps the start."""
         found = (f for f in self.section.late_stamps if f.applies_to(self.board_number))
         return next((f.by_s for f in found if f.camera == camera), 0.0)
 

@@ -122,7 +122,7 @@ class _Relinker:
         return sorted(found, key=lambda one: -one.agreeing)
 
     def without_static(self, one: _Found, outside: Sequence[int]) -> _Found:
-        """Remove the links of texture that is in the same place in a row of `outside`: it does not belong to the board."""
+        """Remove the links of texture that stays in its place in a row of `outside`: it is not on the board."""
         present = set(self.scene.present)
         kept = []
         for e in one.links:

@@ -154,7 +154,7 @@ def repeated_overlap(scene: Scene, links: Iterable[Links], pair: tuple[int, int]
 
 
 def _gather(scene: Scene, links: Iterable[Links], pair: tuple[int, int], lift_mm: float | None) -> _Evidence | None:
-    """Collect what the overlaps of two cameras show; None if no row has good frames of both."""
+    """Measure texture and grey levels in the overlap of two cameras; None if no row has good frames of both."""
     seen = [overlap for key in _rows(links, pair[0], scene) if (overlap := _examine(scene, key)) is not None]
     if not seen:
         return None
