@@ -23,6 +23,8 @@ class CameraHead(FrozenModel):
     exposure_us: Microseconds
     nominal_center_mm: PointMm | None = None
     nominal_px_per_mm: Positive | None = None
+    nominal_roll_deg: Annotated[Finite, Field(ge=-360, le=360)] | None = None
+    """How the camera is mounted: its rotation from image x towards image y; 180 is upside down. None: upright."""
     bits: Annotated[Whole, Field(ge=8, le=16)] | None = None
     """Used bits of a 16-bit pixel, counted from the lowest: 12 for values up to 4095; None if unknown."""
 

@@ -31,9 +31,12 @@ _ARM = 0.25
 def mark_places_mm(twin: Twin) -> Floats:
     """Return the tester coordinates (k, 2) of the crosses, mm: a grid inside the nominal view of each camera."""
     array, n = twin.scenario.array, twin.scenario.calibration_board.marks_per_axis
-    w, h = array.view_mm
-    x, y = (np.linspace(0.2, 0.8, n) - 0.5) * w, (np.linspace(0.18, 0.82, n) - 0.5) * h
-    return np.array([(i * array.pitch_mm + u, v) for i in range(array.cameras) for v in y for u in x])
+    places = []
+    for i in range(array.cameras):
+        w, h = array.camera_view_mm(i)
+        x, y = (np.linspace(0.2, 0.8, n) - 0.5) * w, (np.linspace(0.18, 0.82, n) - 0.5) * h
+        places += [(array.center_mm(i) + u, v) for v in y for u in x]
+    return np.array(places)
 
 
 def layout(twin: Twin) -> dict[str, Any]:
@@ -102,10 +105,12 @@ def _polarity(twin: Twin) -> str:
 def _scene(twin: Twin) -> Scene:
     """Return the calibration board as a scene. The board coordinates of this scene are the tester coordinates."""
     array, board = twin.scenario.array, twin.scenario.calibration_board
-    w, h = array.view_mm
+    last = array.cameras - 1
+    (w, _), (w_last, _) = array.camera_view_mm(0), array.camera_view_mm(last)
+    h = max(array.camera_view_mm(i)[1] for i in range(array.cameras))
     corner = (-w / 2 - _BORDER_MM, -h / 2 - _BORDER_MM)
-    size = (array.pitch_mm * (array.cameras - 1) + w + 2 * _BORDER_MM, h + 2 * _BORDER_MM)
-    canvas = Canvas.blank(corner, size, TEXTURE_PER_PIXEL * array.px_per_mm, board.board_grey)
+    size = (array.center_mm(last) + (w + w_last) / 2 + 2 * _BORDER_MM, h + 2 * _BORDER_MM)
+    canvas = Canvas.blank(corner, size, TEXTURE_PER_PIXEL * array.finest_px_per_mm, board.board_grey)
     for x, y in mark_places_mm(twin):
         canvas.cross((x, y), board.mark_mm, board.mark_mm * _ARM, board.mark_grey)
     surface, metal = to_bytes(canvas.grey), to_bytes(canvas.metal)

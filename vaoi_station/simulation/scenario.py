@@ -15,62 +15,19 @@ from pydantic import Field, model_validator
 
 from vaoi_station.errors import NotFoundError
 from vaoi_station.files.documents import parse, read_toml
-from vaoi_station.model import Strict
-
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Share = Annotated[float, Field(ge=0, le=1)]
-Index = Annotated[int, Field(ge=0)]
-PerCamera = Annotated[tuple[Positive, ...], Field(min_length=1)]
+from vaoi_station.simulation.camera_array import (
+    ArraySection,
+    Finite,
+    Index,
+    NotNegative,
+    PerCamera,
+    Positive,
+    Section,
+    Share,
+)
 
 _SHIPPED = Path(str(resources.files("vaoi_station.simulation") / "scenarios"))
 """Folder of the scenarios that come with the software."""
-
-
-class Section(Strict):
-    """Base class of all tables of a scenario file."""
-
-
-class ArraySection(Section):
-    """The camera array: design, mounting errors, lenses and sensors."""
-
-    cameras: Annotated[int, Field(ge=1, le=64)] = 3
-    width_px: Annotated[int, Field(ge=32, le=16384)] = 1392
-    height_px: Annotated[int, Field(ge=32, le=16384)] = 1040
-    px_per_mm: Positive = 40.0
-    working_distance_mm: Positive = 483.0
-    overlap: Annotated[float, Field(ge=1, le=16)] = 1.05
-    tilt_deg: NotNegative = 0.115
-    roll_deg: NotNegative = 0.23
-    position_mm: NotNegative = 0.15
-    focal_length: Annotated[float, Field(ge=0, le=0.1)] = 0.002
-    distortion_px: Finite = 0.0
-    exposures_us: PerCamera = (250.0,)
-    reference_exposure_us: Positive = 250.0
-    gain: Positive = 1.0
-    black_level: NotNegative = 2.0
-    vignetting: Annotated[float, Field(ge=0, lt=1)] = 0.25
-    psf_px: NotNegative = 0.6
-    shot_noise: NotNegative = 0.03
-    read_noise: NotNegative = 1.5
-    flicker: NotNegative = 0.01
-    bits: Literal[8, 16] = 8
-    seed: Index = 11
-
-    @property
-    def pitch_mm(self) -> float:
-        """Distance of neighbouring cameras: the width of a field of view divided by the overlap m_h."""
-        return self.width_px / self.px_per_mm / self.overlap
-
-    @property
-    def view_mm(self) -> tuple[float, float]:
-        """Nominal field of view of one camera, mm: its extent across and along the motion."""
-        return self.width_px / self.px_per_mm, self.height_px / self.px_per_mm
-
-    def exposure_us(self, camera: int) -> float:
-        """Return the exposure time of one camera. A list with fewer entries than cameras is repeated."""
-        return self.exposures_us[camera % len(self.exposures_us)]
 
 
 class SpeedChange(Section):

@@ -63,11 +63,12 @@ class World:
         array = self.scenario.array
         return tuple(
             CameraHead(
-                width=array.width_px,
-                height=array.height_px,
+                width=array.frame_px(i)[0],
+                height=array.frame_px(i)[1],
                 exposure_us=array.exposure_us(i),
-                nominal_center_mm=(i * array.pitch_mm, 0.0),
-                nominal_px_per_mm=array.px_per_mm,
+                nominal_center_mm=(array.center_mm(i), 0.0),
+                nominal_px_per_mm=array.resolution_px_per_mm(i),
+                nominal_roll_deg=array.design_roll_deg(i) or None,
                 bits=16 if array.bits == 16 else None,
             )
             for i in range(array.cameras)
@@ -82,7 +83,7 @@ class World:
     def artwork(self) -> Artwork:
         """The artwork of the boards. Twins with equal board section, resolution and belt share one artwork."""
         s = self.scenario
-        return _artwork(s.board, TEXTURE_PER_PIXEL * s.array.px_per_mm, s.belt.grey)
+        return _artwork(s.board, TEXTURE_PER_PIXEL * s.array.finest_px_per_mm, s.belt.grey)
 
     @property
     def parts(self) -> tuple[Part, ...]:
@@ -117,7 +118,8 @@ class World:
         key = (camera, light_name)
         if key not in self._shades:
             array, light = self.scenario.array, self.scenario.lights[light_name]
-            x, y = np.linspace(-1, 1, array.width_px), np.linspace(-1, 1, array.height_px)
+            width_px, height_px = array.frame_px(camera)
+            x, y = np.linspace(-1, 1, width_px), np.linspace(-1, 1, height_px)
             slope = 1 + light.shading * 0.5 * (light.direction[0] * x[None] + light.direction[1] * y[:, None])
             self._shades[key] = np.asarray(self.vignetting(camera) * slope, np.float32)
         return self._shades[key]

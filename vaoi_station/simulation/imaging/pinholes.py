@@ -14,14 +14,14 @@ import numpy as np
 
 from vaoi_station.geometry import Camera, Lens, Projective, System
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.simulation.scenario import ArraySection
+from vaoi_station.simulation.camera_array import ArraySection
 
 
 @dataclass(frozen=True, eq=False)
 class Pinhole:
     """One pinhole camera that looks down from the working distance.
 
-    Image x is nearly parallel to tester x, and image y to tester y.
+    Image x is nearly parallel to tester x, and image y to tester y, unless the scenario mounts the camera rotated.
     """
 
     width_px: int
@@ -89,18 +89,19 @@ def _mounted(array: ArraySection, camera: int) -> Pinhole:
     g = np.random.default_rng([array.seed, 7003, camera])
     shift, focal = g.normal(0, array.position_mm, 2), 1 + g.normal(0, array.focal_length)
     tilt_x, tilt_y = np.radians(g.normal(0, array.tilt_deg, 2))
-    roll, strength = math.radians(g.normal(0, array.roll_deg)), g.uniform(0.6, 1.4)
-    x, y = camera * array.pitch_mm + shift[0], shift[1]
-    middle = (array.width_px - 1) / 2, (array.height_px - 1) / 2
-    f = array.working_distance_mm * array.px_per_mm * focal
+    roll, strength = math.radians(array.design_roll_deg(camera) + g.normal(0, array.roll_deg)), g.uniform(0.6, 1.4)
+    width_px, height_px = array.frame_px(camera)
+    x, y = array.center_mm(camera) + shift[0], shift[1]
+    middle = (width_px - 1) / 2, (height_px - 1) / 2
+    f = array.working_distance_mm * array.resolution_px_per_mm(camera) * focal
     inner = np.array([[f, 0, middle[0]], [0, f, middle[1]], [0, 0, 1.0]])
     down = np.diag([1.0, 1.0, -1.0])
     place = np.array([[x], [y], [array.working_distance_mm]])
     projection = inner @ _rotation(tilt_x, tilt_y, roll) @ np.hstack([down, -down @ place])
-    radius = math.hypot(array.width_px, array.height_px) / 2
+    radius = math.hypot(width_px, height_px) / 2
     radial = (-array.distortion_px * float(strength) / radius,) if array.distortion_px else ()
     lens = Lens(middle, radius, radial)
-    return Pinhole(array.width_px, array.height_px, projection, lens, (float(x), float(y)), inner)
+    return Pinhole(width_px, height_px, projection, lens, (float(x), float(y)), inner)
 
 
 def _rotation(about_x: float, about_y: float, about_z: float) -> Floats:

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.simulation.board.canvas import Plane
+from vaoi_station.simulation.camera_array import ArraySection
 from vaoi_station.simulation.imaging.lattice import OVERSAMPLING
-from vaoi_station.simulation.scenario import ArraySection
 
 _MIN_MOTION = 1e-3
 _STEPS_PER_SAMPLE = 64
@@ -85,7 +85,8 @@ def vignette(array: ArraySection, camera: int) -> Plane:
     """
     g = np.random.default_rng([array.seed, 7004, camera])
     x0, y0 = g.normal(0, 0.15, 2)
-    x, y = np.linspace(-1, 1, array.width_px) - x0, np.linspace(-1, 1, array.height_px) - y0
+    width_px, height_px = array.frame_px(camera)
+    x, y = np.linspace(-1, 1, width_px) - x0, np.linspace(-1, 1, height_px) - y0
     return np.asarray(1 - array.vignetting * (x[None] ** 2 + y[:, None] ** 2) / 2, np.float32)
 
 

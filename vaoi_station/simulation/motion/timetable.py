@@ -44,7 +44,7 @@ def line_of(scenario: Scenario) -> Line:
 
 def array_center_mm(scenario: Scenario) -> float:
     """Return tester x of the centre of the camera array, which is also the centre of the boards' path."""
-    return (scenario.array.cameras - 1) * scenario.array.pitch_mm / 2
+    return scenario.array.center_mm(scenario.array.cameras - 1) / 2
 
 
 def timetable(scenario: Scenario, board_number: int) -> Timetable:
