@@ -140,6 +140,8 @@ class CameraConfig(Section):
     nominal_center_mm: tuple[Finite, Finite] | None = None
     """Centre of its view by the mechanical design, in tester coordinates; calibration needs it to a few mm."""
     nominal_px_per_mm: Positive | None = None
+    nominal_roll_deg: Annotated[Finite, Field(ge=-360, le=360)] | None = None
+    """How it is mounted: its rotation from image x towards image y; 180 is upside down. None: upright."""
 
     @property
     def label(self) -> str:
@@ -155,6 +157,7 @@ class CameraConfig(Section):
             exposure_us=self.exposure_us,
             nominal_center_mm=self.nominal_center_mm,
             nominal_px_per_mm=self.nominal_px_per_mm,
+            nominal_roll_deg=self.nominal_roll_deg,
             # Frames of more than 8 bits leave the ring at full scale, whatever the depth of the camera.
             bits=16 if PIXEL_FORMATS[self.pixel_format].bits > 8 else None,
         )

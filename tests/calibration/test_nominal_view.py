@@ -23,6 +23,15 @@ def test_the_nominal_centre_is_imaged_at_the_centre_of_the_frame(x: float, y: fl
     assert apply(n, (x + 1, y + 2)) - apply(n, (x, y)) == pytest.approx((r, 2 * r))
 
 
+@pytest.mark.parametrize("roll", [-30.0, 90.0, 180.0])
+def test_a_camera_mounted_with_a_roll_sees_the_plane_turned(roll: float) -> None:
+    n = nominal_matrix(head(nominal_center_mm=(3, 4), nominal_px_per_mm=5.0, nominal_roll_deg=roll), 0)
+    turn = np.radians(roll)
+    assert apply(n, (3, 4)) == pytest.approx((239.5, 179.5))
+    assert apply(n, (4, 4)) - apply(n, (3, 4)) == pytest.approx((5 * np.cos(turn), 5 * np.sin(turn)))
+    assert np.linalg.det(n) == pytest.approx(25.0)
+
+
 @pytest.mark.parametrize("key", ["nominal_center_mm", "nominal_px_per_mm"])
 def test_a_missing_nominal_view_is_refused_by_its_key(key: str) -> None:
     with pytest.raises(InputError, match=rf"cameras\.3\.{key} is missing; without it the marks in its view"):

@@ -115,7 +115,8 @@ def calibrate(
     limits = limits or Limits()
     kinds, detections = [], []
     for camera, head in enumerate(heads):
-        kinds.append(MarkAppearance.of(layout, nominal_matrix(head, camera)[0, 0]))
+        nominal = nominal_matrix(head, camera)
+        kinds.append(MarkAppearance.of(layout, float(np.hypot(nominal[0, 0], nominal[1, 0]))))
         frame = frame_of(camera)
         if frame is None:
             raise InputError(

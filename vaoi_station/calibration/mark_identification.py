@@ -8,7 +8,7 @@ expects where the frame shows blank ground speak against it, and little does whe
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,11 +46,14 @@ class Hypothesis:
     score: float
     offset_mm: Floats
     """Offset of the view from its nominal position, (2,)."""
+    nominal_rad: float = 0.0
+    """Rotation of the layout in the frame by the design: the nominal roll of the camera."""
 
     @property
     def angle_rad(self) -> float:
-        """Turn of the board in the frame, from image x towards image y."""
-        return float(np.arctan2(self.similarity[1, 0], self.similarity[0, 0]))
+        """Turn of the board in the frame against the design, from image x towards image y."""
+        seen = complex(self.similarity[0, 0], self.similarity[1, 0])
+        return float(np.angle(seen * np.exp(-1j * self.nominal_rad)))
 
 
 def find_hypotheses(
@@ -77,7 +80,7 @@ def find_hypotheses(
         return ()
     matching = _Matching(seen, marks_mm[near], nominal_matrix(head, camera), head, size_px, ground)
     found = matching.select_best(matching.from_pairs())
-    return tuple(Hypothesis(h.similarity, _to_layout_indices(h.pairs, near), h.score, h.offset_mm) for h in found)
+    return tuple(replace(h, pairs=_to_layout_indices(h.pairs, near)) for h in found)
 
 
 def _to_layout_indices(pairs: NDArray[np.int_], near: NDArray[np.int_]) -> NDArray[np.int_]:
@@ -101,10 +104,15 @@ class _Matching:
     size_px: float
     ground: BlankGround | None
 
+    @property
+    def _design(self) -> complex:
+        """The factor from mm to px by the design: its size is the resolution, its angle the roll of the camera."""
+        return complex(self.nominal[0, 0], self.nominal[1, 0])
+
     def from_pairs(self) -> NDArray[np.complex128]:
         """Compute a similarity from each matching pair: a (h,) and b (h,), with px = a·mm + b in complex numbers."""
         seen, marks = self.seen @ np.array([1, 1j]), self.marks @ np.array([1, 1j])
-        between = (marks[None, :] - marks[:, None]) * self.nominal[0, 0]
+        between = (marks[None, :] - marks[:, None]) * self._design
         found = []
         for first, second in self._seeds():
             # A quotient of complex numbers is the ratio of lengths and the difference of directions at once; the
@@ -133,7 +141,7 @@ class _Matching:
         """Return how far the centre of the view lies from its nominal position under each hypothesis, (h, 2) mm."""
         middle = complex((self.head.width - 1) / 2, (self.head.height - 1) / 2)
         place = (middle - similarities[:, 1]) / similarities[:, 0]
-        design = (middle - complex(self.nominal[0, 2], self.nominal[1, 2])) / self.nominal[0, 0]
+        design = (middle - complex(self.nominal[0, 2], self.nominal[1, 2])) / self._design
         return np.column_stack([(place - design).real, (place - design).imag])
 
     def select_best(self, similarities: NDArray[np.complex128]) -> list[Hypothesis]:
@@ -147,7 +155,7 @@ class _Matching:
         far = np.hypot(*offsets.T) / _PRESELECTED_MM
         cost = np.where(far <= 3, far**2 / 2, 3 * far - 4.5)
         for n in np.argsort(cost - scores, kind="stable"):
-            apart = all(np.hypot(*(offsets[n] - offsets[m])) * self.nominal[0, 0] > self.size_px / 2 for m in kept)
+            apart = all(np.hypot(*(offsets[n] - offsets[m])) * abs(self._design) > self.size_px / 2 for m in kept)
             if apart:
                 kept.append(int(n))
             if len(kept) == _MAX_KEPT:
@@ -195,4 +203,5 @@ class _Matching:
         a, b = (complex(v) for v in current[0])
         matrix = np.array([[a.real, -a.imag, b.real], [a.imag, a.real, b.imag], [0, 0, 1.0]])
         pairs = np.column_stack([mine, which[0, mine]])
-        return Hypothesis(matrix, pairs, float(self._scores(current)[0]), self._offset_mm(current)[0])
+        score, offset_mm = float(self._scores(current)[0]), self._offset_mm(current)[0]
+        return Hypothesis(matrix, pairs, score, offset_mm, float(np.angle(self._design)))

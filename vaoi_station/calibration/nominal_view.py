@@ -30,7 +30,10 @@ def nominal_matrix(head: CameraHead, camera: int) -> Floats:
     assert head.nominal_center_mm is not None
     assert head.nominal_px_per_mm is not None
     r, (x, y) = head.nominal_px_per_mm, head.nominal_center_mm
-    return np.array([[r, 0, (head.width - 1) / 2 - r * x], [0, r, (head.height - 1) / 2 - r * y], [0, 0, 1.0]])
+    turn = np.radians(head.nominal_roll_deg or 0.0)
+    c, s = r * np.cos(turn), r * np.sin(turn)
+    u, v = (head.width - 1) / 2, (head.height - 1) / 2
+    return np.array([[c, -s, u - c * x + s * y], [s, c, v - s * x - c * y], [0, 0, 1.0]])
 
 
 def reach_mm(head: CameraHead) -> float:
@@ -49,4 +52,4 @@ def is_in_frame(head: CameraHead, px: Floats, margin_px: float = 0.0) -> NDArray
 def marks_in_view(head: CameraHead, camera: int, marks_mm: Floats, slack_mm: float = 0.0) -> NDArray[np.int_]:
     """Return the indices of the marks (k, 2) mm in the nominal view, extended by `slack_mm` on all sides."""
     n = nominal_matrix(head, camera)
-    return np.flatnonzero(is_in_frame(head, apply(n, marks_mm), -slack_mm * n[0, 0]))
+    return np.flatnonzero(is_in_frame(head, apply(n, marks_mm), -slack_mm * (head.nominal_px_per_mm or 1.0)))

@@ -79,6 +79,7 @@ def _cameras(scenario: Scenario, addresses: Sequence[str]) -> tuple[CameraConfig
             pixel_format="Mono8" if array.bits == 8 else "Mono16",
             nominal_center_mm=head.nominal_center_mm,
             nominal_px_per_mm=head.nominal_px_per_mm,
+            nominal_roll_deg=head.nominal_roll_deg,
         )
         for n, (address, head) in enumerate(zip(addresses, Twin(scenario).heads, strict=True))
     )
