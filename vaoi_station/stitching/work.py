@@ -26,7 +26,8 @@ from vaoi_station.stitching.board.fiducial_detection import detect_marks
 from vaoi_station.stitching.board.reference import Reference
 from vaoi_station.stitching.conclude import PriorKnowledge, conclude
 from vaoi_station.stitching.matching.evidence import Detections, Evidence, FrameKey, Links, Task
-from vaoi_station.stitching.matching.link import FramePair, link_neighbours, link_reference, link_rows
+from vaoi_station.stitching.matching.frame_pair import FramePair
+from vaoi_station.stitching.matching.link import link_neighbours, link_reference, link_rows
 from vaoi_station.stitching.matching.overlap import overlap_share
 from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
 from vaoi_station.stitching.matching.scene import Scene

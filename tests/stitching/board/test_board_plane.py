@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from vaoi_station.geometry import apply
 from vaoi_station.geometry.similarity import apply_similarity
 from vaoi_station.model import BoardType
-from vaoi_station.stitching.board.board_plane import BoardPlane, board_plane, expected_angle
+from vaoi_station.stitching.board.board_plane import BoardPlane, board_plane, expected_angle, typical_camera
 from vaoi_station.stitching.board.expectation import Expectation
 
 numbers = st.floats(-50, 50)
@@ -79,3 +79,22 @@ def test_expected_angle_follows_side_camera_and_expectation(
     found = expected_angle(board_plane(board(side=side), camera), camera, Expectation(angle_rad=turn))
     expected = turn - mounted + (math.pi if side == "bottom" else 0.0)
     assert math.cos(found - expected) == pytest.approx(1.0, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("rolls_deg", "typical"),
+    [
+        ((0, 0, 0), 0),
+        ((1, 0, -1), 0),
+        ((180, 0, 0), 1),
+        ((0, 180, 0), 0),
+        ((90, 1, 0), 1),
+        ((180, 180, 180), 0),
+        ((10, 0), 1),
+        ((180, 0), 0),
+    ],
+)
+def test_most_cameras_decide_what_is_upright(workshop: Any, rolls_deg: tuple[float, ...], typical: int) -> None:
+    """A camera that is mounted otherwise than the rest does not see the board as it is expected."""
+    cameras = [workshop.camera(angle_rad=math.radians(roll)) for roll in rolls_deg]
+    assert typical_camera(cameras) is cameras[typical]

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from vaoi_station.geometry import apply
 from vaoi_station.stitching.matching.evidence import Task
-from vaoi_station.stitching.matching.link import FramePair, choose_corners, link_neighbours, link_reference, link_rows
+from vaoi_station.stitching.matching.frame_pair import FramePair
+from vaoi_station.stitching.matching.link import choose_corners, link_neighbours, link_reference, link_rows
 from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
 
 SIZE = (480, 360)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vaoi_station.stitching.matching.link import FramePair
+from vaoi_station.stitching.matching.frame_pair import FramePair
 from vaoi_station.stitching.matching.motion_search import candidate_motions
 from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
 

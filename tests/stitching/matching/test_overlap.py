@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vaoi_station.geometry import Lens
-from vaoi_station.stitching.matching.overlap import overlap_box, overlap_share, predict
+from vaoi_station.stitching.matching.overlap import overlap_box, overlap_polygon, overlap_share, predict
 
 
 def test_a_shift_cuts_off_the_part_that_leaves_the_frame(workshop: Any) -> None:
@@ -48,3 +48,28 @@ def test_both_frames_show_the_points_in_the_box(
     inside = np.asarray(((px >= box[:2]) & (px < box[2:])).all(1))
     assert b.sees(predict(px[inside], a, b, np.array(shift))).all()
     assert inside[both].all(), "no point that both see well is outside the box"
+
+
+@pytest.mark.parametrize("degrees", [-170.0, -90.0, -8.0, 5.0, 90.0, 180.0])
+def test_the_polygon_holds_the_points_that_both_frames_show(workshop: Any, degrees: float) -> None:
+    """The box of frames that are turned against each other is the smallest one around the polygon."""
+    a = workshop.camera((0, 0))
+    b = workshop.camera((9, 3), angle_rad=np.radians(degrees), px_per_mm=8.0, size_px=(180, 170))
+    at = np.zeros(2)
+    polygon, box = overlap_polygon(a, b, at), overlap_box(a, b, at)
+    assert box is not None
+    assert np.abs(np.array(box[:2]) - polygon.min(0)).max() <= 1
+    assert np.abs(np.array(box[2:]) - polygon.max(0)).max() <= 1
+    seen = predict(polygon, a, b, at)
+    assert a.sees(polygon, -0.01).all()
+    assert b.sees(seen, -0.01).all()
+    inner = overlap_polygon(a, b, at, (5.0, 7.0))
+    assert a.sees(inner, 4.99).all()
+    assert b.sees(predict(inner, a, b, at), 6.99).all()
+
+
+def test_frames_that_share_nothing_have_no_polygon(workshop: Any) -> None:
+    a, b = workshop.camera((0, 0)), workshop.camera((30, 0), angle_rad=np.pi)
+    assert overlap_polygon(a, b, np.zeros(2)).shape == (0, 2)
+    assert overlap_box(a, b, np.zeros(2)) is None
+    assert overlap_polygon(a, a, np.zeros(2), (90.0, 0.0)).shape == (0, 2)

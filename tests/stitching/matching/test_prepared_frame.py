@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vaoi_station.stitching.matching.prepared_frame import PreparedFrame, downsampled, half_size
+from vaoi_station.stitching.matching.prepared_frame import MaskedFrame, PreparedFrame, downsampled, half_size, resample
 
 
 def test_copies_keep_positions(workshop: Any) -> None:
@@ -50,3 +50,35 @@ def test_quarter_size_has_the_means_of_blocks() -> None:
     image = np.random.default_rng(0).integers(0, 256, (43, 59), dtype=np.uint8)
     means = image[:40, :56].reshape(10, 4, 14, 4).mean((1, 3))
     np.testing.assert_array_equal(PreparedFrame(image).quarter, np.floor(means + 0.5))
+
+
+@pytest.mark.parametrize("wide", [1.0, 1.4, 2.5])
+@pytest.mark.parametrize("angle", [0.0, 0.2, 1.6, 3.1])
+def test_a_resampled_frame_shows_the_same_content(workshop: Any, wide: float, angle: float) -> None:
+    waves = workshop.waves(2, finest=12.0, coarsest=40.0)
+    linear = wide * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    affine = np.column_stack([linear, np.array([159.7, 120.2]) - linear @ (30.0, 25.0)])
+    frame = workshop.digitised(waves.levels(320, 240))
+    part = resample(frame, affine, (60, 50), wide)
+    at = np.stack(np.meshgrid(np.arange(60.0), np.arange(50.0)), -1) @ linear.T + affine[:, 2]
+    inside = ((at > 10) & (at < (309, 229))).all(-1)
+    exact = waves(at[..., 0], at[..., 1])[inside]
+    assert np.abs(part[inside] - exact).max() < 1.5
+    assert abs((part[inside] - exact).mean()) < 0.05
+
+
+def test_beside_a_frame_its_border_is_repeated() -> None:
+    frame = np.full((20, 30), 90, dtype=np.uint8)
+    part = resample(frame, np.array([[1.0, 0.0, -40.0], [0.0, 1.0, -30.0]]), (120, 90), 1.0)
+    assert (part == 90).all()
+
+
+def test_outside_its_part_a_masked_frame_is_without_texture(workshop: Any) -> None:
+    whole = PreparedFrame(workshop.digitised(workshop.waves(1, finest=12.0, coarsest=40.0).levels(640, 480)))
+    left = MaskedFrame(whole, np.array([(0.0, 0.0), (319.5, 0.0), (319.5, 479.0), (0.0, 479.0)]))
+    assert left.grey is whole.grey
+    assert left.factor == whole.factor
+    middle = whole.coarse.shape[1] // 2
+    np.testing.assert_array_equal(left.coarse[:, : middle - 1], whole.coarse[:, : middle - 1])
+    assert not left.coarse[:, middle + 1 :].any()
+    assert downsampled(left, 8) is downsampled(whole, 8)

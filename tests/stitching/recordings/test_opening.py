@@ -87,3 +87,41 @@ def stitched(opened: OpenedRun) -> Stitch:
 def test_a_rotation_that_is_no_quarter_turn_is_refused(kept: Path) -> None:
     with pytest.raises(InputError, match="must be 0, 90, 180 or 270"):
         open_run(kept, rotation_deg=45)
+
+
+@pytest.mark.parametrize(
+    "design",
+    [
+        {"camera_px_per_mm": (20.0, 14.0)},
+        {"camera_roll_deg": (0.0, 5.0)},
+        {"camera_roll_deg": (10.0, 0.0)},
+        {"camera_roll_deg": (0.0, 180.0)},
+        {"camera_roll_deg": (180.0, 180.0)},
+        {"camera_roll_deg": (0.0, 90.0)},
+        {"camera_frame_px": ((640, 480), (560, 500)), "camera_px_per_mm": (20.0, 17.0)},
+    ],
+    ids=["resolution", "rolled by 5", "rolled by 10", "upside down", "both upside down", "at 90", "frame size"],
+)
+def test_cameras_of_one_array_may_differ(tmp_path: Path, design: dict[str, object]) -> None:
+    """Neighbours are linked although patches of one are scaled or turned in the other."""
+    known = read_scenario(scenario_path("small"))
+    array = known.array.model_copy(update={"px_per_mm": 20.0, "overlap": 1.15} | design)
+    board = known.board.model_copy(update={"width_mm": 46.0})
+    passage = Twin(known.model_copy(update={"array": array, "board": board})).passage(0)
+    write_passage(passage, tmp_path / "run", with_truth=False)
+    down = array.camera_roll_deg == (180.0, 180.0)
+    result = stitched(open_run(tmp_path / "run", rotation_deg=180 if down else None))
+    assert result.status is Status.OK, result.reasons
+    assert result.components is not None
+    found = {(ref, *view[:2]): view[2:] for ref, views in result.components.items() for view in views}
+    off = np.array(
+        [
+            np.subtract(found[ref, camera, row], px)
+            for ref, views in passage.truth()["views"].items()
+            for camera, row, *px in views
+            if (ref, camera, row) in found
+        ]
+    )
+    assert len(off) >= 60
+    assert np.sqrt((off**2).sum(1).mean()) < 0.05
+    assert result.quality["cad_sigma_px"] < 0.05

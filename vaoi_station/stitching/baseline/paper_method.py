@@ -18,7 +18,7 @@ from vaoi_station.geometry.robust import Failure
 from vaoi_station.model import Reason, ReasonCode, RecordingHead, Status, Stitch
 from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.baseline.paper_features import chain_rows
-from vaoi_station.stitching.board.board_plane import board_plane, expected_angle
+from vaoi_station.stitching.board.board_plane import board_plane, expected_angle, typical_camera
 from vaoi_station.stitching.board.fiducial_assignment import find_board, merge_detections
 from vaoi_station.stitching.board.fiducial_detection import detect_marks
 from vaoi_station.stitching.matching.evidence import Task
@@ -83,7 +83,7 @@ def _cad_matrix(
     frame = board_plane(setup.board_type, setup.cameras[0])
     detections = [detect_marks(Task("marks", k), p, setup.cameras[k[0]], setup.board_type) for k, p in frames.items()]
     places = merge_detections(detections, setup.cameras, motion)
-    angle = expected_angle(frame, setup.cameras[0], setup.expectation)
+    angle = expected_angle(frame, typical_camera(setup.cameras), setup.expectation)
     # No texture is given, since the paper uses the fiducials alone.
     guess = find_board(frame, places, angle, setup.expectation, np.zeros((0, 2)))
     return guess if isinstance(guess, Failure) else frame.matrix(guess.c)

@@ -6,6 +6,7 @@ so that the rest of the stitching computes with rotations only.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -16,6 +17,9 @@ from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.board.component_index import ComponentIndex
 from vaoi_station.stitching.board.expectation import Expectation
+
+_ALIKE_RAD, _ROUNDING = np.radians(3.0), 1e-6
+"""Angle up to which two cameras count as mounted alike, and the size of sums' differences by rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +64,27 @@ def board_plane(board_type: BoardType, camera: Camera) -> BoardPlane:
     """
     # Handedness is never fitted to detections: two fiducials, or a symmetric board, fit mirrored data as well.
     return BoardPlane(board_type, board_type.mirrors != camera.image_from_row.mirrors)
+
+
+def typical_camera(cameras: Sequence[Camera]) -> Camera:
+    """Return a camera that is mounted as most cameras of the array are; the first one, if it is mounted so.
+
+    A board lies as expected "as the camera sees it", which a camera that is mounted upside down or rolled does not.
+    """
+    directions = np.array([_image_x(c) for c in cameras])
+    agreement = np.cos(directions[:, None] - directions).sum(1)
+    # Equal sums differ by rounding only. Of two cameras, the one that is not rolled against the tester's axes counts.
+    equal = np.flatnonzero(agreement >= agreement.max() - _ROUNDING)
+    upright = np.abs(np.cos(2 * directions[equal])) >= np.cos(2 * _ALIKE_RAD)
+    most = int(equal[upright][0] if upright.any() else equal[0])
+    return cameras[0] if np.cos(directions[0] - directions[most]) >= np.cos(_ALIKE_RAD) else cameras[most]
+
+
+def _image_x(camera: Camera) -> float:
+    """Return the direction of image x in tester coordinates, in rad."""
+    middle = np.asarray(camera.center_px)
+    way = camera.row_from_image(np.stack([middle, middle + (1.0, 0.0)]))
+    return float(np.arctan2(*(way[1] - way[0])[::-1]))
 
 
 def expected_angle(plane: BoardPlane, camera: Camera, expectation: Expectation) -> float:

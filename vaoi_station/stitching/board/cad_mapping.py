@@ -19,7 +19,7 @@ from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.adjustment.problem import REFERENCE, AdjustmentResult, FiducialPoints, Problem, SurfaceBasis
 from vaoi_station.stitching.adjustment.solver import adjust
 from vaoi_station.stitching.adjustment.surface import SIGMA_MM, basis_at_board
-from vaoi_station.stitching.board.board_plane import BoardPlane, expected_angle
+from vaoi_station.stitching.board.board_plane import BoardPlane, expected_angle, typical_camera
 from vaoi_station.stitching.board.expectation import Expectation
 from vaoi_station.stitching.board.fiducial_assignment import (
     Hypothesis,
@@ -160,7 +160,7 @@ def _c_from_detections(
     if not known.method.marks:
         return Failure("no point of the run was found again in the reference", ReasonCode.REFERENCE_NOT_FOUND)
     expectation, detections = known.expectation, known.detections
-    angle = expected_angle(plane, scene.cameras[0], expectation)
+    angle = expected_angle(plane, typical_camera(scene.cameras), expectation)
     places = merge_detections(detections, scene.cameras, moved.motion)
     texture = known.texture_mm
     guess = find_board(plane, places, angle, expectation, texture)

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vaoi_station.geometry import Camera
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.matching.coarse_search import NoMatch, find_shift
 from vaoi_station.stitching.matching.corner_selection import best_corners
 from vaoi_station.stitching.matching.evidence import Links, Task
-from vaoi_station.stitching.matching.overlap import Box, overlap_box, predict
-from vaoi_station.stitching.matching.patches import inside_both, match_patches, patch_centres
+from vaoi_station.stitching.matching.frame_pair import FramePair, in_one_grid
+from vaoi_station.stitching.matching.overlap import Box
+from vaoi_station.stitching.matching.patches import match_patches, patch_centres
 from vaoi_station.stitching.matching.prepared_frame import PreparedFrame, downsampled
 from vaoi_station.stitching.matching.refinement import MARGIN_PX
 
@@ -42,31 +42,6 @@ _CERTAIN, _CERTAIN_SHARE = 24, 0.6
 gave at most eleven false links."""
 
 
-@dataclass(frozen=True, eq=False)
-class FramePair:
-    """Two frames to be linked, their cameras, and the predicted shift of the board between the frames."""
-
-    a: PreparedFrame
-    b: PreparedFrame
-    camera_a: Camera
-    camera_b: Camera
-    shift_mm: Floats
-    """(2,) nominal motion of the board from frame a to frame b."""
-
-    def overlap(self) -> Box | None:
-        """Return the part of frame a that frame b is predicted to show too; None if the frames do not overlap."""
-        return overlap_box(self.camera_a, self.camera_b, self.shift_mm)
-
-    def predict(self, a_px: Floats) -> Floats:
-        """Predict where frame b shows the points (k, 2) of frame a, both in raw pixels."""
-        return predict(a_px, self.camera_a, self.camera_b, self.shift_mm)
-
-    def offset_px(self, box: Box) -> Floats:
-        """Return the predicted position in frame b minus the position in frame a (2,), in the middle of an overlap."""
-        middle = np.array([[(box[0] + box[2]) / 2, (box[1] + box[3]) / 2]])
-        return np.asarray((self.predict(middle) - middle)[0])
-
-
 def link_rows(task: Task, pair: FramePair) -> Links:
     """Link two frames of one camera in different rows, with a coarse search around the nominal belt motion."""
     box = pair.overlap()
@@ -87,6 +62,7 @@ def link_neighbours(task: Task, pair: FramePair) -> Links:
     range then looks for the true correspondence. `Links.unmatched` is set if the overlap shows texture of which hardly
     any was found in both frames; the verdict reports this.
     """
+    pair = in_one_grid(pair)
     box = pair.overlap()
     if box is None:
         return Links.empty(task, "the frames do not overlap")
@@ -94,10 +70,11 @@ def link_neighbours(task: Task, pair: FramePair) -> Links:
     found = len(links.a_px)
     if found >= _CERTAIN or found >= max(_ENOUGH, _CERTAIN_SHARE * links.tried):
         return links
-    if _grid(pair.a, _shrink(box, pair.a.grey.shape, np.zeros(2))) is None:
+    if not pair.room or _grid(pair.a, _shrink(box, pair.a.grey.shape, np.zeros(2))) is None:
         # the overlap has no room for a single patch: that it has no links is no sign of a displaced camera
         return links
-    reach = np.full(2, _MOVED_MM * pair.camera_a.px_per_mm)
+    reach = np.full(2, _MOVED_MM * pair.px_per_mm)
+    pair = pair.reaching(float(reach[0]))
     coarse = find_shift(pair.a, pair.b, box, pair.offset_px(box), reach)
     if isinstance(coarse, Failure):
         # the search also fails without texture, but only texture that does not match is a sign of a displaced camera
@@ -110,6 +87,7 @@ def link_neighbours(task: Task, pair: FramePair) -> Links:
 
 def link_in_place(task: Task, pair: FramePair) -> Links:
     """Link two frames exactly where the cameras predict it, without a search for a displacement."""
+    pair = in_one_grid(pair)
     box = pair.overlap()
     if box is None:
         return Links.empty(task, "the frames do not overlap")
@@ -145,9 +123,9 @@ def _link_corners(task: Task, pair: FramePair, box: Box, correction_px: Floats, 
     Frame b is searched at the prediction plus `correction_px` (2,), the shift that the coarse search found.
     """
     a, b = pair.a, pair.b
-    corners = choose_corners(a, _shrink(box, a.grey.shape, correction_px), count)
+    corners = choose_corners(a, _shrink(box, a.grey.shape, correction_px), round(count * pair.spread))
     guess = pair.predict(patch_centres(corners)) + correction_px
-    corners, guess = inside_both(a.grey.shape, b.grey.shape, corners, guess)
+    corners, guess = pair.inside(corners, guess)
     if not len(corners):
         return Links.empty(task, "no textured corner in the overlap")
     m = match_patches(a.grey, b.grey, corners, guess)
@@ -155,15 +133,9 @@ def _link_corners(task: Task, pair: FramePair, box: Box, correction_px: Floats, 
     if not good.any():
         note = f"none of {len(corners)} corners was found again with correlation ≥ {_MIN_SCORE}"
         return Links.empty(task, note, len(corners))
-    return Links(
-        task,
-        patch_centres(corners[good]),
-        m.b_px[good],
-        m.information[good],
-        m.score[good],
-        coarse_px=(float(correction_px[0]), float(correction_px[1])),
-        tried=len(corners),
-    )
+    coarse_px = (float(correction_px[0]), float(correction_px[1]))
+    found = patch_centres(corners[good]), m.b_px[good], m.information[good], m.score[good]
+    return pair.in_frames(Links(task, *found, coarse_px=coarse_px, tried=len(corners)))
 
 
 def choose_corners(a: PreparedFrame, box: Box, count: int = _CORNERS) -> NDArray[np.int64]:

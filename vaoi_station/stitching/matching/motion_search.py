@@ -15,7 +15,7 @@ import numpy as np
 
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.matching.coarse_search import best_peaks
-from vaoi_station.stitching.matching.link import FramePair
+from vaoi_station.stitching.matching.frame_pair import FramePair
 from vaoi_station.stitching.matching.overlap import predict
 
 FASTEST = 1.5

@@ -19,6 +19,8 @@ TAPS = 6
 """Number of neighbouring pixels from which the sinc interpolates a value in one direction."""
 FRACTIONS = 512
 """Number of fractions of a pixel for which `SINC` contains weights; weights in between are interpolated linearly."""
+KERNEL_REACH, KERNEL_STEPS = 3, 512
+"""Reach in pixels of the sinc with which frames are resampled, and number of distances per pixel in `KERNEL`."""
 _KAISER = 6.0
 """Shape parameter of the Kaiser window, which limits the sinc to `TAPS` pixels."""
 
@@ -37,6 +39,13 @@ def _sinc() -> _Table:
     return np.asarray(weights / weights.sum(1, keepdims=True), dtype=np.float32)
 
 
+def _kernel() -> _Table:
+    """Return the weights of a windowed sinc at the distances 0 … KERNEL_REACH, `KERNEL_STEPS` per pixel."""
+    at = np.arange(KERNEL_REACH * KERNEL_STEPS + 2) / KERNEL_STEPS
+    window = np.i0(_KAISER * np.sqrt(np.maximum(1 - (at / KERNEL_REACH) ** 2, 0))) / np.i0(_KAISER)
+    return np.asarray(np.sinc(at) * window, dtype=np.float32)
+
+
 def _in_lines(values: NDArray[np.float64]) -> _Table:
     """Return the values of a patch (WINDOW_PX, WINDOW_PX) as a flat array, each line padded with 0 to PITCH_PX."""
     lines = np.zeros((WINDOW_PX, PITCH_PX), dtype=np.float32)
@@ -50,6 +59,8 @@ C(12, 6) / 64² = 924 / 64² in x, and the same in y."""
 SINC = _sinc()
 """(FRACTIONS + 1, TAPS) weights of the sinc interpolation at the fractions 0 … 1 of a pixel. The error of the
 interpolation displaces blurred texture by 0.002 px."""
+KERNEL = _kernel()
+"""(1538,) weights of the sinc by the distance of a pixel."""
 INSIDE = _in_lines(np.ones((WINDOW_PX, WINDOW_PX)))
 """(768,) 1 at the pixels of a patch and 0 in the padding of its lines."""
 ACROSS, DOWN = map(_in_lines, np.meshgrid(np.linspace(-1, 1, WINDOW_PX), np.linspace(-1, 1, WINDOW_PX)))

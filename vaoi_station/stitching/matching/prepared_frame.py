@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import cached_property
 from typing import Any
 
@@ -9,11 +10,17 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vaoi_station.compiled import compiled
+from vaoi_station.compiled import compiled, inlined
+from vaoi_station.geometry.transforms import Floats
 from vaoi_station.pixel_formats import eight_bit_grey
+from vaoi_station.stitching.matching.patch_tables import KERNEL, KERNEL_REACH, KERNEL_STEPS
 
 _COARSE_WIDTH_PX = 150
 """Smallest width of `PreparedFrame.coarse`."""
+
+
+_FAR_PX = 30_000
+"""Largest coordinate of a polygon that OpenCV fills without overflow."""
 
 
 class PreparedFrame:
@@ -66,6 +73,44 @@ class PreparedFrame:
         return np.asarray(half_size(self.coarse))
 
 
+class MaskedFrame(PreparedFrame):
+    """A frame of which coarse searches use a part only. Outside this part, `coarse` is 0, that is without texture."""
+
+    def __init__(self, frame: PreparedFrame, polygon_px: Floats) -> None:
+        """Create it from a frame and the corners (k, 2) of a convex part."""
+        super().__init__(frame.grey)
+        self._frame, self._polygon_px = frame, polygon_px
+
+    @cached_property
+    def grey(self) -> NDArray[np.uint8]:
+        """(h, w) 8-bit luminance of the whole frame."""
+        return self._frame.grey
+
+    @cached_property
+    def quarter(self) -> NDArray[np.uint8]:
+        """The whole frame reduced by 4."""
+        return self._frame.quarter
+
+    @cached_property
+    def copies(self) -> dict[int, NDArray[np.uint8]]:
+        """The cache of `downsampled`, which is that of the frame."""
+        return self._frame.copies
+
+    @cached_property
+    def factor(self) -> int:
+        """By how much `coarse` is reduced."""
+        return self._frame.factor
+
+    @cached_property
+    def coarse(self) -> NDArray[np.float32]:
+        """The copy `coarse` of the frame, 0 outside the part."""
+        whole = self._frame.coarse
+        mask = np.zeros(whole.shape, np.uint8)
+        corners = np.clip((self._polygon_px + 0.5) / self.factor - 0.5, -_FAR_PX, _FAR_PX)
+        cv2.fillConvexPoly(mask, np.rint(corners).astype(np.int32), 1)
+        return np.asarray(whole * mask, dtype=np.float32)
+
+
 def downsampled(frame: PreparedFrame, factor: int) -> NDArray[np.uint8]:
     """Return the grey frame reduced by a power of two, by block means, read-only. It is computed once per frame."""
     if factor == 1:
@@ -111,3 +156,67 @@ def half_size(image: NDArray[Any]) -> NDArray[Any]:
     """
     h, w = image.shape[0] // 2 * 2, image.shape[1] // 2 * 2
     return np.asarray(cv2.resize(image[:h, :w], (w // 2, h // 2), interpolation=cv2.INTER_AREA))
+
+
+def resample(
+    image: NDArray[np.uint8], image_from_grid: Floats, size: tuple[int, int], wide: float
+) -> NDArray[np.uint8]:
+    """Return part of an image in another grid of pixels, read-only. Outside the image, border pixels are repeated.
+
+    Args:
+        image: (h, w) grey levels.
+        image_from_grid: (2, 3) affine map from pixels of the grid to pixels of the image.
+        size: width and height of the part.
+        wide: width of the interpolation, ≥ 1: the size of a pixel of the grid in pixels of the image. Texture that the
+            grid cannot show is removed.
+    """
+    return read_only(_resample(read_only(image), np.ascontiguousarray(image_from_grid), size[0], size[1], wide))
+
+
+@compiled
+def _resample(image: NDArray[np.uint8], affine: Floats, width: int, height: int, wide: float) -> NDArray[np.uint8]:
+    """Perform `resample` with a windowed sinc."""
+    h, w = image.shape
+    reach = KERNEL_REACH * wide
+    most = int(2 * reach) + 2
+    across, down = np.zeros(most, np.float32), np.zeros(most, np.float32)
+    out = np.empty((height, width), np.uint8)
+    for y in range(height):
+        for x in range(width):
+            u = affine[0, 0] * x + affine[0, 1] * y + affine[0, 2]
+            v = affine[1, 0] * x + affine[1, 1] * y + affine[1, 2]
+            if not (-reach < u < w - 1 + reach and -reach < v < h - 1 + reach):
+                out[y, x] = image[int(min(max(v, 0.0), h - 1.0)), int(min(max(u, 0.0), w - 1.0))]
+                continue
+            left, top = math.ceil(u - reach), math.ceil(v - reach)
+            nx, ny = math.floor(u + reach) - left + 1, math.floor(v + reach) - top + 1
+            all_x = all_y = np.float32(0)
+            for k in range(nx):
+                across[k] = _weight(abs(left + k - u) / wide)
+                all_x += across[k]
+            for k in range(ny):
+                down[k] = _weight(abs(top + k - v) / wide)
+                all_y += down[k]
+            total = np.float32(0)
+            if left >= 0 and top >= 0 and left + nx <= w and top + ny <= h:
+                for j in range(ny):
+                    line, part = image[top + j], np.float32(0)
+                    for i in range(nx):
+                        part += across[i] * line[left + i]
+                    total += down[j] * part
+            else:
+                for j in range(ny):
+                    line, part = image[min(max(top + j, 0), h - 1)], np.float32(0)
+                    for i in range(nx):
+                        part += across[i] * line[min(max(left + i, 0), w - 1)]
+                    total += down[j] * part
+            out[y, x] = np.uint8(min(max(total / (all_x * all_y) + np.float32(0.5), np.float32(0)), np.float32(255)))
+    return out
+
+
+@inlined
+def _weight(distance: float) -> float:
+    """Return the weight of a pixel at a distance from the interpolated point, from `KERNEL`."""
+    at = min(distance * KERNEL_STEPS, KERNEL_REACH * KERNEL_STEPS - 1e-3)
+    n = int(at)
+    return KERNEL[n] + np.float32(at - n) * (KERNEL[n + 1] - KERNEL[n])

@@ -16,7 +16,8 @@ import numpy as np
 
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.matching.evidence import Links, Task
-from vaoi_station.stitching.matching.link import FramePair, link_rows
+from vaoi_station.stitching.matching.frame_pair import FramePair
+from vaoi_station.stitching.matching.link import link_rows
 from vaoi_station.stitching.matching.motion_search import candidate_motions
 from vaoi_station.stitching.matching.patches import inside_both, match_patches, patch_centres
 from vaoi_station.stitching.matching.scene import Scene

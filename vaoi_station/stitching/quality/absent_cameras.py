@@ -8,7 +8,7 @@ from vaoi_station.geometry.similarity import apply_similarity
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import Reason, ReasonCode
 from vaoi_station.stitching.adjustment.motion import Motion
-from vaoi_station.stitching.board.board_plane import BoardPlane, expected_angle
+from vaoi_station.stitching.board.board_plane import BoardPlane, expected_angle, typical_camera
 from vaoi_station.stitching.board.expectation import Expectation
 from vaoi_station.stitching.matching.scene import Scene
 
@@ -51,7 +51,7 @@ def expected_fiducials(plane: BoardPlane, scene: Scene, expectation: Expectation
     x, y = expectation.corner_mm
     if x is None or y is None:
         return None
-    angle, scale = expected_angle(plane, scene.cameras[0], expectation), plane.board_type.mm_per_unit
+    angle, scale = expected_angle(plane, typical_camera(scene.cameras), expectation), plane.board_type.mm_per_unit
     turn = np.array([scale * np.cos(angle), scale * np.sin(angle), 0.0, 0.0])
     low, high = plane.board_type.extent()
     corners = plane.flat(np.array([(low[0], low[1]), (high[0], low[1]), (high[0], high[1]), (low[0], high[1])]))

@@ -13,7 +13,7 @@ from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import BoardType, Reason, ReasonCode
 from vaoi_station.stitching.adjustment.motion import Motion
-from vaoi_station.stitching.board.board_plane import board_plane, expected_angle
+from vaoi_station.stitching.board.board_plane import board_plane, expected_angle, typical_camera
 from vaoi_station.stitching.board.expectation import Expectation
 from vaoi_station.stitching.board.fiducial_assignment import find_board, merge_detections
 from vaoi_station.stitching.board.fiducial_detection import detect_marks
@@ -66,7 +66,7 @@ def _cost(
         for key in scene.present
     ]
     places = merge_detections(detections, scene.cameras, motion)
-    angle = expected_angle(plane, scene.cameras[0], expectation)
+    angle = expected_angle(plane, typical_camera(scene.cameras), expectation)
     found = find_board(plane, places, angle, expectation, np.asarray(texture_mm))
     if isinstance(found, Failure):
         return None

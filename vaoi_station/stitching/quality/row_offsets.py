@@ -14,7 +14,8 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 
 from vaoi_station.stitching.matching.evidence import FrameKey, Links, Task
-from vaoi_station.stitching.matching.link import FramePair, link_in_place
+from vaoi_station.stitching.matching.frame_pair import FramePair
+from vaoi_station.stitching.matching.link import link_in_place
 from vaoi_station.stitching.matching.scene import Scene
 
 _TRIED_ROWS = 4

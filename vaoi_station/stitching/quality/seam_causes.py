@@ -23,7 +23,8 @@ from numpy.typing import NDArray
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Reason, ReasonCode
 from vaoi_station.stitching.matching.evidence import FrameKey, Links
-from vaoi_station.stitching.matching.link import FramePair, choose_corners
+from vaoi_station.stitching.matching.frame_pair import FramePair
+from vaoi_station.stitching.matching.link import choose_corners
 from vaoi_station.stitching.matching.overlap import Box, overlap_box
 from vaoi_station.stitching.matching.scene import Scene
 

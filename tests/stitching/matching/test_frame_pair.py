@@ -1,0 +1,140 @@
+"""Frames of different resolution, rotation or size are linked in one grid, as accurately as frames that are alike."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vaoi_station.geometry import Camera
+from vaoi_station.geometry.transforms import Floats
+from vaoi_station.stitching.matching.evidence import Links, Task
+from vaoi_station.stitching.matching.frame_pair import FramePair, GridPair, in_one_grid, is_warped
+from vaoi_station.stitching.matching.link import link_in_place, link_neighbours
+from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
+
+SIZE, OTHER_SIZE = (480, 360), (420, 400)
+SCALE, OVERLAP_MM, NOISE = 10.0, 13.0, 1.5
+TASK = Task("neighbours", (0, 0), (1, 0))
+UNLIKE = {
+    "coarser": {"px_per_mm": 7.0},
+    "finer": {"px_per_mm": 14.0},
+    "rolled by 2 degrees": {"angle_rad": np.radians(2.0)},
+    "rolled by 10 degrees": {"angle_rad": np.radians(-10.0)},
+    "upside down": {"angle_rad": np.radians(180.6)},
+    "at 90 degrees": {"angle_rad": np.radians(89.5)},
+    "at 270 degrees and coarser": {"angle_rad": np.radians(-90.0), "px_per_mm": 8.0},
+    "of another frame size": {"size_px": OTHER_SIZE},
+}
+
+
+def cameras(workshop: Any, design: dict[str, Any]) -> tuple[Camera, Camera]:
+    """An ordinary camera, and beside it one of another design, whose views overlap by `OVERLAP_MM`."""
+    size, scale = design.get("size_px", SIZE), design.get("px_per_mm", SCALE)
+    across = abs(np.sin(design.get("angle_rad", 0.0))) > 0.5
+    width_mm = size[1 if across else 0] / scale
+    x = (SIZE[0] / SCALE + width_mm) / 2 - OVERLAP_MM
+    return workshop.camera((0.0, 0.0), size_px=SIZE), workshop.camera((x, 0.3), **{"size_px": SIZE} | design)
+
+
+def filmed(workshop: Any, camera: Camera, seed: int, moved_mm: Floats) -> PreparedFrame:
+    waves = workshop.waves(11, finest=0.6, coarsest=12.0)
+    exact = waves.seen_by(camera, lambda at: at - moved_mm).astype(np.float64)
+    noise = np.random.default_rng(seed).normal(0, NOISE, exact.shape)
+    return PreparedFrame(np.clip(np.rint(exact + noise), 0, 255).astype(np.uint8))
+
+
+def pair(workshop: Any, one: Camera, other: Camera, moved_mm: tuple[float, float] = (0.0, 0.0)) -> FramePair:
+    still, moved = np.zeros(2), np.array(moved_mm)
+    return FramePair(filmed(workshop, one, 1, still), filmed(workshop, other, 2, moved), one, other, still)
+
+
+def off_px(links: Links, found: FramePair, moved_mm: tuple[float, float] = (0.0, 0.0)) -> Floats:
+    """How far the points found in frame b lie from where it shows the points of frame a, (k, 2) px of frame b."""
+    return np.asarray(links.b_px - found.camera_b.project(found.camera_a.ground(links.a_px) + moved_mm))
+
+
+@pytest.mark.parametrize("swapped", [False, True], ids=["second", "first"])
+@pytest.mark.parametrize("name", UNLIKE)
+def test_an_unlike_neighbour_is_linked_accurately(workshop: Any, name: str, swapped: bool) -> None:
+    one, other = cameras(workshop, UNLIKE[name])
+    found = pair(workshop, *((other, one) if swapped else (one, other)))
+    links = link_neighbours(TASK, found)
+    assert len(links.a_px) >= 16
+    assert not links.unmatched
+    off = off_px(links, found)
+    assert np.hypot(*np.median(off, axis=0)) < 0.02
+    assert np.sqrt((off**2).sum(1).mean()) < 0.08
+
+
+@pytest.mark.parametrize("name", UNLIKE)
+def test_the_information_predicts_the_errors(workshop: Any, name: str) -> None:
+    found = pair(workshop, *cameras(workshop, UNLIKE[name]))
+    links = link_neighbours(TASK, found)
+    off = off_px(links, found)
+    normalised = np.einsum("ki,kij,kj->k", off, links.information, off) / 2
+    assert 0.4 < np.median(normalised) / 0.693 < 2.0
+    same = np.linalg.eigvalsh(links.information)
+    assert (same > 0).all()
+
+
+@pytest.mark.parametrize("name", UNLIKE)
+def test_a_displaced_unlike_neighbour_is_found(workshop: Any, name: str) -> None:
+    found = pair(workshop, *cameras(workshop, UNLIKE[name]), (1.1, -1.4))
+    links = link_neighbours(TASK, found)
+    assert links.coarse_px is not None
+    off = off_px(links, found, (1.1, -1.4))
+    assert np.hypot(*np.median(off, axis=0)) < 0.03
+    assert (np.hypot(*off.T) < 0.3).mean() > 0.8
+
+
+def test_neighbours_that_show_different_things_are_unmatched(workshop: Any) -> None:
+    found = pair(workshop, *cameras(workshop, UNLIKE["rolled by 10 degrees"]), (300.0, 200.0))
+    assert link_neighbours(TASK, found).unmatched
+
+
+def test_frames_that_differ_by_a_shift_are_not_resampled(workshop: Any) -> None:
+    one, other = cameras(workshop, {"angle_rad": np.radians(0.8), "px_per_mm": 10.05})
+    found = pair(workshop, one, other)
+    assert in_one_grid(found) is found
+    assert not is_warped(one, one)
+
+
+@pytest.mark.parametrize("degrees", [5.0, 30.0])
+def test_an_overlap_without_room_for_a_patch_is_no_sign_of_a_displaced_camera(workshop: Any, degrees: float) -> None:
+    one = workshop.camera((0.0, 0.0), size_px=SIZE)
+    other = workshop.camera((48.0, 0.0), size_px=SIZE, angle_rad=np.radians(degrees))
+    reach = max(other.view_mm()[0][0] * -1 + 48.0, 0.0)
+    other = workshop.camera((24.0 + reach - 1.5, 0.0), size_px=SIZE, angle_rad=np.radians(degrees))
+    links = link_neighbours(TASK, pair(workshop, one, other))
+    assert not len(links.a_px)
+    assert not links.unmatched
+
+
+def test_frames_that_share_nothing_have_no_overlap(workshop: Any) -> None:
+    one = workshop.camera((0.0, 0.0), size_px=SIZE)
+    far = workshop.camera((90.0, 0.0), size_px=SIZE, angle_rad=np.pi)
+    links = link_in_place(TASK, pair(workshop, one, far))
+    assert links.note == "the frames do not overlap"
+
+
+def test_the_grid_is_that_of_the_coarser_frame(workshop: Any) -> None:
+    for name, resolution in (("coarser", 7.0), ("finer", 10.0)):
+        found = in_one_grid(pair(workshop, *cameras(workshop, UNLIKE[name])))
+        assert isinstance(found, GridPair)
+        assert found.px_per_mm == pytest.approx(resolution, rel=1e-3)
+        box = found.overlap()
+        assert box is not None
+        middle = np.array([[(box[0] + box[2]) / 2, (box[1] + box[3]) / 2]])
+        np.testing.assert_allclose(found.predict(middle) - middle, found.offset_px(box)[None])
+
+
+def test_reduced_copies_of_both_frames_have_the_same_pixels(workshop: Any) -> None:
+    """Frames of different size are reduced by different factors, which a coarse search must not compare."""
+    one = workshop.camera((0.0, 0.0), size_px=(640, 360))
+    other = workshop.camera((50.0, 0.0), size_px=(480, 360))
+    found = in_one_grid(pair(workshop, one, other))
+    assert found.a.factor == found.b.factor
+    assert replace(found, a=PreparedFrame(found.a.grey)).a.factor == 4

@@ -1,0 +1,286 @@
+"""Two frames to be linked. Frames of different scale or rotation are brought into one grid of pixels first.
+
+Patches are only shifted between two frames. That is enough where the frames differ in scale and rotation as the cameras
+of an ordinary array do. Where the camera matrices differ by more, part of the finer frame is resampled with the linear
+map that they predict, so that both frames have the resolution and the direction of the coarser one. Links are found in
+this grid, and returned in pixels of the frames.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.geometry import Camera
+from vaoi_station.geometry.transforms import Floats
+from vaoi_station.stitching.matching.evidence import Links
+from vaoi_station.stitching.matching.overlap import Box, overlap_box, overlap_polygon, predict
+from vaoi_station.stitching.matching.patch_tables import WINDOW_PX
+from vaoi_station.stitching.matching.patches import inside_both
+from vaoi_station.stitching.matching.prepared_frame import MaskedFrame, PreparedFrame, resample
+from vaoi_station.stitching.matching.refinement import MARGIN_PX
+
+_WARPED_PX = 0.25
+"""Displacement of a patch's border, by a difference in scale or rotation, from which on frames are resampled. If only a
+shift is found between them, matches are wrong by some hundredths of a pixel."""
+_GRAIN_PX = 16
+"""Unit of the position of a resampled part, so that reduced copies of both frames have about the same pixels."""
+_BESIDE_PX = 2 * MARGIN_PX
+"""How far a resampled part extends beyond the overlap."""
+_DENSEST = 4.0
+"""Largest factor by which the grid of corners is denser where the overlap fills only part of its box."""
+_KEPT_MAPS = 256
+"""Entries of the cache of linear maps. The keys are pairs of cameras."""
+_IDENTITY = np.eye(2, 3)
+
+
+@dataclass(frozen=True, eq=False)
+class FramePair:
+    """Two frames to be linked, their cameras, and the predicted shift of the board between the frames."""
+
+    a: PreparedFrame
+    b: PreparedFrame
+    camera_a: Camera
+    camera_b: Camera
+    shift_mm: Floats
+    """(2,) nominal motion of the board from frame a to frame b."""
+
+    @property
+    def px_per_mm(self) -> float:
+        """Resolution of the grid in which the links are found."""
+        return self.camera_a.px_per_mm
+
+    @property
+    def spread(self) -> float:
+        """Area of the box of the overlap, divided by that of the places in it where a patch can be matched."""
+        return 1.0
+
+    @property
+    def room(self) -> bool:
+        """Whether the overlap may have room for a patch."""
+        return True
+
+    def overlap(self) -> Box | None:
+        """Return the part of frame a that frame b is predicted to show too; None if the frames do not overlap."""
+        return overlap_box(self.camera_a, self.camera_b, self.shift_mm)
+
+    def predict(self, a_px: Floats) -> Floats:
+        """Predict where frame b shows the points (k, 2) of frame a, both in raw pixels."""
+        return predict(a_px, self.camera_a, self.camera_b, self.shift_mm)
+
+    def offset_px(self, box: Box) -> Floats:
+        """Return the predicted position in frame b minus the position in frame a (2,), in the middle of an overlap."""
+        middle = np.array([[(box[0] + box[2]) / 2, (box[1] + box[3]) / 2]])
+        return np.asarray((self.predict(middle) - middle)[0])
+
+    def inside(self, corners: NDArray[np.int64], guess_px: Floats) -> tuple[NDArray[np.int64], Floats]:
+        """Return those corners (k, 2) in a and guesses (k, 2) in b whose patches lie inside both frames."""
+        return inside_both(self.a.grey.shape, self.b.grey.shape, corners, guess_px)
+
+    def reaching(self, reach_px: float) -> FramePair:  # noqa: ARG002  (whole frames reach as far as they can)
+        """Return the pair for a search within ± this range around the prediction."""
+        return self
+
+    def in_frames(self, links: Links) -> Links:
+        """Return links that were found in the grid of this pair, in pixels of the frames."""
+        return links
+
+
+@dataclass(frozen=True, eq=False)
+class GridPair(FramePair):
+    """Two frames in one grid of pixels: that of the coarser frame. Of the other frame, a part is resampled.
+
+    `a` and `b` are the frames in this grid. Positions in them are pixels of the grid, counted from the first pixel of
+    the whole frame or of the resampled part.
+    """
+
+    whole: FramePair
+    a_from_grid: Floats = field(default_factory=_IDENTITY.copy)
+    """(2, 3) affine map from pixels of `a` to raw pixels of the first frame."""
+    b_from_grid: Floats = field(default_factory=_IDENTITY.copy)
+    """(2, 3) the same for `b` and the second frame."""
+
+    @property
+    def px_per_mm(self) -> float:
+        """Resolution of the grid: that of the coarser frame."""
+        return self.camera_a.px_per_mm / _scale(self.a_from_grid)
+
+    @cached_property
+    def _common(self) -> Floats:
+        """Corners (k, 2) of the part of `a` that both frames show."""
+        polygon = overlap_polygon(self.camera_a, self.camera_b, self.shift_mm)
+        return _moved(_inverse(self.a_from_grid), polygon)
+
+    @cached_property
+    def _places(self) -> Floats:
+        """Corners (k, 2) of the part of `a` in which a patch lies inside both frames."""
+        margins = tuple((MARGIN_PX + 1) * _scale(m) for m in (self.a_from_grid, self.b_from_grid))
+        polygon = overlap_polygon(self.camera_a, self.camera_b, self.shift_mm, (margins[0], margins[1]))
+        return _moved(_inverse(self.a_from_grid), polygon)
+
+    @property
+    def spread(self) -> float:
+        """Area of the box of the overlap, divided by that of the places in it where a patch can be matched."""
+        if not self.room:
+            return 1.0
+        size = np.maximum(np.ptp(self._common, axis=0) - 2 * MARGIN_PX, 1.0)
+        return float(np.clip(size.prod() / max(_area(self._places), 1.0), 1.0, _DENSEST))
+
+    @property
+    def room(self) -> bool:
+        """Whether the overlap has room for a patch."""
+        return len(self._places) >= 3
+
+    def overlap(self) -> Box | None:
+        """Return the box of the part of `a` that both frames show; None if they do not overlap."""
+        if len(self._common) < 3:
+            return None
+        (x0, y0), (x1, y1) = self._common.min(0), self._common.max(0)
+        return math.ceil(x0), math.ceil(y0), int(x1) + 1, int(y1) + 1
+
+    def predict(self, a_px: Floats) -> Floats:
+        """Predict where `b` shows the points (k, 2) of `a`."""
+        return _moved(_inverse(self.b_from_grid), self.whole.predict(_moved(self.a_from_grid, a_px)))
+
+    def inside(self, corners: NDArray[np.int64], guess_px: Floats) -> tuple[NDArray[np.int64], Floats]:
+        """Return those corners (k, 2) in a and guesses (k, 2) in b whose patches lie inside both frames."""
+        corners, guess_px = super().inside(corners, guess_px)
+        keep = _holds(self.camera_a, self.a_from_grid, corners + 0.5) & _holds(
+            self.camera_b, self.b_from_grid, guess_px
+        )
+        return corners[keep], guess_px[keep]
+
+    def reaching(self, reach_px: float) -> FramePair:
+        """Return the pair with so large a part resampled that a search within ± `reach_px` px does not leave it."""
+        return in_one_grid(self.whole, reach_px)
+
+    def in_frames(self, links: Links) -> Links:
+        """Return links that were found in this grid, in raw pixels of the frames."""
+        if not len(links.a_px):
+            return links
+        # a patch may have been found in the repeated pixels beside a resampled frame
+        keep = _holds(self.camera_b, self.b_from_grid, links.b_px)
+        if not keep.any():
+            return Links.empty(links.task, "the places found lie beside the frame", links.tried)
+        back = np.linalg.inv(self.b_from_grid[:, :2])
+        coarse = None if links.coarse_px is None else self.b_from_grid[:, :2] @ links.coarse_px
+        return replace(
+            links,
+            a_px=_moved(self.a_from_grid, links.a_px[keep]),
+            b_px=_moved(self.b_from_grid, links.b_px[keep]),
+            information=np.ascontiguousarray(back.T @ links.information[keep] @ back),
+            score=links.score[keep],
+            coarse_px=None if coarse is None else (float(coarse[0]), float(coarse[1])),
+        )
+
+
+def in_one_grid(pair: FramePair, reach_px: float = 0.0) -> FramePair:
+    """Return two frames in one grid of pixels; the pair itself if they differ by little more than a shift.
+
+    Args:
+        pair: the whole frames.
+        reach_px: range in px of a search around the prediction.
+    """
+    if pair.camera_a is pair.camera_b or not is_warped(pair.camera_a, pair.camera_b):
+        return pair
+    polygon = overlap_polygon(pair.camera_a, pair.camera_b, pair.shift_mm)
+    if len(polygon) < 3:
+        return pair
+    middle = (polygon.min(0) + polygon.max(0)) / 2
+    there = pair.predict(middle[None])[0]
+    by_x, by_y = (pair.predict((middle + step)[None])[0] - there for step in ((1.0, 0.0), (0.0, 1.0)))
+    b_from_a = np.column_stack([by_x, by_y, there - np.column_stack([by_x, by_y]) @ middle])
+    box = np.array([polygon.min(0), polygon.max(0)])
+    if _scale(b_from_a) >= 1 - 1e-3:
+        part, origin = _resampled(pair.b, b_from_a, box, reach_px, pair.a.factor)
+        b_from_grid = _shifted(b_from_a, origin)
+        shown = _moved(_inverse(b_from_grid), _corners(pair.camera_b))
+        a, b = MaskedFrame(pair.a, polygon), MaskedFrame(part, shown)
+        return GridPair(a, b, pair.camera_a, pair.camera_b, pair.shift_mm, pair, b_from_grid=b_from_grid)
+    in_b = _moved(b_from_a, polygon)
+    a_from_b = _inverse(b_from_a)
+    part, origin = _resampled(pair.a, a_from_b, np.array([in_b.min(0), in_b.max(0)]), 0.0, pair.b.factor)
+    a = MaskedFrame(part, in_b - origin)
+    a_from_grid = _shifted(a_from_b, origin)
+    return GridPair(a, pair.b, pair.camera_a, pair.camera_b, pair.shift_mm, pair, a_from_grid=a_from_grid)
+
+
+@lru_cache(maxsize=_KEPT_MAPS)
+def is_warped(a: Camera, b: Camera) -> bool:
+    """Whether the frames of two cameras differ so much in scale or rotation that shifted patches do not match."""
+    # reduced copies of frames of different size have different pixels, unless one frame is resampled
+    if (a.width_px, a.height_px) != (b.width_px, b.height_px):
+        return True
+    b_from_a = _linear(b) @ np.linalg.inv(_linear(a))
+    return bool(np.linalg.norm(b_from_a - np.eye(2), 2) * WINDOW_PX / 2 > _WARPED_PX)
+
+
+def _linear(camera: Camera) -> Floats:
+    """Return the derivative (2, 2) of undistorted pixels by mm in the middle of a camera's view."""
+    middle = camera.row_from_image(camera.center_px)
+    steps = [camera.image_from_row(middle + step) - camera.center_px for step in ((1.0, 0.0), (0.0, 1.0))]
+    return np.column_stack(steps)
+
+
+def _resampled(
+    frame: PreparedFrame, frame_from_grid: Floats, box: Floats, reach_px: float, factor: int
+) -> tuple[PreparedFrame, Floats]:
+    """Resample the part of a frame around a box, and return it with the grid position (2,) of its first pixel.
+
+    Args:
+        frame: the frame.
+        frame_from_grid: (2, 3) affine map from the grid to pixels of the frame.
+        box: (2, 2) lowest and highest corner of the box in the grid.
+        reach_px: how far a search leads beyond the box.
+        factor: reduction of the copies in which the other frame is searched.
+    """
+    beside = _BESIDE_PX + reach_px
+    low = np.floor((box[0] - beside) / _GRAIN_PX) * _GRAIN_PX
+    width, height = (int(v) for v in np.ceil((box[1] + beside - low) / _GRAIN_PX) * _GRAIN_PX)
+    part = PreparedFrame(
+        resample(frame.grey, _shifted(frame_from_grid, low), (width, height), max(_scale(frame_from_grid), 1.0))
+    )
+    part.factor = factor
+    return part, low
+
+
+def _holds(camera: Camera, frame_from_grid: Floats, grid_px: Floats) -> NDArray[np.bool_]:
+    """Return (k,) whether the patches around points (k, 2) of the grid lie inside a camera's frame."""
+    half = float(MARGIN_PX)
+    square = np.array([(-half, -half), (half, -half), (half, half), (-half, half)])
+    px = _moved(frame_from_grid, grid_px[:, None] + square)
+    return np.asarray(((px >= 0) & (px <= (camera.width_px - 1, camera.height_px - 1))).all((1, 2)))
+
+
+def _corners(camera: Camera) -> Floats:
+    w, h = camera.width_px - 1.0, camera.height_px - 1.0
+    return np.array([(0.0, 0.0), (w, 0.0), (w, h), (0.0, h)])
+
+
+def _area(polygon: Floats) -> float:
+    return abs(float(cv2.contourArea(polygon.astype(np.float32))))
+
+
+def _scale(affine: Floats) -> float:
+    """Return the factor of lengths under an affine map (2, 3)."""
+    return math.sqrt(abs(float(np.linalg.det(affine[:, :2]))))
+
+
+def _moved(affine: Floats, px: Floats) -> Floats:
+    """Apply an affine map (2, 3) to points (..., 2)."""
+    return np.asarray(px @ affine[:, :2].T + affine[:, 2])
+
+
+def _inverse(affine: Floats) -> Floats:
+    back = np.linalg.inv(affine[:, :2])
+    return np.column_stack([back, -back @ affine[:, 2]])
+
+
+def _shifted(affine: Floats, origin: Floats) -> Floats:
+    """Return an affine map for points that are counted from `origin` (2,)."""
+    return np.column_stack([affine[:, :2], _moved(affine, origin)])
