@@ -7,7 +7,7 @@ from pydantic import BaseModel
 
 from vaoi_station.errors import InputError, NotFoundError
 from vaoi_station.simulation import Scenario, find_scenario, read_scenario, scenario_path
-from vaoi_station.simulation.scenario import Section
+from vaoi_station.simulation.camera_array import Section
 
 DOC = Path(__file__).parents[2] / "docs" / "engineering" / "twin.md"
 

@@ -11,8 +11,8 @@ from vaoi_station.rig.devices.pulses import Pulse
 from vaoi_station.rig.line.rendered_boards import RenderedBoard
 from vaoi_station.rig.line.scenarios import check_supported, lighting_of, min_interval_s, with_cameras
 from vaoi_station.simulation import Scenario
+from vaoi_station.simulation.camera_array import ArraySection
 from vaoi_station.simulation.scenario import (
-    ArraySection,
     FaultSection,
     IgnoredTrigger,
     LightSection,

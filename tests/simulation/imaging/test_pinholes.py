@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from vaoi_station.simulation.camera_array import ArraySection
 from vaoi_station.simulation.imaging.pinholes import mount_cameras
-from vaoi_station.simulation.scenario import ArraySection
 
 ARRAY = ArraySection(distortion_px=2.0, tilt_deg=0.3)
 

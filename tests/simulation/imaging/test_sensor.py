@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from vaoi_station.simulation.camera_array import ArraySection
 from vaoi_station.simulation.imaging.sensor import expose, generator, motion_kernel, vignette
-from vaoi_station.simulation.scenario import ArraySection
 
 WAY = st.floats(-8, 8)
 

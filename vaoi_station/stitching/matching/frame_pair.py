@@ -21,7 +21,7 @@ from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.matching.evidence import Links
 from vaoi_station.stitching.matching.overlap import Box, overlap_box, overlap_polygon, predict
 from vaoi_station.stitching.matching.patch_tables import WINDOW_PX
-from vaoi_station.stitching.matching.patches import inside_both
+from vaoi_station.stitching.matching.patches import inside_both, patch_centres
 from vaoi_station.stitching.matching.prepared_frame import MaskedFrame, PreparedFrame, resample
 from vaoi_station.stitching.matching.refinement import MARGIN_PX
 
@@ -150,9 +150,8 @@ class GridPair(FramePair):
     def inside(self, corners: NDArray[np.int64], guess_px: Floats) -> tuple[NDArray[np.int64], Floats]:
         """Return those corners (k, 2) in a and guesses (k, 2) in b whose patches lie inside both frames."""
         corners, guess_px = super().inside(corners, guess_px)
-        keep = _holds(self.camera_a, self.a_from_grid, corners + 0.5) & _holds(
-            self.camera_b, self.b_from_grid, guess_px
-        )
+        in_a = _holds(self.camera_a, self.a_from_grid, patch_centres(corners))
+        keep = in_a & _holds(self.camera_b, self.b_from_grid, guess_px)
         return corners[keep], guess_px[keep]
 
     def reaching(self, reach_px: float) -> FramePair:

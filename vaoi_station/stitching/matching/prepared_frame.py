@@ -219,4 +219,4 @@ def _weight(distance: float) -> float:
     """Return the weight of a pixel at a distance from the interpolated point, from `KERNEL`."""
     at = min(distance * KERNEL_STEPS, KERNEL_REACH * KERNEL_STEPS - 1e-3)
     n = int(at)
-    return KERNEL[n] + np.float32(at - n) * (KERNEL[n + 1] - KERNEL[n])
+    return float(KERNEL[n] + np.float32(at - n) * (KERNEL[n + 1] - KERNEL[n]))
