@@ -189,3 +189,16 @@ def test_a_frame_brighter_than_the_sampled_ones_is_refused(tmp_path: Path) -> No
     with pytest.raises(InputError, match=r"other frames of the recording use 10 bits"):
         recording.frame(0, 1)
     assert brightest(recording, 0, 0) == 1000 << 6 | 1000 >> 4
+
+
+def test_another_rotation_is_kept_in_a_copy_of_the_head(recording: Recording, tmp_path: Path) -> None:
+    assert recording.with_rotation(None) is recording
+    turned = recording.with_rotation(270)
+    assert (turned.head.rotation_deg, turned.directory) == (270, recording.directory)
+    recording.copy_head(tmp_path)
+    own = (recording.directory / "recording.json").read_bytes()
+    assert (tmp_path / "recording.json").read_bytes() == own
+    turned.copy_head(tmp_path)
+    assert json.loads((tmp_path / "recording.json").read_text()) == json.loads(own) | {"rotation_deg": 270}
+    with pytest.raises(InputError, match="the rotation is 45, but must be 0, 90, 180 or 270"):
+        recording.with_rotation(45)

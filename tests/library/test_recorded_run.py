@@ -69,3 +69,13 @@ def test_stitching_takes_a_directory_or_an_opened_recording(
     assert again.cad_matrix is not None
     assert stitched.cad_matrix is not None
     np.testing.assert_array_equal(again.cad_matrix, stitched.cad_matrix)
+
+
+def test_the_expected_rotation_is_an_argument(recording: vaoi.RecordedRun) -> None:
+    """The board lies upright: expected upside down, it is not found."""
+    turned = vaoi.open_recording(recording.directory, rotation_deg=180)
+    assert turned.rotation_deg == 180
+    assert turned.stitch().status == "failed"
+    assert vaoi.open_recording(recording.directory, rotation_deg=0).stitch().status == "ok"
+    with pytest.raises(vaoi.InputError, match="must be 0, 90, 180 or 270"):
+        vaoi.open_recording(recording.directory, rotation_deg=91)

@@ -78,3 +78,10 @@ def test_nothing_is_overwritten_or_left_incomplete(
     with pytest.raises(OSError, match="No space"):
         write_bundle(tmp_path / "new", stitched)
     assert [p.name for p in tmp_path.iterdir()] == ["there"]
+
+
+def test_the_rotation_that_was_given_is_part_of_the_bundle(run: Path, tmp_path: Path) -> None:
+    stitched = restitch(open_run(run, rotation_deg=180))
+    write_bundle(tmp_path / "kept", stitched)
+    assert open_recording(tmp_path / "kept").head.rotation_deg == 180
+    assert result_of(restitch(open_run(tmp_path / "kept"))) == result_of(stitched)

@@ -43,8 +43,8 @@ def station_config(twin: Twin, scenario: Path, folder: Path, boards: int) -> Sta
     cameras = tuple(
         CameraConfig(
             name=f"camera {n}",
-            width=array.width_px,
-            height=array.height_px,
+            width=array.frame_px(n)[0],
+            height=array.frame_px(n)[1],
             exposure_us=array.exposure_us(n),
             pixel_format="Mono8" if array.bits == 8 else "Mono16",
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,6 +16,7 @@ from vaoi_station.files.images import SUFFIXES, Image, read_image, write_image
 from vaoi_station.model import RecordingHead
 from vaoi_station.pixel_formats import to_full_scale
 
+_ROTATIONS = (0, 90, 180, 270)
 _DEPTHS = (8, 10, 12, 14, 16)
 _MOST_SAMPLED = 32
 """Number of frames from which the depth of a recording is estimated if its head does not state it."""
@@ -83,6 +85,26 @@ class Recording:
                 f"but recording.json says {head.width}×{head.height} px for camera {camera}."
             )
         return image
+
+    def with_rotation(self, rotation_deg: int | None) -> Recording:
+        """Return the recording with another expected rotation of the board; unchanged if none (None) is given."""
+        if rotation_deg is None:
+            return self
+        if rotation_deg not in _ROTATIONS:
+            raise InputError(
+                f"the rotation is {rotation_deg!r}, but must be 0, 90, 180 or 270 degrees.",
+                action="Give the turn of the board on the belt, counter-clockwise from CAD-upright as most cameras see "
+                "it.",
+            )
+        return Recording(self.directory, self.head.model_copy(update={"rotation_deg": rotation_deg}))
+
+    def copy_head(self, directory: Path) -> None:
+        """Write the head to another directory: the file as it is, but with the rotation of this recording."""
+        data = read_json(self.directory / "recording.json")
+        if data.get("rotation_deg") == self.head.rotation_deg:
+            shutil.copyfile(self.directory / "recording.json", directory / "recording.json")
+        else:
+            write_json(directory / "recording.json", data | {"rotation_deg": self.head.rotation_deg})
 
     def check_files(self) -> None:
         """Raise InputError if a frame's file is absent although the head does not list the frame as missing."""

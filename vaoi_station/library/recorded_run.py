@@ -32,6 +32,8 @@ class RecordedRun:
     calibration_path: Path | None
     board_path: Path | None
     reference_path: Path | None
+    rotation_deg: int | None
+    """Expected rotation of the board, in degrees; None for that of the recording."""
     _opened: OpenedRun
 
     @property
@@ -84,6 +86,7 @@ class RecordedRun:
             board=self.board_path,
             reference=self.reference_path,
             method=evidence,
+            rotation_deg=self.rotation_deg,
         )
         recording = opened.recording
         if method == "paper":
@@ -120,6 +123,7 @@ def open_recording(
     calibration: str | Path | None = None,
     board_type: str | Path | None = None,
     reference: str | Path | None = None,
+    rotation_deg: int | None = None,
 ) -> RecordedRun:
     """Open a recording (docs/formats.md).
 
@@ -128,17 +132,20 @@ def open_recording(
         calibration: calibration.json; by default the one in the directory.
         board_type: board.json; by default the one in the directory, if there is one.
         reference: directory made by `vaoi teach`; stitching then uses it as well.
+        rotation_deg: expected rotation of the board, 0, 90, 180 or 270; by default that of the recording.
 
     Raises:
-        InputError: an argument is not a path, or a file is missing, malformed, or does not fit the others.
+        InputError: an argument is not a path or rotation, or a file is missing, malformed, or does not fit the others.
     """
     case = require_path("open_recording", "directory", directory)
     given = {"calibration": calibration, "board_type": board_type, "reference": reference}
     calibration_path, board_path, reference_path = (
         None if path is None else require_path("open_recording", name, path) for name, path in given.items()
     )
-    opened = open_run(case, calibration=calibration_path, board=board_path, reference=reference_path)
-    return RecordedRun(case, calibration_path, board_path, reference_path, opened)
+    opened = open_run(
+        case, calibration=calibration_path, board=board_path, reference=reference_path, rotation_deg=rotation_deg
+    )
+    return RecordedRun(case, calibration_path, board_path, reference_path, rotation_deg, opened)
 
 
 def stitch(recording: str | Path | RecordedRun, method: Method = "auto") -> StitchedRun:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vaoi_station.files import write_stitch
+from vaoi_station.files import Recording, write_stitch
 from vaoi_station.files.atomic_directory import new_directory
 from vaoi_station.files.documents import write_bytes
 from vaoi_station.reporting.html_report import write_report
@@ -41,7 +41,7 @@ def replay_command(directory: Path, stitched: StitchedRun) -> str:
 
 def _fill(draft: Path, stitched: StitchedRun) -> None:
     o = stitched.opened
-    _copy_recording(o.recording.directory, draft, [p for key in o.present if (p := o.recording.frame_path(*key))])
+    _copy_recording(o.recording, draft, [p for key in o.present if (p := o.recording.frame_path(*key))])
     shutil.copyfile(o.calibration_path, draft / "calibration.json")
     if o.board_path:
         shutil.copyfile(o.board_path, draft / "board.json")
@@ -56,10 +56,10 @@ def _fill(draft: Path, stitched: StitchedRun) -> None:
     write_report(draft / REPORT, stitched)
 
 
-def _copy_recording(source: Path, draft: Path, frames: list[Path]) -> None:
+def _copy_recording(recording: Recording, draft: Path, frames: list[Path]) -> None:
     """Copy head and frames of a recording, and no other files of its directory."""
     (draft / "frames").mkdir()
     for path in frames:
         shutil.copyfile(path, draft / "frames" / path.name)
     # The head comes last: a directory with a head counts as a complete recording.
-    shutil.copyfile(source / "recording.json", draft / "recording.json")
+    recording.copy_head(draft)

@@ -57,3 +57,13 @@ def test_a_fault_names_its_device_once_and_always_has_an_action() -> None:
     assert (named.message, named.action) == ("controller: the port is gone.", "Plug it in.")
     assert trouble_report(DeviceError("the port is gone.")).action
     assert trouble_report(DeviceError("x.", code="port-gone")).code == "port-gone"
+
+
+@pytest.mark.parametrize(("configured", "written"), [(0, None), (270, 270)])
+def test_the_head_states_the_rotation_of_boards_on_this_line(
+    make_config: Callable[..., StationConfig], configured: int, written: int | None
+) -> None:
+    config = make_config()
+    expected = config.line.expected_board.model_copy(update={"rotation_deg": configured})
+    turned = config.model_copy(update={"line": config.line.model_copy(update={"expected_board": expected})})
+    assert finished_report(turned, finished(None), 101.0).head.rotation_deg == written

@@ -49,3 +49,9 @@ def test_bundle_can_be_stitched_and_reported_again(run: Path, tmp_path: Path) ->
 
 def test_directory_without_a_recording_is_refused(tmp_path: Path) -> None:
     assert isinstance(CliRunner().invoke(app, ["report", str(tmp_path)]).exception, NotFoundError)
+
+
+def test_the_expected_rotation_is_an_option(run: Path, tmp_path: Path) -> None:
+    """The board lies upright: expected upside down, it is not found."""
+    done = CliRunner().invoke(app, ["report", str(run), "--out", str(tmp_path / "r.html"), "--rotation", "180"])
+    assert done.output.startswith("failed: ")

@@ -27,3 +27,14 @@ def test_absent_recording_is_refused(vaoi: Callable[..., Result], tmp_path: Path
     assert done.code == 2
     assert "there is no such file" in done.err
     assert not (tmp_path / "reference").exists()
+
+
+def test_a_board_that_does_not_lie_with_the_given_rotation_is_no_reference(
+    vaoi: Callable[..., Result], small_recording: Path, tmp_path: Path
+) -> None:
+    done = vaoi("teach", small_recording, "--out", tmp_path / "reference", "--rotation", 180)
+    assert done.code == 2
+    assert "is failed and cannot be a reference" in done.err
+    done = vaoi("teach", small_recording, "--out", tmp_path / "reference", "--rotation", 0)
+    assert done.code == 0, done.err
+    assert open_recording(tmp_path / "reference").head.rotation_deg == 0

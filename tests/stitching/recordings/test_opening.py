@@ -16,6 +16,7 @@ from vaoi_station.simulation import Twin, read_scenario, scenario_path
 from vaoi_station.simulation.recording_writer import write_passage
 from vaoi_station.stitching.recordings.offline import stitch_frames
 from vaoi_station.stitching.recordings.opening import OpenedRun, open_run
+from vaoi_station.stitching.recordings.reference_directory import teach
 
 
 @pytest.fixture(scope="module")
@@ -75,6 +76,12 @@ def test_a_turned_board_is_stitched_with_its_rotation(tmp_path: Path, turned_deg
     write_passage(Twin(known.model_copy(update={"board": board})).passage(0), tmp_path / "run", with_truth=False)
     assert stitched(open_run(tmp_path / "run")).status is Status.FAILED, "nothing states that the board is turned"
     assert stitched(open_run(tmp_path / "run", rotation_deg=turned_deg)).status is Status.OK
+    run = tmp_path / "run"
+    taught = teach(run, run / "calibration.json", run / "board.json", tmp_path / "taught", rotation_deg=turned_deg)
+    assert taught.status is Status.OK
+    (tmp_path / "taught" / "result.json").unlink()
+    again = open_run(run, reference=tmp_path / "taught", rotation_deg=turned_deg)
+    assert again.reference is not None, "a reference is stitched again with the rotation that it was taught with"
     head = json.loads((tmp_path / "run" / "recording.json").read_text())
     (tmp_path / "run" / "recording.json").write_text(json.dumps(head | {"rotation_deg": turned_deg}))
     assert stitched(open_run(tmp_path / "run")).status is Status.OK

@@ -22,6 +22,7 @@ def finished_report(config: StationConfig, finished: Finished, now_s: float) -> 
         rows=record.rows,
         trigger_period_s=record.period_s,
         conveyor_mm_s=config.line.conveyor_mm_s,
+        rotation_deg=config.line.expected_board.rotation_deg or None,
         missing=tuple((f.camera, f.row) for f in finished.frames if not f.usable),
         trigger_times_s=record.times_s(),
         exposures_us=record.exposures_us(),

@@ -65,10 +65,11 @@ def _check(scenario: Scenario, config: StationConfig) -> None:
     where = config.simulation.scenario if config.simulation else "scenario"
     array, twin = scenario.array, Twin(scenario)
     pairs: list[tuple[str, object, object]] = [("array.cameras", array.cameras, len(config.cameras))]
-    for camera in config.cameras:
+    for n, camera in enumerate(config.cameras):
+        width_px, height_px = array.frame_px(n)
         pairs += [
-            ("array.width_px", array.width_px, camera.width),
-            ("array.height_px", array.height_px, camera.height),
+            ("array.width_px", width_px, camera.width),
+            ("array.height_px", height_px, camera.height),
             ("array.bits", array.bits, 8 if camera.pixel_format == "Mono8" else 16),
         ]
     pairs.append(("its conveyor_mm_s", tuple(twin.line.conveyor_mm_s), tuple(map(float, config.line.conveyor_mm_s))))

@@ -32,6 +32,9 @@ def report(
         Path | None, typer.Option(help="Use this reference, a directory written by `vaoi teach`.")
     ] = None,
     method: Annotated[Evidence, typer.Option(help="Use this evidence.")] = Evidence.AUTO,
+    rotation: Annotated[
+        int | None, typer.Option(help="Expected rotation of the board: 0, 90, 180 or 270 degrees [recording.json].")
+    ] = None,
 ) -> None:
     """Stitch a recorded run and show the evidence in one HTML file."""
     from vaoi_station.files.atomic_directory import refuse_existing
@@ -42,7 +45,9 @@ def report(
     # The target is checked first, because stitching the run takes seconds.
     if bundle is not None:
         refuse_existing(bundle)
-    opened = open_run(run, calibration=calibration, board=board, reference=reference, method=method.value)
+    opened = open_run(
+        run, calibration=calibration, board=board, reference=reference, method=method.value, rotation_deg=rotation
+    )
     stitched = restitch(opened)
     if bundle is not None:
         write_bundle(bundle, stitched)

@@ -20,6 +20,9 @@ def teach(
             help="You have checked that the board lies as its board type says, not turned by 180°.",
         ),
     ] = False,
+    rotation: Annotated[
+        int | None, typer.Option(help="Expected rotation of the board: 0, 90, 180 or 270 degrees [recording.json].")
+    ] = None,
 ) -> None:
     """Stitch a recording and keep it as the reference against which later runs of its board type are placed."""
     from vaoi_station.stitching.recordings.reference_directory import teach as keep
@@ -30,5 +33,6 @@ def teach(
         board or case / "board.json",
         out,
         confirm_orientation=confirm_orientation,
+        rotation_deg=rotation,
     )
     typer.echo(f"{stitch.status}: standard deviation of positions {stitch.quality['cad_sigma_px']:.3f} px → {out}")

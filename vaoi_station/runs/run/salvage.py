@@ -57,6 +57,7 @@ def salvage_recording(progress: Progress, config: StationConfig) -> RunFinished 
         rows=rows,
         trigger_period_s=config.line.trigger_period_s,
         conveyor_mm_s=config.line.conveyor_mm_s,
+        rotation_deg=config.line.expected_board.rotation_deg or None,
         missing=tuple((f.camera, f.row) for f in frames if f.verdict is Verdict.MISSING),
         trigger_times_s=tuple(round(progress.pulses[row].time_s - first_s, 9) for row in range(rows)),
     )

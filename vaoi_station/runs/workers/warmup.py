@@ -14,12 +14,14 @@ from numpy.typing import NDArray
 
 from vaoi_station.geometry import Camera, Lens, Projective, System
 from vaoi_station.model import BoardType, Stitch
+from vaoi_station.stitching.matching.prepared_frame import resample
 from vaoi_station.stitching.work import StitchSetup, TaskRunner, all_tasks
 
 _PX_PER_MM, _WIDTH_PX, _HEIGHT_PX = 10.0, 400, 300
 _CAMERAS, _ROWS, _PITCH_MM, _STEP_MM, _PERIOD_S = 2, 3, 36.0, 12.0, 0.1
 _MARKS_MM, _MARK_MM = ((8.0, 5.0), (66.0, 8.0), (30.0, 24.0)), 1.5
 _SIZE_MM = (_PITCH_MM * (_CAMERAS - 1) + _WIDTH_PX / _PX_PER_MM, _HEIGHT_PX / _PX_PER_MM)
+_RESAMPLED_PX = 8
 _BELT, _AROUND, _COPPER = 20, 40, 220
 _SUBPIXEL_BITS = 4
 
@@ -28,7 +30,10 @@ def warm_up() -> Stitch:
     """Stitch the synthetic board, and return its result. Only tests use the result."""
     setup, times_s = _setup(), np.arange(_ROWS, dtype=np.float64) * _PERIOD_S
     present = [(camera, row) for camera in range(_CAMERAS) for row in range(_ROWS)]
-    runner = TaskRunner(setup, partial(_frame, _picture()))
+    picture = _picture()
+    # only frames of unlike cameras are resampled, which those of the synthetic board are not
+    resample(picture, np.eye(2, 3), (_RESAMPLED_PX, _RESAMPLED_PX), 1.0)
+    runner = TaskRunner(setup, partial(_frame, picture))
     tasks = all_tasks(present, dict(enumerate(times_s)), setup)
     return runner.conclude(times_s, present, [runner.perform(task) for task in tasks])
 

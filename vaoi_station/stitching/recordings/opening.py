@@ -67,7 +67,7 @@ def open_run(
         InputError: the inputs do not fit together, for example by the number of cameras, the board type has too few
             fiducials to be placed, or a reference is given without a board type.
     """
-    recording = open_recording(case)
+    recording = open_recording(case).with_rotation(rotation_deg)
     head = recording.head
     calibration_path = calibration or case / "calibration.json"
     known = read_calibration(calibration_path, head.cameras)
@@ -77,17 +77,12 @@ def open_run(
     board_type = read_board_type(board_path) if board_path else None
     if board_type is not None and board_path is not None:
         refuse_unplaceable(board_type, board_path)
-    if rotation_deg not in (None, 0, 90, 180, 270):
-        raise InputError(
-            f"the rotation is {rotation_deg}, but must be 0, 90, 180 or 270 degrees.",
-            action="Give the turn of the board on the belt, counter-clockwise from CAD-upright as the camera sees it.",
-        )
     setup = StitchSetup(
         cameras=known.cameras(head.cameras),
         conveyor_mm_s=head.conveyor_mm_s,
         trigger_period_s=head.trigger_period_s,
         board_type=board_type,
-        expectation=turned_by(head.rotation_deg if rotation_deg is None else rotation_deg),
+        expectation=turned_by(head.rotation_deg),
         method=method,
     )
     stored = _open_reference(reference, setup)

@@ -52,7 +52,15 @@ class StoredReference:
     recording: Recording
 
 
-def teach(case: Path, calibration: Path, board: Path, out: Path, *, confirm_orientation: bool = False) -> Stitch:
+def teach(
+    case: Path,
+    calibration: Path,
+    board: Path,
+    out: Path,
+    *,
+    confirm_orientation: bool = False,
+    rotation_deg: int | None = None,
+) -> Stitch:
     """Stitch a recording and store it as a reference in the new directory `out`.
 
     Args:
@@ -61,12 +69,13 @@ def teach(case: Path, calibration: Path, board: Path, out: Path, *, confirm_orie
         board: file of the board type.
         out: directory to create.
         confirm_orientation: whether a person has confirmed that the board lies as the board type expects it.
+        rotation_deg: expected rotation of the board, which the reference keeps; by default that of the recording.
 
     Raises:
         InputError: the directory exists, or the run cannot be stitched well enough to be a reference.
     """
     refuse_existing(out)  # before the run is stitched, which takes seconds
-    recording = open_recording(case)
+    recording = open_recording(case).with_rotation(rotation_deg)
     known, board_type = read_calibration(calibration, recording.head.cameras), read_board_type(board)
     refuse_unplaceable(board_type, board)
     setup = _setup(recording, known.cameras(recording.head.cameras), board_type)
@@ -80,6 +89,7 @@ def teach(case: Path, calibration: Path, board: Path, out: Path, *, confirm_orie
     with new_directory(out) as draft:
         # The truth of a simulated recording is not copied, since no part of the product may read it.
         shutil.copytree(case, draft, ignore=shutil.ignore_patterns("truth.json"), dirs_exist_ok=True)
+        recording.copy_head(draft)
         shutil.copyfile(calibration, draft / "calibration.json")
         shutil.copyfile(board, draft / "board.json")
         write_stitch(draft / RESULT, stitch)
