@@ -75,7 +75,7 @@ def judge(seed: int) -> Outcome:
         warnings.simplefilter("always")
         # Any exception but a refusal of bad input is a find, whatever its type.
         try:
-            _compare(outcome, filmed, *_stitched(filmed))
+            compare(outcome, filmed, *stitched(filmed))
         except InputError as refusal:
             outcome.status, outcome.reasons = "refused", (str(refusal),)
         except Exception:  # noqa: BLE001
@@ -100,14 +100,14 @@ def _found(o: Outcome, filmed: Film) -> dict[str, bool]:
     }
 
 
-def _stitched(filmed: Film) -> tuple[Stitch, Findings]:
+def stitched(filmed: Film) -> tuple[Stitch, Findings]:
     """Stitch the film as the station does, with a taught reference if the drawing has one."""
     cameras = filmed.calibration.cameras(filmed.head.cameras)
     head = filmed.head
     reference, frame_of = None, None
     if filmed.drawing.mistake("reference") is not None:
         earlier = taught(filmed)
-        stitch = with_confirmed_orientation(_stitched(earlier)[0])
+        stitch = with_confirmed_orientation(stitched(earlier)[0])
         sigma_px = stitch.quality.get("cad_sigma_px")
         # The station refuses to teach a run that is not ok.
         if stitch.status is Status.OK and sigma_px is not None:
@@ -124,7 +124,7 @@ def _frame_of(filmed: Film) -> Callable[[int, int], Any]:
     return lambda camera, row: filmed.frames.get((camera, row))
 
 
-def _compare(o: Outcome, filmed: Film, stitch: Stitch, findings: Findings) -> None:
+def compare(o: Outcome, filmed: Film, stitch: Stitch, findings: Findings) -> None:
     """Enter verdict, errors and predicted errors of all views into the outcome."""
     o.status, o.reasons = stitch.status.value, stitch.reasons
     places = filmed.places_mm

@@ -15,6 +15,7 @@ class ReasonCode(StrEnum):
     NO_TEXTURE = "no-texture"
     ROWS_LOST = "rows-lost"
     ROWS_NOT_CONNECTED = "rows-not-connected"
+    ROWS_REPETITIVE = "rows-repetitive"
     LINKS_SCATTER = "links-scatter"
     WRONG_ROWS = "wrong-rows"
     CAMERA_DISPLACED = "camera-displaced"

@@ -105,3 +105,16 @@ def test_density_and_heights_follow_the_scenario(density: float, height_scale: f
     assert len(parts) >= 0.8 * density * section.width_mm * section.length_mm / 100 - 1
     for part in parts:
         assert part.body_height_mm == pytest.approx(part.package.body_height * height_scale, abs=1e-4)
+
+
+def test_a_grid_has_equal_parts_that_cover_no_mark() -> None:
+    section = BoardSection(grid_mm=2.5, width_mm=60.0, length_mm=40.0)
+    parts = place_parts(section)
+    places = np.array([part.place for part in parts])
+    assert {part.package.name for part in parts} == {"LED"}
+    assert {part.turned_deg for part in parts} == {0.0}
+    steps = (places - places[0]) / 2.5
+    assert np.allclose(steps, np.rint(steps))
+    assert len(parts) > 300
+    for mark in section.marks:
+        assert np.hypot(*(places - (mark.x_mm, mark.y_mm)).T).min() > mark.diameter_mm

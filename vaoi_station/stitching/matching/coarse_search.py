@@ -28,6 +28,10 @@ a quarter of the pixels and a quarter of the shifts. One at least half this wide
 _PEAKS, _RIVAL, _AROUND_PX = 4, 0.8, 2
 """Which peaks of the search at half size are searched again at full size: at most `_PEAKS`, with at least the share
 `_RIVAL` of the highest correlation, each within ±`_AROUND_PX` pixels of full size."""
+_SIMILAR = 0.75
+"""Share of the highest correlation from which on another shift is reported as its rival."""
+_DISTINCT_PX = 3
+"""Least distance of a rival, in pixels of the searched copy: peaks that are closer are one peak."""
 _DIRECT = 1_200_000
 """Largest number of products for which a correlation is summed directly. Beyond it, OpenCV's Fourier transform is
 faster."""
@@ -43,6 +47,8 @@ class CoarseShift:
 
     px: Floats
     score: float
+    rival_px: Floats | None = None
+    """The shift (2,) that fits second best, if its correlation is at least the share `_SIMILAR`; else None."""
 
 
 class NoMatch(Failure):
@@ -74,7 +80,7 @@ def find_shift(
         return Failure(f"the overlap is empty: contrast {contrast:.1f} grey levels")
     # an overlap narrower than _AMPLE_PX / 2 at half size has no reliable peak there: search at full size at once
     if wide or narrow < _AMPLE_PX * a.factor:
-        peaks = _peaks(template, coarse_b, box, f, offset_px, reach_px, 1)
+        peaks = _peaks(template, coarse_b, box, f, offset_px, reach_px, 2)
     else:
         around = np.full(2, float(_AROUND_PX * f))
         first = _peaks(_cut(a.coarser, box, 2 * f), b.coarser, box, 2 * f, offset_px, reach_px, _PEAKS)
@@ -84,7 +90,9 @@ def find_shift(
     score, shift = peaks[0]
     if score < _MIN_SCORE:
         return NoMatch(f"no place within ±{reach_px[0]:.0f}, ±{reach_px[1]:.0f} px fits: best correlation {score:.2f}")
-    return CoarseShift(shift * f - offset_px, score)
+    others = (at * f for other, at in peaks[1:] if other >= _SIMILAR * score)
+    rival = next((at - offset_px for at in others if np.hypot(*(at - shift * f)) > _DISTINCT_PX * f), None)
+    return CoarseShift(shift * f - offset_px, score, rival)
 
 
 def _cut(coarse: Small, box: tuple[int, int, int, int], factor: int) -> Small:

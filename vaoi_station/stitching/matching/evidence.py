@@ -50,6 +50,11 @@ class Links:
     unmatched: bool = False
     """Whether the overlap of two cameras shows texture, but hardly any of it was found in both frames."""
 
+    rival_px: tuple[float, float] | None = None
+    """Another shift than `coarse_px` at which the coarse search found a similar fit; None if there is none."""
+    ambiguous: bool = False
+    """Whether the pattern in two rows fits as well at another motion of the board that the belt may have made."""
+
     @staticmethod
     def empty(task: Task, note: str, tried: int = 0) -> Links:
         """Return the evidence of a task that found no link among the corners it tried."""

@@ -52,7 +52,14 @@ def link_rows(task: Task, pair: FramePair) -> Links:
     if isinstance(coarse, Failure):
         return Links.empty(task, coarse.reason)
     count = _CORNERS if task.b is not None and task.b[1] - task.a[1] == 1 else _CORNERS_APART
-    return _link_corners(task, pair, box, coarse.px, count)
+    links = _link_corners(task, pair, box, coarse.px, count)
+    rival = coarse.rival_px
+    return links if rival is None else replace(links, rival_px=(float(rival[0]), float(rival[1])))
+
+
+def row_reach_mm(shift_mm: Floats) -> Floats:
+    """Return the range (2,) of the coarse search between two rows, on both sides of a motion (2,), in mm."""
+    return np.asarray(_PLAY_MM + _SLIP_SHARE * np.abs(shift_mm))
 
 
 def link_neighbours(task: Task, pair: FramePair) -> Links:

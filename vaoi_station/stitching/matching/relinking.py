@@ -8,7 +8,7 @@ the rows are linked around the motion found. A run whose belt keeps its speed is
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -17,9 +17,10 @@ import numpy as np
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.matching.evidence import Links, Task
 from vaoi_station.stitching.matching.frame_pair import FramePair
-from vaoi_station.stitching.matching.link import link_rows
+from vaoi_station.stitching.matching.link import link_in_place, link_rows
 from vaoi_station.stitching.matching.motion_search import candidate_motions
 from vaoi_station.stitching.matching.patches import inside_both, match_patches, patch_centres
+from vaoi_station.stitching.matching.repetition import APART_MM, SIMILAR, has_rival, possible_motions
 from vaoi_station.stitching.matching.scene import Scene
 
 _AGREE_MM = 0.5
@@ -57,11 +58,23 @@ class _Found:
     motion_mm: Floats
     links: tuple[Links, ...]
     agreeing: int
+    ambiguous: bool = False
+    """Whether another motion fits as well, because the pattern repeats itself."""
+    repeated: bool = False
+    """Whether the pattern of a camera repeats itself, so that its coarse search is no evidence."""
 
     @property
     def certain(self) -> bool:
         """Whether so large a share of the links agrees that false links cannot explain it."""
         return _certain(self.agreeing, sum(e.tried for e in self.links))
+
+    def agreeing_with(self, other: _Found) -> bool:
+        """Whether these links are at least as many around the motion of another search."""
+        return self.agreeing >= other.agreeing and float(np.hypot(*(self.motion_mm - other.motion_mm))) <= APART_MM
+
+    def marked(self) -> _Found:
+        """Return the same with links that say that another motion fits as well."""
+        return replace(self, links=tuple(replace(e, ambiguous=True) for e in self.links), ambiguous=True)
 
     @property
     def at_rest(self) -> bool:
@@ -93,6 +106,23 @@ class _Relinker:
     def link(self, p: int, q: int, motion_mm: Floats) -> _Found:
         """Link rows p and q in all cameras, with patches searched near a motion (2,) of the board, mm."""
         return self.counted(motion_mm, tuple(link_rows(task, pair) for task, pair in self.pairs(p, q, motion_mm)))
+
+    def settle(self, links: Sequence[Links], p: int, q: int) -> _Found | None:
+        """Return the links of rows p and q around the likeliest motion that a repeated pattern allows.
+
+        Return None if only one motion fits and all cameras have found it.
+        """
+        nominal = self.velocity_mm_s * (self.times_s[q] - self.times_s[p])
+        options = []
+        for motion in possible_motions(links, self.scene.cameras, nominal):
+            exact = tuple(link_in_place(task, pair) for task, pair in self.pairs(p, q, motion))
+            options.append(self.counted(motion, exact))
+        likeliest = _likeliest(options, nominal)
+        if likeliest is None or (
+            not likeliest.ambiguous and self.counted(nominal, tuple(links)).agreeing_with(likeliest)
+        ):
+            return None
+        return replace(likeliest, repeated=True)
 
     def counted(self, motion_mm: Floats, links: tuple[Links, ...]) -> _Found:
         """Return the motion that links measure (their median), with the count of links that agree with it.
@@ -160,9 +190,10 @@ def relink_rows(
                 motion = np.sum([run.step_mm[step] for step in steps], axis=0)
                 camera = e.task.a[0]
                 a, b = scene.prepared(e.task.a), scene.prepared(e.task.b)
-                new[e.task[:3]] = link_rows(
-                    e.task, FramePair(a, b, scene.cameras[camera], scene.cameras[camera], motion)
-                )
+                pair = FramePair(a, b, scene.cameras[camera], scene.cameras[camera], motion)
+                # A coarse search would find the repeated pattern at another place again.
+                repeated = any(step in found and found[step].repeated for step in steps)
+                new[e.task[:3]] = (link_in_place if repeated else link_rows)(e.task, pair)
     kept = [e for e in links if e.task[:3] not in new]
     return tuple(sorted((*kept, *new.values()), key=lambda e: (e.task.a, e.task.b or (-1, -1), e.task.kind)))
 
@@ -173,6 +204,7 @@ def _find_steps(run: _Relinker, links: Sequence[Links], measured: RowLinks) -> d
     The motion between all consecutive rows is written to `run.step_mm`.
     """
     candidates: dict[tuple[int, int], list[_Found]] = {}
+    settled: dict[tuple[int, int], _Found] = {}
     tried = _tried(links)
     for p, q in pairwise(run.rows):
         motions = measured.motion_mm[(measured.p == p) & (measured.q == q)]
@@ -180,13 +212,30 @@ def _find_steps(run: _Relinker, links: Sequence[Links], measured: RowLinks) -> d
         run.step_mm[p, q] = (
             np.median(motions, axis=0) if agreeing else run.velocity_mm_s * (run.times_s[q] - run.times_s[p])
         )
-        if agreeing < max(_FEW, _MOST * tried.get((p, q), 0)):
+        between = [
+            e for e in links if e.task.kind == "rows" and e.task.b is not None and (e.task.a[1], e.task.b[1]) == (p, q)
+        ]
+        one = run.settle(between, p, q) if has_rival(between) else None
+        if one is not None and one.certain:
+            settled[p, q] = one
+        elif agreeing < max(_FEW, _MOST * tried.get((p, q), 0)):
             candidates[p, q] = run.search(p, q, agreeing)
-    found = {step: each[0] for step, each in candidates.items() if each}
+    found = settled | {step: each[0] for step, each in candidates.items() if each}
     for group in _rests(run.rows, found):
         _exclude_static(run, group, found, candidates)
     run.step_mm.update({step: one.motion_mm for step, one in found.items()})
     return found
+
+
+def _likeliest(options: Sequence[_Found], nominal_mm: Floats) -> _Found | None:
+    """Return that of the motions with similarly many links which is nearest to the nominal one; None without any."""
+    most = max((one.agreeing for one in options), default=0)
+    if not most:
+        return None
+    fitting = [one for one in options if one.agreeing >= SIMILAR * most]
+    nearest = min(fitting, key=lambda one: float(np.hypot(*(one.motion_mm - nominal_mm))))
+    apart = any(np.hypot(*(one.motion_mm - nearest.motion_mm)) > APART_MM for one in fitting)
+    return nearest.marked() if apart else nearest
 
 
 def _exclude_static(
@@ -204,7 +253,7 @@ def _exclude_static(
     outside = [*run.rows[max(first - 1, 0) : first], *run.rows[last + 1 : last + 2]]
     for step in group:
         moving = run.without_static(found[step], outside)
-        others = [one for one in candidates[step] if not one.at_rest]
+        others = [one for one in candidates.get(step, ()) if not one.at_rest]
         if moving.certain:
             found[step] = moving
         elif others:

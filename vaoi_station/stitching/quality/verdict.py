@@ -165,6 +165,34 @@ def _ranges(rows: tuple[int, ...]) -> list[tuple[int, int]]:
     return list(zip((rows[0], *(b for _, b in ends)), (*(a for a, _ in ends), rows[-1]), strict=True))
 
 
+def _repeated_rows(f: Findings) -> Iterator[Reason]:
+    """Name the rows that a repeated pattern alone connects with the others, and in which no mark confirms the motion.
+
+    Marks in every group of rows confirm it: a motion that is wrong by a spacing would move one of them.
+    """
+    present = {row for _, row in f.scene.present}
+    cuts = {(e.task.a[1], e.task.b[1]) for e in f.links if e.ambiguous and e.task.b is not None}
+    if not cuts & set(pairwise(sorted(present))):
+        return
+    points = f.problem.fiducials
+    marked = set(points.row.tolist()) if points is not None else set()
+    rows = sorted(present)
+    groups = [[rows[0]]]
+    for p, q in pairwise(rows):
+        if (p, q) in cuts:
+            groups.append([])
+        groups[-1].append(q)
+    unsure = [row for group in groups if not marked & set(group) for row in group]
+    if unsure or not marked:
+        named = ", ".join(f"{a}" if a == b else f"{a}–{b}" for a, b in _ranges(tuple(unsure or rows)))
+        yield Reason(
+            ReasonCode.ROWS_REPETITIVE,
+            f"a repeated pattern connects the rows {named} with the others at several motions of the belt, and no "
+            "fiducial in these rows decides between them: the motion nearest to the nominal speed is used; use a "
+            "reference, or fiducials that every row shows",
+        )
+
+
 def _scattered_links(f: Findings) -> Iterator[Reason]:
     if f.adjusted.floor_px > _FLOOR_LIMIT_PX:
         scatter = f"links scatter by {f.adjusted.floor_px:.2f} px (limit {_FLOOR_LIMIT_PX})"
@@ -328,6 +356,7 @@ _RUN_CHECKS: tuple[Callable[[Findings], Iterable[Reason]], ...] = (
     _doubtful_frames,
     _no_texture,
     _unconnected_rows,
+    _repeated_rows,
     _scattered_links,
     _cameras_in_wrong_rows,
     _disagreeing_cameras,
