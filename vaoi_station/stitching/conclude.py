@@ -199,7 +199,7 @@ def _refine_motion(
 
 
 def _without_unknown_rows(findings: Findings) -> Findings:
-    """Return the findings without the rows whose place is not known; without a CAD mapping if that is all of them."""
+    """Return the findings without the rows whose place is not known; without a CAD mapping if the board's is not."""
     if findings.unplaceable:
         return replace(
             findings,
@@ -207,6 +207,15 @@ def _without_unknown_rows(findings: Findings) -> Findings:
                 "the board is not placed: no links connect the rows that show its fiducials, so that the distance of "
                 "the fiducials depends on the belt's nominal speed",
                 ReasonCode.ROWS_NOT_CONNECTED,
+            ),
+        )
+    if findings.far_off_plane and findings.mapping is not None:
+        return replace(
+            findings,
+            found=Failure(
+                "the board is not placed: its height by the overlaps is not that by the links, which were searched "
+                "near the calibrated plane",
+                ReasonCode.BOARD_OFF_PLANE,
             ),
         )
     rows = findings.unknown_rows

@@ -62,7 +62,24 @@ def test_a_blank_overlap_is_blank() -> None:
 
 def test_a_board_far_below_the_plane_is_named_with_its_height() -> None:
     reasons = verdict(film(board={"lift_mm": -3.0}))
-    assert "2.9 mm below the calibrated plane (limit 2 mm)" in reasons["board-off-plane"]
+    assert "3.0 mm below the calibrated plane (limit 2 mm)" in reasons["board-off-plane"]
+
+
+@pytest.mark.parametrize(("cameras", "lift_mm"), [(2, -6.0), (2, 6.0), (3, -6.0), (3, 6.0)])
+def test_a_lift_beyond_reach_is_measured_by_the_overlaps(cameras: int, lift_mm: float) -> None:
+    """No camera is blamed where two overlaps show one height, and a wrong position is not placed."""
+    width = 60.0 + 33.5 * (cameras - 2)
+    found = findings_of(film(array={"cameras": cameras}, board={"lift_mm": lift_mm, "width_mm": width}))
+    status, reasons = decide_verdict(found)
+    assert status is not Status.OK
+    assert reasons[0].code.value == "board-off-plane"
+    assert not found.far_off_plane or found.mapping is None
+    assert found.lift is not None
+    assert found.lift.overlaps == cameras - 1
+    assert abs(found.lift.mm - lift_mm) < 0.6
+    assert f"about {abs(found.lift.mm):.1f} mm {'above' if lift_mm > 0 else 'below'}" in reasons[0].text
+    assert "camera-displaced" not in {reason.code.value for reason in reasons}
+    assert ("one of the two cameras is displaced" in reasons[0].text) == (cameras == 2)
 
 
 @pytest.mark.parametrize("factor", [8.0, 20.0])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -27,6 +27,7 @@ from vaoi_station.stitching.quality.covariances import largest_sigma
 from vaoi_station.stitching.quality.heights import Height, component_heights
 from vaoi_station.stitching.quality.reference_share import reference_share, with_common_error
 from vaoi_station.stitching.quality.row_offsets import row_offset
+from vaoi_station.stitching.quality.seam_causes import LIFT_LIMIT_MM, Lift, measure_lift
 from vaoi_station.stitching.quality.uncertainty import PredictedSigma, predict_sigma, seam_sigma_px
 from vaoi_station.stitching.quality.unseen import FilmedBoard, SeenFrames, UnseenComponent, find_unseen
 
@@ -42,6 +43,8 @@ _SIGNIFICANT = 4.0
 """Standard deviations from which on the displacements of all cameras together are significant."""
 _PLACED_SIGMA_PX = 2.0
 """Largest standard deviation of a position in a row that neither links nor points of the CAD data tie to the others."""
+_OTHER_LIFT_MM = 1.0
+"""Least difference of a lift measured by overlaps from that of the adjustment at which the two contradict."""
 _SEAM_LINKS = 12
 """Least number of links between two cameras that show whether the cameras agree."""
 
@@ -267,6 +270,28 @@ class Findings:
             i for i, (own, limit) in enumerate(each) if rms_displacement_px(own) > limit and i not in self._unexplained
         ]
         return tuple((i, estimate.displacement_px[i], estimate.rivals) for i in large)
+
+    @cached_property
+    def lift(self) -> Lift | None:
+        """Height of the board above the calibrated plane, by the overlaps if links fail there; None: unknown."""
+        estimated = Lift(float(self.adjusted.surface_mm[0])) if len(self.adjusted.surface_mm) else None
+        if not self.non_overlapping_pairs:
+            return estimated
+        # Where links fail, the estimate is that of false links, or its own prior.
+        measured = measure_lift(replace(self.scene, cameras=self.calibrated), self.links)
+        if measured is None:
+            return estimated
+        # One overlap may also be shifted by a displaced camera; fiducials that were found tell the two apart.
+        alone = measured.overlaps == 1 and estimated is not None and self.mapping is not None
+        return estimated if alone and estimated and abs(measured.mm - estimated.mm) > _OTHER_LIFT_MM else measured
+
+    @property
+    def far_off_plane(self) -> bool:
+        """Whether several overlaps show another height, beyond its limit, than that with which positions were found."""
+        if self.lift is None or (self.lift.overlaps or 0) < 2 or abs(self.lift.mm) <= LIFT_LIMIT_MM:
+            return False
+        used = float(self.adjusted.surface_mm[0]) if len(self.adjusted.surface_mm) else 0.0
+        return abs(self.lift.mm - used) > _OTHER_LIFT_MM
 
     @cached_property
     def _unexplained(self) -> set[int]:

@@ -20,8 +20,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Reason, ReasonCode
+from vaoi_station.stitching.matching.coarse_search import find_shift
 from vaoi_station.stitching.matching.evidence import FrameKey, Links
 from vaoi_station.stitching.matching.frame_pair import FramePair
 from vaoi_station.stitching.matching.link import choose_corners
@@ -30,6 +32,9 @@ from vaoi_station.stitching.matching.scene import Scene
 
 LIFT_LIMIT_MM = 2.0
 """Largest lift of a board that is expected: two standard deviations of its prior (`surface.SIGMA_MM`)."""
+_HIGHEST_MM, _SAME_LIFT_MM, _SAME_LIFT_SHARE, _SIDEWAYS_PX = 12.0, 0.5, 0.15, 3.0
+"""Range in which the lift is measured by the overlaps, largest difference (mm, or share) of two measurements of one
+lift, and largest shift of an overlap in the direction in which heights shift nothing."""
 _ROWS = 6
 """Number of rows that are examined: those with most texture."""
 _SATURATED, _BLACK = 250, 1
@@ -76,11 +81,19 @@ class _Overlap(NamedTuple):
     """Clear corners that the left frame shows at another place too."""
 
 
+class Lift(NamedTuple):
+    """The height of the board above the calibrated plane, and how it was measured."""
+
+    mm: float
+    overlaps: int | None = None
+    """Number of overlaps that were shifted by this height; None if the height is that of the adjustment."""
+
+
 class _Evidence(NamedTuple):
     """What is known of two cameras that disagree, for the tests of causes."""
 
     names: tuple[str, str]
-    lift_mm: float | None
+    lift: Lift | None
     rows: int
     mean: _Overlap
     """Means over the examined rows."""
@@ -115,7 +128,7 @@ Cause = tuple[ReasonCode, str]
 
 
 def explain_seam(
-    scene: Scene, links: Iterable[Links], pair: tuple[int, int], symptom: str, lift_mm: float | None
+    scene: Scene, links: Iterable[Links], pair: tuple[int, int], symptom: str, lift: Lift | None
 ) -> Reason:
     """Return the reason for two cameras that disagree: the symptom with the cause that the evidence supports.
 
@@ -124,9 +137,9 @@ def explain_seam(
         links: the links of the run.
         pair: the two cameras, the left one first.
         symptom: how the two cameras disagree, as the beginning of a sentence.
-        lift_mm: height of the board above the calibrated plane; None if it was not estimated.
+        lift: height of the board above the calibrated plane; None if it is unknown.
     """
-    evidence = _gather(scene, links, pair, lift_mm)
+    evidence = _gather(scene, links, pair, lift)
     if evidence is None:
         nothing = "no row has good frames of both cameras to compare"
         return Reason(ReasonCode.NOT_EXPLAINED, f"{symptom}: {nothing}")
@@ -138,6 +151,49 @@ def explain_seam(
         or _unexplained(evidence)
     )
     return Reason(code, f"{symptom}: {text}")
+
+
+def measure_lift(scene: Scene, links: Iterable[Links]) -> Lift | None:
+    """Measure the height of the board above the calibrated plane by the shifts of the overlaps; None if they differ.
+
+    A lift shifts every overlap along the array, and all of them the same way. A displaced camera shifts the overlaps on
+    its two sides in opposite ways. With one overlap alone, the two cannot be told apart.
+
+    Args:
+        scene: the frames of the run, with the cameras as calibrated.
+        links: the links of the run, from which rows with texture in the overlap are chosen.
+    """
+    links = tuple(links)
+    each = []
+    for left in range(len(scene.cameras) - 1):
+        rows = _most_textured(_seam(links, left, scene))
+        heights = [h for key in rows if (h := _lift_of_overlap(scene, key)) is not None]
+        middle = float(np.median(heights)) if heights else 0.0
+        if sum(_same_lift(h, middle) for h in heights) >= 2:
+            each.append(middle)
+    lift = float(np.median(each)) if each else 0.0
+    return Lift(lift, len(each)) if each and all(_same_lift(h, lift) for h in each) else None
+
+
+def _same_lift(a_mm: float, b_mm: float) -> bool:
+    return abs(a_mm - b_mm) <= max(_SAME_LIFT_MM, _SAME_LIFT_SHARE * abs(b_mm))
+
+
+def _lift_of_overlap(scene: Scene, left: FrameKey) -> float | None:
+    """Return the height at which the overlap of a frame and that of the next camera fit; None if there is none."""
+    right = left[0] + 1, left[1]
+    a, b = scene.cameras[left[0]], scene.cameras[right[0]]
+    pair = FramePair(scene.prepared(left), scene.prepared(right), a, b, np.zeros(2))
+    box = pair.overlap()
+    if box is None or a.working_distance_mm is None:
+        return None
+    middle = np.array([(box[0] + box[2]) / 2, (box[1] + box[3]) / 2])
+    per_mm = b.project(a.ground(middle, 1.0), 1.0) - b.project(a.ground(middle), 0.0)
+    found = find_shift(pair.a, pair.b, box, pair.offset_px(box), np.abs(per_mm) * _HIGHEST_MM + _SIDEWAYS_PX)
+    if isinstance(found, Failure):
+        return None
+    height = float(found.px @ per_mm / (per_mm @ per_mm))
+    return height if np.hypot(*(found.px - height * per_mm)) <= _SIDEWAYS_PX else None
 
 
 def repeated_overlap(scene: Scene, links: Iterable[Links], pair: tuple[int, int], symptom: str) -> Reason | None:
@@ -154,22 +210,25 @@ def repeated_overlap(scene: Scene, links: Iterable[Links], pair: tuple[int, int]
     return None if cause is None else Reason(cause[0], f"{symptom}: {cause[1]}")
 
 
-def _gather(scene: Scene, links: Iterable[Links], pair: tuple[int, int], lift_mm: float | None) -> _Evidence | None:
+def _gather(scene: Scene, links: Iterable[Links], pair: tuple[int, int], lift: Lift | None) -> _Evidence | None:
     """Measure texture and grey levels in the overlap of two cameras; None if no row has good frames of both."""
     seen = [overlap for key in _rows(links, pair[0], scene) if (overlap := _examine(scene, key)) is not None]
     if not seen:
         return None
     mean = _Overlap(*(np.mean([o[k] for o in seen], 0) for k in range(len(_Overlap._fields))))
-    return _Evidence((f"camera {pair[0]}", f"camera {pair[1]}"), lift_mm, len(seen), mean)
+    return _Evidence((f"camera {pair[0]}", f"camera {pair[1]}"), lift, len(seen), mean)
 
 
 def _off_plane(e: _Evidence) -> Cause | None:
-    if e.lift_mm is None or abs(e.lift_mm) <= LIFT_LIMIT_MM:
+    if e.lift is None or abs(e.lift.mm) <= LIFT_LIMIT_MM:
         return None
-    where = "above" if e.lift_mm > 0 else "below"
+    where = "above" if e.lift.mm > 0 else "below"
+    about = "" if e.lift.overlaps is None else "about "
+    # A displacement of one of two cameras shifts their only overlap alike.
+    other = "; or one of the two cameras is displaced along the array by as much" if e.lift.overlaps == 1 else ""
     return ReasonCode.BOARD_OFF_PLANE, (
-        f"the board lies {abs(e.lift_mm):.1f} mm {where} the calibrated plane (limit {LIFT_LIMIT_MM:.0f} mm); lay it "
-        "into the calibrated plane, or calibrate at its height"
+        f"the board lies {about}{abs(e.lift.mm):.1f} mm {where} the calibrated plane (limit {LIFT_LIMIT_MM:.0f} mm); "
+        f"lay it into the calibrated plane, or calibrate at its height{other}"
     )
 
 
@@ -212,7 +271,7 @@ def _repetitive(e: _Evidence) -> Cause | None:
 
 
 def _unexplained(e: _Evidence) -> Cause:
-    height = "" if e.lift_mm is None else f", nor by height ({e.lift_mm:+.2f} mm)"
+    height = "" if e.lift is None else f", nor by height ({e.lift.mm:+.2f} mm)"
     return ReasonCode.NOT_EXPLAINED, (
         f"the two cameras do not show the same there; not explained by a displacement within ±{_SEARCH_MM:.0f} mm that "
         f"leaves an overlap, nor by exposure (brightness {e.brighter[1]:.1f} : 1, {max(e.mean.saturated):.0%} "
@@ -223,9 +282,16 @@ def _unexplained(e: _Evidence) -> Cause:
 
 def _rows(links: Iterable[Links], left: int, scene: Scene) -> Iterator[FrameKey]:
     """Yield the left frames of the examined rows: those that did not match, or all, with most texture first."""
+    seam = _seam(links, left, scene)
+    return _most_textured([e for e in seam if e.unmatched] or seam)
+
+
+def _seam(links: Iterable[Links], left: int, scene: Scene) -> list[Links]:
     present = {*scene.present}
-    seam = [e for e in links if e.task.kind == "neighbours" and e.task.a[0] == left and e.task.b in present]
-    seam = [e for e in seam if e.unmatched] or seam
+    return [e for e in links if e.task.kind == "neighbours" and e.task.a[0] == left and e.task.b in present]
+
+
+def _most_textured(seam: Iterable[Links]) -> Iterator[FrameKey]:
     for e in sorted(seam, key=lambda e: (-e.tried, e.task.a))[:_ROWS]:
         yield e.task.a
 

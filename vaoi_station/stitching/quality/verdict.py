@@ -35,6 +35,7 @@ _OK_SIGMA_PX = 0.20
 _FLOOR_LIMIT_PX = 0.30
 _OUTSIDE_LIMIT = 0.03
 _MOST_NAMED_FRAMES = 6
+_CAUSES_OF_FAILURE = (ReasonCode.ROWS_LOST, ReasonCode.BOARD_OFF_PLANE)
 
 
 class _Placed(NamedTuple):
@@ -66,7 +67,8 @@ def decide_verdict(f: Findings) -> tuple[Status, tuple[Reason, ...]]:
         # A camera that delivered no frame explains the failure better than the fiducials missing because of it.
         absent = absent_camera_reasons(f.scene, f.plane if f.method.marks else None, f.expectation, f.moved.motion)
         # The same holds for lost rows: where the rows beside them are unconnected, no fiducial is where it should be.
-        causes = (*absent, *(reason for reason in reasons if reason.code is ReasonCode.ROWS_LOST))
+        # A board far off the calibrated plane is too large or too small for its fiducials.
+        causes = (*absent, *(reason for reason in reasons if reason.code in _CAUSES_OF_FAILURE))
         failure = Reason(ReasonCode(f.found.code), f.found.reason)
         sizes = () if causes else _other_sizes(f, failure.code)
         others = (reason for reason in reasons if reason not in causes)
@@ -222,12 +224,7 @@ def _disagreeing_cameras(f: Findings) -> Iterator[Reason]:
     for (i, j), px in f.seams_px.items():
         if (i, j) not in f.row_offsets and px > SEAM_LIMIT_PX:
             symptom = f"cameras {i} and {j} disagree by {px:.2f} px (limit {SEAM_LIMIT_PX})"
-            yield explain_seam(f.scene, f.links, (i, j), symptom, _lift_mm(f))
-
-
-def _lift_mm(f: Findings) -> float | None:
-    """Return the height of the board above the calibrated plane; None if it was not estimated."""
-    return float(f.adjusted.surface_mm[0]) if len(f.adjusted.surface_mm) else None
+            yield explain_seam(f.scene, f.links, (i, j), symptom, f.lift)
 
 
 def _displaced_cameras(f: Findings) -> Iterator[Reason]:
@@ -238,7 +235,7 @@ def _displaced_cameras(f: Findings) -> Iterator[Reason]:
         else ". A board off the calibrated plane, or bent, looks alike: without working_distance_mm in the calibration "
         "its height is not estimated"
     )
-    for camera, displacement_px, rivals in f.displaced_cameras:
+    for camera, displacement_px, rivals in () if f.far_off_plane else f.displaced_cameras:
         x, y, turn = displacement_px
         pairs = [(i, i + 1) for i in (camera - 1, camera) if 0 <= i < len(f.scene.cameras) - 1]
         symptom = f"camera {camera} seems displaced by ({x:+.1f}, {y:+.1f}) px"
@@ -259,7 +256,7 @@ def _non_overlapping_cameras(f: Findings) -> Iterator[Reason]:
     for (i, j), rows in f.non_overlapping_pairs.items():
         if (i, j) not in f.row_offsets:
             symptom = f"cameras {i} and {j} show different things where they should overlap (in {rows} rows)"
-            yield explain_seam(f.scene, f.links, (i, j), symptom, _lift_mm(f))
+            yield explain_seam(f.scene, f.links, (i, j), symptom, f.lift)
 
 
 def _missing_fiducials(b: _Placed) -> Iterator[Reason]:
