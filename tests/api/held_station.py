@@ -113,13 +113,20 @@ class HeldStation(StationCoordinator):
             self.finish(run, verdict)
         return run
 
-    def finish(self, run: str, verdict: Status = Status.OK) -> None:
+    def finish(self, run: str, verdict: Status = Status.OK, reasons: tuple[Reason, ...] = ()) -> None:
         state = {Status.OK: RunState.READY, Status.DEGRADED: RunState.DEGRADED}.get(verdict, RunState.FAILED)
         belt = BeltSpeed(nominal_mm_s=(100, 0), measured_mm_s=(100.5, 0), ratio=1.005)
         timings = Timings(
             filming_s=1.2, ready_after_last_frame_ms=80, links_ms=300, conclude_ms=40, links=30, links_while_filming=27
         )
-        update = {"state": state, "verdict": verdict, "finished": NOW, "belt": belt, "timings": timings}
+        update = {
+            "state": state,
+            "verdict": verdict,
+            "finished": NOW,
+            "belt": belt,
+            "timings": timings,
+            "reasons": reasons,
+        }
         self.filmed[run] = self.filmed[run].model_copy(update=update)
         self.publish("run", f"Run {run} is {state}.", run=run, state=str(state))
 

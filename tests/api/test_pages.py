@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import pytest
 
 from vaoi_station.api.problems import KINDS
+from vaoi_station.model import ReasonCode
 
 
 @pytest.mark.parametrize(
@@ -45,3 +47,14 @@ def test_an_unknown_kind_is_not_found(client: Any) -> None:
 def test_pages_are_not_in_the_openapi_document(client: Any) -> None:
     paths = client.get("/api/v1/openapi.json").json()["paths"]
     assert all(path.startswith("/api/v1/") or path == "/healthz" for path in paths)
+
+
+def test_the_page_has_an_order_for_every_reason(client: Any) -> None:
+    """An operator cannot act on a sentence about fiducials or overlaps alone."""
+    texts = client.get("/web/texts.en.js").text
+    orders, codes = (re.search(rf"  {name}: {{\n(.*?)\n  }},", texts, re.DOTALL) for name in ("orders", "orderOf"))
+    assert orders
+    assert codes
+    pairs = re.findall(r'"([a-z-]+)": "([a-z]+)"', codes[1])
+    assert sorted(code for code, _ in pairs) == sorted(code.value for code in ReasonCode)
+    assert {name for _, name in pairs} == set(re.findall(r"^    ([a-z]+): ", orders[1], re.MULTILINE))

@@ -11,6 +11,7 @@ import pytest
 from playwright.sync_api import Locator, Page, expect
 
 from vaoi_station.model import Status
+from vaoi_station.runs.states.schemas import Reason
 
 pytestmark = pytest.mark.browser
 MUCH_LATER_S = 60
@@ -117,6 +118,19 @@ def test_the_last_board_and_its_pictures_are_updated(page: Page, served: Any) ->
     expect(page.locator("#verdict-word")).to_have_text("Pictures with reservations")
     expect(page.locator("#facts")).to_contain_text("SN-2")
     wait_for_pictures(page, 10)
+
+
+def test_a_degraded_board_says_first_what_to_do(page: Page, served: Any) -> None:
+    """Each order once, although two reasons need it; then all reasons."""
+    page.goto(served.url)
+    run = served.station.film(finish=False)
+    causes = ("rows-lost", "camera-absent", "camera-displaced", "")
+    reasons = tuple(Reason(code="result", message=f"Reason {n}.", cause=c) for n, c in enumerate(causes))
+    served.station.finish(run, Status.DEGRADED, reasons)
+    expect(page.locator("#verdict-reason")).to_have_text(
+        "Film this board again. If this recurs, call the engineer. "
+        "Call the engineer: cameras or trigger need attention. Reason 0. Reason 1. Reason 2. Reason 3."
+    )
 
 
 def test_the_chosen_component_is_kept(page: Page, served: Any) -> None:

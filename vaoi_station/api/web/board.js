@@ -63,10 +63,16 @@ export class Board {
     $("verdict-reason").textContent = reason;
   }
 
+  // What to do comes first, each order once; then the reasons.
+  #reasons(run) {
+    const orders = run.reasons.map((r) => texts.orders[texts.orderOf[r.cause]]).filter(Boolean);
+    return [...new Set(orders), ...run.reasons.map((r) => r.message)].join(" ");
+  }
+
   #showFacts() {
     const run = this.#run;
     const verdict = run.verdict ?? "none";
-    this.#verdict(verdict, texts.verdicts[verdict], run.reasons.map((r) => r.message).join(" "));
+    this.#verdict(verdict, texts.verdicts[verdict], this.#reasons(run));
     const { ok, incomplete, missing, unproven } = run.counts;
     const lines = [
       [texts.facts.board, run.board_id || texts.noId],

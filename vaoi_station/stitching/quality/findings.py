@@ -281,7 +281,7 @@ class Findings:
         measured = measure_lift(replace(self.scene, cameras=self.calibrated), self.links)
         if measured is None:
             return estimated
-        # One overlap may also be shifted by a displaced camera; fiducials that were found tell the two apart.
+        # One overlap may also be shifted by a displaced camera; fiducials that were found decide.
         alone = measured.overlaps == 1 and estimated is not None and self.mapping is not None
         return estimated if alone and estimated and abs(measured.mm - estimated.mm) > _OTHER_LIFT_MM else measured
 

@@ -157,7 +157,7 @@ def measure_lift(scene: Scene, links: Iterable[Links]) -> Lift | None:
     """Measure the height of the board above the calibrated plane by the shifts of the overlaps; None if they differ.
 
     A lift shifts every overlap along the array, and all of them the same way. A displaced camera shifts the overlaps on
-    its two sides in opposite ways. With one overlap alone, the two cannot be told apart.
+    its two sides in opposite ways. With one overlap alone, the two look alike.
 
     Args:
         scene: the frames of the run, with the cameras as calibrated.
