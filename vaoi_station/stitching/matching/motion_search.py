@@ -3,6 +3,9 @@
 The reduced, high-passed frames of each camera are correlated at all shifts at once by Fourier transforms. The sums of
 all cameras are added at the shifts that one motion on the conveyor's plane causes in each of them, so that the texture
 of the whole row decides. It yields several candidates; only links of patches show which of them is right.
+
+A repeated pattern, such as a grid of LEDs, fits at several motions, and two cameras may find different ones although
+they see one motion. `possible_motions` lists them, so that all cameras together are compared at each.
 """
 
 from __future__ import annotations
@@ -13,9 +16,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.matching.coarse_search import best_peaks
+from vaoi_station.stitching.matching.evidence import Links
 from vaoi_station.stitching.matching.frame_pair import FramePair
+from vaoi_station.stitching.matching.link import row_reach_mm
 from vaoi_station.stitching.matching.overlap import predict
 
 FASTEST = 1.5
@@ -31,6 +37,10 @@ _MIN_CONTRAST = 1.0
 _MIN_SCORE = 0.12
 """Smallest correlation of a candidate. It is low: links decide, and parts that lean reduce the correlation."""
 _CANDIDATES = 5
+SIMILAR = 0.75
+"""Share of the most links from which on another motion fits as well."""
+APART_MM = 0.5
+"""Least difference of two motions. Smaller ones are the same motion, measured on parts that lean."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,3 +124,32 @@ def _pixels(pair: FramePair, motion: Floats) -> tuple[tuple[np.ndarray, np.ndarr
     h, w = (x + y for x, y in zip(pair.a.coarse.shape, pair.b.coarse.shape, strict=True))
     within = (np.abs(shift[..., 1]) < pair.a.coarse.shape[0]) & (np.abs(shift[..., 0]) < pair.a.coarse.shape[1])
     return (shift[..., 1] % h, shift[..., 0] % w), within
+
+
+def has_rival(links: Sequence[Links]) -> bool:
+    """Return whether the coarse search of a camera found another shift that fits similarly."""
+    return any(e.rival_px is not None for e in links)
+
+
+def possible_motions(links: Sequence[Links], cameras: Sequence[Camera], nominal_mm: Floats) -> list[Floats]:
+    """Return the motions (2,) between two rows that one of the cameras allows, within the range of the coarse search.
+
+    Args:
+        links: the links between the two rows, one entry per camera.
+        cameras: all cameras.
+        nominal_mm: (2,) nominal motion between the two rows.
+    """
+    found: list[Floats] = []
+    for e in links:
+        if not len(e.a_px):
+            continue
+        camera = cameras[e.task.a[0]]
+        own = np.median(camera.ground(e.b_px) - camera.ground(e.a_px), axis=0)
+        found.append(own)
+        if e.rival_px is not None and e.coarse_px is not None:
+            middle = e.b_px.mean(axis=0)
+            spacing = camera.ground(middle + np.subtract(e.rival_px, e.coarse_px)) - camera.ground(middle)
+            found += [own + spacing, own - spacing]
+    reach = row_reach_mm(nominal_mm) + APART_MM
+    near = [motion for motion in found if (np.abs(motion - nominal_mm) <= reach).all()]
+    return [one for n, one in enumerate(near) if all(np.hypot(*(one - other)) > APART_MM for other in near[:n])]

@@ -18,9 +18,14 @@ from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.matching.evidence import Links, Task
 from vaoi_station.stitching.matching.frame_pair import FramePair
 from vaoi_station.stitching.matching.link import link_in_place, link_rows
-from vaoi_station.stitching.matching.motion_search import candidate_motions
+from vaoi_station.stitching.matching.motion_search import (
+    APART_MM,
+    SIMILAR,
+    candidate_motions,
+    has_rival,
+    possible_motions,
+)
 from vaoi_station.stitching.matching.patches import inside_both, match_patches, patch_centres
-from vaoi_station.stitching.matching.repetition import APART_MM, SIMILAR, has_rival, possible_motions
 from vaoi_station.stitching.matching.scene import Scene
 
 _AGREE_MM = 0.5
