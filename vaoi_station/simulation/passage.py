@@ -134,6 +134,7 @@ class Passage:
             paint=twin.paint(light_name),
             light=light,
             placements=self.placements,
+            belt_pose=self._times.motion.belt_pose(t_s, self.twin.scenario.texture.follows),
         )
         relative = array.exposure_us(camera) / array.reference_exposure_us
         brightness = relative * array.gain * light.camera_gain(camera) * self._flicker(noise_key)

@@ -25,6 +25,7 @@ from vaoi_station.simulation.camera_array import (
     Section,
     Share,
 )
+from vaoi_station.simulation.surroundings import CarrierSection, FiducialMark, TextureSection
 
 _SHIPPED = Path(str(resources.files("vaoi_station.simulation") / "scenarios"))
 """Folder of the scenarios that come with the software."""
@@ -60,15 +61,6 @@ class BeltSection(Section):
     grey: Annotated[float, Field(ge=0, le=255)] = 18.0
     changes: tuple[SpeedChange, ...] = ()
     seed: Index = 1
-
-
-class FiducialMark(Section):
-    """A fiducial of bare copper. Its position is in mm from the top left corner of the board as the camera sees it."""
-
-    x_mm: Finite
-    y_mm: Finite
-    diameter_mm: Positive = 1.0
-    shape: Literal["circle", "cross", "square", "diamond"] = "circle"
 
 
 class BoardSection(Section):
@@ -280,6 +272,8 @@ class Scenario(Section):
 
     array: ArraySection = ArraySection()
     belt: BeltSection = BeltSection()
+    texture: TextureSection = TextureSection()
+    carrier: CarrierSection = CarrierSection()
     board: BoardSection = BoardSection()
     line: LineSection = LineSection()
     lights: dict[str, LightSection] = Field(default_factory=lambda: {"ring": LightSection()})

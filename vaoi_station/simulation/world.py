@@ -15,6 +15,7 @@ from vaoi_station.simulation.board.layout import Part, board_type
 from vaoi_station.simulation.imaging.pinholes import Pinhole, mount_cameras
 from vaoi_station.simulation.imaging.scene import LitTextures, Scene
 from vaoi_station.simulation.imaging.sensor import vignette
+from vaoi_station.simulation.imaging.surroundings import Surroundings
 from vaoi_station.simulation.motion.timetable import line_of
 from vaoi_station.simulation.scenario import BoardSection, Scenario
 
@@ -98,7 +99,9 @@ class World:
     @cached_property
     def scene(self) -> Scene:
         """The scene that the cameras render: surface and artwork of the board, and the belt."""
-        return Scene(self.scenario.board, self.artwork, self.scenario.belt.grey)
+        s = self.scenario
+        beside = Surroundings(s.texture, s.carrier, s.board, s.belt.grey, TEXTURE_PER_PIXEL * s.array.px_per_mm)
+        return Scene(s.board, self.artwork, s.belt.grey, beside if beside.visible else None)
 
     def paint(self, light_name: str) -> LitTextures:
         """Return the board's textures as they appear under a light pattern."""

@@ -11,7 +11,8 @@ import pytest
 from vaoi_station.errors import InputError
 from vaoi_station.simulation.board.artwork import COPPER, GOLD, HOLE, LAMINATE, RIM_PX, SILK, Artwork, draw
 from vaoi_station.simulation.board.layout import mounting_holes
-from vaoi_station.simulation.scenario import BoardSection, FiducialMark
+from vaoi_station.simulation.scenario import BoardSection
+from vaoi_station.simulation.surroundings import FiducialMark
 
 PX_PER_MM, BELT = 12.0, 18.0
 SECTION = BoardSection(width_mm=50.0, length_mm=46.0, density=1.5)

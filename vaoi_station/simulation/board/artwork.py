@@ -19,7 +19,8 @@ from vaoi_station.simulation.board.canvas import Bytes, Canvas, bands, to_bytes
 from vaoi_station.simulation.board.layout import Part, mounting_holes, place_parts
 from vaoi_station.simulation.board.packages import Finish
 from vaoi_station.simulation.board.routing import Copper, route
-from vaoi_station.simulation.scenario import BoardSection, FiducialMark
+from vaoi_station.simulation.scenario import BoardSection
+from vaoi_station.simulation.surroundings import FiducialMark
 
 RIM_PX = 2
 """Width of the belt margin around the board, in texture pixels."""
@@ -63,7 +64,7 @@ def draw(section: BoardSection, px_per_mm: float, belt_grey: float) -> Artwork:
     else:
         _paint_photograph(canvas, section)
     for mark in section.marks:
-        _paint_fiducial(canvas, mark)
+        paint_fiducial(canvas, mark)
     # The belt is painted last, so that it covers everything that extends beyond the board's edge.
     _paint_belt(canvas, section, belt_grey)
     bodies = build_bodies(parts, px_per_mm, canvas if section.photograph else None)
@@ -173,7 +174,7 @@ def _paint_pads(canvas: Canvas, part: Part) -> None:
         )
 
 
-def _paint_fiducial(canvas: Canvas, mark: FiducialMark) -> None:
+def paint_fiducial(canvas: Canvas, mark: FiducialMark) -> None:
     """Paint a fiducial at its exact position: bare copper on a disc of bare laminate, which is free of solder mask."""
     place, d = (mark.x_mm, mark.y_mm), mark.diameter_mm
     canvas.disc(place, 2.2 * d, LAMINATE)

@@ -19,6 +19,7 @@ from vaoi_station.simulation.board.bodies import Body
 from vaoi_station.simulation.board.canvas import Bytes, Plane, to_bytes
 from vaoi_station.simulation.imaging.lattice import OVERSAMPLING, Lattice
 from vaoi_station.simulation.imaging.pinholes import Pinhole
+from vaoi_station.simulation.imaging.surroundings import Surroundings
 from vaoi_station.simulation.scenario import BoardSection, LightSection
 
 _SURFACE_STEPS = 4
@@ -85,6 +86,8 @@ class Scene:
     section: BoardSection
     artwork: Artwork
     belt_grey: float
+    surroundings: Surroundings | None = None
+    """What lies beside the board, if that is more than a belt of even grey."""
 
     def surface_z(self, board_mm: Floats) -> Floats:
         """Return the height (k,), mm, of the board's surface above the calibrated plane at board coordinates (k, 2)."""
@@ -101,6 +104,7 @@ class Scene:
         paint: LitTextures,
         light: LightSection,
         placements: Mapping[str, Placement | None],
+        belt_pose: Floats | None = None,
     ) -> Plane:
         """Render the grey values (2h, 2w) that one camera sees, with two samples per pixel and axis.
 
@@ -113,8 +117,9 @@ class Scene:
             paint: the textures under the light.
             light: the light.
             placements: placement of each part by its name; None for an absent part.
+            belt_pose: (3, 3) from coordinates of the belt's texture to tester coordinates; needed with surroundings.
         """
-        image = self._surface(camera, pose, paint.surface)
+        image = self._surface(camera, pose, paint.surface, belt_pose)
         visible = self._visible(camera, pose, paint, placements)
         if light.shadow:
             for body in visible:
@@ -161,7 +166,7 @@ class Scene:
         away = np.abs(apply(pose, middles) - corners.mean(0)) - np.ptp(corners, axis=0) / 2
         return np.flatnonzero((away < reach[:, None]).all(1)).tolist()
 
-    def _surface(self, camera: Pinhole, pose: Floats, texture: Bytes) -> Bytes:
+    def _surface(self, camera: Pinhole, pose: Floats, texture: Bytes, belt_pose: Floats | None) -> Bytes:
         """Render the surface of the board and the belt on the supersampled grid, (2h, 2w)."""
         size = np.array([camera.width_px, camera.height_px])
         lattice = Lattice.over(np.zeros(2), size - 1.0, camera.width_px, camera.height_px)
@@ -177,7 +182,11 @@ class Scene:
         if max(texture.shape) > MAX_REMAP_PX:
             texture, t = _crop_texture(texture, t)
         x, y = lattice.spread(t[:, 0], shape), lattice.spread(t[:, 1], shape)
-        return np.asarray(cv2.remap(texture, x, y, cv2.INTER_LINEAR, borderValue=round(self.belt_grey)))
+        image = np.asarray(cv2.remap(texture, x, y, cv2.INTER_LINEAR, borderValue=round(self.belt_grey)))
+        if self.surroundings is None:
+            return image
+        assert belt_pose is not None
+        return self.surroundings.draw(image, camera, lattice, place, pose, belt_pose)
 
 
 def _crop_texture(texture: Bytes, px: Floats) -> tuple[Bytes, Floats]:

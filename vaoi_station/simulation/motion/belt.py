@@ -7,7 +7,7 @@ integral, and positions can be computed for any time in any order.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -107,6 +107,18 @@ class BoardMotion:
         c, s = math.cos(angle), math.sin(angle)
         u, v = center_mm
         return np.array([[c, -s, x - c * u + s * v], [s, c, y - s * u - c * v], [0.0, 0.0, 1.0]])
+
+    def belt_pose(self, t_s: float, follows: float) -> Floats:
+        """Return the pose (3, 3), from coordinates of the belt's texture to tester mm, of what moves beside the board.
+
+        Its motion is `follows` times that of the board: 1 moves with the board, 0 stands still. A board that sticks
+        does not stop it.
+        """
+        moving = replace(self, stop_s=math.inf)
+        (x0, y0, a0), (x1, y1, a1) = moving.center(0.0), moving.center(t_s)
+        x, y, a = x0 + follows * (x1 - x0), y0 + follows * (y1 - y0), a0 + follows * (a1 - a0)
+        c, s = math.cos(a), math.sin(a)
+        return np.array([[c, -s, x], [s, c, y], [0.0, 0.0, 1.0]])
 
     def center(self, t_s: float) -> tuple[float, float, float]:
         """Return tester x and y (mm) of the board's centre, and the rotation of the board (rad), at a time."""

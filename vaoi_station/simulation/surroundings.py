@@ -1,0 +1,39 @@
+"""The tables of a scenario on what lies beside the board: the texture of the belt, and a carrier with marks."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from vaoi_station.simulation.camera_array import Finite, Index, Positive, Section
+
+
+class FiducialMark(Section):
+    """A fiducial of bare copper. Its position is in mm from the top left corner of the board as the camera sees it."""
+
+    x_mm: Finite
+    y_mm: Finite
+    diameter_mm: Positive = 1.0
+    shape: Literal["circle", "cross", "square", "diamond"] = "circle"
+
+
+class TextureSection(Section):
+    """The texture of the belt, or of what else is seen beside the board: random grey levels about the belt's grey."""
+
+    sigma_grey: Annotated[float, Field(ge=0, le=100)] = 0.0
+    grain_mm: Annotated[float, Field(gt=0, le=5)] = 0.15
+    follows: Annotated[float, Field(ge=-2, le=2)] = 1.0
+    below_mm: Annotated[float, Field(ge=-50, le=200)] = 0.0
+    seed: Index = 1
+
+
+class CarrierSection(Section):
+    """The carrier in which boards ride: a frame around the board that moves with it, with marks beside the board."""
+
+    rim_mm: Annotated[float, Field(ge=0, le=200)] = 0.0
+    grey: Annotated[float, Field(ge=0, le=255)] = 60.0
+    sigma_grey: Annotated[float, Field(ge=0, le=100)] = 4.0
+    below_mm: Annotated[float, Field(ge=-50, le=200)] = 0.0
+    marks: tuple[FiducialMark, ...] = ()
+    seed: Index = 1
