@@ -12,12 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from tests.hostile.mistakes import Mistake, Random, draw_mistakes, scenario_changes
+from tests.hostile.mistakes import Mistake, Random, draw_beside, draw_mistakes, scenario_changes
 from vaoi_station.simulation import Scenario
 from vaoi_station.simulation.camera_array import Section
 
 FORM = 1
 """Version of the generator. Seeds of finds are valid for one form only."""
+FIRST_WITH_SURROUNDINGS = 10_000
+"""First seed whose drawings also have a carrier, or texture beside the board; the seeds below stay as they were."""
 _WIDTH_PX, _HEIGHT_PX = 480, 360
 _BARRIER_MM, _SPEED_MM_S = 40.0, 100.0
 
@@ -55,6 +57,8 @@ def draw(seed: int) -> Drawing:
         "lights": {"ring": _light(numbers(4))},
     }
     mistakes = draw_mistakes(numbers(5), array["cameras"])
+    if seed >= FIRST_WITH_SURROUNDINGS:
+        mistakes += draw_beside(numbers(6))
     scenario = Scenario.model_validate(plain)
     for mistake in mistakes:
         scenario = changed(scenario, scenario_changes(mistake, scenario))

@@ -32,7 +32,7 @@ class Mistake:
     @property
     def within(self) -> bool:
         """Whether a right answer is expected in spite of this mistake."""
-        return self.size <= KINDS[self.name].limit
+        return self.size <= {**KINDS, **BESIDE}[self.name].limit
 
     def __str__(self) -> str:
         return f"{self.name} {self.size:.3g}"
@@ -103,6 +103,22 @@ KINDS: Mapping[str, Kind] = {
 """All kinds of mistakes. A limit below every size means that no right answer is expected."""
 
 
+BESIDE: Mapping[str, Kind] = {
+    "bed-texture": Kind(3, 40, 15, "grey levels (σ) of texture that stands still, 0 to 3 mm below the board"),
+    "belt-texture": Kind(3, 40, 15, "grey levels (σ) of texture that moves with the board, 0 to 3 mm below it"),
+    "carrier": Kind(2, 12, 12, "mm of rim, brighter than the board, with three marks like fiducials"),
+}
+"""Kinds of what lies beside the board. They are drawn apart from the others (`drawing.py`)."""
+_LOWEST_MM = 3.0
+
+
+def draw_beside(g: Random) -> tuple[Mistake, ...]:
+    """Draw what lies beside the board: nothing special in every fifth drawing, else one kind."""
+    if g.uniform() < 0.2:
+        return ()
+    return (_draw_one(str(g.choice(sorted(BESIDE))), g, 1, BESIDE),)
+
+
 def draw_mistakes(g: Random, cameras: int) -> tuple[Mistake, ...]:
     """Draw no to three mistakes of different kinds."""
     count = int(g.choice(4, p=[0.3, 0.4, 0.22, 0.08]))
@@ -110,8 +126,8 @@ def draw_mistakes(g: Random, cameras: int) -> tuple[Mistake, ...]:
     return tuple(_draw_one(str(name), g, cameras) for name in names)
 
 
-def _draw_one(name: str, g: Random, cameras: int) -> Mistake:
-    kind = KINDS[name]
+def _draw_one(name: str, g: Random, cameras: int, kinds: Mapping[str, Kind] = KINDS) -> Mistake:
+    kind = kinds[name]
     size = float(np.exp(g.uniform(np.log(kind.low), np.log(kind.high))))
     size = float(np.floor(size)) if kind.whole else size
     return Mistake(name, size, int(g.integers(cameras)), float(g.uniform(-np.pi, np.pi)))
@@ -147,6 +163,25 @@ def _motion_blur(m: Mistake, s: Scenario) -> Update:
     return {"array": {"exposures_us": (us,), "reference_exposure_us": us}}
 
 
+def _texture(m: Mistake, follows: float) -> Update:
+    below = _LOWEST_MM * abs(m.angle_rad) / np.pi
+    return {"texture": {"sigma_grey": m.size, "follows": follows, "below_mm": below, "seed": int(1e6 * m.size)}}
+
+
+def _carrier(m: Mistake, s: Scenario) -> Update:
+    w, h, out = s.board.width_mm, s.board.length_mm, m.size / 2
+    along = 0.5 + 0.4 * np.cos(m.angle_rad)
+    marks = [(-out, h * along), (w + out, h * (1 - along)), (w * along, -out)]
+    return {
+        "carrier": {
+            "rim_mm": m.size,
+            "grey": 150 + 40 * np.sin(3 * m.angle_rad),
+            "below_mm": max(0.0, np.sin(5 * m.angle_rad)),
+            "marks": tuple({"x_mm": float(x), "y_mm": float(y)} for x, y in marks),
+        }
+    }
+
+
 _SCENARIO: Mapping[str, Callable[[Mistake, Scenario], Update]] = {
     "speed-error": lambda m, s: {"belt": {"speed_error": _signed(m)}},
     "slip": lambda m, s: {"belt": {"speed_wander": m.size}},
@@ -168,6 +203,9 @@ _SCENARIO: Mapping[str, Callable[[Mistake, Scenario], Update]] = {
     "four-marks": lambda m, s: {"array": {"distortion_px": m.size}, "calibration_board": {"marks_per_axis": 2}},
     "many-marks": lambda m, s: {"array": {"distortion_px": m.size}, "calibration_board": {"marks_per_axis": 5}},
     "lens-ignored": lambda m, s: {"array": {"distortion_px": m.size}},
+    "bed-texture": lambda m, s: _texture(m, 0.0),
+    "belt-texture": lambda m, s: _texture(m, 1.0),
+    "carrier": _carrier,
 }
 
 

@@ -8,16 +8,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.hostile.drawing import Drawing, changed, draw
+from tests.hostile.drawing import FIRST_WITH_SURROUNDINGS, Drawing, changed, draw
 from tests.hostile.filming import film
 from tests.hostile.judging import OK_AND_WRONG, Outcome, judge
-from tests.hostile.mistakes import KINDS, Mistake, draw_mistakes
+from tests.hostile.mistakes import BESIDE, KINDS, Mistake, draw_beside, draw_mistakes
 from tests.hostile.rule import fiducials_in_view, least_overlap, least_seen, why_impossible
 from tests.hostile.summary import kept_finds, open_classes, table, table_of_mistakes
 from tests.needs import LONG
 from vaoi_station.geometry.transforms import apply
 
-SEEDS = range(200 if LONG else 12)
+SEEDS = (
+    *range(200 if LONG else 12),
+    *range(FIRST_WITH_SURROUNDINGS, FIRST_WITH_SURROUNDINGS + (100 if LONG else 8)),
+)
 MOST_REFUSED = 0.05
 """Largest accepted share of refused drawings among those with an expected right answer, in the long form."""
 
@@ -62,6 +65,17 @@ def test_every_kind_of_mistake_is_drawn_on_both_sides_of_its_limit() -> None:
     for name, kind in KINDS.items():
         within = {m.within for m in drawn if m.name == name}
         assert within == ({False} if kind.limit < kind.low else {True} if kind.limit >= kind.high else {False, True})
+
+
+def test_what_lies_beside_the_board_is_drawn_from_a_later_seed_on() -> None:
+    g = np.random.default_rng(1)
+    drawn = Counter(m.name for _ in range(2_000) for m in draw_beside(g))
+    assert set(drawn) == set(BESIDE)
+    assert not {m.name for seed in range(50) for m in draw(seed).mistakes} & set(BESIDE)
+    later = [draw(seed) for seed in range(FIRST_WITH_SURROUNDINGS, FIRST_WITH_SURROUNDINGS + 20)]
+    assert {m.name for d in later for m in d.mistakes} & set(BESIDE)
+    assert any(d.scenario.carrier.rim_mm for d in later)
+    assert any(d.scenario.texture.sigma_grey for d in later)
 
 
 def test_a_mistake_beyond_its_limit_is_the_reason_that_nothing_is_expected(plain: Drawing) -> None:

@@ -32,7 +32,7 @@ class CarrierSection(Section):
     """The carrier in which boards ride: a frame around the board that moves with it, with marks beside the board."""
 
     rim_mm: Annotated[float, Field(ge=0, le=200)] = 0.0
-    grey: Annotated[float, Field(ge=0, le=255)] = 60.0
+    grey: Annotated[float, Field(ge=0, le=255)] = 120.0
     sigma_grey: Annotated[float, Field(ge=0, le=100)] = 4.0
     below_mm: Annotated[float, Field(ge=-50, le=200)] = 0.0
     marks: tuple[FiducialMark, ...] = ()

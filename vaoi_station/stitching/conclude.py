@@ -193,9 +193,9 @@ def _refine_motion(
     prior: PriorKnowledge, problem: Problem, motion: AdjustmentResult, mapping: CadMapping | Failure
 ) -> AdjustmentResult:
     """Iterate the motion from links to full convergence if there is no CAD mapping, which would have adjusted it."""
-    if isinstance(mapping, Failure) and prior.method.links:
-        return adjust(problem, motion.motion)
-    return motion
+    if isinstance(mapping, Failure):
+        return adjust(problem, motion.motion) if prior.method.links else motion
+    return mapping.moved or motion
 
 
 def _without_unknown_rows(findings: Findings) -> Findings:

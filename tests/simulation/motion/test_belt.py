@@ -44,6 +44,22 @@ def test_turned_boards_turn_counter_clockwise_as_seen() -> None:
     assert np.allclose(pose[:2, 0], [0, -1], atol=1e-12)
 
 
+@given(TIMES)
+def test_texture_of_the_belt_moves_by_its_share_of_the_board(t: float) -> None:
+    way = board_motion(BeltSection(), 3, start_s=0.0, start_along_mm=-60, across_mm=30, turned_deg=0)
+    assert np.array_equal(way.belt_pose(t, 0.0), way.belt_pose(0.0, 1.0))
+    with_board = way.belt_pose(t, 1.0) @ np.linalg.inv(way.belt_pose(0.0, 1.0))
+    assert np.allclose(with_board, way.pose(t, (40.0, 25.0)) @ np.linalg.inv(way.pose(0.0, (40.0, 25.0))), atol=1e-7)
+    half = way.belt_pose(t, 0.5)[:2, 2] - way.belt_pose(0.0, 0.5)[:2, 2]
+    assert np.allclose(2 * half, np.array(way.center(t)[:2]) - way.center(0.0)[:2], atol=1e-7)
+
+
+def test_a_board_that_sticks_does_not_stop_the_belt() -> None:
+    way = replace(board_motion(BeltSection(), 0, start_s=0, start_along_mm=0, across_mm=0, turned_deg=0), stop_s=1.0)
+    assert np.array_equal(way.pose(3.0, (4.0, 2.0)), way.pose(1.0, (4.0, 2.0)))
+    assert not np.allclose(way.belt_pose(3.0, 1.0), way.belt_pose(1.0, 1.0))
+
+
 def test_boards_differ_and_repeat() -> None:
     section = BeltSection()
     ways = [board_motion(section, k, start_s=0, start_along_mm=0, across_mm=0, turned_deg=0) for k in (0, 1, 0)]

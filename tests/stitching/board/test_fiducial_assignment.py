@@ -23,6 +23,7 @@ from vaoi_station.stitching.board.fiducial_assignment import (
     Hypothesis,
     assign_fiducials,
     find_board,
+    find_rough_places,
     keep_distinct,
     match_nearest,
     merge_detections,
@@ -272,3 +273,20 @@ def test_each_mark_gets_the_nearest_detection_of_its_kind_in_each_frame(seed: in
             off = np.hypot(*(seen - marks[m]).T)
             off[(plane != f) | (kind != mark_kind[m])] = np.inf
             assert found.get((f, m)) == (int(off.argmin()) if off.min() < 0.4 else None)
+
+
+def test_rough_places_allow_a_wrong_scale_along_the_motion_and_keep_rivals(workshop: Any) -> None:
+    """Texture below the board gives a motion that is wrong by a per cent; a carrier may repeat the fiducials."""
+    camera = workshop.camera()
+    plane = board_plane(board(), camera)
+    angle, truth = expected_angle(plane, camera, UPRIGHT), placed(plane, camera)
+    marks = apply_similarity(truth, plane.fiducials)
+    stretched = marks.mean(0) + (marks - marks.mean(0)) * (1.0, 1.01)
+    rival = stretched[:2] + (0.0, -8.0)
+    places = find_rough_places(plane, candidates_at(np.vstack([stretched, rival])), angle, UPRIGHT)
+    assert len(places) >= 2
+    assert set(places[0].fiducials) == {0, 1, 2}
+    assert np.abs(apply_similarity(places[0].c, plane.fiducials) - stretched).max() < 1.0
+    assert min(np.abs(apply_similarity(h.c, plane.fiducials[:2]) - rival).max() for h in places) < 1.0
+    turned = placed(plane, camera, math.pi / 2)
+    assert not find_rough_places(plane, candidates_at(apply_similarity(turned, plane.fiducials)), angle, UPRIGHT)

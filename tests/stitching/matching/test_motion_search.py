@@ -92,3 +92,17 @@ def test_motions_within_reach_that_a_camera_allows(links: list[Links], motions: 
     found = possible_motions(links, [camera], NOMINAL_GRID)
     assert [round(float(y), 3) for _, y in found] == motions
     assert has_rival(links) == any(e.rival_px is not None for e in links)
+
+
+def test_texture_that_stands_still_does_not_hide_what_moves(workshop: Any) -> None:
+    camera = workshop.camera(size_px=(320, 240), px_per_mm=10.0)
+    bed = workshop.waves(seed=5, finest=0.8, coarsest=6.0).seen_by(camera, lambda at: at)
+    board = workshop.waves(seed=9, finest=0.8, coarsest=6.0)
+    frames = []
+    for by in (0.0, 9.0):
+        frame = bed.copy()
+        frame[:, 240:] = board.seen_by(camera, lambda at, by=by: at - np.array([0.0, by]))[:, 240:]
+        frames.append(PreparedFrame(frame))
+    pair = FramePair(frames[0], frames[1], camera, camera, NOMINAL)
+    assert np.hypot(*candidate_motions([pair])[0]) < 0.5
+    assert np.hypot(*(candidate_motions([pair], moving=True)[0] - (0.0, 9.0))) < 0.5

@@ -87,6 +87,24 @@ def test_static_structure_in_the_scene_is_no_stop(workshop: Any) -> None:
     assert moved == pytest.approx({1: 3.0, 2: 3.0, 3: 3.0}, abs=0.05)
 
 
+@pytest.mark.parametrize("rows", [(0, 1), (1, 2), (2, 3)])
+def test_a_bed_with_more_texture_than_the_board_is_no_stop(workshop: Any, rows: tuple[int, int]) -> None:
+    """The board covers the bed in the rows beside these, so that nothing else shows that the bed is static."""
+    camera = workshop.camera(size_px=(320, 240), px_per_mm=10.0)
+    bed = workshop.waves(seed=5, finest=0.8, coarsest=6.0).seen_by(camera, lambda at: at)
+    board, noise = workshop.waves(seed=9, finest=0.8, coarsest=6.0), np.random.default_rng(3)
+    frames = []
+    for j in range(4):
+        seen = board.seen_by(camera, lambda at, j=j: at - np.array([0.0, 9.0 * j]))
+        frame = seen if j not in rows else np.where(np.arange(320) >= 230, seen, bed)
+        frames.append(PreparedFrame(workshop.digitised(frame + noise.normal(0, 1, frame.shape))))
+    scene = Scene((camera,), tuple((0, j) for j in range(4)), lambda key: frames[key[1]])
+    none = RowLinks(np.zeros(0, int), np.zeros(0, int), np.zeros((0, 2)))
+    links = relink_rows((), none, scene, np.array([0.0, 100.0]), np.array([0.0, 0.1, 0.2, 0.3]))
+    moved = {e.task.b[1]: np.median((camera.ground(e.b_px) - camera.ground(e.a_px))[:, 1]) for e in links if e.task.b}
+    assert moved[rows[1]] == pytest.approx(9.0, abs=0.05)
+
+
 def test_links_at_the_nominal_motion_stay_as_they_are(filmed: Any) -> None:
     runner = TaskRunner(filmed.setup, filmed.frame)
     tasks = all_tasks(filmed.present, dict(enumerate(filmed.times_s)), filmed.setup)

@@ -8,6 +8,7 @@ mapping fails. At the end, the shift of the outline against the adjusted C is me
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from vaoi_station.model import ReasonCode
 from vaoi_station.stitching.adjustment.camera_equations import comparable_cameras
 from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.adjustment.problem import REFERENCE, AdjustmentResult, FiducialPoints, Problem, SurfaceBasis
+from vaoi_station.stitching.adjustment.row_motion import board_texture, motion_from_links
 from vaoi_station.stitching.adjustment.solver import adjust
 from vaoi_station.stitching.adjustment.surface import SIGMA_MM, basis_at_board
 from vaoi_station.stitching.board.board_plane import BoardPlane, expected_angle, typical_camera
@@ -25,6 +27,7 @@ from vaoi_station.stitching.board.fiducial_assignment import (
     Hypothesis,
     assign_fiducials,
     find_board,
+    find_rough_places,
     merge_detections,
 )
 from vaoi_station.stitching.board.fiducial_detection import detect_more_marks, relocate_fiducials
@@ -36,6 +39,7 @@ from vaoi_station.stitching.board.orientation import (
     measure_outline_contrast,
 )
 from vaoi_station.stitching.board.outline import OutlineShift, measure_outline_shift
+from vaoi_station.stitching.board.own_texture import MOST_BESIDE, links_on_board, outline_confirmed, shares_beside
 from vaoi_station.stitching.board.reference import Reference, cad_points, initial_similarity, inliers
 from vaoi_station.stitching.board.reference_orientation import ReferenceScene, Rivals, compare_with_reference
 from vaoi_station.stitching.matching.evidence import Detections, Links
@@ -44,12 +48,25 @@ from vaoi_station.stitching.method import Method
 
 _LEAST_REFERRED = 12
 """Least number of points linked to a reference run that can place a board without fiducials."""
+_LEAST_OWN_LINKS = 24
+"""Least number of links on the board from which its motion is estimated without those beside it."""
+_CERTAIN_FIDUCIALS = 3
+"""Least number of fiducials, all that the board type has, that place a board whose outline nothing confirms."""
 _LEAST_AGREEING = 0.5
 """Least share of these points that must agree on one place."""
 
 
 class Turned(Failure):
     """The failure that the pictures show the board turned by 180°. No other evidence replaces it by a position."""
+
+
+class LeftOut(NamedTuple):
+    """Links that were left out because they lie beside the board."""
+
+    share: float
+    """Their share of the links between rows."""
+    confirmed: bool
+    """Whether the pictures show the edges of the board where the outline is."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +80,10 @@ class CadMapping:
     """Whether the board may as well be turned by 180°, because neither fiducials nor pictures decide."""
     shift: OutlineShift | None = None
     """Measured shift of the outline against the adjusted C; None where too little of the outline shows an edge."""
+    moved: AdjustmentResult | None = None
+    """The motion of the rows by the links on the board alone, if links beside it were left out; None otherwise."""
+    left_out: LeftOut | None = None
+    """The links beside the board that were left out; None if none were."""
 
     @property
     def problem(self) -> Problem:
@@ -100,7 +121,11 @@ def map_cad(
     referred = FiducialPoints.empty()
     if known.reference is not None and known.method.reference:
         referred = cad_points(known.reference_links, scene.cameras, plane, known.reference)
-    guess, detections, outline = _find_first_c(plane, scene, moved, known, referred)
+    first = _find_first_c(plane, scene, moved, known, referred)
+    apart = _apart_from_surroundings(plane, scene, problem, moved, known, first)
+    if apart is not None:
+        problem, moved, first = apart[:3]
+    guess, detections, outline = first
     if isinstance(guess, Failure):
         return guess
     seen = relocate_fiducials(plane.board_type, plane.matrix(guess.c), scene, moved.motion, detections)
@@ -113,7 +138,90 @@ def map_cad(
     # the outline is measured as the displaced cameras see it, as everything after the adjustment is
     corrected = replace(scene, cameras=adjusted.problem.cameras) if adjusted.cameras is not None else scene
     shift = _measured_shift(plane, corrected, adjusted)
-    return CadMapping(adjusted, outline, guess.ambiguous, shift)
+    mapping = CadMapping(adjusted, outline, guess.ambiguous, shift)
+    return mapping if apart is None else replace(mapping, moved=moved, left_out=apart.left_out)
+
+
+_FirstC = tuple[Hypothesis | Failure, tuple[Detections, ...], OutlineContrast | None]
+"""A first C, the detections among which it was found, and the contrast of the outline."""
+
+
+class _OwnTexture(NamedTuple):
+    """The run without the links beside the board: its problem, the solution, and the first C found with it."""
+
+    problem: Problem
+    moved: AdjustmentResult
+    first: _FirstC
+    left_out: LeftOut
+
+
+def _apart_from_surroundings(
+    plane: BoardPlane, scene: Scene, problem: Problem, moved: AdjustmentResult, known: MappingInputs, first: _FirstC
+) -> _OwnTexture | None:
+    """Leave out the links beside the board, if they are many or the board is not found with them.
+
+    Carriers, and belts with texture, move with the board or stand still, at its height or below. Every place that the
+    detections allow is tried: the motion is estimated again from the links inside the outline there, and the place is
+    accepted if a C results and the pictures confirm the outline. Without such a place, the first C stays, or one that
+    fits all of three or more fiducials; the verdict reports that the outline does not confirm it.
+
+    Returns:
+        The run without the links beside the board; None if all links stay.
+    """
+    guess, known = first[0], replace(known, detections=first[1])
+    if not known.method.links or isinstance(guess, Turned) or plane.board_type.outline is None:
+        return None
+    rough, of_rows = [], 1.0
+    if isinstance(guess, Hypothesis):
+        of_rows, of_seams = shares_beside(plane, guess.c, problem.links, moved.motion)
+        if max(of_rows, of_seams) <= MOST_BESIDE:
+            return None
+        rough.append(guess)
+    if known.method.marks:
+        angle = expected_angle(plane, typical_camera(scene.cameras), known.expectation)
+        seen = merge_detections(first[1], scene.cameras, moved.motion)
+        rough += find_rough_places(plane, seen, angle, known.expectation)
+    tried = [_without_surroundings(plane, scene, problem, moved, known, place.c) for place in rough]
+    found = [one for one in tried if one is not None]
+    confirmed = [one for one in found if one.left_out.confirmed]
+    if not confirmed and isinstance(guess, Hypothesis):
+        # What lies on the conveyor at a seam is no doubt about the place of the board.
+        return tried[0] if of_rows > MOST_BESIDE else None
+    if not confirmed:
+        every = len(plane.fiducials)
+        confirmed = [one for one in found if _fits(one) >= max(every, _CERTAIN_FIDUCIALS)]
+    return min(confirmed, key=_cost, default=None)
+
+
+def _cost(one: _OwnTexture) -> float:
+    return one.first[0].cost if isinstance(one.first[0], Hypothesis) else np.inf
+
+
+def _fits(one: _OwnTexture) -> int:
+    return len(one.first[0].fiducials) if isinstance(one.first[0], Hypothesis) else 0
+
+
+def _without_surroundings(
+    plane: BoardPlane, scene: Scene, problem: Problem, moved: AdjustmentResult, known: MappingInputs, c: Floats
+) -> _OwnTexture | None:
+    """Estimate the motion from the links on the board that lies as `c` says; None if this gives no C."""
+    coarsest = min(camera.px_per_mm for camera in scene.cameras)
+    on_board = links_on_board(plane, c, problem.links, moved.motion, coarsest)
+    if len(on_board) < _LEAST_OWN_LINKS:
+        return None
+    share = shares_beside(plane, c, problem.links, moved.motion)[0]
+    own = replace(problem, links=problem.links.select(on_board), component=problem.component[on_board])
+    motion = motion_from_links(own, moved.motion)
+    guess = _c_from_detections(plane, scene, motion, replace(known, texture_mm=board_texture(own.links, motion)))
+    outline = _measured_outline(plane, scene, motion.motion, guess)
+    if isinstance(guess, Failure):
+        return None
+    confirmed = (
+        outline is not None
+        and outline.visible
+        and outline_confirmed(plane.board_type, plane.matrix(guess.c), scene, motion.motion)
+    )
+    return _OwnTexture(own, motion, (guess, known.detections, outline), LeftOut(share, confirmed))
 
 
 def _disagreeing_reference(points: FiducialPoints, adjusted: AdjustmentResult) -> Failure | None:

@@ -34,6 +34,9 @@ _TEXTURE_MARGIN_MM = 1.0
 _MOST_OUTSIDE = 0.25
 """Largest share of textured points off the board. If more lie there, C is rejected."""
 _SCALE_LIMIT = 4e-3
+_ROUGH_FACTOR, _MOST_PLACES = 4.0, 6
+"""For places of the board while its motion is uncertain: the factor on the limits of scale and of the distance from a
+candidate, and the largest number of places."""
 _SLACK_MM = 0.15
 
 
@@ -143,6 +146,39 @@ def find_board(
     return Failure(nowhere, ReasonCode.FIDUCIALS_NOT_FOUND)
 
 
+def find_rough_places(
+    plane: BoardPlane, places: FiducialCandidates, angle_rad: float, expectation: Expectation
+) -> list[Hypothesis]:
+    """List the places of the board that the detections allow while the motion is uncertain, the likeliest first.
+
+    The motion may be that of texture at another height beside the board: the scale along the motion is then wrong by
+    up to a per cent. Texture off the board is therefore no argument against a place.
+    """
+    flat, found = plane.fiducials, []
+    kinds = [mark_kinds(plane.board_type).index(kind_of(f, plane.board_type)) for f in plane.board_type.fiducials]
+    mm_per_unit, limit = plane.board_type.mm_per_unit, _ROUGH_FACTOR * _SCALE_LIMIT
+    for i, j in combinations(range(len(flat)), 2):
+        ends = (flat[i], flat[j])
+        for c, pair in _similarities_of_pairs(*ends, places, kinds[i], kinds[j], mm_per_unit, limit):
+            turn = _wrapped(float(np.arctan2(c[1], c[0])) - angle_rad)
+            scale = float(np.hypot(c[0], c[1])) / mm_per_unit - 1
+            if abs(turn) > expectation.angle_tolerance_rad or abs(scale) > limit:
+                continue
+            cost, used = _score_cost(plane, c, places, kinds, pair, (i, j), _ROUGH_FACTOR * _SAME_PLACE_MM)
+            cost += (scale / (_ROUGH_FACTOR * _SCALE_SIGMA)) ** 2 + (2 * turn / expectation.angle_tolerance_rad) ** 2
+            found.append(Hypothesis(c, cost + _place_score_cost(plane, c, np.zeros((0, 2)), expectation), used))
+    found.sort(key=lambda h: h.cost)
+    kept: list[Hypothesis] = []
+    middle = flat.mean(0)[None] if len(flat) else np.zeros((1, 2))
+    for h in found:
+        at = apply_similarity(h.c, middle)[0]
+        if all(np.hypot(*(apply_similarity(k.c, middle)[0] - at)) > 2 * _SAME_PLACE_MM for k in kept):
+            kept.append(h)
+        if len(kept) == _MOST_PLACES:
+            break
+    return kept
+
+
 def assign_fiducials(
     plane: BoardPlane, c: Floats, detections: Sequence[Detections], cameras: Sequence[Camera], motion: Motion
 ) -> FiducialPoints:
@@ -210,7 +246,13 @@ def match_nearest(
 
 
 def _similarities_of_pairs(
-    f: Floats, g: Floats, places: FiducialCandidates, kind_f: int, kind_g: int, mm_per_unit: float
+    f: Floats,
+    g: Floats,
+    places: FiducialCandidates,
+    kind_f: int,
+    kind_g: int,
+    mm_per_unit: float,
+    scale_limit: float = _SCALE_LIMIT,
 ) -> list[tuple[Floats, tuple[int, int]]]:
     """List the ordered pairs of candidates whose distance is that of two fiducials, with the similarity of each pair.
 
@@ -221,7 +263,7 @@ def _similarities_of_pairs(
         return []
     to = complex(*(g - f))
     arrow = (places.mm[og][None, :] - places.mm[of][:, None]) @ np.array([1, 1j])
-    slack = 2 * _SCALE_LIMIT * abs(to) * mm_per_unit + _SLACK_MM
+    slack = 2 * scale_limit * abs(to) * mm_per_unit + _SLACK_MM
     near = np.abs(np.abs(arrow) - abs(to) * mm_per_unit) <= slack
     out = []
     for k, n in np.argwhere(near):
@@ -238,6 +280,7 @@ def _score_cost(
     kinds: list[int],
     pair: tuple[int, int],
     chosen: tuple[int, int],
+    near_mm: float = _SAME_PLACE_MM,
 ) -> tuple[float, tuple[int, ...]]:
     """Compute the cost of the candidates' scores under C; return it with the numbers of the matched fiducials.
 
@@ -250,6 +293,7 @@ def _score_cost(
         kinds: kind of each fiducial.
         pair: the two candidates that define C.
         chosen: the two fiducials that belong to them.
+        near_mm: a candidate nearer to the place of a fiducial than this is matched to it.
     """
     expected = apply_similarity(c, plane.fiducials)
     cost, used = 0.0, []
@@ -261,7 +305,7 @@ def _score_cost(
             continue
         distance = np.where(places.kind == kinds[f], np.hypot(*(places.mm - at).T), np.inf)
         k = int(distance.argmin())
-        if distance[k] < _SAME_PLACE_MM:
+        if distance[k] < near_mm:
             cost += ((1 - places.score[k]) / _SCORE_SIGMA) ** 2
             used.append(f)
         else:

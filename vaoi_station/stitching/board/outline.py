@@ -115,6 +115,17 @@ def measure_outline_shift(
     return _fitted(board.mean(1), normal, steps, _voted(steps, normal))
 
 
+def edge_profiles(board: Floats, scene: Scene, motion: Motion) -> tuple[float, Floats, Floats]:
+    """Measure the steps of grey level across k pieces (k, 2, 2), start and end, mm, of a closed polygon.
+
+    Returns:
+        The distance of samples in mm, the outward normals (k, 2), and the height of the step at each sample
+        (k, samples), from inside to outside; 0 where no frame shows it.
+    """
+    normal = _outward(board)
+    return _STEP_MM, normal, _steps(_profiles(board, normal, scene, motion))
+
+
 def _outward(board: Floats) -> Floats:
     """Compute unit normals (k, 2), pointing away from the board, of the pieces (k, 2, 2) of a closed polygon."""
     along = board[:, 1] - board[:, 0]

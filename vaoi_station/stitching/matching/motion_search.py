@@ -14,11 +14,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.stitching.matching.coarse_search import best_peaks
+from vaoi_station.stitching.matching.coarse_search import Small, best_peaks
 from vaoi_station.stitching.matching.evidence import Links
 from vaoi_station.stitching.matching.frame_pair import FramePair
 from vaoi_station.stitching.matching.link import row_reach_mm
@@ -41,6 +42,9 @@ SIMILAR = 0.75
 """Share of the most links from which on another motion fits as well."""
 APART_MM = 0.5
 """Least difference of two motions. Smaller ones are the same motion, measured on parts that lean."""
+_STATIC_BOX, _STATIC_SHARE = 5, 0.4
+"""Texture stands still where the squared difference of two frames, over a square of `_STATIC_BOX` reduced pixels, is
+less than the share `_STATIC_SHARE` of the sum of their squares. It is 1 for unrelated texture."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,30 +58,42 @@ class _Sums:
     """Number of common pixels, as a share of the frame."""
 
 
-def candidate_motions(pairs: Sequence[FramePair]) -> list[Floats]:
+@dataclass(frozen=True, eq=False)
+class _Reduced:
+    """A pair of frames, and its reduced, high-passed copies that are correlated."""
+
+    pair: FramePair
+    a: Small
+    b: Small
+
+
+def candidate_motions(pairs: Sequence[FramePair], *, moving: bool = False) -> list[Floats]:
     """Return motions (2,) in mm of the board from rows p to q that fit their pictures, the most likely first.
 
     Args:
         pairs: the frames of rows p and q of each camera; `shift_mm` is the nominal motion, which gives direction and
             range.
+        moving: leave out what both frames show in the same place, so that texture which stands still beside the board
+            does not outweigh the board.
     """
-    textured = [pair for pair in pairs if min(_contrast(pair.a.coarse), _contrast(pair.b.coarse)) >= _MIN_CONTRAST]
+    reduced = [_Reduced(pair, *(_moving(pair) if moving else (pair.a.coarse, pair.b.coarse))) for pair in pairs]
+    textured = [one for one in reduced if min(_contrast(one.a), _contrast(one.b)) >= _MIN_CONTRAST]
     if not textured:
         return []
-    nominal = textured[0].shift_mm
+    nominal = textured[0].pair.shift_mm
     way = float(np.hypot(*nominal))
     if way <= 0:
         return []
     along = np.asarray(nominal) / way
-    cell = max(pair.a.factor / pair.camera_a.px_per_mm for pair in textured)
+    cell = max(one.pair.a.factor / one.pair.camera_a.px_per_mm for one in textured)
     # whole cells, so that a motion of exactly 0 is one of the samples
     u = np.arange(-math.ceil(_BACK_MM / cell) - 1, math.ceil(FASTEST * way / cell) + 2) * cell
     v = np.arange(-math.ceil(_ACROSS_MM / cell), math.ceil(_ACROSS_MM / cell) + 1) * cell
     across = np.array([-along[1], along[0]])
     motion = u[None, :, None] * along + v[:, None, None] * across
     products, energy_a, energy_b, overlap = (np.zeros(motion.shape[:2]) for _ in range(4))
-    for pair in textured:
-        sums, (at, within) = _correlated(pair), _pixels(pair, motion)
+    for one in textured:
+        sums, (at, within) = _correlated(one), _pixels(one.pair, motion)
         products += np.where(within, sums.products[at], 0.0)
         energy_a += np.where(within, sums.energy_a[at], 0.0)
         energy_b += np.where(within, sums.energy_b[at], 0.0)
@@ -91,13 +107,21 @@ def candidate_motions(pairs: Sequence[FramePair]) -> list[Floats]:
     return [(u[0] + x * cell) * along + (v[0] + y * cell) * across for s, x, y in peaks if s >= _MIN_SCORE]
 
 
-def _contrast(coarse: np.ndarray) -> float:
+def _contrast(coarse: Small) -> float:
     return math.sqrt(float(np.vdot(coarse, coarse)) / max(coarse.size, 1))
 
 
-def _correlated(pair: FramePair) -> _Sums:
+def _moving(pair: FramePair) -> tuple[Small, Small]:
+    """Return the reduced copies of the frames of a pair, with 0 where both show the same."""
+    a, b = pair.a.coarse, pair.b.coarse
+    apart, both = (cv2.boxFilter(x, -1, (_STATIC_BOX, _STATIC_BOX)) for x in ((a - b) ** 2, a * a + b * b))
+    moves = apart > _STATIC_SHARE * both
+    return a * moves, b * moves
+
+
+def _correlated(pair: _Reduced) -> _Sums:
     """Correlate the reduced frames of a pair at all shifts, by Fourier transforms with zeros beside the frames."""
-    a, b = (np.asarray(frame.coarse, dtype=np.float64) for frame in (pair.a, pair.b))
+    a, b = (np.asarray(coarse, dtype=np.float64) for coarse in (pair.a, pair.b))
     # half a frame more would do for most shifts; the whole frame is certain
     shape = (a.shape[0] + b.shape[0], a.shape[1] + b.shape[1])
     inside_a, inside_b = np.ones(a.shape), np.ones(b.shape)

@@ -25,8 +25,8 @@ from vaoi_station.stitching.matching.motion_search import (
     has_rival,
     possible_motions,
 )
-from vaoi_station.stitching.matching.patches import inside_both, match_patches, patch_centres
 from vaoi_station.stitching.matching.scene import Scene
+from vaoi_station.stitching.matching.static_texture import STATIC_PX, shows_patches, static_corners
 
 _AGREE_MM = 0.5
 """Largest distance from the median at which links of two rows agree. Parts that lean, and turns, cause it."""
@@ -40,9 +40,9 @@ _BETTER = 2.0
 """By which factor the agreeing links around a motion found must outnumber those around the nominal motion."""
 _REST_MM = 1.0
 """Motion between two rows up to which the board counts as at rest. The scene's static structure is then excluded."""
-_STATIC_PX, _STATIC_SCORE = 1.5, 0.8
-"""A link is static if its patch shows in the same place, within `_STATIC_PX` px and with a correlation of at least
-`_STATIC_SCORE`, in a row before or after the board was at rest."""
+_NEAR_PX, _CONTINUES = 4.0, 0.2
+"""A patch at rest moves on with the board if it shows within `_NEAR_PX` px of its place after the motion of the next
+row. The texture at rest is the board's if at least the share `_CONTINUES` of its patches do."""
 
 
 class RowLinks(NamedTuple):
@@ -67,11 +67,13 @@ class _Found:
     """Whether another motion fits as well, because the pattern repeats itself."""
     repeated: bool = False
     """Whether the pattern of a camera repeats itself, so that its coarse search is no evidence."""
+    still: int = 0
+    """Number of the tried corners that both rows show in the same place."""
 
     @property
     def certain(self) -> bool:
         """Whether so large a share of the links agrees that false links cannot explain it."""
-        return _certain(self.agreeing, sum(e.tried for e in self.links))
+        return _certain(self.agreeing, max(sum(e.tried for e in self.links) - self.still, self.agreeing))
 
     def agreeing_with(self, other: _Found) -> bool:
         """Whether these links are at least as many around the motion of another search."""
@@ -150,12 +152,62 @@ class _Relinker:
         `before` is the number of agreeing links around the nominal motion.
         """
         nominal = self.velocity_mm_s * (self.times_s[q] - self.times_s[p])
+        pairs = self.pairs(p, q, nominal)
         found = []
-        for motion in candidate_motions([pair for _, pair in self.pairs(p, q, nominal)]):
+        for motion in candidate_motions([pair for _, pair in pairs]):
             one = self.link(p, q, motion)
             if one.certain and one.agreeing >= _BETTER * before:
                 found.append(one)
+        if any(one.at_rest for one in found):
+            # Texture that stands still may be that of the belt or of its frame, and outweigh a board that moves.
+            found += self._search_moving(p, q, before, pairs)
         return sorted(found, key=lambda one: -one.agreeing)
+
+    def _search_moving(self, p: int, q: int, before: int, pairs: Sequence[tuple[Task, FramePair]]) -> list[_Found]:
+        """Search the motion of what does not stand still between rows p and q."""
+        found = []
+        for motion in candidate_motions([pair for _, pair in pairs], moving=True):
+            # A search for the shift of each pair of frames would find texture that stands still.
+            here = self.pairs(p, q, motion)
+            one = self.counted(motion, tuple(link_in_place(task, pair) for task, pair in here))
+            still = sum(static_corners(pair) for _, pair in here)
+            one = replace(one, still=still)
+            if one.certain and not one.at_rest and one.agreeing >= _BETTER * before:
+                found.append(one)
+        return found
+
+    def continues(self, group: Sequence[tuple[int, int]]) -> bool | None:
+        """Return whether texture at rest moves along before or after the rest, as that of a board does.
+
+        Texture of the belt's frame does not, and the board may cover it meanwhile. None if too little is in view.
+        """
+        first, last = self.rows.index(group[0][0]), self.rows.index(group[-1][1])
+        tested = shown = 0
+        for at, to in ((first, first - 1), (last, last + 1)):
+            if not 0 <= to < len(self.rows):
+                continue
+            row, other = self.rows[at], self.rows[to]
+            motion = self.step_mm[other, row] * -1 if to < at else self.step_mm[row, other]
+            if float(np.hypot(*motion)) < _REST_MM:
+                continue
+            beside = self.rows[at + 1] if to < at else self.rows[at - 1]
+            for task, pair in self.pairs(row, beside, np.zeros(2)) if to < at else self.pairs(beside, row, np.zeros(2)):
+                links = link_in_place(task, pair)
+                k, n = self._moved_on(task.a[0], (row, other), links.a_px if to < at else links.b_px, motion)
+                shown, tested = shown + k, tested + n
+        if tested < _FEW:
+            return None
+        return shown >= max(_FEW / 2, _CONTINUES * tested)
+
+    def _moved_on(self, camera: int, rows: tuple[int, int], px: Floats, motion_mm: Floats) -> tuple[int, int]:
+        """Return how many of the patches at `px` (k, 2) of a row another row shows after a motion, and of how many."""
+        present = set(self.scene.present)
+        if not len(px) or (camera, rows[1]) not in present:
+            return 0, 0
+        a, b = (self.scene.prepared((camera, row)) for row in rows)
+        guess = FramePair(a, b, self.scene.cameras[camera], self.scene.cameras[camera], motion_mm).predict(px)
+        shows, inside = shows_patches(a.grey, b.grey, px, guess, _NEAR_PX)
+        return int(shows.sum()), int(inside.sum())
 
     def without_static(self, one: _Found, outside: Sequence[int]) -> _Found:
         """Remove the links of texture that stays in its place in a row of `outside`: it is not on the board."""
@@ -166,7 +218,8 @@ class _Relinker:
             a = self.scene.prepared(e.task.a).grey
             for row in outside:
                 if (e.task.a[0], row) in present and len(e.a_px):
-                    moving &= ~_shows(a, self.scene.prepared((e.task.a[0], row)).grey, e.a_px)
+                    other = self.scene.prepared((e.task.a[0], row)).grey
+                    moving &= ~shows_patches(a, other, e.a_px, e.a_px, STATIC_PX)[0]
             kept.append(_selected(e, moving))
         return self.counted(one.motion_mm, tuple(kept))
 
@@ -251,15 +304,19 @@ def _exclude_static(
 ) -> None:
     """Remove the links of the scene's static structure from rows at rest; what remains decides whether they rest.
 
-    The belt's frame and reflections of the LEDs are in the same place in every row; the board is not. A board that
-    rests from the first row to the last one cannot be distinguished from them, and is taken as a board.
+    The belt's frame, a bed with texture, and reflections of the LEDs are in the same place in every row; the board is
+    not: its texture moves on before or after the rest. A board that rests from the first row to the last one cannot be
+    distinguished from them. It is taken as a board, unless anything else in these rows moves.
     """
     first, last = run.rows.index(group[0][0]), run.rows.index(group[-1][1])
     outside = [*run.rows[max(first - 1, 0) : first], *run.rows[last + 1 : last + 2]]
+    continues = run.continues(group)
+    if continues is None and not outside:
+        continues = not any(not one.at_rest for step in group for one in candidates.get(step, ()))
     for step in group:
         moving = run.without_static(found[step], outside)
         others = [one for one in candidates.get(step, ()) if not one.at_rest]
-        if moving.certain:
+        if moving.certain and continues is not False:
             found[step] = moving
         elif others:
             found[step] = others[0]
@@ -304,18 +361,6 @@ def _agreeing(motion_mm: Floats) -> int:
 def _certain(agreeing: int, tried: int) -> bool:
     """Return whether false links to similar texture cannot explain that number of agreeing links."""
     return (agreeing >= _CERTAIN and agreeing >= _SHARE * tried) or (agreeing >= _FEW and agreeing >= _MOST * tried)
-
-
-def _shows(a: np.ndarray, b: np.ndarray, a_px: Floats) -> np.ndarray:
-    """Return (k,) whether image b shows the patches of image a, centred at a_px (k, 2), in the same place."""
-    corners, out = np.rint(a_px - 0.5).astype(np.int64), np.zeros(len(a_px), dtype=np.bool_)
-    inside, guess = inside_both(a.shape, b.shape, corners, patch_centres(corners))
-    if len(inside):
-        m = match_patches(a, b, inside, guess)
-        same = m.found & (m.score >= _STATIC_SCORE) & (np.hypot(*(m.b_px - guess).T) <= _STATIC_PX)
-        static = {(x, y) for x, y in inside[same].tolist()}
-        out = np.array([(x, y) in static for x, y in corners.tolist()], dtype=np.bool_)
-    return out
 
 
 def _selected(e: Links, keep: np.ndarray) -> Links:

@@ -302,6 +302,18 @@ def _invisible_outline(b: _Placed) -> Iterator[Reason]:
 
 
 def _texture_off_the_board(b: _Placed) -> Iterator[Reason]:
+    left_out = b.mapping.left_out
+    if left_out is not None:
+        # The pictures show where the board ends: what lies beside it is a carrier or the belt.
+        if not left_out.confirmed:
+            yield Reason(
+                ReasonCode.TEXTURE_OFF_BOARD,
+                f"{left_out.share:.0%} of the texture lies off the board (limit {_OUTSIDE_LIMIT:.0%}), and the board's "
+                "edges do not show where they should be: the board is of another type or turned, or it rides in a "
+                "carrier or on a belt that is as bright as its edge; compare the outline of the board type with the "
+                "board, and use a carrier that is brighter or darker",
+            )
+        return
     o, adjusted = b.findings.problem.links, b.findings.adjusted
     # Only links from row to row are used. Their points move with the board; those of a seam may lie on the conveyor.
     use = (adjusted.weight > 0.5) & (o.p != o.q)

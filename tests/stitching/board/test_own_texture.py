@@ -1,0 +1,116 @@
+"""Texture beside the board: carriers and belts with texture, on films of the twin with known truth."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vaoi_station.model import BoardType, ReasonCode, Status
+from vaoi_station.simulation import Scenario, Twin, read_scenario, scenario_path
+from vaoi_station.stitching.adjustment.motion import Motion
+from vaoi_station.stitching.board.board_plane import BoardPlane
+from vaoi_station.stitching.board.own_texture import beside, outline_confirmed
+from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
+from vaoi_station.stitching.matching.scene import Scene
+from vaoi_station.stitching.work import StitchSetup, TaskRunner, all_tasks
+
+MARKS = ((-5.0, 4.0), (-5.0, 34.4), (65.0, 20.0), (30.0, -5.0), (30.0, 45.0))
+
+
+def filmed_with(**sections: dict[str, Any]) -> tuple[Twin, Any, Any]:
+    """Film the small board with other surroundings; return the twin, the passage and the result."""
+    document = read_scenario(scenario_path("small")).model_dump()
+    for name, section in sections.items():
+        document[name] = document[name] | section
+    twin = Twin(Scenario.model_validate(document))
+    passage = twin.passage(0)
+    head, frames = passage.head(), passage.render_all()
+    setup = StitchSetup(
+        twin.calibration.cameras(head.cameras), head.conveyor_mm_s, head.trigger_period_s, twin.board_type
+    )
+    runner, times = TaskRunner(setup, lambda i, j: frames.get((i, j))), head.row_times_s()
+    evidence = [runner.perform(task) for task in all_tasks(frames, dict(enumerate(times)), setup)]
+    return twin, passage, runner.conclude(times, tuple(frames), evidence)
+
+
+def worst_px(result: Any, passage: Any) -> float:
+    ours = {(ref, i, j): (x, y) for ref, views in result.components.items() for i, j, x, y in views}
+    off = [
+        np.hypot(ours[ref, i, j][0] - x, ours[ref, i, j][1] - y)
+        for ref, views in passage.truth()["views"].items()
+        for i, j, x, y in views
+    ]
+    return float(max(off))
+
+
+BELTS: dict[str, dict[str, Any]] = {
+    "dirty belt": {"texture": {"sigma_grey": 15.0}},
+    "dirty belt below": {"texture": {"sigma_grey": 15.0, "below_mm": 1.6}},
+    "bed with texture": {"texture": {"sigma_grey": 30.0, "follows": 0.0}},
+    "bed below": {"texture": {"sigma_grey": 15.0, "follows": 0.0, "below_mm": 1.6}},
+    "half the speed": {"texture": {"sigma_grey": 15.0, "follows": 0.5, "below_mm": 1.6}},
+    "carrier with marks": {"carrier": {"rim_mm": 9.0, "marks": [{"x_mm": x, "y_mm": y} for x, y in MARKS]}},
+    "dark carrier below": {"carrier": {"rim_mm": 9.0, "grey": 25.0, "sigma_grey": 15.0, "below_mm": 1.6}},
+    "few parts on a bed": {
+        "board": {"density": 0.1, "width_mm": 36.0},
+        "texture": {"sigma_grey": 15.0, "follows": 0.0},
+    },
+}
+
+
+@pytest.mark.parametrize("sections", BELTS.values(), ids=BELTS)
+def test_texture_beside_the_board_does_not_move_it(sections: dict[str, dict[str, Any]]) -> None:
+    _, passage, result = filmed_with(**sections)
+    assert result.status is Status.OK, result.reasons
+    assert worst_px(result, passage) < 0.2
+
+
+def test_a_carrier_as_bright_as_the_board_is_named() -> None:
+    """The place is right, but no picture confirms where the board ends."""
+    _, passage, result = filmed_with(carrier={"rim_mm": 9.0, "grey": 60.0})
+    assert result.status is Status.DEGRADED
+    assert ReasonCode.TEXTURE_OFF_BOARD in result.reason_codes
+    assert any("as bright as its edge" in reason for reason in result.reasons), result.reasons
+    assert worst_px(result, passage) < 0.2
+
+
+def plane_of(outline: list[list[float]], **keys: Any) -> BoardPlane:
+    data = {"name": "b", "unit": "mm", "y_axis": "up", "side": "top"}
+    return BoardPlane(BoardType.model_validate(data | {"outline": outline, "fiducials": []} | keys), mirrored=False)
+
+
+C = np.array([1.0, 0.0, 5.0, 0.0])
+"""C that shifts the board by 5 mm along x."""
+
+
+def test_points_beside_any_outline_are_known() -> None:
+    box = plane_of([[0, 0], [20, 10]])
+    points = np.array([[10.0, 5.0], [5.5, 5.0], [4.5, 5.0], [3.0, 5.0], [15.0, 12.0]])
+    assert beside(box, C, points).tolist() == [False, False, False, True, True]
+    assert beside(box, C, points, -1.0).tolist() == [False, True, True, True, True]
+    # an L: the corner that is cut out lies beside the board
+    ell = plane_of([[0, 0], [20, 0], [20, 4], [8, 4], [8, 10], [0, 10]])
+    assert beside(ell, C, np.array([[9.0, 8.0], [20.0, 8.0]])).tolist() == [False, True]
+
+
+def test_nothing_is_beside_a_board_without_an_outline() -> None:
+    data = {"name": "b", "unit": "mm", "y_axis": "up", "side": "top"}
+    unknown = BoardPlane(BoardType.model_validate(data | {"fiducials": []}), mirrored=False)
+    assert not beside(unknown, C, np.array([[1e3, 1e3]])).any()
+
+
+@pytest.mark.parametrize(("shift_mm", "confirmed"), [(0.0, True), (0.2, True), (2.0, False), (-3.0, False)])
+def test_an_outline_is_confirmed_only_in_its_place(shift_mm: float, confirmed: bool) -> None:
+    twin, passage, result = filmed_with(texture={"sigma_grey": 15.0})
+    head, frames = passage.head(), passage.render_all()
+    scene = Scene(twin.calibration.cameras(head.cameras), tuple(sorted(frames)), lambda key: PreparedFrame(frames[key]))
+    poses = [np.asarray(d) for d in passage.truth()["row_motion"]]
+    angle = np.array([-np.arctan2(d[1, 0], d[0, 0]) for d in poses])
+    shift = np.array([np.linalg.inv(d)[:2, 2] for d in poses])
+    cad = np.array(passage.truth()["cad_matrix"])
+    cad[:2, 2] += shift_mm
+    motion = Motion(angle, shift, np.zeros(2))
+    assert outline_confirmed(twin.board_type, cad, scene, motion) is confirmed
+    assert result.status is Status.OK

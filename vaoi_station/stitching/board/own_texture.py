@@ -1,0 +1,99 @@
+"""Separate the texture of the board from that of its surroundings: a carrier, a pallet, a dirty or textured belt.
+
+Texture beside the board may move with it, stand still, or lie at another height, so that its links contradict those of
+the board. The outline in the CAD data decides which links lie on the board. That is only valid where the pictures
+confirm the outline: each of its sides that is in view shows an edge where C puts it, and not some mm beside.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.geometry.transforms import Floats, apply
+from vaoi_station.model import BoardType
+from vaoi_station.stitching.adjustment.motion import Motion
+from vaoi_station.stitching.adjustment.observations import Observations
+from vaoi_station.stitching.board.board_plane import BoardPlane
+from vaoi_station.stitching.board.orientation import outline_polygons, straight_pieces, subsample_pieces
+from vaoi_station.stitching.board.outline import edge_profiles
+from vaoi_station.stitching.matching.scene import Scene
+
+MOST_BESIDE = 0.03
+"""Largest share of links beside the board that the robust weights of the adjustment are left to deal with."""
+_MARGIN_MM = 1.0
+"""Links further from the outline than this lie beside the board, whatever the errors of C and of machining."""
+_HALF_PATCH_PX = 12.0
+"""Links nearer to the outline than this, on the board, measure a mixture of board and surroundings."""
+_EDGE_NEAR_MM = 0.5
+"""Largest distance between the edge of a side in the pictures and its place by C: machining, and C from fiducials."""
+_QUANTILE = 0.25
+"""The step of a side is this quantile over its pieces: an edge runs along all of them, rows of pads along some."""
+_LEAST_EDGE = 4.0
+"""Least step of a side at its edge, in grey levels."""
+_STANDS_OUT = 1.15
+"""Least ratio between the step at the edge of a side and the largest step beside it, further than twice the limit."""
+_LEAST_PIECES = 2
+"""Least number of pieces of a side in view that show whether there is an edge."""
+
+
+def beside(plane: BoardPlane, c: Floats, board_mm: Floats, margin_mm: float = _MARGIN_MM) -> NDArray[np.bool_]:
+    """Return which board points (k, 2), mm, lie outside the outline by more than a margin; none without an outline.
+
+    With a negative margin, points inside the outline and nearer to it than the margin count as outside too.
+    """
+    polygons = outline_polygons(plane.board_type)
+    # A board type with fixture marks describes its carrier: links there are meant to be used.
+    if not polygons or plane.board_type.fixture_marks:
+        return np.zeros(len(board_mm), np.bool_)
+    cad = apply(np.linalg.inv(plane.matrix(c)), board_mm)
+    ends = polygons[0]
+    inside, near = np.zeros(len(cad), np.bool_), np.full(len(cad), np.inf)
+    x, y = cad.T
+    for (ax, ay), (bx, by) in zip(ends, np.roll(ends, -1, 0), strict=True):
+        way = np.array([bx - ax, by - ay])
+        crosses = (ay > y) != (by > y)
+        # A ray to the right crosses the outline of a simple polygon an odd number of times from inside.
+        inside ^= crosses & (x < ax + (y - ay) * way[0] / (way[1] if way[1] else np.inf))
+        along = np.clip(((x - ax) * way[0] + (y - ay) * way[1]) / max(float(way @ way), 1e-12), 0, 1)
+        near = np.minimum(near, np.hypot(x - ax - along * way[0], y - ay - along * way[1]))
+    depth = np.where(inside, near, -near) * plane.board_type.mm_per_unit
+    return np.asarray(depth < -margin_mm)
+
+
+def shares_beside(plane: BoardPlane, c: Floats, links: Observations, motion: Motion) -> tuple[float, float]:
+    """Return which shares of the links between rows, and of those between cameras, lie beside the board."""
+    off, between = beside(plane, c, motion.board(links.p, links.a_mm)), links.p == links.q
+    rows, seams = off[~between], off[between]
+    return (float(rows.mean()) if len(rows) else 0.0), (float(seams.mean()) if len(seams) else 0.0)
+
+
+def links_on_board(
+    plane: BoardPlane, c: Floats, links: Observations, motion: Motion, px_per_mm: float
+) -> NDArray[np.int_]:
+    """Return the indices of the links whose patches lie wholly on the board."""
+    half = _HALF_PATCH_PX / px_per_mm
+    return np.flatnonzero(~beside(plane, c, motion.board(links.p, links.a_mm), -half))
+
+
+def outline_confirmed(board_type: BoardType, cad_matrix: Floats, scene: Scene, motion: Motion) -> bool:
+    """Return whether every side of the outline that is in view shows its edge where C (`cad_matrix`) puts it."""
+    pieces = straight_pieces(outline_polygons(board_type), board_type.mm_per_unit)
+    if not len(pieces):
+        return False
+    pieces = pieces[subsample_pieces(len(pieces))]
+    step_mm, normal, steps = edge_profiles(apply(cad_matrix, pieces), scene, motion)
+    offset = (np.arange(steps.shape[1]) - steps.shape[1] // 2) * step_mm
+    at_edge, away = np.abs(offset) <= _EDGE_NEAR_MM, np.abs(offset) > 2 * _EDGE_NEAR_MM
+    seen = (steps > 0).mean(1) > 0.5
+    side = np.rint(np.arctan2(normal[:, 1], normal[:, 0]) / (np.pi / 4)).astype(int) % 8
+    sides = 0
+    for one in np.unique(side[seen]).tolist():
+        mine = steps[seen & (side == one)]
+        if len(mine) < _LEAST_PIECES:
+            continue
+        common = np.quantile(mine, _QUANTILE, axis=0)
+        if common[at_edge].max() < max(_LEAST_EDGE, _STANDS_OUT * common[away].max()):
+            return False
+        sides += 1
+    return sides > 0
