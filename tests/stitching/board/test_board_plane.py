@@ -98,3 +98,17 @@ def test_most_cameras_decide_what_is_upright(workshop: Any, rolls_deg: tuple[flo
     """A camera that is mounted otherwise than the rest does not see the board as it is expected."""
     cameras = [workshop.camera(angle_rad=math.radians(roll)) for roll in rolls_deg]
     assert typical_camera(cameras) is cameras[typical]
+
+
+@pytest.mark.parametrize("y_up", [False, True])
+@pytest.mark.parametrize("rolls_deg", [(10, -10, 10), (190, 170, 190), (100, 80)])
+def test_if_all_cameras_are_rolled_the_axes_of_the_tester_are_upright(
+    workshop: Any, rolls_deg: tuple[float, ...], y_up: bool
+) -> None:
+    cameras = [workshop.camera(angle_rad=math.radians(roll), y_up=y_up) for roll in rolls_deg]
+    upright = workshop.camera(angle_rad=math.radians(round(rolls_deg[0] / 90) * 90), y_up=y_up)
+    plane = board_plane(board(), upright)
+    for turn in (0.0, 0.4):
+        expected = expected_angle(plane, upright, Expectation(angle_rad=turn))
+        found = expected_angle(plane, typical_camera(cameras), Expectation(angle_rad=turn))
+        assert math.cos(found - expected) == pytest.approx(1.0, abs=1e-9)

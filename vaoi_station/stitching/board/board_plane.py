@@ -7,13 +7,13 @@ so that the rest of the stitching computes with rotations only.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from vaoi_station.geometry import Camera
-from vaoi_station.geometry.transforms import Floats
+from vaoi_station.geometry.transforms import Floats, Projective, System
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.board.component_index import ComponentIndex
 from vaoi_station.stitching.board.expectation import Expectation
@@ -67,17 +67,32 @@ def board_plane(board_type: BoardType, camera: Camera) -> BoardPlane:
 
 
 def typical_camera(cameras: Sequence[Camera]) -> Camera:
-    """Return a camera that is mounted as most cameras of the array are; the first one, if it is mounted so.
+    """Return a camera that sees the board as most cameras of the array do; the first one, if all are mounted alike.
 
-    A board lies as expected "as the camera sees it", which a camera that is mounted upside down or rolled does not.
+    A board lies as expected "as the camera sees it", which a camera that is mounted upside down or rolled does not. In
+    an array of unlike cameras, most of them decide the quarter turn, and the tester's axes the rest: the camera that is
+    returned is one that is mounted so, or the first one rolled accordingly.
     """
     directions = np.array([_image_x(c) for c in cameras])
+    if (np.cos(directions - directions[0]) >= np.cos(_ALIKE_RAD)).all():
+        return cameras[0]
     agreement = np.cos(directions[:, None] - directions).sum(1)
-    # Equal sums differ by rounding only. Of two cameras, the one that is not rolled against the tester's axes counts.
-    equal = np.flatnonzero(agreement >= agreement.max() - _ROUNDING)
-    upright = np.abs(np.cos(2 * directions[equal])) >= np.cos(2 * _ALIKE_RAD)
-    most = int(equal[upright][0] if upright.any() else equal[0])
-    return cameras[0] if np.cos(directions[0] - directions[most]) >= np.cos(_ALIKE_RAD) else cameras[most]
+    # equal sums differ by rounding only
+    most = directions[np.flatnonzero(agreement >= agreement.max() - _ROUNDING)[0]]
+    upright = np.round(most / (np.pi / 2)) * (np.pi / 2)
+    nearest = int(np.argmax(np.round(np.cos(directions - upright), 3)))
+    if np.cos(directions[nearest] - upright) >= np.cos(_ALIKE_RAD):
+        return cameras[nearest]
+    return _rolled(cameras[0], upright - directions[0])
+
+
+def _rolled(camera: Camera, angle_rad: float) -> Camera:
+    """Return a camera that is rolled about its centre, so that image x turns by an angle in tester coordinates."""
+    turn = angle_rad if camera.image_from_row.mirrors else -angle_rad
+    (u, v), c, s = camera.center_px, np.cos(turn), np.sin(turn)
+    rolled = np.array([[c, -s, u - c * u + s * v], [s, c, v - s * u - c * v], [0.0, 0.0, 1.0]])
+    matrix = Projective(rolled @ camera.image_from_row.matrix, System.IMAGE, System.ROW)
+    return replace(camera, image_from_row=matrix)
 
 
 def _image_x(camera: Camera) -> float:
