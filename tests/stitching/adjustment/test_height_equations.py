@@ -46,8 +46,9 @@ def test_with_exact_cameras_there_is_no_coupling_to_them() -> None:
 
 def test_the_prior_pulls_heights_to_zero() -> None:
     tied = coupled([1, 3], [0, 2], [1, 3], [0, 1])
-    heights = tied.equations(np.array([0.0, 1.0, -2.0, 0.0, 0.0]), 0.5)
+    heights = tied.equations(np.array([0.0, 1.0, -2.0, 0.0, 0.0]), 0.5, 0.1)
     assert heights.right / heights.normal == pytest.approx([0.0, -1.0, 2.0, 0.0, 0.0])
+    assert heights.normal == pytest.approx([4.0, 4.0, 100.0, 4.0, 4.0]), "a part does not stand below the board"
     assert not heights.entries.any()
     assert height_changes(tied, heights, np.ones(SIZE)) == pytest.approx([0.0, -1.0, 2.0, 0.0, 0.0])
 
@@ -63,7 +64,7 @@ def columns_of(tied: Coupling, c: int, count: int) -> NDArray[np.int_]:
 def test_elimination_gives_the_solution_of_the_whole_system() -> None:
     g = np.random.default_rng(1)
     tied = coupled([0, 0, 2, 2, 4], [0, 1, 1, 2, 3], [1, 1, 2, 3, 3], [0, 0, 1, 1, 1])
-    heights = tied.equations(g.normal(0, 1, PARTS), 1.0)
+    heights = tied.equations(g.normal(0, 1, PARTS), 1.0, 1.0)
     heights.entries[:] = g.normal(0, 1, len(heights.entries))
     heights.normal[:] += 30.0
     heights.right[:] = g.normal(0, 1, PARTS)

@@ -33,6 +33,7 @@ ROWS, LINKS, BASIS, PARTS, CAMERAS = 4, 60, 3, 5, 3
 AT_CAMERAS = 3 * ROWS + BASIS
 SIZE = AT_CAMERAS + 3 * CAMERAS
 TOTAL = SIZE + PARTS
+NONE_RAISED = np.zeros(LINKS, np.bool_)
 
 
 @dataclass
@@ -132,7 +133,7 @@ def test_normal_equations_are_those_of_the_linearised_residuals(scene: Scene) ->
     state.weight[:] = np.stack([matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 1]], -1)
     tied = coupling(scene, scene.model.component)
     envelope = Envelope.of(np.full(ROWS, ROWS - 1), BASIS + 3 * CAMERAS)
-    normal, heights = envelope.zeros(), tied.equations(np.zeros(PARTS), 1.0)
+    normal, heights = envelope.zeros(), tied.equations(np.zeros(PARTS), 1.0, 1.0)
     model = LinkModel(scene.model, tied, scene.pairs, scene.effects)
     add_links(scene.links, scene.motion(unknowns), model, state, heights, normal)
 
@@ -169,7 +170,7 @@ def test_without_cameras_the_equations_are_those_of_rows_and_surface(scene: Scen
         state, tied = scene.evaluate(unknowns), coupling(scene, scene.model.component, column)
         state.weight[:] = (1.0, 0.2, 2.0)
         envelope = Envelope.of(np.full(ROWS, ROWS - 1), others)
-        normal, heights = envelope.zeros(), tied.equations(np.zeros(PARTS), 1.0)
+        normal, heights = envelope.zeros(), tied.equations(np.zeros(PARTS), 1.0, 1.0)
         model = LinkModel(scene.model, tied, scene.pairs, scene.effects)
         add_links(scene.links, scene.motion(unknowns), model, state, heights, normal)
         eliminate_heights(tied, heights, normal)
@@ -183,7 +184,7 @@ def test_weights_follow_from_noise_noise_floor_and_length(scene: Scene) -> None:
     state.residual[:] = np.random.default_rng(7).normal(0, 0.1, (LINKS, 2))
     kind = (scene.links.p == scene.links.q).astype(np.int_)
     floor, shared = np.array([0.3, 0.6]), np.array([0.1, 0.2])
-    compute_weights(scene.links, NoiseModel(kind, floor, shared, 2.0, 6.0), int(group.max()) + 1, state)
+    compute_weights(scene.links, NoiseModel(kind, floor, shared, 2.0, 6.0, NONE_RAISED), int(group.max()) + 1, state)
     information = 1 / (np.array([1e-4, 4e-4]) + ((floor[kind] / px) ** 2)[:, None])
     chi = np.sqrt((state.residual**2 * information).sum(1) / 2)
     assert state.sigma == pytest.approx(chi)
@@ -198,7 +199,37 @@ def test_weights_follow_from_noise_noise_floor_and_length(scene: Scene) -> None:
 def test_links_of_one_pair_never_weigh_more_than_their_common_error_allows(scene: Scene) -> None:
     state, group = LinkState.zeros(LINKS), scene.links.group
     shared_px = 0.4
-    noise = NoiseModel(np.zeros(LINKS, np.int_), np.array([0.01]), np.array([shared_px]), 2.0, 6.0)
+    noise = NoiseModel(np.zeros(LINKS, np.int_), np.array([0.01]), np.array([shared_px]), 2.0, 6.0, NONE_RAISED)
     compute_weights(scene.links, noise, int(group.max()) + 1, state)
     limit = 2 / (shared_px / 20.0) ** 2
     assert (np.bincount(group, state.weight[:, 0] + state.weight[:, 2]) <= limit * (1 + 1e-12)).all()
+
+
+def weights_of(scene: Scene, raised: NDArray[np.bool_], residual: Array) -> LinkState:
+    """Compute the weights of links whose residual changes by 0.1 mm in x per mm of height."""
+    state = LinkState.zeros(LINKS)
+    state.residual[:], state.lean[:] = residual, (0.1, 0.0)
+    noise = NoiseModel(np.zeros(LINKS, np.int_), np.array([0.01]), np.array([0.0]), 2.0, 6.0, raised)
+    compute_weights(scene.links, noise, int(scene.links.group.max()) + 1, state)
+    return state
+
+
+def test_only_a_point_above_the_modelled_height_loses_weight_along_its_lean(scene: Scene) -> None:
+    """A point 0.5 mm above the board is explained by a height of its own; one below the board is an error."""
+    every = np.ones(LINKS, np.bool_)
+    above, below = np.array([-0.05, 0.0]), np.array([0.05, 0.0])
+    plain, raised = weights_of(scene, NONE_RAISED, above), weights_of(scene, every, above)
+    assert (raised.weight[:, 0] < 0.1 * plain.weight[:, 0] / np.maximum(plain.robust, 1e-9)).all()
+    assert (raised.robust == 1).all(), "the height explains the residual: it is no outlier"
+    assert raised.weight[:, 2] == pytest.approx(weights_of(scene, NONE_RAISED, np.zeros(2)).weight[:, 2])
+    for state in ("sigma", "robust", "weight"):
+        values = [getattr(weights_of(scene, flags, below), state) for flags in (every, NONE_RAISED)]
+        assert values[0] == pytest.approx(values[1])
+
+
+def test_the_weight_of_a_raised_link_falls_without_a_step(scene: Scene) -> None:
+    every = np.ones(LINKS, np.bool_)
+    heights = np.linspace(-0.05, 0.5, 400)
+    along = np.array([weights_of(scene, every, np.array([-0.1 * h, 0.0])).weight[0, 0] for h in heights])
+    assert np.abs(np.diff(along)).max() < 0.05 * along.max()
+    assert (np.diff(along) <= 1e-9 * along.max()).all()

@@ -58,13 +58,14 @@ class Coupling(NamedTuple):
         at = np.append(0, np.cumsum(width))
         return Coupling(first, last, camera, at, columns.surface, columns.surface_column, columns.camera_column)
 
-    def equations(self, heights_mm: Floats, sigma_mm: float) -> HeightEquations:
+    def equations(self, heights_mm: Floats, sigma_mm: float, sunk_mm: float) -> HeightEquations:
         """Return the equations of the prior alone: every height is 0 with standard deviation `sigma_mm`.
 
+        Components stand above the board: for heights that are below 0, the standard deviation is `sunk_mm`.
         `heights_mm` (c,) are the current heights, to which the solution is a change.
         """
-        normal = np.full(len(heights_mm), 1 / sigma_mm**2)
-        return HeightEquations(np.zeros(int(self.at[-1])), normal, -heights_mm / sigma_mm**2)
+        normal = np.where(heights_mm < 0, 1 / sunk_mm**2, 1 / sigma_mm**2)
+        return HeightEquations(np.zeros(int(self.at[-1])), normal, -heights_mm * normal)
 
 
 class OtherColumns(NamedTuple):

@@ -21,6 +21,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vaoi_station.compiled import compiled, inlined
 from vaoi_station.geometry.transforms import Floats
@@ -75,6 +76,8 @@ class NoiseModel(NamedTuple):
     """Residuals beyond this number of standard deviations lose weight (Huber)."""
     cut: float
     """Residuals beyond this number of standard deviations have no weight."""
+    raised: NDArray[np.bool_]
+    """(k,) whether each link may lie on something that stands above the modelled height: on a part, or on its leads."""
 
 
 @compiled
@@ -101,6 +104,10 @@ def compute_residuals(links: LinkArrays, motion: MotionArrays, height_mm: Floats
 def compute_weights(links: LinkArrays, noise: NoiseModel, groups: int, state: LinkState) -> None:
     """Compute sigma, robust weight and weight matrix of every link from its residual.
 
+    A link that may be raised and whose residual shows a point above the modelled height gets a height of its own: its
+    weight along the lean falls by as much as such an unknown takes away. A residual that shows a point below the
+    modelled height is none, since parts stand above the board: such a link keeps its weight.
+
     The links of one pair of frames have an error in common. The sum of their weights is therefore limited to the
     inverse variance of this error.
 
@@ -120,6 +127,16 @@ def compute_weights(links: LinkArrays, noise: NoiseModel, groups: int, state: Li
         determinant = a * d - b * b
         xx, xy, yy = d / determinant, -b / determinant, a / determinant
         x, y = residual[n, 0], residual[n, 1]
+        if noise.raised[n]:
+            lx, ly = state.lean[n, 0], state.lean[n, 1]
+            wx, wy = xx * lx + xy * ly, xy * lx + yy * ly
+            information = lx * wx + ly * wy
+            height = -(wx * x + wy * y)
+            # in standard deviations; noise alone makes a point of the board look raised by one
+            if height > math.sqrt(information):
+                own = (height - math.sqrt(information)) / information
+                k = 1 / (information + 1 / own**2)
+                xx, xy, yy = xx - k * wx * wx, xy - k * wx * wy, yy - k * wy * wy
         sigma[n] = math.sqrt(max(xx * x * x + 2 * xy * x * y + yy * y * y, 0.0) / 2)
         robust[n] = 1.0 if sigma[n] <= knee else knee / sigma[n] if sigma[n] <= cut else 0.0
         weight[n, 0], weight[n, 1], weight[n, 2] = robust[n] * xx, robust[n] * xy, robust[n] * yy

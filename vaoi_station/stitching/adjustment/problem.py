@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats
@@ -78,6 +79,8 @@ class Problem:
     """Nominal scale of C, mm per CAD unit."""
     surface: SurfaceBasis | None = None
     """The surface to estimate; None if the board is assumed to lie in the calibrated plane."""
+    near: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, np.bool_))
+    """(k,) whether the patch of each link may reach a component; empty if the components are not placed."""
     cameras: tuple[Camera, ...] = ()
     """The cameras whose displacements are estimated; none if the calibration is taken as exact."""
 

@@ -90,8 +90,11 @@ _SEAM_PX, _NARROWING = 0.04, 3.0
 """Upper limit of the noise floor between two cameras if a surface is estimated: `_SEAM_PX`, or the scatter divided by
 `_NARROWING`, whichever is larger. With it, the surface follows the links that agree with each other, and tall parts
 that lean over the board beside the seam become outliers."""
-_HEIGHT_SIGMA_MM = 3.0
-"""Prior standard deviation of a component's height."""
+_HEIGHT_SIGMA_MM, _SUNK_MM = 3.0, 0.1
+"""Prior standard deviations of a component's height, and of a height below the board: nothing lies there."""
+_FREE_STEPS = 3
+"""Number of steps in which heights may be below the board and links near parts count as links on the bare board. The
+motion to start from may be that of the tops of parts, against which the board seems to lie too low."""
 _USED_WEIGHT, _HEIGHT_MIN_LINKS = 0.1, 3
 """A component's height is reported if at least `_HEIGHT_MIN_LINKS` links on it have a robust weight above
 `_USED_WEIGHT`."""
@@ -172,25 +175,35 @@ class _Solver:
         self.factor: NormalEquations | None = None
         self.state = LinkState.zeros(len(links))
         self.linked_steps = _linked_steps(links, self.rows)
-        bare = [np.flatnonzero((problem.component < 0) & (self.kind == kind)) for kind in range(len(self.floor_px))]
+        self.raised = (problem.component < 0) & problem.near if len(problem.near) else np.zeros(len(links), np.bool_)
+        """(k,) whether each link may be raised above the board although it lies on no component."""
+        bare = [self._bare(self.kind == kind) for kind in range(len(self.floor_px))]
         # contiguous copies: for slices with a step, Numba would compile another variant while a board waits
         self.floor_samples = [np.ascontiguousarray(at[:: max(len(at) // _FLOOR_SAMPLE, 1)]) for at in bare]
         """Indices of sampled links on the bare board, by kind. The model explains these links: their residuals are
         noise."""
         self.steps = 0
 
+    def _bare(self, of_kind: NDArray[np.bool_]) -> Ints:
+        """Return the indices of those links of a kind that lie on the bare board, as surely as there are enough."""
+        bare = (self.problem.component < 0) & of_kind
+        surely = np.flatnonzero(bare & ~self.raised)
+        return surely if len(surely) >= _FLOOR_MIN_LINKS else np.flatnonzero(bare)
+
     def run(self, converged_mm: float) -> None:
         """Make steps until one moves no row by `converged_mm` or more, at most `_MAX_STEPS`."""
         for _ in range(_MAX_STEPS):
             # cameras may seem displaced as long as their prior is wide: the first steps do not count
-            if self.step() < converged_mm and self.cameras.settled and not self.cameras.reconsider():
+            still = self.step() < converged_mm and self.steps > _FREE_STEPS
+            if still and self.cameras.settled and not self.cameras.reconsider():
                 break
 
     def step(self) -> float:
         """Make one reweighted Gauss-Newton step; return the largest change of a shift in mm."""
         self.steps += 1
         normal = self.envelope.zeros()
-        heights = self.coupling.equations(self.heights_mm, _HEIGHT_SIGMA_MM)
+        sunk_mm = _HEIGHT_SIGMA_MM if self.steps <= _FREE_STEPS else _SUNK_MM
+        heights = self.coupling.equations(self.heights_mm, _HEIGHT_SIGMA_MM, sunk_mm)
         for equations in (self._belt(), *self._fiducials(), self._surface()):
             add_equations(*equations, normal)
         self._compute_residuals()
@@ -236,7 +249,8 @@ class _Solver:
         common_px = np.full(len(self.floor_px), _PAIR_SIGMA_PX[1])
         common_px[0] = _PAIR_SIGMA_PX[0]
         shared_px = np.maximum(common_px, _PAIR_SHARE * self.floor_px)
-        noise = NoiseModel(self.kind, self.floor_px, shared_px, _KNEE, _CUT)
+        raised = self.raised if self.steps > _FREE_STEPS else np.zeros_like(self.raised)
+        noise = NoiseModel(self.kind, self.floor_px, shared_px, _KNEE, _CUT, raised)
         compute_weights(links.arrays, noise, len(links.groups), self.state)
 
     def _update_noise_floor(self) -> None:

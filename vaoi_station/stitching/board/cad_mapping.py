@@ -31,7 +31,7 @@ from vaoi_station.stitching.board.fiducial_assignment import (
     merge_detections,
 )
 from vaoi_station.stitching.board.fiducial_detection import detect_more_marks, relocate_fiducials
-from vaoi_station.stitching.board.footprints import component_at
+from vaoi_station.stitching.board.footprints import component_at, near_component
 from vaoi_station.stitching.board.orientation import (
     Orientation,
     OutlineContrast,
@@ -43,6 +43,7 @@ from vaoi_station.stitching.board.own_texture import MOST_BESIDE, links_on_board
 from vaoi_station.stitching.board.reference import Reference, cad_points, initial_similarity, inliers
 from vaoi_station.stitching.board.reference_orientation import ReferenceScene, Rivals, compare_with_reference
 from vaoi_station.stitching.matching.evidence import Detections, Links
+from vaoi_station.stitching.matching.patch_tables import WINDOW_PX
 from vaoi_station.stitching.matching.scene import Scene
 from vaoi_station.stitching.method import Method
 
@@ -364,8 +365,14 @@ def _with_board(
     return replace(
         problem,
         component=component_at(plane, c, on_board),
+        near=near_component(plane, c, on_board, _half_patch_mm(scene)),
         fiducials=points,
         nominal_scale=plane.board_type.mm_per_unit,
         surface=SurfaceBasis(at_links, at_marks, SIGMA_MM) if knows_height else None,
         cameras=comparable_cameras(scene.cameras),
     )
+
+
+def _half_patch_mm(scene: Scene) -> float:
+    """Return half the width of a link's patch on the board."""
+    return WINDOW_PX / 2 / float(np.mean([camera.px_per_mm for camera in scene.cameras]))

@@ -6,7 +6,7 @@ Lengths are in CAD units. Angles refer to the CAD axes of the board type, whethe
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -59,6 +59,10 @@ class ComponentIndex:
         along, across = np.stack([cos * w, sin * w], -1), np.stack([-sin * h, cos * h], -1)
         signs = ((-1, -1), (1, -1), (1, 1), (-1, 1))
         return np.stack([self.center + a * along + b * across for a, b in signs], 1)
+
+    def widened(self, by_mm: float) -> ComponentIndex:
+        """Return an index of the same components with footprints that are larger by `by_mm` on all sides."""
+        return replace(self, size=self.size + 2 * by_mm / self.mm_per_unit)
 
     def take(self, at: Ints) -> ComponentIndex:
         """Return an index of only the components with the numbers `at`."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats, apply
@@ -25,6 +26,12 @@ View = tuple[int, int, float, float]
 def component_at(plane: BoardPlane, c: Floats, board_mm: Floats) -> Ints:
     """Return for each board point (k, 2), mm, the number of the smallest component under it, or −1 for none."""
     return plane.components.find(np.asarray(np.linalg.inv(plane.matrix(c)), np.float64), board_mm)
+
+
+def near_component(plane: BoardPlane, c: Floats, board_mm: Floats, reach_mm: float) -> NDArray[np.bool_]:
+    """Return for each board point (k, 2), mm, whether a component that stands out is nearer than `reach_mm`."""
+    wider = plane.components.widened(reach_mm)
+    return wider.find(np.asarray(np.linalg.inv(plane.matrix(c)), np.float64), board_mm) >= 0
 
 
 def landmarks(plane: BoardPlane) -> tuple[tuple[str, ...], Floats]:
