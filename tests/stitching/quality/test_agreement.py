@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from vaoi_station.geometry import apply
-from vaoi_station.model import BoardType
+from vaoi_station.model import BoardType, ReasonCode
 from vaoi_station.stitching.adjustment.motion import Motion, nominal_motion
 from vaoi_station.stitching.adjustment.observations import Observations
 from vaoi_station.stitching.adjustment.problem import AdjustmentResult, FiducialPoints, Problem
@@ -100,6 +100,20 @@ def test_a_surface_that_no_board_has_is_a_reason(term: int, text: str) -> None:
     surface[term] = -2.0
     (reason,) = texts(PLANE, adjusted(2, surface=tuple(surface)), points(2), STILL, 10.0)
     assert f"the board has a {text} of -2.00 mm" in reason
+
+
+def test_a_surface_of_which_only_the_sum_is_unlikely_is_a_reason() -> None:
+    """An error of one of three fiducials leaves no residual, and makes a little of each coefficient."""
+    likely = (0.8, 0.16, -0.16, 0.5, 0.2, 0.5)
+    assert texts(PLANE, adjusted(3, surface=likely), points(3), STILL, 10.0) == []
+    ((code, text),) = fiducial_reasons(
+        PLANE, adjusted(3, surface=(0.8, 0.27, -0.3, 0.03, 0.39, 0.7)), points(3), STILL, 10
+    )
+    assert code is ReasonCode.SURFACE_UNLIKELY
+    assert (
+        "tilted and bent at once (6.8 standard deviations together, limit 5.6; most of it by a twist of +0.39 mm)"
+        in text
+    )
 
 
 def test_a_lifted_board_is_no_reason() -> None:

@@ -20,6 +20,9 @@ _SURFACE_LIMIT = 4.0
 """Largest tilt, twist and bow, in prior standard deviations.
 
 A fiducial off its CAD position bends the computed surface instead of leaving a residual."""
+_SURFACE_LIMIT_TOGETHER = 5.6
+"""Largest root of the sum of squares of tilt, twist and bow in prior standard deviations: 1 of 10⁵ boards exceeds it.
+Three fiducials leave no residual: an error of one of them becomes a little of each."""
 _LAMINATE, _ARTWORK_MM = 3e-4, 0.01
 """Standard deviations of a board's relative scale and of a fiducial's position, in the search for a wrong fiducial."""
 _PLAINLY = 4.0
@@ -122,17 +125,23 @@ def _surface_reasons(surface_mm: Floats) -> list[Reason]:
     if not len(surface_mm):
         return []
     unlikely = np.abs(surface_mm / SIGMA_MM)[1:]
+    together = float(np.hypot.reduce(unlikely))
     k = int(unlikely.argmax())
-    if unlikely[k] <= _SURFACE_LIMIT:
+    if unlikely[k] <= _SURFACE_LIMIT and together <= _SURFACE_LIMIT_TOGETHER:
         return []
     what = ("tilt along x", "tilt along y", "bow along x", "twist", "bow along y")[k]
-    return [
-        Reason(
-            ReasonCode.SURFACE_UNLIKELY,
+    if unlikely[k] > _SURFACE_LIMIT:
+        text = (
             f"fiducials and links agree only if the board has a {what} of {surface_mm[k + 1]:+.2f} mm (limit "
-            f"{_SURFACE_LIMIT * SIGMA_MM[k + 1]:.2f} mm): a fiducial is not at its CAD position, or the board is bent",
+            f"{_SURFACE_LIMIT * SIGMA_MM[k + 1]:.2f} mm): a fiducial is not at its CAD position, or the board is bent"
         )
-    ]
+    else:
+        text = (
+            f"fiducials and links agree only if the board is tilted and bent at once ({together:.1f} standard "
+            f"deviations together, limit {_SURFACE_LIMIT_TOGETHER}; most of it by a {what} of "
+            f"{surface_mm[k + 1]:+.2f} mm): a fiducial is not at its CAD position, or the board is bent"
+        )
+    return [Reason(ReasonCode.SURFACE_UNLIKELY, text)]
 
 
 def _wrong_fiducial(plane: BoardPlane, places: dict[int, Floats], px_per_mm: float) -> list[Reason]:
