@@ -85,7 +85,7 @@ KINDS: Mapping[str, Kind] = {
     # board type
     "other-type": Kind(1, 1, _NEVER, "board type of the same size with other parts"),
     "other-size": Kind(1.03, 1.3, _NEVER, "times longer board type"),
-    "fiducial-moved": Kind(0.002, 1.5, 0.004, "mm in the CAD data"),
+    "fiducial-moved": Kind(0.05, 1.5, _NEVER, "mm in the CAD data; less is the tolerance of artwork"),
     "fiducial-size": Kind(1.02, 2.2, 1.05, "times wider in the CAD data"),
     "scaled": Kind(0.0001, 0.02, 0.0002, "share by which the CAD data are too large"),
     "mirrored": Kind(1, 1, _NEVER, "wrong y axis"),

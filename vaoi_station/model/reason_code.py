@@ -19,6 +19,7 @@ class ReasonCode(StrEnum):
     LINKS_SCATTER = "links-scatter"
     WRONG_ROWS = "wrong-rows"
     CAMERA_DISPLACED = "camera-displaced"
+    LENS_DIFFERS = "lens-differs"
     OVERLAP_BLANK = "overlap-blank"
     OVERLAP_EXPOSURE = "overlap-exposure"
     OVERLAP_REPETITIVE = "overlap-repetitive"

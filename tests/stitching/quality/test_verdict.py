@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.stitching.quality.test_findings import findings_of
-from vaoi_station.model import BoardType, Calibration, Status
+from vaoi_station.model import BoardType, Calibration, ReasonCode, Status
 from vaoi_station.stitching.quality.verdict import decide_verdict
 
 
@@ -106,6 +106,19 @@ def test_a_fiducial_that_is_not_there_costs_little(filmed: Any) -> None:
     assert result.status is Status.OK
     assert next(f for f in result.quality["fiducials"] if f["name"] == "FID9")["sightings"] == 0
     assert filmed.error_px(result) <= 3 * result.quality["cad_sigma_px"]
+
+
+@pytest.mark.parametrize("away_mm", [3.0, 60.0])
+def test_a_third_fiducial_that_is_not_where_it_should_be_is_a_reason(filmed: Any, away_mm: float) -> None:
+    """Two fiducials fit any two marks at the right distance. One that is out of view is no contradiction."""
+    first, *others = filmed.board_type.fiducials
+    moved = first.model_copy(update={"x": first.x + away_mm})
+    board_type = filmed.board_type.model_copy(update={"fiducials": (moved, *others)})
+    findings = findings_of(replace(filmed, setup=replace(filmed.setup, board_type=board_type)))
+    codes = [code for code, _ in decide_verdict(findings)[1]]
+    assert (ReasonCode.FIDUCIAL_MISSING in codes) == (away_mm < 10)
+    if away_mm < 10:
+        assert set(findings.fiducials_in_view) == {0, 1, 2}
 
 
 def test_a_fiducial_out_of_its_place_is_named(filmed: Any) -> None:

@@ -49,7 +49,7 @@ export const texts = {
     "fiducial-missing": "marks", "fiducial-off-place": "marks",
     "no-texture": "light", "overlap-blank": "light", "overlap-exposure": "light",
     "components-unseen": "place",
-    "wrong-rows": "camera", "camera-displaced": "camera", "not-explained": "camera",
+    "wrong-rows": "camera", "camera-displaced": "camera", "lens-differs": "camera", "not-explained": "camera",
     "overlap-repetitive": "type", "rows-repetitive": "type", "no-board-type": "type",
     "too-few-fiducials": "type", "fiducial-size": "type", "fiducial-wrong": "type", "scale-wrong": "type",
     "orientation-ambiguous": "type", "reference-not-found": "type", "positions-uncertain": "type",

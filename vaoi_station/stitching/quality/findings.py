@@ -25,7 +25,8 @@ from vaoi_station.stitching.matching.scene import Scene
 from vaoi_station.stitching.method import Method
 from vaoi_station.stitching.quality.covariances import largest_sigma
 from vaoi_station.stitching.quality.heights import Height, component_heights
-from vaoi_station.stitching.quality.reference_share import reference_share, with_common_error
+from vaoi_station.stitching.quality.lens_errors import LensError, lens_errors
+from vaoi_station.stitching.quality.reference_share import reference_share, with_camera_errors, with_common_error
 from vaoi_station.stitching.quality.row_offsets import row_offset
 from vaoi_station.stitching.quality.seam_causes import LIFT_LIMIT_MM, Lift, measure_lift
 from vaoi_station.stitching.quality.uncertainty import PredictedSigma, predict_sigma, seam_sigma_px
@@ -45,6 +46,8 @@ _PLACED_SIGMA_PX = 2.0
 """Largest standard deviation of a position in a row that neither links nor points of the CAD data tie to the others."""
 _OTHER_LIFT_MM = 1.0
 """Least difference of a lift measured by overlaps from that of the adjustment at which the two contradict."""
+_RIM_PX = 12.0
+"""Distance from a frame's border within which a fiducial may be missed: its surroundings are needed to detect it."""
 _SEAM_LINKS = 12
 """Least number of links between two cameras that show whether the cameras agree."""
 
@@ -96,7 +99,15 @@ class Findings:
         """Predicted standard deviations of component positions and rows."""
         predicted = predict_sigma(self.scene, self.plane, self.adjusted, self.views)
         share = reference_share(self.problem.fiducials, self.adjusted.fiducial_px) * self.reference_sigma_px
-        return with_common_error(predicted, share) if share > 0 else predicted
+        predicted = with_common_error(predicted, share) if share > 0 else predicted
+        return with_camera_errors(predicted, {i: error.position_px for i, error in self.lens_errors.items()})
+
+    @cached_property
+    def lens_errors(self) -> dict[int, LensError]:
+        """Radial errors of the cameras' pictures against their calibration, by camera; empty without C."""
+        if self.mapping is None or not self.method.links:
+            return {}
+        return lens_errors(self.problem, self.adjusted, self.scene.cameras)
 
     @cached_property
     def surface(self) -> Surface | None:
@@ -119,6 +130,25 @@ class Findings:
         rows = self.adjusted.motion.rows_from_tester
         views = FootprintViews.of(landmarks(self.plane)[1], self.cad_matrix, self.scene.cameras, rows, self.surface)
         return views.without_rows(self.unplaced) if self.unplaced else views
+
+    @cached_property
+    def fiducials_in_view(self) -> dict[int, FrameKey]:
+        """The fiducials that frames show wholly, each by its number with one of these frames; empty without C.
+
+        Only frames whose pictures fit the board's motion count.
+        """
+        if self.plane is None or self.cad_matrix is None:
+            return {}
+        fiducials, rows = self.plane.board_type.fiducials, self.adjusted.motion.rows_from_tester
+        at = np.array([(f.x, f.y) for f in fiducials]).reshape(-1, 2)
+        views = FootprintViews.of(at, self.cad_matrix, self.scene.cameras, rows, self.surface)
+        found: dict[int, FrameKey] = {}
+        for n, i, j, px in zip(views.point.tolist(), views.camera.tolist(), views.row.tolist(), views.px, strict=True):
+            camera = self.scene.cameras[i]
+            radius_px = fiducials[n].diameter * self.plane.board_type.mm_per_unit / 2 * camera.px_per_mm
+            if (i, j) in self.confirmed and camera.sees(px[None], radius_px + _RIM_PX)[0]:
+                found.setdefault(n, (i, j))
+        return found
 
     @cached_property
     def confirmed(self) -> frozenset[FrameKey]:

@@ -6,6 +6,7 @@ no residual shows and which does not average out. It enters the result in propor
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +14,7 @@ import numpy as np
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.adjustment.problem import REFERENCE, FiducialPoints
 from vaoi_station.stitching.board.reference import inliers
+from vaoi_station.stitching.quality.covariances import largest_sigma
 from vaoi_station.stitching.quality.uncertainty import PredictedSigma
 
 
@@ -41,3 +43,19 @@ def with_common_error(predicted: PredictedSigma, sigma_px: float) -> PredictedSi
         worst_px=float(np.hypot(predicted.worst_px, sigma_px)),
         covariance_px2=predicted.covariance_px2 + sigma_px**2 * np.eye(2),
     )
+
+
+def with_camera_errors(predicted: PredictedSigma, sigma_px: Mapping[int, float]) -> PredictedSigma:
+    """Return a prediction to which an error of every camera was added, per axis in px; cameras left out have none."""
+    if predicted.worst_px is None or not any(sigma_px.values()):
+        return predicted
+    camera, row = predicted.seen_in.T
+    added = np.zeros(int(camera.max(initial=0)) + 1)
+    for i, px in sigma_px.items():
+        if i < len(added):
+            added[i] = px
+    covariance = predicted.covariance_px2 + (added[camera] ** 2)[:, None, None] * np.eye(2)
+    length, rows = largest_sigma(covariance), np.array(predicted.rows_px)
+    np.maximum.at(rows, row, length)
+    worst = max(float(length.max(initial=0)), predicted.worst_px)
+    return replace(predicted, rows_px=tuple(rows.tolist()), worst_px=worst, covariance_px2=covariance)

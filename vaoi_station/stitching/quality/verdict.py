@@ -34,8 +34,12 @@ from vaoi_station.stitching.quality.unseen import unseen_reasons
 _OK_SIGMA_PX = 0.20
 _FLOOR_LIMIT_PX = 0.30
 _OUTSIDE_LIMIT = 0.03
+_LENS_LIMIT_PX = 0.4
+"""Largest radial error at the corners of a picture. It makes positions wrong by a fifth of it, rms."""
 _MOST_NAMED_FRAMES = 6
 _CAUSES_OF_FAILURE = (ReasonCode.ROWS_LOST, ReasonCode.BOARD_OFF_PLANE)
+_ENOUGH_FIDUCIALS = 3
+"""Number of found fiducials from which on an error of one of them leaves residuals."""
 
 
 class _Placed(NamedTuple):
@@ -265,12 +269,22 @@ def _missing_fiducials(b: _Placed) -> Iterator[Reason]:
         return
     which = b.points.which if b.points is not None else np.zeros(0, dtype=np.int_)
     seen = {int(w) for w in which if w >= 0}
-    if len(seen) >= 2 or (which < 0).any():
+    if (which < 0).any() or len(seen) >= _ENOUGH_FIDUCIALS:
         return
+    in_view = b.findings.fiducials_in_view
     for n, fiducial in enumerate(b.plane.board_type.fiducials):
-        if n not in seen:
+        if n in seen:
+            continue
+        if len(seen) < 2:
             alone = f"fiducial {fiducial.name} was not found; one fiducial alone does not locate the board"
             yield Reason(ReasonCode.FIDUCIAL_MISSING, alone)
+        elif n in in_view:
+            yield Reason(
+                ReasonCode.FIDUCIAL_MISSING,
+                f"fiducial {fiducial.name} was not found where the two others put it, although camera {in_view[n][0]} "
+                f"shows that place in row {in_view[n][1]}: two fiducials do not show an error of one of them. Check "
+                f"whether {fiducial.name} is covered or dirty, and whether the board is of this type",
+            )
 
 
 def _disagreeing_fiducials(b: _Placed) -> Iterable[Reason]:
@@ -345,6 +359,17 @@ def _unconfirmed_frames(b: _Placed) -> Iterator[Reason]:
         )
 
 
+def _distorted_pictures(b: _Placed) -> Iterator[Reason]:
+    for i, error in b.findings.lens_errors.items():
+        if error.significant and abs(error.corner_px) > _LENS_LIMIT_PX:
+            yield Reason(
+                ReasonCode.LENS_DIFFERS,
+                f"the picture of camera {i} is distorted against its calibration, by {error.corner_px:+.2f} ± "
+                f"{error.sigma_px:.2f} px at the corners (limit {_LENS_LIMIT_PX}): the calibration leaves out the "
+                "distortion of this lens, or focus or lens were changed since; calibrate again",
+            )
+
+
 def _unseen_components(b: _Placed) -> Iterable[Reason]:
     f, total = b.findings, len(b.plane.board_type.components)
     return unseen_reasons(f.unseen, total, len(f.scene.cameras), f.rows, f.scene.present, f.unplaced)
@@ -379,6 +404,7 @@ _BOARD_CHECKS: tuple[Callable[[_Placed], Iterable[Reason]], ...] = (
     _ambiguous_orientation,
     _invisible_outline,
     _texture_off_the_board,
+    _distorted_pictures,
     _uncertain_positions,
     _unconfirmed_frames,
     _unseen_components,
