@@ -9,6 +9,7 @@ tilt of the board.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +17,7 @@ import numpy as np
 from vaoi_station.compiled import compiled
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats
+from vaoi_station.model import Reason, ReasonCode
 from vaoi_station.stitching.adjustment.observations import Ints, LinkArrays
 from vaoi_station.stitching.adjustment.problem import AdjustmentResult, Problem
 
@@ -29,6 +31,9 @@ _SHARE = 0.2
 """Rms error of a position, per axis, as a share of the radial error at the corner: the rms over a frame of ρ³ is 0.3,
 and 0.12 if the best scale is subtracted; boards of the twin show 0.15 to 0.25."""
 _SIGNIFICANT = 4.0
+"""Number of standard deviations from which on an error is more than noise."""
+_LIMIT_PX = 0.4
+"""Largest radial error at the corners of a picture. It makes positions wrong by a fifth of it, rms."""
 
 
 class LensError(NamedTuple):
@@ -86,6 +91,18 @@ def lens_errors(problem: Problem, adjusted: AdjustmentResult, cameras: tuple[Cam
             # a point that is seen too far out makes the residual positive where the second point is further out
             found[i] = LensError(product / information * c.px_per_mm, information**-0.5 * c.px_per_mm)
     return found
+
+
+def lens_reasons(errors: Mapping[int, LensError]) -> Iterator[Reason]:
+    """List a reason for every camera whose picture is distorted against its calibration."""
+    for i, error in errors.items():
+        if error.significant and abs(error.corner_px) > _LIMIT_PX:
+            yield Reason(
+                ReasonCode.LENS_DIFFERS,
+                f"the picture of camera {i} is distorted against its calibration, by {error.corner_px:+.2f} ± "
+                f"{error.sigma_px:.2f} px at the corners (limit {_LIMIT_PX}): the calibration leaves out the "
+                "distortion of this lens, or focus or lens were changed since; calibrate again",
+            )
 
 
 @compiled

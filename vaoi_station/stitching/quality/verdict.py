@@ -26,6 +26,7 @@ from vaoi_station.stitching.quality.absent_cameras import absent_camera_reasons
 from vaoi_station.stitching.quality.agreement import fiducial_reasons, outline_reasons, uncertain_detections
 from vaoi_station.stitching.quality.fiducial_sizes import wrong_size
 from vaoi_station.stitching.quality.findings import DISPLACED_PX, SEAM_LIMIT_PX, Findings
+from vaoi_station.stitching.quality.lens_errors import lens_reasons
 from vaoi_station.stitching.quality.row_offsets import shifted_cameras
 from vaoi_station.stitching.quality.seam_causes import explain_seam, repeated_overlap
 from vaoi_station.stitching.quality.uncertainty import seam_sigma_px
@@ -34,8 +35,6 @@ from vaoi_station.stitching.quality.unseen import unseen_reasons
 _OK_SIGMA_PX = 0.20
 _FLOOR_LIMIT_PX = 0.30
 _OUTSIDE_LIMIT = 0.03
-_LENS_LIMIT_PX = 0.4
-"""Largest radial error at the corners of a picture. It makes positions wrong by a fifth of it, rms."""
 _MOST_NAMED_FRAMES = 6
 _CAUSES_OF_FAILURE = (ReasonCode.ROWS_LOST, ReasonCode.BOARD_OFF_PLANE)
 _ENOUGH_FIDUCIALS = 3
@@ -359,15 +358,8 @@ def _unconfirmed_frames(b: _Placed) -> Iterator[Reason]:
         )
 
 
-def _distorted_pictures(b: _Placed) -> Iterator[Reason]:
-    for i, error in b.findings.lens_errors.items():
-        if error.significant and abs(error.corner_px) > _LENS_LIMIT_PX:
-            yield Reason(
-                ReasonCode.LENS_DIFFERS,
-                f"the picture of camera {i} is distorted against its calibration, by {error.corner_px:+.2f} ± "
-                f"{error.sigma_px:.2f} px at the corners (limit {_LENS_LIMIT_PX}): the calibration leaves out the "
-                "distortion of this lens, or focus or lens were changed since; calibrate again",
-            )
+def _distorted_pictures(b: _Placed) -> Iterable[Reason]:
+    return lens_reasons(b.findings.lens_errors)
 
 
 def _unseen_components(b: _Placed) -> Iterable[Reason]:
