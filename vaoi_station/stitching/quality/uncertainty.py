@@ -163,6 +163,16 @@ def shape_covariance(camera: Camera) -> Floats | None:
     return np.asarray(camera.covariance_px2, dtype=np.float64)[PARAMETERS:, PARAMETERS:]
 
 
+def uncertain_calibration(cameras: Sequence[Camera], limit_px: float) -> str:
+    """Return a clause that names the cameras whose calibration leaves more than a limit at the seams; empty if none."""
+    sigma = [seam_sigma_px(camera) for camera in cameras]
+    unsure = [str(i) for i, px in enumerate(sigma) if px > limit_px]
+    if not unsure:
+        return ""
+    who = f"camera{'s' if len(unsure) > 1 else ''} {', '.join(unsure)}"
+    return f"; the calibration of {who} leaves ± {max(sigma):.2f} px at the seams: calibrate with more marks per camera"
+
+
 def seam_sigma_px(camera: Camera) -> float:
     """Return the standard deviation of the camera's shape at its seams, px, in the worst direction; 0 if unknown."""
     own = shape_covariance(camera)

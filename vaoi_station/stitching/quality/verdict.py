@@ -29,7 +29,7 @@ from vaoi_station.stitching.quality.findings import DISPLACED_PX, SEAM_LIMIT_PX,
 from vaoi_station.stitching.quality.lens_errors import lens_reasons
 from vaoi_station.stitching.quality.row_offsets import shifted_cameras
 from vaoi_station.stitching.quality.seam_causes import explain_seam, repeated_overlap
-from vaoi_station.stitching.quality.uncertainty import seam_sigma_px
+from vaoi_station.stitching.quality.uncertainty import uncertain_calibration
 from vaoi_station.stitching.quality.unseen import unseen_reasons
 
 _OK_SIGMA_PX = 0.20
@@ -339,7 +339,9 @@ def _texture_off_the_board(b: _Placed) -> Iterator[Reason]:
 def _uncertain_positions(b: _Placed) -> Iterator[Reason]:
     worst = b.findings.sigma.worst_px
     if worst is not None and worst > _OK_SIGMA_PX:
-        blamed = uncertain_detections(b.plane, b.points, _OK_SIGMA_PX) + _uncertain_calibration(b.findings)
+        blamed = uncertain_detections(b.plane, b.points, _OK_SIGMA_PX) + uncertain_calibration(
+            b.findings.calibrated, _OK_SIGMA_PX / 2
+        )
         uncertain = f"positions are uncertain by {worst:.2f} px (1 σ, limit {_OK_SIGMA_PX}){blamed}"
         yield Reason(ReasonCode.POSITIONS_UNCERTAIN, uncertain)
 
@@ -365,16 +367,6 @@ def _distorted_pictures(b: _Placed) -> Iterable[Reason]:
 def _unseen_components(b: _Placed) -> Iterable[Reason]:
     f, total = b.findings, len(b.plane.board_type.components)
     return unseen_reasons(f.unseen, total, len(f.scene.cameras), f.rows, f.scene.present, f.unplaced)
-
-
-def _uncertain_calibration(f: Findings) -> str:
-    """Return a clause that names the cameras whose calibration leaves their picture uncertain; empty if none."""
-    sigma = [seam_sigma_px(camera) for camera in f.calibrated]
-    unsure = [str(i) for i, px in enumerate(sigma) if px > _OK_SIGMA_PX / 2]
-    if not unsure:
-        return ""
-    who = f"camera{'s' if len(unsure) > 1 else ''} {', '.join(unsure)}"
-    return f"; the calibration of {who} leaves ± {max(sigma):.2f} px at the seams: calibrate with more marks per camera"
 
 
 # A result lists the reasons in this order: checks of the run come first, then checks of the board.
