@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from vaoi_station.geometry import apply
-from vaoi_station.model import BoardType, Status, Stitch
+from vaoi_station.model import BoardType, Status, Stitch, Surface
 from vaoi_station.stitching.adjustment.motion import Motion, nominal_motion
 from vaoi_station.stitching.adjustment.problem import REFERENCE, FiducialPoints
 from vaoi_station.stitching.board.board_plane import BoardPlane
@@ -53,6 +54,22 @@ def test_linked_points_have_the_cad_places_of_the_reference(workshop: Any) -> No
     np.testing.assert_allclose(points.cad, np.tile(PLANE.flat(cad), (2, 1)), atol=1e-9)
     np.testing.assert_allclose(points.ground_mm[:20], board + (0.3, 0.0), atol=1e-9)
     assert points.px_per_mm == pytest.approx(10.0)
+
+
+def test_the_height_of_the_board_of_the_reference_moves_no_place(workshop: Any) -> None:
+    """The reference lay 1 mm above the calibrated plane: the camera saw its points further out."""
+    camera, g = workshop.camera(distance_mm=300.0), np.random.default_rng(3)
+    surface = Surface(lift_mm=1.0, tilt_mm=(0.1, 0), bow_mm=(0, 0, 0), about=(15.0, 10.0), half_span=(15.0, 10.0))
+    cad = g.uniform((5, 3), (18, 12), (20, 2))
+    there = apply(D[1], apply(PLANE.matrix(C), cad))
+    px = camera.project(there, surface.height_mm(cad))
+    task = Task("reference", (0, 1), (0, 1))
+    known = reference()
+    lifted = replace(known, stitch=known.stitch.model_copy(update={"surface": surface}))
+    points = cad_points([links(task, px, px)], (camera,), PLANE, lifted)
+    np.testing.assert_allclose(points.cad, PLANE.flat(cad), atol=2e-4)
+    flat = cad_points([links(task, px, px)], (camera,), PLANE, known)
+    assert np.abs(flat.cad - PLANE.flat(cad)).max() > 0.01
 
 
 def test_many_links_of_a_frame_do_not_average_their_shared_error_away(workshop: Any) -> None:

@@ -34,7 +34,7 @@ class Reference:
     """A stitched run that serves as the reference of its board type: its result, and the keys of its good frames."""
 
     stitch: Stitch
-    """Result of the reference run. Only the CAD mapping and the row motion are used; the rest may be empty."""
+    """Result of the reference run, of which CAD mapping, row motion and surface are used."""
     present: frozenset[FrameKey]
     """Good frames of the reference run: (camera, row)."""
     name: str = ""
@@ -62,7 +62,7 @@ def cad_points(
             continue
         camera, row = cameras[e.task.a[0]], e.task.a[1]
         here = camera.ground(e.a_px)
-        there = apply(np.linalg.inv(reference.stitch.row_motion[e.task.b[1]]), camera.ground(e.b_px))
+        there = _on_board(camera.ground(e.b_px), camera, reference.stitch, e.task.b[1], c)
         px = np.sqrt(np.maximum(np.trace(np.linalg.inv(e.information), axis1=1, axis2=2) / 2, 0))
         # The mean of a frame's n links has the variance σ²/n + shared². Each link carries a part of the shared error.
         single = np.hypot(px, _SCATTER_PX) * np.sqrt(1 + len(px) * (_SHARED_PX / _SCATTER_PX) ** 2)
@@ -70,7 +70,7 @@ def cad_points(
         seen_by.append(np.full(len(here), e.task.a[0]))
         ground.append(here)
         lean.append(camera.parallax(here))
-        cad.append(plane.flat(apply(np.linalg.inv(c), there)))
+        cad.append(plane.flat(there))
         sigma.append(single / camera.px_per_mm)
         resolution.append(np.full(len(here), camera.px_per_mm))
     if not rows:
@@ -85,6 +85,19 @@ def cad_points(
         np.full(sum(map(len, rows)), REFERENCE),
         np.concatenate(seen_by),
     )
+
+
+def _on_board(ground_mm: Floats, camera: Camera, stitch: Stitch, row: int, c: Floats) -> Floats:
+    """Return the CAD coordinates (k, 2) of ground points (k, 2) that a camera saw in a row of the reference.
+
+    The board of the reference was not in the calibrated plane either: its surface displaces what the camera sees.
+    """
+    cad_from_row = np.linalg.inv(c) @ np.linalg.inv(stitch.row_motion[row])
+    cad = apply(cad_from_row, ground_mm)
+    if stitch.surface is None:
+        return cad
+    lean_mm = camera.parallax(ground_mm) * stitch.surface.height_mm(cad)[:, None]
+    return np.asarray(apply(cad_from_row, ground_mm + lean_mm))
 
 
 def inliers(points: FiducialPoints, residual_px: Floats) -> NDArray[np.bool_]:
