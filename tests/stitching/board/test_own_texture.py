@@ -114,3 +114,11 @@ def test_an_outline_is_confirmed_only_in_its_place(shift_mm: float, confirmed: b
     motion = Motion(angle, shift, np.zeros(2))
     assert outline_confirmed(twin.board_type, cad, scene, motion) is confirmed
     assert result.status is Status.OK
+
+
+def test_two_fiducials_in_a_carrier_as_bright_as_the_board_fail_with_the_cause() -> None:
+    """Two marks may be any two: without edges that confirm them, they are no place of the board."""
+    marks = [{"x_mm": 4.0, "y_mm": 4.0}, {"x_mm": 52.0, "y_mm": 36.0}]
+    _, _, result = filmed_with(carrier={"rim_mm": 9.0, "grey": 62.0}, board={"fiducials": marks})
+    assert result.status is Status.FAILED, result.reasons
+    assert "2 of them fit, but the edges of the board do not show" in result.reasons[0]

@@ -191,7 +191,21 @@ def _apart_from_surroundings(
     if not confirmed:
         every = len(plane.fiducials)
         confirmed = [one for one in found if _fits(one) >= max(every, _CERTAIN_FIDUCIALS)]
+    if not confirmed and found:
+        return _unconfirmed(min(found, key=_cost), guess)
     return min(confirmed, key=_cost, default=None)
+
+
+def _unconfirmed(one: _OwnTexture, failure: Hypothesis | Failure) -> _OwnTexture | None:
+    """Return a run without a place of the board, whose failure names the texture beside the board as its cause."""
+    if not isinstance(failure, Failure) or one.left_out.share <= MOST_BESIDE:
+        return None
+    text = (
+        f"{failure.reason}. Without the {one.left_out.share:.0%} of the texture that would lie beside the board, "
+        f"{_fits(one)} of them fit, but the edges of the board do not show there: a carrier or a belt with texture "
+        "must be brighter or darker than the board's edge, and a third fiducial places the board in spite of it"
+    )
+    return one._replace(first=(Failure(text, failure.code), one.first[1], None))
 
 
 def _cost(one: _OwnTexture) -> float:
