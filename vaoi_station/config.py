@@ -7,6 +7,7 @@ coordinates (mm in the conveyor's plane, axes and origin of the calibration boar
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence, Set
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -283,30 +284,9 @@ class StationConfig(Section):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        # Names identify cameras in messages, in REST and on the page.
-        names = [c.name for c in self.cameras]
-        if len(set(names)) != len(names):
-            raise ValueError(f"cameras have the names {names}; they must differ")
-        for key in ("serial", "address"):
-            given = [v for c in self.cameras if (v := getattr(c, key)) is not None]
-            if twice := sorted({v for v in given if given.count(v) > 1}):
-                raise ValueError(f"several cameras have the {key} {', '.join(twice)}; each may be given once")
-        wanted = CAMERAS_OF[self.controller.backend]
-        if wrong := sorted({c.backend for c in self.cameras} - {wanted}):
-            raise ValueError(
-                f"backends are mixed: a controller with backend {self.controller.backend!r} "
-                f"fires cameras with backend {wanted!r}, but there are {wrong}"
-            )
-        if self.controller.backend != "serial" and getattr(self, TABLE_OF[self.controller.backend]) is None:
-            needed = TABLE_OF[self.controller.backend]
-            raise ValueError(f"backend {self.controller.backend!r} needs a table [{needed}]")
-        # A sensor that still exposes ignores the next trigger, and every second frame would be missing.
-        for camera in self.cameras:
-            if camera.exposure_us * 1e-6 >= self.line.trigger_period_s:
-                raise ValueError(
-                    f"camera {camera.name!r} exposes {camera.exposure_us} us, "
-                    f"but pulses follow every {self.line.trigger_period_s * 1e6:.0f} us"
-                )
+        tables = {name for name in TABLE_OF.values() if getattr(self, name) is not None}
+        if found := [*conflicts(self.cameras, self.controller, tables, self.line)]:
+            raise ValueError("; ".join(found))
         return self
 
     @property
@@ -315,22 +295,57 @@ class StationConfig(Section):
         return self.line.rows_of_longest_board + self.ring.spare_rows
 
 
+def conflicts(
+    cameras: Sequence[CameraConfig], controller: ControllerConfig | None, tables: Set[str], line: Line | None
+) -> Iterator[str]:
+    """Yield every contradiction between tables that are valid by themselves; None for one that is not valid.
+
+    `tables` has the names of the tables of `TABLE_OF` that are present.
+    """
+    # Names identify cameras in messages, in REST and on the page.
+    names = [c.name for c in cameras]
+    if len(set(names)) != len(names):
+        yield f"cameras have the names {names}; they must differ"
+    for key in ("serial", "address"):
+        given = [v for c in cameras if (v := getattr(c, key)) is not None]
+        if twice := sorted({v for v in given if given.count(v) > 1}):
+            yield f"several cameras have the {key} {', '.join(twice)}; each may be given once"
+    if controller is not None:
+        wanted = CAMERAS_OF[controller.backend]
+        if wrong := sorted({c.backend for c in cameras} - {wanted}):
+            yield (
+                f"backends are mixed: a controller with backend {controller.backend!r} "
+                f"fires cameras with backend {wanted!r}, but there are {wrong}"
+            )
+        needed = TABLE_OF.get(controller.backend)
+        if needed is not None and needed not in tables:
+            yield f"backend {controller.backend!r} needs a table [{needed}]"
+    # A sensor that still exposes ignores the next trigger, and every second frame would be missing.
+    for camera in cameras:
+        if line is not None and camera.exposure_us * 1e-6 >= line.trigger_period_s:
+            yield (
+                f"camera {camera.name!r} exposes {camera.exposure_us} us, "
+                f"but pulses follow every {line.trigger_period_s * 1e6:.0f} us"
+            )
+
+
 def read_config(path: Path) -> StationConfig:
     """Read `station.toml`, and make its paths absolute."""
     # Relative to the file, not to the working directory: systemd starts the service in /.
     config = parse(StationConfig, read_toml(path), path)
-    return config.model_copy(update=_absolute(config, path.resolve().parent))
+    return config.model_copy(update=absolute_paths(config, path.resolve().parent))
 
 
-def _absolute(section: BaseModel, base: Path) -> dict[str, Any]:
+def absolute_paths(section: BaseModel, base: Path) -> dict[str, Any]:
     """Return the paths of a table and of its nested tables as absolute paths; relative ones begin at folder `base`."""
     changed: dict[str, Any] = {}
     for key in type(section).model_fields:
-        value = getattr(section, key)
+        # `vaoi check-config` constructs sections without their faulty keys.
+        value = getattr(section, key, None)
         if isinstance(value, Path):
             changed[key] = base / value
         elif isinstance(value, tuple) and value and isinstance(value[0], Path):
             changed[key] = tuple(base / p for p in value)
-        elif isinstance(value, BaseModel) and (inner := _absolute(value, base)):
+        elif isinstance(value, BaseModel) and (inner := absolute_paths(value, base)):
             changed[key] = value.model_copy(update=inner)
     return changed

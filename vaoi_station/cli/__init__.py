@@ -15,6 +15,7 @@ from vaoi_station.cli.recordings.report import report
 from vaoi_station.cli.recordings.simulate import simulate
 from vaoi_station.cli.recordings.stitch import stitch
 from vaoi_station.cli.recordings.teach import teach
+from vaoi_station.cli.station.check_config import check_config
 from vaoi_station.cli.station.demo import demo
 from vaoi_station.cli.station.doctor import doctor
 from vaoi_station.cli.station.record import record
@@ -61,6 +62,7 @@ def vaoi(
 app.command()(plan)
 app.command()(simulate)
 app.command()(serve)
+app.command("check-config")(check_config)
 app.command()(record)
 app.command()(calibrate)
 app.command("calibration-board")(calibration_board)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
+
 from vaoi_station.doctor.finding import Finding, Level, Report
 
 _SIGNS = {Level.OK: "ok", Level.WARNING: "WARNING", Level.FAULT: "FAULT", Level.NOT_APPLICABLE: "-"}
@@ -12,6 +15,17 @@ def as_text(report: Report) -> str:
     width = max(len(finding.check) for finding in report.findings)
     lines = [line for finding in report.findings for line in _lines(finding, width)]
     return "\n".join([*lines, "", _summary(report)]) + "\n"
+
+
+def problems_as_text(file: Path, findings: Sequence[Finding]) -> str:
+    """Format the warnings and faults of `vaoi check-config`, and their numbers; one sentence if there are none."""
+    problems = [finding for finding in findings if finding.action]
+    if not problems:
+        return f"{file}: no problem found."
+    levels = [finding.level for finding in problems]
+    counts = f"{_counted(levels.count(Level.FAULT), 'fault')}, {_counted(levels.count(Level.WARNING), 'warning')}"
+    width = max(len(finding.check) for finding in problems)
+    return "\n".join([*(line for finding in problems for line in _lines(finding, width)), f"{file}: {counts}"])
 
 
 def _lines(finding: Finding, width: int) -> list[str]:

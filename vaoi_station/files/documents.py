@@ -17,6 +17,8 @@ from pydantic_core import ErrorDetails
 from vaoi_station.errors import InputError, InternalError, NotFoundError
 
 M = TypeVar("M", bound=BaseModel)
+Place = tuple[int | str, ...]
+"""Keys and indices that lead to a value of a document; empty for the document itself."""
 
 
 class DuplicateKeyError(ValueError):
@@ -72,9 +74,13 @@ def check_format(data: Any, path: Path, name: str, version: int) -> None:
 
 def describe(error: ValidationError, where: str | Path) -> str:
     """Describe the faults of a document, at most five of them."""
-    lines = []
+    lines = [f"{where}: {key_at(place)}: {text}" for place, text in faults_of(error)]
+    return "; ".join(lines[:5]) + ("." if len(lines) <= 5 else f"; and {len(lines) - 5} more.")
+
+
+def faults_of(error: ValidationError) -> Iterator[tuple[Place, str]]:
+    """Yield every fault of a document: its place, and what is wrong there with the limit and the value given."""
     for fault in _causes(error.errors(include_url=False)):
-        key = ".".join(map(str, fault["loc"])) or "the document"
         message = fault["msg"].removeprefix("Value error, ")
         if fault["type"] == "extra_forbidden":
             message = "is an unknown key"
@@ -82,8 +88,12 @@ def describe(error: ValidationError, where: str | Path) -> str:
         shown = (
             "" if isinstance(given, dict | list | tuple) or fault["type"] == "missing" else f" (given: {given!r:.80})"
         )
-        lines.append(f"{where}: {key}: {message}{shown}")
-    return "; ".join(lines[:5]) + ("." if len(lines) <= 5 else f"; and {len(lines) - 5} more.")
+        yield fault["loc"], f"{message}{shown}"
+
+
+def key_at(place: Place) -> str:
+    """Return a place as the key that a reader finds in the document, such as `cameras.1.width`."""
+    return ".".join(map(str, place)) or "the document"
 
 
 def write_json(path: Path, data: Any) -> None:
