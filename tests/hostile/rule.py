@@ -17,8 +17,9 @@ LEAST_APART = 0.4
 """Least distance of two fiducials in view, as a share of the board's diagonal."""
 LEAST_OVERLAP = 0.25
 """Least share of a frame's height that the next row of the same camera shows again."""
-RIM_PX = 6.0
-"""Margin of a fiducial to the border of a frame."""
+CLEAR, RIM_PX = 2.0, 6.0
+"""Diameter of the bare area that a fiducial needs, in diameters of the fiducial (IPC-7351 asks for it), and the margin
+of this area to the border of a frame."""
 LEAST_SEEN = 0.999
 """Least share of every footprint that the frames show together."""
 
@@ -46,13 +47,13 @@ def _reasons(film: Film) -> Iterator[str]:
 
 
 def fiducials_in_view(film: Film) -> Floats:
-    """Return the fiducials (k, 2), board mm, that at least one frame shows wholly."""
+    """Return the fiducials (k, 2), board mm, that at least one frame shows with the bare area around them."""
     marks = film.twin.scenario.board.marks
     if not marks:
         return np.zeros((0, 2))
     places = np.array([(m.x_mm, m.y_mm) for m in marks])
     array = film.twin.scenario.array
-    margin = max(m.diameter_mm for m in marks) / 2 * array.px_per_mm + RIM_PX
+    margin = CLEAR * max(m.diameter_mm for m in marks) / 2 * array.px_per_mm + RIM_PX
     return np.asarray(places[_inside(film, places, margin)])
 
 

@@ -12,6 +12,7 @@ from vaoi_station.geometry import Camera
 from vaoi_station.geometry.displacement import rms_displacement_px
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
+from vaoi_station.marks.candidate_search import SURROUND
 from vaoi_station.model import VISIBILITY, Surface, Visibility
 from vaoi_station.stitching.adjustment.initial_motion import connected_rows
 from vaoi_station.stitching.adjustment.problem import AdjustmentResult, Problem
@@ -46,8 +47,8 @@ _PLACED_SIGMA_PX = 2.0
 """Largest standard deviation of a position in a row that neither links nor points of the CAD data tie to the others."""
 _OTHER_LIFT_MM = 1.0
 """Least difference of a lift measured by overlaps from that of the adjustment at which the two contradict."""
-_RIM_PX = 12.0
-"""Distance from a frame's border within which a fiducial may be missed: its surroundings are needed to detect it."""
+_BORDER_PX = 6.0
+"""Distance from a frame's border within which the bare rim of a fiducial must not reach, so that it is detected."""
 _SEAM_LINKS = 12
 """Least number of links between two cameras that show whether the cameras agree."""
 
@@ -133,7 +134,7 @@ class Findings:
 
     @cached_property
     def fiducials_in_view(self) -> dict[int, FrameKey]:
-        """The fiducials that frames show wholly, each by its number with one of these frames; empty without C.
+        """The fiducials that frames show with their bare rim, by number, each with one of the frames; empty without C.
 
         Only frames whose pictures fit the board's motion count.
         """
@@ -145,8 +146,8 @@ class Findings:
         found: dict[int, FrameKey] = {}
         for n, i, j, px in zip(views.point.tolist(), views.camera.tolist(), views.row.tolist(), views.px, strict=True):
             camera = self.scene.cameras[i]
-            radius_px = fiducials[n].diameter * self.plane.board_type.mm_per_unit / 2 * camera.px_per_mm
-            if (i, j) in self.confirmed and camera.sees(px[None], radius_px + _RIM_PX)[0]:
+            reach_px = SURROUND / 2 * fiducials[n].diameter * self.plane.board_type.mm_per_unit * camera.px_per_mm
+            if (i, j) in self.confirmed and camera.sees(px[None], reach_px + _BORDER_PX)[0]:
                 found.setdefault(n, (i, j))
         return found
 
