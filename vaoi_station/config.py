@@ -251,6 +251,32 @@ class RingConfig(Section):
     """Time from the announcement of a run during which its frames are not evicted for the next board."""
 
 
+class KeepConfig(Section):
+    """What is kept of finished runs. Of older runs only a summary is kept, and of still older ones nothing.
+
+    The defaults keep one year at a board every 20 s, within `database_gb`. Pinned runs are always kept whole.
+    """
+
+    results: Annotated[Whole, Field(ge=100)] = 100_000
+    """Number of runs with verdict ok that are kept whole, with result, frame verdicts and timeline."""
+    days: Positive = 60.0
+    """Age in days beyond which a run with verdict ok is not kept whole."""
+    doubtful_results: Annotated[Whole, Field(ge=100)] = 50_000
+    """Number of degraded and failed runs that are kept whole."""
+    doubtful_days: Positive = 400.0
+    """Age in days beyond which a degraded or failed run is not kept whole."""
+    runs: Annotated[Whole, Field(ge=1000)] = 2_000_000
+    """Number of runs of which at least the summary is kept."""
+    run_days: Positive = 400.0
+    """Age in days beyond which nothing is kept of a run."""
+    database_gb: Annotated[Positive, Field(ge=0.05)] = 16.0
+    """Size of the database, in 10^9 bytes, above which the oldest runs are forgotten before their time."""
+    recordings_gb: NotNegative = 20.0
+    """Size of the kept recordings of failed, degraded and pinned runs, in 10^9 bytes; 0 keeps none."""
+    recordings_of_failed: bool = True
+    """Whether frames of failed and degraded runs are kept; those of pinned runs always are."""
+
+
 class ApiConfig(Section):
     """The address at which the REST service listens."""
 
@@ -279,6 +305,7 @@ class StationConfig(Section):
     replay: ReplayConfig | None = None
     ring: RingConfig = RingConfig()
     api: ApiConfig = ApiConfig()
+    keep: KeepConfig = KeepConfig()
     visibility: Visibility = Visibility()
     """How much of every component the good frames of a run must show, unless its board type asks for something else."""
 

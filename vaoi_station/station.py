@@ -17,6 +17,8 @@ from vaoi_station.errors import StateError
 from vaoi_station.files import read_calibration
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
+from vaoi_station.runs.archive.housekeeping import Housekeeping
+from vaoi_station.runs.archive.retention import Retention
 from vaoi_station.runs.control.acquisition_link import AcquisitionLink, Launch, spawn_launcher
 from vaoi_station.runs.control.calibration_watch import CalibrationWatch
 from vaoi_station.runs.control.coordinator import StationCoordinator
@@ -29,9 +31,12 @@ from vaoi_station.runs.run.salvage import camera_heads
 from vaoi_station.runs.states.run_ids import RunIds
 from vaoi_station.runs.workers.pool import WorkerPool
 from vaoi_station.store import BoardTypeDirectory, Database, Store
+from vaoi_station.store.soundness import DatabaseCheck
 
 _log = logging.getLogger(__name__)
 
+RETENTION_S, CHECK_S = 60.0, 0.2
+"""Periods of housekeeping: deletion of old runs, and the check of a piece of the database."""
 GRACE_S = 10.0
 """Longest wait for unfinished runs to end when the station is stopped."""
 DATABASE, REFERENCES = "station.db", "references"
@@ -72,6 +77,9 @@ class Station:
             cameras = calibration.cameras(camera_heads(config))
             shelf = ReferenceStore(config.data / REFERENCES, store, cameras)
             shelf.sweep()
+            housekeeping = Housekeeping(events)
+            housekeeping.add(Retention(config.keep, store.retention).sweep, RETENTION_S, code="retention")
+            housekeeping.add(DatabaseCheck(store.database).step, CHECK_S, code="database-damaged")
             coordinator = StationCoordinator(
                 Parts(config, ring, link, workers, archive, events, RunIds(store.newest_run()), watch),
                 ring,
@@ -91,6 +99,8 @@ class Station:
             workers.start(coordinator.process_events)
             parts.callback(link.stop)
             link.start(coordinator.process_events, workers.all_ready)
+            parts.callback(housekeeping.stop)
+            housekeeping.start()
             if ring.lock_note:
                 events.add("trouble", ring.lock_note, code="ring-not-locked")
             self._parts, self._coordinator, self._wound_down = parts.pop_all(), coordinator, False

@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 
 from vaoi_station.errors import DeviceError, InternalError, StateError
 from vaoi_station.store.schema import migrate
+from vaoi_station.store.start_check import check_at_start
 
 T = TypeVar("T")
 READERS = 4
@@ -110,9 +111,7 @@ def _open(path: Path) -> sqlite3.Connection:
             # transactions but does not damage the file (SQLite documentation, "PRAGMA synchronous").
             connection.execute("PRAGMA synchronous = NORMAL")
             # Damage found here stops the start, with an action for the operator. Found later, it would make a run fail.
-            fault = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
-            if fault != "ok":
-                raise sqlite3.DatabaseError(fault)
+            check_at_start(connection, path)
             migrate(connection, path)
     except BaseException:  # roll back or close in every case; the error is raised again
         connection.close()

@@ -17,6 +17,7 @@ from vaoi_station.errors import NotFoundError
 from vaoi_station.store.board_stitching import BoardStitching
 from vaoi_station.store.calibration_checks import CalibrationChecks
 from vaoi_station.store.database import Database
+from vaoi_station.store.retention import RunRetention
 
 Kind = Literal["board-type", "calibration"]
 EVENTS_KEPT = 100_000
@@ -55,9 +56,10 @@ class Store:
     """The documents of one station. Calls that write return a future that completes with the transaction."""
 
     def __init__(self, database: Database) -> None:
-        self._database = database
+        self.database = self._database = database
         self.checks = CalibrationChecks(database)
         self.stitching = BoardStitching(database)
+        self.retention = RunRetention(database)
 
     def keep_document(self, kind: Kind, document: str, now: str) -> str:
         """Store a board type or a calibration as it was used, and return its digest."""
@@ -125,17 +127,26 @@ class Store:
         ]
 
     def mark_frames_gone(self, gone: str) -> Future[None]:
-        """Set the state of all finished runs to `gone`, because the memory of their frames no longer exists."""
+        """Set the state of all finished runs with frames to `gone`, because their memory no longer exists."""
 
         def write(connection: sqlite3.Connection) -> None:
-            connection.execute("UPDATE runs SET state = ? WHERE finish_number IS NOT NULL AND state <> ?", (gone, gone))
+            # The condition on the state is that of the index `runs_with_frames`.
+            connection.execute(
+                """UPDATE runs SET state = ? WHERE state IN ('ready', 'degraded', 'failed')
+                   AND finish_number IS NOT NULL""",
+                (gone,),
+            )
 
         return self._database.write(write)
 
     def finished_after(self, finish_number: int) -> RunRow | None:
-        """Return the run that finished next after `finish_number` (0: the first run of all); None if there is none."""
+        """Return the run that finished next after `finish_number` (0: the first of all); None if there is none.
+
+        Runs of which only a summary is kept are left out.
+        """
         rows = self._database.read(
-            f"SELECT {_COLUMNS} FROM runs WHERE finish_number > ? ORDER BY finish_number LIMIT 1",
+            f"""SELECT {_COLUMNS} FROM runs WHERE id = (
+                SELECT run FROM whole_runs WHERE finish_number > ? ORDER BY finish_number LIMIT 1)""",
             (finish_number,),
         )
         return _row(rows[0]) if rows else None

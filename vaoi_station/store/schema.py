@@ -10,6 +10,10 @@ from pathlib import Path
 
 from vaoi_station.errors import InputError
 
+_VERDICT = "CASE WHEN json_valid(new.summary) THEN json_extract(new.summary, '$.verdict') END"
+_DOUBTFUL = f"(coalesce({_VERDICT}, '') <> 'ok')"
+"""SQL: 1 for a run whose verdict is not ok, or that has none; 0 for the others."""
+
 # STRICT tables reject a value of the wrong type; without it SQLite stores text in an INTEGER column.
 STEPS: tuple[tuple[str, ...], ...] = (
     (
@@ -58,6 +62,31 @@ STEPS: tuple[tuple[str, ...], ...] = (
             board_type TEXT PRIMARY KEY,
             method TEXT NOT NULL
         ) STRICT""",
+    ),
+    (
+        # Which finished runs still have their details and results (`store/retention.py`). Triggers fill the table, so
+        # that no code path that ends a run can leave it out.
+        """CREATE TABLE whole_runs (
+            run TEXT PRIMARY KEY REFERENCES runs (id),
+            finish_number INTEGER NOT NULL UNIQUE,
+            doubtful INTEGER NOT NULL
+        ) STRICT""",
+        f"INSERT INTO whole_runs SELECT id, finish_number, {_DOUBTFUL} FROM runs AS new "
+        "WHERE finish_number IS NOT NULL",
+        "CREATE INDEX whole_runs_by_verdict ON whole_runs (doubtful, run)",
+        f"""CREATE TRIGGER run_is_whole AFTER INSERT ON runs WHEN new.finish_number IS NOT NULL
+            BEGIN INSERT INTO whole_runs VALUES (new.id, new.finish_number, {_DOUBTFUL}); END""",
+        f"""CREATE TRIGGER run_became_whole AFTER UPDATE OF finish_number ON runs
+            WHEN old.finish_number IS NULL AND new.finish_number IS NOT NULL
+            BEGIN INSERT INTO whole_runs VALUES (new.id, new.finish_number, {_DOUBTFUL}); END""",
+        """CREATE TABLE pins (
+            run TEXT PRIMARY KEY REFERENCES runs (id),
+            pinned TEXT NOT NULL
+        ) STRICT""",
+        # One row: the highest id of the runs of which not even the summary is kept.
+        "CREATE TABLE forgotten (last TEXT NOT NULL) STRICT",
+        # A start that changes the state of runs must not read the runs of a year.
+        "CREATE INDEX runs_with_frames ON runs (state) WHERE state IN ('ready', 'degraded', 'failed')",
     ),
 )
 VERSION = len(STEPS)

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeVar
 
-from vaoi_station.errors import DeviceError, NotFoundError, StateError
+from vaoi_station.errors import DeviceError, GoneError, NotFoundError, StateError
 from vaoi_station.files.results import without_components
 from vaoi_station.geometry import Camera
 from vaoi_station.model import BoardType, Calibration, RecordingHead, Stitch
@@ -142,6 +142,7 @@ class Archive:
         Raises:
             NotFoundError: the id is unknown.
             StateError: the run has not ended.
+            GoneError: at most a summary of the run is kept.
             DeviceError: the disk refused the result, and the run is no longer in memory.
         """
         known = self._cached(run)
@@ -149,12 +150,16 @@ class Archive:
             return known
         row = self._store.run(run)
         if row is None:
+            if self._store.retention.forgotten(run):
+                raise _forgotten(run)
             raise NotFoundError(f"There is no run {run!r}.", action="See the list of runs.", code="unknown-run")
         # A row without a finish number was written when the run began, but not again when it ended.
         if row.finish_number is None:
             if (known := self._cached(run)) is not None:  # it ended between the two look-ups
                 return known
             raise DeviceError(f"The end of run {run} could not be written.", action="Check space on the data disk.")
+        if not row.detail:
+            raise _forgotten(run)
         finished = self._parsed(row)
         with self._changed:
             return self._recent.get(run) or self._cache(finished)
@@ -200,7 +205,9 @@ class Archive:
         If `before` is given, return only runs older than the run with this id.
         """
         return [
-            _in_state(RunSummary.model_validate_json(row.summary), RunState(row.state))
+            _in_state(RunSummary.model_validate_json(row.summary), RunState(row.state)).model_copy(
+                update={"forgotten": not row.detail}
+            )
             for row in self._store.runs(limit, before)
         ]
 
@@ -263,6 +270,10 @@ class Archive:
             return self.get(run).finish_number
         except StateError:
             return self._announced
+        except GoneError:
+            # A caller that was away for long goes on with the oldest run that is still kept.
+            row = self._store.run(run)
+            return (row.finish_number or 0) if row else 0
 
     def _cache(self, finished: FinishedRun) -> FinishedRun:
         self._recent[finished.detail.id] = finished
@@ -295,6 +306,14 @@ def summary_line(detail: RunDetail) -> str:
     message = "; ".join(reason.message for reason in detail.reasons) or "The matrices are available."
     ms = detail.timings.ready_after_last_frame_ms if detail.timings else None
     return message if ms is None else f"{message} {ms:.0f} ms after the last frame."
+
+
+def _forgotten(run: str) -> GoneError:
+    return GoneError(
+        f"Result and record of run {run} were deleted because of their age, number or size.",
+        action="Fetch results sooner, pin runs that are needed for long, or raise the limits of [keep].",
+        code="run-forgotten",
+    )
 
 
 def _in_state(document: R, state: RunState) -> R:

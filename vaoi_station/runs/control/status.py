@@ -125,6 +125,16 @@ def _cameras(core: Core, config: StationConfig) -> tuple[CameraStatus, ...]:
     )
 
 
+def _results_kept(config: StationConfig) -> str:
+    keep = config.keep
+    return (
+        f"Results and records of the newest {keep.results} runs with verdict ok are kept in {config.data} for "
+        f"{keep.days:g} days, of {keep.doubtful_results} others for {keep.doubtful_days:g} days, of pinned runs "
+        f"without limit; summaries of {keep.runs} runs for {keep.run_days:g} days; all within "
+        f"{keep.database_gb:g} GB."
+    )
+
+
 def _retention(config: StationConfig) -> Retention:
     runs = config.ring.runs
     return Retention(
@@ -137,6 +147,6 @@ def _retention(config: StationConfig) -> Retention:
             "the next board: the oldest other finished run is evicted; if there is none, the line is blocked. "
             "A restart of the station loses all frames."
         ),
-        results=f"Results and the records of runs are kept in {config.data}, also over restarts.",
+        results=_results_kept(config),
         events=f"The last {EVENTS_KEPT} events are kept, also over restarts.",
     )

@@ -40,6 +40,11 @@ class RunIds:
         return f"{_text(self._last_ms, _TIME_DIGITS)}-{chance}"
 
 
+def earliest_id(time_s: float) -> str:
+    """Return a text that sorts before the run ids assigned since a time, in s since 1970, and after all others."""
+    return _text(max(int(time_s * 1000), 0), _TIME_DIGITS)
+
+
 def _text(number: int, digits: int) -> str:
     return "".join(_DIGITS[(number >> 5 * k) & 31] for k in reversed(range(digits)))
 

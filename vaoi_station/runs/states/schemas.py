@@ -274,6 +274,8 @@ class RunSummary(Schema):
     frames_kept_until: str | None = None
     """Time until which the frames of a finished run are not evicted, unless the run is released before; later they stay
     only as long as a caller holds them or their memory is not needed."""
+    forgotten: bool = False
+    """Whether only this summary is kept; requests for the run are refused with 410 `run-forgotten`."""
 
 
 class Interruption(Schema):

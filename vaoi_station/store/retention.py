@@ -1,0 +1,146 @@
+"""Which finished runs are kept whole, which as a summary only, and which are pinned.
+
+A run is *whole* while its details, timeline and result are kept. A run that is forgotten in part keeps its row with
+the summary; one that is forgotten completely has no row. Pinned runs are never forgotten.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Sequence
+from concurrent.futures import Future
+
+from vaoi_station.errors import StateError
+from vaoi_station.store.database import Database
+
+MOST_PINS = 1000
+"""Largest number of pinned runs. Pinned runs are never forgotten, so their number must be bounded."""
+NEVER_FORGOTTEN = 100
+"""Number of the newest runs of each kind that are kept whole in spite of the limits."""
+
+
+class RunRetention:
+    """Deletion and pinning of finished runs. Calls that write return a future of the transaction."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def surplus(self, doubtful: bool, keep: int, before: str, limit: int) -> list[str]:
+        """Return the oldest whole runs beyond the newest `keep`, or with ids below `before`; at most `limit` ids.
+
+        Args:
+            doubtful: select the runs whose verdict is not ok, instead of the others.
+            keep: number of runs of this kind to keep.
+            before: id below which runs are too old.
+            limit: largest number of ids to return.
+        """
+        rows = self._database.read(
+            """SELECT run FROM whole_runs WHERE doubtful = ?1 AND run NOT IN (SELECT run FROM pins)
+               AND run < max(
+                   coalesce((SELECT run FROM whole_runs WHERE doubtful = ?1 ORDER BY run DESC LIMIT 1 OFFSET ?2), ''),
+                   min(?3, coalesce(
+                       (SELECT run FROM whole_runs WHERE doubtful = ?1 ORDER BY run DESC LIMIT 1 OFFSET ?4), ''))
+               ) ORDER BY run LIMIT ?5""",
+            (int(doubtful), keep - 1, before, NEVER_FORGOTTEN - 1, limit),
+        )
+        return [str(row["run"]) for row in rows]
+
+    def old_summaries(self, keep: int, before: str, limit: int) -> list[str]:
+        """Return the oldest runs beyond the newest `keep` runs, or with ids below `before`; at most `limit` ids.
+
+        Runs that are whole, unfinished or pinned are left out, and those that a calibration check refers to.
+        """
+        rows = self._database.read(
+            """SELECT id FROM runs WHERE id < max(?2, coalesce(
+                   (SELECT id FROM runs ORDER BY id DESC LIMIT 1 OFFSET ?1), ''))
+               AND finish_number IS NOT NULL
+               AND NOT EXISTS (SELECT 1 FROM whole_runs WHERE run = runs.id)
+               AND NOT EXISTS (SELECT 1 FROM pins WHERE run = runs.id)
+               AND NOT EXISTS (SELECT 1 FROM calibration_checks WHERE run = runs.id)
+               ORDER BY id LIMIT ?3""",
+            (keep - 1, before, limit),
+        )
+        return [str(row["id"]) for row in rows]
+
+    def forget_details(self, runs: Sequence[str]) -> Future[None]:
+        """Delete results, details and timelines of runs; their summaries stay."""
+
+        def write(connection: sqlite3.Connection) -> None:
+            for run in runs:
+                # A run may have been pinned since it was selected.
+                if connection.execute("SELECT 1 FROM pins WHERE run = ?", (run,)).fetchone():
+                    continue
+                connection.execute("DELETE FROM results WHERE run = ?", (run,))
+                connection.execute("UPDATE runs SET detail = '', head = NULL, timeline = NULL WHERE id = ?", (run,))
+                connection.execute("DELETE FROM whole_runs WHERE run = ?", (run,))
+
+        return self._database.write(write)
+
+    def forget_runs(self, runs: Sequence[str]) -> Future[None]:
+        """Delete the rows of runs that `old_summaries` has returned."""
+
+        def write(connection: sqlite3.Connection) -> None:
+            if not runs:
+                return
+            connection.executemany(
+                """DELETE FROM runs WHERE id = ?1 AND detail = ''
+                   AND NOT EXISTS (SELECT 1 FROM calibration_checks WHERE run = ?1)
+                   AND NOT EXISTS (SELECT 1 FROM pins WHERE run = ?1)""",
+                ((run,) for run in runs),
+            )
+            known = connection.execute("SELECT max(last) FROM forgotten").fetchone()[0] or ""
+            connection.execute("DELETE FROM forgotten")
+            connection.execute("INSERT INTO forgotten VALUES (?)", (max(known, *runs),))
+
+        return self._database.write(write)
+
+    def forgotten(self, run: str) -> bool:
+        """Return whether a run without a row is so old that it may have been deleted."""
+        rows = self._database.read("SELECT max(last) AS last FROM forgotten")
+        return rows[0]["last"] is not None and run <= str(rows[0]["last"])
+
+    def used_bytes(self) -> int:
+        """Return the size of the database without its free pages, which later writes use first."""
+        rows = self._database.read(
+            """SELECT (page_count - freelist_count) * page_size AS n
+               FROM pragma_page_count, pragma_freelist_count, pragma_page_size"""
+        )
+        return int(rows[0]["n"])
+
+    def whole(self) -> tuple[int, int]:
+        """Return the numbers of runs that are kept whole: with verdict ok, and all others."""
+        rows = self._database.read("SELECT coalesce(sum(1 - doubtful), 0), coalesce(sum(doubtful), 0) FROM whole_runs")
+        return int(rows[0][0]), int(rows[0][1])
+
+    def pin(self, run: str, now: str) -> Future[None]:
+        """Pin a run; no effect if it is pinned. The future carries `StateError` if too many runs are pinned."""
+
+        def write(connection: sqlite3.Connection) -> None:
+            if connection.execute("SELECT 1 FROM pins WHERE run = ?", (run,)).fetchone():
+                return
+            (pins,) = connection.execute("SELECT count(*) FROM pins").fetchone()
+            if pins >= MOST_PINS:
+                raise StateError(
+                    f"{pins} runs are pinned, which is the limit; run {run} was not pinned.",
+                    action="Unpin runs that are no longer needed (DELETE runs/{id}/pin).",
+                    code="too-many-pins",
+                )
+            connection.execute("INSERT INTO pins VALUES (?, ?)", (run, now))
+
+        return self._database.write(write)
+
+    def unpin(self, run: str) -> Future[None]:
+        """Remove the pin of a run; no effect if it is not pinned."""
+
+        def write(connection: sqlite3.Connection) -> None:
+            connection.execute("DELETE FROM pins WHERE run = ?", (run,))
+
+        return self._database.write(write)
+
+    def pinned(self, run: str) -> bool:
+        """Return whether a run is pinned."""
+        return bool(self._database.read("SELECT 1 FROM pins WHERE run = ?", (run,)))
+
+    def pins(self) -> frozenset[str]:
+        """Return the ids of all pinned runs."""
+        return frozenset(str(row["run"]) for row in self._database.read("SELECT run FROM pins"))

@@ -1,0 +1,79 @@
+"""Checks in small steps, while the station runs, whether the database file is sound.
+
+SQLite's `quick_check` reads every page and cannot be interrupted. A database of a year would delay the start by more
+than the time that the station may take (`start_check`), so its rows are read later, a few at a time.
+"""
+
+from __future__ import annotations
+
+from vaoi_station.errors import DeviceError
+from vaoi_station.store.database import Database
+
+ROWS, LARGE_ROWS = 400, 25
+"""Numbers of rows of one step: of tables with small rows, and of those whose rows may have megabytes."""
+PAUSE_STEPS = 100_000
+"""Number of steps that are left out between two rounds; at 0.2 s a step, 5.6 hours."""
+RESTORE = "Stop the station and restore a backup (vaoi restore), or move the file away to begin with an empty one."
+
+_TABLES: tuple[tuple[str, str, str, int], ...] = (
+    ("runs", "id", "json_valid(summary) AND (detail = '' OR json_valid(detail))", ROWS),
+    ("runs", "id", "timeline IS NULL OR json_valid(timeline)", LARGE_ROWS),
+    ("results", "run", "json_valid(document)", LARGE_ROWS),
+    ("calibration_checks", "run", "json_valid(document)", ROWS),
+    ("documents", "digest", "json_valid(document)", LARGE_ROWS),
+    ("board_references", "board_type", "json_valid(document)", LARGE_ROWS),
+    ("whole_runs", "run", "finish_number > 0", ROWS),
+    ("events", "number", "json_valid(document)", ROWS),
+)
+"""Table, key, condition that a sound row fulfils, and number of rows of a step. Every column with text is read."""
+
+
+class DatabaseCheck:
+    """Reads the whole database in small steps, round after round."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+        self._table, self._after, self._left_out = 0, "", 0
+        self.rounds = 0
+        """Number of complete rounds without a fault."""
+
+    def step(self) -> None:
+        """Read the next rows.
+
+        Raises:
+            DeviceError: the file is damaged. The next step goes on behind the damaged place.
+        """
+        if self._left_out:
+            self._left_out -= 1
+            return
+        table, key, sound, rows = _TABLES[self._table]
+        # The key of events is a number, which SQLite compares with a text as smaller: the first value must be one too.
+        after: str | int = self._after or (-1 if key == "number" else "")
+        try:
+            found = self._database.read(
+                f"SELECT {key} AS k, {sound} AS sound FROM {table} WHERE {key} > ? ORDER BY {key} LIMIT ?",
+                (int(after) if key == "number" else after, rows),
+            )
+        except DeviceError as error:
+            self._next_table()
+            raise DeviceError(
+                f"{error.message} The damage is in table {table} after {after!r}.",
+                action=RESTORE,
+                code="database-damaged",
+            ) from error
+        if len(found) < rows:
+            self._next_table()
+        else:
+            self._after = str(found[-1]["k"])
+        if bad := [str(row["k"]) for row in found if not row["sound"]]:
+            raise DeviceError(
+                f"{self._database.path}: table {table} has damaged rows ({', '.join(bad[:3])}).",
+                action=RESTORE,
+                code="database-damaged",
+            )
+
+    def _next_table(self) -> None:
+        self._table, self._after = self._table + 1, ""
+        if self._table == len(_TABLES):
+            self._table, self._left_out = 0, PAUSE_STEPS
+            self.rounds += 1
