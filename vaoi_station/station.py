@@ -24,7 +24,7 @@ from vaoi_station.runs.control.calibration_watch import CalibrationWatch
 from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.runs.control.core import Parts
 from vaoi_station.runs.host.stop_request import StopRequest
-from vaoi_station.runs.host.systemd import notify, notify_watchdog
+from vaoi_station.runs.host.systemd import StatusNotice, notify, notify_watchdog
 from vaoi_station.runs.run.order import OrderFactory
 from vaoi_station.runs.run.reference_store import ReferenceStore
 from vaoi_station.runs.run.salvage import camera_heads
@@ -90,6 +90,7 @@ class Station:
                 shelf,
                 lambda: (link.status(), *workers.status()),
                 notify_watchdog,
+                StatusNotice(),
             )
             # The exit stack calls in reverse order: the link stops first, then the workers, then the coordinator, which
             # thus receives the last reports of both.

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import shutil
+import subprocess
 from fnmatch import fnmatchcase
 from pathlib import Path
 
@@ -63,3 +65,23 @@ def test_service_may_lock_its_ring_and_use_its_port() -> None:
     (group,) = set(re.findall(r'GROUP="(\w+)"', port))
     assert group in service("SupplementaryGroups")
     assert PAPER.controller.port == "/dev/" + re.findall(r'SYMLINK\+="([\w-]+)"', port)[0]
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed")
+def test_service_has_few_privileges() -> None:
+    """The exposure level of `systemd-analyze security`, 0 to 10, is at most 2.0, and systemd knows every key."""
+    unit = DEPLOY / "vaoi-station.service"
+    command = ["systemd-analyze", "security", "--offline=true", "--no-pager", "--threshold=20", str(unit)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if "unrecognized option" in done.stderr:
+        pytest.skip("this systemd-analyze cannot examine a file")
+    assert done.returncode == 0, done.stdout[-300:]
+    assert "Unknown key" not in done.stderr
+
+
+def test_service_has_what_aravis_and_numba_need() -> None:
+    assert {"AF_UNIX", "AF_INET", "AF_INET6", "AF_NETLINK"} == set(service("RestrictAddressFamilies"))
+    # Numba compiles into memory, and machine code from its cache is loaded there as well.
+    assert not [line for line in lines("vaoi-station.service") if line.startswith("MemoryDenyWriteExecute")]
+    devices = [line for line in lines("vaoi-station.service") if line.startswith("DeviceAllow=char-")]
+    assert {line.split("char-")[1].split()[0] for line in devices} == {"ttyUSB", "ttyACM", "usb_device"}

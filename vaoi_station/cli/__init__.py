@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 from typing import Annotated
@@ -31,6 +32,11 @@ from vaoi_station.version import __version__
 # Our matrices are small: threads of the linear algebra library cost more than they save, and would take
 # the cores that cameras and workers need. Child processes inherit this; it must be set before numpy loads.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+_PASSING = frozenset(
+    {errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS, errno.ENOMEM, errno.EMFILE, errno.ENFILE, errno.ESTALE}
+)
+"""Errors that may pass without a change of the input; systemd does not restart a service that ends with code 2."""
 
 # Rich tracebacks are off: `main` prints errors itself, in one sentence.
 app = typer.Typer(
@@ -88,7 +94,7 @@ def main() -> None:
     except OSError as error:
         # No layer below has described this error of a file or device. Its path is the best information available.
         sys.stderr.write(f"vaoi: {error.filename or 'the system'}: {error.strerror or error}.\n")
-        sys.exit(2)
+        sys.exit(3 if error.errno in _PASSING else 2)
     except Exception as error:  # any other exception is an internal error; the user still gets one sentence
         if os.environ.get("VAOI_TRACEBACK"):
             raise

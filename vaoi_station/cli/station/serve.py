@@ -21,9 +21,11 @@ def serve(
     from vaoi_station.acquisition.process.backends import check_backends
     from vaoi_station.config import read_config
     from vaoi_station.runs.host.logs import configure_logging
+    from vaoi_station.runs.host.process_title import set_process_title
 
     settings = read_config(config)
     # Checked before processes start: a wrong scenario gives one error here, but would give endless restarts later.
     check_backends(settings)
+    set_process_title("vaoi", arguments=False)
     configure_logging(log_json)
     station.serve(settings, port)

@@ -6,6 +6,8 @@ import logging
 import threading
 import time
 from collections import deque
+from collections.abc import Mapping
+from types import MappingProxyType
 
 from vaoi_station.runs.states.run_ids import utc
 from vaoi_station.runs.states.schemas import EventRecord
@@ -15,6 +17,7 @@ _log = logging.getLogger(__name__)
 
 RECENT = 1000
 """Number of the latest events that are kept in memory. Older events are read from the database."""
+_NOTHING: Mapping[str, str] = MappingProxyType({})
 _WARNINGS = frozenset({"trouble", "board-missed", "process"})
 """Kinds of events that are logged at level WARNING; all others are logged at level INFO."""
 
@@ -35,9 +38,20 @@ class EventLog:
         return self._last
 
     def add(
-        self, kind: str, message: str, *, state: str = "", run: str | None = None, code: str = "", action: str = ""
+        self,
+        kind: str,
+        message: str,
+        *,
+        state: str = "",
+        run: str | None = None,
+        code: str = "",
+        action: str = "",
+        subject: Mapping[str, str] = _NOTHING,
     ) -> EventRecord:
-        """Append an event to the log, and wake all callers that wait for a new event."""
+        """Append an event to the log, and wake all callers that wait for a new event.
+
+        `subject` names the `board` or the `camera` that the event concerns, for the log of the machine.
+        """
         with self._changed:
             event = EventRecord(
                 number=self._last + 1, time=utc(), kind=kind, state=state, run=run,
@@ -51,7 +65,9 @@ class EventLog:
             self._changed.notify_all()
         # The log is written outside the lock: a slow log must not delay readers.
         level = logging.WARNING if kind in _WARNINGS else logging.INFO
-        _log.log(level, "%s%s: %s", kind, f" {run}" if run else "", f"{message} {action}".strip())
+        fields = {"event": kind, "run": run, "code": code, **subject}
+        text = f"{message} {action}".strip()
+        _log.log(level, "%s%s: %s", kind, f" {run}" if run else "", text, extra=fields)
         return event
 
     def read(self, after: int, timeout_s: float, limit: int) -> tuple[EventRecord, ...]:

@@ -133,7 +133,11 @@ class ActiveRuns:
         self._archive.finish(progress)
 
     def _publish(self, progress: Progress, message: str) -> None:
-        self._events.add("run", message, state=progress.state, run=progress.run)
+        self._events.add("run", message, state=progress.state, run=progress.run, subject=_board(progress))
+
+
+def _board(progress: Progress) -> dict[str, str]:
+    return {"board": progress.order.board_id} if progress.order.board_id else {}
 
 
 def _final_step(progress: Progress) -> RunStep:

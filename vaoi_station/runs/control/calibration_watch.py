@@ -79,7 +79,8 @@ class CalibrationWatch:
         self._drifts, self._vanished = find_drifts(checks), find_vanished_cameras(checks)
         for camera in sorted({*self._vanished} - {*gone}):
             reason = self._unseen(camera)
-            self._events.add("trouble", reason.message, run=run, code=reason.code, action=reason.action)
+            name = {"camera": self._names[camera]}
+            self._events.add("trouble", reason.message, run=run, code=reason.code, action=reason.action, subject=name)
         self._publish_changes(before, run)
 
     def _publish_changes(self, before: tuple[Drift, ...], run: str) -> None:
@@ -87,10 +88,12 @@ class CalibrationWatch:
         known, now = {d.camera for d in before}, {d.camera for d in self._drifts}
         for d in self._drifts:
             if d.camera not in known:
-                self._events.add("trouble", self._message(d), run=run, code=CODE, action=self._action(d))
+                name = {"camera": self._names[d.camera]}
+                message, action = self._message(d), self._action(d)
+                self._events.add("trouble", message, run=run, code=CODE, action=action, subject=name)
         for camera in sorted(known - now):
-            name = self._names[camera]
-            self._events.add("calibration", f"Camera {name} is back at its calibrated position.", run=run)
+            message = f"Camera {self._names[camera]} is back at its calibrated position."
+            self._events.add("calibration", message, run=run, subject={"camera": self._names[camera]})
 
     def _unseen(self, camera: int) -> Reason:
         name = self._names[camera]

@@ -24,7 +24,7 @@ from vaoi_station.runs.control.inbox import Inbox
 from vaoi_station.runs.control.inbox_events import InboxEvents
 from vaoi_station.runs.control.pictures import FrameAccess, PictureRequests, ViewRequest
 from vaoi_station.runs.control.station_events import StationEvents
-from vaoi_station.runs.control.status import snapshot_of
+from vaoi_station.runs.control.status import snapshot_of, status_line
 from vaoi_station.runs.control.teaching import BoardTypeService, ReferenceTeaching
 from vaoi_station.runs.host.gc_policy import GcPolicy
 from vaoi_station.runs.run.leases import OWN
@@ -72,6 +72,7 @@ class StationCoordinator:
         references: ReferenceStore,
         processes: Callable[[], tuple[ProcessStatus, ...]],
         alive: Callable[[], None] = lambda: None,
+        show_status: Callable[[str], None] = lambda _: None,
     ) -> None:
         """Connect the parts. The coordinator's thread is not started before `start` is called.
 
@@ -83,9 +84,10 @@ class StationCoordinator:
             references: the store of the references.
             processes: function that returns the states of all processes, for the snapshot.
             alive: function that is called at every tick, to reset a watchdog.
+            show_status: function that receives the station's state in one line at every tick.
         """
         self._parts, self._ring = parts, ring
-        self._make_order, self._processes, self._alive = make_order, processes, alive
+        self._make_order, self._processes, self._alive, self._show_status = make_order, processes, alive, show_status
         self._inbox = Inbox(self._tick)
         self._gc_policy = GcPolicy()
         self._core = Core(parts)
@@ -363,6 +365,7 @@ class StationCoordinator:
         # A full garbage collection while a board passes would delay the tasks of its frames.
         self._gc_policy.tick(busy=bool(self._core.runs.active))
         self._alive()
+        self._show_status(status_line(self._core))
 
     def _snapshot(self) -> StationSnapshot:
         latest = self._parts.archive.latest()

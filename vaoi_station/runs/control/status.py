@@ -81,6 +81,17 @@ def snapshot_of(
     )
 
 
+def status_line(core: Core) -> str:
+    """Return state, order, runs under way and first reason in one line. Call it in the coordinator's thread."""
+    order, runs = core.line.orders.shown(), len(core.runs.active)
+    parts = [f"{core.machine.state}{f' for board type {order.board_type!r}' if order else ''}"]
+    if runs:
+        parts.append(f"{runs} run{'' if runs == 1 else 's'} under way")
+    if reason := next(iter(core.machine.reasons.all()), None):
+        parts.append(reason.message)
+    return "; ".join(parts)
+
+
 def worker_warnings(processes: tuple[ProcessStatus, ...]) -> tuple[Reason, ...]:
     """Return one warning if workers are still starting, else none.
 

@@ -1,13 +1,15 @@
-"""Set-up of a child process: signals, number of threads, log and memory allocator."""
+"""Set-up of a child process: signals, name, number of threads, log and memory allocator."""
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 from vaoi_station.runs.host.logs import configure_logging
+from vaoi_station.runs.host.process_title import set_process_title
 
 _TUNABLES = "GLIBC_TUNABLES"
 _MEMORY = {"hugetlb": 1, "trim_threshold": 512 << 20, "mmap_threshold": 32 << 20}
@@ -20,7 +22,7 @@ _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def set_up_process(one_thread: bool) -> None:
-    """Set up a child process: ignore SIGINT and SIGTERM, and configure its log.
+    """Set up a child process: ignore SIGINT and SIGTERM, show its name, and configure its log.
 
     With `one_thread`, numerical libraries use one thread. A child process ends when the station sends it a message to
     end, or when its pipe closes because the station has died.
@@ -31,6 +33,7 @@ def set_up_process(one_thread: bool) -> None:
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     if one_thread:
         os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
+    set_process_title(multiprocessing.current_process().name, arguments=True)
     configure_logging()
 
 

@@ -1,4 +1,4 @@
-"""Messages to systemd for a unit with `Type=notify`: ready, watchdog, stopping.
+"""Messages to systemd for a unit with `Type=notify`: ready, watchdog, status, stopping.
 
 Outside of systemd, the environment variable NOTIFY_SOCKET is not set, and no message is sent.
 """
@@ -29,3 +29,15 @@ def notify(state: str) -> bool:
 def notify_watchdog() -> None:
     """Report to systemd's watchdog that the station is alive."""
     notify("WATCHDOG=1")
+
+
+class StatusNotice:
+    """Sends systemd the line that `systemctl status` shows, whenever it has changed. Used by one thread."""
+
+    def __init__(self) -> None:
+        self._sent = ""
+
+    def __call__(self, status: str) -> None:
+        """Send a status if it differs from the last one; only its first line is shown."""
+        if status != self._sent and notify(f"STATUS={status.splitlines()[0] if status else ''}"):
+            self._sent = status
