@@ -17,6 +17,7 @@ from vaoi_station.files.results import stitch_text
 from vaoi_station.geometry import Camera, Lens, Projective, System
 from vaoi_station.model import BoardType, FrameRecord, Status, Stitch, Verdict
 from vaoi_station.rendering import View, compute_views, render
+from vaoi_station.runs.archive.run_statistics import RunFigures
 from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.runs.states.calibration_schemas import CalibrationStatus, CameraCalibration, CameraDrift, CameraMoment
 from vaoi_station.runs.states.schemas import (
@@ -274,6 +275,9 @@ class HeldStation(StationCoordinator):
         if run not in self.filmed:
             raise NotFoundError(f"There is no run {run!r}.")
         return self.filmed[run]
+
+    def run_figures(self) -> RunFigures:
+        return RunFigures({"ok": 2, "degraded": 1}, {"ok": 30}, (0, 2, 1, *[0] * 8), 0.4)
 
     def latest(self) -> RunDetail | None:
         return next(reversed(self._finished()), None)

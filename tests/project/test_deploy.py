@@ -85,3 +85,12 @@ def test_service_has_what_aravis_and_numba_need() -> None:
     assert not [line for line in lines("vaoi-station.service") if line.startswith("MemoryDenyWriteExecute")]
     devices = [line for line in lines("vaoi-station.service") if line.startswith("DeviceAllow=char-")]
     assert {line.split("char-")[1].split()[0] for line in devices} == {"ttyUSB", "ttyACM", "usb_device"}
+
+
+def test_alerts_use_metrics_that_exist() -> None:
+    rules = (DEPLOY / "monitoring" / "alerts.yml").read_text(encoding="utf-8")
+    page = (DEPLOY.parent / "docs" / "internals" / "metrics.md").read_text(encoding="utf-8")
+    documented = set(re.findall(r"`(vaoi_[a-z_]+)", page))
+    named = {name.removesuffix("_bucket") for name in re.findall(r"\bvaoi_[a-z_]+", rules)}
+    assert named
+    assert sorted(named - documented) == []

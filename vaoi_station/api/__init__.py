@@ -13,7 +13,17 @@ from vaoi_station.api.event_hub import EventHub
 from vaoi_station.api.hosts import allowed_names
 from vaoi_station.api.request_guard import RequestGuard
 from vaoi_station.api.rest_models import Health
-from vaoi_station.api.routes import board_types, calibration, components, events, frames, runs, station, stitching
+from vaoi_station.api.routes import (
+    board_types,
+    calibration,
+    components,
+    events,
+    frames,
+    metrics,
+    runs,
+    station,
+    stitching,
+)
 from vaoi_station.api.services import Services
 from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.runs.states.tables import StationState
@@ -56,6 +66,7 @@ def create_app(coordinator: StationCoordinator, names: Iterable[str] = ()) -> Fa
     for module in (station, calibration, board_types, stitching, runs, frames, components, events):
         app.include_router(module.router(services), prefix=PREFIX)
     _add_health(app, services)
+    app.include_router(metrics.router(services))
     pages.install(app)
     openapi.install(app)
     # Added last, so that it is the outermost layer and sees each request first.

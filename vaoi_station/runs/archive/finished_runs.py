@@ -20,6 +20,7 @@ from vaoi_station.geometry import Camera
 from vaoi_station.model import BoardType, Calibration, RecordingHead, Stitch
 from vaoi_station.rendering import ViewCalculator
 from vaoi_station.runs.archive.event_log import EventLog
+from vaoi_station.runs.archive.run_statistics import RunStatistics
 from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.run.run_views import detail_of, summary_of, timeline_of
 from vaoi_station.runs.states.run_ids import utc_of_host
@@ -84,6 +85,7 @@ class Archive:
         """Time from the announcement of a run during which its frames are not evicted, s."""
         self.on_announced: Callable[[str, float], None] = lambda _run, _until_s: None
         """Function that is called when a run is announced, with its id and the host time until which it is kept."""
+        self.statistics = RunStatistics()
         self._changed = threading.Condition()
         self._recent: OrderedDict[str, FinishedRun] = OrderedDict()
         self._under_way: set[str] = set()
@@ -120,6 +122,7 @@ class Archive:
             self._under_way.discard(progress.run)
             self._cache(finished)
         row = _row(progress, detail, self._finished)
+        self.statistics.add(detail, finished.timeline)
         saved = self._store.save_run(row, finished.timeline.model_dump_json(), finished.document)
         saved.add_done_callback(lambda future: self._announce(finished, future))
         return detail

@@ -19,6 +19,7 @@ from vaoi_station.errors import DeviceError, InputError, StateError
 from vaoi_station.model import BoardType, FrameRecord, Stitch
 from vaoi_station.rendering import View
 from vaoi_station.runs.archive import component_views
+from vaoi_station.runs.archive.run_statistics import RunFigures
 from vaoi_station.runs.control.core import Core, Parts
 from vaoi_station.runs.control.inbox import Inbox
 from vaoi_station.runs.control.inbox_events import InboxEvents
@@ -259,6 +260,10 @@ class StationCoordinator:
             return self._inbox.ask(self._active, run) or self._parts.archive.get(run).detail
         except StateError:  # the run began between the two look-ups, so it is found among the active runs now
             return self._inbox.ask(self._active, run) or self._parts.archive.get(run).detail
+
+    def run_figures(self) -> RunFigures:
+        """Return counts and waiting times of the runs that ended since the start."""
+        return self._parts.archive.statistics.figures()
 
     def latest(self) -> RunDetail | None:
         """Return the run that finished last; None if no run has finished yet."""

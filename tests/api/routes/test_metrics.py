@@ -1,0 +1,69 @@
+"""`/metrics` in the text format of Prometheus."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from vaoi_station.api.routes.metrics import Metric, as_text
+
+DOCUMENT = Path(__file__).resolve().parents[3] / "docs" / "internals" / "metrics.md"
+SAMPLE = re.compile(r"^([a-z_:][a-z0-9_:]*)(?:\{(.*)\})? (\S+)$")
+
+
+def samples(text: str) -> dict[tuple[str, str], float]:
+    found = (SAMPLE.match(line) for line in text.splitlines() if not line.startswith("#"))
+    return {(m[1], m[2] or ""): float(m[3]) for m in found if m is not None}
+
+
+def test_metrics_show_state_runs_cameras_and_processes(client: Any) -> None:
+    answer = client.get("/metrics")
+    assert answer.status_code == 200
+    assert answer.headers["content-type"].startswith("text/plain; version=0.0.4")
+    shown = samples(answer.text)
+    assert len(shown) == sum(not line.startswith("#") for line in answer.text.splitlines()), "every line is a sample"
+    assert shown["vaoi_state", 'state="idle"'] == 1
+    assert sum(value for (name, _), value in shown.items() if name == "vaoi_state") == 1
+    assert shown["vaoi_runs_total", 'verdict="degraded"'] == 1
+    assert shown["vaoi_result_latency_seconds_bucket", 'le="0.1"'] == 2
+    assert shown["vaoi_result_latency_seconds_bucket", 'le="+Inf"'] == shown["vaoi_result_latency_seconds_count", ""]
+    assert shown["vaoi_process_resident_bytes", 'process="station"'] > 10e6
+    assert shown["vaoi_process_open_fds", 'process="station"'] >= 3
+    assert 0 < shown["vaoi_process_age_seconds", 'process="station"'] < 86400
+    assert sum(name == "vaoi_camera_connected" for name, _ in shown) == 3
+
+
+def test_names_follow_the_conventions_of_prometheus(client: Any) -> None:
+    """Counters end with _total, units are seconds and bytes, and every metric has a type and a description."""
+    lines = client.get("/metrics").text.splitlines()
+    kinds = {line.split()[2]: line.split()[3] for line in lines if line.startswith("# TYPE")}
+    assert len(kinds) > 20
+    assert {name for name in kinds if not name.startswith("vaoi_")} == set()
+    assert {name for name, kind in kinds.items() if name.endswith("_total") != (kind == "counter")} == set()
+    assert [name for name in kinds if re.search(r"_(ms|us|mb|kb|count)(_|$)", name)] == []
+    assert sum(line.startswith("# HELP") for line in lines) == len(kinds)
+
+
+def test_every_metric_is_documented(client: Any) -> None:
+    text = DOCUMENT.read_text(encoding="utf-8")
+    named = set(re.findall(r"`(vaoi_[a-z_]+)", text))
+    lines = client.get("/metrics").text.splitlines()
+    assert {line.split()[2] for line in lines if line.startswith("# TYPE")} == named
+
+
+def test_labels_are_escaped() -> None:
+    text = as_text([Metric("a", "gauge", "x", (("", {"camera": 'a"b\\c\nd'}, 1.0),))])
+    assert text.splitlines()[-1] == r'a{camera="a\"b\\c\nd"} 1'
+
+
+@pytest.mark.skipif(shutil.which("promtool") is None, reason="promtool (package prometheus) is not installed")
+def test_prometheus_accepts_the_text(client: Any) -> None:
+    text = client.get("/metrics").text
+    done = subprocess.run(["promtool", "check", "metrics"], input=text, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, ""), os.linesep.join([done.stdout, done.stderr])
