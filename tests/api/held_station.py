@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from tests.api.routes.held_pins import HeldPins
 from vaoi_station.api.encoders import ImageFormat, encode_image
 from vaoi_station.config import MethodName
 from vaoi_station.errors import DeviceError, GoneError, InternalError, NotFoundError, StateError
@@ -78,6 +79,7 @@ class HeldStation(StationCoordinator):
         self.holders: dict[tuple[str, str], LeaseStatus] = {}
         self.references: dict[str, ReferenceStatus] = {}
         self.methods: dict[str, MethodName] = {}
+        self.kept = HeldPins(self)  # type: ignore[assignment]
         self.broken = False
         self.closed = False
         matrix = np.array([[PX_PER_MM, 0, 0], [0, -PX_PER_MM, 320], [0, 0, 1]])

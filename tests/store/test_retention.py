@@ -80,8 +80,8 @@ def test_pinned_runs_are_never_forgotten(
     store: Store, kept: RunRetention, make_run: MakeRun, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fill(store, make_run, 4)
-    kept.pin("r00", NOW).result(10)
-    kept.pin("r00", NOW).result(10)
+    kept.pin("r00", NOW)
+    kept.pin("r00", NOW)
     assert kept.pinned("r00")
     assert not kept.pinned("r01")
     assert kept.surplus(False, 1, "~", 10) == ["r01", "r02"]
@@ -89,9 +89,9 @@ def test_pinned_runs_are_never_forgotten(
     assert store.result("r00") is not None, "it was pinned after it had been selected"
     monkeypatch.setattr(retention, "MOST_PINS", 1)
     with pytest.raises(StateError, match="1 runs are pinned, which is the limit"):
-        kept.pin("r02", NOW).result(10)
-    kept.unpin("r00").result(10)
-    kept.unpin("r00").result(10)
+        kept.pin("r02", NOW)
+    kept.unpin("r00")
+    kept.unpin("r00")
     assert kept.pins() == frozenset()
 
 

@@ -24,6 +24,7 @@ class RunRetention:
 
     def __init__(self, database: Database) -> None:
         self._database = database
+        self._pins: frozenset[str] | None = None
 
     def surplus(self, doubtful: bool, keep: int, before: str, limit: int) -> list[str]:
         """Return the oldest whole runs beyond the newest `keep`, or with ids below `before`; at most `limit` ids.
@@ -112,8 +113,12 @@ class RunRetention:
         rows = self._database.read("SELECT coalesce(sum(1 - doubtful), 0), coalesce(sum(doubtful), 0) FROM whole_runs")
         return int(rows[0][0]), int(rows[0][1])
 
-    def pin(self, run: str, now: str) -> Future[None]:
-        """Pin a run; no effect if it is pinned. The future carries `StateError` if too many runs are pinned."""
+    def pin(self, run: str, now: str) -> None:
+        """Pin a run, and wait until this is written; no effect if it is pinned.
+
+        Raises:
+            StateError: too many runs are pinned.
+        """
 
         def write(connection: sqlite3.Connection) -> None:
             if connection.execute("SELECT 1 FROM pins WHERE run = ?", (run,)).fetchone():
@@ -127,20 +132,24 @@ class RunRetention:
                 )
             connection.execute("INSERT INTO pins VALUES (?, ?)", (run, now))
 
-        return self._database.write(write)
+        self._database.write(write).result()
+        self._pins = self.pins() | {run}
 
-    def unpin(self, run: str) -> Future[None]:
-        """Remove the pin of a run; no effect if it is not pinned."""
+    def unpin(self, run: str) -> None:
+        """Remove the pin of a run, and wait until this is written; no effect if it is not pinned."""
 
         def write(connection: sqlite3.Connection) -> None:
             connection.execute("DELETE FROM pins WHERE run = ?", (run,))
 
-        return self._database.write(write)
+        self._database.write(write).result()
+        self._pins = self.pins() - {run}
 
     def pinned(self, run: str) -> bool:
         """Return whether a run is pinned."""
-        return bool(self._database.read("SELECT 1 FROM pins WHERE run = ?", (run,)))
+        return run in self.pins()
 
     def pins(self) -> frozenset[str]:
-        """Return the ids of all pinned runs."""
-        return frozenset(str(row["run"]) for row in self._database.read("SELECT run FROM pins"))
+        """Return the ids of all pinned runs. They are read once, so that a damaged disk does not hinder later calls."""
+        if self._pins is None:
+            self._pins = frozenset(str(row["run"]) for row in self._database.read("SELECT run FROM pins"))
+        return self._pins

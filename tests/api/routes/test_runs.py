@@ -96,3 +96,16 @@ def test_a_run_is_held_and_the_hold_ended(client: Any, station: Any) -> None:
 @pytest.mark.parametrize("method", ["PUT", "DELETE"])
 def test_a_hold_needs_a_holder(client: Any, station: Any, method: str) -> None:
     assert client.request(method, f"{RUNS}/{station.film()}/hold").status_code == 422
+
+
+def test_a_pin_is_shown_and_removed(client: Any, station: Any) -> None:
+    run = station.film()
+    assert client.get(f"{RUNS}/{run}").json()["pinned"] is False
+    assert client.put(f"{RUNS}/{run}/pin").json()["pinned"] is True
+    assert client.get(f"{RUNS}/{run}").json()["pinned"] is True
+    assert client.get(RUNS).json()["runs"][0]["pinned"] is True
+    assert client.get(f"{RUNS}/latest").json()["pinned"] is True
+    assert client.delete(f"{RUNS}/{run}/pin").status_code == 204
+    refusal = client.delete(f"{RUNS}/{run}/pin")
+    assert (refusal.status_code, refusal.json()["code"]) == (404, "not-pinned")
+    assert client.put(f"{RUNS}/unknown/pin").status_code == 404

@@ -75,7 +75,7 @@ def test_runs_are_forgotten_by_number(store: Store, add: Callable[..., list[str]
 def test_runs_are_forgotten_by_size_first_those_that_are_ok(store: Store, add: Callable[..., list[str]]) -> None:
     doubtful = add(30, 29, 28, verdict="failed", kilobytes=300)
     sound = add(*range(20, 10, -1), kilobytes=300)
-    store.retention.pin(sound[0], "").result(10)
+    store.retention.pin(sound[0], "")
     used = store.retention.used_bytes()
     Retention(keep(database_gb=(used - 1e6) / 1e9), store.retention).sweep(NOW_S)
     assert store.retention.used_bytes() <= used - 1e6

@@ -22,7 +22,7 @@ Holder = Annotated[str, Query(description="Name of the holder.", min_length=1, m
 def router(services: Services) -> APIRouter:
     """Create the routes for runs. Other modules create those for frames and for component images."""
     routes = APIRouter(prefix="/runs", tags=["runs"])
-    coordinator, ask = services.coordinator, services.commands.ask
+    coordinator, ask, kept = services.coordinator, services.commands.ask, services.coordinator.kept
 
     @routes.get("", response_model_exclude_none=True)
     async def list_runs(
@@ -32,7 +32,8 @@ def router(services: Services) -> APIRouter:
         # One more than requested shows whether there is a further page.
         found = await ask(coordinator.runs, limit + 1, before)
         response.headers["Cache-Control"] = LIVE
-        return RunPage(runs=list(found[:limit]), next=found[limit - 1].id if len(found) > limit else None)
+        shown = await ask(kept.all_shown, found[:limit])
+        return RunPage(runs=list(shown), next=found[limit - 1].id if len(found) > limit else None)
 
     @routes.get("/latest", response_model=RunDetail)
     async def get_latest_run(request: Request) -> Response:
@@ -44,7 +45,7 @@ def router(services: Services) -> APIRouter:
                 action="Arm the station, let a board pass, and try again.",
                 code="no-run-yet",
             )
-        return _detail(request, run)
+        return _detail(request, await ask(kept.shown, run))
 
     @routes.get("/next", response_model=RunDetail, responses={204: {"description": "No run finished in time."}})
     async def wait_for_next_run(request: Request, after: Cursor = None, timeout: TimeoutS = 30.0) -> Response:
@@ -55,12 +56,12 @@ def router(services: Services) -> APIRouter:
         """
         if (run := await _next(services, after, timeout)) is None:
             return Response(status_code=204, headers={"Cache-Control": LIVE})
-        return _detail(request, run, LIVE)
+        return _detail(request, await ask(kept.shown, run), LIVE)
 
     @routes.get("/{run}", response_model=RunDetail)
     async def get_run(request: Request, run: RunId) -> Response:
         """Return one run, also while it is filmed, with the verdict of every frame."""
-        return _detail(request, await ask(coordinator.run, run))
+        return _detail(request, await ask(kept.shown, await ask(coordinator.run, run)))
 
     @routes.get("/{run}/matrices", response_model=Matrices)
     async def get_matrices(request: Request, run: RunId) -> Response:
@@ -96,6 +97,20 @@ def router(services: Services) -> APIRouter:
     async def let_go_of_run(run: RunId, holder: Holder) -> None:
         """End the hold of one holder on a run. No effect if there is no such hold."""
         await ask(coordinator.end_hold, run, holder)
+
+    @routes.put("/{run}/pin", response_model=RunDetail)
+    async def pin_run(request: Request, run: RunId) -> Response:
+        """Keep a run until it is unpinned: result and record, and its frames as a recording if they are in memory.
+
+        Replies 410 if result and record were deleted already, 409 `too-many-pins` if 1000 runs are pinned.
+        """
+        await ask(kept.pin, run)
+        return _detail(request, await ask(kept.shown, await ask(coordinator.run, run)), LIVE)
+
+    @routes.delete("/{run}/pin", status_code=204)
+    async def unpin_run(run: RunId) -> None:
+        """Remove the pin of a run; it is then deleted like other runs. Replies 404 `not-pinned` if it has none."""
+        await ask(kept.unpin, run)
 
     return routes
 

@@ -86,6 +86,9 @@ class Archive:
         self.on_announced: Callable[[str, float], None] = lambda _run, _until_s: None
         """Function that is called when a run is announced, with its id and the host time until which it is kept."""
         self.statistics = RunStatistics()
+        self.on_finished: Callable[[RunDetail], None] = lambda _detail: None
+        """Function that is called before a run is announced, with its document. It must return at once."""
+        self.retention = store.retention
         self._changed = threading.Condition()
         self._recent: OrderedDict[str, FinishedRun] = OrderedDict()
         self._under_way: set[str] = set()
@@ -254,6 +257,7 @@ class Archive:
                 run=finished.detail.id,
                 code="store",
             )
+        self.on_finished(finished.detail)
         # From here on callers learn of the run, so from here on its frames are kept for the stated time.
         until_s = time.monotonic() + self.keep_s
         # Before callers are woken: a caller that arms at once must find memory that is no longer kept.

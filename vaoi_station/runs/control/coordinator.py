@@ -19,6 +19,7 @@ from vaoi_station.errors import DeviceError, InputError, StateError
 from vaoi_station.model import BoardType, FrameRecord, Stitch
 from vaoi_station.rendering import View
 from vaoi_station.runs.archive import component_views
+from vaoi_station.runs.archive.kept_runs import KeptRuns
 from vaoi_station.runs.archive.run_statistics import RunFigures
 from vaoi_station.runs.control.core import Core, Parts
 from vaoi_station.runs.control.inbox import Inbox
@@ -95,6 +96,7 @@ class StationCoordinator:
         parts.archive.on_announced = lambda run, until_s: self._inbox.post(self._core.announced, run, until_s)
         requests = PictureRequests(parts.workers)
         self._frames = FrameAccess(self._inbox, self._core, ring, parts.archive, requests)
+        self.kept = KeptRuns(parts.config, parts.archive, parts.events, self._frames)
         self._board_types = BoardTypeService(
             board_types,
             ReferenceTeaching(references, parts.config.method),
@@ -113,6 +115,7 @@ class StationCoordinator:
         """Start the coordinator's thread."""
         self._gc_policy.start()
         self._inbox.start()
+        self.kept.start()
 
     def wind_down(self, timeout_s: float) -> None:
         """Take no more boards, and wait until all unfinished runs have ended or `timeout_s` has passed."""
@@ -124,6 +127,7 @@ class StationCoordinator:
 
     def close(self) -> None:
         """End the coordinator's thread. Callers that still wait receive a refusal."""
+        self.kept.stop()
         self._inbox.close()
         self._gc_policy.stop()
         self._parts.archive.close()
@@ -133,7 +137,7 @@ class StationCoordinator:
 
     def snapshot(self) -> StationSnapshot:
         """Return state, health, memory and versions of the station at this moment."""
-        return self._inbox.ask(self._snapshot)
+        return self.kept.with_counts(self._inbox.ask(self._snapshot))
 
     def arm(
         self,

@@ -130,6 +130,11 @@ class FrameAccess:
             job = RenderJob(detail.id, bay.number, bay.generation, record.slot, view, format)
             return self._requests.render(job, name)
 
+    def bay_of(self, run: str) -> Bay:
+        """Return the bay of a run, without a lease. Raise GoneError if the frames are no longer in memory."""
+        with self.lease(run, "look-up of its memory") as bay:
+            return bay
+
     def copier(self, bay: Bay) -> Callable[[int], NDArray[Any]]:
         """Return a function that takes the number of a slot in a leased bay, and returns a copy of the frame in it."""
         return lambda slot: self._ring.snapshot(slot, bay.generation)

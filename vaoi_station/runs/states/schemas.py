@@ -133,6 +133,13 @@ class Retention(Schema):
     frames: str
     results: str
     events: str
+    recordings: int = 0
+    """Number of runs whose frames are kept on disk as recordings."""
+    recordings_bytes: int = 0
+    recordings_late: int = 0
+    """Number of runs since the start whose memory was needed before their frames were on disk."""
+    recordings_refused: int = 0
+    """Number of runs since the start whose frames were not kept because of the quota, the disk or a fault."""
 
 
 class Versions(Schema):
@@ -276,6 +283,10 @@ class RunSummary(Schema):
     only as long as a caller holds them or their memory is not needed."""
     forgotten: bool = False
     """Whether only this summary is kept; requests for the run are refused with 410 `run-forgotten`."""
+    pinned: bool = False
+    """Whether the run is kept until a caller unpins it."""
+    recording: bool = False
+    """Whether its frames are kept on disk as a recording."""
 
 
 class Interruption(Schema):

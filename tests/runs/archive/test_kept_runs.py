@@ -1,0 +1,48 @@
+"""Pins over the life of a run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from vaoi_station.errors import GoneError, NotFoundError
+from vaoi_station.runs.archive.event_log import EventLog
+from vaoi_station.runs.archive.finished_runs import Archive
+from vaoi_station.runs.archive.kept_runs import KeptRuns
+from vaoi_station.store import Store
+
+
+def test_a_pin_survives_a_restart_and_is_removed(make_rig: Callable[..., Any], store: Store) -> None:
+    rig = make_rig()
+    rig.ready()
+    grant = rig.arm()
+    rig.board(grant)
+    rig.result_of(grant.run)
+    kept = rig.coordinator.kept
+    assert not kept.shown(rig.coordinator.run(grant.run)).pinned
+    kept.pin(grant.run)
+    again = Store(store.database)
+    assert again.retention.pinned(grant.run)
+    assert kept.all_shown(rig.coordinator.runs())[0].pinned
+    kept.unpin(grant.run)
+    assert not kept.shown(rig.coordinator.run(grant.run)).pinned
+    with pytest.raises(NotFoundError, match="is not pinned") as refusal:
+        kept.unpin(grant.run)
+    assert refusal.value.code == "not-pinned"
+
+
+def test_runs_without_data_cannot_be_pinned(make_rig: Callable[..., Any], store: Store) -> None:
+    rig = make_rig()
+    rig.ready()
+    grant = rig.arm()
+    rig.board(grant)
+    rig.result_of(grant.run)
+    with pytest.raises(NotFoundError):
+        rig.coordinator.kept.pin("unknown")
+    store.retention.forget_details([grant.run]).result(10)
+    archive = Archive(store, EventLog(store))
+    kept = KeptRuns(rig.config, archive, EventLog(store), rig.coordinator._frames)
+    with pytest.raises(GoneError):
+        kept.pin(grant.run)

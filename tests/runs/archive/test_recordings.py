@@ -1,0 +1,187 @@
+"""Frames of failed, degraded and pinned runs are kept on disk; the line never waits for it."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.runs.conftest import a_stitch
+from vaoi_station.config import KeepConfig
+from vaoi_station.errors import GoneError
+from vaoi_station.files import open_recording, read_board_type, read_calibration, read_stitch
+from vaoi_station.files.atomic_directory import new_directory
+from vaoi_station.model import Status
+from vaoi_station.runs.archive import recordings as module
+from vaoi_station.runs.archive.recordings import Recordings
+from vaoi_station.runs.states.schemas import RunDetail
+
+PATIENCE_S = 20.0
+
+
+def wait_event(rig: Any, run: str, kind: str, code: str = "") -> str:
+    """Wait for an event of a run, and return its message."""
+    after = 0
+    while events := rig.coordinator.events(after, PATIENCE_S):
+        for event in events:
+            if (event.run, event.kind, event.code) == (run, kind, code):
+                return str(event.message)
+            after = event.number
+    raise AssertionError(f"no event {kind} {code} of {run}")
+
+
+def a_board(rig: Any, verdict: Status = Status.OK) -> RunDetail:
+    rig.workers.result = lambda head: a_stitch(head, verdict, ("weak",) if verdict is not Status.OK else ())
+    grant = rig.arm()
+    rig.board(grant)
+    detail: RunDetail = rig.result_of(grant.run)
+    return detail
+
+
+@pytest.fixture
+def rig(make_rig: Callable[..., Any]) -> Any:
+    made = make_rig()
+    made.ready()
+    return made
+
+
+def pixels(rig: Any, run: RunDetail, camera: int, row: int) -> Any:
+    return rig.coordinator.frame(run.id, camera, row)[0]
+
+
+def test_the_frames_of_a_degraded_run_are_a_complete_recording(rig: Any) -> None:
+    run = a_board(rig, Status.DEGRADED)
+    expected = pixels(rig, run, 1, 2)
+    wait_event(rig, run.id, "recording")
+    kept = rig.coordinator.kept
+    path = kept.recordings.path_of(run.id)
+    recording = open_recording(path)
+    frame = recording.frame(1, 2)
+    assert frame is not None
+    assert np.array_equal(frame, expected)
+    assert recording.head.rows == run.rows
+    assert read_board_type(path / "board.json").name == "small"
+    assert read_stitch(path / "result.json").status is Status.DEGRADED
+    assert len(read_calibration(path / "calibration.json").camera_matrices) == 2
+    assert RunDetail.model_validate_json((path / "run.json").read_text()).id == run.id
+    shown = kept.shown(rig.coordinator.run(run.id))
+    assert (shown.recording, shown.pinned) == (True, False)
+    retention = rig.coordinator.snapshot().retention
+    assert retention.recordings == 1
+    assert retention.recordings_bytes > expected.nbytes
+
+
+def test_frames_of_a_sound_run_are_kept_when_it_is_pinned(rig: Any) -> None:
+    run = a_board(rig)
+    assert rig.coordinator.kept.recordings.path_of(run.id) is None
+    rig.coordinator.kept.pin(run.id)
+    wait_event(rig, run.id, "recording")
+    rig.coordinator.kept.pin(run.id)
+    assert rig.coordinator.kept.recordings.counts.kept == 1
+
+
+def test_a_run_that_is_pinned_while_it_is_filmed_is_kept_in_the_end(rig: Any) -> None:
+    grant = rig.arm()
+    rig.begin(grant)
+    records = [record for row in range(3) for record in rig.row(grant, row)]
+    rig.wait_run(grant.run, lambda run: run.state == "filming", "the board")
+    rig.coordinator.kept.pin(grant.run)
+    rig.finish(grant, records)
+    wait_event(rig, grant.run, "recording")
+
+
+class Away:
+    """Frames that are given to a later board after some copies."""
+
+    def __init__(self, copies: int) -> None:
+        self.copies = copies
+
+    def bay_of(self, run: str) -> Any:
+        if not self.copies:
+            raise GoneError("The frames are no longer in memory.")
+        return None
+
+    def copier(self, bay: Any) -> Callable[[int], Any]:
+        def copy(slot: int) -> Any:
+            self.copies -= 1
+            if not self.copies:
+                raise GoneError("given to a later board")
+            return np.zeros((48, 64), np.uint8)
+
+        return copy
+
+
+def a_keeper(rig: Any, tmp_path: Path, frames: Any, **limits: Any) -> Recordings:
+    keep = KeepConfig().model_copy(update=limits)
+    return Recordings(tmp_path / "kept", keep, rig.archive, rig.archive._events, frames)
+
+
+@pytest.mark.parametrize("copies", [0, 1, 3])
+def test_frames_that_are_needed_for_a_later_board_are_given_up(rig: Any, tmp_path: Path, copies: int) -> None:
+    run = a_board(rig)
+    keeper = a_keeper(rig, tmp_path, Away(copies))
+    keeper.start()
+    keeper.request(run.id)
+    assert "needed for a later board" in wait_event(rig, run.id, "trouble", "recording-late")
+    keeper.stop()
+    assert keeper.counts.late == 1
+    assert list((tmp_path / "kept").glob("*")) == []
+
+
+def test_more_runs_than_may_wait_are_counted_at_once(rig: Any, tmp_path: Path) -> None:
+    run = a_board(rig)
+    keeper = a_keeper(rig, tmp_path, Away(0))
+    for _ in range(module.MOST_WAITING + 3):
+        keeper.request(run.id)
+    assert keeper.counts.late == 3
+    keeper.stop()
+
+
+def test_the_oldest_recording_that_is_not_pinned_makes_room(rig: Any, tmp_path: Path) -> None:
+    runs = [a_board(rig).id]
+    frames = rig.coordinator._frames
+    size = 2 * 64 * 48 * rig.coordinator.run(runs[0]).rows
+    keeper = a_keeper(rig, tmp_path, frames, recordings_gb=3.5 * size / 1e9)
+    for name in ("00-oldest", "00-second"):
+        with new_directory(tmp_path / "kept" / name) as draft:
+            (draft / "frame").write_bytes(bytes(size))
+    (tmp_path / "kept" / ".00-oldest.cut").mkdir()
+    keeper = a_keeper(rig, tmp_path, frames, recordings_gb=2.5 * size / 1e9)
+    assert keeper.runs == 2
+    assert not (tmp_path / "kept" / ".00-oldest.cut").exists(), "a draft of a killed station"
+    keeper.start()
+    keeper.request(runs[0])
+    wait_event(rig, runs[0], "recording")
+    keeper.stop()
+    assert {path.name for path in (tmp_path / "kept").iterdir()} == {"00-second", runs[0]}
+
+
+@pytest.mark.parametrize("cause", ["quota", "disk", "fault"])
+def test_a_recording_without_room_is_refused_and_counted(
+    rig: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cause: str
+) -> None:
+    run = a_board(rig)
+    if cause == "disk":
+        monkeypatch.setattr(module, "DISK_RESERVE", shutil.disk_usage(tmp_path).total)
+    limits = {"recordings_gb": 1e-9} if cause == "quota" else {}
+    if cause == "fault":
+        (tmp_path / "kept").write_text("no directory")
+    keeper = a_keeper(rig, tmp_path, rig.coordinator._frames, **limits)
+    keeper.start()
+    keeper.request(run.id)
+    assert "not kept" in wait_event(rig, run.id, "trouble", "recording-refused")
+    keeper.stop()
+    assert keeper.counts.refused == 1
+
+
+def test_nothing_is_kept_with_a_quota_of_zero(rig: Any, tmp_path: Path) -> None:
+    run = a_board(rig)
+    keeper = a_keeper(rig, tmp_path, rig.coordinator._frames, recordings_gb=0.0)
+    keeper.request(run.id)
+    keeper.start()
+    keeper.stop()
+    assert keeper.runs == 0

@@ -1,0 +1,82 @@
+"""Pins of runs, and the recordings that are kept of them, as callers see them."""
+
+from __future__ import annotations
+
+from typing import TypeVar
+
+from vaoi_station.config import StationConfig
+from vaoi_station.errors import NotFoundError, StateError
+from vaoi_station.runs.archive.event_log import EventLog
+from vaoi_station.runs.archive.finished_runs import Archive
+from vaoi_station.runs.archive.recordings import DIRECTORY, FrameSource, Recordings
+from vaoi_station.runs.states.run_ids import utc
+from vaoi_station.runs.states.schemas import RunSummary, StationSnapshot
+
+R = TypeVar("R", bound=RunSummary)
+
+
+class KeptRuns:
+    """Pins and unpins runs, and completes their documents. Its methods may be called from any thread."""
+
+    def __init__(self, config: StationConfig, archive: Archive, events: EventLog, frames: FrameSource) -> None:
+        self._archive, self._events = archive, events
+        self.recordings = Recordings(config.data / DIRECTORY, config.keep, archive, events, frames)
+        archive.on_finished = self.recordings.finished
+
+    def start(self) -> None:
+        """Start the thread that writes recordings."""
+        self.recordings.start()
+
+    def stop(self) -> None:
+        """End the thread that writes recordings."""
+        self.recordings.stop()
+
+    def pin(self, run: str) -> None:
+        """Keep a run until it is unpinned: its record and result, and its frames if they are in memory.
+
+        Raises:
+            NotFoundError: the run is unknown.
+            GoneError: result and record of the run were deleted.
+            StateError: too many runs are pinned.
+        """
+        try:
+            finished = self._archive.get(run)
+        except StateError:
+            finished = None  # it is being filmed or stitched: its frames are kept when it has ended
+        if not self._archive.retention.pinned(run):
+            self._archive.retention.pin(run, utc())
+            self._events.add("run", "The run was pinned.", run=run)
+        if finished is not None and finished.detail.frames_available:
+            self.recordings.request(run)
+
+    def unpin(self, run: str) -> None:
+        """Remove the pin of a run; `NotFoundError` if it has none. Its data are then deleted like others."""
+        if not self._archive.retention.pinned(run):
+            raise NotFoundError(f"Run {run!r} is not pinned.", action="See the list of runs.", code="not-pinned")
+        self._archive.retention.unpin(run)
+        self._events.add("run", "The run was unpinned.", run=run)
+
+    def shown(self, document: R) -> R:
+        """Return the document of a run with `pinned` and `recording` filled in."""
+        return self.all_shown((document,))[0]
+
+    def all_shown(self, documents: tuple[R, ...]) -> tuple[R, ...]:
+        """Return documents of runs with `pinned` and `recording` filled in."""
+        pins = self._archive.retention.pins()
+        return tuple(
+            d.model_copy(
+                update={"pinned": d.id in pins, "recording": self.recordings.path_of(d.id) is not None}
+            )
+            for d in documents
+        )  # fmt: skip
+
+    def with_counts(self, snapshot: StationSnapshot) -> StationSnapshot:
+        """Return the snapshot with the numbers of recordings filled in."""
+        recordings = self.recordings
+        counts = {
+            "recordings": recordings.runs,
+            "recordings_bytes": recordings.size_bytes,
+            "recordings_late": recordings.counts.late,
+            "recordings_refused": recordings.counts.refused,
+        }
+        return snapshot.model_copy(update={"retention": snapshot.retention.model_copy(update=counts)})

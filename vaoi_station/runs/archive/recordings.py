@@ -1,0 +1,228 @@
+"""Recordings of runs whose frames are worth keeping: failed, degraded and pinned ones, within a quota of disk space.
+
+One thread of the lowest priority copies frames out of the ring. It never delays the line: it holds no lease while it
+writes, and gives a run up, counted, when the run's memory was given to a later board.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import shutil
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from queue import SimpleQueue
+from typing import Any, Protocol
+
+from numpy.typing import NDArray
+
+from vaoi_station.config import KeepConfig
+from vaoi_station.errors import DeviceError, GoneError, StateError, VaoiError
+from vaoi_station.files import write_board_type, write_calibration, write_recording
+from vaoi_station.files.atomic_directory import new_directory
+from vaoi_station.files.documents import write_bytes
+from vaoi_station.files.images import Image
+from vaoi_station.model import RecordingHead, Status
+from vaoi_station.runs.archive.event_log import EventLog
+from vaoi_station.runs.archive.finished_runs import Archive, FinishedRun
+from vaoi_station.runs.archive.housekeeping import LOWEST_PRIORITY
+from vaoi_station.runs.run.memory import Bay
+from vaoi_station.runs.states.schemas import RunDetail
+
+_log = logging.getLogger(__name__)
+
+DIRECTORY = "recordings"
+MOST_WAITING = 16
+"""Largest number of runs that wait to be written; the ring holds fewer in most stations."""
+DISK_RESERVE = 2_000_000_000
+"""Free space in bytes that recordings leave on the disk for the database."""
+RUN_FILE, RESULT_FILE = "run.json", "result.json"
+
+
+class FrameSource(Protocol):
+    """Access to the frames of finished runs in the ring."""
+
+    def bay_of(self, run: str) -> Bay:
+        """Return the bay of a run. Raise GoneError if its frames are no longer in memory."""
+
+    def copier(self, bay: Bay) -> Callable[[int], NDArray[Any]]:
+        """Return a function that copies the frame in a slot. It raises GoneError once the bay was given away."""
+
+
+@dataclass
+class Counts:
+    """What became of the runs whose frames were to be kept, since the start."""
+
+    kept: int = 0
+    late: int = 0
+    """Runs whose memory was needed for a later board before they were written."""
+    refused: int = 0
+    """Runs that the quota, the disk or a fault did not allow to keep."""
+
+
+class Recordings:
+    """The kept recordings below one directory, and the thread that writes them."""
+
+    def __init__(
+        self, directory: Path, keep: KeepConfig, archive: Archive, events: EventLog, frames: FrameSource
+    ) -> None:
+        self.directory, self._keep = directory, keep
+        self._archive, self._events, self._frames = archive, events, frames
+        self.counts = Counts()
+        self._waiting: SimpleQueue[str | None] = SimpleQueue()
+        self._stopping = threading.Event()
+        self._lock = threading.Lock()
+        self._thread = threading.Thread(target=self._run, name="recordings", daemon=True)
+        # Drafts of a station that was killed. They begin with a dot, recordings do not.
+        for draft in directory.glob(".*"):
+            shutil.rmtree(draft, ignore_errors=True)
+        archive.retention.pins()  # read now: `finished` must not wait for the disk
+        self._sizes = {path.name: _size_of(path) for path in directory.glob("*")}
+
+    def start(self) -> None:
+        """Start the thread."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the thread. A recording under way is given up; nothing remains of it."""
+        self._stopping.set()
+        self._waiting.put(None)
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def finished(self, detail: RunDetail) -> None:
+        """Keep the frames of a run that has ended if its verdict asks for it. Returns at once."""
+        wanted = detail.verdict is not Status.OK and self._keep.recordings_of_failed
+        if wanted or self._archive.retention.pinned(detail.id):
+            self.request(detail.id)
+
+    def request(self, run: str) -> None:
+        """Keep the frames of a finished run, unless they are kept already. Returns at once."""
+        if not self._keep.recordings_gb or run in self._sizes or self._stopping.is_set():
+            return
+        if self._waiting.qsize() >= MOST_WAITING:
+            self._late(run)
+            return
+        self._waiting.put(run)
+
+    def path_of(self, run: str) -> Path | None:
+        """Return the recording of a run; None if none is kept."""
+        return self.directory / run if run in self._sizes else None
+
+    @property
+    def runs(self) -> int:
+        """Number of kept recordings."""
+        return len(self._sizes)
+
+    @property
+    def size_bytes(self) -> int:
+        """Size of all kept recordings."""
+        return sum(self._sizes.copy().values())
+
+    def _run(self) -> None:
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), LOWEST_PRIORITY)
+        while (run := self._waiting.get()) is not None and not self._stopping.is_set():
+            try:
+                self._write(run)
+            except GoneError:
+                self._late(run)
+            except StateError:
+                continue  # the station is stopping
+            except VaoiError as error:
+                self._refused(run, error.message)
+            except OSError as error:
+                self._refused(run, f"{self.directory}: cannot be written ({error.strerror}).")
+            except Exception as error:  # noqa: BLE001  the thread must go on: it keeps the frames of later runs
+                _log.warning("recording of run %s failed", run, exc_info=True)
+                self._refused(run, f"{type(error).__name__}: {error}.")
+
+    def _write(self, run: str) -> None:
+        finished = self._archive.get(run)
+        if finished.head is None or run in self._sizes:
+            return
+        head = _head_of(finished, finished.head)
+        copy = self._frames.copier(self._frames.bay_of(run))
+        self._make_room(_expected_bytes(head))
+        target = self.directory / run
+        with new_directory(target) as draft:
+            # Uncompressed: the frames must be out of the ring before their memory is needed.
+            write_recording(draft, head, self._copies(finished, head, copy), suffix=".tiff")
+            write_calibration(draft / "calibration.json", self._archive.calibration_of(finished))
+            write_board_type(draft / "board.json", finished.board_type)
+            write_bytes(draft / RUN_FILE, finished.detail.model_dump_json().encode())
+            if finished.document is not None:
+                write_bytes(draft / RESULT_FILE, finished.document.encode())
+        self._sizes[run] = _size_of(target)
+        self.counts.kept += 1
+        self._events.add("recording", "The frames are kept as a recording.", run=run)
+
+    def _copies(
+        self, finished: FinishedRun, head: RecordingHead, copy: Callable[[int], NDArray[Any]]
+    ) -> Iterator[tuple[int, int, Image]]:
+        absent = set(head.missing)
+        for frame in finished.detail.frames:
+            if self._stopping.is_set():
+                raise StateError("The station is stopping.")
+            if (frame.camera, frame.row) not in absent and frame.slot is not None:
+                yield frame.camera, frame.row, copy(frame.slot)
+
+    def _make_room(self, needed: int) -> None:
+        """Delete the oldest recordings that are not pinned until there is room; DeviceError if there cannot be."""
+        quota = int(self._keep.recordings_gb * 1e9)
+        self.directory.mkdir(parents=True, exist_ok=True)
+        pinned = self._archive.retention.pins()
+        while True:
+            free = shutil.disk_usage(self.directory).free - DISK_RESERVE
+            if self.size_bytes + needed <= quota and needed <= free:
+                return
+            oldest = min(self._sizes.keys() - pinned, default=None)
+            if oldest is None:
+                raise DeviceError(
+                    f"{self.directory}: a recording of {needed / 1e6:.0f} MB exceeds [keep] recordings_gb "
+                    f"({self._keep.recordings_gb:g}), or the free space of the disk.",
+                )
+            self._delete(oldest)
+
+    def _delete(self, run: str) -> None:
+        del self._sizes[run]
+        shutil.rmtree(self.directory / run, ignore_errors=True)
+
+    def _late(self, run: str) -> None:
+        with self._lock:
+            self.counts.late += 1
+        self._events.add(
+            "trouble",
+            "The frames were not kept: their memory was needed for a later board before they were on disk.",
+            run=run, code="recording-late", action="Increase [ring] runs, or use a faster disk.",
+        )  # fmt: skip
+
+    def _refused(self, run: str, why: str) -> None:
+        self.counts.refused += 1
+        self._events.add(
+            "trouble",
+            f"The frames were not kept: {why}",
+            run=run, code="recording-refused", action="Unpin runs, raise [keep] recordings_gb, or free disk space.",
+        )  # fmt: skip
+
+
+def _head_of(finished: FinishedRun, head: RecordingHead) -> RecordingHead:
+    """Return the head of the recording: frames that are not usable are missing, with causes under `x_verdicts`."""
+    frames = finished.detail.frames
+    there = {(f.camera, f.row) for f in frames if f.usable and f.slot is not None}
+    everything = {(i, j) for i in range(len(head.cameras)) for j in range(head.rows)}
+    bad = [
+        {"camera": f.camera, "row": f.row, "verdict": str(f.verdict), "cause": f.cause} for f in frames if not f.usable
+    ]
+    missing = tuple(sorted(everything - there | set(head.missing)))
+    return head.model_copy(update={"missing": missing, "x_run": finished.detail.id, "x_verdicts": bad})
+
+
+def _expected_bytes(head: RecordingHead) -> int:
+    each = (camera.width * camera.height * (2 if camera.bits and camera.bits > 8 else 1) for camera in head.cameras)
+    return sum(each) * head.rows
+
+
+def _size_of(path: Path) -> int:
+    return sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
