@@ -92,6 +92,7 @@ class Station:
                 notify_watchdog,
                 StatusNotice(),
             )
+            housekeeping.add(coordinator.sweep_references, RETENTION_S, code="retention")
             # The exit stack calls in reverse order: the link stops first, then the workers, then the coordinator, which
             # thus receives the last reports of both.
             parts.callback(coordinator.close)

@@ -199,6 +199,17 @@ def test_a_reference_that_was_replaced_goes_when_no_order_needs_it(rig: Any) -> 
     assert first not in kept(rig)
 
 
+def test_the_files_of_a_forgotten_reference_are_removed(rig: Any) -> None:
+    run = taught(rig)
+    filmed(rig)
+    rig.coordinator.forget_reference("small")
+    assert kept(rig) == {run}, "the last order's boards may still come"
+    filmed(rig)
+    filmed(rig)
+    rig.coordinator.sweep_references()
+    assert kept(rig) == set()
+
+
 def test_a_board_type_takes_its_reference_with_it(rig: Any, board_type: BoardType) -> None:
     taught(rig)
     rig.coordinator.set_method("small", "reference")

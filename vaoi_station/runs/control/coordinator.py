@@ -244,6 +244,10 @@ class StationCoordinator:
         """Remove the reference of a board type, from the next arming on; `NotFoundError` if it has no reference."""
         self._board_types.forget_reference(board_type)
 
+    def sweep_references(self) -> None:
+        """Delete the files of references that nothing uses any more."""
+        self._board_types.sweep()
+
     def method(self, board_type: str) -> StitchingMethod:
         """Return the method by which runs of a board type are stitched."""
         return self._board_types.method(board_type)

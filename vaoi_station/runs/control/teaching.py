@@ -194,7 +194,7 @@ class BoardTypeService:
         with self._changing:
             self._directory.delete(name)
             self._references.forget_board_type(name)
-        self._sweep()
+        self.sweep()
         self._events.add("board-type", f"Board type {name!r} was deleted.")
 
     def reference(self, board_type: str) -> ReferenceStatus:
@@ -209,14 +209,14 @@ class BoardTypeService:
             new = self._references.teach(
                 known, finished, calibration, self._frames.copier(bay), confirm_orientation=confirm_orientation
             )
-        self._sweep()
+        self.sweep()
         self._events.add("reference", f"Run {run} is now the reference of board type {board_type!r}.", run=run)
         return new
 
     def forget_reference(self, board_type: str) -> None:
         """Remove the reference of a board type; `NotFoundError` if there is no reference."""
         self._references.forget(self.get(board_type).name)
-        self._sweep()
+        self.sweep()
         self._events.add("reference", f"The reference of board type {board_type!r} was removed.")
 
     def method(self, board_type: str) -> StitchingMethod:
@@ -227,8 +227,11 @@ class BoardTypeService:
         """Set the stitching method of a board type; None selects the station's method."""
         return self._references.set_method(self.get(board_type).name, method)
 
-    def _sweep(self) -> None:
-        """Delete the files of references that are used by no board type, no unfinished run and no order."""
+    def sweep(self) -> None:
+        """Delete the files of references that are used by no board type, no unfinished run and no order.
+
+        Besides after every change it is called from time to time, because orders and runs end later.
+        """
 
         def in_use() -> set[str]:
             under_way = {p.order.reference.run for p in self._core.runs.active.values() if p.order.reference}

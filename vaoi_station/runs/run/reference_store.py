@@ -94,6 +94,9 @@ class ReferenceStore:
     def drop(self, board_type: str) -> None:
         """Remove the assignment of a reference to a board type, if there is one. The directory stays until `sweep`."""
         self._kept.drop_reference(board_type).result()
+        # An order or a run that still uses it has a copy of its own; the cache alone would keep the directory for ever.
+        with self._lock:
+            self._opened.pop(board_type, None)
 
     def sweep(self, in_use: Collection[str] = ()) -> None:
         """Remove the directories that are neither assigned to a board type, nor open, nor `in_use`.
