@@ -106,7 +106,7 @@ KINDS: Mapping[str, Kind] = {
 BESIDE: Mapping[str, Kind] = {
     "bed-texture": Kind(3, 40, 15, "grey levels (σ) of texture that stands still, 0 to 3 mm below the board"),
     "belt-texture": Kind(3, 40, 15, "grey levels (σ) of texture that moves with the board, 0 to 3 mm below it"),
-    "carrier": Kind(2, 12, 12, "mm of rim, brighter than the board, with three marks like fiducials"),
+    "carrier": Kind(4, 12, 12, "mm of rim, brighter than the board, with three marks like fiducials"),
 }
 """Kinds of what lies beside the board. They are drawn apart from the others (`drawing.py`)."""
 _LOWEST_MM = 3.0

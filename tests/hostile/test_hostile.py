@@ -21,6 +21,8 @@ SEEDS = (
     *range(200 if LONG else 12),
     *range(FIRST_WITH_SURROUNDINGS, FIRST_WITH_SURROUNDINGS + (100 if LONG else 8)),
 )
+BLURRED_SEED = 20_105
+"""A drawing with a blur of 4.5 px whose cameras are calibrated with marks."""
 MOST_REFUSED = 0.05
 """Largest accepted share of refused drawings among those with an expected right answer, in the long form."""
 
@@ -50,6 +52,12 @@ def test_mended_finds_stay_mended() -> None:
     mended = [find for find in kept_finds() if find["mended"]]
     outcomes = [judge(find["seed"]) for find in (mended if LONG else mended[:8])]
     assert not [(o.seed, o.finds, o.reasons) for o in outcomes if o.finds]
+
+
+def test_marks_that_are_too_blurred_for_a_calibration_are_refused() -> None:
+    outcome = judge(BLURRED_SEED)
+    assert (outcome.status, outcome.finds, outcome.expected) == ("refused", (), False)
+    assert "blurred" in outcome.reasons[0]
 
 
 def test_equal_seeds_give_equal_drawings() -> None:
