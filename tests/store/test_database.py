@@ -11,12 +11,23 @@ import pytest
 
 from vaoi_station.errors import DeviceError, InputError, InternalError, StateError
 from vaoi_station.store import Database
+from vaoi_station.store import database as module
 from vaoi_station.store.schema import VERSION
 
 
 def add_event(connection: sqlite3.Connection, number: int, document: str = "{}") -> int:
     connection.execute("INSERT INTO events VALUES (?, ?)", (number, document))
     return number
+
+
+def fill(database: Database) -> None:
+    """Let the file grow no further: SQLite then reports what it reports on a full disk."""
+    database.write(lambda c: c.execute("PRAGMA max_page_count = 1").fetchall()).result(20)
+
+
+def make_room(database: Database) -> None:
+    assert database._writer is not None
+    database._writer.execute("PRAGMA max_page_count = 1000000").fetchall()
 
 
 def test_writes_are_carried_out_in_order(database: Database) -> None:
@@ -77,25 +88,172 @@ def test_the_write_ahead_log_is_on_and_the_version_is_stored(database: Database)
 @pytest.mark.parametrize(
     "content", [b"this is no database, whatever its name may say" * 100, b"SQLite format 3\0" * 300]
 )
-def test_a_file_that_is_not_a_database_is_refused_and_left_unchanged(path: Path, content: bytes) -> None:
+def test_a_file_that_is_not_a_database_is_set_aside_unchanged(path: Path, content: bytes) -> None:
     path.parent.mkdir()
     path.write_bytes(content)
-    with pytest.raises(DeviceError, match=r"station.db: is not a sound database") as refusal:
-        Database(path)
-    assert "backup" in refusal.value.action
-    assert path.read_bytes() == content
+    database = Database(path)
+    [notice] = database.notices
+    assert notice.code == "database-damaged"
+    assert database.write(lambda c: add_event(c, 1)).result(10) == 1
+    [kept] = path.parent.glob("station.db.damaged-*")
+    assert kept.name in notice.message
+    assert kept.read_bytes() == content
+    database.close()
 
 
-def test_a_database_with_damaged_pages_is_refused(path: Path) -> None:
+def damage(path: Path) -> None:
+    content = bytearray(path.read_bytes())
+    content[8192:40960] = bytes(b ^ 0x5A for b in content[8192:40960])
+    path.write_bytes(bytes(content))
+
+
+def test_a_database_with_damaged_pages_is_set_aside(path: Path) -> None:
     database = Database(path)
     for number in range(1, 400):
         database.write(partial(add_event, number=number, document="x" * 200))
     database.close()
-    content = bytearray(path.read_bytes())
-    content[8192:40960] = bytes(b ^ 0x5A for b in content[8192:40960])
-    path.write_bytes(bytes(content))
-    with pytest.raises(DeviceError, match="not a sound database"):
-        Database(path)
+    damage(path)
+    again = Database(path)
+    assert [notice.code for notice in again.notices] == ["database-damaged"]
+    assert again.read("SELECT count(*) AS n FROM events")[0]["n"] == 0
+    again.close()
+    third = Database(path)
+    assert third.notices == ()
+    third.close()
+
+
+def test_damage_that_a_read_meets_sets_the_database_aside_and_writes_go_on(path: Path) -> None:
+    database = Database(path)
+    for number in range(1, 400):
+        database.write(partial(add_event, number=number, document="x" * 2000))
+    database.close()
+    again = Database(path)
+    damage(path)
+    with pytest.raises(DeviceError, match="not a sound database") as refusal:
+        again.read("SELECT sum(length(document)) FROM events")
+    assert refusal.value.code == "database-damaged"
+    assert again.write(lambda c: add_event(c, 400), patient=True).result(20) == 400
+    assert [notice.code for notice in again.notices] == ["database-damaged"]
+    assert [row["number"] for row in again.read("SELECT number FROM events")] == [400]
+    again.close()
+
+
+def test_a_full_disk_is_named_and_what_waits_is_written_in_order_when_there_is_room(database: Database) -> None:
+    fill(database)
+    refused = database.write(partial(add_event, number=1, document="x" * 50_000))
+    with pytest.raises(DeviceError, match="database or disk is full") as refusal:
+        refused.result(20)
+    assert refusal.value.code == "storage-full"
+    assert database.trouble is not None
+    assert database.trouble.code == "storage-full"
+    waiting = [database.write(partial(add_event, number=n, document="x" * 9000), patient=True) for n in range(2, 9)]
+    with pytest.raises(DeviceError, match="full"):
+        database.write(partial(add_event, number=9)).result(20)
+    assert not any(future.done() for future in waiting)
+    make_room(database)
+    assert [future.result(20) for future in waiting] == [*range(2, 9)]
+    assert database.trouble is None
+
+
+def test_trouble_ends_by_itself_although_nothing_waits(database: Database) -> None:
+    fill(database)
+    with pytest.raises(DeviceError):
+        database.write(partial(add_event, number=1, document="x" * 50_000)).result(20)
+    make_room(database)
+    ended = threading.Event()
+    while database.trouble is not None:
+        assert not ended.wait(0.05)
+    assert database.write(lambda c: add_event(c, 1)).result(20) == 1
+
+
+def test_memory_for_waiting_writes_is_bounded(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "MOST_WAITING_BYTES", 100_000)
+    fill(database)
+    big = [
+        database.write(partial(add_event, number=n, document="x" * 30_000), patient=True, size=30_000)
+        for n in range(1, 9)
+    ]
+    with pytest.raises(DeviceError, match="wait in memory"):
+        big[-1].result(20)
+    database.close()
+    assert all(future.exception() is not None for future in big), "what the disk refuses at the end is given up"
+
+
+@pytest.mark.parametrize("companions", [False, True])
+def test_a_database_that_is_deleted_while_it_is_open_is_written_back(path: Path, companions: bool) -> None:
+    database = Database(path)
+    for number in range(1, 30):
+        database.write(partial(add_event, number=number)).result(20)
+    path.unlink()
+    if companions:
+        for ending in ("-wal", "-shm"):
+            path.with_name(path.name + ending).unlink()
+    assert database.write(lambda c: add_event(c, 30), patient=True).result(20) == 30
+    assert [notice.code for notice in database.notices] == ["database-deleted"]
+    assert database.read("SELECT count(*) AS n FROM events")[0]["n"] == 30
+    database.close()
+    again = Database(path)
+    assert again.read("SELECT count(*) AS n FROM events")[0]["n"] == 30
+    assert again.notices == ()
+    again.close()
+
+
+def test_a_database_that_is_replaced_while_it_is_open_is_kept_beside(path: Path, tmp_path: Path) -> None:
+    other = Database(tmp_path / "other.db")
+    other.write(lambda c: add_event(c, 77)).result(20)
+    other.close()
+    database = Database(path)
+    database.write(lambda c: add_event(c, 1)).result(20)
+    (tmp_path / "other.db").replace(path)
+    database.write(lambda c: add_event(c, 78), patient=True).result(20)
+    assert [row["number"] for row in database.read("SELECT number FROM events")] == [77, 78]
+    [notice] = database.notices
+    assert notice.code == "database-replaced"
+    [kept] = path.parent.glob("station.db.replaced-*")
+    saved = sqlite3.connect(kept)
+    assert saved.execute("SELECT number FROM events").fetchall() == [(1,)]
+    saved.close()
+    database.close()
+
+
+def test_an_idle_database_notices_by_itself_that_its_file_was_deleted(path: Path) -> None:
+    database = Database(path)
+    path.unlink()
+    waiting = threading.Event()
+    while not database.notices:
+        assert not waiting.wait(0.05)
+    assert path.exists()
+    database.close()
+
+
+def test_a_lost_directory_is_waited_for(path: Path) -> None:
+    database = Database(path)
+    path.parent.rename(path.parent.with_name("elsewhere"))
+    path.parent.write_text("in the way")
+    pending = database.write(lambda c: add_event(c, 1), patient=True)
+    waiting = threading.Event()
+    while database.trouble is None:
+        assert not waiting.wait(0.05)
+    assert database.trouble.code == "storage-unavailable"
+    path.parent.unlink()
+    assert pending.result(20) == 1
+    database.close()
+
+
+def test_a_write_that_does_not_end_is_trouble(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "SLOW_S", 0.0)
+    inside, go_on = threading.Event(), threading.Event()
+
+    def slow(_: sqlite3.Connection) -> None:
+        inside.set()
+        assert go_on.wait(20)
+
+    pending = database.write(slow)
+    assert inside.wait(20)
+    assert database.trouble is not None
+    assert "has not ended" in database.trouble.message
+    go_on.set()
+    pending.result(20)
 
 
 def test_a_database_of_a_newer_version_is_refused(path: Path) -> None:

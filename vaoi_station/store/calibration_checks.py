@@ -34,7 +34,7 @@ class CalibrationChecks:
                 (calibration_digest, LATEST_KEPT, FIRST_KEPT),
             )
 
-        return self._database.write(write)
+        return self._database.write(write, patient=True, durable=False, size=len(document))
 
     def documents(self, calibration_digest: str, first: int, latest: int) -> list[str]:
         """Return the `first` oldest and `latest` newest checks of a calibration, oldest first, without duplicates."""

@@ -1,25 +1,61 @@
-"""One SQLite file with one writer thread; readers never wait for the writer (write-ahead log)."""
+"""One SQLite file with one writer thread; readers never wait for the writer (write-ahead log).
+
+A write that the disk refuses is tried again until it succeeds, and all later writes wait behind it, so that nothing is
+written out of order. A damaged database is set aside, a deleted one is copied back, and the writes go on.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import logging
 import sqlite3
 import threading
-from collections.abc import Callable, Iterator
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
+from dataclasses import dataclass
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any, TypeVar
 
-from vaoi_station.errors import DeviceError, InternalError, StateError
-from vaoi_station.store.schema import migrate
-from vaoi_station.store.start_check import check_at_start
+from vaoi_station.errors import StateError
+from vaoi_station.store.database_file import connect, open_database, roll_back, set_aside
+from vaoi_station.store.file_watch import FileWatch
+from vaoi_station.store.storage_trouble import (
+    DAMAGED,
+    DELETED,
+    FULL,
+    UNAVAILABLE,
+    StorageTrouble,
+    translated,
+    translated_errors,
+    trouble_of,
+)
 
+_log = logging.getLogger(__name__)
 T = TypeVar("T")
 READERS = 4
 """Number of connections for reading. Further simultaneous readers wait until a connection is free."""
+FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.25, 2.0
+"""Pauses before a refused write is tried again; each pause is twice the one before."""
+LOOK_S = 2.0
+"""Time between two looks at the file while nothing is written."""
+SLOW_S = 5.0
+"""Time after which a write that has not ended counts as trouble."""
+MOST_WAITING_BYTES = 64_000_000
+"""Largest total size of the writes that wait for the disk. Further ones are refused."""
 
 Write = Callable[[sqlite3.Connection], Any]
+
+
+@dataclass(frozen=True, eq=False)
+class _Job:
+    work: Write
+    future: Future[Any]
+    patient: bool
+    durable: bool
+    size: int
 
 
 class Database:
@@ -27,47 +63,91 @@ class Database:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._writer = _open(path)
-        self._readers: SimpleQueue[sqlite3.Connection] = SimpleQueue()
-        for _ in range(READERS):
-            self._readers.put(_connect(path))
-        self._jobs: SimpleQueue[tuple[Write, Future[Any]] | None] = SimpleQueue()
+        self._writer: sqlite3.Connection | None
+        self._writer, notice = open_database(path)
+        self.notices: tuple[StorageTrouble, ...] = () if notice is None else (notice,)
+        """What happened to the database since this start that lost or moved data: damaged, deleted, replaced."""
+        self._watch = FileWatch(path)
+        self._readers: SimpleQueue[sqlite3.Connection | None] = SimpleQueue()
+        with translated_errors(path):
+            for _ in range(READERS):
+                self._readers.put(connect(path))
+        self._jobs: deque[_Job] = deque()
+        self._waiting_bytes = 0
+        self._trouble: StorageTrouble | None = None
+        self._began_s: float | None = None
         self._closed = False
-        self._gate = threading.Lock()
+        self._changed = threading.Condition()
         self._thread = threading.Thread(target=self._run, name="store", daemon=True)
         self._thread.start()
 
-    def write(self, work: Callable[[sqlite3.Connection], T]) -> Future[T]:
+    @property
+    def trouble(self) -> StorageTrouble | None:
+        """What keeps the database from being written at present; None if writes succeed."""
+        # Read without the lock: both are replaced as a whole, and the station asks several times a second.
+        began_s = self._began_s
+        if self._trouble is None and began_s is not None and time.monotonic() - began_s > SLOW_S:
+            waited = f"{time.monotonic() - began_s:.0f} s"
+            return StorageTrouble(UNAVAILABLE, f"{self.path}: a write has not ended for {waited}.", "Check the disk.")
+        return self._trouble
+
+    @property
+    def free_bytes(self) -> int | None:
+        """Space that is left for the database, at the last look; None if it is not known."""
+        return self._watch.free_bytes
+
+    def write(
+        self, work: Callable[[sqlite3.Connection], T], *, patient: bool = False, durable: bool = True, size: int = 0
+    ) -> Future[T]:
         """Run `work` in one transaction, after all writes that were submitted before.
 
+        Args:
+            work: the statements; they are executed again after a trouble of the storage.
+            patient: wait until the storage takes the write. Otherwise trouble of the storage is an error at once.
+            durable: end only when the transaction survives a power failure. Later durable writes include it.
+            size: bytes that wait in memory with `work`.
+
         Raises:
-            StateError: the database is closed. Errors of `work` are set on the future.
+            StateError: the database is closed. All other errors are set on the future.
         """
         future: Future[T] = Future()
-        # The lock keeps writes and `close` apart: a write queued behind the end marker would never be carried out.
-        with self._gate:
+        refused: StorageTrouble | None = None
+        # The lock keeps writes and `close` apart: a write queued behind the end would never be carried out.
+        with self._changed:
             if self._closed:
                 raise StateError(f"{self.path}: is closed; the station is stopping.")
-            self._jobs.put((work, future))
+            if not patient and self._trouble is not None:
+                refused = self._trouble
+            elif patient and self._waiting_bytes + size > MOST_WAITING_BYTES:
+                refused = self._too_much()
+            else:
+                self._jobs.append(_Job(work, future, patient, durable, size))
+                self._waiting_bytes += size
+                self._changed.notify_all()
+        # Outside the lock: callbacks of the future may write in their turn.
+        if refused is not None:
+            future.set_exception(refused.error())
         return future
 
     def read(self, query: str, values: tuple[Any, ...] = ()) -> list[sqlite3.Row]:
         """Return the rows of a query, as of the last completed write."""
-        with self._reader() as connection, _translated_errors(self.path):
-            return connection.execute(query, values).fetchall()
+        try:
+            with self._reader() as connection:
+                return connection.execute(query, values).fetchall()
+        except sqlite3.Error as error:
+            if (trouble := trouble_of(error, self.path)) is not None and trouble.code == DAMAGED:
+                self._submit_check()
+            raise translated(error, self.path) from error
 
     def close(self) -> None:
-        """Finish all writes and close the file; no effect if it is closed."""
-        with self._gate:
+        """Finish all writes and close the file; no effect if it is closed. What the disk refuses now is given up."""
+        with self._changed:
             if self._closed:
                 return
             self._closed = True
-            self._jobs.put(None)
+            self._changed.notify_all()
         self._thread.join()
-        # Taking each connection from the queue waits for reads that are still under way.
-        for _ in range(READERS):
-            self._readers.get().close()
-        self._writer.close()
+        self._close_connections()
 
     @contextlib.contextmanager
     def _reader(self) -> Iterator[sqlite3.Connection]:
@@ -75,73 +155,178 @@ class Database:
             raise StateError(f"{self.path}: is closed; the station is stopping.")
         connection = self._readers.get()
         try:
+            if connection is None:
+                if self._closed:
+                    raise StateError(f"{self.path}: is closed; the station is stopping.")
+                raise (self._trouble or StorageTrouble(UNAVAILABLE, f"{self.path}: is not open.")).error()
             yield connection
         finally:
             self._readers.put(connection)
 
+    # --- in the writer's thread
+
     def _run(self) -> None:
-        while (job := self._jobs.get()) is not None:
-            work, future = job
+        while (job := self._next()) is not None:
+            self._perform(job)
+
+    def _next(self) -> _Job | None:
+        """Return the next write; None if the database was closed and all are done. Meanwhile, look at the file."""
+        while True:
+            with self._changed:
+                if not self._jobs and not self._closed:
+                    self._changed.wait(LONGEST_PAUSE_S if self._trouble else LOOK_S)
+                if self._jobs:
+                    job = self._jobs.popleft()
+                    self._waiting_bytes -= job.size
+                    return job
+                if self._closed:
+                    return None
+            self._look()
+
+    def _look(self) -> None:
+        """Notice a deleted file without waiting for a write, and try whether a past trouble is over."""
+        self._began_s = time.monotonic()
+        self._watch.measure()
+        self._began_s = None
+        if self._trouble is not None or self._watch.changed:
+            self._perform(_Job(_touch, Future(), patient=False, durable=True, size=0))
+
+    def _perform(self, job: _Job) -> None:
+        """Carry out one write. If the storage refuses it, try again as long as the write is patient."""
+        pause_s = FIRST_PAUSE_S
+        while True:
             try:
-                with _translated_errors(self.path):
-                    # IMMEDIATE takes the write lock at once; a deferred transaction could fail with SQLITE_BUSY in
-                    # the middle, where the busy time-out does not apply.
-                    self._writer.execute("BEGIN IMMEDIATE")
-                    try:
-                        result = work(self._writer)
-                        self._writer.execute("COMMIT")
-                    except BaseException:  # roll back or close in every case; the error is raised again
-                        self._writer.execute("ROLLBACK")
-                        raise
+                self._began_s = time.monotonic()
+                result = self._transaction(job)
             except Exception as error:  # noqa: BLE001  the caller gets the error through the future; the thread goes on
-                future.set_exception(error)
+                self._began_s = None
+                trouble = trouble_of(error, self.path)
+                if trouble is None:
+                    job.future.set_exception(
+                        translated(error, self.path) if isinstance(error, sqlite3.Error) else error
+                    )
+                    return
+                if trouble.code == DAMAGED and self._begin_anew(str(error)):
+                    continue
+                self._enter(trouble)
+                if not job.patient or self._closed:
+                    job.future.set_exception(trouble.error())
+                    return
+                with self._changed:
+                    if not self._closed:
+                        self._changed.wait(pause_s)
+                pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
             else:
-                future.set_result(result)
+                self._began_s = None
+                if self._trouble is not None:
+                    _log.info("%s: is written again", self.path)
+                self._trouble = None
+                job.future.set_result(result)
+                return
+
+    def _transaction(self, job: _Job) -> Any:
+        if self._watch.changed:
+            self._follow_file()
+        if self._writer is None:
+            self._reopen()
+        assert self._writer is not None
+        writer = self._writer
+        # FULL waits until the write-ahead log is on the disk, with all transactions before this one.
+        writer.execute(f"PRAGMA synchronous = {'FULL' if job.durable else 'NORMAL'}")
+        # IMMEDIATE takes the write lock at once; a deferred transaction could fail with SQLITE_BUSY in the middle,
+        # where the busy time-out does not apply.
+        writer.execute("BEGIN IMMEDIATE")
+        try:
+            result = job.work(writer)
+            writer.execute("COMMIT")
+        except BaseException:  # roll back in every case; the error is raised again
+            roll_back(writer)
+            raise
+        return result
+
+    def _enter(self, trouble: StorageTrouble) -> None:
+        """Record a trouble, and refuse the writes that do not wait for its end."""
+        with self._changed:
+            if self._trouble is None or self._trouble.code != trouble.code:
+                _log.warning("%s", trouble.message)
+            self._trouble = trouble
+            refused = [job for job in self._jobs if not job.patient]
+            self._jobs = deque(job for job in self._jobs if job.patient)
+            self._waiting_bytes = sum(job.size for job in self._jobs)
+        for job in refused:
+            job.future.set_exception(trouble.error())
+
+    def _begin_anew(self, why: str) -> bool:
+        """Set the damaged file aside and open an empty one; return False if that is not possible yet."""
+        try:
+            # No connection may be open: the last one to close deletes the write-ahead log by its name.
+            self._close_connections()
+            notice = set_aside(self.path, why)
+            self._watch.forget()
+            self._reopen()
+        except Exception as error:  # noqa: BLE001  tried again with the next write; the log has the cause
+            _log.warning("%s: cannot be opened again: %s", self.path, error)
+            return False
+        self.notices = (*self.notices, notice)
+        _log.error("%s", notice.message)
+        return True
+
+    def _follow_file(self) -> None:
+        """Write a deleted database back from the connection that still has it; open one that was put in its place."""
+        writer = self._writer
+        if writer is None:
+            return
+        notice = self._watch.rescue(writer)
+        self._close_connections()
+        self._watch.forget()
+        self._reopen()
+        self.notices = (*self.notices, notice)
+        _log.error("%s", notice.message)
+
+    def _reopen(self) -> None:
+        self._writer, notice = open_database(self.path)
+        self._watch.forget()
+        # A notice that the file is absent adds nothing to the one that led here.
+        if notice is not None and notice.code != DELETED:
+            self.notices = (*self.notices, notice)
+        self._replace_readers([connect(self.path) for _ in range(READERS)])
+
+    def _close_connections(self) -> None:
+        self._replace_readers([None] * READERS)
+        if self._writer is not None:
+            with contextlib.suppress(sqlite3.Error):
+                self._writer.close()
+        self._writer = None
+
+    def _replace_readers(self, connections: Sequence[sqlite3.Connection | None]) -> None:
+        """Replace the connections for reading. In place of one that is None, reads are refused."""
+        # Taking each one from the queue waits for reads that are still under way.
+        for connection in [self._readers.get() for _ in range(READERS)]:
+            if connection is not None:
+                with contextlib.suppress(sqlite3.Error):
+                    connection.close()
+        for new in connections:
+            self._readers.put(new)
+
+    def _submit_check(self) -> None:
+        """Let the writer check the whole file, because a read has met damage."""
+        with contextlib.suppress(StateError):
+            self.write(self._check, durable=False)
+
+    def _check(self, _: sqlite3.Connection) -> None:
+        # By a new connection: the writer's own may have sound pages in its cache.
+        with contextlib.closing(connect(self.path)) as fresh:
+            fault = fresh.execute("PRAGMA quick_check(1)").fetchone()[0]
+        if fault != "ok":
+            raise sqlite3.DatabaseError(fault)
+
+    def _too_much(self) -> StorageTrouble:
+        limit = f"{MOST_WAITING_BYTES / 1e6:.0f} MB"
+        why = self._trouble.message if self._trouble else "The disk is too slow."
+        return StorageTrouble(FULL, f"{why} More than {limit} wait in memory.", "Free space in the data directory.")
 
 
-def _open(path: Path) -> sqlite3.Connection:
-    """Open the writing connection; create the file or migrate it, and refuse a damaged one."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with _translated_errors(path):
-        connection = _connect(path)
-    try:
-        with _translated_errors(path):
-            connection.execute("PRAGMA journal_mode = WAL")
-            # With a write-ahead log NORMAL survives a crash of the process; a power failure may lose the last
-            # transactions but does not damage the file (SQLite documentation, "PRAGMA synchronous").
-            connection.execute("PRAGMA synchronous = NORMAL")
-            # Damage found here stops the start, with an action for the operator. Found later, it would make a run fail.
-            check_at_start(connection, path)
-            migrate(connection, path)
-    except BaseException:  # roll back or close in every case; the error is raised again
-        connection.close()
-        raise
-    return connection
-
-
-def _connect(path: Path) -> sqlite3.Connection:
-    # isolation_level=None leaves BEGIN and COMMIT to `_run`; the readers are passed between threads, one at a time.
-    connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=10)
-    connection.row_factory = sqlite3.Row
-    connection.execute("PRAGMA foreign_keys = ON")
-    return connection
-
-
-@contextlib.contextmanager
-def _translated_errors(path: Path) -> Iterator[None]:
-    """Convert SQLite errors to errors of the station, with the file's path and an action."""
-    # OperationalError and IntegrityError are subclasses of DatabaseError, so the order of the clauses matters.
-    try:
-        yield
-    except sqlite3.OperationalError as error:
-        raise DeviceError(
-            f"{path}: cannot be used ({error}).", action="Check space and permissions of the data directory."
-        ) from error
-    except sqlite3.IntegrityError as error:
-        raise InternalError(f"{path}: refused a write ({error}).") from error
-    except sqlite3.DatabaseError as error:
-        raise DeviceError(
-            f"{path}: is not a sound database ({error}).",
-            action="Restore it from a backup, or move it away; the station then begins with an empty one.",
-            code="database-damaged",
-        ) from error
+def _touch(connection: sqlite3.Connection) -> None:
+    """Write something that changes nothing."""
+    (version,) = connection.execute("PRAGMA user_version").fetchone()
+    connection.execute(f"PRAGMA user_version = {int(version)}")

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import sqlite3
+from collections import OrderedDict
 from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Literal
@@ -18,10 +19,13 @@ from vaoi_station.store.board_stitching import BoardStitching
 from vaoi_station.store.calibration_checks import CalibrationChecks
 from vaoi_station.store.database import Database
 from vaoi_station.store.retention import RunRetention
+from vaoi_station.store.storage_trouble import StorageTrouble
 
 Kind = Literal["board-type", "calibration"]
 EVENTS_KEPT = 100_000
 """Number of events kept; older events are deleted."""
+DOCUMENTS_REMEMBERED = 32
+"""Number of the latest board types and calibrations that are kept in memory too, for runs that refer to them."""
 
 
 @dataclass(frozen=True)
@@ -57,30 +61,63 @@ class Store:
 
     def __init__(self, database: Database) -> None:
         self.database = self._database = database
+        self._documents: OrderedDict[str, tuple[str, str, str, str]] = OrderedDict()
+        """Rows of the latest documents, by digest: a database that begins anew needs them for the next run."""
         self.checks = CalibrationChecks(database)
         self.stitching = BoardStitching(database)
         self.retention = RunRetention(database)
 
+    @property
+    def trouble(self) -> StorageTrouble | None:
+        """What keeps the database from being written at present; None if writes succeed."""
+        return self._database.trouble
+
+    @property
+    def notices(self) -> tuple[StorageTrouble, ...]:
+        """What happened to the database since the start that lost or moved data."""
+        return self._database.notices
+
+    @property
+    def free_bytes(self) -> int | None:
+        """Space that is left for the database, at the last look; None if it is not known."""
+        return self._database.free_bytes
+
     def keep_document(self, kind: Kind, document: str, now: str) -> str:
         """Store a board type or a calibration as it was used, and return its digest."""
         digest = digest_of(document)
-        # Wait until the transaction is complete, because runs refer to the digest by a foreign key.
-        self._database.write(
-            lambda c: c.execute("INSERT OR IGNORE INTO documents VALUES (?, ?, ?, ?)", (digest, kind, now, document))
-        ).result()
+        row = (digest, kind, now, document)
+        self._documents[digest] = row
+        self._documents.move_to_end(digest)
+        while len(self._documents) > DOCUMENTS_REMEMBERED:
+            self._documents.popitem(last=False)
+        # Not awaited, so that a line can be armed while the disk is full: the runs that refer to it are written later.
+        self._database.write(lambda c: c.execute(_KEEP_DOCUMENT, row), patient=True, durable=False, size=len(document))
         return digest
 
     def document(self, digest: str) -> str:
         """Return a stored board type or calibration; raise NotFoundError if the digest is unknown."""
+        if (known := self._documents.get(digest)) is not None:
+            return known[3]
         rows = self._database.read("SELECT document FROM documents WHERE digest = ?", (digest,))
         if not rows:
             raise NotFoundError(f"{self._database.path}: there is no document {digest}.")
         return str(rows[0]["document"])
 
-    def save_run(self, row: RunRow, timeline: str | None = None, result: str | None = None) -> Future[None]:
-        """Write a run, with its timeline and result if it has them, in one transaction."""
+    def save_run(
+        self, row: RunRow, timeline: str | None = None, result: str | None = None, *, patient: bool = True
+    ) -> Future[None]:
+        """Write a run, with its timeline and result if it has them, in one transaction.
+
+        The future completes when the run is on the disk. With `patient`, it waits for the end of a storage trouble.
+        """
+        used = [d for d in (row.board_type_digest, row.calibration_digest) if d in self._documents]
+        documents = [self._documents[digest] for digest in used]
 
         def write(connection: sqlite3.Connection) -> None:
+            # They are missing after a damaged database was set aside.
+            for document in documents:
+                if connection.execute("SELECT 1 FROM documents WHERE digest = ?", document[:1]).fetchone() is None:
+                    connection.execute(_KEEP_DOCUMENT, document)
             # An update, not INSERT OR REPLACE, which would delete the row that results and checks refer to.
             connection.execute(
                 """INSERT INTO runs VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)
@@ -95,15 +132,19 @@ class Store:
             if result is not None:
                 connection.execute("INSERT INTO results VALUES (?, ?)", (row.id, result))
 
-        return self._database.write(write)
+        size = len(row.summary) + len(row.detail) + len(row.head or "") + len(timeline or "") + len(result or "")
+        # A run that begins need not survive a power failure: without its end there is nothing to announce.
+        durable = row.finish_number is not None
+        return self._database.write(write, patient=patient, durable=durable, size=size)
 
     def set_state(self, run: str, state: str) -> Future[None]:
-        """Set the state of a finished run whose frames were released or evicted."""
+        """Set the state of a finished run whose frames were released or evicted; no effect on an unfinished one."""
 
         def write(connection: sqlite3.Connection) -> None:
-            connection.execute("UPDATE runs SET state = ? WHERE id = ?", (state, run))
+            # A run whose end was never written must stay one that the next start finds unfinished.
+            connection.execute("UPDATE runs SET state = ? WHERE id = ? AND finish_number IS NOT NULL", (state, run))
 
-        return self._database.write(write)
+        return self._database.write(write, patient=True, durable=False, size=100)
 
     def run(self, run: str) -> RunRow | None:
         """Return one run; None if it does not exist."""
@@ -177,12 +218,13 @@ class Store:
         """Append an event, and delete the oldest beyond `EVENTS_KEPT`."""
 
         def write(connection: sqlite3.Connection) -> None:
-            connection.execute("INSERT INTO events VALUES (?, ?)", (row.number, row.document))
+            # A database that was restored from a backup may have events of this number.
+            connection.execute("INSERT OR REPLACE INTO events VALUES (?, ?)", (row.number, row.document))
             # Deleting once per 1000 events keeps the usual write to one row.
             if row.number % 1000 == 0:
                 connection.execute("DELETE FROM events WHERE number <= ?", (row.number - EVENTS_KEPT,))
 
-        return self._database.write(write)
+        return self._database.write(write, patient=True, durable=False, size=len(row.document))
 
     def events(self, after: int, limit: int) -> list[EventRow]:
         """Return at most `limit` events numbered above `after`, oldest first."""
@@ -198,6 +240,7 @@ class Store:
         self._database.close()
 
 
+_KEEP_DOCUMENT = "INSERT OR IGNORE INTO documents VALUES (?, ?, ?, ?)"
 _COLUMNS = "id, state, finish_number, board_type_digest, calibration_digest, summary, detail, head"
 
 

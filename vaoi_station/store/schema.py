@@ -103,6 +103,7 @@ def migrate(connection: sqlite3.Connection, path: Path) -> None:
         raise InputError(
             f"{path}: has version {found} of the tables; this software knows versions up to {VERSION}.",
             action="Start the newer vaoi_station that wrote it, or give this one another data directory.",
+            code="database-newer",
         )
     for number in range(found, VERSION):
         # Tables and version number change together, so that an interrupted migration continues at the next start.
@@ -113,5 +114,7 @@ def migrate(connection: sqlite3.Connection, path: Path) -> None:
             connection.execute(f"PRAGMA user_version = {number + 1}")
             connection.execute("COMMIT")
         except BaseException:  # roll back in every case; the error is raised again
-            connection.execute("ROLLBACK")
+            # SQLite has done so itself after "disk full"; a second ROLLBACK would hide that cause.
+            if connection.in_transaction:
+                connection.execute("ROLLBACK")
             raise

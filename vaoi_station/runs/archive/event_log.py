@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import threading
 import time
@@ -9,6 +10,9 @@ from collections import deque
 from collections.abc import Mapping
 from types import MappingProxyType
 
+from pydantic import ValidationError
+
+from vaoi_station.errors import StateError
 from vaoi_station.runs.states.run_ids import utc
 from vaoi_station.runs.states.schemas import EventRecord
 from vaoi_station.store import EventRow, Store
@@ -59,7 +63,9 @@ class EventLog:
             )  # fmt: skip
             # The number is assigned and the event is written under one lock, so that the database receives the events
             # in the order of their numbers.
-            self._store.add_event(EventRow(event.number, event.model_dump_json()))
+            # The last events of a stop may come when the database is closed; they are in the log.
+            with contextlib.suppress(StateError):
+                self._store.add_event(EventRow(event.number, event.model_dump_json()))
             self._recent.append(event)
             self._last = event.number
             self._changed.notify_all()
@@ -83,10 +89,18 @@ class EventLog:
                     return ()
             if self._recent and self._recent[0].number <= after + 1:
                 return tuple(e for e in self._recent if e.number > after)[:limit]
-        return tuple(EventRecord.model_validate_json(row.document) for row in self._store.events(after, limit))
+        return tuple(record for row in self._store.events(after, limit) if (record := _parsed(row)) is not None)
 
     def close(self) -> None:
         """Wake all callers that wait for an event, because no more events will follow."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
+
+
+def _parsed(row: EventRow) -> EventRecord | None:
+    """Return a stored event; None if another version wrote it in a way that cannot be read."""
+    try:
+        return EventRecord.model_validate_json(row.document)
+    except ValidationError:
+        return None

@@ -1,6 +1,7 @@
 """The archive of finished runs. All are in the database, the latest also in memory; callers can wait for the next run.
 
-A finished run is announced (callers that wait for it are woken, and an event is published) once its result was written.
+A finished run is announced (callers that wait for it are woken, and an event is published) once its result is on disk.
+If the disk does not take it, the run is announced from memory, says so (`stored`), and is written as soon as it can be.
 """
 
 from __future__ import annotations
@@ -12,23 +13,24 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TypeVar
 
 from vaoi_station.errors import DeviceError, GoneError, NotFoundError, StateError
 from vaoi_station.files.results import without_components
 from vaoi_station.geometry import Camera
 from vaoi_station.model import BoardType, Calibration, RecordingHead, Stitch
 from vaoi_station.rendering import ViewCalculator
+from vaoi_station.runs.archive import stored_documents
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.run_statistics import RunStatistics
+from vaoi_station.runs.archive.storage_watch import StorageWatch
+from vaoi_station.runs.archive.stored_documents import in_state, state_of
 from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.run.run_views import detail_of, summary_of, timeline_of
 from vaoi_station.runs.states.run_ids import utc_of_host
-from vaoi_station.runs.states.schemas import Reason, RunDetail, RunSummary, Timeline
-from vaoi_station.runs.states.tables import IN_MEMORY, RUN, RunState, RunStep
+from vaoi_station.runs.states.schemas import RunDetail, RunSummary, Timeline
+from vaoi_station.runs.states.tables import RUN, RunState, RunStep
 from vaoi_station.store import RunRow, Store
 
-R = TypeVar("R", RunSummary, RunDetail)
 CACHED_RUNS = 32
 """Number of finished runs that are kept in memory with their documents parsed."""
 
@@ -75,12 +77,14 @@ class FinishedRun:
 class Archive:
     """The finished runs of the station and their results. Its methods may be called from any thread.
 
-    A run is announced when its result is on disk, or when the disk has refused it.
+    A run is announced when its result is on disk, or when the storage is in trouble. Runs that the disk has not taken
+    yet stay in memory until it has.
     """
 
     def __init__(self, store: Store, events: EventLog) -> None:
         self._store = store
         self._events = events
+        self.storage = StorageWatch(store, events, self._count_unstored)
         self.keep_s = 0.0
         """Time from the announcement of a run during which its frames are not evicted, s."""
         self.on_announced: Callable[[str, float], None] = lambda _run, _until_s: None
@@ -92,6 +96,12 @@ class Archive:
         self._changed = threading.Condition()
         self._recent: OrderedDict[str, FinishedRun] = OrderedDict()
         self._under_way: set[str] = set()
+        self._unstored: dict[str, FinishedRun] = {}
+        """Finished runs that are not on disk yet, oldest first."""
+        self._unannounced: dict[str, int] = {}
+        """Finish numbers of the runs that have not been announced, oldest first."""
+        self._announcing = threading.Lock()
+        """Held while runs are announced, so that they are announced in their order by any thread."""
         last = store.last_finished()
         self._finished = last.finish_number or 0 if last else 0
         """Highest finish number that was given to a run. That run may not have been announced yet."""
@@ -123,12 +133,20 @@ class Archive:
         # if the disk refuses the result.
         with self._changed:
             self._under_way.discard(progress.run)
+            self._unstored[progress.run] = finished
+            self._unannounced[progress.run] = finished.finish_number
             self._cache(finished)
-        row = _row(progress, detail, self._finished)
         self.statistics.add(detail, finished.timeline)
+        row = _row(progress, detail.model_copy(update={"stored": True}), self._finished)
         saved = self._store.save_run(row, finished.timeline.model_dump_json(), finished.document)
-        saved.add_done_callback(lambda future: self._announce(finished, future))
+        saved.add_done_callback(lambda future: self._written(finished, future))
         return detail
+
+    def tick(self) -> None:
+        """Announce runs from memory while the storage is in trouble. The coordinator calls this every tick."""
+        self.storage.tick()
+        if self._unannounced and self.storage.in_trouble:
+            self._announce(self._finished)
 
     def calibration_of(self, finished: FinishedRun) -> Calibration:
         """Return the calibration with which a run was stitched."""
@@ -139,7 +157,7 @@ class Archive:
         finished = self.get(run)
         state = RUN.next(finished.detail.state, step)
         with self._changed:
-            self._cache(replace(finished, detail=_in_state(finished.detail, state)))
+            self._cache(replace(finished, detail=in_state(finished.detail, state)))
         self._store.set_state(run, state)
 
     def get(self, run: str) -> FinishedRun:
@@ -168,21 +186,32 @@ class Archive:
             raise _forgotten(run)
         finished = self._parsed(row)
         with self._changed:
-            return self._recent.get(run) or self._cache(finished)
+            return self._in_memory(run) or self._cache(finished)
 
     def _cached(self, run: str) -> FinishedRun | None:
         """Return a finished run if it is in memory, else None. Raise StateError if the run has not ended."""
         with self._changed:
             if run in self._under_way:
                 raise StateError(f"Run {run} has no result yet.", action="Wait for it by runs/next.")
-            return self._recent.get(run)
+            return self._in_memory(run)
+
+    def _in_memory(self, run: str) -> FinishedRun | None:
+        return self._unstored.get(run) or self._recent.get(run)
+
+    def _numbered(self, finish_number: int) -> FinishedRun | None:
+        """Return the finished run with this number if it is in memory."""
+        runs = (*self._recent.values(), *self._unstored.values())
+        return next((run for run in runs if run.finish_number == finish_number), None)
+
+    def _count_unstored(self) -> int:
+        return len(self._unstored)
 
     def latest(self) -> FinishedRun | None:
         """Return the run that was announced last; None if no run was announced yet."""
         with self._changed:
-            announced = [d for d in self._recent.values() if d.finish_number == self._announced]
-        if announced:
-            return announced[0]
+            announced = self._numbered(self._announced)
+        if announced is not None:
+            return announced
         row = self._store.last_finished()
         return None if row is None else self.get(row.id)
 
@@ -199,9 +228,9 @@ class Archive:
                     return None
             if self._announced <= number:
                 return None
-            kept = [d for d in self._recent.values() if d.finish_number == number + 1]
-        if kept:
-            return kept[0]
+            kept = self._numbered(number + 1)
+        if kept is not None:
+            return kept
         row = self._store.finished_after(number)
         return None if row is None else self.get(row.id)
 
@@ -210,12 +239,14 @@ class Archive:
 
         If `before` is given, return only runs older than the run with this id.
         """
-        return [
-            _in_state(RunSummary.model_validate_json(row.summary), RunState(row.state)).model_copy(
-                update={"forgotten": not row.detail}
-            )
-            for row in self._store.runs(limit, before)
-        ]
+        rows = self._store.runs(limit, before)
+        with self._changed:
+            # Read after the rows: a run that is written meanwhile is in one of the two.
+            unstored = {
+                run: summary_of(d.detail) for run, d in self._unstored.items() if before is None or run < before
+            }
+        found = {row.id: stored_documents.summary(row) for row in rows} | unstored
+        return [found[run] for run in sorted(found, reverse=True)[:limit]]
 
     def close(self) -> None:
         """Wake all callers that wait for a run, because no more runs will end."""
@@ -225,51 +256,60 @@ class Archive:
 
     def _close_unfinished(self) -> None:
         """Update the runs from before a restart of the station: unfinished runs failed, and all frames are gone."""
-        lost = Reason(code="station-restarted", message="The station ended before this run had a result.")
+        saved = []
         for row in self._store.unfinished():
             self._finished += 1
-            state = RUN.next(RUN.next(RunState(row.state), RunStep.STATION_LOST), RunStep.MEMORY_TAKEN)
-            detail = RunDetail.model_validate_json(row.detail)
-            detail = _in_state(detail, state).model_copy(update={"reasons": (*detail.reasons, lost)})
-            self._store.save_run(
-                replace(
-                    row,
-                    state=state,
-                    finish_number=self._finished,
-                    summary=summary_of(detail).model_dump_json(),
-                    detail=detail.model_dump_json(),
-                )
-            )
-        self._store.mark_frames_gone(RunState.GONE).result()
+            saved.append(self._store.save_run(stored_documents.cut_short(row, self._finished), patient=False))
+        saved.append(self._store.mark_frames_gone(RunState.GONE))
+        for future in saved:
+            future.result()
         self._announced = self._finished
 
-    def _announce(self, finished: FinishedRun, saved: Future[None]) -> None:
-        """Wake callers that wait for a run, and publish its event. `saved` is the completed write of the run.
-
-        The database completes writes in their order, so runs are announced in the order in which they ended.
-        """
-        fault = saved.exception()
-        # A full disk must not hide a result: the run is announced nevertheless, and its result is served from memory.
+    def _written(self, finished: FinishedRun, saved: Future[None]) -> None:
+        """Record that a run is on disk, or never will be, and announce it. `saved` is the completed write."""
+        run, fault = finished.detail.id, saved.exception()
         if fault is not None:
-            self._events.add(
-                "trouble",
-                f"Run {finished.detail.id} could not be written: {fault}",
-                run=finished.detail.id,
-                code="store",
-            )
+            self._events.add("trouble", f"Run {run} could not be written: {fault}", run=run, code="store")
+        with self._changed:
+            late = run not in self._unannounced
+            known = self._unstored.pop(run, finished)
+            if fault is None:
+                known = replace(known, detail=known.detail.model_copy(update={"stored": True}))
+            self._cache(known)
+        if fault is None and late:
+            self._events.add("run", "The result is on disk now.", state=known.detail.state, run=run, code="stored")
+        self._announce(finished.finish_number)
+
+    def _announce(self, finish_number: int) -> None:
+        """Announce all finished runs up to a finish number, in the order in which they ended."""
+        with self._announcing:
+            with self._changed:
+                due = [run for run, number in self._unannounced.items() if number <= finish_number]
+                waiting = [found for run in due if (found := self._in_memory(run)) is not None]
+                for run in due:
+                    del self._unannounced[run]
+            for finished in waiting:
+                self._announce_one(finished)
+
+    def _announce_one(self, finished: FinishedRun) -> None:
+        """Wake callers that wait for a run, and publish its event."""
+        run = finished.detail.id
         self.on_finished(finished.detail)
         # From here on callers learn of the run, so from here on its frames are kept for the stated time.
         until_s = time.monotonic() + self.keep_s
         # Before callers are woken: a caller that arms at once must find memory that is no longer kept.
-        self.on_announced(finished.detail.id, until_s)
+        self.on_announced(run, until_s)
         with self._changed:
-            latest = self._recent.get(finished.detail.id, finished)
+            latest = self._in_memory(run) or finished
             if latest.detail.frames_available:
                 kept = latest.detail.model_copy(update={"frames_kept_until": utc_of_host(until_s)})
-                self._cache(replace(latest, detail=kept))
+                latest = self._cache(replace(latest, detail=kept))
             self._announced = finished.finish_number
             self._changed.notify_all()
-        self._events.add("run", summary_line(finished.detail), state=finished.detail.state, run=finished.detail.id)
+        message = summary_line(latest.detail)
+        if not latest.detail.stored:
+            message += " It is not on disk yet."
+        self._events.add("run", message, state=finished.detail.state, run=run)
 
     def _number_of(self, run: str) -> int:
         """Return the finish number of a run; for a run that has not ended, that of the latest announced run."""
@@ -283,6 +323,8 @@ class Archive:
             return (row.finish_number or 0) if row else 0
 
     def _cache(self, finished: FinishedRun) -> FinishedRun:
+        if finished.detail.id in self._unstored:
+            self._unstored[finished.detail.id] = finished
         self._recent[finished.detail.id] = finished
         self._recent.move_to_end(finished.detail.id)
         while len(self._recent) > CACHED_RUNS:
@@ -294,7 +336,7 @@ class Archive:
         result, timeline = self._store.result(row.id), self._store.timeline(row.id)
         head = RecordingHead.model_validate_json(row.head) if row.head else None
         return FinishedRun(
-            detail=_in_state(RunDetail.model_validate_json(row.detail), RunState(row.state)),
+            detail=in_state(stored_documents.detail(row), state_of(row)),
             finish_number=row.finish_number or 0,
             board_type=BoardType.model_validate_json(self._store.document(row.board_type_digest)),
             cameras=calibration.cameras(head.cameras) if head else (),
@@ -321,12 +363,6 @@ def _forgotten(run: str) -> GoneError:
         action="Fetch results sooner, pin runs that are needed for long, or raise the limits of [keep].",
         code="run-forgotten",
     )
-
-
-def _in_state(document: R, state: RunState) -> R:
-    available = state in IN_MEMORY
-    kept = {} if available else {"frames_kept_until": None}
-    return document.model_copy(update={"state": state, "frames_available": available, **kept})
 
 
 def _row(progress: Progress, detail: RunDetail, finish_number: int | None) -> RunRow:

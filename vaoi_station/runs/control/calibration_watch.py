@@ -8,6 +8,8 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 
+from pydantic import ValidationError
+
 from vaoi_station.drift.checks import CameraCheck, RunCheck
 from vaoi_station.drift.watch import VANISHED_RUNS, Drift, find_drifts, find_vanished_cameras
 from vaoi_station.errors import StateError
@@ -41,7 +43,9 @@ class CalibrationWatch:
         self.digest = digest_of(calibration.model_dump_json())
         self._created = calibration.created
         known = [
-            RunCheck.model_validate_json(text) for text in checks.documents(self.digest, FIRST_CHECKS, LATEST_CHECKS)
+            check
+            for text in checks.documents(self.digest, FIRST_CHECKS, LATEST_CHECKS)
+            if (check := _parsed(text)) is not None
         ]
         self._first, self._latest = known[:FIRST_CHECKS], deque(known[FIRST_CHECKS:], LATEST_CHECKS)
         self._runs = checks.count(self.digest)
@@ -159,3 +163,11 @@ def _moment(check: RunCheck, camera: CameraCheck) -> CameraMoment:
         links=camera.links,
         fiducials=camera.fiducials,
     )
+
+
+def _parsed(text: str) -> RunCheck | None:
+    """Return a stored check; None if another version wrote it in a way that cannot be read."""
+    try:
+        return RunCheck.model_validate_json(text)
+    except ValidationError:
+        return None

@@ -51,7 +51,7 @@ class Core:
     """
 
     def __init__(self, parts: Parts) -> None:
-        self._parts, self.watch = parts, parts.watch
+        self._parts, self.watch, self.storage = parts, parts.watch, parts.archive.storage
         self._config, self._events, self._archive = parts.config, parts.events, parts.archive
         self.leases = Leases(parts.config.ring.lease_s)
         self.memory = Memory(parts.ring, parts.config.ring.runs, self.leases)
@@ -122,6 +122,7 @@ class Core:
         if self.machine.state not in (StationState.FAULTED, StationState.ARMING):
             self.machine.reasons.expire()
         self.line.keep_memory_granted()
+        self._archive.tick()
 
     # --- reports of the workers
 

@@ -55,6 +55,7 @@ def snapshot_of(
             *core.trigger.warnings(),
             *core.watch.warnings(),
             *core.line.warnings(),
+            *core.storage.warnings(),
             *worker_warnings(processes),
         ),
         armed_with=core.line.orders.shown(),

@@ -75,6 +75,7 @@ def detail_of(progress: Progress) -> RunDetail:
         software=versions(),
         calibration=order.calibration_digest,
         unseen=unseen_of(progress.stitch),
+        stored=False,  # set by the archive, which knows
     )
 
 

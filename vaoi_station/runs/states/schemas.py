@@ -278,6 +278,9 @@ class RunSummary(Schema):
     belt: BeltSpeed | None
     timings: Timings | None
     frames_available: bool
+    stored: bool = True
+    """Whether this state of the run is on disk. False while it is under way, and while the storage takes no writes: its
+    result is then in memory only, and is lost if the station ends."""
     frames_kept_until: str | None = None
     """Time until which the frames of a finished run are not evicted, unless the run is released before; later they stay
     only as long as a caller holds them or their memory is not needed."""

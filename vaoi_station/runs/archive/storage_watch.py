@@ -1,0 +1,67 @@
+"""Watch of the storage: its troubles become warnings of the station and events."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from vaoi_station.runs.archive.event_log import EventLog
+from vaoi_station.runs.states.schemas import Reason
+from vaoi_station.store import StorageTrouble, Store
+
+LOW_BYTES = 500_000_000
+"""Space on the data disk below which the station warns."""
+
+
+class StorageWatch:
+    """The state of the storage for people. `tick` is called by the coordinator's thread."""
+
+    def __init__(self, store: Store, events: EventLog, count_unstored: Callable[[], int]) -> None:
+        """Begin to watch; `count_unstored` returns the number of finished runs that are in memory only."""
+        self._store, self._events, self._count_unstored = store, events, count_unstored
+        self._trouble: StorageTrouble | None = None
+        self._notices = 0
+        self._low = False
+
+    @property
+    def in_trouble(self) -> bool:
+        """Whether the storage takes no writes at present."""
+        return self._trouble is not None
+
+    def tick(self) -> None:
+        """Publish what has changed since the last tick."""
+        before, self._trouble = self._trouble, self._store.trouble
+        now = self._trouble
+        if now is not None and (before is None or before.code != now.code):
+            self._events.add("trouble", now.message, code=now.code, action=now.action)
+        elif now is None and before is not None:
+            self._events.add("storage", "The database is written again.", code="storage-back")
+        notices = self._store.notices
+        for notice in notices[self._notices :]:
+            self._events.add("trouble", notice.message, code=notice.code, action=notice.action)
+        self._notices = len(notices)
+        low = self._low_space()
+        if low is not None and not self._low:
+            self._events.add("trouble", low.message, code=low.code, action=low.action)
+        self._low = low is not None
+
+    def warnings(self) -> tuple[Reason, ...]:
+        """Return a warning for a present trouble, for every event that lost or moved data, and for little space."""
+        found = []
+        if (trouble := self._trouble) is not None:
+            count = self._count_unstored()
+            waiting = f" {count} finished runs wait in memory." if count else ""
+            found.append(Reason(code=trouble.code, message=trouble.message + waiting, action=trouble.action))
+        elif (low := self._low_space()) is not None:
+            found.append(low)
+        found += [Reason(code=n.code, message=n.message, action=n.action) for n in self._store.notices]
+        return tuple(found)
+
+    def _low_space(self) -> Reason | None:
+        free = self._store.free_bytes
+        if free is None or free >= LOW_BYTES:
+            return None
+        return Reason(
+            code="storage-low",
+            message=f"The data disk has {free / 1e6:.0f} MB left; below {LOW_BYTES / 1e6:.0f} MB the station warns.",
+            action="Free space in the data directory, or give it a larger disk.",
+        )

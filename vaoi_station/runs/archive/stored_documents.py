@@ -1,0 +1,85 @@
+"""Documents of runs as the database holds them, read so that no record, however old or unfinished, stops a start."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TypeVar
+
+from pydantic import ValidationError
+
+from vaoi_station.errors import DeviceError
+from vaoi_station.runs.run.run_views import summary_of
+from vaoi_station.runs.states.schemas import Reason, RunDetail, RunSummary, VerdictCounts
+from vaoi_station.runs.states.tables import IN_MEMORY, RunState
+from vaoi_station.store import RunRow
+
+R = TypeVar("R", RunSummary, RunDetail)
+_LOST = Reason(code="station-restarted", message="The station ended before this run had a result.")
+_UNREADABLE = Reason(
+    code="record-unreadable",
+    message="The record of this run cannot be read by this version of the station.",
+    action="Read it with the version that wrote it.",
+)
+
+
+def state_of(row: RunRow) -> RunState:
+    """Return the state of a stored run; a state that this version does not know counts as `gone`."""
+    try:
+        return RunState(row.state)
+    except ValueError:
+        return RunState.GONE
+
+
+def in_state(document: R, state: RunState) -> R:
+    """Return a document of a run as it is in a state."""
+    available = state in IN_MEMORY
+    kept = {} if available else {"frames_kept_until": None}
+    return document.model_copy(update={"state": state, "frames_available": available, **kept})
+
+
+def detail(row: RunRow) -> RunDetail:
+    """Return the document of a stored run; DeviceError if it cannot be read."""
+    try:
+        return RunDetail.model_validate_json(row.detail)
+    except ValidationError as error:
+        raise DeviceError(
+            f"Run {row.id}: {_UNREADABLE.message}", action=_UNREADABLE.action, code=_UNREADABLE.code
+        ) from error
+
+
+def summary(row: RunRow) -> RunSummary:
+    """Return the summary of a stored run; one that says so if it cannot be read."""
+    try:
+        document = in_state(RunSummary.model_validate_json(row.summary), state_of(row))
+        return document.model_copy(update={"forgotten": not row.detail})
+    except ValidationError:
+        return RunSummary(
+            id=row.id,
+            board_type="",
+            board_id=None,
+            job_id=None,
+            state=state_of(row),
+            verdict=None,
+            started="",
+            finished=None,
+            rows=0,
+            cameras=0,
+            counts=VerdictCounts(ok=0, incomplete=0, missing=0),
+            reasons=(_UNREADABLE,),
+            belt=None,
+            timings=None,
+            frames_available=False,
+        )
+
+
+def cut_short(row: RunRow, finish_number: int) -> RunRow:
+    """Return the row of a run whose station ended before the run did, whatever state the row has."""
+    # Not by the table of steps: a row may be in any state, if its last write was lost. None may stop the start.
+    ended = replace(row, state=RunState.GONE, finish_number=finish_number)
+    try:
+        document = RunDetail.model_validate_json(row.detail)
+    except ValidationError:
+        return ended
+    reasons = (*document.reasons, _LOST)
+    document = in_state(document, RunState.GONE).model_copy(update={"reasons": reasons, "stored": True})
+    return replace(ended, summary=summary_of(document).model_dump_json(), detail=document.model_dump_json())

@@ -1,0 +1,69 @@
+"""Watch of the database's file: deleted or replaced while it is open, and the space that is left."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sqlite3
+import time
+from pathlib import Path
+
+from vaoi_station.store.database_file import identity_of
+from vaoi_station.store.storage_trouble import DELETED, REPLACED, StorageTrouble
+
+
+class FileWatch:
+    """Compares the file at the database's path with the one that was opened. Used by the writer's thread."""
+
+    def __init__(self, path: Path) -> None:
+        """Watch the file that is at the path now."""
+        self._path = path
+        self._opened = identity_of(path)
+        self.free_bytes: int | None = None
+        self.measure()
+
+    @property
+    def changed(self) -> bool:
+        """Whether the file was deleted or replaced: a connection would write to a file that nobody finds again."""
+        return identity_of(self._path) != self._opened
+
+    def forget(self) -> None:
+        """Watch the file that is at the path now."""
+        self._opened = identity_of(self._path)
+
+    def measure(self) -> None:
+        """Read how much space the station may still use."""
+        # Kept in case of an error: a lost mount shows itself with the next write.
+        with contextlib.suppress(OSError):
+            found = os.statvfs(self._path.parent)
+            self.free_bytes = found.f_bavail * found.f_frsize
+
+    def rescue(self, connection: sqlite3.Connection) -> StorageTrouble:
+        """Save what `connection`, whose file is not at the path any more, can still read.
+
+        A deleted database is put back. If another file is in its place, that one is left there, and the old content
+        is saved beside it.
+        """
+        replaced = identity_of(self._path) is not None
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        aside = self._path.with_name(f"{self._path.name}.rescued")
+        aside.unlink(missing_ok=True)
+        connection.execute("VACUUM INTO ?", (str(aside),))
+        # The log of the old file must not be applied to the one that is opened next.
+        for ending in ("-wal", "-shm"):
+            self._path.with_name(self._path.name + ending).unlink(missing_ok=True)
+        if not replaced:
+            aside.rename(self._path)
+            return StorageTrouble(
+                DELETED,
+                f"{self._path}: was deleted while the station ran; it was written back completely.",
+                "Find out who deletes files in the data directory.",
+            )
+        kept = self._path.with_name(f"{self._path.name}.replaced-{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}")
+        aside.rename(kept)
+        return StorageTrouble(
+            REPLACED,
+            f"{self._path}: was replaced by another file while the station ran. The station goes on with that one; "
+            f"its own was saved as {kept.name}.",
+            "Stop the station before a database is restored.",
+        )
