@@ -56,8 +56,6 @@ def test_garbled_pages_are_found_after_the_start(
     content = bytearray(path.read_bytes())
     content[(root - 1) * 4096 : root * 4096] = b"\xa5" * 4096
     path.write_bytes(content)
-    with pytest.raises(DeviceError, match="not a sound database"):
-        Database(path)
     monkeypatch.setattr(start_check, "LARGEST_AT_START", 1000)
     database = Database(path)
     assert any(

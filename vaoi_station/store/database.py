@@ -39,8 +39,8 @@ READERS = 4
 """Number of connections for reading. Further simultaneous readers wait until a connection is free."""
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.25, 2.0
 """Pauses before a refused write is tried again; each pause is twice the one before."""
-LOOK_S = 2.0
-"""Time between two looks at the file while nothing is written."""
+CHECK_S = 2.0
+"""Time between two checks of the file while nothing is written."""
 SLOW_S = 5.0
 """Time after which a write that has not ended counts as trouble."""
 MOST_WAITING_BYTES = 64_000_000
@@ -93,7 +93,7 @@ class Database:
 
     @property
     def free_bytes(self) -> int | None:
-        """Space that is left for the database, at the last look; None if it is not known."""
+        """Space that is left for the database, at the last check; None if it is not known."""
         return self._watch.free_bytes
 
     def write(
@@ -170,20 +170,20 @@ class Database:
             self._perform(job)
 
     def _next(self) -> _Job | None:
-        """Return the next write; None if the database was closed and all are done. Meanwhile, look at the file."""
+        """Return the next write; None if the database was closed and all are done. Meanwhile, check the file."""
         while True:
             with self._changed:
                 if not self._jobs and not self._closed:
-                    self._changed.wait(LONGEST_PAUSE_S if self._trouble else LOOK_S)
+                    self._changed.wait(LONGEST_PAUSE_S if self._trouble else CHECK_S)
                 if self._jobs:
                     job = self._jobs.popleft()
                     self._waiting_bytes -= job.size
                     return job
                 if self._closed:
                     return None
-            self._look()
+            self._check_file()
 
-    def _look(self) -> None:
+    def _check_file(self) -> None:
         """Notice a deleted file without waiting for a write, and try whether a past trouble is over."""
         self._began_s = time.monotonic()
         self._watch.measure()

@@ -23,8 +23,9 @@ from vaoi_station.store.storage_trouble import (
 
 _COMPANIONS = ("", "-wal", "-shm")
 """Endings of the files that together are one database."""
+_HEADER_BYTES = 100
 _MARK = ".begun"
-"""Ending of the empty file that tells a first start from one whose database was deleted."""
+"""Ending of an empty file; without it, a start without a database is the first one."""
 
 
 class Identity(NamedTuple):
@@ -109,8 +110,9 @@ def roll_back(connection: sqlite3.Connection) -> None:
 
 def _deleted(path: Path) -> StorageTrouble | None:
     """Return a trouble if there was a database at an earlier start and now there is none, or an empty file."""
+    # SQLite takes a file that is shorter than its header for a new one.
     size = path.stat().st_size if path.exists() else 0
-    if size or not path.with_name(path.name + _MARK).exists():
+    if size >= _HEADER_BYTES or not path.with_name(path.name + _MARK).exists():
         return None
     return StorageTrouble(
         DELETED,

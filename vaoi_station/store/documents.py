@@ -79,7 +79,7 @@ class Store:
 
     @property
     def free_bytes(self) -> int | None:
-        """Space that is left for the database, at the last look; None if it is not known."""
+        """Space that is left for the database, at the last check; None if it is not known."""
         return self._database.free_bytes
 
     def keep_document(self, kind: Kind, document: str, now: str) -> str:

@@ -24,7 +24,7 @@ class FileWatch:
 
     @property
     def changed(self) -> bool:
-        """Whether the file was deleted or replaced: a connection would write to a file that nobody finds again."""
+        """Whether the file was deleted or replaced: a connection would write to a file that has no name any more."""
         return identity_of(self._path) != self._opened
 
     def forget(self) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from concurrent.futures import Future
 from pathlib import Path
@@ -79,7 +80,83 @@ def test_frames_from_before_a_restart_are_gone(make_rig: Callable[..., Any]) -> 
     assert second.coordinator.release(grant.run).state == "gone"
 
 
-def test_a_full_disk_is_reported_and_the_result_stays_available(rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def fill(store: Store) -> None:
+    """Let the database grow no further: SQLite then reports what it reports on a full disk."""
+    store.database.write(lambda c: c.execute("PRAGMA max_page_count = 1").fetchall()).result(20)
+
+
+def make_room(store: Store) -> None:
+    assert store.database._writer is not None
+    store.database._writer.execute("PRAGMA max_page_count = 1000000").fetchall()
+
+
+def test_boards_are_announced_from_memory_while_the_disk_is_full_and_written_afterwards(
+    make_rig: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "CACHED_RUNS", 1)
+    rig = make_rig(runs=2)
+    rig.ready()
+    grant, runs = rig.arm(), []
+    fill(rig.store)
+    for _ in range(4):
+        rig.board(grant)
+        shown = rig.result_of(grant.run)
+        assert shown.stored is False
+        runs.append(grant.run)
+        grant = rig.peer.expect(Grant)
+    assert [warning.code for warning in rig.coordinator.snapshot().warnings] == ["storage-full"]
+    assert "4 finished runs wait in memory" in rig.coordinator.snapshot().warnings[0].message
+    announced = [e for e in rig.coordinator.events() if e.kind == "run" and e.state == "ready"]
+    assert [e.run for e in announced] == runs
+    assert all("not on disk yet" in e.message for e in announced)
+    assert [run.id for run in rig.coordinator.runs()] == runs[::-1]
+    assert rig.coordinator.stitch(runs[0]).status is Status.OK
+    assert rig.coordinator.next_run(runs[0], 0.0).id == runs[1]
+    assert rig.coordinator.run(runs[0]).state == "gone", "its memory was given to a later board"
+    make_room(rig.store)
+    rig.wait_for(lambda: not rig.coordinator.snapshot().warnings, "the database to be written")
+    rig.wait_run(runs[-1], lambda run: run.stored, "the last run to be on disk")
+    assert [row.state for row in rig.store.runs(10, None)] == ["ready", "gone", "gone", "gone"]
+    assert [e.run for e in rig.coordinator.events() if e.code == "stored"] == runs
+
+
+def test_a_start_accepts_what_a_full_disk_left(make_rig: Callable[..., Any], tmp_path: Path) -> None:
+    """The run's memory was taken before its end could be written, and then the station died."""
+    rig = make_rig(runs=2)
+    rig.ready()
+    grant, runs = rig.arm(), []
+    rig.begin(grant)
+    rig.wait_run(grant.run, lambda run: run.state == "filming", "the board")
+    rig.store.database.write(lambda _: None).result(20)
+    fill(rig.store)
+    rig.finish(grant, [r for row in range(3) for r in rig.row(grant, row)])
+    runs.append(grant.run)
+    for _ in range(2):
+        grant = rig.peer.expect(Grant)
+        rig.board(grant)
+        rig.result_of(grant.run)
+        runs.append(grant.run)
+    assert rig.coordinator.run(runs[0]).state == "gone"
+    later = tmp_path / "later"
+    shutil.copytree(tmp_path / "data", later)
+    found = Store(Database(later / "station.db"))
+    archive = Archive(found, EventLog(found))
+    listed = archive.list(9, None)
+    assert listed[-1].id == runs[0]
+    assert {run.state for run in listed} == {"gone"}
+    assert found.unfinished() == []
+    found.close()
+
+
+def test_a_start_accepts_a_run_that_is_gone_without_an_end(store: Store, progress: Any) -> None:
+    """Versions before this one could leave such a row."""
+    Archive(store, EventLog(store)).begin(progress)
+    store.database.write(lambda c: c.execute("UPDATE runs SET state = 'gone'")).result(20)
+    archive = Archive(store, EventLog(store))
+    assert (archive.get("r1").detail.state, store.unfinished()) == ("gone", [])
+
+
+def test_a_run_that_will_never_be_written_is_named(rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object) -> Future[None]:
         refused: Future[None] = Future()
         refused.set_exception(DeviceError("station.db: cannot be used (disk is full)."))
@@ -88,9 +165,9 @@ def test_a_full_disk_is_reported_and_the_result_stays_available(rig: Any, monkey
     monkeypatch.setattr(rig.store, "save_run", refuse)
     grant = rig.arm()
     rig.board(grant)
-    assert rig.result_of(grant.run).state == "ready"
+    assert (rig.result_of(grant.run).state, rig.result_of(grant.run).stored) == ("ready", False)
     assert rig.coordinator.stitch(grant.run).status is Status.OK
-    assert any("disk is full" in e.message for e in rig.coordinator.events() if e.kind == "trouble")
+    assert any("disk is full" in e.message for e in rig.coordinator.events() if e.code == "store")
 
 
 def test_runs_that_are_not_cached_are_read_from_the_database(rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:

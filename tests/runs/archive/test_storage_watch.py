@@ -1,0 +1,79 @@
+"""Troubles of the storage as warnings and events."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, cast
+
+import pytest
+
+from vaoi_station.runs.archive import storage_watch as module
+from vaoi_station.runs.archive.event_log import EventLog
+from vaoi_station.runs.archive.storage_watch import StorageWatch
+from vaoi_station.store import StorageTrouble, Store
+
+
+@dataclass
+class Storage:
+    trouble: StorageTrouble | None = None
+    notices: tuple[StorageTrouble, ...] = ()
+    free_bytes: int | None = None
+
+
+@dataclass
+class Events:
+    codes: list[str] = field(default_factory=list)
+
+    def add(self, _kind: str, _message: str, *, code: str = "", action: str = "") -> None:
+        self.codes.append(code)
+
+
+@pytest.fixture
+def storage() -> Storage:
+    return Storage()
+
+
+@pytest.fixture
+def events() -> Events:
+    return Events()
+
+
+@pytest.fixture
+def watch(storage: Any, events: Any) -> StorageWatch:
+    return StorageWatch(cast("Store", storage), cast("EventLog", events), lambda: 3)
+
+
+def test_a_trouble_is_published_once_and_is_a_warning_while_it_lasts(
+    watch: StorageWatch, storage: Storage, events: Events
+) -> None:
+    watch.tick()
+    assert (watch.warnings(), events.codes, watch.in_trouble) == ((), [], False)
+    storage.trouble = StorageTrouble("storage-full", "The disk is full.", "Free space.")
+    for _ in range(3):
+        watch.tick()
+    [warning] = watch.warnings()
+    assert (warning.code, warning.message) == ("storage-full", "The disk is full. 3 finished runs wait in memory.")
+    assert (events.codes, watch.in_trouble) == (["storage-full"], True)
+    storage.trouble = None
+    watch.tick()
+    assert (watch.warnings(), events.codes) == ((), ["storage-full", "storage-back"])
+
+
+def test_what_happened_to_the_database_stays_a_warning(watch: StorageWatch, storage: Storage, events: Events) -> None:
+    storage.notices = (StorageTrouble("database-damaged", "Set aside."),)
+    watch.tick()
+    watch.tick()
+    storage.notices = (*storage.notices, StorageTrouble("database-deleted", "Written back."))
+    watch.tick()
+    assert events.codes == ["database-damaged", "database-deleted"]
+    assert [warning.code for warning in watch.warnings()] == events.codes
+
+
+def test_little_space_is_a_warning(watch: StorageWatch, storage: Storage, events: Events) -> None:
+    storage.free_bytes = module.LOW_BYTES - 1
+    watch.tick()
+    watch.tick()
+    assert [warning.code for warning in watch.warnings()] == events.codes == ["storage-low"]
+    storage.free_bytes = module.LOW_BYTES
+    watch.tick()
+    assert watch.warnings() == ()

@@ -1,0 +1,98 @@
+"""What a start finds in place of the database, and what it makes of it."""
+
+from __future__ import annotations
+
+import os
+import sqlite3
+from pathlib import Path
+
+import pytest
+
+from vaoi_station.errors import DeviceError, InputError
+from vaoi_station.store.database_file import connect, identity_of, open_database, roll_back, set_aside
+
+
+def opened(path: Path) -> str | None:
+    """Open and close; return the code of what was found."""
+    connection, notice = open_database(path)
+    connection.close()
+    return None if notice is None else notice.code
+
+
+def test_a_first_start_and_later_ones_find_nothing_to_report(path: Path) -> None:
+    assert [opened(path) for _ in range(3)] == [None] * 3
+
+
+def test_a_database_that_was_deleted_or_emptied_between_two_starts_is_reported(path: Path) -> None:
+    opened(path)
+    path.unlink()
+    assert opened(path) == "database-deleted"
+    path.write_bytes(b"x")
+    assert opened(path) == "database-deleted"
+    assert opened(path) is None
+
+
+@pytest.mark.parametrize("size", [100, 4096, 5000])
+def test_a_database_that_was_cut_is_set_aside(path: Path, size: int) -> None:
+    opened(path)
+    os.truncate(path, size)
+    assert opened(path) == "database-damaged"
+    [kept] = path.parent.glob("station.db.damaged-*")
+    assert kept.stat().st_size == size
+
+
+def test_sets_of_damaged_files_of_one_second_do_not_overwrite_one_another(path: Path) -> None:
+    path.parent.mkdir()
+    for content in ("a", "b", "c"):
+        path.write_text(content)
+        path.with_name("station.db-wal").write_text(content)
+        set_aside(path, "test")
+    kept = sorted(p for p in path.parent.iterdir() if not p.name.endswith("-wal"))
+    assert sorted(p.read_text() for p in kept) == ["a", "b", "c"]
+    assert all(p.with_name(p.name + "-wal").read_text() == p.read_text() for p in kept)
+
+
+def test_a_database_of_another_program_is_refused_and_left_as_it_is(path: Path) -> None:
+    path.parent.mkdir()
+    other = sqlite3.connect(path)
+    other.execute("CREATE TABLE bookmarks (url)")
+    other.close()
+    before = path.read_bytes()
+    with pytest.raises(InputError, match="another program \\(tables bookmarks\\)") as refusal:
+        open_database(path)
+    assert refusal.value.code == "database-foreign"
+    assert path.read_bytes() == before
+
+
+def test_what_is_no_regular_file_is_named_and_does_not_block_the_start(path: Path) -> None:
+    path.parent.mkdir()
+    os.mkfifo(path)
+    with pytest.raises(DeviceError, match="not a regular file"):
+        open_database(path)
+    path.unlink()
+    path.symlink_to(path)
+    with pytest.raises(DeviceError, match="cannot be used"):
+        open_database(path)
+
+
+def test_a_transaction_that_sqlite_has_rolled_back_does_not_hide_its_cause(path: Path) -> None:
+    connection, _ = open_database(path)
+    connection.execute("PRAGMA max_page_count = 1").fetchall()
+    connection.execute("BEGIN IMMEDIATE")
+    with pytest.raises(sqlite3.OperationalError, match="full"):
+        connection.execute("INSERT INTO events VALUES (1, ?)", ("x" * 90_000,))
+    roll_back(connection)
+    roll_back(connection)
+    assert not connection.in_transaction
+    connection.close()
+
+
+def test_the_identity_changes_with_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "f"
+    assert identity_of(path) is None
+    path.write_text("1")
+    first = identity_of(path)
+    (tmp_path / "g").write_text("2")
+    (tmp_path / "g").replace(path)
+    assert first != identity_of(path) is not None
+    connect(tmp_path / "h").close()

@@ -1,0 +1,52 @@
+"""A file that is deleted or replaced while it is open."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+from vaoi_station.store.database_file import open_database
+from vaoi_station.store.file_watch import FileWatch
+
+
+def test_a_deleted_file_is_written_back_with_all_that_was_committed(path: Path) -> None:
+    connection, _ = open_database(path)
+    connection.execute("INSERT INTO events VALUES (1, '{}')")
+    watch = FileWatch(path)
+    seen = [watch.changed]
+    shutil.rmtree(path.parent)
+    seen.append(watch.changed)
+    assert seen == [False, True]
+    assert watch.rescue(connection).code == "database-deleted"
+    connection.close()
+    again, notice = open_database(path)
+    assert [tuple(row) for row in again.execute("SELECT * FROM events")] == [(1, "{}")]
+    assert notice is None
+    watch.forget()
+    assert not watch.changed
+    again.close()
+
+
+def test_a_file_in_its_place_is_left_there(path: Path) -> None:
+    connection, _ = open_database(path)
+    connection.execute("INSERT INTO events VALUES (1, '{}')")
+    watch = FileWatch(path)
+    path.unlink()
+    path.write_text("what a person put there")
+    assert watch.rescue(connection).code == "database-replaced"
+    connection.close()
+    assert path.read_text() == "what a person put there"
+    [kept] = path.parent.glob("*.replaced-*")
+    saved, _ = open_database(kept)
+    assert len(saved.execute("SELECT * FROM events").fetchall()) == 1
+    saved.close()
+
+
+def test_the_space_that_is_left_is_measured(path: Path) -> None:
+    path.parent.mkdir()
+    watch = FileWatch(path)
+    assert watch.free_bytes is not None
+    before = watch.free_bytes
+    shutil.rmtree(path.parent)
+    watch.measure()
+    assert watch.free_bytes == before, "the last value is kept while the directory cannot be read"

@@ -1,0 +1,88 @@
+"""Causes of errors of SQLite and of files, from errors that really happen."""
+
+from __future__ import annotations
+
+import errno
+import sqlite3
+from pathlib import Path
+
+import pytest
+
+from vaoi_station.errors import DeviceError, InputError, InternalError
+from vaoi_station.store.storage_trouble import StorageTrouble, translated, translated_errors, trouble_of
+
+PATH = Path("station.db")
+
+
+def error_of(statement: str, connection: sqlite3.Connection) -> sqlite3.Error:
+    with pytest.raises(sqlite3.Error) as raised:
+        connection.execute(statement)
+    return raised.value
+
+
+def test_a_full_database_is_named(tmp_path: Path) -> None:
+    connection = sqlite3.connect(tmp_path / "a.db")
+    connection.execute("CREATE TABLE t (x)")
+    connection.execute("PRAGMA max_page_count = 2").fetchall()
+    trouble = trouble_of(error_of("INSERT INTO t VALUES (zeroblob(90000))", connection), PATH)
+    connection.close()
+    assert trouble is not None
+    assert (trouble.code, trouble.message) == ("storage-full", "station.db: cannot be used (database or disk is full).")
+    assert "Free space" in trouble.action
+
+
+def test_a_read_only_database_a_missing_folder_and_garbage_are_named(tmp_path: Path) -> None:
+    read_only = sqlite3.connect(f"file:{tmp_path / 'b.db'}?mode=rwc", uri=True)
+    read_only.execute("CREATE TABLE t (x)")
+    read_only.execute("PRAGMA query_only = ON")
+    codes = [trouble_of(error_of("INSERT INTO t VALUES (1)", read_only), PATH)]
+    read_only.close()
+    with pytest.raises(sqlite3.Error) as absent:
+        sqlite3.connect(tmp_path / "none" / "c.db")
+    codes.append(trouble_of(absent.value, PATH))
+    (tmp_path / "d.db").write_bytes(b"garbage " * 500)
+    garbage = sqlite3.connect(tmp_path / "d.db")
+    codes.append(trouble_of(error_of("SELECT * FROM sqlite_master", garbage), PATH))
+    garbage.close()
+    assert [t.code for t in codes if t] == ["storage-read-only", "storage-unavailable", "database-damaged"]
+
+
+@pytest.mark.parametrize(
+    ("number", "code"),
+    [
+        (errno.ENOSPC, "storage-full"),
+        (errno.EDQUOT, "storage-full"),
+        (errno.EROFS, "storage-read-only"),
+        (errno.EACCES, "storage-read-only"),
+        (errno.EIO, "storage-unavailable"),
+        (errno.ESTALE, "storage-unavailable"),
+    ],
+)
+def test_errors_of_files_have_the_same_codes(number: int, code: str) -> None:
+    trouble = trouble_of(OSError(number, "words of the system"), PATH)
+    assert trouble is not None
+    assert trouble.code == code
+    assert "words of the system" in trouble.message
+
+
+def test_other_errors_are_no_trouble_of_the_storage() -> None:
+    connection = sqlite3.connect(":memory:")
+    connection.execute("CREATE TABLE t (x UNIQUE)")
+    connection.execute("INSERT INTO t VALUES (1)")
+    twice = error_of("INSERT INTO t VALUES (1)", connection)
+    wrong = error_of("SELECT nothing FROM nowhere", connection)
+    connection.close()
+    assert trouble_of(twice, PATH) is trouble_of(wrong, PATH) is trouble_of(ValueError(), PATH) is None
+    assert isinstance(translated(twice, PATH), InternalError)
+    assert isinstance(translated(wrong, PATH), DeviceError)
+    assert trouble_of(InputError("x"), PATH) is None
+
+
+def test_errors_that_were_translated_already_are_recognised() -> None:
+    with pytest.raises(DeviceError, match="cannot be used") as raised, translated_errors(PATH):
+        raise OSError(errno.ENOSPC, "no space")
+    trouble = trouble_of(raised.value, PATH)
+    assert trouble is not None
+    assert trouble.code == "storage-full"
+    newer = trouble_of(InputError("newer", action="a", code="database-newer"), PATH)
+    assert newer == StorageTrouble("database-newer", "newer", "a")
