@@ -13,6 +13,7 @@ from vaoi_station.acquisition.pairing.proof import Kind
 from vaoi_station.api.problems import KINDS
 from vaoi_station.model import Status
 from vaoi_station.model.frame_record import Verdict
+from vaoi_station.store.storage_trouble import CODES
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCUMENT = ROOT / "docs" / "codes.md"
@@ -58,7 +59,7 @@ def test_the_document_lists_every_code() -> None:
     given = set(given_codes()) - {"", BASE_CLASS}
     composed = {code for code in given if code.endswith("-")}
     assert composed == set(FAMILIES)
-    expected = (given - composed).union(KINDS, *FAMILIES.values())
+    expected = (given - composed).union(KINDS, CODES, *FAMILIES.values())
     listed = {code for codes, *_ in listed_rows() for code in re.findall("`(.+?)`", codes)}
     assert sorted(listed) == sorted(expected)
 

@@ -16,6 +16,8 @@ DAMAGED, DELETED, REPLACED = "database-damaged", "database-deleted", "database-r
 NEWER, FOREIGN = "database-newer", "database-foreign"
 PASSING = frozenset({FULL, READ_ONLY, UNAVAILABLE})
 """Codes of causes that pass, or that a person removes while the station runs: what failed is tried again."""
+CODES = PASSING | {DAMAGED, DELETED, REPLACED, NEWER, FOREIGN}
+"""All codes of troubles."""
 
 _ACTIONS = {
     FULL: "Free space in the data directory; what waits in memory is written then.",
@@ -64,7 +66,7 @@ def trouble_of(error: BaseException, path: Path) -> StorageTrouble | None:
         code = _OF_SYSTEM.get(error.errno or 0, UNAVAILABLE)
         return StorageTrouble(code, f"{path}: cannot be used ({error.strerror or error}).", _ACTIONS[code])
     # An attempt to open the file again reports its errors in the words of the station already.
-    if isinstance(error, VaoiError) and error.code in PASSING | {NEWER, FOREIGN}:
+    if isinstance(error, VaoiError) and error.code in CODES:
         return StorageTrouble(error.code, error.message, error.action)
     if not isinstance(error, sqlite3.DatabaseError):
         return None
