@@ -28,7 +28,7 @@ from vaoi_station.runs.host.systemd import StatusNotice, notify, notify_watchdog
 from vaoi_station.runs.run.order import OrderFactory
 from vaoi_station.runs.run.reference_store import ReferenceStore
 from vaoi_station.runs.run.salvage import camera_heads
-from vaoi_station.runs.states.run_ids import RunIds
+from vaoi_station.runs.states.run_ids import RunIds, utc
 from vaoi_station.runs.workers.pool import WorkerPool
 from vaoi_station.store import BoardTypeDirectory, Database, Store
 from vaoi_station.store.soundness import DatabaseCheck
@@ -67,6 +67,7 @@ class Station:
             calibration = read_calibration(config.calibration, [c.head for c in config.cameras])
             store = Store(Database(config.data / DATABASE))
             parts.callback(store.close)
+            store.configurations.begin(config.model_dump_json(), utc())
             ring = parts.enter_context(Ring.create(ring_path(config), RingLayout.of(config)))
             events = EventLog(store)
             # Workers and the acquisition process open the ring by its path, so the ring must exist before they start.

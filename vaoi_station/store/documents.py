@@ -17,6 +17,7 @@ from typing import Literal
 from vaoi_station.errors import NotFoundError
 from vaoi_station.store.board_stitching import BoardStitching
 from vaoi_station.store.calibration_checks import CalibrationChecks
+from vaoi_station.store.configurations import Configurations
 from vaoi_station.store.database import Database
 from vaoi_station.store.retention import RunRetention
 from vaoi_station.store.storage_trouble import StorageTrouble
@@ -66,6 +67,7 @@ class Store:
         self.checks = CalibrationChecks(database)
         self.stitching = BoardStitching(database)
         self.retention = RunRetention(database)
+        self.configurations = Configurations(database)
 
     @property
     def trouble(self) -> StorageTrouble | None:

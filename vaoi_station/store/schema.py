@@ -88,6 +88,13 @@ STEPS: tuple[tuple[str, ...], ...] = (
         # A start that changes the state of runs must not read the runs of a year.
         "CREATE INDEX runs_with_frames ON runs (state) WHERE state IN ('ready', 'degraded', 'failed')",
     ),
+    (
+        """CREATE TABLE configurations (
+            digest TEXT PRIMARY KEY,
+            first_seen TEXT NOT NULL,
+            document TEXT NOT NULL
+        ) STRICT""",
+    ),
 )
 VERSION = len(STEPS)
 

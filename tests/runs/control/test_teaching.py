@@ -199,6 +199,21 @@ def test_a_reference_that_was_replaced_goes_when_no_order_needs_it(rig: Any) -> 
     assert first not in kept(rig)
 
 
+def test_a_run_keeps_what_it_was_made_with(rig: Any) -> None:
+    first = taught(rig)
+    digest = rig.store.configurations.begin('{"name": "test"}', "2026")
+    detail = rig.coordinator.run(filmed(rig))
+    made = detail.made_with
+    assert made.configuration == digest
+    assert made.reference == first
+    assert len(made.reference_digest) == 16
+    assert BoardType.model_validate_json(rig.store.document(made.board_type)).name == "small"
+    assert made.time_zone
+    assert detail.software.station
+    before = rig.coordinator.run(first).made_with
+    assert (before.reference, before.reference_digest, before.method) == (None, None, "auto")
+
+
 def test_the_files_of_a_forgotten_reference_are_removed(rig: Any) -> None:
     run = taught(rig)
     filmed(rig)

@@ -33,6 +33,7 @@ class Order:
     """The reference against which boards of this order are placed; None: no reference is used."""
     notes: tuple[Reason, ...] = ()
     """Limitations that do not prevent filming; every run of the order reports them."""
+    configuration_digest: str = ""
     despite_lost_cameras: bool = False
     """Film boards although a camera is not connected, as the caller allowed."""
 
@@ -191,7 +192,8 @@ class OrderFactory:
         )
         # Runs refer to their documents by digest, so a later change of the board type does not affect old results.
         digest = self._store.keep_document("board-type", board_type.model_dump_json(), utc())
-        return Order(board_type, board_id, job_id, setup, digest, self._calibration_digest, reference, notes)
+        present = self._store.configurations.present
+        return Order(board_type, board_id, job_id, setup, digest, self._calibration_digest, reference, notes, present)
 
     def _reference(
         self, board_type: BoardType, method: MethodName

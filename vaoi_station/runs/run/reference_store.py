@@ -6,6 +6,7 @@ types. A directory that is not assigned is removed when no order and no run uses
 
 from __future__ import annotations
 
+import hashlib
 import shutil
 import threading
 from collections.abc import Collection
@@ -32,6 +33,8 @@ class StoredReference:
     run: str
     directory: Path
     reference: Reference
+    digest: str
+    """Digest of the names, sizes and documents of its files, which never change."""
 
 
 class ReferenceStore:
@@ -85,7 +88,7 @@ class ReferenceStore:
     def load(self, run: str, board_type: BoardType) -> StoredReference:
         """Read the reference directory of a run, even if it is not assigned to a board type; raises as `open` does."""
         taught = open_reference(self.path_of(run), self._cameras, board_type)
-        return StoredReference(run, taught.recording.directory, taught.reference)
+        return StoredReference(run, taught.recording.directory, taught.reference, _digest_of(self.path_of(run)))
 
     def keep(self, board_type: str, record: ReferenceRecord) -> None:
         """Assign a reference to a board type; it replaces an earlier one."""
@@ -109,3 +112,13 @@ class ReferenceStore:
             for path in self._directory.glob("*"):
                 if path.name not in named | opened | {*in_use}:
                     shutil.rmtree(path, ignore_errors=True)  # retried at the next sweep
+
+
+def _digest_of(directory: Path) -> str:
+    """Return the digest of a reference: of all names and sizes, and of the contents of the documents."""
+    summary = hashlib.sha256()
+    for path in sorted(path for path in directory.rglob("*") if path.is_file()):
+        summary.update(f"{path.relative_to(directory)} {path.stat().st_size}\n".encode())
+        if path.suffix == ".json":
+            summary.update(path.read_bytes())
+    return summary.hexdigest()[:16]

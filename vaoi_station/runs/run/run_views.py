@@ -14,7 +14,10 @@ from vaoi_station.acquisition.pairing.proof import QUESTIONING_KINDS, TriggerPro
 from vaoi_station.geometry import apply
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Stitch, Verdict
+from vaoi_station.runs.host.clock_state import clock_state
+from vaoi_station.runs.run.order import Order
 from vaoi_station.runs.run.progress import Progress
+from vaoi_station.runs.states.made_with import MadeWith
 from vaoi_station.runs.states.run_ids import utc, utc_of_host
 from vaoi_station.runs.states.schemas import (
     BeltSpeed,
@@ -74,8 +77,25 @@ def detail_of(progress: Progress) -> RunDetail:
         proof=recorded.proof if recorded else None,
         software=versions(),
         calibration=order.calibration_digest,
+        made_with=made_with(order),
         unseen=unseen_of(progress.stitch),
         stored=False,  # set by the archive, which knows
+    )
+
+
+def made_with(order: Order) -> MadeWith:
+    """Return what the runs of an order are made with, and the present state of the clock."""
+    clock, reference = clock_state(), order.reference
+    return MadeWith(
+        configuration=order.configuration_digest,
+        board_type=order.board_type_digest,
+        method=order.setup.method,
+        reference=reference.run if reference else None,
+        reference_digest=reference.digest if reference else None,
+        clock_synchronised=clock.synchronised,
+        clock_max_error_s=clock.max_error_s,
+        time_zone=clock.time_zone,
+        utc_offset_s=clock.utc_offset_s,
     )
 
 

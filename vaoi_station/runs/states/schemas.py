@@ -14,6 +14,7 @@ from vaoi_station.acquisition.pairing.proof import TriggerProof
 from vaoi_station.config import MethodName
 from vaoi_station.errors import VaoiError
 from vaoi_station.model import FrameRecord, Status
+from vaoi_station.runs.states.made_with import MadeWith
 from vaoi_station.runs.states.tables import RunState, StationState
 from vaoi_station.stitching.quality.unseen import Cause as UnseenCause
 
@@ -329,6 +330,8 @@ class RunDetail(RunSummary):
     software: Versions
     calibration: str
     """Digest of the calibration with which the run was stitched."""
+    made_with: MadeWith | None = None
+    """What else the run was made with; None for runs of earlier versions."""
     unseen: tuple[Unseen, ...] = ()
     """Components that the good frames show too little of; the run is then not ok."""
 

@@ -1,0 +1,29 @@
+"""What a run was made with: documents by their digests, and the state of the clock."""
+
+from __future__ import annotations
+
+from pydantic import BaseModel, ConfigDict
+
+from vaoi_station.config import MethodName
+
+
+class MadeWith(BaseModel):
+    """What a run was made with besides software and calibration. Digests are 16 hex digits of a SHA-256."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    configuration: str
+    """Digest of the station's configuration; empty if it was not stored."""
+    board_type: str
+    """Digest of the board type as it was when the line was armed."""
+    method: MethodName
+    reference: str | None = None
+    """Id of the run against which the board was placed; None: without a reference."""
+    reference_digest: str | None = None
+    """Digest of the files of the reference."""
+    clock_synchronised: bool | None = None
+    """Whether the machine's clock was kept right by a time server when the document was made; None: not known."""
+    clock_max_error_s: float | None = None
+    time_zone: str = ""
+    utc_offset_s: int = 0
+    """Local time of the station minus UTC, s."""

@@ -1,0 +1,33 @@
+"""The configurations with which runs were made, by digest."""
+
+from __future__ import annotations
+
+import hashlib
+
+from vaoi_station.errors import NotFoundError
+from vaoi_station.store.database import Database
+
+
+class Configurations:
+    """Configurations of the station, each stored once. Usable from any thread."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+        self.present = ""
+        """Digest of the configuration in force; empty before `begin`."""
+
+    def begin(self, document: str, now: str) -> str:
+        """Store the configuration with which the station starts, and return its digest."""
+        digest = hashlib.sha256(document.encode()).hexdigest()[:16]
+        self._database.write(
+            lambda c: c.execute("INSERT OR IGNORE INTO configurations VALUES (?, ?, ?)", (digest, now, document))
+        ).result()
+        self.present = digest
+        return digest
+
+    def document(self, digest: str) -> str:
+        """Return a stored configuration as JSON text; raise NotFoundError if the digest is unknown."""
+        rows = self._database.read("SELECT document FROM configurations WHERE digest = ?", (digest,))
+        if not rows:
+            raise NotFoundError(f"{self._database.path}: there is no configuration {digest!r}.")
+        return str(rows[0]["document"])
