@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from vaoi_station.errors import InputError, NotFoundError
+from vaoi_station.errors import InputError, NotFoundError, StateError
 from vaoi_station.model import BoardType, Fiducial
-from vaoi_station.store import BoardTypeDirectory
+from vaoi_station.store import BoardTypeDirectory, board_types
 
 
 @pytest.fixture
@@ -95,3 +95,19 @@ def test_two_names_never_share_a_file() -> None:
     directory = BoardTypeDirectory(Path("/somewhere"))
     names = ["a/b", "a%2Fb", "a%252Fb", ".a", "%2Ea", "a", "A"]
     assert len({directory.path_of(name) for name in names}) == len(names)
+
+
+def test_board_types_without_end_are_refused(directory: BoardTypeDirectory, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(board_types, "MOST_FILES", 2)
+    assert [directory.put(board(n)) for n in ("a", "b")] == [True, True]
+    with pytest.raises(StateError, match="2 board types are stored, the limit is 2") as refusal:
+        directory.put(board("c"))
+    assert refusal.value.code == "too-many-board-types"
+    assert not directory.put(board("a"))
+
+
+def test_board_types_of_any_size_are_refused(directory: BoardTypeDirectory, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(board_types, "MOST_BYTES", 10)
+    directory.put(board("a"))
+    with pytest.raises(StateError, match="in all"):
+        directory.put(board("b"))

@@ -11,7 +11,7 @@ _EDGE_TOLERANCE = 1e-9
 """Distance at which a point counts as lying on an edge, as a share of the outline's extent: rounding only."""
 
 
-def encloses(outline: Sequence[tuple[float, float]], point: ArrayLike) -> bool:
+def encloses(outline: Sequence[tuple[float, float]] | NDArray[np.float64], point: ArrayLike) -> bool:
     """Return whether a point lies inside an outline or on its edge.
 
     Args:
@@ -45,19 +45,28 @@ def find_crossing_edges(outline: Sequence[tuple[float, float]]) -> tuple[int, in
     Returns:
         The indices of the first corners of both edges, or None.
     """
-    a = np.asarray(outline, dtype=np.float64)
-    n = len(a)
-    b = np.roll(a, -1, axis=0)
-    for i in range(n - 2 if n > 3 else 0):
-        # Edge i + 1 shares a corner with edge i, and so does the last edge with the first one.
-        j = np.arange(i + 2, n - (i == 0))
-        meet = _side(a[i], b[i], a[j]) * _side(a[i], b[i], b[j]) <= 0
-        meet &= _side(a[j], b[j], a[i]) * _side(a[j], b[j], b[i]) <= 0
-        # Collinear edges pass both tests above even if they are apart, so their bounding boxes must overlap too.
-        low, high = np.minimum(a[i], b[i]), np.maximum(a[i], b[i])
-        meet &= ((np.minimum(a[j], b[j]) <= high) & (np.maximum(a[j], b[j]) >= low)).all(-1)
-        if meet.any():
-            return i, int(j[meet.argmax()])
+    corners = np.asarray(outline, dtype=np.float64)
+    n = len(corners)
+    if n <= 3:
+        return None
+    ends = np.roll(corners, -1, axis=0)
+    low, high = np.minimum(corners, ends), np.maximum(corners, ends)
+    # Only edges whose bounding boxes overlap can meet. Sorted by their left ends, those that begin left of the right
+    # end of an edge are neighbours in the order, so most pairs need no test.
+    order = np.argsort(low[:, 0], kind="stable")
+    lefts = low[order, 0]
+    until = np.searchsorted(lefts, high[order, 0], side="right")
+    for k, i in enumerate(order.tolist()):
+        j = order[k + 1 : until[k]]
+        j = j[(low[j, 1] <= high[i, 1]) & (high[j, 1] >= low[i, 1])]
+        # Neighbouring edges share a corner; so do the last and the first.
+        j = j[((j - i) % n != 1) & ((i - j) % n != 1)]
+        if len(j):
+            meet = _side(corners[i], ends[i], corners[j]) * _side(corners[i], ends[i], ends[j]) <= 0
+            meet &= _side(corners[j], ends[j], corners[i]) * _side(corners[j], ends[j], ends[i]) <= 0
+            if meet.any():
+                other = int(j[meet].min())
+                return min(i, other), max(i, other)
     return None
 
 

@@ -118,8 +118,10 @@ class BoardType(FrozenModel):
                 raise ValueError(f"outline has no area: from {low.tolist()} to {high.tolist()}")
             if edges := find_crossing_edges(self.outline):
                 raise ValueError(f"outline crosses itself: its edges from corners {edges[0]} and {edges[1]} meet")
+            # Converted once: a conversion for each fiducial would take longer than the test.
+            corners = np.array(self.outline, dtype=np.float64)
             for f in self.fiducials:
-                if not encloses(self.outline, (f.x, f.y)):
+                if not encloses(corners, (f.x, f.y)):
                     raise ValueError(
                         f"fiducial {f.name!r} at ({f.x}, {f.y}) lies outside the outline "
                         f"{low.tolist()} … {high.tolist()} {self.unit}"
@@ -188,11 +190,12 @@ def _check_sizes(board: BoardType) -> None:
         raise ValueError(f"fixture_mark has size {shape.size:g} {board.unit}, must be 0.05 to 50 mm")
     if shape is not None and shape.width is not None and not shape.width <= shape.size:
         raise ValueError(f"fixture_mark has width {shape.width:g}, must be at most its size, {shape.size:g}")
+    places = np.array([(f.x, f.y) for f in board.fiducials], dtype=np.float64).reshape(-1, 2)
     for n, f in enumerate(board.fiducials):
         if not 0.05 <= f.diameter * mm <= 50:
             raise ValueError(f"fiducial {f.name!r} has diameter {f.diameter} {board.unit}, must be 0.05 to 50 mm")
         # Two fiducials at one place make their assignment to detections ambiguous.
-        if any(math.dist((f.x, f.y), (g.x, g.y)) * mm < 0.1 for g in board.fiducials[:n]):
+        if (np.hypot(*(places[:n] - places[n]).T) * mm < 0.1).any():
             raise ValueError(f"fiducial {f.name!r} is at the place of another fiducial; they must be 0.1 mm apart")
 
 

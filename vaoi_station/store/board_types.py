@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from urllib.parse import quote
+from urllib.parse import quote, unquote
 
-from vaoi_station.errors import InputError, NotFoundError, VaoiError
+from vaoi_station.errors import InputError, NotFoundError, StateError, VaoiError
 from vaoi_station.files import read_board_type, write_board_type
 from vaoi_station.model import BoardType
 
+MOST_FILES, MOST_BYTES = 500, 128 * 2**20
+"""Limits of the directory. A program that stores board types without end would fill the disk."""
 LONGEST_FILE_NAME = 250
 """Largest number of characters of a file name without \".json\". Common file systems allow 255 bytes with it."""
 
@@ -33,7 +36,8 @@ class BoardTypeDirectory:
         """Read one board type; raise `NotFoundError` with the known names if it does not exist."""
         path = self.path_of(name)
         if not path.is_file():
-            known = ", ".join(repr(f.board_type.name) for f in self.list() if f.board_type) or "none yet"
+            # The names come from the names of the files: to read all files takes seconds if they are many.
+            known = _enumeration([unquote(path.stem) for path in self.paths()]) or "none yet"
             raise NotFoundError(
                 f"There is no board type {name!r}; known board types: {known}.",
                 action="Store it (PUT its placement data under board-types), or arm with one of these.",
@@ -43,13 +47,24 @@ class BoardTypeDirectory:
 
     def list(self) -> list[BoardTypeFile]:
         """Return one entry per file, sorted by name. The entry of an unusable file holds the fault."""
+        return [self.entry(path) for path in self.paths()]
+
+    def paths(self) -> tuple[Path, ...]:
+        """Return the paths of all files, sorted by name."""
         # Names with a leading dot are temporary files of an unfinished write.
-        return [self._entry(path) for path in sorted(self.directory.glob("*.json")) if not path.name.startswith(".")]
+        return tuple(p for p in sorted(self.directory.glob("*.json")) if not p.name.startswith("."))
 
     def put(self, board_type: BoardType) -> bool:
-        """Write a board type atomically; return True if the name is new."""
+        """Write a board type atomically; return True if the name is new. `StateError` if there are too many."""
         path = self.path_of(board_type.name)
         new = not path.exists()
+        others = [p for p in self.paths() if p != path]
+        if len(others) >= MOST_FILES or sum(p.stat().st_size for p in others) >= MOST_BYTES:
+            raise StateError(
+                f"{len(others)} board types are stored, the limit is {MOST_FILES}, or {MOST_BYTES >> 20} MB in all.",
+                action="Delete board types that are no longer filmed.",
+                code="too-many-board-types",
+            )
         write_board_type(path, board_type)
         return new
 
@@ -75,7 +90,8 @@ class BoardTypeDirectory:
             raise InputError.field("board type", "name", name, f"1 … {LONGEST_FILE_NAME} characters as a file name")
         return self.directory / f"{stem}.json"
 
-    def _entry(self, path: Path) -> BoardTypeFile:
+    def entry(self, path: Path) -> BoardTypeFile:
+        """Read one file; a fault of it is part of the entry."""
         try:
             return BoardTypeFile(path, self._read(path), None)
         except VaoiError as error:
@@ -90,3 +106,9 @@ class BoardTypeDirectory:
                 action=f"Rename the file to {expected.name}, or correct the name in it.",
             )
         return board_type
+
+
+def _enumeration(names: Sequence[str]) -> str:
+    """Return names for a message, of many the first ones only."""
+    shown = ", ".join(map(repr, names[:20]))
+    return f"{shown} and {len(names) - 20} more" if len(names) > 20 else shown

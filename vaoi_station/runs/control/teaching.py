@@ -164,11 +164,26 @@ class BoardTypeService:
         self._archive, self._events = archive, events
         self._core, self._inbox, self._frames = core, inbox, frames
         self._changing = threading.Lock()
+        self._summaries: dict[Path, tuple[tuple[int, ...], BoardTypeSummary]] = {}
+        """For each file: its time, size and inode when it was read, and the entry of the list."""
 
     def list(self) -> tuple[BoardTypeSummary, ...]:
         """Return a summary of every board type, sorted by name. A file that cannot be used is listed with its fault."""
-        entries = self._directory.list()
-        return tuple(board_type_summary(entry.path.stem, entry.board_type, entry.fault) for entry in entries)
+        # A file is read again only when it has changed: to read many large ones takes seconds.
+        known, found = self._summaries, {}
+        for path in self._directory.paths():
+            try:
+                status = path.stat()
+            except FileNotFoundError:
+                continue  # deleted meanwhile
+            state = (status.st_mtime_ns, status.st_size, status.st_ino)
+            kept = known.get(path)
+            if kept is None or kept[0] != state:
+                entry = self._directory.entry(path)
+                kept = state, board_type_summary(path.stem, entry.board_type, entry.fault)
+            found[path] = kept
+        self._summaries = found
+        return tuple(summary for _, summary in found.values())
 
     def get(self, name: str) -> BoardType:
         """Return the board type with this name; `NotFoundError` if there is none."""
