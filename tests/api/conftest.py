@@ -2,40 +2,37 @@
 
 from __future__ import annotations
 
-import socket
 import threading
 from collections.abc import Callable, Iterator
 
 import httpx2
 import pytest
-import uvicorn
 from fastapi.testclient import TestClient
 
 from tests.api.held_station import HeldStation
 from vaoi_station.api import create_app
+from vaoi_station.api.listener.connections import ConnectionLimits
+from vaoi_station.api.web_server import WebServer, open_listener
 
 
 class Served:
     """The application behind a real socket on loopback, and a client for it."""
 
-    def __init__(self, station: HeldStation, port: int = 0) -> None:
+    def __init__(self, station: HeldStation, port: int = 0, limits: ConnectionLimits | None = None) -> None:
         self.station = station
         self.app = create_app(station)
-        self._socket = socket.create_server(("127.0.0.1", port))
+        self._socket = open_listener("127.0.0.1", port, "test")
         self.port = self._socket.getsockname()[1]
-        self.url = f"http://127.0.0.1:{self.port}"
-        config = uvicorn.Config(self.app, log_level="warning", timeout_graceful_shutdown=5, ws="none")
-        self._server = uvicorn.Server(config)
-        self._thread = threading.Thread(target=self._server.run, kwargs={"sockets": [self._socket]}, daemon=True)
-        self._thread.start()
+        self._server = WebServer(self.app, self._socket, threading.Event().set, limits)
+        self.url = self._server.address
+        self._server.start()
         self.client = httpx2.Client(base_url=self.url, timeout=20)
         self.client.get("/healthz")  # answered as soon as the application has started
 
     def stop(self) -> None:
         """Close the event log, then the server, as the station does."""
         self.station.close()
-        self._server.should_exit = True
-        self._thread.join(timeout=30)
+        self._server.stop()
         self.client.close()
         self._socket.close()
 

@@ -10,9 +10,10 @@ from typing import Any
 import httpx2
 import pytest
 
-from vaoi_station.api import event_hub
+from vaoi_station.api import services
+from vaoi_station.api.callers.seats import Seats
 from vaoi_station.api.event_hub import EventHub
-from vaoi_station.errors import BusyError, StateError
+from vaoi_station.errors import StateError
 
 NEXT = "/api/v1/runs/next"
 
@@ -65,9 +66,9 @@ def test_following_the_ids_returns_every_run_once(served: Any) -> None:
 def test_many_waiting_requests_delay_neither_commands_nor_pictures(served: Any) -> None:
     run = served.station.film()
     limits = httpx2.Limits(max_connections=200)
-    with ThreadPoolExecutor(100) as pool, httpx2.Client(base_url=served.url, timeout=30, limits=limits) as client:
-        waiting = [pool.submit(client.get, NEXT, params={"after": run, "timeout": 60}) for _ in range(100)]
-        wait_for_callers(served, 100)
+    with ThreadPoolExecutor(30) as pool, httpx2.Client(base_url=served.url, timeout=30, limits=limits) as client:
+        waiting = [pool.submit(client.get, NEXT, params={"after": run, "timeout": 60}) for _ in range(30)]
+        wait_for_callers(served, 30)
         assert served.client.post("/api/v1/station/arm?board_type=demo-board").status_code == 200
         assert served.client.get(f"/api/v1/runs/{run}/frames/0/0").status_code == 200
         last = served.station.film()
@@ -87,24 +88,25 @@ def test_slow_pictures_do_not_delay_commands(served: Any, monkeypatch: pytest.Mo
     monkeypatch.setattr(served.station, "frame", slow)
     with ThreadPoolExecutor(20) as pool:
         pictures = [pool.submit(served.client.get, f"/api/v1/runs/{run}/frames/0/0") for _ in range(20)]
-        for _ in range(event_hub.PICTURE_THREADS):
+        for _ in range(services.PICTURES_OF_CALLER):
             begun.acquire()
         assert served.client.post("/api/v1/station/arm?board_type=demo-board").status_code == 200
         go_on.set()
         assert {p.result().status_code for p in pictures} == {200}
 
 
-def test_too_many_waiting_requests_are_refused(station: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(event_hub, "MAX_WAITING", 1)
-
-    async def crowd() -> None:
-        hub = EventHub(station)
-        async with hub.place():
-            with pytest.raises(BusyError, match="1 callers are waiting"):
-                async with hub.place():
-                    pass
-
-    asyncio.run(crowd())
+def test_a_caller_with_too_many_long_polls_is_refused_and_keeps_its_streams(served: Any) -> None:
+    served.app.state.hub.polls = Seats("long polls", 8, 1)
+    with ThreadPoolExecutor(1) as pool:
+        waiting = pool.submit(served.client.get, NEXT, params={"timeout": 20})
+        wait_for_callers(served, 1)
+        refused = served.client.get(NEXT)
+        assert (refused.status_code, refused.json()["code"]) == (503, "busy")
+        assert "127.0.0.1 has 1 long polls, the limit for one caller is 1" in refused.json()["detail"]
+        with served.client.stream("GET", "/api/v1/events") as stream:
+            assert stream.status_code == 200
+        served.station.film()
+        assert waiting.result(20).status_code == 200
 
 
 def test_an_unreadable_event_log_ends_all_waits(station: Any, monkeypatch: pytest.MonkeyPatch) -> None:

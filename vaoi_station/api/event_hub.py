@@ -17,7 +17,8 @@ from typing import TypeVar
 import anyio
 import anyio.to_thread
 
-from vaoi_station.errors import BusyError, VaoiError
+from vaoi_station.api.callers.seats import Seats
+from vaoi_station.errors import VaoiError
 from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.runs.states.schemas import EventRecord
 from vaoi_station.runs.states.tables import StationState
@@ -27,8 +28,10 @@ log = logging.getLogger(__name__)
 
 COMMAND_THREADS = 16
 PICTURE_THREADS = 8
-MAX_WAITING = 256
-"""Limit of simultaneous long polls and event streams."""
+MAX_WAITING = 128
+"""Limit of simultaneous long polls, and of simultaneous event streams."""
+MAX_POLLS_OF_CALLER = 32
+MAX_STREAMS_OF_CALLER = 24
 LISTEN_S = 1.0
 """Longest time the listener waits for an event. A stop that publishes no event takes effect within this time."""
 
@@ -58,8 +61,9 @@ class EventHub:
         self._listener = ThreadLimit(1)
         self._wakeup = asyncio.Event()
         self._newest = 0
-        self.waiting = 0
-        """Number of long polls and event streams that wait at present."""
+        # Separate, so that a caller with too many streams can still wait for its next run.
+        self.polls = Seats("long polls", MAX_WAITING, MAX_POLLS_OF_CALLER)
+        self.streams = Seats("event streams", MAX_WAITING, MAX_STREAMS_OF_CALLER)
         self.closed = False
 
     @asynccontextmanager
@@ -81,16 +85,10 @@ class EventHub:
         self.closed = True
         self._wakeup.set()
 
-    @asynccontextmanager
-    async def place(self) -> AsyncIterator[None]:
-        """Reserve one of the `MAX_WAITING` places for waiting requests. Raise BusyError if no place is free."""
-        if self.waiting >= MAX_WAITING:
-            raise BusyError(f"{self.waiting} callers are waiting for events, which is the limit.")
-        self.waiting += 1
-        try:
-            yield
-        finally:
-            self.waiting -= 1
+    @property
+    def waiting(self) -> int:
+        """Number of long polls and event streams that wait at present."""
+        return self.polls.taken + self.streams.taken
 
     async def events(self, after: int, timeout_s: float) -> tuple[EventRecord, ...]:
         """Wait for events numbered above `after`. Return them oldest first; none on time-out or after `close`."""

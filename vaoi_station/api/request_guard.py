@@ -1,11 +1,17 @@
 """Checks of every request and security headers of every reply.
 
 - Requests addressed to a host name that is not the station's are refused (`hosts.py`).
-- Bodies are limited in size and time. A key that appears twice in an object is refused, because JSON readers differ in
-  which value they take. The API accepts JSON only, so a body counts as JSON whatever its Content-Type is: the HTTP
-  libraries of LabVIEW, Delphi and C, and curl, send none or a wrong one.
+- A request whose length is stated twice (Content-Length and Transfer-Encoding) is refused: a proxy and the station
+  could disagree on where it ends, so that the rest would count as a request of another caller.
+- Bodies are limited in size and time, and in the memory that they take in all and for each caller. A key that appears
+  twice in an object is refused, because JSON readers differ in which value they take. The API accepts
+  JSON only, so a body counts as JSON whatever its Content-Type is: the HTTP libraries of LabVIEW, Delphi and C, and
+  curl, send none or a wrong one.
 - Without a check of the Content-Type any web page could send commands from an operator's browser. Browsers send the
   page's Origin, so commands from other origins are refused; programs send no Origin.
+- The same holds for reading: an image on a foreign page would let the station render pictures. Browsers state in
+  Sec-Fetch-Site where a request comes from. Only a link that a person follows is accepted.
+- Answers are handed over in pieces, so that one that is not read takes little memory of the connection.
 - Pages may load nothing from other sites (Content-Security-Policy).
 """
 
@@ -13,28 +19,45 @@ from __future__ import annotations
 
 import asyncio
 import json
+import re
+from contextlib import ExitStack
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from vaoi_station.api.callers.caller import caller_in, set_caller
+from vaoi_station.api.callers.seats import Seats
+from vaoi_station.api.event_hub import ThreadLimit
 from vaoi_station.api.hosts import addressed, allowed_names
 from vaoi_station.api.problems import problem_response
+from vaoi_station.errors import BusyError
 from vaoi_station.files.documents import DuplicateKeyError, refuse_duplicate_keys
 from vaoi_station.version import __version__
 
 MAX_BODY_BYTES = 8 * 1024 * 1024
-"""Largest accepted body of a request. A board type of 20,000 components has about 3 MB."""
+"""Largest accepted body with a board type. One of 20,000 components has about 3 MB."""
+MAX_COMMAND_BYTES = 64 * 1024
+"""Largest accepted body of all other requests."""
+BODIES_OF_CALLER, BODIES = 2 * MAX_BODY_BYTES, 4 * MAX_BODY_BYTES
+"""Limits, in bytes, of the bodies that are in memory at a time."""
+PIECE_BYTES = 128 * 1024
+"""Largest piece in which an answer is handed over to its connection."""
 BODY_LIMIT_S = 20.0
 """Longest accepted time until a body has arrived. On a slow network 8 MB take a second."""
 SAFE = ("GET", "HEAD", "OPTIONS")
 STREAM = "/api/v1/events"
 """Path of the event stream. HEAD is not answered by way of GET here, because the stream would start and never end."""
 
+BOARD_TYPE = re.compile(r"/api/v1/board-types/[^/]+")
+API = "/api/"
+CLOSE = {"Connection": "close"}
+
 CSP = "default-src 'self'; img-src 'self' blob: data:; object-src 'none'; base-uri 'none'; frame-ancestors 'self'"
 SAFETY = {
     "Content-Security-Policy": CSP,
     "X-Content-Type-Options": "nosniff",
+    "Cross-Origin-Resource-Policy": "same-origin",
     "Referrer-Policy": "no-referrer",
     "X-Vaoi-Version": __version__,
 }
@@ -54,6 +77,8 @@ class RequestGuard:
         self._app = app
         self._names = allowed_names() if names is None else names
         self._max_body_bytes, self._body_limit_s = max_body_bytes, body_limit_s
+        self._bodies = Seats("bytes of requests in memory", BODIES, BODIES_OF_CALLER)
+        self._parsing = ThreadLimit(1)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Check a request. If it is permitted, pass it on, and add the security headers to its reply."""
@@ -68,7 +93,8 @@ class RequestGuard:
                     headers[name] = value
             await send(message)
 
-        await self._checked(scope, receive, send_safely)
+        set_caller(scope)
+        await self._checked(scope, receive, _in_pieces(send_safely))
 
     async def _checked(self, scope: Scope, receive: Receive, send: Send) -> None:
         refusal = self._refusal(scope)
@@ -79,7 +105,24 @@ class RequestGuard:
         elif scope["method"] in SAFE:
             await self._app(scope, receive, send)
         else:
-            body = await self._body(scope, receive)
+            await self._with_body(scope, receive, send)
+
+    async def _with_body(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Read the body of a request, then pass it on."""
+        limit = self._max_body_bytes if BOARD_TYPE.fullmatch(scope["path"]) else MAX_COMMAND_BYTES
+        announced = Headers(scope=scope).get("content-length", "")
+        # More than 15 digits are not converted, since `int` is slow on very long numbers.
+        size = int(announced) if announced.isdecimal() and len(announced) <= 15 else limit
+        with ExitStack() as memory:
+            # Short bodies are not counted, so that large ones cannot keep a caller from its commands.
+            if MAX_COMMAND_BYTES < size <= limit:
+                try:
+                    memory.enter_context(self._bodies.take(caller_in(scope).name, size))
+                except BusyError as busy:
+                    answer = problem_response(scope["path"], "busy", busy.message, action=busy.action, headers=CLOSE)
+                    await answer(scope, receive, send)
+                    return
+            body = await self._body(scope, receive, limit)
             if isinstance(body, bytes):
                 await self._app(_as_json(scope), _replay(body, receive), send)
             else:
@@ -88,6 +131,8 @@ class RequestGuard:
     def _refusal(self, scope: Scope) -> Response | None:
         """Return a refusal if the request's host or origin is not permitted, else None. The body is not read."""
         headers, path = Headers(scope=scope), scope["path"]
+        if (fault := _ambiguous(headers)) is not None:
+            return problem_response(path, "malformed", fault, headers=CLOSE)
         if not addressed(headers.get("host", ""), self._names):
             detail = f"The request was addressed to {headers['host']!r:.100}, which is not a name of this station."
             return problem_response(path, "unknown-host", detail)
@@ -95,39 +140,54 @@ class RequestGuard:
             page = f"{headers.get('origin', 'another site'):.100}"
             detail = f"The command came from a page of {page}, not from this station's page."
             return problem_response(path, "foreign-origin", detail)
+        if path.startswith(API) and _foreign(headers) and not _followed_link(headers):
+            detail = "The request came from a page of another site, not from this station's page."
+            return problem_response(path, "foreign-origin", detail)
         return None
 
-    async def _body(self, scope: Scope, receive: Receive) -> bytes | Response:
+    async def _body(self, scope: Scope, receive: Receive, limit: int) -> bytes | Response:
         """Return the whole body of a request, or a refusal if the body is too slow, too large or has a repeated key."""
         path = scope["path"]
         try:
             async with asyncio.timeout(self._body_limit_s):
-                body = await self._read(Headers(scope=scope), receive)
+                body = await _read(Headers(scope=scope), receive, limit)
         except TimeoutError:
             detail = f"The body did not arrive within {self._body_limit_s:g} s."
             # The rest of the body may still arrive. On an open connection it would be read as the next request.
-            return problem_response(path, "too-slow", detail, headers={"Connection": "close"})
+            return problem_response(path, "too-slow", detail, headers=CLOSE)
         if body is None:
-            return problem_response(path, "too-large", f"The body is larger than {self._max_body_bytes} bytes.")
-        if (twin := _repeated_key(body)) is not None:
+            return problem_response(path, "too-large", f"The body is larger than {limit} bytes.")
+        # A large body is parsed in a thread, so that other requests are answered meanwhile.
+        large = len(body) > MAX_COMMAND_BYTES
+        twin = await self._parsing.ask(_repeated_key, body) if large else _repeated_key(body)
+        if twin is not None:
             return problem_response(path, "malformed", f"body: {twin}.")
         return body
 
-    async def _read(self, headers: Headers, receive: Receive) -> bytes | None:
-        """Read the whole body; return None if it is too large."""
-        # A large Content-Length refuses the body before it is read. It is only a claim, so the bytes are counted too;
-        # more than 15 digits are not converted, since `int` is slow on very long numbers.
-        announced = headers.get("content-length", "")
-        if announced.isdecimal() and (len(announced) > 15 or int(announced) > self._max_body_bytes):
+
+async def _read(headers: Headers, receive: Receive, limit: int) -> bytes | None:
+    """Read the whole body; return None if it is larger than `limit` bytes."""
+    # A large Content-Length refuses the body before it is read. It is only a claim, so the bytes are counted too.
+    announced = headers.get("content-length", "")
+    if announced.isdecimal() and (len(announced) > 15 or int(announced) > limit):
+        return None
+    body = bytearray()
+    while True:
+        message = await receive()
+        body += message.get("body", b"")
+        if len(body) > limit:
             return None
-        body = bytearray()
-        while True:
-            message = await receive()
-            body += message.get("body", b"")
-            if len(body) > self._max_body_bytes:
-                return None
-            if message["type"] == "http.disconnect" or not message.get("more_body", False):
-                return bytes(body)
+        if message["type"] == "http.disconnect" or not message.get("more_body", False):
+            return bytes(body)
+
+
+def _ambiguous(headers: Headers) -> str | None:
+    """Return what makes the extent or the address of a request ambiguous, or None."""
+    if "transfer-encoding" in headers and "content-length" in headers:
+        return "The request has both Content-Length and Transfer-Encoding; send one of them."
+    if len(headers.getlist("host")) > 1:
+        return "The request has several headers Host; send one."
+    return None
 
 
 def _foreign(headers: Headers) -> bool:
@@ -137,6 +197,26 @@ def _foreign(headers: Headers) -> bool:
     if origin is None:
         return headers.get("sec-fetch-site", "none") not in ("none", "same-origin")
     return origin.lower().partition("://")[2] != headers.get("host", "").lower()
+
+
+def _followed_link(headers: Headers) -> bool:
+    """Return whether a browser states that a person followed a link to this address."""
+    wanted = {"sec-fetch-mode": "navigate", "sec-fetch-dest": "document", "sec-fetch-user": "?1"}
+    return all(headers.get(name) == value for name, value in wanted.items())
+
+
+def _in_pieces(send: Send) -> Send:
+    """Return a `send` function that hands a large body over in pieces, each when the caller has read most before it."""
+
+    async def piecewise(message: Message) -> None:
+        body = message.get("body", b"")
+        for start in range(0, len(body) - PIECE_BYTES, PIECE_BYTES):
+            await send({**message, "body": body[start : start + PIECE_BYTES], "more_body": True})
+        if len(body) > PIECE_BYTES:
+            message = {**message, "body": body[(len(body) - 1) // PIECE_BYTES * PIECE_BYTES :]}
+        await send(message)
+
+    return piecewise
 
 
 def _repeated_key(body: bytes) -> str | None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from vaoi_station.api import event_hub
+from vaoi_station.api.callers.seats import Seats
 
 
 def messages(response: Any) -> Iterator[dict[str, str]]:
@@ -90,8 +90,8 @@ def test_streams_end_when_the_station_stops(served: Any) -> None:
         assert [json.loads(m["data"])["state"] for m in stream] == ["stopping"]
 
 
-def test_too_many_streams_are_refused_before_the_first_header(served: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(event_hub, "MAX_WAITING", 1)
+def test_too_many_streams_are_refused_before_the_first_header(served: Any) -> None:
+    served.app.state.hub.streams = Seats("event streams", 1, 1)
     with served.client.stream("GET", "/api/v1/events") as response:
         stream = messages(response)
         assert next(stream)["event"] == "heartbeat"

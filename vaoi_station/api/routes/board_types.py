@@ -6,6 +6,8 @@ import json
 from urllib.parse import quote
 
 from fastapi import APIRouter, Request, Response
+from fastapi.exceptions import RequestValidationError
+from pydantic import ValidationError
 
 from vaoi_station.api.http_caching import REVALIDATE, conditional_response
 from vaoi_station.api.parameters import BoardTypeName
@@ -13,6 +15,14 @@ from vaoi_station.api.rest_models import BoardTypeList
 from vaoi_station.api.services import Services
 from vaoi_station.errors import InputError
 from vaoi_station.model import BoardType
+
+BODY = {
+    "requestBody": {
+        "required": True,
+        "content": {"application/json": {"schema": {"$ref": "#/components/schemas/BoardType"}}},
+    }
+}
+"""The body that a board type is stored with, as OpenAPI."""
 
 
 def router(services: Services) -> APIRouter:
@@ -32,12 +42,19 @@ def router(services: Services) -> APIRouter:
         content = _document(await ask(coordinator.board_type, name))
         return conditional_response(request, content, "application/json", cache=REVALIDATE)
 
-    @routes.put("/{name}", response_model=BoardType, responses={201: {"model": BoardType, "description": "New."}})
-    async def put_board_type(request: Request, name: BoardTypeName, board_type: BoardType) -> Response:
+    @routes.put(
+        "/{name}",
+        response_model=BoardType,
+        responses={201: {"model": BoardType, "description": "New."}},
+        openapi_extra=BODY,
+    )
+    async def put_board_type(request: Request, name: BoardTypeName) -> Response:
         """Store a board type, or replace it. Finished runs keep the version they were filmed with.
 
         An armed line keeps its version as well; the new one applies from the next arming on.
         """
+        # Not a parameter of the route: FastAPI would check its contents, which takes long, in the event loop.
+        board_type = await services.documents.ask(_parsed, await request.body())
         if board_type.name != name:
             raise InputError.field("body", "name", board_type.name, f"{name!r}, as in the address")
         content = _document(board_type)
@@ -54,6 +71,20 @@ def router(services: Services) -> APIRouter:
         await ask(coordinator.delete_board_type, name)
 
     return routes
+
+
+def _parsed(body: bytes) -> BoardType:
+    """Parse a board type; raise the same errors as FastAPI does for a body."""
+    if not body:
+        raise RequestValidationError([{"type": "missing", "loc": ("body",), "msg": "Field required", "input": None}])
+    try:
+        return BoardType.model_validate(json.loads(body))
+    except json.JSONDecodeError as error:
+        fault = {"type": "json_invalid", "loc": ("body", error.pos), "msg": "JSON decode error", "input": {}}
+        raise RequestValidationError([{**fault, "ctx": {"error": error.msg}}]) from error
+    except (ValueError, RecursionError) as error:
+        faults = error.errors() if isinstance(error, ValidationError) else [{"type": "json_invalid", "msg": str(error)}]
+        raise RequestValidationError([{**f, "loc": ("body", *f.get("loc", ()))} for f in faults]) from error
 
 
 def _document(board_type: BoardType) -> bytes:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated
 from urllib.parse import quote
 
-from fastapi import APIRouter, Path, Request, Response
+from fastapi import APIRouter, Depends, Path, Request, Response
 
 from vaoi_station.api.encoders import MEDIA_TYPES, ImageFormat, choose_format, raw_from_npy
 from vaoi_station.api.http_caching import IMMUTABLE, LIVE, conditional_response
@@ -48,7 +48,12 @@ def router(services: Services) -> APIRouter:
         return await answer(request, run, ComponentList(components=entries))
 
     # Before "/{ref:path}", whose path parameter would match this address as well.
-    @routes.get("/{ref:path}/images/{k}", response_class=Response, responses=PICTURE)
+    @routes.get(
+        "/{ref:path}/images/{k}",
+        response_class=Response,
+        responses=PICTURE,
+        dependencies=[Depends(services.seat_for_picture)],
+    )
     async def get_component_image(
         *,
         request: Request,

@@ -6,9 +6,10 @@ from collections.abc import AsyncIterator
 from datetime import UTC, datetime
 from typing import Annotated
 
-from fastapi import APIRouter, Depends, Header, Query
+from fastapi import APIRouter, Depends, Header, Query, Request
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
+from vaoi_station.api.callers.caller import caller_of
 from vaoi_station.api.rest_models import Heartbeat
 from vaoi_station.api.services import Services
 from vaoi_station.errors import InputError
@@ -34,10 +35,10 @@ def router(services: Services) -> APIRouter:
             after = int(last_event_id)
         return newest if after is None else min(after, newest)
 
-    async def reserve_place() -> AsyncIterator[None]:
+    async def reserve_place(request: Request) -> AsyncIterator[None]:
         """Reserve a place in the event hub for this stream."""
         # A dependency, because it runs before the first header is sent: a refusal can still be a 503.
-        async with services.hub.place():
+        with services.hub.streams.take(caller_of(request).name):
             yield
 
     @routes.get("/events", response_class=EventSourceResponse)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Header, Query, Request, Response
+from fastapi import APIRouter, Depends, Header, Query, Request, Response
 
 from vaoi_station.api.encoders import MEDIA_TYPES, choose_format, encode_image
 from vaoi_station.api.http_caching import conditional_response
@@ -24,7 +24,9 @@ def router(services: Services) -> APIRouter:
     """Create the route for frames."""
     routes = APIRouter(prefix="/runs/{run}/frames", tags=["pictures"])
 
-    @routes.get("/{camera}/{row}", response_class=Response, responses=PICTURE)
+    @routes.get(
+        "/{camera}/{row}", response_class=Response, responses=PICTURE, dependencies=[Depends(services.seat_for_picture)]
+    )
     async def get_frame(
         *,
         request: Request,

@@ -7,6 +7,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query, Request, Response
 
+from vaoi_station.api.callers.caller import caller_of
 from vaoi_station.api.http_caching import IMMUTABLE, LIVE, REVALIDATE, conditional_response
 from vaoi_station.api.parameters import RunId, TimeoutS
 from vaoi_station.api.rest_models import Matrices, RunPage
@@ -54,7 +55,7 @@ def router(services: Services) -> APIRouter:
         Replies at once if there is such a run. Without `after`, the call waits for the first run that finishes after
         the call. A client that passes the id of each reply as the next `after` gets every finished run exactly once.
         """
-        if (run := await _next(services, after, timeout)) is None:
+        if (run := await _next(services, caller_of(request).name, after, timeout)) is None:
             return Response(status_code=204, headers={"Cache-Control": LIVE})
         return _detail(request, await ask(kept.shown, run), LIVE)
 
@@ -122,13 +123,13 @@ def _detail(request: Request, run: RunDetail, cache: str = REVALIDATE) -> Respon
     return conditional_response(request, content, "application/json", cache=cache)
 
 
-async def _next(services: Services, after: str | None, timeout_s: float) -> RunDetail | None:
+async def _next(services: Services, caller: str, after: str | None, timeout_s: float) -> RunDetail | None:
     """Wait for the next finished run without occupying a thread; return None on time-out."""
     hub, ask, coordinator = services.hub, services.commands.ask, services.coordinator
     until = time.monotonic() + timeout_s
     # The event number is read before the run list: a run that finishes in between is found by its event.
     seen = hub.newest if after is not None else (await ask(coordinator.snapshot)).last_event
-    async with hub.place():
+    with hub.polls.take(caller):
         while True:
             if after is not None and (run := await ask(coordinator.next_run, after, 0.0)) is not None:
                 return run

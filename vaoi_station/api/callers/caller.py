@@ -1,0 +1,44 @@
+"""The caller of a request: the unit to which limits apply."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from fastapi import Request
+from starlette.types import Scope
+
+from vaoi_station.api.listener.connections import caller_address
+
+_KEY = "caller"
+
+
+@dataclass(frozen=True)
+class Caller:
+    """Who sends a request."""
+
+    address: str
+    """Address by which it is counted."""
+
+    @property
+    def name(self) -> str:
+        """Name under which its use of resources is counted."""
+        return self.address
+
+
+def set_caller(scope: Scope) -> Caller:
+    """Store the caller of a request in its scope, and return it."""
+    client = scope.get("client")
+    caller = Caller(caller_address(client[0]) if client else "local")
+    scope.setdefault("state", {})[_KEY] = caller
+    return caller
+
+
+def caller_in(scope: Scope) -> Caller:
+    """Return the caller in the scope of a request."""
+    caller: Caller = scope["state"][_KEY]
+    return caller
+
+
+def caller_of(request: Request) -> Caller:
+    """Return the caller of a request."""
+    return caller_in(request.scope)

@@ -1,0 +1,83 @@
+"""Limits of what one caller, and all together, may use at a time: waiting requests, pictures, bytes of bodies."""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+from collections import Counter
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager, contextmanager
+
+from vaoi_station.errors import BusyError
+
+
+class Seats:
+    """A number of seats, limited in all and for each caller. A caller who finds none is refused."""
+
+    def __init__(self, what: str, total: int, per_caller: int) -> None:
+        """Create the seats; `what` names in the plural what they are for."""
+        self._what, self._total, self._per_caller = what, total, per_caller
+        self._taken: Counter[str] = Counter()
+
+    @property
+    def taken(self) -> int:
+        """Number of seats that are taken."""
+        return self._taken.total()
+
+    @contextmanager
+    def take(self, caller: str, count: int = 1) -> Iterator[None]:
+        """Take seats in a `with` block. Raise BusyError if the caller, or all together, have too many."""
+        if self._taken[caller] + count > self._per_caller:
+            raise BusyError(
+                f"{caller} has {self._taken[caller]} {self._what}, the limit for one caller is {self._per_caller}.",
+                action="Close some of them, or wait until they end.",
+            )
+        if self.taken + count > self._total:
+            raise BusyError(f"All callers together have {self.taken} {self._what}; the limit is {self._total}.")
+        self._taken[caller] += count
+        try:
+            yield
+        finally:
+            self._taken[caller] -= count
+            if not self._taken[caller]:
+                # A counter of every address that ever called would grow without end.
+                del self._taken[caller]
+
+
+class QueuedSeats:
+    """Seats for which a caller waits in turn: a limited number of requests, for a limited time."""
+
+    def __init__(self, what: str, total: int, per_caller: int, queue: int, wait_s: float) -> None:
+        """Create the seats. Of each caller `queue` requests may wait, each for at most `wait_s`."""
+        # The number of connections limits how many wait in all.
+        self._queue = Seats(f"{what}, waiting ones included", sys.maxsize, per_caller + queue)
+        self._total, self._per_caller, self._wait_s = total, per_caller, wait_s
+        self._held: Counter[str] = Counter()
+        self._changed = asyncio.Event()
+
+    @asynccontextmanager
+    async def take(self, caller: str) -> AsyncIterator[None]:
+        """Take a seat in an `async with` block, if necessary after waiting for it. Raise BusyError if none is free."""
+        with self._queue.take(caller):
+            try:
+                async with asyncio.timeout(self._wait_s):
+                    while not self._free(caller):
+                        await self._changed.wait()
+            except TimeoutError:
+                raise BusyError(
+                    f"No picture could be made within {self._wait_s:g} s, because others are made or not yet read.",
+                    action="Ask for fewer pictures at a time, and read each answer.",
+                ) from None
+            # No `await` since the test: nobody else can have taken the seat.
+            self._held[caller] += 1
+            try:
+                yield
+            finally:
+                self._held[caller] -= 1
+                if not self._held[caller]:
+                    del self._held[caller]
+                self._changed.set()
+                self._changed = asyncio.Event()
+
+    def _free(self, caller: str) -> bool:
+        return self._held.total() < self._total and self._held[caller] < self._per_caller

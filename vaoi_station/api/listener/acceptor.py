@@ -1,0 +1,112 @@
+"""Accepts connections within limits, and closes those that are overdue."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import socket
+import ssl
+from collections.abc import Callable
+from functools import partial
+
+from vaoi_station.api.listener.connections import ConnectionLimits, ConnectionTable, caller_address
+from vaoi_station.api.listener.http_connection import AcceptedConnection, LimitedHttp
+
+_log = logging.getLogger(__name__)
+
+BACKLOG = 128
+"""Connections that the kernel keeps until they are accepted."""
+SWEEP_S = 0.5
+_BATCH = 32
+"""Connections accepted before other work gets its turn, so that a burst does not use up all descriptors."""
+_PAUSE_S = 0.2
+"""Pause after an accept that failed for want of descriptors or memory."""
+_LOG_EVERY_S = 60.0
+
+MakeHttp = Callable[[AcceptedConnection, ConnectionTable], LimitedHttp]
+
+
+class Acceptor:
+    """Accepts the connections of one listening socket. Has the methods that uvicorn expects of a server of asyncio."""
+
+    def __init__(
+        self, listener: socket.socket, make_http: MakeHttp, limits: ConnectionLimits, tls: ssl.SSLContext | None
+    ) -> None:
+        self._listener, self._make_http, self._limits, self._tls = listener, make_http, limits, tls
+        self._loop = asyncio.get_running_loop()
+        self._log_after = 0.0
+        self.table = ConnectionTable(limits)
+        listener.setblocking(False)
+        listener.listen(BACKLOG)
+        self._accepting = True
+        self._loop.add_reader(listener.fileno(), self._accept)
+        self._loop.call_later(SWEEP_S, self._sweep)
+
+    def close(self) -> None:
+        """Accept no more connections."""
+        self._accepting = False
+        self._loop.remove_reader(self._listener.fileno())
+
+    async def wait_closed(self) -> None:
+        """Return at once: uvicorn waits for the connections itself."""
+
+    def _accept(self) -> None:
+        for _ in range(_BATCH):
+            try:
+                connected, peer = self._listener.accept()
+            except (BlockingIOError, InterruptedError, ConnectionAbortedError):
+                return
+            except OSError as error:
+                self._pause(error)
+                return
+            accepted = AcceptedConnection(caller_address(peer[0]), self._loop.time())
+            if not self.table.admit(accepted):
+                self._warn("%s connections are open, all in use: one of %s was refused", len(self.table), peer[0])
+                connected.close()
+                continue
+            accepted.task = self._loop.create_task(self._serve(accepted, connected))
+            accepted.task.add_done_callback(partial(self._served, accepted, connected))
+
+    async def _serve(self, accepted: AcceptedConnection, connected: socket.socket) -> None:
+        """Perform the handshake of one connection, and hand it over to its protocol."""
+        try:
+            connected.setblocking(False)
+            await self._loop.connect_accepted_socket(
+                lambda: self._make_http(accepted, self.table),
+                connected,
+                ssl=self._tls,
+                ssl_handshake_timeout=self._limits.handshake_s if self._tls else None,
+                ssl_shutdown_timeout=self._limits.closing_s if self._tls else None,
+            )
+        except OSError as error:
+            _log.debug("no connection with %s: %s", accepted.address, error)
+
+    def _served(self, accepted: AcceptedConnection, connected: socket.socket, _: asyncio.Task[None]) -> None:
+        """Close the socket of a connection whose handshake has failed or was cancelled, perhaps before it began."""
+        accepted.task = None
+        if accepted.http is None:
+            self.table.discard(accepted)
+            connected.close()
+
+    def _pause(self, error: OSError) -> None:
+        """Accept nothing for a moment after a failure that would repeat at once, and make room."""
+        self._warn("connections cannot be accepted: %s", error)
+        self.table.make_room()
+        self._loop.remove_reader(self._listener.fileno())
+        self._loop.call_later(_PAUSE_S, self._resume)
+
+    def _resume(self) -> None:
+        if self._accepting:
+            self._loop.add_reader(self._listener.fileno(), self._accept)
+
+    def _sweep(self) -> None:
+        for connection in self.table:
+            assert isinstance(connection, AcceptedConnection)
+            if connection.http is not None and connection.http.overdue():
+                connection.cut()
+        self._loop.call_later(SWEEP_S, self._sweep)
+
+    def _warn(self, message: str, *values: object) -> None:
+        if self._loop.time() >= self._log_after:
+            self._log_after = self._loop.time() + _LOG_EVERY_S
+            _log.warning(message, *values)

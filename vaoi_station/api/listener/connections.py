@@ -1,0 +1,127 @@
+"""The open connections, limited in all and for each address.
+
+If a limit is reached, the connection that does least for its caller is closed for the new one: one that has sent no
+complete request, one that is idle, or one whose caller does not read. So a caller that holds many connections open
+without using them does not keep others out.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import resource
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+MOST_CONNECTIONS = 256
+MOST_PER_ADDRESS = 64
+
+
+class Idleness(NamedTuple):
+    """How dispensable a connection is; the smallest is closed first."""
+
+    served: bool
+    """Whether a request was answered on it. A program that keeps its connection open is closed later than one that
+    has never sent a complete request."""
+    since: float
+    """Time since which it has done nothing, s on the clock of the event loop."""
+
+
+class Connection(Protocol):
+    """What the table needs to know of a connection."""
+
+    address: str
+
+    def idleness(self) -> Idleness | None:
+        """Return how dispensable the connection is; None while a request is under way."""
+        ...
+
+    def cut(self) -> None:
+        """Close the connection at once, without sending what is left."""
+        ...
+
+
+@dataclass(frozen=True)
+class ConnectionLimits:
+    """Limits of number and time. Times are in s."""
+
+    total: int = MOST_CONNECTIONS
+    per_address: int = MOST_PER_ADDRESS
+    handshake_s: float = 5.0
+    """Longest TLS handshake."""
+    head_s: float = 10.0
+    """Longest time without a request under way: until the head of the next one has arrived, and unread bodies end."""
+    stall_s: float = 10.0
+    """Longest time in which a caller reads nothing of its answer."""
+    answer_s: float = 120.0
+    """Longest time for which one answer waits for its reader, in all; event streams have no such limit."""
+    closing_s: float = 5.0
+    """Time in which the rest of an answer must be read when the station has closed the connection."""
+
+    @classmethod
+    def of_this_process(cls) -> ConnectionLimits:
+        """Return the limits for the number of files that this process may open."""
+        # Cameras, database, workers and references need descriptors too.
+        soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+        total = MOST_CONNECTIONS if soft == resource.RLIM_INFINITY else max(8, min(MOST_CONNECTIONS, soft // 3))
+        return cls(total=total, per_address=min(MOST_PER_ADDRESS, max(4, total // 2)))
+
+
+class ConnectionTable:
+    """All open connections. Used from the event loop only."""
+
+    def __init__(self, limits: ConnectionLimits) -> None:
+        self._limits = limits
+        self._open: dict[int, Connection] = {}
+
+    def __len__(self) -> int:
+        return len(self._open)
+
+    def __iter__(self) -> Iterator[Connection]:
+        return iter(list(self._open.values()))
+
+    def admit(self, new: Connection) -> bool:
+        """Add a connection, if necessary in place of another one; return False if all others are in use."""
+        own = [c for c in self._open.values() if c.address == new.address]
+        if len(own) >= self._limits.per_address:
+            if not self._close_one(own):
+                return False
+        elif len(self._open) >= self._limits.total and not self.make_room():
+            return False
+        self._open[id(new)] = new
+        return True
+
+    def make_room(self) -> bool:
+        """Close the most dispensable connection, if possible of the address that has most; return whether one was."""
+        by_address: dict[str, list[Connection]] = {}
+        for connection in self._open.values():
+            by_address.setdefault(connection.address, []).append(connection)
+        crowds = sorted(by_address.values(), key=len, reverse=True)
+        return any(self._close_one(crowd) for crowd in crowds)
+
+    def discard(self, connection: Connection) -> None:
+        """Remove a connection that has ended."""
+        self._open.pop(id(connection), None)
+
+    def _close_one(self, crowd: list[Connection]) -> bool:
+        idle = [(idleness, c) for c in crowd if (idleness := c.idleness()) is not None]
+        if not idle:
+            return False
+        _, victim = min(idle, key=lambda entry: entry[0])
+        self.discard(victim)
+        victim.cut()
+        return True
+
+
+def caller_address(host: str) -> str:
+    """Return the address by which a caller is counted: of IPv6 the network, since one host has 2^64 addresses of it."""
+    try:
+        address = ipaddress.ip_address(host.partition("%")[0])
+    except ValueError:
+        return host
+    if isinstance(address, ipaddress.IPv6Address):
+        if address.ipv4_mapped is not None:
+            return str(address.ipv4_mapped)
+        if not address.is_loopback:
+            return str(ipaddress.ip_network((address, 64), strict=False))
+    return str(address)

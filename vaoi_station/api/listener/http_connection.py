@@ -1,0 +1,163 @@
+"""One HTTP connection of uvicorn, with limits of the time it may take to send a request and to read the answer."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from typing import Any
+
+from h11 import LocalProtocolError
+from uvicorn import Config
+from uvicorn.protocols.http.h11_impl import H11Protocol
+from uvicorn.server import ServerState
+
+from vaoi_station.api.listener.connections import ConnectionLimits, ConnectionTable, Idleness
+
+STREAMS = frozenset({"/api/v1/events"})
+"""Paths whose answers have no end, so that only the time without progress is limited."""
+_SLOW_READER_S = 2.0
+"""A caller that has not read for this time may lose its connection to a new one."""
+_QUIET_S = 10.0
+
+
+class _SeldomFilter(logging.Filter):
+    """Passes warnings at most every `_QUIET_S`: each invalid request causes one, and a caller can send thousands."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._next = 0.0
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        if record.levelno != logging.WARNING:
+            return True
+        now = time.monotonic()
+        if now < self._next:
+            return False
+        self._next = now + _QUIET_S
+        return True
+
+
+_log = logging.getLogger("vaoi_station.api.requests")
+_log.addFilter(_SeldomFilter())
+
+
+class AcceptedConnection:
+    """An accepted socket, from the TLS handshake to its end, as the table of connections knows it."""
+
+    def __init__(self, address: str, since: float) -> None:
+        self.address, self._since = address, since
+        self.http: LimitedHttp | None = None
+        self.task: asyncio.Task[None] | None = None
+        """The task that performs the handshake."""
+
+    def idleness(self) -> Idleness | None:
+        """Return how dispensable the connection is; None while a request is under way."""
+        return Idleness(False, self._since) if self.http is None else self.http.idleness()
+
+    def cut(self) -> None:
+        """Close the connection at once."""
+        if self.http is not None:
+            self.http.transport.abort()
+        elif self.task is not None:
+            self.task.cancel()
+
+
+class LimitedHttp(H11Protocol):
+    """The protocol of one connection. The acceptor asks it regularly whether it is overdue."""
+
+    def __init__(
+        self,
+        config: Config,
+        state: ServerState,
+        lifespan_state: dict[str, Any],
+        accepted: AcceptedConnection,
+        table: ConnectionTable,
+        limits: ConnectionLimits,
+    ) -> None:
+        super().__init__(config, state, lifespan_state)
+        self.logger = _log
+        self._accepted, self._table, self._limits = accepted, table, limits
+        self._since = self.loop.time()
+        """When the connection was made, the present request began, or the last answer was complete."""
+        self._paused: float | None = None
+        """Since when the caller's connection takes no more bytes."""
+        self._waited_s = 0.0
+        """For how long the present answer has waited for its reader before."""
+        self._closing: float | None = None
+        self._served = False
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Begin to count the time until the first request."""
+        super().connection_made(transport)
+        self._accepted.http = self
+        self._since = self.loop.time()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Give the place of the connection to another one."""
+        self._table.discard(self._accepted)
+        super().connection_lost(exc)
+
+    def data_received(self, data: bytes) -> None:
+        """Take bytes, and note when they complete the head of a request."""
+        before = self.cycle
+        super().data_received(data)
+        self._note_request(before)
+
+    def on_response_complete(self) -> None:
+        """Count the time until the next request from here on."""
+        self._served = True
+        self._since = self.loop.time()
+        before = self.cycle
+        super().on_response_complete()
+        self._note_request(before)
+
+    def send_400_response(self, msg: str) -> None:
+        """Refuse bytes that are no HTTP request."""
+        try:
+            super().send_400_response(msg)
+        except LocalProtocolError:
+            # They followed a request whose answer is under way: no other answer can be sent any more.
+            self.transport.abort()
+
+    def pause_writing(self) -> None:
+        """Note that the caller does not read as fast as the answer is sent."""
+        self._paused = self.loop.time()
+        super().pause_writing()
+
+    def resume_writing(self) -> None:
+        """Note that the caller has read."""
+        if self._paused is not None:
+            self._waited_s += self.loop.time() - self._paused
+            self._paused = None
+        super().resume_writing()
+
+    def idleness(self) -> Idleness | None:
+        """Return how dispensable the connection is; None while a request is under way."""
+        if self._closing is not None:
+            return Idleness(False, self._closing)
+        if self._paused is not None:
+            return Idleness(False, self._paused) if self.loop.time() - self._paused > _SLOW_READER_S else None
+        if self._answered():
+            return Idleness(self._served, self._since)
+        return Idleness(False, self._since) if self.cycle.more_body else None
+
+    def overdue(self) -> bool:
+        """Return whether the connection has exceeded one of its times. Called regularly."""
+        now = self.loop.time()
+        if self.transport.is_closing():
+            self._closing = now if self._closing is None else self._closing
+            return now - self._closing > self._limits.closing_s
+        if self._paused is not None:
+            paused_s = now - self._paused
+            stream = self.scope is not None and self.scope["path"] in STREAMS
+            too_long = self._waited_s + paused_s > self._limits.answer_s and not stream
+            return paused_s > self._limits.stall_s or too_long
+        return self._answered() and now - self._since > self._limits.head_s
+
+    def _answered(self) -> bool:
+        return self.cycle is None or self.cycle.response_complete
+
+    def _note_request(self, before: object) -> None:
+        if self.cycle is not before:
+            self._since, self._waited_s = self.loop.time(), 0.0
