@@ -30,7 +30,7 @@ class RunningProcess:
     @property
     def inspect_command(self) -> str:
         """The shell command with which a reader can identify the process."""
-        return "sudo vaoi doctor …" if self.pid is None else f"ps -fp {self.pid}"
+        return "vaoi doctor …, as root" if self.pid is None else f"ps -fp {self.pid}"
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ def data(context: CheckContext) -> Iterator[Finding]:
     if not writable(directory):
         yield fault(
             f"{directory} cannot be written to by this user (uid {os.geteuid()}).",
-            f"chown vaoi {there}, or run vaoi doctor as the user of the service: sudo -u vaoi vaoi doctor …",
+            f"chown vaoi {there}, or run vaoi doctor as the user of the service: runuser -u vaoi -- vaoi doctor …",
         )
         return
     yield judge_space(os.statvfs(there), str(directory))
