@@ -11,7 +11,7 @@ from vaoi_station.doctor.check_context import CheckContext, RunningProcess
 
 @pytest.mark.parametrize(
     ("pid", "description", "command"),
-    [(4711, "process 4711", "ps -fp 4711"), (None, "a process of another user", "sudo vaoi doctor …")],
+    [(4711, "process 4711", "ps -fp 4711"), (None, "a process of another user", "vaoi doctor …, as root")],
 )
 def test_a_running_process_is_described(pid: int | None, description: str, command: str) -> None:
     process = RunningProcess(pid)
