@@ -15,6 +15,7 @@ from vaoi_station.errors import DeviceError, InputError, StateError
 from vaoi_station.files import write_calibration
 from vaoi_station.model import Calibration
 from vaoi_station.runs.control import acquisition_link
+from vaoi_station.runs.host.start_wait import PASSING
 from vaoi_station.runs.states.schemas import StationSnapshot
 from vaoi_station.runs.workers.pool import WorkerPool
 from vaoi_station.station import DATABASE, Station, serve
@@ -62,11 +63,21 @@ def test_calibration_of_another_array_is_refused(config: StationConfig) -> None:
     assert not config.data.exists()
 
 
-def test_damaged_database_is_refused(config: StationConfig) -> None:
+def test_damaged_database_is_set_aside_and_the_station_starts(config: StationConfig) -> None:
     config.data.mkdir()
     (config.data / DATABASE).write_bytes(b"not a database " * 1000)
-    with pytest.raises(DeviceError, match="not a sound database"):
-        Station(config).start()
+    with Station(config) as station:
+        until(station, lambda snapshot: "database-damaged" in [warning.code for warning in snapshot.warnings])
+    assert [path.read_bytes()[:5] for path in config.data.glob("*.damaged-*")] == [b"not a"]
+    assert remaining_files(config) == []
+
+
+def test_a_start_that_meets_a_full_disk_leaves_nothing_behind_and_has_a_code_that_passes(config: StationConfig) -> None:
+    config.data.parent.joinpath("in-the-way").write_text("")
+    lost = config.model_copy(update={"data": config.data.parent / "in-the-way" / "data"})
+    with pytest.raises(DeviceError, match="cannot be used") as refusal:
+        Station(lost).start()
+    assert refusal.value.code in PASSING
     assert remaining_files(config) == []
 
 

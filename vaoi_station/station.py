@@ -23,6 +23,7 @@ from vaoi_station.runs.control.acquisition_link import AcquisitionLink, Launch, 
 from vaoi_station.runs.control.calibration_watch import CalibrationWatch
 from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.runs.control.core import Parts
+from vaoi_station.runs.host.start_wait import StartWait
 from vaoi_station.runs.host.stop_request import StopRequest
 from vaoi_station.runs.host.systemd import StatusNotice, notify, notify_watchdog
 from vaoi_station.runs.run.order import OrderFactory
@@ -131,11 +132,22 @@ class Station:
 def serve(config: StationConfig, port: int | None = None) -> None:
     """Run the station and its web server until SIGTERM or SIGINT. `port` replaces the configured port."""
     from vaoi_station.api import create_app
+    from vaoi_station.api.routes.waiting_page import WaitingPage
     from vaoi_station.api.web_server import WebServer, open_listener
 
-    address = (config.api.host, config.api.port if port is None else port)
-    with StopRequest() as stop, open_listener(*address, "[api]") as socket_, Station(config) as station:
-        web = WebServer(create_app(station.coordinator, (config.api.host, *config.api.names)), socket_, stop.request)
+    address, names = (config.api.host, config.api.port if port is None else port), (config.api.host, *config.api.names)
+    with StopRequest() as stop, ExitStack() as parts:
+        wait = StartWait(stop)
+        socket_ = wait.until_started(lambda: open_listener(*address, "[api]"))
+        if socket_ is None:
+            return
+        parts.enter_context(socket_)
+        with WaitingPage(socket_, names) as page:
+            station = wait.until_started(lambda: _started(config), page.report)
+        if station is None:
+            return
+        parts.callback(station.stop)
+        web = WebServer(create_app(station.coordinator, names), socket_, stop.request)
         web.start()
         notify("READY=1")
         if name := stop.wait():
@@ -144,3 +156,9 @@ def serve(config: StationConfig, port: int | None = None) -> None:
         station.wind_down()
         web.stop()
         web.check()
+
+
+def _started(config: StationConfig) -> Station:
+    station = Station(config)
+    station.start()
+    return station

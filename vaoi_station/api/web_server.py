@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import logging
 import socket
 import threading
@@ -14,6 +15,8 @@ from vaoi_station.errors import DeviceError, InternalError
 
 _log = logging.getLogger(__name__)
 
+_IP_FREEBIND = 15
+"""Option of Linux for which Python has no name; it also holds for IPv6."""
 HTTP_GRACE_S = 5.0
 """Time that requests under way get to finish when the server stops."""
 SEND_BYTES = 256 * 1024
@@ -69,19 +72,35 @@ class WebServer:
 
 
 def open_listener(host: str, port: int, where: str) -> socket.socket:
-    """Open a listening socket. If that fails, the DeviceError names `where`, the place that defines the address."""
+    """Open a listening socket, also at an address that no interface has yet.
+
+    Raises:
+        DeviceError: the port is in use or not permitted, or the host name is not known yet (code `address-absent`). The
+            message names `where`, the place that defines the address.
+    """
     # Opened before the rest starts, so that a port in use is reported at once.
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    listener = socket.socket(family, socket.SOCK_STREAM)
     try:
-        listener = socket.create_server((host, port), family=family)
         # Head and body of an answer are two writes. Without this, Nagle's algorithm keeps the second one back until the
         # caller's kernel acknowledges the first, which it delays by 40 ms on a connection that is used again.
         listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         # Without a limit the kernel takes several MB for each caller that does not read.
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BYTES)
-        return listener
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        if family == socket.AF_INET6:
+            listener.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
+        # At boot the network may come later than the station. With this option the kernel accepts the address at once,
+        # and connections arrive as soon as an interface has it (ip(7)).
+        listener.setsockopt(socket.IPPROTO_IP, _IP_FREEBIND, 1)
+        listener.bind((host, port))
+        listener.listen()
     except OSError as error:
+        listener.close()
+        passes = isinstance(error, socket.gaierror) or error.errno == errno.EADDRNOTAVAIL
         raise DeviceError(
             f"{where}: cannot listen on {host} port {port} ({error.strerror}).",
-            action="Stop the other station, or set another port.",
+            action="Check the name and the network." if passes else "Stop the other station, or set another port.",
+            code="address-absent" if passes else None,
         ) from error
+    return listener

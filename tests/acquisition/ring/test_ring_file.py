@@ -13,9 +13,15 @@ import numpy as np
 import pytest
 
 from vaoi_station.acquisition.ring.ring import Ring, RingLayout
-from vaoi_station.acquisition.ring.ring_file import read_owner, remove_leftovers, start_ticks
+from vaoi_station.acquisition.ring.ring_file import (
+    create_file,
+    open_existing,
+    read_owner,
+    remove_leftovers,
+    start_ticks,
+)
 from vaoi_station.acquisition.ring.ring_layout import HEADER, FrameShape
-from vaoi_station.errors import BusyError, InputError, NotFoundError
+from vaoi_station.errors import BusyError, InputError, NotFoundError, StateError
 
 LAYOUT = RingLayout(3, 2, (FrameShape(40, 30, "Mono8"), FrameShape(64, 20, "Mono16")))
 
@@ -175,3 +181,25 @@ def test_the_owner_of_a_leftover_does_not_live(leftover: Path) -> None:
     assert owner is not None
     assert not owner[1]
     assert owner[0] != os.getpid()
+
+
+def test_what_other_users_put_beside_the_ring_neither_blocks_nor_breaks_the_start(
+    tmp_path: Path,
+) -> None:
+    os.mkfifo(tmp_path / "a.ring")
+    (tmp_path / "b.ring").symlink_to("b.ring")
+    (tmp_path / "c.ring").symlink_to("/dev/zero")
+    (tmp_path / "d.ring").mkdir()
+    (tmp_path / "e.ring").write_bytes(b"")
+    before = sorted(tmp_path.iterdir())
+    assert remove_leftovers(tmp_path) == []
+    assert sorted(tmp_path.iterdir()) == before
+    for name in "abcde":
+        path = tmp_path / f"{name}.ring"
+        assert read_owner(path) is None
+        with pytest.raises(StateError, match="belongs to another program") as refusal:
+            create_file(path, LAYOUT)
+        assert refusal.value.code == "ring-taken"
+        if name != "e":
+            with pytest.raises(InputError, match=r"is not a ring|cannot be opened"):
+                open_existing(path, writable=False)

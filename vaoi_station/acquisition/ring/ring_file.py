@@ -8,6 +8,7 @@ import errno
 import fcntl
 import mmap
 import os
+import stat
 from pathlib import Path
 from typing import Any
 
@@ -48,11 +49,14 @@ def read_owner(path: Path) -> tuple[int, bool] | None:
     The owner keeps the file locked while it lives. The lock is visible even where its pid is not (containers).
     """
     try:
-        with path.open("rb") as file:
-            page = file.read(PAGE_BYTES)
-            locked = _is_locked(file.fileno())
-    except (FileNotFoundError, PermissionError, IsADirectoryError):
+        handle = _open_regular(path, os.O_RDONLY)
+    except OSError:
         return None
+    try:
+        page = os.pread(handle, PAGE_BYTES, 0)
+        locked = _is_locked(handle)
+    finally:
+        os.close(handle)
     if len(page) < PAGE_BYTES or page[:8] != MAGIC:
         return None
     header = np.frombuffer(page, dtype=HEADER)
@@ -86,6 +90,7 @@ def create_file(path: Path, layout: RingLayout) -> int:
         raise InputError(
             f"ring {path}: cannot be created ({error.strerror}).",
             action="Set [ring] directory to a directory that the station may write to.",
+            code="ring-directory",
         ) from error
     try:
         fcntl.flock(handle, fcntl.LOCK_EX)
@@ -136,11 +141,24 @@ def read_layout(handle: int, path: Path) -> tuple[RingLayout, NDArray[Any]]:
 def open_existing(path: Path, writable: bool) -> int:
     """Open the file of an existing ring, and return its file descriptor."""
     try:
-        return os.open(path, (os.O_RDWR if writable else os.O_RDONLY) | os.O_CLOEXEC)
+        return _open_regular(path, os.O_RDWR if writable else os.O_RDONLY)
     except FileNotFoundError:
         raise NotFoundError(f"{path}: there is no such ring.", action="Start the station first.") from None
     except PermissionError:
         raise InputError(f"{path}: cannot be opened.", action="Join the group of the station's service.") from None
+    except OSError as error:
+        raise InputError(f"{path}: is not a ring of vaoi_station ({error.strerror}).") from error
+
+
+def _open_regular(path: Path, flags: int) -> int:
+    """Open a regular file; raise OSError for everything else, at once."""
+    # Without O_NONBLOCK a FIFO of any user in /dev/shm would block the start for ever. Links are not followed: they may
+    # lead to a device, whose mere opening has effects, or to themselves.
+    handle = os.open(path, flags | os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC)
+    if not stat.S_ISREG(os.fstat(handle).st_mode):
+        os.close(handle)
+        raise OSError(errno.EINVAL, "no regular file", str(path))
+    return handle
 
 
 def _is_locked(handle: int) -> bool:
@@ -185,7 +203,8 @@ def _taken(path: Path) -> StateError:
     who = f"process {owner[0]}" if owner else "another program"
     return StateError(
         f"ring {path}: exists already and belongs to {who}.",
-        action="Stop the other station, or give this one another name.",
+        action="Stop the other station, or give this one another name; remove the file if no program uses it.",
+        code="ring-taken",
     )
 
 

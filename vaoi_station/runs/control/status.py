@@ -7,6 +7,7 @@ from pathlib import Path
 from vaoi_station.config import StationConfig
 from vaoi_station.runs.control import readiness
 from vaoi_station.runs.control.core import Core
+from vaoi_station.runs.host.addresses import is_present
 from vaoi_station.runs.run.run_views import versions
 from vaoi_station.runs.states.run_ids import utc_of_host
 from vaoi_station.runs.states.schemas import (
@@ -56,6 +57,7 @@ def snapshot_of(
             *core.watch.warnings(),
             *core.line.warnings(),
             *core.storage.warnings(),
+            *address_warnings(config),
             *worker_warnings(processes),
         ),
         armed_with=core.line.orders.shown(),
@@ -91,6 +93,15 @@ def status_line(core: Core) -> str:
     if reason := next(iter(core.machine.reasons.all()), None):
         parts.append(reason.message)
     return "; ".join(parts)
+
+
+def address_warnings(config: StationConfig) -> tuple[Reason, ...]:
+    """Return a warning while no interface has the address at which the service listens, else none."""
+    host = config.api.host
+    if is_present(host):
+        return ()
+    message = f"No interface of this machine has the address [api] host = {host}: callers cannot reach the station."
+    return (Reason(code="address-absent", message=message, action="Check cable, network and station.toml."),)
 
 
 def worker_warnings(processes: tuple[ProcessStatus, ...]) -> tuple[Reason, ...]:

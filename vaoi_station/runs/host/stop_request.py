@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import select
 import signal
 import socket
+import time
 from types import FrameType
 
 _SIGNALS = (signal.SIGTERM, signal.SIGINT)
@@ -33,9 +35,16 @@ class StopRequest:
         with contextlib.suppress(OSError):
             self._there.send(_BY_ITSELF)
 
-    def wait(self) -> str:
-        """Wait for a request to stop; return the name of the signal, or "" after a call of `request`."""
+    def wait(self, timeout_s: float | None = None) -> str | None:
+        """Wait for a request to stop; return the name of the signal, or "" after a call of `request`.
+
+        Return None if `timeout_s` passes without a request.
+        """
+        deadline_s = None if timeout_s is None else time.monotonic() + timeout_s
         while True:
+            left_s = None if deadline_s is None else max(deadline_s - time.monotonic(), 0.0)
+            if not select.select([self._here], [], [], left_s)[0]:
+                return None
             number = self._here.recv(1)[0]
             if number == _BY_ITSELF[0]:
                 return ""

@@ -1,0 +1,43 @@
+"""The replies of a service whose station cannot be started yet."""
+
+from __future__ import annotations
+
+import httpx2
+import pytest
+
+from vaoi_station.api.routes.waiting_page import WaitingPage
+from vaoi_station.api.web_server import open_listener
+from vaoi_station.errors import BusyError, DeviceError
+
+
+def test_every_request_is_answered_with_the_present_cause() -> None:
+    with open_listener("127.0.0.1", 0, "test") as listener:
+        address = f"http://127.0.0.1:{listener.getsockname()[1]}"
+        with WaitingPage(listener, ["127.0.0.1"]) as page, httpx2.Client(base_url=address) as client:
+            page.report(DeviceError("The disk is full.", action="Free space.", code="storage-full"))
+            for method, path in (("GET", "/healthz"), ("GET", "/api/v1/station"), ("POST", "/api/v1/station/arm")):
+                answer = client.request(method, path)
+                assert (answer.status_code, answer.json()["code"]) == (503, "storage-full"), path
+                assert answer.json()["action"] == "Free space."
+            page.report(BusyError("No memory.", code="ring-too-large"))
+            assert client.get("/healthz").json()["code"] == "ring-too-large"
+        # The station's own server takes the socket over.
+        assert listener.getsockname()[1] == int(address.rpartition(":")[2])
+
+
+def test_nothing_is_served_without_a_cause() -> None:
+    with open_listener("127.0.0.1", 0, "test") as listener, WaitingPage(listener, []) as page:
+        assert page._server is None
+
+
+def test_an_address_that_no_interface_has_yet_is_accepted() -> None:
+    """At boot the network may come later."""
+    for host in ("192.0.2.77", "2001:db8::77"):
+        with open_listener(host, 0, "test") as listener:
+            assert listener.getsockname()[0] == host
+
+
+def test_a_name_that_is_not_known_yet_is_waited_for() -> None:
+    with pytest.raises(DeviceError, match=r"cannot listen on nowhere\.invalid port 0") as refusal:
+        open_listener("nowhere.invalid", 0, "test")
+    assert refusal.value.code == "address-absent"

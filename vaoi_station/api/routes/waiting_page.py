@@ -1,0 +1,57 @@
+"""What the service replies while the station cannot be started yet: the cause, with 503."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Iterable
+
+from fastapi import FastAPI, Response
+from fastapi.requests import Request
+
+from vaoi_station.api.hosts import allowed_names
+from vaoi_station.api.problems import problem_response
+from vaoi_station.api.request_guard import RequestGuard
+from vaoi_station.api.web_server import WebServer
+from vaoi_station.errors import VaoiError
+
+
+class WaitingPage:
+    """A web server that replies to every request with the cause for which the station waits.
+
+    It starts with the first report, and ends with the context.
+    """
+
+    def __init__(self, listener: socket.socket, names: Iterable[str]) -> None:
+        """Prepare to reply on a copy of `listener`, under any of `names`."""
+        self._listener, self._names = listener, tuple(names)
+        self._error: VaoiError | None = None
+        self._server: WebServer | None = None
+
+    def report(self, error: VaoiError) -> None:
+        """Show a cause from now on."""
+        self._error = error
+        if self._server is None:
+            # A copy, because the server closes its socket at its end; the station's own server needs it then.
+            self._server = WebServer(self._app(), self._listener.dup(), lambda: None)
+            self._server.start()
+
+    def __enter__(self) -> WaitingPage:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._server is not None:
+            self._server.stop()
+
+    def _app(self) -> FastAPI:
+        app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
+
+        # Every method and address has the same reply, so that no caller takes it for one of the station.
+        @app.api_route("/{path:path}", methods=["GET", "HEAD", "POST", "PUT", "DELETE"])
+        async def waiting(request: Request) -> Response:
+            error = self._error
+            assert error is not None
+            detail = f"The station is not started yet: {error.message}"
+            return problem_response(request.url.path, error.code, detail, status=503, action=error.action)
+
+        app.add_middleware(RequestGuard, names=allowed_names(self._names))
+        return app
