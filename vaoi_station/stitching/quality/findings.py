@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -47,6 +47,8 @@ _PLACED_SIGMA_PX = 2.0
 """Largest standard deviation of a position in a row that neither links nor points of the CAD data tie to the others."""
 _OTHER_LIFT_MM = 1.0
 """Least difference of a lift measured by overlaps from that of the adjustment at which the two contradict."""
+_LEAST_FITTING = 0.25
+"""Least share of a frame's links that must fit. Sound frames of the recordings and of the twin have 0.7 or more."""
 _BORDER_PX = 6.0
 """Distance from a frame's border within which the bare rim of a fiducial must not reach, so that it is detected."""
 _SEAM_LINKS = 12
@@ -153,16 +155,24 @@ class Findings:
 
     @cached_property
     def confirmed(self) -> frozenset[FrameKey]:
-        """The good frames whose pictures fit the board's motion: by a used link, or by a point with CAD coordinates.
+        """The good frames whose pictures fit the board's motion: by their links, or by a point with CAD coordinates.
 
-        A frame that is black, covered or repeated is complete and fits nothing: it shows no component.
+        A few links of a frame may fit by chance: a share of them must. A frame that is black, covered or repeated is
+        complete and fits nothing: it shows no component.
         """
         if not self.method.links:
             # without links there is nothing that could confirm a frame between two fiducials
             return frozenset(self.scene.present)
         o, points = self.problem.links, self.problem.fiducials
-        groups = np.unique(o.group[self.adjusted.weight > _USED]).tolist()
-        frames = {key for g in groups for key in (o.groups[g].task.a, o.groups[g].task.b) if key is not None}
+        every = np.bincount(o.group, minlength=len(o.groups))
+        used = np.bincount(o.group, self.adjusted.weight > _USED, minlength=len(o.groups))
+        linked: defaultdict[FrameKey, float] = defaultdict(float)
+        for links, own, fitting in zip(o.groups, every.tolist(), used.tolist(), strict=True):
+            for key in (links.task.a, links.task.b):
+                if key is not None and own:
+                    # positive in the end if more than the least share of the frame's links fits
+                    linked[key] += fitting - _LEAST_FITTING * own
+        frames = {key for key, surplus in linked.items() if surplus > 0}
         if points is not None:
             frames |= set(zip(points.camera.tolist(), points.row.tolist(), strict=True))
         return frozenset(frames & set(self.scene.present))

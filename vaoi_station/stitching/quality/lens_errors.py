@@ -13,6 +13,7 @@ from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vaoi_station.compiled import compiled
 from vaoi_station.geometry import Camera
@@ -64,8 +65,19 @@ class _Radial(NamedTuple):
     """(n,) distance of a corner from it."""
 
 
+class _Noise(NamedTuple):
+    """The noise of k links."""
+
+    robust: Floats
+    """(k,) robust weights."""
+    floor_px: float
+    """Noise floor."""
+    raised: NDArray[np.bool_]
+    """(k,) whether each link may lie on a part, whose height displaces it along its lean by any amount."""
+
+
 def lens_errors(problem: Problem, adjusted: AdjustmentResult, cameras: tuple[Camera, ...]) -> dict[int, LensError]:
-    """Estimate the radial error of every camera that has enough links on the bare board from row to row.
+    """Estimate the radial error of every camera that has enough links from row to row.
 
     Args:
         problem: the adjustment problem, as the displaced cameras see it.
@@ -74,15 +86,16 @@ def lens_errors(problem: Problem, adjusted: AdjustmentResult, cameras: tuple[Cam
     """
     o = problem.links
     near = problem.near if len(problem.near) else np.zeros(len(o), np.bool_)
-    plain = (o.p != o.q) & (adjusted.weight > _LEAST_WEIGHT) & (problem.component < 0) & ~near
-    use = np.flatnonzero(plain)
+    use = np.flatnonzero((o.p != o.q) & (adjusted.weight > _LEAST_WEIGHT))
+    raised = near | (problem.component >= 0)
     radial = _Radial(
         np.array([c.ground(np.array([c.center_px]))[0] for c in cameras]),
         np.array([float(np.hypot(*c.center_px)) / c.px_per_mm for c in cameras]),
     )
     camera = o.pairs.a[o.group]
     residual_mm = adjusted.link_px / o.px_per_mm[:, None]
-    sums = _accumulate(o.arrays, use, camera, residual_mm, adjusted.weight, adjusted.floor_px, radial)
+    noise = _Noise(adjusted.weight, adjusted.floor_px, raised)
+    sums = _accumulate(o.arrays, use, camera, residual_mm, noise, radial)
     count = np.bincount(camera[use], minlength=len(cameras))
     found = {}
     for i, c in enumerate(cameras):
@@ -106,9 +119,7 @@ def lens_reasons(errors: Mapping[int, LensError]) -> Iterator[Reason]:
 
 
 @compiled
-def _accumulate(
-    links: LinkArrays, use: Ints, camera: Ints, residual: Floats, robust: Floats, floor_px: float, radial: _Radial
-) -> Floats:
+def _accumulate(links: LinkArrays, use: Ints, camera: Ints, residual: Floats, noise: _Noise, radial: _Radial) -> Floats:
     """Return for each camera the information about its radial error, and its product with the estimate: (n, 2).
 
     The error is that at a corner, in mm. Links of a pair of frames are adjacent; their nuisances are eliminated.
@@ -118,8 +129,7 @@ def _accumulate(
         use: indices of the links that are used, ascending.
         camera: (k,) camera of every link.
         residual: (k, 2) residuals, mm.
-        robust: (k,) robust weights.
-        floor_px: noise floor of the links.
+        noise: noise of the links.
         radial: the radial functions of the cameras.
     """
     size = _NUISANCES + 1
@@ -140,10 +150,16 @@ def _accumulate(
         in_a, in_b = ax * ax + ay * ay, bx * bx + by * by
         x[0], x[1], x[2], x[3], x[4], x[5] = 1.0, 0.0, -v, lean_x * u, lean_x * v, bx * in_b - ax * in_a
         y[0], y[1], y[2], y[3], y[4], y[5] = 0.0, 1.0, u, lean_y * u, lean_y * v, by * in_b - ay * in_a
-        floor = (floor_px / links.px_per_mm[n]) ** 2
+        floor = (noise.floor_px / links.px_per_mm[n]) ** 2
         a, b, d = links.noise_mm2[n, 0, 0] + floor, links.noise_mm2[n, 0, 1], links.noise_mm2[n, 1, 1] + floor
-        share = robust[n] / (a * d - b * b)
+        share = noise.robust[n] / (a * d - b * b)
         xx, xy, yy = share * d, -share * b, share * a
+        if noise.raised[n]:
+            # what lies along the lean belongs to the height of the part
+            lx, ly = xx * lean_x + xy * lean_y, xy * lean_x + yy * lean_y
+            along = lean_x * lx + lean_y * ly
+            if along > 0:
+                xx, xy, yy = xx - lx * lx / along, xy - lx * ly / along, yy - ly * ly / along
         for k in range(size):
             wx, wy = xx * x[k] + xy * y[k], xy * x[k] + yy * y[k]
             product[k] += wx * residual[n, 0] + wy * residual[n, 1]
