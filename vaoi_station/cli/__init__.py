@@ -16,9 +16,11 @@ from vaoi_station.cli.recordings.report import report
 from vaoi_station.cli.recordings.simulate import simulate
 from vaoi_station.cli.recordings.stitch import stitch
 from vaoi_station.cli.recordings.teach import teach
+from vaoi_station.cli.station.backup import backup, restore
 from vaoi_station.cli.station.check_config import check_config
 from vaoi_station.cli.station.demo import demo
 from vaoi_station.cli.station.doctor import doctor
+from vaoi_station.cli.station.export import export, import_
 from vaoi_station.cli.station.record import record
 from vaoi_station.cli.station.serve import serve
 from vaoi_station.cli.station.view import view
@@ -81,6 +83,10 @@ app.command()(bench)
 app.command()(demo)
 app.command()(view)
 app.command()(doctor)
+app.command()(backup)
+app.command()(restore)
+app.command()(export)
+app.command("import")(import_)
 app.add_typer(rig, name="rig")
 
 

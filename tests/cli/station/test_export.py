@@ -1,0 +1,25 @@
+"""`vaoi export` and `vaoi import`; the package itself is tested in tests/transfer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from tests.cli.conftest import Result
+from tests.transfer.conftest import Site, make_rig, site, store
+
+__all__ = ["make_rig", "site", "store"]
+
+
+def test_a_run_is_exported_and_imported(vaoi: Callable[..., Result], site: Site, tmp_path: Path) -> None:
+    out = tmp_path / "run.vaoi"
+    for run, frames in ((site.sound, "without frames"), (site.degraded, "with frames")):
+        done = vaoi("export", run, "--out", out, "--config", site.config)
+        assert (done.code, done.out) == (0, f"{out}: run {run} {frames}\n")
+        back = vaoi("import", out, "--out", tmp_path / run)
+        assert back.code == 0
+        assert f"run {run} of board type 'small'" in back.out
+        out.unlink()
+    assert vaoi("export", "unknown", "--out", out, "--config", site.config).code == 2
+    assert vaoi("cut", tmp_path / site.degraded, "--result", tmp_path / site.degraded / "result.json",
+                "--component", "U1", "--out", tmp_path / "cut").code == 0  # fmt: skip

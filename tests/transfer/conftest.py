@@ -1,0 +1,47 @@
+"""A station with files, history, a reference and a kept recording, as a service leaves it on disk."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.runs.conftest import a_calibration, a_stitch, make_rig, store
+from tests.runs.control.test_teaching import filmed
+from vaoi_station.demo.station_files import to_toml
+from vaoi_station.files import write_calibration
+from vaoi_station.model import Status
+
+__all__ = ["make_rig", "store"]
+
+
+@dataclass(frozen=True)
+class Site:
+    """A station on disk, and its runs: one ok, one degraded with a recording."""
+
+    config: Path
+    sound: str
+    degraded: str
+    rig: Any
+
+
+@pytest.fixture
+def site(make_rig: Callable[..., Any], tmp_path: Path) -> Site:
+    rig = make_rig()
+    rig.ready()
+    rig.store.configurations.begin('{"name": "test"}', "2026")
+    sound = filmed(rig)
+    rig.coordinator.teach_reference("small", sound)
+    rig.workers.result = lambda head: a_stitch(head, Status.DEGRADED)
+    degraded = filmed(rig)
+    rig.wait_for(lambda: rig.coordinator.kept.recordings.runs == 1, "the recording")
+    write_calibration(tmp_path / "calibration.json", a_calibration())
+    (rig.config.data / "keys.json").write_text("{}")
+    path = tmp_path / "station.toml"
+    ring = rig.config.ring.model_copy(update={"keep_s": 1.0})
+    paths = {"calibration": Path("calibration.json"), "board_types": Path("board-types"), "data": Path("data")}
+    path.write_text(to_toml(rig.config.model_copy(update={**paths, "ring": ring})))
+    return Site(path, sound, degraded, rig)

@@ -1,0 +1,94 @@
+"""A backup, taken while the station runs, makes the same station on an empty machine."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from tests.transfer.conftest import Site
+from vaoi_station.config import read_config
+from vaoi_station.errors import InputError
+from vaoi_station.files import read_board_type, read_calibration
+from vaoi_station.runs.archive.event_log import EventLog
+from vaoi_station.runs.archive.finished_runs import Archive
+from vaoi_station.runs.run.reference_store import ReferenceStore
+from vaoi_station.runs.run.salvage import camera_heads
+from vaoi_station.store import Database, Store
+from vaoi_station.transfer.backup import back_up, restore
+
+
+def test_everything_is_back_on_an_empty_machine(site: Site, tmp_path: Path) -> None:
+    site.rig.coordinator.kept.pin(site.sound)
+    site.rig.wait_for(lambda: site.rig.coordinator.kept.recordings.runs == 2, "the recording")
+    expected = {run: site.rig.coordinator.stitch_text(run) for run in (site.sound, site.degraded)}
+    events = len(site.rig.coordinator.events(0))
+    site.rig.store.database.write(lambda _: None).result(10)  # all events are written
+    summary = back_up(site.config, tmp_path / "backup")
+    assert summary.size_bytes == (tmp_path / "backup").stat().st_size
+
+    machine = tmp_path / "other machine"
+    config = restore(tmp_path / "backup", machine / "station.toml")
+    assert config == read_config(machine / "station.toml")
+    # The first machine is lost: nothing of the second one may depend on it.
+    for name in ("calibration.json", "board-types", "data", "station.toml"):
+        path = tmp_path / name
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
+    calibration = read_calibration(config.calibration, [c.head for c in config.cameras])
+    board_type = read_board_type(config.board_types / "small.json")
+    store = Store(Database(config.data / "station.db"))
+    archive = Archive(store, EventLog(store))
+    assert {run: archive.get(run).text for run in expected} == expected
+    assert store.retention.pins() == {site.sound}
+    assert len(store.events(0, 1000)) >= events
+    shelf = ReferenceStore(config.data / "references", store, calibration.cameras(camera_heads(config)))
+    reference = shelf.open(board_type)
+    assert reference is not None
+    assert reference.run == site.sound
+    assert (config.data / "keys.json").read_text() == "{}"
+    assert not (config.data / "recordings").exists()
+    assert list(machine.glob(".*")) == []
+    store.close()
+
+
+def test_recordings_are_included_on_request(site: Site, tmp_path: Path) -> None:
+    back_up(site.config, tmp_path / "backup", recordings=True)
+    config = restore(tmp_path / "backup", tmp_path / "b" / "station.toml")
+    assert (config.data / "recordings" / site.degraded / "recording.json").is_file()
+
+
+def test_prepared_empty_folders_are_filled(site: Site, tmp_path: Path) -> None:
+    back_up(site.config, tmp_path / "backup")
+    (tmp_path / "b" / "data").mkdir(parents=True, mode=0o700)
+    restore(tmp_path / "backup", tmp_path / "b" / "station.toml")
+    assert (tmp_path / "b" / "data").stat().st_mode & 0o777 == 0o700
+    assert (tmp_path / "b" / "data" / "station.db").is_file()
+
+
+@pytest.mark.parametrize("present", ["station.toml", "calibration.json", "data/station.db", "board-types/x.json"])
+def test_nothing_is_overwritten(site: Site, tmp_path: Path, present: str) -> None:
+    back_up(site.config, tmp_path / "backup")
+    path = tmp_path / "b" / present
+    path.parent.mkdir(parents=True)
+    path.write_text("mine")
+    with pytest.raises(InputError, match="exists already"):
+        restore(tmp_path / "backup", tmp_path / "b" / "station.toml")
+    assert path.read_text() == "mine"
+    assert [p for p in (tmp_path / "b").rglob("*") if p.is_file()] == [path]
+
+
+def test_a_damaged_backup_restores_nothing(site: Site, tmp_path: Path) -> None:
+    back_up(site.config, tmp_path / "backup")
+    content = bytearray((tmp_path / "backup").read_bytes())
+    content[len(content) // 2] ^= 0xFF
+    (tmp_path / "backup").write_bytes(content)
+    with pytest.raises(InputError):
+        restore(tmp_path / "backup", tmp_path / "b" / "station.toml")
+    assert list((tmp_path / "b").iterdir()) == []
+
+
+def test_a_backup_does_not_overwrite(site: Site, tmp_path: Path) -> None:
+    (tmp_path / "backup").write_text("mine")
+    with pytest.raises(InputError, match="exists already"):
+        back_up(site.config, tmp_path / "backup")

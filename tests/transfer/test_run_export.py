@@ -1,0 +1,48 @@
+"""A run as one file, and back."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.transfer.conftest import Site
+from vaoi_station.errors import GoneError, InputError, NotFoundError
+from vaoi_station.files import open_recording, read_board_type, read_calibration, read_stitch
+from vaoi_station.model import Status
+from vaoi_station.runs.states.schemas import RunDetail
+from vaoi_station.transfer.run_export import export_run, import_run
+
+
+def test_a_run_with_its_frames_is_a_recording_elsewhere(site: Site, tmp_path: Path) -> None:
+    assert export_run(site.config, site.degraded, tmp_path / "run.vaoi")
+    detail = import_run(tmp_path / "run.vaoi", tmp_path / "out")
+    assert detail.id == site.degraded
+    assert open_recording(tmp_path / "out").head.rows == detail.rows
+    assert read_stitch(tmp_path / "out" / "result.json").status is Status.DEGRADED
+    assert RunDetail.model_validate_json((tmp_path / "out" / "run.json").read_text()) == detail
+    assert detail.made_with is not None
+    assert (tmp_path / "out" / "configuration.json").read_text() == '{"name": "test"}'
+    assert (tmp_path / "out" / "timeline.json").is_file()
+
+
+def test_a_run_without_frames_has_result_calibration_and_board_type(site: Site, tmp_path: Path) -> None:
+    assert not export_run(site.config, site.sound, tmp_path / "run.vaoi")
+    import_run(tmp_path / "run.vaoi", tmp_path / "out")
+    assert not (tmp_path / "out" / "recording.json").exists()
+    assert read_stitch(tmp_path / "out" / "result.json").status is Status.OK
+    assert read_board_type(tmp_path / "out" / "board.json").name == "small"
+    assert len(read_calibration(tmp_path / "out" / "calibration.json").camera_matrices) == 2
+
+
+def test_runs_that_cannot_be_exported_are_refused(site: Site, tmp_path: Path) -> None:
+    with pytest.raises(NotFoundError, match="no run 'x'"):
+        export_run(site.config, "x", tmp_path / "run.vaoi")
+    site.rig.coordinator._parts.archive.retention.forget_details([site.sound]).result(10)
+    with pytest.raises(GoneError) as refusal:
+        export_run(site.config, site.sound, tmp_path / "run.vaoi")
+    assert refusal.value.code == "run-forgotten"
+    assert not (tmp_path / "run.vaoi").exists()
+    export_run(site.config, site.degraded, tmp_path / "run.vaoi")
+    with pytest.raises(InputError, match="exists already"):
+        import_run(tmp_path / "run.vaoi", tmp_path)

@@ -1,0 +1,31 @@
+"""`vaoi export` and `vaoi import`: one run as one file, and back."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def export(
+    run: Annotated[str, typer.Argument(help="Id of the run.")],
+    out: Annotated[Path, typer.Option(help="Write the run to this file, which must not exist.")],
+    config: Annotated[Path, typer.Option(help="Export from the station of this station.toml.")] = Path("station.toml"),
+) -> None:
+    """Write a run to one file: result, record, calibration, board type, and frames if they were kept."""
+    from vaoi_station.transfer.run_export import export_run
+
+    recorded = export_run(config, run, out)
+    typer.echo(f"{out}: run {run} {'with' if recorded else 'without'} frames")
+
+
+def import_(
+    file: Annotated[Path, typer.Argument(help="A run that vaoi export has written.")],
+    out: Annotated[Path, typer.Option(help="Write it to this directory, which must not exist.")],
+) -> None:
+    """Unpack an exported run; with frames it is a recording for vaoi stitch, vaoi report and vaoi cut."""
+    from vaoi_station.transfer.run_export import import_run
+
+    detail = import_run(file, out)
+    typer.echo(f"{out}: run {detail.id} of board type {detail.board_type!r}, {detail.verdict}")

@@ -1,0 +1,1 @@
+"""One-file packages: backup and restore of a station, export and import of a run."""

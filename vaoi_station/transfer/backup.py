@@ -1,0 +1,146 @@
+"""Backup of a station in one file, and its restoration where nothing is."""
+
+from __future__ import annotations
+
+import filecmp
+import shutil
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from vaoi_station.config import StationConfig, read_config
+from vaoi_station.errors import InputError
+from vaoi_station.files.atomic_directory import refuse_existing
+from vaoi_station.runs.archive.recordings import DIRECTORY as RECORDINGS
+from vaoi_station.runs.states.run_ids import utc
+from vaoi_station.store.schema import VERSION as TABLES
+from vaoi_station.transfer.database_copy import check_database, copy_database
+from vaoi_station.transfer.package import Entry, unpack_package, write_package
+from vaoi_station.version import __version__
+
+KIND = "vaoi-backup"
+CONFIG, CALIBRATION, BOARD_TYPES, SCENARIO, DATA = "station.toml", "calibration.json", "board-types", "scenario", "data"
+DATABASE, REFERENCES = "station.db", "references"
+_ELSEWHERE = "Restore to a machine or a folder without a station, or move the old one away."
+
+
+@dataclass(frozen=True)
+class BackupSummary:
+    """What a backup contains."""
+
+    files: int
+    size_bytes: int
+
+
+def back_up(config_path: Path, out: Path, *, recordings: bool = False) -> BackupSummary:
+    """Write configuration, calibration, board types, references and history of a station, running or not, to a file.
+
+    Args:
+        config_path: the station.toml.
+        out: the file to write, which must not exist.
+        recordings: include the kept recordings of frames.
+    """
+    refuse_existing(out)
+    config = read_config(config_path)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    # The copy of the database is beside the backup: that disk must have room for it anyway.
+    with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}.") as scratch:
+        database = Path(scratch) / DATABASE
+        copy_database(config.data / DATABASE, database)
+        about = {"station": config.name, "made": utc(), "software": __version__, "tables": TABLES}
+        entries = _entries(config_path, config, database, with_recordings=recordings)
+        files = write_package(out, KIND, entries, about)
+    return BackupSummary(files, out.stat().st_size)
+
+
+def restore(package: Path, config_path: Path) -> StationConfig:
+    """Restore a backup: write station.toml to `config_path`, and everything else to where it says.
+
+    Nothing is written before the backup was unpacked and checked completely.
+
+    Raises:
+        InputError: the backup is damaged, or something exists where it would be written.
+    """
+    refuse_existing(config_path, action=_ELSEWHERE)
+    config_path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=config_path.parent, prefix=".restore.") as scratch:
+        unpacked = Path(scratch)
+        unpack_package(package, KIND, unpacked)
+        check_database(unpacked / DATA / DATABASE)
+        # Paths of the file are relative to its place, so it is read as if it were there already.
+        config = read_config(unpacked / CONFIG)
+        # A file that is there already, such as a scenario of the package, does not hinder.
+        moves = [m for m in _moves(unpacked, config, config_path.resolve().parent) if not _same_file(*m)]
+        for _, target in moves:
+            _refuse_content(target)
+        for source, target in moves:
+            _move(source, target)
+        # Last: a folder with a station.toml is a complete station.
+        shutil.move(unpacked / CONFIG, config_path)
+    return read_config(config_path)
+
+
+def _entries(config_path: Path, config: StationConfig, database: Path, *, with_recordings: bool) -> Iterator[Entry]:
+    yield CONFIG, config_path
+    yield f"{DATA}/{DATABASE}", database
+    if config.calibration.is_file():
+        yield CALIBRATION, config.calibration
+    if config.simulation is not None and config.simulation.scenario.is_file():
+        yield SCENARIO, config.simulation.scenario
+    yield from _files(config.board_types, BOARD_TYPES)
+    own = {DATABASE, f"{DATABASE}-wal", f"{DATABASE}-shm", *(() if with_recordings else (RECORDINGS,))}
+    for path in sorted(config.data.iterdir()):
+        if path.name not in own:
+            yield from _files(path, f"{DATA}/{path.name}")
+
+
+def _files(path: Path, name: str) -> Iterator[Entry]:
+    """Yield a file, or all files below a folder, except temporary ones and those that vanish meanwhile."""
+    if path.name.startswith("."):
+        return
+    if path.is_dir():
+        for below in sorted(path.iterdir()):
+            yield from _files(below, f"{name}/{below.name}")
+    elif path.is_file():
+        yield name, path
+
+
+def _moves(unpacked: Path, config: StationConfig, base: Path) -> list[tuple[Path, Path]]:
+    """Return what is moved where: paths of the file below the folder of the draft are below `base` in the end."""
+
+    def final(path: Path) -> Path:
+        inside = path.is_relative_to(unpacked.resolve())
+        return base / path.relative_to(unpacked.resolve()) if inside else path
+
+    targets = {CALIBRATION: config.calibration, BOARD_TYPES: config.board_types, DATA: config.data}
+    if config.simulation is not None:
+        targets[SCENARIO] = config.simulation.scenario
+    # Set aside under names of their own first, because the draft has the layout of the package, not that of the file.
+    (unpacked / ".parts").mkdir()
+    moves = []
+    for name, target in targets.items():
+        if (unpacked / name).exists():
+            moves.append(((unpacked / name).rename(unpacked / ".parts" / name), final(target)))
+    return moves
+
+
+def _move(source: Path, target: Path) -> None:
+    """Move a file or folder; an empty folder that exists keeps its owner and mode, and receives the content."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    for part in source.iterdir() if target.is_dir() else ():
+        shutil.move(part, target / part.name)
+    if not target.exists():
+        shutil.move(source, target)
+
+
+def _same_file(source: Path, target: Path) -> bool:
+    return source.is_file() and target.is_file() and filecmp.cmp(source, target, shallow=False)
+
+
+def _refuse_content(target: Path) -> None:
+    """Refuse a target that exists, unless it is an empty folder."""
+    if target.is_dir() and not any(target.iterdir()):
+        return
+    if target.exists():
+        raise InputError(f"{target}: exists already; nothing was restored.", action=_ELSEWHERE)

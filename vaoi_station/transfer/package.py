@@ -1,0 +1,159 @@
+"""A package: one compressed tar file with named contents, and a manifest with the digest of each.
+
+The manifest is the last member, so that a package is written in one pass and one that was cut short has none.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import os
+import tarfile
+import tempfile
+import zlib
+from collections.abc import Iterable
+from pathlib import Path, PurePosixPath
+from typing import IO, Any
+
+from vaoi_station.errors import DeviceError, InputError
+from vaoi_station.files.atomic_directory import refuse_existing
+
+MANIFEST = "manifest.json"
+VERSION = 1
+_FAST = 1
+"""Level of compression: results shrink to a fifth; a higher level takes several times as long."""
+_CHUNK = 1 << 20
+_MOST_MEMBERS = 1_000_000
+_LARGEST_MANIFEST = 200_000_000
+
+Entry = tuple[str, Path | bytes]
+"""Name in the package with "/" between its parts, and the file or content."""
+
+
+def write_package(path: Path, kind: str, entries: Iterable[Entry], about: dict[str, Any]) -> int:
+    """Write a package, completely or not at all; return the number of its entries.
+
+    Args:
+        path: the file, which must not exist.
+        kind: format of the package, such as "vaoi-backup".
+        entries: names and contents, in the order in which they are written.
+        about: further keys of the manifest.
+
+    Raises:
+        InputError: the file exists, or its directory cannot be written to.
+        DeviceError: the disk refuses the content.
+    """
+    refuse_existing(path)
+    try:
+        handle, draft = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror}).", action="Choose another place.") from error
+    digests: dict[str, str] = {}
+    try:
+        # Mode 0600 by mkstemp: a backup contains all that the station knows.
+        with os.fdopen(handle, "wb") as file:
+            with tarfile.open(fileobj=file, mode="w:gz", compresslevel=_FAST) as tar:
+                for name, content in entries:
+                    digests[name] = _add(tar, name, content)
+                manifest = {"format": kind, "version": VERSION, **about, "sha256": digests}
+                _add(tar, MANIFEST, json.dumps(manifest, indent=1).encode())
+            file.flush()
+            os.fsync(file.fileno())
+        Path(draft).rename(path)
+    except BaseException as error:  # also after Ctrl-C: remove the draft, then raise again
+        Path(draft).unlink(missing_ok=True)
+        if isinstance(error, OSError):
+            raise DeviceError(
+                f"{path}: cannot be written ({error.strerror}).", action="Check the space of the disk."
+            ) from error
+        raise
+    return len(digests)
+
+
+def unpack_package(path: Path, kind: str, directory: Path) -> dict[str, Any]:
+    """Unpack a package into an existing directory, check every digest, and return the manifest.
+
+    Raises:
+        InputError: the file is no package of this kind, is damaged or incomplete, or has unsafe names.
+    """
+    found: dict[str, str] = {}
+    manifest: dict[str, Any] | None = None
+    try:
+        with tarfile.open(path, mode="r|gz") as tar:
+            for member in tar:
+                source = tar.extractfile(member) if member.isreg() else None
+                if source is None or len(found) > _MOST_MEMBERS:
+                    raise InputError(f"{path}: {member.name!r} is no regular file.", action=_ACTION)
+                if member.name == MANIFEST:
+                    manifest = json.loads(source.read(_LARGEST_MANIFEST))
+                else:
+                    found[member.name] = _extract(source, _safe(path, directory, member.name))
+    except (tarfile.TarError, zlib.error, EOFError, ValueError, OSError) as error:
+        if isinstance(error, OSError) and error.errno is not None:
+            raise InputError(
+                f"{path}: cannot be unpacked ({error.strerror}).", action="Check path and disk."
+            ) from error
+        raise InputError(f"{path}: is damaged, or no package ({error}).", action=_ACTION) from error
+    if not isinstance(manifest, dict) or manifest.get("format") != kind:
+        raise InputError(f"{path}: is no complete package of the format {kind!r}.", action=_ACTION)
+    if manifest.get("version") != VERSION:
+        raise InputError.field(
+            path, "version", manifest.get("version"), str(VERSION), "Use the software that wrote it."
+        )
+    expected = manifest.get("sha256")
+    if expected != found:
+        wrong = sorted({*found} ^ {*(expected or {})} | {n for n in found if (expected or {}).get(n) != found[n]})
+        raise InputError(f"{path}: {', '.join(wrong[:3])} differs from the manifest.", action=_ACTION)
+    return manifest
+
+
+_ACTION = "Use a file that vaoi backup or vaoi export has written, or copy it again."
+
+
+def _add(tar: tarfile.TarFile, name: str, content: Path | bytes) -> str:
+    """Add one entry, and return the digest of its content."""
+    info = tarfile.TarInfo(name)
+    if isinstance(content, bytes):
+        info.size = len(content)
+        tar.addfile(info, io.BytesIO(content))
+        return hashlib.sha256(content).hexdigest()
+    with content.open("rb") as file:
+        status = os.fstat(file.fileno())
+        info.size, info.mtime = status.st_size, int(status.st_mtime)
+        reader = _Digesting(file)
+        tar.addfile(info, reader)
+    return reader.summary.hexdigest()
+
+
+class _Digesting:
+    """A file that computes the digest of what is read from it."""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file, self.summary = file, hashlib.sha256()
+
+    def read(self, size: int = -1) -> bytes:
+        content = self._file.read(size)
+        self.summary.update(content)
+        return content
+
+
+def _safe(path: Path, directory: Path, name: str) -> Path:
+    """Return the target of a member; refuse names that lead out of the directory."""
+    parts = PurePosixPath(name).parts
+    if not parts or name.startswith("/") or ".." in parts or "\\" in name or "\0" in name:
+        raise InputError(f"{path}: has the unsafe name {name!r}.", action=_ACTION)
+    return directory.joinpath(*parts)
+
+
+def _extract(source: IO[bytes], target: Path) -> str:
+    target.parent.mkdir(parents=True, exist_ok=True)
+    summary = hashlib.sha256()
+    # Exclusively: a second member of the same name must not replace the first.
+    with target.open("xb") as file:
+        while chunk := source.read(_CHUNK):
+            summary.update(chunk)
+            file.write(chunk)
+        file.flush()
+        os.fsync(file.fileno())
+    return summary.hexdigest()
