@@ -29,6 +29,7 @@ from vaoi_station.runs.host.systemd import StatusNotice, notify, notify_watchdog
 from vaoi_station.runs.run.order import OrderFactory
 from vaoi_station.runs.run.reference_store import ReferenceStore
 from vaoi_station.runs.run.salvage import camera_heads
+from vaoi_station.runs.run.standing_order import StandingOrder
 from vaoi_station.runs.states.run_ids import RunIds, utc
 from vaoi_station.runs.workers.pool import WorkerPool
 from vaoi_station.store import BoardTypeDirectory, Database, Store
@@ -82,13 +83,18 @@ class Station:
             housekeeping = Housekeeping(events)
             housekeeping.add(Retention(config.keep, store.retention).sweep, RETENTION_S, code="retention")
             housekeeping.add(DatabaseCheck(store.database).step, CHECK_S, code="database-damaged")
+            board_types = BoardTypeDirectory(config.board_types)
+            make_order = OrderFactory(
+                config.line, calibration, camera_heads(config), store, shelf, config.method, config.visibility
+            )
+            standing = StandingOrder(store.standing)
+            resumed = standing.resume(board_types.get, make_order)
+            run_ids = RunIds(store.newest_run())
             coordinator = StationCoordinator(
-                Parts(config, ring, link, workers, archive, events, RunIds(store.newest_run()), watch),
+                Parts(config, ring, link, workers, archive, events, run_ids, watch, standing, resumed),
                 ring,
-                BoardTypeDirectory(config.board_types),
-                OrderFactory(
-                    config.line, calibration, camera_heads(config), store, shelf, config.method, config.visibility
-                ),
+                board_types,
+                make_order,
                 shelf,
                 lambda: (link.status(), *workers.status()),
                 notify_watchdog,

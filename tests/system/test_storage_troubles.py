@@ -116,7 +116,8 @@ def test_a_full_disk_is_waited_for_named_and_caught_up(serve: Callable[[], Servi
     service.stop(signal.SIGKILL)
     again = serve()
     disk.make_room()
-    until(again, "/station", lambda a: a.status_code == 200 and a.json()["state"] != "starting")
+    shown = until(again, "/station", lambda a: a.status_code == 200 and a.json()["state"] in ("armed", "filming"))
+    assert shown["armed_with"]["resumed"] is True
     listed = {run["id"]: run for run in again.get("/runs", limit=500)["runs"]}
     assert {listed[run["id"]]["verdict"] for run in (first, unstored)} == {"ok"}
     assert lost["id"] not in listed or listed[lost["id"]]["reasons"][-1]["code"] == "station-restarted"

@@ -20,6 +20,7 @@ from vaoi_station.store.calibration_checks import CalibrationChecks
 from vaoi_station.store.configurations import Configurations
 from vaoi_station.store.database import Database
 from vaoi_station.store.retention import RunRetention
+from vaoi_station.store.standing import StandingDocuments
 from vaoi_station.store.storage_trouble import StorageTrouble
 
 Kind = Literal["board-type", "calibration"]
@@ -67,6 +68,7 @@ class Store:
         self.checks = CalibrationChecks(database)
         self.stitching = BoardStitching(database)
         self.retention = RunRetention(database)
+        self.standing = StandingDocuments(database)
         self.configurations = Configurations(database)
 
     @property

@@ -95,6 +95,12 @@ STEPS: tuple[tuple[str, ...], ...] = (
             document TEXT NOT NULL
         ) STRICT""",
     ),
+    (
+        """CREATE TABLE standing (
+            key TEXT PRIMARY KEY,
+            document TEXT NOT NULL
+        ) STRICT""",
+    ),
 )
 VERSION = len(STEPS)
 

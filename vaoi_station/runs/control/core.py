@@ -23,6 +23,7 @@ from vaoi_station.runs.run.memory import BayRing, Memory
 from vaoi_station.runs.run.order import Order
 from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.run.salvage import early_end_reason, salvage_recording
+from vaoi_station.runs.run.standing_order import Resumed, StandingOrder
 from vaoi_station.runs.run.trigger_watch import TriggerWatch
 from vaoi_station.runs.states.run_ids import RunIds
 from vaoi_station.runs.states.schemas import Reason
@@ -42,6 +43,10 @@ class Parts:
     events: EventLog
     run_ids: RunIds
     watch: CalibrationWatch
+    standing: StandingOrder | None = None
+    """Keeps the order in force over a restart."""
+    resumed: Resumed | None = None
+    """The order that was in force when the station ended."""
 
 
 class Core:
@@ -58,8 +63,17 @@ class Core:
         parts.archive.keep_s = parts.config.ring.keep_s
         self.machine = StationStateMachine(parts.events)
         self.line = LineControl(
-            parts.config, parts.acquisition, self.machine, self.memory, parts.run_ids, parts.archive, parts.events
+            parts.config,
+            parts.acquisition,
+            self.machine,
+            self.memory,
+            parts.run_ids,
+            parts.archive,
+            parts.events,
+            parts.standing,
         )
+        if parts.resumed is not None:
+            self.line.resume(parts.resumed)
         self.boards = BoardAccount(parts.config.line, self.line.orders, parts.events.add)
         self.runs = ActiveRuns(
             parts.workers, parts.archive, parts.events, lambda run: self.boards.end(run, time.monotonic())

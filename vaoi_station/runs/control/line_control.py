@@ -16,6 +16,7 @@ from vaoi_station.runs.control import readiness
 from vaoi_station.runs.control.station_state import StationStateMachine
 from vaoi_station.runs.run.memory import Memory
 from vaoi_station.runs.run.order import Order, Orders
+from vaoi_station.runs.run.standing_order import Resumed, StandingOrder
 from vaoi_station.runs.states.run_ids import RunIds
 from vaoi_station.runs.states.schemas import Reason
 from vaoi_station.runs.states.tables import RunState, RunStep, StationState, StationStep
@@ -46,10 +47,14 @@ class LineControl:
         run_ids: RunIds,
         archive: Archive,
         events: EventLog,
+        standing: StandingOrder | None = None,
     ) -> None:
         self._config, self._acquisition, self._machine = config, acquisition, machine
         self._memory, self._run_ids, self._archive, self._events = memory, run_ids, archive, events
         self.orders = Orders()
+        self._standing = standing
+        self._not_resumed: Reason | None = None
+        """Why the line is not armed although it was before the restart; None once it was armed or disarmed."""
         self._granted: dict[str, int] = {}
         """Numbers of the bays that the cameras hold for coming runs, by run id."""
         self._arming: list[Completion] = []
@@ -61,6 +66,21 @@ class LineControl:
         """How often the armed line had no memory for the next board."""
 
     # --- requests
+
+    def resume(self, resumed: Resumed) -> None:
+        """Put the order from before the restart in force; the line is armed when the devices are open."""
+        if resumed.order is None:
+            self._not_resumed = resumed.fault
+            if resumed.fault is not None:
+                fault = resumed.fault
+                self._events.add("trouble", fault.message, code=fault.code, action=fault.action)
+            return
+        now_s = time.monotonic()
+        self.orders.accept(resumed.order, resumed.runs, now_s)
+        self.orders.resumed = True
+        self.orders.doubt(now_s, now_s, "the station was restarted, and boards may have passed unnoticed")
+        message = f"Armed again for board type {resumed.order.board_type.name!r}, as before the restart."
+        self._events.add("armed", message, code="armed-again")
 
     def arm(self, order: Order, runs: int | None, health: messages.Health | None, completion: Completion) -> None:
         """Arm the line for an order. The completion is set once the line is armed, or carries the refusal.
@@ -87,6 +107,7 @@ class LineControl:
             completion.set_exception(refusal)
             return
         self.orders.accept(order, runs, time.monotonic())
+        self._keep_order()
         self._machine.advance(StationStep.ARM)
         self._events.add("armed", f"Armed for board type {order.board_type.name!r}.")
         if self._machine.state is StationState.ARMED:
@@ -99,6 +120,7 @@ class LineControl:
     def disarm(self, completion: Completion) -> None:
         """Disarm the line. The completion is set once the acquisition process ignores the barrier."""
         self.orders.cancel(time.monotonic())
+        self._keep_order()
         if self._machine.state in _ARMED_STATES:
             self._disarming.append(completion)
             self._send_disarm()
@@ -106,7 +128,7 @@ class LineControl:
             completion.set_result(None)
 
     def disarm_for_stop(self) -> None:
-        """Disarm the line because the station stops; no caller waits for it."""
+        """Disarm the line because the station stops; no caller waits for it. The next start arms it again."""
         self.orders.cancel(time.monotonic())
         if self._machine.state in _ARMED_STATES:
             self._send_disarm()
@@ -115,6 +137,7 @@ class LineControl:
         """Disarm the line if all boards of the order have been filmed."""
         if self.orders.order is not None and not self.orders.wants_more:
             self.orders.cancel(time.monotonic())
+            self._keep_order()
             self._send_disarm()
 
     # --- reports of the acquisition process
@@ -155,6 +178,15 @@ class LineControl:
         if self._machine.state is not StationState.ARMING:
             return
         self.orders.cancel(time.monotonic())
+        if self._arming:
+            self._keep_order()
+        else:
+            # No caller waits: the line was being armed again. The order stays stored for the next start.
+            self._not_resumed = Reason(
+                code="not-armed-again",
+                message=f"The line was armed before and could not be armed again: {trouble.message}",
+                action=f"{trouble.action} Then arm the line.".strip(),
+            )
         for completion in self._arming:
             completion.set_exception(
                 DeviceError(f"Arming failed: {trouble.message}", action=trouble.action, code=trouble.code)
@@ -180,6 +212,8 @@ class LineControl:
         """
         granted = self._granted.pop(run, None)
         order = self.orders.take(barrier_s)
+        if self.orders.runs_left is not None:
+            self._keep_order()
         return None if granted is None else order
 
     @property
@@ -217,7 +251,7 @@ class LineControl:
 
     def warnings(self) -> tuple[Reason, ...]:
         """Return warnings about the next board: too little memory because of holds, a board id that is not certain."""
-        found = [self._memory.warning() if self._machine.state in _TAKING_BOARDS else None]
+        found = [self._not_resumed, self._memory.warning() if self._machine.state in _TAKING_BOARDS else None]
         if (why := self.orders.present_doubt) is not None and self.orders.order is not None:
             found.append(
                 Reason(
@@ -227,6 +261,16 @@ class LineControl:
                 )
             )
         return tuple(warning for warning in found if warning is not None)
+
+    def _keep_order(self) -> None:
+        """Keep the order in force for the next start; with none in force, forget it."""
+        self._not_resumed = None
+        if self._standing is None:
+            return
+        if self.orders.order is None:
+            self._standing.drop()
+        else:
+            self._standing.keep(self.orders.order, self.orders.runs_left)
 
     def _unblock(self) -> None:
         """Leave the state BLOCKED by granting a bay. Raise BusyError, which names the holders, if no bay is free."""

@@ -72,6 +72,8 @@ class Orders:
     since_s: float = field(default=float("-inf"))
     taken_since_s: float = float("-inf")
     """Time since which the order that was taken last has been in force."""
+    resumed: bool = False
+    """Whether the order was in force before a restart of the station, and was not given since."""
     _before: Order | None = None
     _before_since_s: float = float("-inf")
     _doubts: deque[Doubt] = field(default_factory=lambda: deque(maxlen=64))
@@ -79,7 +81,7 @@ class Orders:
     def accept(self, order: Order, runs: int | None, now_s: float) -> None:
         """Put an order in force for the boards that interrupt the barrier after `now_s`; `runs` limits their number."""
         self._before, self._before_since_s = self.order, self.since_s
-        self.order, self.runs_left, self.since_s = order, runs, now_s
+        self.order, self.runs_left, self.since_s, self.resumed = order, runs, now_s, False
 
     def take(self, barrier_s: float) -> Order | None:
         """Return the order of a board that interrupted the barrier at `barrier_s`, and count the board."""
@@ -137,7 +139,7 @@ class Orders:
         if self.order is None:
             return None
         shown = self.order.shown(self.runs_left)
-        return shown.model_copy(update={"board_id_certain": self.present_doubt is None})
+        return shown.model_copy(update={"board_id_certain": self.present_doubt is None, "resumed": self.resumed})
 
 
 class OrderFactory:

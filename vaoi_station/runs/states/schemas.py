@@ -56,6 +56,8 @@ class ArmedWith(Schema):
     board_id_certain: bool = True
     """Whether `board_id` still belongs to the next board. If False, a board may have passed without a run since it was
     armed, and the next runs get no board id: arm again with the id of the next board."""
+    resumed: bool = False
+    """Whether the order was in force before a restart of the station and was taken up again by itself."""
 
 
 class CameraStatus(Schema):

@@ -1,0 +1,85 @@
+"""The order in force, kept over a restart: what was armed is armed again, or the reason is shown."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from vaoi_station.errors import VaoiError
+from vaoi_station.model import BoardType
+from vaoi_station.runs.run.order import Order
+from vaoi_station.runs.states.schemas import Reason
+from vaoi_station.store.standing import StandingDocuments
+
+_KEY = "armed"
+CODE = "not-armed-again"
+
+
+class _Armed(BaseModel):
+    """The order as it is stored."""
+
+    model_config = ConfigDict(frozen=True)
+
+    board_type: str
+    board_id: str | None = None
+    job_id: str | None = None
+    runs: int | None = None
+    allow_lost_cameras: bool = False
+
+
+@dataclass(frozen=True)
+class Resumed:
+    """What a start has made of the order that was in force: the order, or why it cannot be taken up."""
+
+    order: Order | None
+    runs: int | None
+    fault: Reason | None = None
+
+
+class StandingOrder:
+    """Keeps the order in force in the database. Writing does not wait for the disk."""
+
+    def __init__(self, documents: StandingDocuments) -> None:
+        self._documents = documents
+
+    def keep(self, order: Order, runs: int | None) -> None:
+        """Keep an order, with the number of boards that are still to be filmed for it."""
+        armed = _Armed(
+            board_type=order.board_type.name,
+            board_id=order.board_id,
+            job_id=order.job_id,
+            runs=runs,
+            allow_lost_cameras=order.despite_lost_cameras,
+        )
+        self._documents.set(_KEY, armed.model_dump_json())
+
+    def drop(self) -> None:
+        """Forget the order, because the line was disarmed."""
+        self._documents.set(_KEY, None)
+
+    def resume(
+        self,
+        get_board_type: Callable[[str], BoardType],
+        make_order: Callable[[BoardType, str | None, str | None], Order],
+    ) -> Resumed | None:
+        """Make the order anew that was in force when the station ended; None if the line was not armed."""
+        document = self._documents.get(_KEY)
+        if document is None:
+            return None
+        try:
+            armed = _Armed.model_validate_json(document)
+            order = make_order(get_board_type(armed.board_type), armed.board_id, armed.job_id)
+        except ValidationError:
+            return Resumed(None, None, _fault("the order cannot be read", "Arm the line."))
+        except VaoiError as error:
+            return Resumed(None, None, _fault(error.message, f"{error.action} Then arm the line.".strip()))
+        if armed.runs == 0:
+            return None
+        return Resumed(replace(order, despite_lost_cameras=armed.allow_lost_cameras), armed.runs)
+
+
+def _fault(why: str, action: str) -> Reason:
+    message = f"The line was armed before the restart and is not armed now: {why}"
+    return Reason(code=CODE, message=message, action=action)
