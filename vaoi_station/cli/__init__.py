@@ -17,6 +17,7 @@ from vaoi_station.cli.recordings.simulate import simulate
 from vaoi_station.cli.recordings.stitch import stitch
 from vaoi_station.cli.recordings.teach import teach
 from vaoi_station.cli.station.backup import backup, restore
+from vaoi_station.cli.station.bundle import bundle
 from vaoi_station.cli.station.check_config import check_config
 from vaoi_station.cli.station.demo import demo
 from vaoi_station.cli.station.doctor import doctor
@@ -70,6 +71,7 @@ def vaoi(
 app.command()(plan)
 app.command()(simulate)
 app.command()(serve)
+app.command()(bundle)
 app.command("check-config")(check_config)
 app.command()(record)
 app.command()(calibrate)

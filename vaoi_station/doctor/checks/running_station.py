@@ -36,13 +36,18 @@ def find(config: StationConfig) -> RunningProcess | None:
         return RunningProcess(pid, no_reply_reason=f"{type(error).__name__}: {error}")
 
 
+def address_of(api: ApiConfig) -> tuple[str, int]:
+    """Return host and port at which a station on this machine can be reached."""
+    return _EVERYWHERE.get(api.host, api.host), api.port
+
+
 def ask(api: ApiConfig) -> dict[str, Any]:
     """Request the state from the station's REST service (`GET station`).
 
     Raises:
         OSError, HTTPException, ValueError: no station replies at this address.
     """
-    connection = http.client.HTTPConnection(_EVERYWHERE.get(api.host, api.host), api.port, timeout=TIMEOUT_S)
+    connection = http.client.HTTPConnection(*address_of(api), timeout=TIMEOUT_S)
     try:
         connection.request("GET", "/api/v1/station")
         reply = connection.getresponse()

@@ -1,0 +1,75 @@
+"""The bundle for support: complete, readable in any state, and without secrets."""
+
+from __future__ import annotations
+
+import json
+import tarfile
+from pathlib import Path
+
+import pytest
+
+from vaoi_station.doctor.support_bundle import REMOVED, without_secrets, write_support_bundle
+from vaoi_station.errors import InputError
+from vaoi_station.store import Database
+
+
+def members(bundle: Path) -> dict[str, str]:
+    with tarfile.open(bundle) as tar:
+        files = {entry.name: tar.extractfile(entry) for entry in tar.getmembers()}
+        return {name.split("/", 1)[1]: file.read().decode() for name, file in files.items() if file is not None}
+
+
+def test_a_bundle_has_findings_files_and_database(station_toml: Path, tmp_path: Path) -> None:
+    (tmp_path / "data").mkdir()
+    Database(tmp_path / "data" / "station.db").close()
+    out = tmp_path / "support.tar.gz"
+    assert write_support_bundle(station_toml, out) == sorted(members(out))
+    found = members(out)
+    assert json.loads(found["doctor.json"])["format"] == "vaoi-doctor"
+    assert "no problem found" in found["check-config.txt"] or "warning" in found["check-config.txt"]
+    assert "small.json" in found["files.txt"]
+    assert "user_version" in found["database.txt"]
+    assert found["running/station.json"].startswith("not available: ConnectionRefusedError")
+    assert "none found" in found["README.txt"]
+    assert not [name for name in found if "board" in name], "layouts are not copied"
+
+
+def test_secrets_are_nowhere_in_a_bundle(station_toml: Path, tmp_path: Path) -> None:
+    text = station_toml.read_text()
+    station_toml.write_text(
+        text.replace("[api]", '[api]\nadmin_token = "hunter2-hunter2"\nproxy = "http://u:hunter2@h/"')
+    )
+    out = tmp_path / "support.tar.gz"
+    write_support_bundle(station_toml, out)
+    found = members(out)
+    assert [name for name, content in found.items() if "hunter2" in content] == []
+    assert "station.toml: 2" in found["README.txt"]
+
+
+@pytest.mark.parametrize(
+    ("line", "kept"),
+    [
+        ('password = "a b"', "password = [removed]"),
+        ("api_key: abc", "api_key: [removed]"),
+        ('{"token": "abc", "x": 1}', '{"token": [removed], "x": 1}'),
+        ("Authorization: Bearer abcdefghijkl", "Authorization: [removed]"),
+        ("got bearer abcdefghijkl today", "got bearer [removed] today"),
+        ("smb://user:pass@host/share", "smb://[removed]@host/share"),
+        ("tokens = ['a', 'b']", "tokens = [removed]"),
+        ("keyboard = 1; the key = value stays", "keyboard = 1; the key = value stays"),
+        ("-----BEGIN PRIVATE KEY-----\nabc\n-----END PRIVATE KEY-----", REMOVED),
+    ],
+)
+def test_what_looks_like_a_secret_is_removed(line: str, kept: str) -> None:
+    assert without_secrets(line) == kept
+
+
+def test_a_station_that_cannot_be_read_still_has_a_bundle(tmp_path: Path) -> None:
+    out = tmp_path / "support.tar.gz"
+    write_support_bundle(tmp_path / "none.toml", out)
+    found = members(out)
+    assert found["station.toml"].startswith("not available: FileNotFoundError")
+    assert "there is no such file" in found["check-config.txt"]
+    assert "machine/meminfo.txt" in found
+    with pytest.raises(InputError, match="exists already"):
+        write_support_bundle(tmp_path / "none.toml", out)

@@ -1,0 +1,19 @@
+"""`vaoi bundle --config station.toml`: collect what a developer needs to understand a fault."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def bundle(
+    config: Annotated[Path, typer.Option(help="Describe the station of this station.toml.")] = Path("station.toml"),
+    out: Annotated[Path, typer.Option(help="Write this file.")] = Path("vaoi-support.tar.gz"),
+) -> None:
+    """Write log, configuration, findings of the doctor and state of the station into one file, without secrets."""
+    from vaoi_station.doctor.support_bundle import write_support_bundle
+
+    members = write_support_bundle(config, out)
+    typer.echo(f"{out}: {len(members)} files, without pictures, layouts and secrets. Read it before you send it.")

@@ -1,0 +1,173 @@
+"""`vaoi bundle`: what a developer needs to understand a fault, in one tar file without secrets and pictures."""
+
+from __future__ import annotations
+
+import hashlib
+import http.client
+import io
+import json
+import platform
+import re
+import sqlite3
+import subprocess
+import tarfile
+import time
+from collections.abc import Callable, Iterator
+from datetime import UTC, datetime
+from functools import partial
+from pathlib import Path
+
+from vaoi_station.config import StationConfig, read_config
+from vaoi_station.doctor.checks.running_station import address_of
+from vaoi_station.doctor.config_check import check_config
+from vaoi_station.doctor.runner import run_checks
+from vaoi_station.doctor.text_report import problems_as_text
+from vaoi_station.errors import VaoiError
+from vaoi_station.files.atomic_directory import refuse_existing
+from vaoi_station.files.documents import write_bytes
+from vaoi_station.version import __version__
+
+UNIT = "vaoi-station"
+REMOVED = "[removed]"
+TIMEOUT_S = 20.0
+PATHS = {
+    "station.json": "/api/v1/station",
+    "events.json": "/api/v1/events?limit=1000",
+    "runs.json": "/api/v1/runs?limit=100",
+    "calibration-status.json": "/api/v1/calibration",
+    "metrics.txt": "/metrics",
+}
+"""Members of the bundle that a running station gives, and their REST paths."""
+COMMANDS = {
+    "journal.txt": ("journalctl", "-u", UNIT, "-n", "20000", "-o", "short-iso-precise", "--no-pager"),
+    "unit.txt": ("systemctl", "show", "--no-pager", UNIT),
+    "disk.txt": ("df", "-h"),
+    "network.txt": ("ip", "-brief", "address"),
+    "usb.txt": ("lsusb",),
+}
+"""Members of the bundle that a command of the system gives."""
+MACHINE_FILES = ("etc/os-release", "proc/version", "proc/meminfo", "proc/loadavg", "proc/mounts", "proc/uptime")
+
+_WORDS = (
+    r"[\w.-]*(?:pass(?:word|wd|phrase)|secret|token|credential|api[-_]?key|private[-_]?key|authorization|cookie)[\w.-]*"
+)
+_SECRETS = (
+    re.compile(rf"(?i)(?P<before>[\"']?\b{_WORDS}[\"']?\s*[=:]\s*)(?P<secret>\[[^\]]*\]|\"[^\"]*\"|'[^']*'|[^\n]+)"),
+    re.compile(r"(?i)(?P<before>\b(?:bearer|basic)\s+)(?P<secret>[\w.~+/=-]{8,})"),
+    re.compile(r"(?P<before>\w://)(?P<secret>[^/\s:@]+:[^/\s@]+)(?=@)"),
+    re.compile(
+        r"(?P<before>)(?P<secret>-----BEGIN [A-Z ]*PRIVATE KEY-----.*?-----END [A-Z ]*PRIVATE KEY-----)", re.DOTALL
+    ),
+)
+"""Values of keys that are named like a secret, credentials of HTTP, credentials in addresses, private keys."""
+
+
+def without_secrets(text: str) -> str:
+    """Return a text in which everything that looks like a secret is replaced by `REMOVED`."""
+    for pattern in _SECRETS:
+        text = pattern.sub(lambda match: f"{match['before']}{REMOVED}", text)
+    return text
+
+
+def write_support_bundle(config: Path, out: Path) -> list[str]:
+    """Write the bundle of a station as a new .tar.gz file; return the names of its members.
+
+    What cannot be read is replaced by the reason, so that a bundle can be made of a station in any state.
+
+    Raises:
+        InputError: the file exists, or cannot be written.
+    """
+    refuse_existing(out)
+    members = {name: without_secrets(content) for name, content in _members(config)}
+    members["README.txt"] = _readme(members)
+    folder, packed = out.name.removesuffix(".gz").removesuffix(".tar"), io.BytesIO()
+    with tarfile.open(fileobj=packed, mode="w:gz") as tar:
+        for name, content in sorted(members.items()):
+            data = content.encode("utf-8", "replace")
+            entry = tarfile.TarInfo(f"{folder}/{name}")
+            entry.size, entry.mtime, entry.mode = len(data), int(time.time()), 0o640
+            tar.addfile(entry, io.BytesIO(data))
+    write_bytes(out, packed.getvalue())
+    return sorted(members)
+
+
+def _members(path: Path) -> Iterator[tuple[str, str]]:
+    """Yield the name and the content of every member."""
+    yield "station.toml", _attempt(lambda: path.read_text(encoding="utf-8", errors="replace"))
+    yield "check-config.txt", _attempt(lambda: problems_as_text(path, check_config(path)))
+    yield "doctor.json", _attempt(lambda: json.dumps(run_checks(path).document(), indent=1))
+    for name in MACHINE_FILES:
+        yield f"machine/{Path(name).name}.txt", _attempt((Path("/") / name).read_text)
+    for name, command in COMMANDS.items():
+        yield name, _attempt(partial(_output, command))
+    try:
+        config = read_config(path)
+    except VaoiError:
+        return
+    yield "calibration.json", _attempt(lambda: config.calibration.read_text(encoding="utf-8", errors="replace"))
+    yield "files.txt", _attempt(lambda: "\n".join(_listing(config)))
+    yield "database.txt", _attempt(lambda: "\n".join(_database(config.data / "station.db")))
+    for name, address in PATHS.items():
+        yield f"running/{name}", _attempt(partial(_reply, config, address))
+
+
+def _attempt(read: Callable[[], str]) -> str:
+    try:
+        return read()
+    except Exception as error:  # noqa: BLE001  (a bundle is made because something is broken; each part stands alone)
+        return f"not available: {type(error).__name__}: {error}\n"
+
+
+def _output(words: tuple[str, ...]) -> str:
+    done = subprocess.run(words, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
+    return done.stdout + done.stderr
+
+
+def _reply(config: StationConfig, path: str) -> str:
+    connection = http.client.HTTPConnection(*address_of(config.api), timeout=TIMEOUT_S)
+    try:
+        connection.request("GET", path)
+        reply = connection.getresponse()
+        return f"{'' if reply.status == 200 else f'status {reply.status}: '}{reply.read().decode('utf-8', 'replace')}"
+    finally:
+        connection.close()
+
+
+def _listing(config: StationConfig) -> Iterator[str]:
+    """Yield size, time, digest and path of the files that the configuration names. Layouts of boards are not copied."""
+    for file in (config.calibration, *sorted(config.board_types.glob("*.json"))):
+        state = file.stat()
+        digest = hashlib.sha256(file.read_bytes()).hexdigest()[:16]
+        changed = datetime.fromtimestamp(state.st_mtime, UTC).isoformat(timespec="seconds")
+        yield f"{state.st_size:>12} {changed} {digest} {file}"
+    for file in sorted(config.data.glob("*")):
+        yield f"{file.stat().st_size:>12} {'':<25} {'':<16} {file}"
+
+
+def _database(path: Path) -> Iterator[str]:
+    """Yield schema version and number of rows of each table. The database is opened for reading only."""
+    connection = sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True, timeout=5)
+    try:
+        yield f"user_version {connection.execute('PRAGMA user_version').fetchone()[0]}"
+        tables = connection.execute("SELECT name FROM sqlite_master WHERE type = 'table' ORDER BY name").fetchall()
+        for (table,) in tables:
+            count = connection.execute(f'SELECT count(*) FROM "{table}"').fetchone()[0]
+            yield f"{count:>9} {table}"
+    finally:
+        connection.close()
+
+
+def _readme(members: dict[str, str]) -> str:
+    removed = {name: count for name, text in members.items() if (count := text.count(REMOVED))}
+    return "\n".join(
+        [
+            f"Support bundle of vaoi_station {__version__}, made {datetime.now(UTC).isoformat(timespec='seconds')}",
+            f"on {platform.node()}, Python {platform.python_version()}.",
+            "",
+            "It has no pictures, no results and no layouts of boards; secrets were removed by their names:",
+            *(f"  {name}: {count}" for name, count in sorted(removed.items())),
+            *(["  none found"] if not removed else []),
+            "Read it before you send it: host names, addresses and names of board types are in it.",
+            "",
+        ]
+    )
