@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import socket
 import time
 from collections.abc import Callable
@@ -14,7 +15,6 @@ from vaoi_station.config import CameraConfig, Line, ReplayConfig, RingConfig, St
 from vaoi_station.errors import DeviceError, InputError, StateError
 from vaoi_station.files import write_calibration
 from vaoi_station.model import Calibration
-from vaoi_station.runs.control import acquisition_link
 from vaoi_station.runs.host.start_wait import PASSING
 from vaoi_station.runs.states.schemas import StationSnapshot
 from vaoi_station.runs.workers.pool import WorkerPool
@@ -106,8 +106,8 @@ def test_missing_recordings_leave_the_station_faulted_with_the_reason(config: St
     with Station(config) as station:
         seen, troubles = 0, list[str]()
         while not troubles or station.coordinator.snapshot().state != "faulted":
-            # Devices are opened after WARM_S at the latest, even if the workers still compile on a loaded machine.
-            records = station.coordinator.events(seen, 2 * acquisition_link.WARM_S)
+            # Devices are opened when the workers are ready, which on a loaded machine takes minutes.
+            records = station.coordinator.events(seen, COMPILED_S)
             assert records
             seen = records[-1].number
             troubles += [r.message for r in records if r.kind == "trouble" and "recording.json" in r.message]
@@ -131,16 +131,15 @@ def until(started: Station, holds: Callable[[StationSnapshot], bool]) -> Station
 
 @pytest.mark.timeout(2 * COMPILED_S)
 def test_cameras_are_opened_when_the_workers_are_ready_and_requests_are_answered_before(
-    config: StationConfig, monkeypatch: pytest.MonkeyPatch
+    config: StationConfig,
 ) -> None:
     """After an installation the workers compile first; the service replies meanwhile."""
-    monkeypatch.setattr(acquisition_link, "WARM_S", COMPILED_S)
     with Station(config) as started:
         first = started.coordinator.snapshot()
         assert (first.state, first.processes[0].restarts) == ("starting", 0)
         [warning] = first.warnings
         assert warning.code == "workers-starting"
-        assert warning.message.startswith("Cameras are not opened yet: ")
+        assert warning.message.startswith("Cameras are not opened yet, and boards are not filmed: ")
         until(started, lambda snapshot: snapshot.state != "starting")
         reported = [event for event in started.coordinator.events() if event.code != "ring-not-locked"]
         assert reported[0].message == "The workers are ready: results come at once.", "cameras were opened afterwards"
@@ -148,15 +147,29 @@ def test_cameras_are_opened_when_the_workers_are_ready_and_requests_are_answered
 
 
 @pytest.mark.timeout(2 * COMPILED_S)
-def test_slow_workers_are_a_warning_and_cameras_are_opened_nevertheless(
+def test_without_ready_workers_no_camera_is_opened_and_no_board_accepted(
     config: StationConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(acquisition_link, "WARM_S", 0.0)
+    """However long the workers take: ready means that boards are filmed and stitched at once."""
     with monkeypatch.context() as held:
         held.setattr(WorkerPool, "_start_worker", lambda *_: None)
         with Station(config) as started:
-            opened = until(started, lambda snapshot: snapshot.processes[0].pid is not None)
-            assert [warning.code for warning in opened.warnings] == ["workers-starting"]
-            assert opened.warnings[0].message.startswith("Results of boards that pass meanwhile come late: ")
+            started.coordinator.events(started.coordinator.snapshot().last_event, 1.0)
+            waiting = started.coordinator.snapshot()
+            assert (waiting.state, waiting.processes[0].pid) == ("starting", None)
+            assert [warning.code for warning in waiting.warnings] == ["workers-starting"]
             held.undo()
-            until(started, lambda snapshot: not snapshot.warnings)
+            until(started, lambda snapshot: snapshot.state != "starting")
+            assert started.coordinator.snapshot().warnings == ()
+
+
+@pytest.mark.timeout(2 * COMPILED_S)
+def test_the_first_start_shows_how_far_it_is(
+    config: StationConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With an empty cache the workers compile every inner loop."""
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "numba"))
+    with Station(config) as started:
+        shown = until(started, lambda snapshot: "inner loops are compiled" in str(snapshot.warnings))
+        assert shown.state == "starting"
+        assert re.fullmatch(r"\d+ of \d+ inner loops are compiled", shown.processes[1].progress)

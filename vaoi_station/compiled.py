@@ -17,6 +17,8 @@ R = TypeVar("R")
 _ALLOWED = {"reassoc", "contract", "arcp", "nsz"}
 """Fast-math flags of LLVM that the compiler may use. They allow it to reorder sums so that these run in vector
 registers. NaN and ∞ keep their meaning."""
+_functions: list[Any] = []
+"""The compiled functions of all modules that were imported."""
 _LOCK = "vaoi-station.lock"
 """Name of the lock file, in the directory where Numba caches the machine code."""
 
@@ -38,7 +40,13 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
         return cast("Callable[P, R]", numba.njit(nogil=True, fastmath=_ALLOWED, error_model="numpy")(function))
     # Numba calls `compile` for each new combination of argument types
     made.compile = _alone(made.compile, Path(made.stats.cache_path))
+    _functions.append(made)
     return cast("Callable[P, R]", made)
+
+
+def progress() -> tuple[int, int]:
+    """Return the number of functions that this process has compiled or loaded from the cache, and that of all."""
+    return sum(bool(made.signatures) for made in _functions), len(_functions)
 
 
 def inlined(function: Callable[P, R]) -> Callable[P, R]:

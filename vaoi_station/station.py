@@ -9,6 +9,9 @@ shared memory and no process keeps running.
 from __future__ import annotations
 
 import logging
+import os
+import threading
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 
 from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
@@ -23,8 +26,10 @@ from vaoi_station.runs.control.acquisition_link import AcquisitionLink, Launch, 
 from vaoi_station.runs.control.calibration_watch import CalibrationWatch
 from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.runs.control.core import Parts
+from vaoi_station.runs.control.reasons import thread_reasons
 from vaoi_station.runs.host.start_wait import StartWait
 from vaoi_station.runs.host.stop_request import StopRequest
+from vaoi_station.runs.host.supervisor import Supervisor
 from vaoi_station.runs.host.systemd import StatusNotice, notify, notify_watchdog
 from vaoi_station.runs.run.order import OrderFactory
 from vaoi_station.runs.run.reference_store import ReferenceStore
@@ -34,6 +39,7 @@ from vaoi_station.runs.states.run_ids import RunIds, utc
 from vaoi_station.runs.workers.pool import WorkerPool
 from vaoi_station.store import BoardTypeDirectory, Database, Store
 from vaoi_station.store.soundness import DatabaseCheck
+from vaoi_station.supervised_thread import SupervisedThread, ThreadFault
 
 _log = logging.getLogger(__name__)
 
@@ -41,16 +47,30 @@ RETENTION_S, CHECK_S = 60.0, 0.2
 """Periods of housekeeping: deletion of old runs, and the check of a piece of the database."""
 GRACE_S = 10.0
 """Longest wait for unfinished runs to end when the station is stopped."""
+REPORT_S = 1.0
+"""Longest wait for the event that reports the fault of a thread."""
+EXIT_FAULT = 4
+"""Exit code of a station that cannot go on: an internal error."""
 DATABASE, REFERENCES = "station.db", "references"
 
 
 class Station:
     """All processes and threads of the station except the web server; a context manager that starts and stops them."""
 
-    def __init__(self, config: StationConfig, launch: Launch | None = None) -> None:
-        """Prepare a station. `launch` is the function that starts the acquisition process; None starts the real one."""
+    def __init__(
+        self, config: StationConfig, launch: Launch | None = None, on_fault: Callable[[], object] = lambda: None
+    ) -> None:
+        """Prepare a station.
+
+        Args:
+            config: the station.
+            launch: the function that starts the acquisition process; None starts the real one.
+            on_fault: called after a thread of the station has ended or hangs, and an event was written. Without such a
+                thread no run ends any more, so a service exits here and is started again.
+        """
         self.config = config
-        self._launch = launch
+        self._launch, self._on_fault = launch, on_fault
+        self._supervisor: Supervisor | None = None
         self._parts = ExitStack()
         self._coordinator: StationCoordinator | None = None
         self._wound_down = False
@@ -67,7 +87,8 @@ class Station:
         config = self.config
         with ExitStack() as parts:
             calibration = read_calibration(config.calibration, [c.head for c in config.cameras])
-            store = Store(Database(config.data / DATABASE))
+            database = Database(config.data / DATABASE)
+            store = Store(database)
             parts.callback(store.close)
             store.configurations.begin(config.model_dump_json(), utc())
             ring = parts.enter_context(Ring.create(ring_path(config), RingLayout.of(config)))
@@ -90,6 +111,7 @@ class Station:
             standing = StandingOrder(store.standing)
             resumed = standing.resume(board_types.get, make_order)
             run_ids = RunIds(store.newest_run())
+            supervisor = Supervisor(notify_watchdog, lambda faults: self._report(events, faults))
             coordinator = StationCoordinator(
                 Parts(config, ring, link, workers, archive, events, run_ids, watch, standing, resumed),
                 ring,
@@ -97,7 +119,7 @@ class Station:
                 make_order,
                 shelf,
                 lambda: (link.status(), *workers.status()),
-                notify_watchdog,
+                lambda: thread_reasons(supervisor.faults()),
                 StatusNotice(),
             )
             housekeeping.add(coordinator.sweep_references, RETENTION_S, code="retention")
@@ -108,12 +130,33 @@ class Station:
             parts.callback(workers.stop)
             workers.start(coordinator.process_events)
             parts.callback(link.stop)
-            link.start(coordinator.process_events, workers.all_ready)
+            link.start(coordinator.process_events, workers.warm)
             parts.callback(housekeeping.stop)
             housekeeping.start()
             if ring.lock_note:
                 events.add("trouble", ring.lock_note, code="ring-not-locked")
+            supervisor.watch(database.thread, coordinator.thread, workers.thread, link.thread, housekeeping.thread)
+            parts.callback(supervisor.stop)
+            supervisor.start()
+            self._supervisor = supervisor
             self._parts, self._coordinator, self._wound_down = parts.pop_all(), coordinator, False
+
+    def watch(self, thread: SupervisedThread) -> None:
+        """Supervise a thread of the running station that the caller has started, such as that of its web server."""
+        assert self._supervisor is not None, "start() sets it"
+        self._supervisor.watch(thread)
+
+    def _report(self, events: EventLog, faults: Sequence[ThreadFault]) -> None:
+        """Publish that threads have ended or hang, then let the owner act."""
+        for fault in faults:
+            _log.critical("%s", fault)
+            # The event log may be what hangs: it gets a moment, in a separate thread.
+            write = threading.Thread(
+                target=lambda text=str(fault): events.add("trouble", text, code="thread-lost"), daemon=True
+            )
+            write.start()
+            write.join(REPORT_S)
+        self._on_fault()
 
     def wind_down(self) -> None:
         """Film no more boards, and wait up to `GRACE_S` for the unfinished runs to end. Requests are still answered."""
@@ -155,6 +198,7 @@ def serve(config: StationConfig, port: int | None = None) -> None:
         parts.callback(station.stop)
         web = WebServer(create_app(station.coordinator, names), socket_, stop.request)
         web.start()
+        station.watch(web.thread)
         notify("READY=1")
         if name := stop.wait():
             _log.info("stopping on %s", name)
@@ -165,6 +209,15 @@ def serve(config: StationConfig, port: int | None = None) -> None:
 
 
 def _started(config: StationConfig) -> Station:
-    station = Station(config)
+    station = Station(config, on_fault=_exit)
     station.start()
     return station
+
+
+def _exit() -> None:
+    """End this process at once, as a crash would; systemd starts the station again.
+
+    An orderly end would wait for the thread that has ended or hangs. The other processes end when their pipes close.
+    """
+    logging.shutdown()
+    os._exit(EXIT_FAULT)

@@ -144,6 +144,8 @@ class HeldStation(StationCoordinator):
 
     # what callers ask of it
 
+    faults = staticmethod(tuple)
+
     def snapshot(self) -> StationSnapshot:
         if self.broken:
             raise RuntimeError("a secret path /etc/passwd")

@@ -78,10 +78,14 @@ def _add_health(app: FastAPI, services: Services) -> None:
     @app.get("/healthz", tags=["station"])
     async def get_health(response: Response) -> Health:
         """Return 200 if the station can film, else 503. Process supervisors use this address."""
+        response.headers["Cache-Control"] = "no-store"
+        if services.coordinator.faults():
+            # Read without the coordinator, whose thread may be the one that hangs.
+            response.status_code = 503
+            return Health(status="degraded", state=StationState.FAULTED, version=__version__)
         state = (await services.commands.ask(services.coordinator.snapshot)).state
         not_operational = state in NOT_OPERATIONAL
         response.status_code = 503 if not_operational else 200
-        response.headers["Cache-Control"] = "no-store"
         return Health(status="degraded" if not_operational else "ok", state=state, version=__version__)
 
 

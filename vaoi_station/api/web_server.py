@@ -5,13 +5,13 @@ from __future__ import annotations
 import errno
 import logging
 import socket
-import threading
 from collections.abc import Callable
 
 from fastapi import FastAPI
 
 from vaoi_station.api.listener.connections import ConnectionLimits
 from vaoi_station.errors import DeviceError, InternalError
+from vaoi_station.supervised_thread import SupervisedThread
 
 _log = logging.getLogger(__name__)
 
@@ -21,6 +21,8 @@ HTTP_GRACE_S = 5.0
 """Time that requests under way get to finish when the server stops."""
 SEND_BYTES = 256 * 1024
 """Memory of the kernel for the unread answer of a connection; it takes twice as much."""
+LOOP_LIMIT_S = 60.0
+"""Longest time for which a request may block the event loop. After it, the server counts as hung."""
 
 
 class WebServer:
@@ -37,9 +39,10 @@ class WebServer:
         # Imported here: uvicorn takes long to load, and most commands do not serve.
         from vaoi_station.api.listener.server import LimitedServer
 
-        self._listener, self._ended, self._stop_requested = listener, ended, False
-        self._server = LimitedServer(app, limits or ConnectionLimits.of_this_process(), HTTP_GRACE_S)
-        self._thread = threading.Thread(target=self._run, name="api", daemon=True)
+        self._listener, self._ended = listener, ended
+        self._stop_requested = self._failed = False
+        self.thread = SupervisedThread(self._run, "api", LOOP_LIMIT_S)
+        self._server = LimitedServer(app, limits or ConnectionLimits.of_this_process(), HTTP_GRACE_S, self._beat)
 
     @property
     def address(self) -> str:
@@ -49,24 +52,32 @@ class WebServer:
 
     def start(self) -> None:
         """Start to serve requests, in a thread."""
-        self._thread.start()
+        self.thread.start()
         _log.info("listening on %s", self.address)
 
     def stop(self) -> None:
         """Finish the requests under way, then end."""
-        self._stop_requested = self._thread.is_alive()
+        self._stop_requested = True
+        self.thread.expect_end()
         self._server.should_exit = True
-        self._thread.join(2 * HTTP_GRACE_S)
+        self.thread.join(2 * HTTP_GRACE_S)
 
     def check(self) -> None:
         """Raise InternalError if the server ended without a call of `stop`."""
-        if not self._stop_requested:
+        if self._failed:
             raise InternalError("The web server ended unexpectedly; the log has the cause.")
+
+    def _beat(self) -> None:
+        self.thread.beat()
 
     def _run(self) -> None:
         try:
             self._server.run(sockets=[self._listener])
         finally:
+            # Recorded here: the caller of `stop` may come before this thread has ended.
+            self._failed = not self._stop_requested
+            # The end is reported here, so the supervisor need not report it once more.
+            self.thread.expect_end()
             # A station without a web server is of no use: this call lets the owner stop the station.
             self._ended()
 

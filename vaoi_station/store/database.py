@@ -32,6 +32,7 @@ from vaoi_station.store.storage_trouble import (
     translated_errors,
     trouble_of,
 )
+from vaoi_station.supervised_thread import SupervisedThread
 
 _log = logging.getLogger(__name__)
 T = TypeVar("T")
@@ -41,6 +42,8 @@ FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.25, 2.0
 """Pauses before a refused write is tried again; each pause is twice the one before."""
 CHECK_S = 2.0
 """Time between two checks of the file while nothing is written."""
+WRITE_LIMIT_S = 600.0
+"""Longest time for one attempt to write. After it, the writing thread counts as hung: the disk does not answer."""
 SLOW_S = 5.0
 """Time after which a write that has not ended counts as trouble."""
 MOST_WAITING_BYTES = 64_000_000
@@ -78,8 +81,8 @@ class Database:
         self._began_s: float | None = None
         self._closed = False
         self._changed = threading.Condition()
-        self._thread = threading.Thread(target=self._run, name="store", daemon=True)
-        self._thread.start()
+        self.thread = SupervisedThread(self._run, "store", WRITE_LIMIT_S)
+        self.thread.start()
 
     @property
     def trouble(self) -> StorageTrouble | None:
@@ -145,8 +148,9 @@ class Database:
             if self._closed:
                 return
             self._closed = True
+            self.thread.expect_end()
             self._changed.notify_all()
-        self._thread.join()
+        self.thread.join()
         self._close_connections()
 
     @contextlib.contextmanager
@@ -172,6 +176,7 @@ class Database:
     def _next(self) -> _Job | None:
         """Return the next write; None if the database was closed and all are done. Meanwhile, check the file."""
         while True:
+            self.thread.beat()
             with self._changed:
                 if not self._jobs and not self._closed:
                     self._changed.wait(LONGEST_PAUSE_S if self._trouble else CHECK_S)
@@ -195,6 +200,7 @@ class Database:
         """Carry out one write. If the storage refuses it, try again as long as the write is patient."""
         pause_s = FIRST_PAUSE_S
         while True:
+            self.thread.beat()
             try:
                 self._began_s = time.monotonic()
                 result = self._transaction(job)

@@ -18,7 +18,7 @@ from vaoi_station.acquisition.controller.interface import TriggerPlan
 from vaoi_station.acquisition.devices import Devices
 from vaoi_station.acquisition.process import main_loop
 from vaoi_station.acquisition.process.backends import open_devices
-from vaoi_station.acquisition.process.messages import Arm, Armed, FireOne, Health, RunFinished, Trouble
+from vaoi_station.acquisition.process.messages import Arm, Armed, FireOne, Health, PulseReported, RunFinished, Trouble
 from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import DeviceError
@@ -124,6 +124,48 @@ def test_clocks_that_stay_unknown_are_reported_after_the_timeout(
     assert trouble.code == "clock-unknown"
     assert "controller: times of its clock may be wrong by 2.7" in trouble.message
     assert bench.of(Armed) == []
+
+
+def test_a_board_that_is_passing_is_filmed_before_the_line_is_disarmed(start: Start, make_config: Make) -> None:
+    bench = start(make_config())
+    bench.grant("one", 0)
+    bench.arm()
+    bench.until(PulseReported)
+    assert bench.disarm().unused == ()
+    [finished] = bench.of(RunFinished)
+    assert finished.reason == "clear"
+    assert finished.head.missing == ()
+
+
+def test_a_board_that_does_not_leave_is_cut_short(
+    start: Start, make_config: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(main_loop, "BOARD_GRACE_S", 0.0)
+    bench = start(make_config())
+    bench.grant("one", 0)
+    bench.arm()
+    bench.until(PulseReported)
+    bench.disarm()
+    [finished] = bench.of(RunFinished)
+    assert finished.reason == "disarmed"
+
+
+def test_a_thread_of_the_process_that_ends_or_hangs_ends_the_process(
+    start: Start, make_config: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    release = threading.Event()
+
+    def stand(_self: object) -> None:
+        release.wait(PATIENCE_S)
+
+    monkeypatch.setattr(main_loop, "CLOCKS_LIMIT_S", 0.2)
+    monkeypatch.setattr(main_loop, "END_S", 0.1)
+    monkeypatch.setattr(main_loop._MainLoop, "_poll_clocks", stand)
+    bench = start(make_config())
+    trouble = bench.until(Trouble)
+    release.set()
+    assert trouble.code == "thread-lost"
+    assert "In the acquisition process: Thread 'clocks' hangs for" in trouble.message
 
 
 def test_disarming_cancels_the_waiting_command(start: Start, make_config: Make) -> None:

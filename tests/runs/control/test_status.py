@@ -17,4 +17,6 @@ def test_workers_that_are_starting_are_a_warning() -> None:
     [warning] = worker_warnings(
         (process("acquisition", WAITING), process("worker 0", STARTING), process("worker 1", STARTING))
     )
-    assert warning.message == "Cameras are not opened yet: 2 of 2 workers are still starting."
+    assert (
+        warning.message == "Cameras are not opened yet, and boards are not filmed: 2 of 2 workers are still starting."
+    )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -15,7 +16,7 @@ from vaoi_station.model import FrameRecord, Pulse, RecordingHead, Verdict
 from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.states.schemas import Reason
 from vaoi_station.runs.states.tables import RunState, RunStep
-from vaoi_station.runs.workers.jobs import Linked, LinkJob, Reply
+from vaoi_station.runs.workers.jobs import ConcludeJob, Linked, LinkJob, Reply
 from vaoi_station.stitching.matching.evidence import Links, Task
 
 ROWS = 3
@@ -29,6 +30,20 @@ def settle(progress: Progress, camera: int, row: int, verdict: Verdict = Verdict
 
 def pulse(progress: Progress, row: int) -> None:
     progress.pulses[row] = Pulse(index=row, time_s=100 + 0.1 * row)
+
+
+def concluded(progress: Progress, head: RecordingHead, reason: str) -> ConcludeJob:
+    """Film a run whose pulses ended for a reason, and return its conclude job."""
+    jobs = []
+    for row in range(ROWS):
+        pulse(progress, row)
+        jobs += [job for camera in (0, 1) for job in settle(progress, camera, row)]
+    jobs += progress.filmed(replace(report(progress, head), reason=reason))
+    for job in jobs:
+        progress.add_evidence(job, found(job), 56.0)
+    conclude = progress.conclude_job()
+    assert conclude is not None
+    return conclude
 
 
 def tasks_of(jobs: list[LinkJob]) -> list[Task]:
@@ -51,6 +66,19 @@ def filmed(progress: Progress, head: RecordingHead) -> list[LinkJob]:
         pulse(progress, row)
         jobs += [job for camera in (0, 1) for job in settle(progress, camera, row)]
     return jobs + progress.filmed(report(progress, head))
+
+
+@pytest.mark.parametrize("reason", ["disarmed", "acquisition lost", "max-rows", "the controller stopped reporting"])
+def test_a_run_that_was_cut_short_is_no_evidence_of_drift(
+    progress: Progress, make_head: Callable[..., RecordingHead], reason: str
+) -> None:
+    assert concluded(progress, make_head(ROWS), reason).check is None
+
+
+def test_a_whole_run_is_evidence_of_drift(progress: Progress, make_head: Callable[..., RecordingHead]) -> None:
+    check = concluded(progress, make_head(ROWS), "clear").check
+    assert check is not None
+    assert check.run == "r1"
 
 
 def test_a_task_is_requested_once_both_of_its_frames_are_there(progress: Progress) -> None:

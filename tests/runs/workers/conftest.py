@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.runs.workers.plant import Plant
 from vaoi_station.acquisition.ring.ring import Ring
 from vaoi_station.acquisition.ring.ring_layout import FrameShape, RingLayout
 from vaoi_station.model import RecordingHead
@@ -67,3 +68,17 @@ def ring_board(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RingBoard]:
     tasks = all_tasks(sorted(frames), dict(enumerate(head.row_times_s())), setup)
     yield RingBoard(ring, context, head, setup, tasks)
     ring.close()
+
+
+@pytest.fixture(scope="module")
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Plant]:
+    made = Plant(tmp_path_factory.mktemp("plant"))
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def plant(shared: Plant) -> Plant:
+    """The shared pool with a new run."""
+    shared.open_run()
+    return shared

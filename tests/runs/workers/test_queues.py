@@ -23,7 +23,8 @@ from vaoi_station.runs.workers.jobs import (
     Reply,
     RunContext,
 )
-from vaoi_station.runs.workers.queues import JobQueues, Queued, Worker
+from vaoi_station.runs.workers.queues import JobQueues
+from vaoi_station.runs.workers.worker import Queued, Worker
 from vaoi_station.stitching.matching.evidence import Links, Task
 
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -34,3 +37,26 @@ def test_the_board_moves_by_one_step_per_row(stitch: Stitch) -> None:
 def test_it_is_repeatable(stitch: Stitch) -> None:
     again = warm_up()
     assert all(np.array_equal(a, b) for a, b in zip(stitch.row_motion, again.row_motion, strict=True))
+
+
+PROGRAM = """
+from vaoi_station.runs.workers import worker_runtime
+from vaoi_station.runs.workers.warmup import warm_up
+from vaoi_station import compiled
+warm_up()
+left = {f"{made.py_func.__module__}.{made.py_func.__name__}" for made in compiled._functions if not made.signatures}
+print(*sorted(left))
+"""
+INSIDE = {
+    "vaoi_station.stitching.board.coverage._frames_near",
+    "vaoi_station.stitching.board.coverage._relation",
+    "vaoi_station.stitching.board.coverage._share_in_frame",
+    "vaoi_station.stitching.board.coverage._share_of_union",
+    "vaoi_station.stitching.quality.lens_errors._eliminate",
+}
+"""Functions that only compiled functions call: when these are loaded, the code of the others is part of theirs."""
+
+
+def test_nothing_is_left_to_compile_at_the_first_board() -> None:
+    done = subprocess.run([sys.executable, "-c", PROGRAM], check=True, capture_output=True, text=True)
+    assert {*done.stdout.split()} <= INSIDE

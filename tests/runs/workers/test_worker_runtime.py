@@ -18,6 +18,7 @@ from tests.runs.workers.conftest import CHECK, RingBoard
 from vaoi_station.drift.check_run import check_run
 from vaoi_station.drift.checks import RunCheck
 from vaoi_station.errors import GoneError, InternalError
+from vaoi_station.model import Status
 from vaoi_station.rendering import compute_views
 from vaoi_station.runs.states.schemas import ImageFormat
 from vaoi_station.runs.workers import worker_runtime as module
@@ -110,6 +111,13 @@ def test_the_check_follows_the_result_and_equals_one_made_offline(
     assert checked.value == expected
     assert isinstance(checked.value, RunCheck)
     assert all(camera.links > 0 for camera in checked.value.cameras)
+
+
+def test_a_failed_result_is_no_evidence_of_drift(runtime: WorkerRuntime, ring_board: RingBoard) -> None:
+    job = dataclasses.replace(ring_board.conclusion({}, CHECK), excluded=frozenset(ring_board.tasks))
+    (result,) = runtime.replies(job)
+    assert isinstance(result, Reply)
+    assert result.value.without_components.status is Status.FAILED
 
 
 def test_the_check_starts_after_the_result_was_taken(

@@ -8,6 +8,8 @@ ends, the process closes its devices and exits. When a device fails, the process
 from __future__ import annotations
 
 import contextlib
+import logging
+import math
 import multiprocessing
 import queue
 import signal
@@ -31,9 +33,18 @@ from vaoi_station.acquisition.process.session import Session
 from vaoi_station.acquisition.ring.ring import Ring, RingLayout
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import InternalError, StateError, VaoiError
+from vaoi_station.supervised_thread import SupervisedThread, ThreadFault, faults_of
+
+_log = logging.getLogger(__name__)
 
 HEALTH_PERIOD_S = 0.5
 """Time between two heartbeats, and between two readings of all clocks, s."""
+CLOCKS_LIMIT_S = 30.0
+"""Longest time for the reading of one clock. After it, the thread that reads the clocks counts as hung, s."""
+BOARD_GRACE_S = 8.0
+"""Longest time for which a board that is passing is filmed on after a Disarm. One that takes longer stands still, s."""
+END_S = 3.0
+"""Longest wait for a thread to end, s."""
 FIRST_READINGS = 8
 """Count of clock readings taken from every device before the process is ready."""
 URGENT_READING_PERIOD_S = 0.05
@@ -106,21 +117,31 @@ class _MainLoop:
         self._session = Session(config, ring, devices, self._clocks[0], self._clocks[1:], connection.send)
         self._sources: list[Controller | CameraDevice] = [devices.controller, *devices.cameras]
         self._closing = threading.Event()
+        self._disarm_by_s = math.inf
+        """Time by which a requested Disarm is carried out at the latest; infinite without a request."""
+        self._threads: tuple[SupervisedThread, ...] = ()
+        self._failures: list[ThreadFault] = []
         self._waiting: _WaitingCommand | None = None
 
     def run(self) -> None:
-        """Start the devices, then handle one message after another until `Shutdown`."""
+        """Start the devices, then handle one message after another until `Shutdown`.
+
+        Raises:
+            InternalError: a thread of this process has ended or hangs.
+        """
+        if multiprocessing.parent_process() is not None:
+            # Threads of cameras and controller report errors themselves; one that ends by another error is noticed too.
+            threading.excepthook = self._note_failure
         for camera in self._devices.cameras:
             camera.start(self._inbox)
         self._devices.controller.start(self._inbox)
         for _ in range(FIRST_READINGS):
             self._read_clocks()
         woken, waker = multiprocessing.Pipe(duplex=False)
-        threads = [
-            threading.Thread(target=self._receive_commands, args=(woken,), name="commands"),
-            threading.Thread(target=self._poll_clocks, name="clocks"),
-        ]
-        for thread in threads:
+        commands = SupervisedThread(partial(self._receive_commands, woken), "commands")
+        self._clock_thread = SupervisedThread(self._poll_clocks, "clocks", CLOCKS_LIMIT_S)
+        self._threads = (commands, self._clock_thread)
+        for thread in self._threads:
             thread.start()
         try:
             self._send(Ready(len(self._devices.cameras)))
@@ -129,8 +150,8 @@ class _MainLoop:
             self._closing.set()
             # The closed end wakes the thread that waits for commands: a blocked recv cannot be interrupted.
             waker.close()
-            for thread in threads:
-                thread.join()
+            for thread in self._threads:
+                thread.join(END_S)
             woken.close()
 
     def _process_inbox(self) -> None:
@@ -138,6 +159,7 @@ class _MainLoop:
         while True:
             now_s = time.monotonic()
             if now_s >= health_s:
+                self._check_threads()
                 self._send(self._health(now_s))
                 health_s = now_s + HEALTH_PERIOD_S
             if now_s >= self._session.deadline_s(ticked_s):
@@ -153,6 +175,18 @@ class _MainLoop:
                 self._try(partial(self._handle, item))
             # Retried after every item, because the item may be the clock reading that the command waits for.
             self._try(self._retry_waiting)
+            self._try(self._disarm_when_due)
+
+    def _check_threads(self) -> None:
+        """Raise InternalError, which ends this process, if a thread has ended or hangs: the station restarts it."""
+        for fault in (*self._failures, *faults_of(self._threads)):
+            raise InternalError(f"In the acquisition process: {fault}", code="thread-lost")
+
+    def _note_failure(self, failure: threading.ExceptHookArgs) -> None:
+        """Record that a thread of a device has ended with an exception that nothing handled."""
+        name = failure.thread.name if failure.thread else "?"
+        _log.critical("thread %s has ended", name, exc_info=failure.exc_value)
+        self._failures.append(ThreadFault(name, f"has ended ({failure.exc_type.__name__}: {failure.exc_value})"))
 
     def _try(self, step: Callable[[float], None]) -> None:
         """Call a function. If it raises an error, report the error to the station."""
@@ -172,9 +206,7 @@ class _MainLoop:
             self._waiting = _WaitingCommand(item, now_s + CLOCK_TIMEOUT_S)
         elif isinstance(item, Disarm):
             self._waiting = None
-            self._devices.controller.disarm()
-            # When disarm() returns, all events of the controller are in the inbox; the marker comes after them.
-            self._inbox.put(_ControllerDisarmed())
+            self._disarm_by_s = min(self._disarm_by_s, now_s + BOARD_GRACE_S)
         elif isinstance(item, _ControllerDisarmed):
             self._session.finish_disarming(now_s)
         elif isinstance(item, CameraLost):
@@ -202,6 +234,15 @@ class _MainLoop:
         elif not self._session.is_away(polled.number):
             self._send(trouble_report(polled.result, clock.name))
 
+    def _disarm_when_due(self, now_s: float) -> None:
+        """Disarm the controller if that was requested and no board is passing, or the board has not left in time."""
+        if math.isinf(self._disarm_by_s) or (self._session.filming and now_s < self._disarm_by_s):
+            return
+        self._disarm_by_s = math.inf
+        self._devices.controller.disarm()
+        # When disarm() returns, all events of the controller are in the inbox; the marker comes after them.
+        self._inbox.put(_ControllerDisarmed())
+
     def _retry_waiting(self, now_s: float) -> None:
         """Carry out the waiting command if the clocks are accurate enough. Raise ClockError after its longest wait."""
         waiting, self._waiting = self._waiting, None
@@ -228,23 +269,28 @@ class _MainLoop:
         """Put commands from the pipe into the inbox. If the pipe has ended, put Shutdown."""
         command: object = None
         while not isinstance(command, Shutdown):
+            self._threads[0].rest()
             if woken in wait([self._connection, woken]):
-                return
+                break
+            self._threads[0].beat()
             try:
                 command = self._connection.recv()
             except (EOFError, OSError):
                 command = Shutdown()
             self._inbox.put(command)
+        self._threads[0].expect_end()
 
     def _poll_clocks(self) -> None:
         """Read all clocks twice a second, and more often while a command waits for them."""
         # This runs in a separate thread: the control channel of a dead Aravis camera blocks for about 2.6 s.
         while not self._closing.wait(URGENT_READING_PERIOD_S if self._waiting else HEALTH_PERIOD_S):
             for number, source in enumerate(self._sources):
+                self._clock_thread.beat()
                 try:
                     self._inbox.put(_PolledClock(number, source.read_clock()))
                 except VaoiError as error:
                     self._inbox.put(_PolledClock(number, error))
+        self._clock_thread.expect_end()
 
     def _read_clocks(self) -> None:
         for clock, source in zip(self._clocks, self._sources, strict=True):

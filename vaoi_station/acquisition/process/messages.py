@@ -35,7 +35,10 @@ class Arm:
 
 @dataclass(frozen=True)
 class Disarm:
-    """Ignore the barrier; a run under way is finished with the frames that it has."""
+    """Ignore the barrier once the board under way has left, at the latest after `main_loop.BOARD_GRACE_S`.
+
+    A board that has not left by then gets a run of the frames that it has.
+    """
 
 
 @dataclass(frozen=True)

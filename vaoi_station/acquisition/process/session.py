@@ -107,6 +107,11 @@ class Session:
         """Host time of the latest edge of the barrier, or of the latest request of a single pulse."""
         self._disarming = False
 
+    @property
+    def filming(self) -> bool:
+        """Whether the pulses of a board with a run of its own are being fired."""
+        return self._run is not None and self._run.run is not None
+
     def deadline_s(self, after_s: float) -> float:
         """Return the first time after `after_s` at which `tick` has something to do; infinite if there is none."""
         times = (self._recorder.next_deadline_s(after_s), self._silent_s)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +20,10 @@ if TYPE_CHECKING:
 class LimitedServer(uvicorn.Server):
     """The server of an application. All its connections come from acceptors, which limit them."""
 
-    def __init__(self, app: FastAPI, limits: ConnectionLimits, grace_s: float) -> None:
+    def __init__(
+        self, app: FastAPI, limits: ConnectionLimits, grace_s: float, beat: Callable[[], object] = lambda: None
+    ) -> None:
+        """Prepare a server. Its event loop calls `beat` ten times a second, unless a handler blocks the loop."""
         super().__init__(
             uvicorn.Config(
                 app,
@@ -33,7 +37,12 @@ class LimitedServer(uvicorn.Server):
                 timeout_graceful_shutdown=int(grace_s),
             )
         )
-        self._limits = limits
+        self._limits, self._beat = limits, beat
+
+    async def on_tick(self, counter: int) -> bool:
+        """Record that the event loop is alive."""
+        self._beat()
+        return await super().on_tick(counter)
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """Start the application, then accept connections."""

@@ -11,12 +11,15 @@ from dataclasses import dataclass
 
 from vaoi_station.errors import StateError, VaoiError
 from vaoi_station.runs.archive.event_log import EventLog
+from vaoi_station.supervised_thread import SupervisedThread
 
 _log = logging.getLogger(__name__)
 
 LOWEST_PRIORITY = 19
 FIRST_DELAY_S = 5.0
 """Time from the start to the first call of a task, so that housekeeping does not delay the start of the station."""
+TASK_LIMIT_S = 600.0
+"""Longest time for one call of a task. After it, the thread counts as hung."""
 
 
 @dataclass
@@ -36,7 +39,7 @@ class Housekeeping:
         self._events = events
         self._tasks: list[_Task] = []
         self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="housekeeping", daemon=True)
+        self.thread = SupervisedThread(self._run, "housekeeping", TASK_LIMIT_S)
 
     def add(self, work: Callable[[], object], period_s: float, *, code: str) -> None:
         """Add a task before `start`. `code` is that of the event by which a failure is published."""
@@ -45,13 +48,14 @@ class Housekeeping:
 
     def start(self) -> None:
         """Start the thread."""
-        self._thread.start()
+        self.thread.start()
 
     def stop(self) -> None:
         """End the thread after its present task."""
+        self.thread.expect_end()
         self._stopping.set()
-        if self._thread.is_alive():
-            self._thread.join()
+        if self.thread.is_alive():
+            self.thread.join()
 
     def faults(self) -> tuple[str, ...]:
         """Return the failures of the tasks whose last call has failed."""
@@ -61,8 +65,10 @@ class Housekeeping:
         os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), LOWEST_PRIORITY)
         while True:
             task = min(self._tasks, key=lambda task: task.due_s)
+            self.thread.rest()
             if self._stopping.wait(max(task.due_s - time.monotonic(), 0.0)):
                 return
+            self.thread.beat()
             self._call(task)
             task.due_s = time.monotonic() + task.period_s
 

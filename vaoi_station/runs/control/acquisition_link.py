@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from multiprocessing.connection import Connection, wait
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -16,16 +16,18 @@ from vaoi_station.acquisition.process.messages import Command, Ready, Report, Sh
 from vaoi_station.backoff import Backoff, BackoffPolicy
 from vaoi_station.config import StationConfig
 from vaoi_station.runs.control.station_events import StationEvents
+from vaoi_station.runs.host.message_pipe import MessagePipe, PipeEndedError, wait_for
 from vaoi_station.runs.host.process_setup import set_up_process
 from vaoi_station.runs.states.run_ids import utc_of_host
 from vaoi_station.runs.states.schemas import STARTING, WAITING, ProcessStatus
+from vaoi_station.supervised_thread import SupervisedThread
 
 HEARTBEAT_LIMIT_S = 10.0
 """Longest silence of the running process, which sends two heartbeats per second. After it, the process is killed."""
 START_LIMIT_S = 60.0
 """Longest silence of a process before its first message: opening cameras or rendering a scenario takes time."""
-WARM_S, WARM_POLL_S = 60.0, 0.1
-"""Longest wait until all workers are warm, after which the devices are opened anyway; period of the checks, s."""
+WARM_POLL_S = 0.1
+"""Period of the checks whether the workers are warm, s."""
 EXIT_S = 2.0
 """Longest time from the end of the process's pipe to the end of the process. After it, the process is killed."""
 PACE = BackoffPolicy(first_s=0.5, longest_s=60.0, proven_s=30.0)
@@ -105,7 +107,7 @@ class _Attempt:
     """The data about one acquisition process, from its start to its end."""
 
     process: Process
-    connection: Connection[Any, Any]
+    pipe: MessagePipe
     last_message_s: float
     has_reported: bool = False
     ready: bool = False
@@ -164,18 +166,19 @@ class AcquisitionLink:
         self._restarts = 0
         self._backoff = backoff or Backoff(PACE)
         self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="acquisition-link", daemon=True)
+        self.thread = SupervisedThread(self._run, "acquisition-link")
 
     def start(self, events: StationEvents, warm: Callable[[], bool] = lambda: True) -> None:
-        """Start the process once `warm` returns True, that is, all workers are ready, or after `WARM_S`.
+        """Start the process once `warm` returns True, that is, the workers are ready.
 
-        Messages of the process are reported to `events`.
+        However long that takes: until then the station is starting, and accepts no board. Messages of the process are
+        reported to `events`.
         """
         self._events, self._warm = events, warm
         # The process ignores SIGTERM (`set_up_process`), which is all that multiprocessing's exit handler sends before
         # it waits: without this call an interpreter that exits early would hang.
         atexit.register(self.stop, 0.0)
-        self._thread.start()
+        self.thread.start()
 
     def send(self, command: Command) -> None:
         """Send a command to the process.
@@ -184,7 +187,7 @@ class AcquisitionLink:
         """
         with self._lock:
             if self._attempt is not None:
-                _send(self._attempt.connection, command)
+                self._attempt.pipe.send(command)
 
     def status(self) -> ProcessStatus:
         """Return the state of the acquisition process, for `GET station` and the page."""
@@ -210,24 +213,29 @@ class AcquisitionLink:
         if self._stopping.is_set():
             return
         self._stopping.set()
+        self.thread.expect_end()
         atexit.unregister(self.stop)
         self.send(Shutdown())
-        if self._thread.ident is None:
+        if self.thread.ident is None:
             return
-        self._thread.join(timeout_s)
+        self.thread.join(timeout_s)
         with self._lock:
             attempt = self._attempt
             if attempt is not None:
                 attempt.process.kill()
-        self._thread.join()
+        self.thread.join(2 * EXIT_S)
 
     def _run(self) -> None:
         assert self._events is not None, "start() sets it before it starts the thread"
-        until_s = time.monotonic() + WARM_S
-        while not self._warm() and time.monotonic() < until_s and not self._stopping.wait(WARM_POLL_S):
-            continue
+        while not self._warm() and not self._stopping.wait(WARM_POLL_S):
+            self.thread.beat()
         while not self._stopping.is_set():
-            attempt = self._launch_process()
+            try:
+                attempt = self._launch_process()
+            except OSError as fault:
+                # Too little memory, or too many processes or files: this may pass.
+                self._pause(PACE.longest_s, f"the acquisition process could not be started ({fault})")
+                continue
             how = self._listen(attempt, self._events)
             with self._lock:
                 self._attempt = None
@@ -236,56 +244,58 @@ class AcquisitionLink:
             attempt.process.join(EXIT_S)
             if attempt.process.exitcode is None:
                 attempt.process.kill()
-                attempt.process.join()
-            code = attempt.process.exitcode
-            attempt.process.close()
-            attempt.connection.close()
+                attempt.process.join(EXIT_S)
+            # A killed process may still wait for a device in the kernel. It is left alone; the next one reports the
+            # device as in use.
+            if (code := attempt.process.exitcode) is not None:
+                attempt.process.close()
+            attempt.pipe.close()
             if self._stopping.is_set():
                 return
             self._restarts += 1
-            self._backoff.record_failure(longest_pause_s(attempt.cause))
-            self._events.acquisition_ended(attempt.describe_end(how, code))
-            self._stopping.wait(self._backoff.remaining_s())
+            self._pause(longest_pause_s(attempt.cause), attempt.describe_end(how, code))
+
+    def _pause(self, longest_s: float, description: str) -> None:
+        """Report that the process has ended or was not started, and wait until the next attempt is due."""
+        assert self._events is not None, "start() sets it before it starts the thread"
+        self._backoff.record_failure(longest_s)
+        self._events.acquisition_ended(description)
+        self.thread.rest()
+        self._stopping.wait(self._backoff.remaining_s())
+        self.thread.beat()
 
     def _launch_process(self) -> _Attempt:
         self._backoff.start_attempt()
         process, connection = self._launch()
         with self._lock:
-            self._attempt, self._started = _Attempt(process, connection, time.monotonic()), True
+            self._attempt, self._started = _Attempt(process, MessagePipe(connection), time.monotonic()), True
             # stop() may have run between the launch and this lock. It found no process then and sent no Shutdown.
             if self._stopping.is_set():
-                _send(connection, Shutdown())
+                self._attempt.pipe.send(Shutdown())
             return self._attempt
 
     def _listen(self, attempt: _Attempt, events: StationEvents) -> str:
         """Report the messages of the process until it ends or hangs; return a phrase that describes the end."""
+        ended = "the acquisition process ended"
         while True:
-            ready = wait([attempt.connection, attempt.process.sentinel], timeout=0.5)
-            # The pipe is read before the sentinel is checked: the last messages of an ended process are delivered too.
-            if attempt.connection in ready:
-                try:
-                    report = attempt.connection.recv()
-                except (EOFError, ConnectionResetError):
-                    return "the acquisition process ended"
+            self.thread.beat()
+            ready = wait_for([attempt.pipe], [attempt.process.sentinel], 0.5)
+            attempt.pipe.flush()
+            try:
+                # The pipe is read before the sentinel is checked: the last messages of an ended process are delivered
+                # too.
+                reports = attempt.pipe.receive()
+            except PipeEndedError:
+                return ended
+            for report in reports:
                 attempt.record(report)
                 # Every message proves that the process still runs. After `proven_s` of success, the next failure counts
                 # as the first one again, with the shortest pause.
                 if attempt.ready:
                     self._backoff.record_success()
                 events.acquisition_message(report)
-            elif attempt.process.sentinel in ready:
-                return "the acquisition process ended"
-            elif time.monotonic() - attempt.last_message_s > (
-                HEARTBEAT_LIMIT_S if attempt.has_reported else START_LIMIT_S
-            ):
+            if not reports and attempt.process.sentinel in ready:
+                return ended
+            if attempt.silence_s > (HEARTBEAT_LIMIT_S if attempt.has_reported else START_LIMIT_S):
                 attempt.process.kill()
-                return (
-                    f"the acquisition process sent no heartbeat for {time.monotonic() - attempt.last_message_s:.0f} s"
-                )
-
-
-def _send(connection: Connection[Any, Any], command: Command) -> None:
-    try:
-        connection.send(command)
-    except (BrokenPipeError, ConnectionResetError, OSError):
-        return  # the process has ended; the listening thread reports its end in a moment
+                return f"the acquisition process sent no heartbeat for {attempt.silence_s:.0f} s"

@@ -41,6 +41,7 @@ from vaoi_station.runs.states.schemas import (
     ImageFormat,
     LeaseStatus,
     ProcessStatus,
+    Reason,
     ReferenceStatus,
     RunDetail,
     RunSummary,
@@ -73,7 +74,7 @@ class StationCoordinator:
         make_order: MakeOrder,
         references: ReferenceStore,
         processes: Callable[[], tuple[ProcessStatus, ...]],
-        alive: Callable[[], None] = lambda: None,
+        faults: Callable[[], tuple[Reason, ...]] = tuple,
         show_status: Callable[[str], None] = lambda _: None,
     ) -> None:
         """Connect the parts. The coordinator's thread is not started before `start` is called.
@@ -85,12 +86,15 @@ class StationCoordinator:
             make_order: function that checks a board type and makes the order for its boards.
             references: the store of the references.
             processes: function that returns the states of all processes, for the snapshot.
-            alive: function that is called at every tick, to reset a watchdog.
+            faults: function that returns one reason per thread that has ended or hangs; it never waits.
             show_status: function that receives the station's state in one line at every tick.
         """
         self._parts, self._ring = parts, ring
-        self._make_order, self._processes, self._alive, self._show_status = make_order, processes, alive, show_status
+        self._make_order, self._processes, self._show_status = make_order, processes, show_status
+        self.faults = faults
         self._inbox = Inbox(self._tick)
+        self.thread = self._inbox.thread
+        """The coordinator's thread."""
         self._gc_policy = GcPolicy()
         self._core = Core(parts)
         parts.archive.on_announced = lambda run, until_s: self._inbox.post(self._core.announced, run, until_s)
@@ -178,10 +182,10 @@ class StationCoordinator:
         return self.snapshot()
 
     def disarm(self) -> StationSnapshot:
-        """Disarm the line: ignore the barrier from now on, and return once the acquisition process has confirmed it.
+        """Disarm the line: film no further board, and return once the acquisition process has confirmed it.
 
-        A board that is passing gets a result from the frames that were filmed of it. Nothing happens if the line is
-        not armed.
+        A board that is passing is filmed to its end. If it has not left after some seconds (`main_loop.BOARD_GRACE_S`),
+        it gets a result from the frames that were filmed of it. Nothing happens if the line is not armed.
         """
         disarmed: Future[None] = Future()
         try:
@@ -377,7 +381,6 @@ class StationCoordinator:
         self._core.tick()
         # A full garbage collection while a board passes would delay the tasks of its frames.
         self._gc_policy.tick(busy=bool(self._core.runs.active))
-        self._alive()
         self._show_status(status_line(self._core))
 
     def _snapshot(self) -> StationSnapshot:
@@ -387,6 +390,7 @@ class StationCoordinator:
             self._parts.config,
             ring=(self._ring.path, self._ring.layout.file_bytes),
             processes=self._processes(),
+            faults=self.faults(),
             last_run=latest.detail.id if latest else None,
             last_event=self._parts.events.last,
         )

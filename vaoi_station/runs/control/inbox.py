@@ -11,6 +11,7 @@ from queue import Empty, Queue
 from typing import Any, ParamSpec, TypeVar
 
 from vaoi_station.errors import InternalError, StateError, VaoiError
+from vaoi_station.supervised_thread import SupervisedThread
 
 _log = logging.getLogger(__name__)
 P = ParamSpec("P")
@@ -27,11 +28,11 @@ class Inbox:
         self._tick, self._tick_s = tick, tick_s
         self._messages: Queue[Callable[[], Any]] = Queue()
         self._closed = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="coordinator", daemon=True)
+        self.thread = SupervisedThread(self._run, "coordinator")
 
     def start(self) -> None:
         """Start the thread that executes the posted functions."""
-        self._thread.start()
+        self.thread.start()
 
     def post(self, work: Callable[P, Any], *args: P.args, **kwargs: P.kwargs) -> None:
         """Let the inbox's thread call a function with these arguments, and return at once."""
@@ -65,7 +66,7 @@ class Inbox:
             TimeoutError: the answer was not set within `timeout_s`.
             StateError: the station is stopping.
         """
-        if threading.current_thread() is self._thread:
+        if threading.current_thread() is self.thread:
             raise InternalError("The coordinator's thread cannot wait for itself.")
         if self._closed.is_set():
             raise _stopping()
@@ -87,15 +88,17 @@ class Inbox:
         """Execute all functions posted so far, then end the thread. Later requests are refused."""
         if self._closed.is_set():
             return
+        self.thread.expect_end()
         # A message sets the flag, so that all messages posted before it are still executed.
         self._messages.put(self._closed.set)
-        if self._thread.ident is not None:
-            self._thread.join()
+        if self.thread.ident is not None:
+            self.thread.join()
         self._closed.set()
 
     def _run(self) -> None:
         next_tick = time.monotonic() + self._tick_s
         while not self._closed.is_set():
+            self.thread.beat()
             work = self._next(next_tick)
             if work is None:
                 work, next_tick = self._tick, time.monotonic() + self._tick_s

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from vaoi_station.acquisition.process.messages import Trouble
 from vaoi_station.runs.states.schemas import Reason
+from vaoi_station.supervised_thread import ThreadFault
 
 TROUBLE_S = 10.0
 """Time after which a trouble expires if the device does not report it again."""
@@ -18,6 +19,12 @@ _WORD = re.compile(r"[a-z]+(?=[ :])")
 def sentence(text: str) -> str:
     """Write the first letter of a text as a capital, unless the text begins with a file, a field or a number."""
     return text[0].upper() + text[1:] if _WORD.match(text) else text
+
+
+def thread_reasons(faults: Sequence[ThreadFault]) -> tuple[Reason, ...]:
+    """Return one reason per thread of the station that has ended or hangs."""
+    action = "The station ends and is started again by systemd."
+    return tuple(Reason(code="thread-lost", message=str(fault), action=action) for fault in faults)
 
 
 class Reasons:

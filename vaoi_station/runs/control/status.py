@@ -33,6 +33,7 @@ def snapshot_of(
     *,
     ring: tuple[Path, int],
     processes: tuple[ProcessStatus, ...],
+    faults: tuple[Reason, ...],
     last_run: str | None,
     last_event: int,
 ) -> StationSnapshot:
@@ -43,6 +44,7 @@ def snapshot_of(
         config: configuration of the station.
         ring: path and size in bytes of the ring.
         processes: states of all processes.
+        faults: reasons for the threads that have ended or hang.
         last_run: id of the run that finished last; None before the first.
         last_event: number of the newest event.
     """
@@ -51,7 +53,7 @@ def snapshot_of(
         name=config.name,
         state=core.machine.state,
         since=core.machine.since,
-        reasons=(*core.machine.reasons.all(), *readiness.reasons(core.health, config.cameras)),
+        reasons=(*faults, *core.machine.reasons.all(), *readiness.reasons(core.health, config.cameras)),
         warnings=(
             *core.trigger.warnings(),
             *core.watch.warnings(),
@@ -107,8 +109,8 @@ def address_warnings(config: StationConfig) -> tuple[Reason, ...]:
 def worker_warnings(processes: tuple[ProcessStatus, ...]) -> tuple[Reason, ...]:
     """Return one warning if workers are still starting, else none.
 
-    Cameras are opened when all workers are ready, or after `acquisition_link.WARM_S`. Boards that are filmed while
-    workers are still starting get their results later.
+    Cameras are opened when the workers are ready. Boards that are filmed while a worker is restarted may get their
+    results later.
     """
     workers = [process for process in processes if process.name.startswith("worker ")]
     # "starting" lasts until a worker has opened the ring and compiled its inner loops.
@@ -117,8 +119,13 @@ def worker_warnings(processes: tuple[ProcessStatus, ...]) -> tuple[Reason, ...]:
         return ()
     still = f"{away} of {len(workers)} workers {'is' if away == 1 else 'are'} still starting"
     unopened = any(process.doing == WAITING for process in processes)
-    effect = "Cameras are not opened yet" if unopened else "Results of boards that pass meanwhile come late"
-    return (Reason(code="workers-starting", message=f"{effect}: {still}.", action=_COMPILE_NOTE),)
+    progress = next((f" ({worker.progress})" for worker in workers if worker.progress), "")
+    effect = (
+        "Cameras are not opened yet, and boards are not filmed"
+        if unopened
+        else "Results of boards that pass meanwhile come late"
+    )
+    return (Reason(code="workers-starting", message=f"{effect}: {still}{progress}.", action=_COMPILE_NOTE),)
 
 
 def _cameras(core: Core, config: StationConfig) -> tuple[CameraStatus, ...]:

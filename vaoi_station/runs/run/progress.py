@@ -21,6 +21,9 @@ from vaoi_station.runs.workers.jobs import CheckJob, Concluded, ConcludeJob, Lin
 from vaoi_station.stitching.matching.evidence import FrameKey, Task
 from vaoi_station.stitching.work import all_tasks, possible_tasks
 
+WHOLE = frozenset({"clear", "single"})
+"""Values of `controller.RunEnded.reason` for a regular end of the pulses: the run shows all that passed."""
+
 
 @dataclass
 class Progress:
@@ -186,9 +189,13 @@ class Progress:
         return ConcludeJob(self.context, self.recorded.head, slots, self.canonical_evidence, excluded, self._check())
 
     def _check(self) -> CheckJob | None:
-        """Return the calibration check that follows the conclusion; None for a station with a single camera."""
-        # A single camera has no neighbour that could show its displacement.
-        if len(self.order.setup.cameras) < 2:
+        """Return the calibration check that follows the conclusion; None if the run would be no evidence.
+
+        A single camera has no neighbour that could show its displacement. A run that was cut short shows a part of its
+        board: what fits this part may fit the cameras badly, and look like a drift.
+        """
+        assert self.recorded is not None, "a run is concluded after it was filmed"
+        if len(self.order.setup.cameras) < 2 or self.recorded.reason not in WHOLE:
             return None
         return CheckJob(self.run, utc(), self.order.board_type_digest, self.order.calibration_digest)
 

@@ -5,11 +5,9 @@ from __future__ import annotations
 from vaoi_station.acquisition.process.messages import RunFinished
 from vaoi_station.config import StationConfig
 from vaoi_station.model import CameraHead, FrameRecord, RecordingHead, Verdict
-from vaoi_station.runs.run.progress import Progress
+from vaoi_station.runs.run.progress import WHOLE, Progress
 from vaoi_station.runs.states.schemas import Reason
 
-_AS_PLANNED = frozenset({"clear", "single"})
-"""Values of `controller.RunEnded.reason` for a regular end of the pulses."""
 CAUSE = "the acquisition process ended before it arrived"
 """Cause that the records of missing frames give."""
 
@@ -21,7 +19,7 @@ def camera_heads(config: StationConfig) -> tuple[CameraHead, ...]:
 
 def early_end_reason(report: RunFinished) -> Reason | None:
     """Return a reason if the pulses of a run ended although the board may not have left; None for a normal end."""
-    if report.reason in _AS_PLANNED or report.reason == "max-rows":
+    if report.reason in WHOLE or report.reason == "max-rows":
         return None  # `BoardAccount` gives the reason of a run with too many rows
     return Reason(
         code="run-cut-short",

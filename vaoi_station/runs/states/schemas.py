@@ -94,6 +94,8 @@ class ProcessStatus(Schema):
     heartbeat_age_s: float | None
     """Time since the last message of the process; None before the first message."""
     doing: str = ""
+    progress: str = ""
+    """How far a worker that is starting has come; empty if unknown, and while it does not start."""
     next_try: str | None = None
     """Time of the next start of the process; None while the process runs or is being started."""
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from vaoi_station.errors import VaoiError
-from vaoi_station.model import RecordingHead, Stitch
+from vaoi_station.model import RecordingHead, Status, Stitch
 from vaoi_station.rendering import View
 from vaoi_station.runs.states.schemas import ImageFormat
 from vaoi_station.stitching.matching.evidence import Evidence, FrameKey, Task
@@ -201,6 +201,15 @@ class WorkerReady:
 
 
 @dataclass(frozen=True)
+class WorkerStarting:
+    """Report how far the warm-up of a worker is; sent once a second until `WorkerReady`."""
+
+    compiled: int
+    """Number of inner loops that are compiled or were loaded."""
+    of: int
+
+
+@dataclass(frozen=True)
 class Linked:
     """Evidence of one task, pickled by the worker that found it.
 
@@ -239,3 +248,13 @@ class Reply:
     error: VaoiError | None
     worker_s: float
     """Time that the worker took for the job."""
+
+
+def check_after(job: Job, reply: Reply) -> CheckJob | None:
+    """Return the calibration check that the worker performs after this reply; None if there is none.
+
+    A failed result is no evidence of where the cameras are: the board was not recognised, or is hardly in the picture.
+    """
+    if not isinstance(job, ConcludeJob) or reply.error is not None:
+        return None
+    return None if reply.value.without_components.status is Status.FAILED else job.check

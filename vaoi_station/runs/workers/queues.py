@@ -1,97 +1,64 @@
-"""Queues of waiting jobs, and the choice of the worker for each job. Every call needs the pool's lock."""
+"""Queues of waiting jobs, and the choice of the worker for each job. Every call needs the pool's lock.
+
+Every queue has a bound. Link and gather jobs are at most those of the runs in the ring, and end with their run; each
+run has one conclude job; pictures are limited by `MAX_PICTURES`; checks are parts of conclude jobs and never wait.
+Jobs wait by the worker to which they are assigned, so that a choice takes the same time however many wait.
+"""
 
 from __future__ import annotations
 
-from collections import Counter, deque
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-from multiprocessing.connection import Connection
-from multiprocessing.process import BaseProcess
-from typing import Any
+import itertools
+from collections import defaultdict, deque
+from collections.abc import Iterator, Sequence
 
-from vaoi_station.backoff import Backoff, BackoffPolicy
 from vaoi_station.runs.workers.jobs import ConcludeJob, GatherJob, Job, LinkJob, OpenRun, Priority, Reply
-from vaoi_station.stitching.matching.evidence import Task
+from vaoi_station.runs.workers.worker import Queued, Worker
 
-RESTART_POLICY = BackoffPolicy(first_s=0.25, longest_s=30.0, proven_s=30.0)
-"""Pauses before a worker that has died is restarted."""
-
-
-@dataclass(eq=False)
-class Queued:
-    """A job, and the number of workers that have died while they performed it."""
-
-    job: Job
-    deaths: int = 0
-
-
-@dataclass
-class Worker:
-    """One worker: its process, the jobs that were given to it, and the data that it holds. It outlives a restart."""
-
-    index: int
-    process: BaseProcess | None = None
-    connection: Connection[Any, Any] | None = None
-    ready: bool = False
-    jobs: deque[Queued] = field(default_factory=deque)
-    """Jobs that were given to the worker: the job under way, and possibly the next one."""
-    since_s: float = 0.0
-    """Time at which the job under way was started, or the process if there was no job, by time.monotonic()."""
-    opened: set[str] = field(default_factory=set)
-    """Ids of the runs whose set-up was sent to the worker."""
-    evidence: dict[str, set[Task]] = field(default_factory=dict)
-    """Tasks whose evidence the worker holds, by run: tasks it performed, and tasks gathered from other workers."""
-    restarts: int = 0
-    backoff: Backoff = field(default_factory=lambda: Backoff(RESTART_POLICY))
-    seen_s: float | None = None
-    """Time of the worker's latest message; None before the first message."""
-    pinged_s: float | None = None
-    """Time of a ping that was not answered yet; None if there is none."""
-
-    @property
-    def idle(self) -> bool:
-        """Whether the worker is ready and has no job."""
-        return self.ready and not self.jobs
-
-    @property
-    def job(self) -> Queued | None:
-        """The job under way; None if the worker has no job."""
-        return self.jobs[0] if self.jobs else None
+MAX_PICTURES = 64
+"""Largest number of waiting render jobs. The station renders a few at a time; a caller beyond this is refused."""
 
 
 class JobQueues:
-    """The waiting jobs, in one queue per priority."""
+    """The waiting jobs, in one queue per priority and assigned worker."""
 
     def __init__(self, workers: Sequence[Worker]) -> None:
         self._workers = workers
-        self._queues: dict[Priority, deque[Queued]] = {p: deque() for p in Priority}
+        self._queues: dict[Priority, defaultdict[int | None, deque[Queued]]] = {p: defaultdict(deque) for p in Priority}
+        self._numbers = itertools.count(1)
         self.runs: dict[str, OpenRun] = {}
         """Announcements of the open runs, by run id."""
         self.concluder = len(workers) - 1
         """Index of the worker that gathers the evidence of all runs, and concludes them if it is free."""
 
-    def add(self, queued: Queued) -> None:
-        """Append a job to its queue."""
-        self._queues[queued.job.priority].append(queued)
+    def waiting(self, priority: Priority) -> int:
+        """Return the number of waiting jobs of one priority."""
+        return sum(len(queue) for queue in self._queues[priority].values())
+
+    def add(self, queued: Queued) -> bool:
+        """Append a job to its queue. Return False if the job is of a run that is not open."""
+        if self._is_closed(queued.job):
+            return False
+        queued.number = next(self._numbers)
+        self._queue_of(queued).append(queued)
+        return True
 
     def put_back(self, queued: Queued) -> None:
         """Put a job whose worker has died at the front of its queue, unless its run has been closed meanwhile."""
-        # Link and gather jobs of a closed run are of no use, and the set-up that a worker needs for them is gone.
-        if isinstance(queued.job, LinkJob | GatherJob) and queued.job.run not in self.runs:
-            return
-        self._queues[queued.job.priority].appendleft(queued)
+        # Jobs of a closed run are of no use, and the set-up that a worker needs for them is gone.
+        if not self._is_closed(queued.job):
+            self._queue_of(queued).appendleft(queued)
 
     def forget(self, run: str) -> None:
-        """Drop the waiting link and gather jobs of a closed run."""
+        """Drop the waiting jobs of a closed run, except its pictures."""
         self.runs.pop(run, None)
-        self.drop(Priority.LINK, run)
-        self.drop(Priority.GATHER, run)
+        for priority in (Priority.LINK, Priority.GATHER, Priority.CONCLUDE):
+            self.drop(priority, run)
 
     def emptied(self) -> list[Queued]:
         """Remove all waiting jobs from the queues and return them."""
-        left = [queued for queue in self._queues.values() for queued in queue]
-        for queue in self._queues.values():
-            queue.clear()
+        left = [queued for homes in self._queues.values() for queue in homes.values() for queued in queue]
+        for homes in self._queues.values():
+            homes.clear()
         return left
 
     def next_link(self, worker: Worker) -> Queued | None:
@@ -100,16 +67,11 @@ class JobQueues:
         With a second job, the worker need not wait for the pool between the two. Return None if no job is suitable, and
         while a conclude job waits, which is to go to the next free worker.
         """
-        # A busy worker does not read its pipe. A message larger than the pipe's buffer would block the pool until the
-        # worker reads, while the worker may block sending its reply: a deadlock. A link job is small. The set-up of a
-        # run (OpenRun) is large, so the worker must have received it already.
-        if worker.jobs[0].job.priority is not Priority.LINK or self._queues[Priority.CONCLUDE]:
+        if worker.jobs[0].job.priority is not Priority.LINK or self.waiting(Priority.CONCLUDE):
             return None
-        links = self._queues[Priority.LINK]
-        mine = next((q for q in links if self._home(q) == worker.index and q.job.run in worker.opened), None)
-        if mine is not None:
-            links.remove(mine)
-        return mine
+        mine = self._queues[Priority.LINK][worker.index]
+        # The set-up of a run is large. A worker that does not have it yet receives it when it is idle.
+        return mine.popleft() if mine and not worker.overdue and mine[0].job.run in worker.opened else None
 
     def share_evidence(self, worker: Worker, job: Job, reply: Reply) -> None:
         """Record that a worker holds the evidence of its link job, and queue a gather job for the concluding worker."""
@@ -119,60 +81,72 @@ class JobQueues:
         worker.evidence.setdefault(job.run, set()).update(job.tasks)
         if worker.index != self.concluder:
             linked = dict(zip(job.tasks, reply.value, strict=True))
-            self._queues[Priority.GATHER].append(Queued(GatherJob(job.context, linked)))
+            self.add(Queued(GatherJob(job.context, linked)))
 
     def drop(self, priority: Priority, run: str) -> None:
         """Drop the waiting jobs of one run and one priority."""
-        self._queues[priority] = deque(q for q in self._queues[priority] if q.job.run != run)
+        homes = self._queues[priority]
+        for home, queue in homes.items():
+            homes[home] = deque(q for q in queue if q.job.run != run)
 
     def choose(self, worker: Worker) -> Queued | None:
         """Take the most urgent job that an idle worker may perform out of its queue; None if there is none.
 
-        Within a queue, jobs that are assigned to this worker, or to no worker, come first.
+        Within a priority, jobs that are assigned to this worker, or to no worker, come first.
         """
-        for queue in self._queues.values():
-            homes = [self._home(q) for q in queue]
-            waiting = Counter(homes)
-            mine = next((q for q, home in zip(queue, homes, strict=True) if home in (None, worker.index)), None)
-            others = (q for q, home in zip(queue, homes, strict=True) if self._may_take(q.job, home, waiting))
-            chosen = mine or next(others, None)
-            if chosen is not None:
-                queue.remove(chosen)
-                return chosen
+        for homes in self._queues.values():
+            mine = min((homes[h] for h in (None, worker.index) if homes[h]), key=_front, default=None)
+            chosen = mine or min(self._of_others(homes, worker), key=_front, default=None)
+            if chosen:
+                return chosen.popleft()
         return None
 
-    def _home(self, queued: Queued) -> int | None:
+    def _of_others(self, homes: defaultdict[int | None, deque[Queued]], worker: Worker) -> Iterator[deque[Queued]]:
+        """Yield the queues of other workers from which a worker may take a job."""
+        for home, queue in homes.items():
+            if home is not None and home != worker.index and queue and self._may_take(queue, home):
+                yield queue
+
+    def _is_closed(self, job: Job) -> bool:
+        return isinstance(job, LinkJob | GatherJob | ConcludeJob) and job.run not in self.runs
+
+    def _queue_of(self, queued: Queued) -> deque[Queued]:
+        return self._queues[queued.job.priority][self._home(queued.job)]
+
+    def _home(self, job: Job) -> int | None:
         """Return the index of the worker to which a job is assigned; None if any worker may perform it.
 
         Link jobs are assigned by camera: each worker serves a block of neighbouring cameras. So a frame is prepared by
         one worker, and only frames at the border between two blocks are prepared by two.
         """
-        job, opening = queued.job, self.runs.get(queued.job.run)
+        opening = self.runs.get(job.run)
         if isinstance(job, GatherJob | ConcludeJob):
             return self.concluder
         if job.affinity is None or opening is None:
             return None
         return job.affinity * len(self._workers) // len(opening.setup.cameras)
 
-    def _may_take(self, job: Job, home: int | None, waiting: Counter[int | None]) -> bool:
-        """Return whether a worker other than the assigned one may take a job.
+    def _may_take(self, queue: deque[Queued], home: int) -> bool:
+        """Return whether a worker other than the assigned one may take the first job of a queue.
 
         Args:
-            job: a waiting job.
-            home: index of the worker to which the job is assigned; None if any worker may perform it.
-            waiting: number of waiting jobs of the same priority, by the worker to which they are assigned.
+            queue: the waiting jobs that are assigned to the worker `home`, at least one.
+            home: index of that worker.
         """
-        if home is None:
-            return True
-        own = self._workers[home]
+        job, own = queue[0].job, self._workers[home]
+        away = not own.ready or own.overdue
         if isinstance(job, ConcludeJob):
             # Another worker must first receive all evidence. This takes less time than to wait until the assigned
             # worker has finished a picture or a check, but more than to wait for a link or gather job.
-            return not own.ready or (own.job is not None and own.job.job.priority > Priority.GATHER)
+            return away or (own.job is not None and own.job.job.priority > Priority.GATHER)
         if isinstance(job, GatherJob):
             return False
         # A single waiting job is left to the assigned worker, which may have its frames prepared already. If more jobs
         # wait, they would wait too long. A check takes longer than a link job, so the first frames of the next board do
         # not wait for it.
         checking = own.job is not None and own.job.job.priority is Priority.CHECK
-        return not own.ready or checking or waiting[home] > 1
+        return away or checking or len(queue) > 1
+
+
+def _front(queue: deque[Queued]) -> int:
+    return queue[0].number

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.geometry import Camera, Lens, Projective, System
+from vaoi_station.marks.subpixel_localisation import locate_mark
 from vaoi_station.model import BoardType, Stitch
 from vaoi_station.stitching.matching.prepared_frame import resample
 from vaoi_station.stitching.work import StitchSetup, TaskRunner, all_tasks
@@ -33,9 +34,17 @@ def warm_up() -> Stitch:
     picture = _picture()
     # only frames of unlike cameras are resampled, which those of the synthetic board are not
     resample(picture, np.eye(2, 3), (_RESAMPLED_PX, _RESAMPLED_PX), 1.0)
+    _locate_other_marks(picture)
+    lens = setup.cameras[0].lens
+    lens.undistort(lens.distort(np.zeros((1, 2))))
     runner = TaskRunner(setup, partial(_frame, picture))
     tasks = all_tasks(present, dict(enumerate(times_s)), setup)
     return runner.conclude(times_s, present, [runner.perform(task) for task in tasks])
+
+
+def _locate_other_marks(picture: NDArray[np.uint8]) -> None:
+    """Call what is compiled for marks of any shape; those of the synthetic board are round."""
+    locate_mark(picture, np.array(picture.shape[::-1]) / 2.0, "square", _MARK_MM * _PX_PER_MM)
 
 
 def _setup() -> StitchSetup:

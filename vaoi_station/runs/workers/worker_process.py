@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import gc
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from multiprocessing.connection import Connection
 from typing import Any
 
 from vaoi_station.runs.host.process_setup import set_up_process
+
+PROGRESS_S = 1.0
+"""Time between two reports of the progress of the warm-up."""
 
 
 def run_worker(connection: Connection[Any, Any], ring_path: str) -> None:
@@ -20,7 +27,8 @@ def run_worker(connection: Connection[Any, Any], ring_path: str) -> None:
 
     with connection, WorkerRuntime(ring_path) as runtime:
         try:
-            warm_up()
+            with _progress_sent(connection):
+                warm_up()
             # Imported and compiled objects are never freed: `freeze` excludes them from collections. Automatic
             # collections are off, because a full collection would delay a result. Collections run below, after a run
             # was closed and while the worker is idle.
@@ -37,3 +45,26 @@ def run_worker(connection: Connection[Any, Any], ring_path: str) -> None:
         except (EOFError, BrokenPipeError, ConnectionResetError):
             # The station has ended without a message; a worker must not outlive it.
             return
+
+
+@contextmanager
+def _progress_sent(connection: Connection[Any, Any]) -> Iterator[None]:
+    """Report the progress of the warm-up in the context, from a separate thread. The context's end waits for it."""
+    from vaoi_station.compiled import progress
+    from vaoi_station.runs.workers.jobs import WorkerStarting
+
+    ended = threading.Event()
+
+    def send() -> None:
+        # The station has ended: the main thread notices it when it sends that the worker is ready.
+        with contextlib.suppress(OSError):
+            while not ended.wait(PROGRESS_S):
+                connection.send(WorkerStarting(*progress()))
+
+    thread = threading.Thread(target=send, name="progress", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()

@@ -8,6 +8,7 @@ import os
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -38,6 +39,7 @@ from vaoi_station.runs.workers.jobs import (
     RenderJob,
     Reply,
     WorkerReady,
+    check_after,
 )
 from vaoi_station.stitching.matching.evidence import Evidence, FrameKey, Task
 from vaoi_station.stitching.quality.findings import Findings
@@ -84,8 +86,8 @@ class WorkerRuntime:
     def replies(self, message: OpenRun | CloseRun | Ping | Job) -> Iterator[Reply | WorkerReady]:
         """Process one message of the station, and yield each reply as soon as it is available.
 
-        `Ping` and each job have one reply, `OpenRun` and `CloseRun` have none. A successful `ConcludeJob` with a check
-        has a second reply: the check uses the evidence of the conclusion, so it is performed directly after it.
+        `Ping` and each job have one reply, `OpenRun` and `CloseRun` have none. A `ConcludeJob` with a check may
+        have a second reply (`check_after`): the check uses the evidence of the conclusion, so it follows directly.
         """
         match message:
             case Ping():
@@ -97,9 +99,8 @@ class WorkerRuntime:
             case _:
                 reply = _reply_of(message, lambda: self._perform(message))
                 yield reply
-                if isinstance(message, ConcludeJob) and reply.error is None and message.check is not None:
-                    check = message.check
-                    yield _reply_of(check, lambda: self._check(check))
+                if (check := check_after(message, reply)) is not None:
+                    yield _reply_of(check, partial(self._check, check))
 
     def _open(self, opening: OpenRun) -> None:
         slots: dict[FrameKey, int] = {}

@@ -1,0 +1,202 @@
+"""Every thread of the station is killed and made to hang in turn; every child process is made to hang."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.system.conftest import until_state
+from tests.system.test_faults import arm_until_filming, pid_of, result_of, wait_for_event
+from tests.system.test_service import as_toml
+from tests.test_supervised_thread import kill
+from vaoi_station import station as station_module
+from vaoi_station.config import StationConfig
+from vaoi_station.model import Status
+from vaoi_station.station import Station
+from vaoi_station.supervised_thread import SupervisedThread
+
+TIMEOUT_S = 60.0
+THREADS = ("store", "coordinator", "workers", "acquisition-link", "housekeeping")
+
+
+class Broken:
+    """A running station, and the faults that it has acted on."""
+
+    def __init__(self, config: StationConfig) -> None:
+        self.acted, self.release = threading.Event(), threading.Event()
+        self.station = Station(config, on_fault=self.acted.set)
+        self.station.start()
+        self.coordinator = self.station.coordinator
+        assert self.station._supervisor is not None
+        self.threads = {thread.name: thread for thread in self.station._supervisor._watched}
+
+    def hang(self, thread: SupervisedThread) -> None:
+        """Make a thread wait for the end of the test in its next pass."""
+        thread._limit_s = 1.0
+        record = thread.beat
+
+        def stand() -> None:
+            record()
+            self.release.wait()
+
+        thread.beat = stand  # type: ignore[method-assign]
+
+    def close(self) -> None:
+        self.release.set()
+        self.station.stop()
+
+
+@pytest.fixture
+def broken(replay_config: Callable[..., StationConfig], monkeypatch: pytest.MonkeyPatch) -> Iterator[Broken]:
+    # Without one of its threads a station cannot stop in order.
+    monkeypatch.setattr(station_module, "GRACE_S", 0.1)
+    made = Broken(replay_config())
+    yield made
+    made.close()
+
+
+def test_every_thread_is_supervised(broken: Broken) -> None:
+    assert set(broken.threads) == set(THREADS)
+    serving = {t.name for t in threading.enumerate() if isinstance(t, SupervisedThread)}
+    assert serving == {*THREADS, "supervisor"}
+    assert broken.coordinator.faults() == ()
+
+
+@pytest.mark.parametrize("name", THREADS)
+def test_a_thread_that_ends_is_noticed(broken: Broken, name: str) -> None:
+    kill(broken.threads[name])
+    # The thread of the store waits for work without a limit: it ends when some comes.
+    threading.Thread(target=_publish, args=(broken,), daemon=True).start()
+    assert broken.acted.wait(TIMEOUT_S)
+    [reason] = broken.coordinator.faults()
+    assert reason.code == "thread-lost"
+    assert reason.message == f"Thread {name!r} has ended (SystemExit)."
+
+
+@pytest.mark.parametrize("name", THREADS)
+def test_a_thread_that_hangs_is_noticed(broken: Broken, name: str) -> None:
+    broken.hang(broken.threads[name])
+    threading.Thread(target=_publish, args=(broken,), daemon=True).start()
+    assert broken.acted.wait(TIMEOUT_S)
+    [reason] = broken.coordinator.faults()
+    assert f"Thread {name!r} hangs for" in reason.message
+
+
+def _publish(broken: Broken) -> None:
+    """Let the store write."""
+    broken.coordinator._parts.events.add("test", "something to write")
+
+
+SERVE = """
+import sys, threading
+from pathlib import Path
+from vaoi_station import station
+from vaoi_station.config import read_config
+from vaoi_station.supervised_thread import SupervisedThread
+
+def lose():
+    {lose}
+
+notify = station.notify
+def ready(state):
+    notify(state)
+    if state == "READY=1":
+        [thread] = [t for t in threading.enumerate() if t.name == {name!r}]
+        thread._limit_s = 1.0
+        thread.beat = lose
+station.notify = ready
+station.serve(read_config(Path(sys.argv[1])), 0)
+"""
+LOSE = {"ends": "raise SystemExit", "hangs": "threading.Event().wait()"}
+
+
+@pytest.mark.parametrize("name", ["workers", "api"])
+@pytest.mark.parametrize("how", ["ends", "hangs"])
+def test_a_service_that_lost_a_thread_ends_so_that_it_is_started_again(
+    replay_config: Callable[..., StationConfig], tmp_path: Path, name: str, how: str
+) -> None:
+    config = tmp_path / "station.toml"
+    config.write_text(as_toml(replay_config()))
+    command = [sys.executable, "-c", SERVE.format(lose=LOSE[how], name=name), str(config)]
+    folder = Path(__file__).parents[2]
+    # A file, not a pipe: the workers have it open until they have ended as well.
+    with (tmp_path / "log").open("w") as log:
+        done = subprocess.run(command, check=False, cwd=folder, stdout=log, stderr=log, timeout=TIMEOUT_S)
+    assert done.returncode not in (0, 2, 3), "systemd restarts what failed"
+    said = "hangs for" if how == "hangs" else "SystemExit"
+    assert said in (tmp_path / "log").read_text()
+
+
+def fed(listener: socket.socket, timeout_s: float) -> bool:
+    """Return whether the watchdog is fed within a time."""
+    until_s = time.monotonic() + timeout_s
+    while (left_s := until_s - time.monotonic()) > 0:
+        listener.settimeout(left_s)
+        with contextlib.suppress(TimeoutError):
+            if listener.recv(1000) == b"WATCHDOG=1":
+                return True
+    return False
+
+
+def test_a_supervisor_that_hangs_feeds_no_watchdog(
+    replay_config: Callable[..., StationConfig], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
+        listener.bind(str(tmp_path / "notify"))
+        monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
+        broken = Broken(replay_config())
+        try:
+            assert fed(listener, TIMEOUT_S)
+            supervisor = broken.station._supervisor
+            assert supervisor is not None
+            hung = threading.Event()
+
+            def stand() -> None:
+                hung.set()
+                broken.release.wait()
+
+            supervisor._alive = stand
+            assert hung.wait(TIMEOUT_S)
+            while fed(listener, 0.1):  # what was sent before
+                continue
+            assert not fed(listener, 1.5)
+        finally:
+            broken.close()
+
+
+def test_no_board_is_lost_by_a_worker_that_hangs(replay_config: Callable[..., StationConfig]) -> None:
+    with Station(replay_config(pace="original", pause_s=0.3)) as station:
+        coordinator = station.coordinator
+        until_state(coordinator, "idle")
+        began, victim = arm_until_filming(coordinator)
+        hung = pid_of(coordinator, "worker 1")
+        os.kill(hung, signal.SIGSTOP)
+        run = result_of(coordinator, victim, began)
+        assert (run.state, run.verdict) == ("ready", Status.OK), run.reasons
+        assert run.timings is not None
+        assert run.timings.ready_after_last_frame_ms is not None
+        assert run.timings.ready_after_last_frame_ms < 15_000, "its jobs did not wait for the 30 s of a hung worker"
+        coordinator.disarm()
+
+
+def test_an_acquisition_process_that_hangs_is_replaced(
+    replay_config: Callable[..., StationConfig], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("vaoi_station.runs.control.acquisition_link.HEARTBEAT_LIMIT_S", 2.0)
+    with Station(replay_config()) as station:
+        coordinator = station.coordinator
+        until_state(coordinator, "idle")
+        seen = coordinator.snapshot().last_event
+        os.kill(pid_of(coordinator, "acquisition"), signal.SIGSTOP)
+        wait_for_event(coordinator, "station", "faulted", seen)
+        until_state(coordinator, "idle")

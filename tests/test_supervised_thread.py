@@ -1,0 +1,84 @@
+"""Threads whose end or hang is a fault."""
+
+from __future__ import annotations
+
+import ctypes
+import threading
+import time
+
+import pytest
+
+from vaoi_station.supervised_thread import SupervisedThread, faults_of
+
+PATIENCE_S = 10.0
+
+
+def kill(thread: threading.Thread) -> None:
+    """Raise SystemExit in a thread, which ends threads without a word."""
+    ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread.ident or 0), ctypes.py_object(SystemExit))
+
+
+def test_a_thread_that_ends_by_an_error_is_a_fault() -> None:
+    thread = SupervisedThread(lambda: 1 / 0, "work")
+    assert thread.fault() is None, "a thread that was not started is none"
+    thread.start()
+    thread.join(PATIENCE_S)
+    assert str(thread.fault()) == "Thread 'work' has ended (ZeroDivisionError: division by zero)."
+
+
+def test_a_thread_that_is_killed_or_returns_is_a_fault() -> None:
+    release = threading.Event()
+
+    def loop() -> None:
+        while not release.wait(0.01):
+            killed.beat()
+
+    killed = SupervisedThread(loop, "killed")
+    killed.start()
+    kill(killed)
+    killed.join(PATIENCE_S)
+    returned = SupervisedThread(lambda: None, "returned")
+    returned.start()
+    returned.join(PATIENCE_S)
+    assert [str(fault) for fault in faults_of((killed, returned))] == [
+        "Thread 'killed' has ended (SystemExit).",
+        "Thread 'returned' has ended without an error.",
+    ]
+
+
+def test_an_end_that_was_asked_for_is_no_fault() -> None:
+    thread = SupervisedThread(lambda: None, "work")
+    thread.start()
+    thread.expect_end()
+    thread.join(PATIENCE_S)
+    assert thread.fault() is None
+
+
+@pytest.mark.parametrize("resting", [False, True])
+def test_silence_is_a_fault_unless_the_thread_waits_for_work(resting: bool) -> None:
+    began, release = threading.Event(), threading.Event()
+
+    def work() -> None:
+        if resting:
+            thread.rest()
+        began.set()
+        release.wait(PATIENCE_S)
+        thread.beat()
+        began.set()
+        again.wait(PATIENCE_S)
+
+    again = threading.Event()
+    thread = SupervisedThread(work, "work", limit_s=0.05)
+    thread.start()
+    assert began.wait(PATIENCE_S)
+    until_s = time.monotonic() + 0.2
+    while time.monotonic() < until_s and thread.fault() is None:
+        continue
+    fault = thread.fault()
+    assert (fault is None) == resting
+    assert resting or "hangs for 0 s" in str(fault)
+    began.clear()
+    release.set()
+    assert began.wait(PATIENCE_S)
+    again.set()
+    thread.join(PATIENCE_S)

@@ -1,0 +1,151 @@
+"""The station's end of a pipe to a child process, which never waits for the child.
+
+`Connection.send` blocks while the pipe is full, and `Connection.recv` while half of a message has arrived. A child that
+hangs, or is stopped in the middle of a large answer, would so block the thread that is to notice it, and every thread
+that waits for a lock of that thread. The messages on the wire are those of `Connection`, which the child uses.
+"""
+
+from __future__ import annotations
+
+import pickle
+import socket
+import struct
+import threading
+from collections.abc import Sequence
+from multiprocessing.connection import Connection
+from multiprocessing.reduction import ForkingPickler
+from selectors import EVENT_READ, EVENT_WRITE, PollSelector
+from typing import Any
+
+_CHUNK = 1 << 20
+"""Largest number of bytes that one system call reads."""
+_SHORT, _LONG = struct.Struct("!i"), struct.Struct("!Q")
+"""Lengths in front of a message, as `Connection` writes them: -1 and the long form for 2 GiB and more."""
+_LONGEST_SHORT = 0x7FFFFFFF
+
+
+class PipeEndedError(Exception):
+    """The child has closed its end, has died in the middle of a message, or has sent what is no message."""
+
+
+class MessagePipe:
+    """One duplex pipe to a child process. `send` may be called from any thread, `receive` from one thread."""
+
+    def __init__(self, connection: Connection[Any, Any]) -> None:
+        """Take over the station's end of `multiprocessing.Pipe()`; the pipe closes it."""
+        self._connection = connection
+        self._socket = socket.fromfd(connection.fileno(), socket.AF_UNIX, socket.SOCK_STREAM)
+        self._lock = threading.Lock()
+        self._unsent = bytearray()
+        self._received = bytearray()
+
+    def fileno(self) -> int:
+        """Return the file descriptor, for `wait_for`."""
+        return self._socket.fileno()
+
+    @property
+    def unsent(self) -> bool:
+        """Whether a part of the messages waits until the child reads; `flush` sends it."""
+        return bool(self._unsent)
+
+    def send(self, message: object) -> None:
+        """Send a message as far as the pipe has room, and keep the rest for `flush`.
+
+        A message to a child that has ended is lost; its end is noticed by `receive` and by its sentinel.
+        """
+        body = ForkingPickler.dumps(message)
+        size = len(body)
+        with self._lock:
+            self._unsent += _SHORT.pack(size) if size <= _LONGEST_SHORT else _SHORT.pack(-1) + _LONG.pack(size)
+            self._unsent += body
+            self._flush()
+
+    def flush(self) -> None:
+        """Send what waits, as far as the pipe has room."""
+        with self._lock:
+            self._flush()
+
+    def receive(self) -> list[Any]:
+        """Return the messages that are complete, without waiting for more.
+
+        Raises:
+            PipeEndedError: no further message can come.
+        """
+        ended = False
+        while True:
+            try:
+                data = self._socket.recv(_CHUNK, socket.MSG_DONTWAIT)
+            except BlockingIOError:
+                break
+            except OSError:
+                data = b""
+            if not data:
+                ended = True
+                break
+            self._received += data
+            if len(data) < _CHUNK:
+                break
+        messages = self._complete()
+        if ended and not messages:
+            raise PipeEndedError
+        return messages
+
+    def close(self) -> None:
+        """Close the pipe; the child reads its end."""
+        with self._lock:
+            self._unsent.clear()
+            self._socket.close()
+            self._connection.close()
+
+    def _flush(self) -> None:
+        try:
+            while self._unsent:
+                del self._unsent[: self._socket.send(self._unsent, socket.MSG_DONTWAIT)]
+        except BlockingIOError:
+            return
+        except OSError:
+            self._unsent.clear()
+
+    def _complete(self) -> list[Any]:
+        messages, at = [], 0
+        with memoryview(self._received) as received:
+            while (span := _span(received[at:])) is not None:
+                head, size = span
+                if len(received) < at + head + size:
+                    break
+                messages.append(_unpickled(received[at + head : at + head + size]))
+                at += head + size
+        del self._received[:at]
+        return messages
+
+
+def wait_for(pipes: Sequence[MessagePipe], others: Sequence[int], timeout_s: float) -> set[int]:
+    """Wait until a pipe has data, has room for what it keeps unsent, or another descriptor is readable.
+
+    Returns the file descriptors that are ready, of `pipes` and of `others`; none after `timeout_s`.
+    """
+    with PollSelector() as selector:
+        for pipe in pipes:
+            selector.register(pipe.fileno(), EVENT_READ | (EVENT_WRITE if pipe.unsent else 0))
+        for descriptor in others:
+            selector.register(descriptor, EVENT_READ)
+        return {key.fd for key, _ in selector.select(max(timeout_s, 0.0))}
+
+
+def _span(data: memoryview) -> tuple[int, int] | None:
+    """Return the sizes of length field and body of the message at the beginning of `data`; None if unknown yet."""
+    if len(data) < _SHORT.size:
+        return None
+    (size,) = _SHORT.unpack_from(data)
+    if size >= 0:
+        return _SHORT.size, size
+    if len(data) < _SHORT.size + _LONG.size:
+        return None
+    return _SHORT.size + _LONG.size, _LONG.unpack_from(data, _SHORT.size)[0]
+
+
+def _unpickled(body: memoryview) -> Any:
+    try:
+        return pickle.loads(body)
+    except Exception as fault:  # bytes of a broken child may raise anything; the caller ends this child
+        raise PipeEndedError(f"a message that cannot be read: {type(fault).__name__}: {fault}") from fault

@@ -1,0 +1,168 @@
+"""What the pool knows of one worker: its process, its jobs, the data that it holds, and whether it is overdue."""
+
+from __future__ import annotations
+
+import logging
+import multiprocessing
+import time
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+
+from vaoi_station.backoff import Backoff, BackoffPolicy
+from vaoi_station.runs.host.message_pipe import MessagePipe
+from vaoi_station.runs.host.process_setup import keep_freed_memory
+from vaoi_station.runs.states.run_ids import utc_of_host
+from vaoi_station.runs.states.schemas import STARTING, ProcessStatus
+from vaoi_station.runs.workers.jobs import ConcludeJob, Job, LinkJob, Priority, RenderJob
+from vaoi_station.runs.workers.worker_process import run_worker
+from vaoi_station.stitching.matching.evidence import Task
+
+_log = logging.getLogger(__name__)
+
+RESTART_POLICY = BackoffPolicy(first_s=0.25, longest_s=30.0, proven_s=30.0)
+"""Pauses before a worker that has died is restarted."""
+OVERDUE_S: Mapping[Priority, float] = {
+    Priority.LINK: 1.0,
+    Priority.GATHER: 1.0,
+    Priority.CONCLUDE: 3.0,
+    Priority.RENDER: 3.0,
+    Priority.CHECK: 5.0,
+}
+"""Time after which a job is overdue: other workers take what its worker would do next, and an idle one repeats it.
+
+It is many times what a job takes. A worker that was only slow finishes its job as well; the first reply counts.
+"""
+PING_OVERDUE_S = 1.0
+"""Time after which an unanswered ping makes an idle worker overdue, so that no job is given to it."""
+
+END_S = 5.0
+"""Longest wait for a killed process. One that the kernel cannot end, such as one that waits for a disk, is given up."""
+
+
+@dataclass(eq=False)
+class Queued:
+    """A job, and the number of workers that have died while they performed it."""
+
+    job: Job
+    deaths: int = 0
+    done: bool = False
+    """Whether the job was answered. A worker that repeats it, or is slow, may still answer it once more."""
+    number: int = 0
+    """Position in the order in which the jobs were queued."""
+
+    @property
+    def repeatable(self) -> bool:
+        """Whether another worker may perform the job while its worker is overdue.
+
+        Evidence that one worker gathers is of no use to another. The evidence of a check exists in its worker only.
+        """
+        return not self.done and isinstance(self.job, LinkJob | ConcludeJob | RenderJob)
+
+
+@dataclass
+class Worker:
+    """One worker: its process, the jobs that were given to it, and the data that it holds. It outlives a restart."""
+
+    index: int
+    process: BaseProcess | None = None
+    pipe: MessagePipe | None = None
+    ready: bool = False
+    jobs: deque[Queued] = field(default_factory=deque)
+    """Jobs that were given to the worker: the job under way, and possibly the next one."""
+    since_s: float = 0.0
+    """Time at which the job under way was started, or the process if there was no job, by time.monotonic()."""
+    opened: set[str] = field(default_factory=set)
+    """Ids of the runs whose set-up was sent to the worker."""
+    evidence: dict[str, set[Task]] = field(default_factory=dict)
+    """Tasks whose evidence the worker holds, by run: tasks it performed, and tasks gathered from other workers."""
+    restarts: int = 0
+    backoff: Backoff = field(default_factory=lambda: Backoff(RESTART_POLICY))
+    seen_s: float | None = None
+    """Time of the worker's latest message; None before the first message."""
+    pinged_s: float | None = None
+    """Time of a ping that was not answered yet; None if there is none."""
+    progress: str = ""
+    """How far the warm-up is; empty before the first report."""
+    overdue: bool = False
+    """Whether the job under way, or the reply to a ping, is overdue; see `update`."""
+
+    @property
+    def idle(self) -> bool:
+        """Whether the worker is ready and has no job."""
+        return self.ready and not self.jobs
+
+    @property
+    def job(self) -> Queued | None:
+        """The job under way; None if the worker has no job."""
+        return self.jobs[0] if self.jobs else None
+
+    def status(self) -> ProcessStatus:
+        """Return the state of the worker, for `GET station` and the page."""
+        return ProcessStatus(
+            name=f"worker {self.index}",
+            pid=self.process.pid if self.process else None,
+            alive=self.process is not None and self.process.is_alive(),
+            restarts=self.restarts,
+            heartbeat_age_s=None if self.seen_s is None else time.monotonic() - self.seen_s,
+            doing=str(self.job.job) if self.job else "idle" if self.ready else STARTING,
+            progress="" if self.ready else self.progress,
+            next_try=None if self.backoff.due_s is None else utc_of_host(self.backoff.due_s),
+        )
+
+    def due_s(self) -> float | None:
+        """Return the time at which the worker becomes overdue; None while it starts, or is idle and not pinged."""
+        if self.ready and self.jobs:
+            return self.since_s + OVERDUE_S[self.jobs[0].job.priority]
+        if self.ready and self.pinged_s is not None:
+            return self.pinged_s + PING_OVERDUE_S
+        return None
+
+    def update(self, now_s: float) -> None:
+        """Set `overdue` for a time by time.monotonic()."""
+        due_s = self.due_s()
+        self.overdue = due_s is not None and now_s >= due_s
+
+    def kill(self) -> None:
+        """Kill the process, if there is one."""
+        if self.process is not None:
+            self.process.kill()
+
+    def end(self) -> None:
+        """Kill the process if it still runs, wait for its end, and close its handles."""
+        process, pipe = self.process, self.pipe
+        self.process = self.pipe = None
+        self.progress = ""
+        if process is not None:
+            if process.is_alive():
+                process.kill()
+            process.join(END_S)
+            if process.is_alive():
+                _log.error("process %s of worker %d cannot be ended; it is left alone", process.pid, self.index)
+            else:
+                process.close()
+        if pipe is not None:
+            pipe.close()
+
+
+def start_process(index: int, ring: Path) -> tuple[BaseProcess, MessagePipe]:
+    """Start a worker process, and return it with the station's end of the pipe to it.
+
+    Raises:
+        OSError: the computer has too little memory, or too many processes or files.
+    """
+    spawn = multiprocessing.get_context("spawn")
+    here, there = spawn.Pipe()
+    process = spawn.Process(target=run_worker, args=(there, str(ring)), name=f"vaoi-worker-{index}", daemon=True)
+    try:
+        with keep_freed_memory():
+            process.start()
+    except OSError:
+        here.close()
+        raise
+    finally:
+        # The child process has a copy of this end. Kept open here, it would keep the pipe open after the child's death.
+        there.close()
+    return process, MessagePipe(here)

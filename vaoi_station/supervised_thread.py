@@ -1,0 +1,78 @@
+"""Threads that must not end or hang unnoticed: each records that it is alive, and a supervisor reads the records."""
+
+from __future__ import annotations
+
+import logging
+import math
+import threading
+import time
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+_log = logging.getLogger(__name__)
+
+LIMIT_S = 15.0
+"""Longest time between two heartbeats of a thread, unless its owner sets another limit."""
+
+
+class ThreadFault(NamedTuple):
+    """A thread that has ended without a request, or that hangs."""
+
+    thread: str
+    what: str
+    """What happened, as the end of a sentence."""
+
+    def __str__(self) -> str:
+        return f"Thread {self.thread!r} {self.what}."
+
+
+class SupervisedThread(threading.Thread):
+    """A daemon thread that serves until its owner calls `expect_end`. Any other end, and a hang, is a fault.
+
+    The thread calls `beat` in every pass of its loop, and `rest` before it waits for work without a limit of time.
+    """
+
+    def __init__(self, target: Callable[[], object], name: str, limit_s: float = LIMIT_S) -> None:
+        """Prepare a thread; `limit_s` is the longest time between two heartbeats."""
+        super().__init__(name=name, daemon=True)
+        self._work, self._limit_s = target, limit_s
+        self._beat_s = math.inf
+        self._failure = ""
+        self._end_expected = False
+
+    def beat(self) -> None:
+        """Record that the thread is alive now."""
+        self._beat_s = time.monotonic()
+
+    def rest(self) -> None:
+        """Record that the thread waits for work: until the next heartbeat its silence is no fault."""
+        self._beat_s = math.inf
+
+    def expect_end(self) -> None:
+        """Record that the thread is asked to end, so that its end is no fault."""
+        self._end_expected = True
+
+    def run(self) -> None:
+        """Call the target. An exception that it raises is logged and becomes a fault."""
+        self.beat()
+        try:
+            self._work()
+        except BaseException as error:  # noqa: BLE001  any end of the thread is a fault, which the supervisor acts on
+            self._failure = f"{type(error).__name__}: {error}".rstrip(": ")
+            _log.critical("thread %s has ended", self.name, exc_info=True)
+
+    def fault(self) -> ThreadFault | None:
+        """Return what is wrong with the thread; None if nothing is, or if it was not started yet."""
+        if self.ident is None or self._end_expected:
+            return None
+        if self._failure:
+            return ThreadFault(self.name, f"has ended ({self._failure})")
+        if not self.is_alive():
+            return ThreadFault(self.name, "has ended without an error")
+        silence_s = time.monotonic() - self._beat_s
+        return ThreadFault(self.name, f"hangs for {silence_s:.0f} s") if silence_s > self._limit_s else None
+
+
+def faults_of(threads: Sequence[SupervisedThread]) -> tuple[ThreadFault, ...]:
+    """Return the faults of all threads that have one."""
+    return tuple(fault for thread in threads if (fault := thread.fault()) is not None)
