@@ -103,6 +103,7 @@ class Station:
             shelf.sweep()
             housekeeping = Housekeeping(events)
             housekeeping.add(Retention(config.keep, store.retention).sweep, RETENTION_S, code="retention")
+            housekeeping.add(lambda: store.configurations.store_again(utc()), RETENTION_S, code="retention")
             housekeeping.add(DatabaseCheck(store.database).step, CHECK_S, code="database-damaged")
             board_types = BoardTypeDirectory(config.board_types)
             make_order = OrderFactory(

@@ -22,6 +22,7 @@ from vaoi_station.transfer.backup import back_up, restore
 def test_everything_is_back_on_an_empty_machine(site: Site, tmp_path: Path) -> None:
     site.rig.coordinator.kept.pin(site.sound)
     site.rig.wait_for(lambda: site.rig.coordinator.kept.recordings.runs == 2, "the recording")
+    (site.rig.config.data / "station.db.damaged-1").write_text("set aside")
     expected = {run: site.rig.coordinator.stitch_text(run) for run in (site.sound, site.degraded)}
     events = len(site.rig.coordinator.events(0))
     site.rig.store.database.write(lambda _: None).result(10)  # all events are written
@@ -48,6 +49,7 @@ def test_everything_is_back_on_an_empty_machine(site: Site, tmp_path: Path) -> N
     assert reference.run == site.sound
     assert (config.data / "keys.json").read_text() == "{}"
     assert not (config.data / "recordings").exists()
+    assert not list(config.data.glob("*damaged*"))
     assert list(machine.glob(".*")) == []
     store.close()
 

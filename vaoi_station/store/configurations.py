@@ -12,18 +12,23 @@ class Configurations:
     """Configurations of the station, each stored once. Usable from any thread."""
 
     def __init__(self, database: Database) -> None:
-        self._database = database
+        self._database, self._document = database, ""
         self.present = ""
         """Digest of the configuration in force; empty before `begin`."""
 
     def begin(self, document: str, now: str) -> str:
         """Store the configuration with which the station starts, and return its digest."""
         digest = hashlib.sha256(document.encode()).hexdigest()[:16]
-        self._database.write(
-            lambda c: c.execute("INSERT OR IGNORE INTO configurations VALUES (?, ?, ?)", (digest, now, document))
-        ).result()
-        self.present = digest
+        self.present, self._document = digest, document
+        self.store_again(now)
         return digest
+
+    def store_again(self, now: str) -> None:
+        """Store the configuration in force, unless it is there: the database may have been replaced by an empty one."""
+        if self._database.read("SELECT 1 FROM configurations WHERE digest = ?", (self.present,)):
+            return
+        row = (self.present, now, self._document)
+        self._database.write(lambda c: c.execute("INSERT OR IGNORE INTO configurations VALUES (?, ?, ?)", row)).result()
 
     def document(self, digest: str) -> str:
         """Return a stored configuration as JSON text; raise NotFoundError if the digest is unknown."""

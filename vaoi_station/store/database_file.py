@@ -24,7 +24,7 @@ from vaoi_station.store.storage_trouble import (
 _COMPANIONS = ("", "-wal", "-shm")
 """Endings of the files that together are one database."""
 _HEADER_BYTES = 100
-_MARK = ".begun"
+MARK = ".begun"
 """Ending of an empty file; without it, a start without a database is the first one."""
 
 
@@ -71,7 +71,7 @@ def open_database(path: Path) -> tuple[sqlite3.Connection, StorageTrouble | None
         with translated_errors(path):
             raise
     with translated_errors(path):
-        path.with_name(path.name + _MARK).touch()
+        path.with_name(path.name + MARK).touch()
     return connection, notice
 
 
@@ -112,7 +112,7 @@ def _deleted(path: Path) -> StorageTrouble | None:
     """Return a trouble if there was a database at an earlier start and now there is none, or an empty file."""
     # SQLite takes a file that is shorter than its header for a new one.
     size = path.stat().st_size if path.exists() else 0
-    if size >= _HEADER_BYTES or not path.with_name(path.name + _MARK).exists():
+    if size >= _HEADER_BYTES or not path.with_name(path.name + MARK).exists():
         return None
     return StorageTrouble(
         DELETED,

@@ -14,6 +14,7 @@ from vaoi_station.errors import InputError
 from vaoi_station.files.atomic_directory import refuse_existing
 from vaoi_station.runs.archive.recordings import DIRECTORY as RECORDINGS
 from vaoi_station.runs.states.run_ids import utc
+from vaoi_station.store.database_file import MARK
 from vaoi_station.store.schema import VERSION as TABLES
 from vaoi_station.transfer.database_copy import check_database, copy_database
 from vaoi_station.transfer.package import Entry, unpack_package, write_package
@@ -89,9 +90,10 @@ def _entries(config_path: Path, config: StationConfig, database: Path, *, with_r
     if config.simulation is not None and config.simulation.scenario.is_file():
         yield SCENARIO, config.simulation.scenario
     yield from _files(config.board_types, BOARD_TYPES)
-    own = {DATABASE, f"{DATABASE}-wal", f"{DATABASE}-shm", *(() if with_recordings else (RECORDINGS,))}
     for path in sorted(config.data.iterdir()):
-        if path.name not in own:
+        # The files beside the database belong to it, or are damaged ones that were set aside; only its mark is kept.
+        of_database = path.name.startswith(DATABASE) and not path.name.endswith(MARK)
+        if not of_database and (with_recordings or path.name != RECORDINGS):
             yield from _files(path, f"{DATA}/{path.name}")
 
 

@@ -8,10 +8,10 @@ from vaoi_station.config import KeepConfig
 from vaoi_station.runs.states.run_ids import earliest_id
 from vaoi_station.store.retention import RunRetention
 
-BATCH = 25
+BATCH = 10
 """Number of runs that one transaction forgets: the result of a board waits for at most one such transaction."""
-MOST_BATCHES = 40
-"""Most transactions of one pass. A clock that was set far ahead thus deletes at most 1000 runs a minute."""
+MOST_BATCHES = 60
+"""Most transactions of one pass. A clock that was set far ahead thus deletes at most 600 runs a minute."""
 DAY_S = 86_400.0
 
 
