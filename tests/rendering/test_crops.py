@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from vaoi_station.errors import InputError
 from vaoi_station.geometry import apply
 from vaoi_station.model import BoardType, Component
-from vaoi_station.rendering.crops import MOST_PIXELS, compute_crops
+from vaoi_station.rendering.crops import MOST_PIXELS, compute_crops, fitting_resolutions
 
 SIDES = [(y, s) for y in ("up", "down") for s in ("top", "bottom")]
 
@@ -89,6 +89,17 @@ def test_a_picture_too_large_is_refused_by_name() -> None:
         compute_crops([part()], board(), 5000.0)
     just = math.sqrt(MOST_PIXELS / 8) * 0.999
     assert compute_crops([part()], board(), just).size.prod() <= MOST_PIXELS
+
+
+def test_a_large_component_gets_the_resolution_that_fits() -> None:
+    parts = [part(), part(width=4000.0, height=3000.0)]
+    fitting = fitting_resolutions(parts, board(), 20.0)
+    assert fitting[0] == 20.0
+    assert fitting[1] < 2.0
+    sizes = compute_crops(parts, board(), fitting).size.prod(1)
+    assert 0.99 * MOST_PIXELS < sizes[1] <= MOST_PIXELS
+    with pytest.raises(InputError, match="megapixels"):
+        compute_crops(parts, board(), 20.0)
 
 
 def test_a_tiny_component_has_one_pixel() -> None:

@@ -23,7 +23,7 @@ from vaoi_station.errors import InputError, StateError
 from vaoi_station.geometry import Camera, Projective, System
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import BoardType, Component, Stitch
-from vaoi_station.rendering.crops import compute_crops
+from vaoi_station.rendering.crops import compute_crops, fitting_resolutions
 
 GRID = 9
 """Points per side of the grid on which the coverage of a picture is computed if the frame cuts it off."""
@@ -151,7 +151,13 @@ class ViewCalculator:
         require_coverage(min_coverage)
         if not components:
             return {}
-        resolution = self._resolution if px_per_mm is None else float(px_per_mm)
+        # A picture that would be too large at the cameras' resolution has fewer pixels: one large component must not
+        # make the list of all components impossible. A resolution that the caller has chosen is not changed.
+        resolution = (
+            fitting_resolutions(components, self._board_type, self._resolution)
+            if px_per_mm is None
+            else np.full(len(components), float(px_per_mm))
+        )
         crops = compute_crops(components, self._board_type, resolution)
         matrices = self._matrices(components, crops.cad_from_crop)
         ends = _project(matrices, _grid(crops.size, 3)[:, _CORNERS])
@@ -174,7 +180,7 @@ class ViewCalculator:
         return {c.address: tuple(views) for c, views in zip(components, found, strict=True)}
 
     def _views_of_camera(
-        self, camera: Camera, pairs: _Pairs, resolution: float, min_coverage: float
+        self, camera: Camera, pairs: _Pairs, resolution: Floats, min_coverage: float
     ) -> Iterator[tuple[int, View]]:
         """Compute the views in frames of one camera; yield each with the number of the component that it shows."""
         component, frame, matrices, size, crop_from_cad = pairs
@@ -202,7 +208,9 @@ class ViewCalculator:
             (i, j), k = self._keys[frame[n]], int(component[n])
             w, h = whole[n]
             share, middle = float(coverage[n]), float(off[n])
-            view = View(i, j, w, h, resolution, share, middle, crop_from_cad[n], matrices[n], tiles.get(n, ()))
+            view = View(
+                i, j, w, h, float(resolution[k]), share, middle, crop_from_cad[n], matrices[n], tiles.get(n, ())
+            )
             yield k, view
 
     def _matrices(self, components: Sequence[Component], cad_from_crop: Floats) -> Floats:
