@@ -108,6 +108,18 @@ class RunRetention:
         )
         return int(rows[0]["n"])
 
+    def spare_bytes(self) -> int:
+        """Return the size of the free pages of the database, into which results fit without more disk space."""
+        rows = self._database.read(
+            "SELECT freelist_count * page_size AS n FROM pragma_freelist_count, pragma_page_size"
+        )
+        return int(rows[0]["n"])
+
+    @property
+    def disk_free_bytes(self) -> int | None:
+        """Free space of the data disk at the last check; None if it is not known."""
+        return self._database.free_bytes
+
     def whole(self) -> tuple[int, int]:
         """Return the numbers of runs that are kept whole: with verdict ok, and all others."""
         rows = self._database.read("SELECT coalesce(sum(1 - doubtful), 0), coalesce(sum(doubtful), 0) FROM whole_runs")

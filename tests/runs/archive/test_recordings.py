@@ -185,3 +185,19 @@ def test_nothing_is_kept_with_a_quota_of_zero(rig: Any, tmp_path: Path) -> None:
     keeper.start()
     keeper.stop()
     assert keeper.runs == 0
+
+
+def test_recordings_make_room_on_a_disk_that_is_nearly_full(
+    rig: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = a_board(rig)
+    rig.coordinator.kept.pin(run.id)
+    for name in ("0-old", run.id):
+        (tmp_path / "kept" / name).mkdir(parents=True)
+    keeper = a_keeper(rig, tmp_path, rig.coordinator._frames)
+    monkeypatch.setattr(module, "DISK_RESERVE", 0)
+    keeper.trim()
+    assert keeper.runs == 2
+    monkeypatch.setattr(module, "DISK_RESERVE", 10**18)
+    keeper.trim()
+    assert [path.name for path in (tmp_path / "kept").iterdir()] == [run.id], "a pinned one stays"

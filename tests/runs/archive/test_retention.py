@@ -88,6 +88,20 @@ def test_runs_are_forgotten_by_size_first_those_that_are_ok(store: Store, add: C
     assert len(store.runs(99, None)) == 3
 
 
+def test_on_a_full_disk_the_oldest_runs_make_some_room_in_the_file(
+    store: Store, add: Callable[..., list[str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    runs = add(*range(20, 0, -1), kilobytes=100)
+    monkeypatch.setattr(module, "BATCH", 1)
+    monkeypatch.setattr(module, "SPARE_BYTES", 290_000)
+    retention = Retention(keep(), store.retention)
+    assert retention.sweep(NOW_S) == 0, "the disk has room"
+    monkeypatch.setattr(module, "SHORT_BYTES", 10**18)
+    assert retention.sweep(NOW_S) == 3
+    assert whole(store, runs) == [False] * 3 + [True] * 17
+    assert retention.sweep(NOW_S) == 0, "whatever fills the disk, the history is not given up for it"
+
+
 def test_a_clock_that_jumps_ahead_deletes_little_at_a_time(
     store: Store, add: Callable[..., list[str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -121,6 +121,15 @@ class Recordings:
         """Size of all kept recordings."""
         return sum(self._sizes.copy().values())
 
+    def trim(self) -> None:
+        """Delete the oldest recordings that are not pinned while the disk is short of space for the database."""
+        while self._sizes and shutil.disk_usage(self.directory).free < DISK_RESERVE // 2:
+            with self._lock:
+                oldest = min(self._sizes.keys() - self._archive.retention.pins(), default=None)
+                if oldest is None:
+                    return
+                self._delete(oldest)
+
     def _run(self) -> None:
         os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), LOWEST_PRIORITY)
         while (run := self._waiting.get()) is not None and not self._stopping.is_set():
@@ -177,13 +186,15 @@ class Recordings:
             free = shutil.disk_usage(self.directory).free - DISK_RESERVE
             if self.size_bytes + needed <= quota and needed <= free:
                 return
-            oldest = min(self._sizes.keys() - pinned, default=None)
+            with self._lock:
+                oldest = min(self._sizes.keys() - pinned, default=None)
+                if oldest is not None:
+                    self._delete(oldest)
             if oldest is None:
                 raise DeviceError(
                     f"{self.directory}: a recording of {needed / 1e6:.0f} MB exceeds [keep] recordings_gb "
                     f"({self._keep.recordings_gb:g}), or the free space of the disk.",
                 )
-            self._delete(oldest)
 
     def _delete(self, run: str) -> None:
         del self._sizes[run]

@@ -12,6 +12,8 @@ BATCH = 10
 """Number of runs that one transaction forgets: the result of a board waits for at most one such transaction."""
 MOST_BATCHES = 60
 """Most transactions of one pass. A clock that was set far ahead thus deletes at most 600 runs a minute."""
+SHORT_BYTES, SPARE_BYTES = 1_000_000_000, 100_000_000
+"""Free space of the disk below which room is made within the database, and the room that is made: some 1000 runs."""
 DAY_S = 86_400.0
 
 
@@ -47,7 +49,13 @@ class Retention:
         if runs := kept.old_summaries(keep.runs, earliest_id(now_s - keep.run_days * DAY_S), BATCH):
             kept.forget_runs(runs).result()
             return len(runs)
-        return self._shrink() if kept.used_bytes() > keep.database_gb * 1e9 else 0
+        return self._shrink() if kept.used_bytes() > keep.database_gb * 1e9 or self._disk_is_short() else 0
+
+    def _disk_is_short(self) -> bool:
+        """Return whether the disk is nearly full and the database has few free pages for the next results."""
+        # Whatever fills the disk, no more than SPARE_BYTES of the history are given up for it.
+        free = self._kept.disk_free_bytes
+        return free is not None and free < SHORT_BYTES and self._kept.spare_bytes() < SPARE_BYTES
 
     def _shrink(self) -> int:
         """Forget the oldest runs because the database is too large: details of ok runs, of others, then summaries."""
