@@ -76,6 +76,29 @@ def firmware_events(logic: ctypes.CDLL, timing: Timing, edges: list[tuple[int, b
     return events
 
 
+def test_a_departure_is_no_gap_again_after_the_counter_has_wrapped(logic: ctypes.CDLL) -> None:
+    """A board that comes 35.8 min after the one before, to within the gap, is filmed."""
+    timing, wrap = replace(RULE, min_gap=ms(500)), 1 << 32
+    logic.bridge_start(0)
+    talk(logic, [*configuration(timing, LIGHT), arm(1, config_crc(timing, LIGHT))])
+    again = wrap + ms(310 + 200)
+    edges = [(ms(10), True), (ms(100), False), (ms(300), True), (ms(310), False), (again, True)]
+    fine = [*range(0, ms(1000), us(256)), *range(again - ms(1), again + ms(20), us(256))]
+    coarse = range(ms(1000), again - ms(1), ms(500))
+    struct, seen = ctypes.create_string_buffer(16), []
+    for now in sorted({*fine, *coarse}):
+        talk(logic, [Request(Type.BEAT)], now)
+        while edges and edges[0][0] <= now:
+            tick, blocked = edges.pop(0)
+            logic.bridge_edge(ctypes.c_uint32(tick), int(blocked))
+        logic.bridge_poll(ctypes.c_uint32(now))
+        while logic.bridge_event(struct) & 0xFF:
+            event = Event.unpack(struct.raw)
+            if (event.kind, event.detail) in ((Kind.BARRIER, 1), (Kind.SUPPRESSED, 1), (Kind.SUPPRESSED, 2)):
+                seen.append(event.kind)
+    assert seen == [Kind.BARRIER, Kind.SUPPRESSED, Kind.BARRIER]
+
+
 def rule_events(timing: Timing, edges: list[tuple[int, bool]]) -> list[ControllerEvent]:
     """What the simulated controller makes of the same edges."""
     plan = TriggerPlan(

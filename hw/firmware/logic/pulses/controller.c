@@ -93,6 +93,12 @@ static void on_board_departure(struct controller *c, const struct edge *edge)
     report(c, edge->tick, EVENT_BARRIER, 0, c->run, (uint32_t)edge->position);
 }
 
+/* The counter wraps after 35.8 min. A departure is forgotten long before, or it would look recent again. */
+static void forget_departure(struct controller *c, ticks_t now)
+{
+    if (c->clear_known && now - c->last_clear > TIME_LONGEST && ticks_since(now, c->last_clear) > 0) c->clear_known = 0;
+}
+
 static void watch_barrier(struct controller *c, ticks_t now)
 {
     if (!barrier_poll(&c->barrier, now, timing(c)->debounce)) return;
@@ -174,6 +180,7 @@ void controller_poll(struct controller *c, ticks_t now)
     budget_fill(&c->budget, now);
     /* The barrier before the rows: a board that has left may end the run and cancel its next row. */
     watch_pulse(c, now);
+    forget_departure(c, now);
     watch_barrier(c, now);
     uint8_t needs_host = c->state == STATE_ARMED || c->state == STATE_RUNNING;
     if (needs_host && ticks_since(now, c->last_beat) > (int32_t)HEARTBEAT) controller_safe(c, FAULT_HEARTBEAT, now);
