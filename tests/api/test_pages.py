@@ -46,7 +46,7 @@ def test_an_unknown_kind_is_not_found(client: Any) -> None:
 
 def test_pages_are_not_in_the_openapi_document(client: Any) -> None:
     paths = client.get("/api/v1/openapi.json").json()["paths"]
-    assert all(path.startswith("/api/v1/") or path == "/healthz" for path in paths)
+    assert all(path.startswith("/api/v1/") or path in ("/healthz", "/readyz") for path in paths)
 
 
 def test_the_page_has_an_order_for_every_reason(client: Any) -> None:

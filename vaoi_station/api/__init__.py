@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator, Iterable
 from contextlib import asynccontextmanager
+from typing import Literal
 
 from fastapi import FastAPI, Response
 from fastapi.routing import APIRoute
@@ -26,11 +27,16 @@ from vaoi_station.api.routes import (
 )
 from vaoi_station.api.services import Services
 from vaoi_station.runs.control.coordinator import StationCoordinator
+from vaoi_station.runs.states.schemas import StationSnapshot
 from vaoi_station.runs.states.tables import StationState
+from vaoi_station.store.storage_trouble import PASSING
 from vaoi_station.version import __version__
 
 PREFIX = "/api/v1"
 NOT_OPERATIONAL = frozenset({StationState.STARTING, StationState.FAULTED, StationState.STOPPING})
+
+NOT_READY = PASSING | {"camera-lost", "workers-starting", "ring-full", "not-armed-again"}
+"""Codes of reasons and warnings with which the next board would not be filmed completely, or not kept on disk."""
 
 
 def create_app(coordinator: StationCoordinator, names: Iterable[str] = ()) -> FastAPI:
@@ -83,10 +89,25 @@ def _add_health(app: FastAPI, services: Services) -> None:
             # Read without the coordinator, whose thread may be the one that hangs.
             response.status_code = 503
             return Health(status="degraded", state=StationState.FAULTED, version=__version__)
-        state = (await services.commands.ask(services.coordinator.snapshot)).state
-        not_operational = state in NOT_OPERATIONAL
-        response.status_code = 503 if not_operational else 200
-        return Health(status="degraded" if not_operational else "ok", state=state, version=__version__)
+        return _health(response, await services.commands.ask(services.coordinator.snapshot), ready_only=False)
+
+    @app.get("/readyz", tags=["station"])
+    async def get_readiness(response: Response) -> Health:
+        """Return 200 if a board that came now would be filmed by all cameras and its result kept on disk, else 503.
+
+        A station that is idle is ready: it waits for an order. The codes say what is missing.
+        """
+        return _health(response, await services.commands.ask(services.coordinator.snapshot), ready_only=True)
+
+
+def _health(response: Response, snapshot: StationSnapshot, *, ready_only: bool) -> Health:
+    codes = list(dict.fromkeys(reason.code for reason in (*snapshot.reasons, *snapshot.warnings)))
+    dead = snapshot.state in NOT_OPERATIONAL
+    unready = dead or snapshot.state is StationState.BLOCKED or not NOT_READY.isdisjoint(codes)
+    response.status_code = 503 if dead or (ready_only and unready) else 200
+    response.headers["Cache-Control"] = "no-store"
+    status: Literal["ok", "degraded"] = "degraded" if unready else "ok"
+    return Health(status=status, state=snapshot.state, version=__version__, codes=codes)
 
 
 def _operation_id(route: APIRoute) -> str:

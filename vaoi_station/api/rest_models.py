@@ -152,3 +152,4 @@ class Health(Strict):
     status: Literal["ok", "degraded"]
     state: str
     version: str
+    codes: list[str] = Field(default=[], description="Codes of the station's reasons and warnings.")

@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from vaoi_station.runs.states.schemas import Reason
 from vaoi_station.runs.states.tables import StationState
 
 STATION = "/api/v1/station"
@@ -35,14 +36,14 @@ def test_arming_by_body_or_by_query(client: Any, by: str) -> None:
     assert content["state"] == "armed"
     assert content["armed_with"] == {
         "board_type": "demo-board", "board_id": "B1", "job_id": "J1", "runs_left": 2, "method": "auto",
-        "board_id_certain": True,
+        "board_id_certain": True, "resumed": False,
     }  # fmt: skip
 
 
 def test_the_query_completes_the_body(client: Any) -> None:
     content = client.post(f"{STATION}/arm?board_id=B2", json={"board_type": "demo-board"}).json()
     assert content["armed_with"] == {
-        "board_type": "demo-board", "board_id": "B2", "method": "auto", "board_id_certain": True,
+        "board_type": "demo-board", "board_id": "B2", "method": "auto", "board_id_certain": True, "resumed": False,
     }  # fmt: skip
 
 
@@ -82,3 +83,28 @@ def test_health_is_for_supervisors(client: Any, station: Any, state: str, status
     station.state = StationState(state)
     answer = client.get("/healthz")
     assert (answer.status_code, answer.json()["state"]) == (status, state)
+
+
+@pytest.mark.parametrize(
+    ("state", "code", "status", "ready"),
+    [
+        ("idle", "", "ok", 200),
+        ("armed", "calibration-drift", "ok", 200),
+        ("armed", "storage-full", "degraded", 503),
+        ("armed", "workers-starting", "degraded", 503),
+        ("armed", "camera-lost", "degraded", 503),
+        ("blocked", "", "degraded", 503),
+        ("faulted", "", "degraded", 503),
+    ],
+)
+def test_readiness_is_about_the_next_board(
+    client: Any, station: Any, monkeypatch: pytest.MonkeyPatch, state: str, code: str, status: str, ready: int
+) -> None:
+    station.state = StationState(state)
+    snapshot = station.snapshot()
+    warnings = (Reason(code=code, message="x"),) if code else ()
+    monkeypatch.setattr(station, "snapshot", lambda: snapshot.model_copy(update={"warnings": warnings, "reasons": ()}))
+    answer = client.get("/readyz")
+    assert (answer.status_code, answer.json()["status"]) == (ready, status)
+    assert answer.json().get("codes", []) == [reason.code for reason in warnings]
+    assert client.get("/healthz").status_code == (503 if state == "faulted" else 200)

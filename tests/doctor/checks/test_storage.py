@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import sqlite3
 import subprocess
 import sys
 from pathlib import Path
@@ -17,6 +18,7 @@ from tests.needs import lacking
 from vaoi_station.doctor.check_context import CheckContext
 from vaoi_station.doctor.checks import storage
 from vaoi_station.doctor.finding import Level
+from vaoi_station.store import Database
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -99,3 +101,34 @@ def test_full_file_systems_are_reported(
     assert [f["level"] for f in found] == [level]
     assert words in found[0]["message"]
     assert found[0]["action"]
+
+
+def test_what_is_in_the_place_of_the_database_is_judged_and_left_as_it_is(tmp_path: Path) -> None:
+    path = tmp_path / "station.db"
+    assert list(storage.database(path)) == []
+    Database(path).close()
+    assert list(storage.database(path)) == []
+    before = sorted(p.name for p in tmp_path.iterdir())
+    connection = sqlite3.connect(path)
+    connection.execute("PRAGMA user_version = 999")
+    connection.close()
+    assert_problem(only(storage.database(path)), Level.FAULT, "has version 999 of the tables")
+    path.write_bytes(b"garbage " * 1000)
+    assert_problem(only(storage.database(path)), Level.FAULT, "is not a sound database")
+    path.unlink()
+    assert_problem(only(storage.database(path)), Level.WARNING, "there was a database, and it is gone")
+    os.mkfifo(path)
+    assert_problem(only(storage.database(path)), Level.FAULT, "is not a regular file")
+    path.unlink()
+    other = sqlite3.connect(path)
+    other.execute("CREATE TABLE bookmarks (url)")
+    other.close()
+    assert_problem(only(storage.database(path)), Level.FAULT, "is a database of another program")
+    assert sorted(p.name for p in tmp_path.iterdir()) == before
+
+
+def test_a_database_that_was_set_aside_stays_a_warning(tmp_path: Path) -> None:
+    path = tmp_path / "station.db"
+    path.write_bytes(b"garbage " * 1000)
+    Database(path).close()
+    assert_problem(only(storage.database(path)), Level.WARNING, "was set aside because it was damaged")

@@ -9,10 +9,10 @@ import pytest
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import VaoiError
 from vaoi_station.model import BoardType, Calibration
-from vaoi_station.runs.run.reference_store import ReferenceStore
+from vaoi_station.runs.run.reference_store import KEEP, ReferenceStore
 from vaoi_station.runs.run.salvage import camera_heads
 from vaoi_station.runs.states.schemas import ReferenceRecord
-from vaoi_station.store import Store
+from vaoi_station.store import Database, Store
 
 
 @pytest.fixture
@@ -71,3 +71,20 @@ def test_only_directories_that_nothing_uses_are_removed(references: ReferenceSto
     references.sweep()
     assert not named.exists()
     assert not used.exists()
+
+
+def test_references_outlive_a_database_that_was_lost(tmp_path: Path) -> None:
+    data = tmp_path / "lost"
+    reference = data / "references" / "r1"
+    reference.mkdir(parents=True)
+    (data / "station.db").write_bytes(b"garbage " * 1000)
+    for _ in range(2):
+        store = Store(Database(data / "station.db"))
+        ReferenceStore(data / "references", store, ()).sweep()
+        store.close()
+        assert reference.is_dir(), "a person may restore the database"
+    (data / "references" / KEEP).unlink()
+    store = Store(Database(data / "station.db"))
+    ReferenceStore(data / "references", store, ()).sweep()
+    store.close()
+    assert not reference.exists()

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import os
+import sqlite3
 from collections.abc import Iterator
+from pathlib import Path
 
 from vaoi_station.doctor.check_context import CheckContext
 from vaoi_station.doctor.finding import Figures, Finding, fault, ok, warning
 from vaoi_station.doctor.machine import format_bytes, nearest, writable
+from vaoi_station.station import DATABASE
+from vaoi_station.store.schema import VERSION
 
 SCANT_BYTES, LITTLE_BYTES = 200e6, 2e9
 """Limits of the free space: below the first it is a fault, below the second a warning."""
@@ -27,6 +31,46 @@ def data(context: CheckContext) -> Iterator[Finding]:
         )
         return
     yield judge_space(os.statvfs(there), str(directory))
+    yield from database(directory / DATABASE)
+
+
+def database(path: Path) -> Iterator[Finding]:
+    """Check what is in the place of the database, without changing it, and name what was set aside."""
+    if path.exists():
+        try:
+            yield from _judge_database(path)
+        except (sqlite3.DatabaseError, OSError) as error:
+            yield fault(
+                f"{path}: is not a sound database ({error}).",
+                "Restore a backup, or let the station set it aside at its next start and begin anew.",
+            )
+    elif path.with_name(f"{path.name}.begun").exists():
+        yield warning(f"{path}: there was a database, and it is gone.", "Restore a backup, if there is one.")
+    for kept in sorted(path.parent.glob(f"{path.name}.damaged-*[0-9Z]")):
+        yield warning(
+            f"{kept}: was set aside because it was damaged.",
+            f"Recover it (sqlite3 {kept.name} .recover), check the disk, then delete it.",
+        )
+
+
+def _judge_database(path: Path) -> Iterator[Finding]:
+    if not path.is_file():
+        yield fault(f"{path}: is not a regular file.", "Move it away.")
+        return
+    # Read only, so that neither a log is applied nor a file made; the station may be running.
+    connection = sqlite3.connect(f"{path.as_uri()}?mode=ro", uri=True, timeout=1)
+    try:
+        (version,) = connection.execute("PRAGMA user_version").fetchone()
+        tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+    finally:
+        connection.close()
+    if version > VERSION:
+        yield fault(
+            f"{path}: has version {version} of the tables; this software knows versions up to {VERSION}.",
+            "Start the newer vaoi_station that wrote it.",
+        )
+    elif tables and "runs" not in tables:
+        yield fault(f"{path}: is a database of another program.", "Move it away.")
 
 
 def judge_space(space: os.statvfs_result, where: str) -> Finding:

@@ -23,6 +23,8 @@ from vaoi_station.stitching.board.reference import Reference
 from vaoi_station.stitching.recordings.reference_directory import open_reference
 from vaoi_station.store import Store
 
+KEEP = "keep-all"
+"""Name of an empty file in the directory of references; while it exists, no reference is deleted."""
 _METHOD: TypeAdapter[MethodName] = TypeAdapter(MethodName)
 
 
@@ -43,7 +45,7 @@ class ReferenceStore:
     def __init__(self, directory: Path, store: Store, cameras: tuple[Camera, ...]) -> None:
         """Open the store of references in `directory`. `cameras` are the cameras of the calibration in force."""
         self._directory, self._cameras = directory, cameras
-        self._kept = store.stitching
+        self._store, self._kept = store, store.stitching
         self._lock = threading.Lock()
         self._opened: dict[str, tuple[BoardType, StoredReference]] = {}
         """Cache of the references that were opened last, by board type, so that arming does not wait for the disk."""
@@ -107,6 +109,12 @@ class ReferenceStore:
         `in_use` contains the ids of reference runs that orders and runs still use.
         """
         with self._lock:
+            # A database that begins anew assigns no reference: without this, the next sweep would delete all of them.
+            keep = self._directory / KEEP
+            if self._store.notices and self._directory.is_dir():
+                keep.touch()
+            if keep.exists():
+                return
             named = {ReferenceRecord.model_validate_json(document).run for document in self._kept.references()}
             opened = {stored.run for _, stored in self._opened.values()}
             for path in self._directory.glob("*"):

@@ -57,7 +57,7 @@ class ArmedWith(Schema):
     """Whether `board_id` still belongs to the next board. If False, a board may have passed without a run since it was
     armed, and the next runs get no board id: arm again with the id of the next board."""
     resumed: bool = False
-    """Whether the order was in force before a restart of the station and was taken up again by itself."""
+    """Whether the order was in force before a restart and was taken up again by itself."""
 
 
 class CameraStatus(Schema):
@@ -284,8 +284,7 @@ class RunSummary(Schema):
     timings: Timings | None
     frames_available: bool
     stored: bool = True
-    """Whether this state of the run is on disk. False while it is under way, and while the storage takes no writes: its
-    result is then in memory only, and is lost if the station ends."""
+    """Whether the run is on disk. False: it is under way, or the storage takes no writes and it is in memory only."""
     frames_kept_until: str | None = None
     """Time until which the frames of a finished run are not evicted, unless the run is released before; later they stay
     only as long as a caller holds them or their memory is not needed."""
