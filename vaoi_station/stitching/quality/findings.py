@@ -47,8 +47,9 @@ _PLACED_SIGMA_PX = 2.0
 """Largest standard deviation of a position in a row that neither links nor points of the CAD data tie to the others."""
 _OTHER_LIFT_MM = 1.0
 """Least difference of a lift measured by overlaps from that of the adjustment at which the two contradict."""
-_LEAST_FITTING = 0.25
-"""Least share of a frame's links that must fit. Sound frames of the recordings and of the twin have 0.7 or more."""
+_LEAST_FITTING, _SURELY = 0.25, 5
+"""Least share of a frame's links that must fit, or number of links that do not fit by chance. Of sound frames of the
+recordings and of the twin 0.7 or more fit."""
 _BORDER_PX = 6.0
 """Distance from a frame's border within which the bare rim of a fiducial must not reach, so that it is detected."""
 _SEAM_LINKS = 12
@@ -165,14 +166,15 @@ class Findings:
             return frozenset(self.scene.present)
         o, points = self.problem.links, self.problem.fiducials
         every = np.bincount(o.group, minlength=len(o.groups))
-        used = np.bincount(o.group, self.adjusted.weight > _USED, minlength=len(o.groups))
-        linked: defaultdict[FrameKey, float] = defaultdict(float)
+        used = np.bincount(o.group[self.adjusted.weight > _USED], minlength=len(o.groups))
+        linked: defaultdict[FrameKey, list[int]] = defaultdict(lambda: [0, 0])
         for links, own, fitting in zip(o.groups, every.tolist(), used.tolist(), strict=True):
             for key in (links.task.a, links.task.b):
-                if key is not None and own:
-                    # positive in the end if more than the least share of the frame's links fits
-                    linked[key] += fitting - _LEAST_FITTING * own
-        frames = {key for key, surplus in linked.items() if surplus > 0}
+                if key is not None:
+                    linked[key][0] += own
+                    linked[key][1] += fitting
+        # of a frame at the end of the board, most links may lie on a textured belt
+        frames = {key for key, (own, fits) in linked.items() if fits >= _SURELY or fits > _LEAST_FITTING * own}
         if points is not None:
             frames |= set(zip(points.camera.tolist(), points.row.tolist(), strict=True))
         return frozenset(frames & set(self.scene.present))
