@@ -295,3 +295,11 @@ def test_a_query_with_an_error_names_the_file(database: Database) -> None:
     with pytest.raises(DeviceError, match=r"station\.db: cannot be used"):
         database.read("SELECT nothing FROM nowhere")
     assert database.read("SELECT 1 AS one")[0]["one"] == 1
+
+
+@pytest.mark.parametrize(("durable", "level"), [(True, 2), (False, 1)])
+def test_a_durable_write_waits_for_the_disk(database: Database, durable: bool, level: int) -> None:
+    """Level 2 is FULL: the log is on the disk when the transaction ends."""
+    database.write(lambda c: add_event(c, 1), durable=not durable).result(10)
+    done = database.write(lambda c: c.execute("PRAGMA synchronous").fetchone()[0], durable=durable)
+    assert done.result(10) == level

@@ -126,3 +126,17 @@ def test_events_are_read_in_order_from_a_number_on(store: Store) -> None:
 def test_a_run_of_an_unknown_board_type_is_refused(store: Store, make_run: MakeRun) -> None:
     with pytest.raises(InternalError, match="FOREIGN KEY"):
         store.save_run(replace(make_run("r1"), board_type_digest="0000")).result(10)
+
+
+def test_the_end_of_a_run_survives_a_power_failure_before_it_is_announced(store: Store, make_run: MakeRun) -> None:
+    levels: list[int] = []
+    row = make_run("r1", "ready", 1)
+    store.database.write(lambda c: c.create_function("seen", 1, levels.append), patient=True).result(10)
+    store.database.write(
+        lambda c: c.execute(
+            "CREATE TEMP TRIGGER watch AFTER INSERT ON runs BEGIN SELECT seen((SELECT * FROM pragma_synchronous)); END"
+        )
+    ).result(10)
+    store.save_run(row).result(10)
+    store.save_run(make_run("r2")).result(10)
+    assert levels == [2, 1], "FULL for a run that ended, NORMAL for one that began"
