@@ -25,7 +25,7 @@ from vaoi_station.model import Status
 from vaoi_station.station import Station
 from vaoi_station.supervised_thread import SupervisedThread
 
-TIMEOUT_S = 60.0
+TIMEOUT_S = 180.0
 THREADS = ("store", "coordinator", "workers", "acquisition-link", "housekeeping")
 
 

@@ -53,6 +53,18 @@ def test_the_oldest_finished_run_is_evicted() -> None:
     assert memory.has("r2")
 
 
+def test_the_bay_of_a_run_that_ended_by_a_fault_is_free_again() -> None:
+    """Its end could not be stored, so it never became finished."""
+    memory, _ = memory_of(3)
+    for run, use in (("r1", "filming"), ("r2", "stitching")):
+        memory.grant(run)
+        memory.use(run, use)  # type: ignore[arg-type]
+    memory.grant("r3")
+    assert memory.reclaim({"r1"}) == ("r2",)
+    assert [memory.has(run) for run in ("r1", "r2", "r3")] == [True, False, True], "a grant waits for its board"
+    assert memory.reclaim({"r1"}) == ()
+
+
 def test_oldest_means_finished_first_not_begun_first() -> None:
     memory, _ = memory_of(2)
     memory.grant("r1")

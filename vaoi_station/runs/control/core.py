@@ -135,6 +135,8 @@ class Core:
         # In the states FAULTED and ARMING, callers need the reasons to act: reasons stay until the state changes.
         if self.machine.state not in (StationState.FAULTED, StationState.ARMING):
             self.machine.reasons.expire()
+        for run in self.memory.reclaim(self.runs.active):
+            self._events.add("trouble", "The run ended by a fault; its memory is free again.", run=run, code="store")
         self.line.keep_memory_granted()
         self._archive.tick()
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from typing import Literal, Protocol
 
@@ -94,6 +94,17 @@ class Memory:
             if bay.run == run:
                 self._bays[bay.number] = Bay(bay.number, generation=bay.generation)
                 self._leases.end_all(run)
+
+    def reclaim(self, active: Collection[str]) -> tuple[str, ...]:
+        """Free the bays that are filmed or stitched for runs that are not active, and return these runs.
+
+        A fault at the end of a run, such as a result that cannot be stored, would otherwise keep its bay for ever.
+        """
+        lost = [bay.run for bay in self._bays if bay.use in ("filming", "stitching") and bay.run not in active]
+        for run in lost:
+            if run is not None:
+                self.free(run)
+        return tuple(run for run in lost if run is not None)
 
     def bay(self, run: str) -> Bay:
         """Return the bay of a run. Raise GoneError if the run no longer has a bay."""
