@@ -284,6 +284,18 @@ class ApiConfig(Section):
     port: Annotated[Whole, Field(ge=0, le=65535)] = 8350
     names: tuple[str, ...] = ()
     """Further host names by which callers may address the station, besides its own name and addresses."""
+    open_loopback: bool = True
+    """Whether programs on this machine may read, operate and teach without a key. All others need one."""
+    certificate: Path | None = None
+    """Certificate of the station with its chain (PEM); with it the service speaks TLS only."""
+    private_key: Path | None = None
+    """Private key of the certificate (PEM)."""
+
+    @model_validator(mode="after")
+    def _both_or_none(self) -> Self:
+        if (self.certificate is None) != (self.private_key is None):
+            raise ValueError("certificate and private_key belong together; give both or none")
+        return self
 
 
 class StationConfig(Section):

@@ -18,6 +18,7 @@ from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import StateError
 from vaoi_station.files import read_calibration
+from vaoi_station.files.access_keys import KEY_FILE, KeyFile
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.archive.housekeeping import Housekeeping
@@ -183,22 +184,29 @@ class Station:
 def serve(config: StationConfig, port: int | None = None) -> None:
     """Run the station and its web server until SIGTERM or SIGINT. `port` replaces the configured port."""
     from vaoi_station.api import create_app
+    from vaoi_station.api.access.access_control import AccessControl
+    from vaoi_station.api.access.audit import AUDIT_FILE, AuditLog
     from vaoi_station.api.routes.waiting_page import WaitingPage
-    from vaoi_station.api.web_server import WebServer, open_listener
+    from vaoi_station.api.web_server import WebServer, open_listener, tls_context
 
-    address, names = (config.api.host, config.api.port if port is None else port), (config.api.host, *config.api.names)
+    api, keys = config.api, KeyFile(config.data / KEY_FILE)
+    address, names = (api.host, api.port if port is None else port), (api.host, *api.names)
+    tls = None if api.certificate is None else tls_context(api.certificate, api.private_key)
     with StopRequest() as stop, ExitStack() as parts:
         wait = StartWait(stop)
         socket_ = wait.until_started(lambda: open_listener(*address, "[api]"))
         if socket_ is None:
             return
         parts.enter_context(socket_)
-        with WaitingPage(socket_, names) as page:
+        with WaitingPage(socket_, names, tls) as page:
             station = wait.until_started(lambda: _started(config), page.report)
         if station is None:
             return
         parts.callback(station.stop)
-        web = WebServer(create_app(station.coordinator, names), socket_, stop.request)
+        if not keys.entries() and not (api.open_loopback and api.host in ("127.0.0.1", "::1", "localhost")):
+            _log.warning("there is no key yet, so callers from outside are refused; make one with vaoi keys create")
+        access = AccessControl(keys, AuditLog(config.data / AUDIT_FILE), open_loopback=api.open_loopback)
+        web = WebServer(create_app(station.coordinator, names, access), socket_, stop.request, tls=tls)
         web.start()
         station.watch(web.thread)
         notify("READY=1")

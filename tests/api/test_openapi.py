@@ -14,13 +14,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from vaoi_station.api import create_app
+from vaoi_station.api.access.access_control import AccessControl
+from vaoi_station.api.access.audit import AuditLog
+from vaoi_station.files.access_keys import KeyFile
+
 GOLDEN = Path(__file__).parent / "openapi.json"
 
 
 @pytest.fixture
-def document(client: Any) -> dict[str, Any]:
-    content: dict[str, Any] = client.get("/api/v1/openapi.json").json()
-    return content
+def document(station: Any, tmp_path: Path) -> Iterator[dict[str, Any]]:
+    audit = AuditLog(tmp_path / "audit.jsonl")
+    yield json.loads(json.dumps(create_app(station, access=AccessControl(KeyFile(tmp_path / "k"), audit)).openapi()))
+    audit.close()
 
 
 def operations(document: dict[str, Any]) -> Iterator[tuple[str, str, dict[str, Any]]]:

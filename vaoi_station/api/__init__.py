@@ -10,6 +10,7 @@ from fastapi import FastAPI, Response
 from fastapi.routing import APIRoute
 
 from vaoi_station.api import openapi, pages, problems
+from vaoi_station.api.access.access_control import AccessControl
 from vaoi_station.api.event_hub import EventHub
 from vaoi_station.api.hosts import allowed_names
 from vaoi_station.api.request_guard import RequestGuard
@@ -20,6 +21,7 @@ from vaoi_station.api.routes import (
     components,
     events,
     frames,
+    keys,
     metrics,
     runs,
     station,
@@ -39,10 +41,13 @@ NOT_READY = PASSING | {"camera-lost", "workers-starting", "ring-full", "not-arme
 """Codes of reasons and warnings with which the next board would not be filmed completely, or not kept on disk."""
 
 
-def create_app(coordinator: StationCoordinator, names: Iterable[str] = ()) -> FastAPI:
+def create_app(
+    coordinator: StationCoordinator, names: Iterable[str] = (), access: AccessControl | None = None
+) -> FastAPI:
     """Create the web application of a coordinator. The caller starts and stops the coordinator itself.
 
     Clients may address the application by any of `names`, by loopback, by the machine's names and by any IP address.
+    Without `access` every caller may do everything, and there are no keys.
 
     `app.state.hub.close()` ends streams and long polls, so that a server can stop without waiting for them. An event
     of kind "station" with state "stopping" has the same effect.
@@ -71,12 +76,14 @@ def create_app(coordinator: StationCoordinator, names: Iterable[str] = ()) -> Fa
     problems.install(app)
     for module in (station, calibration, board_types, stitching, runs, frames, components, events):
         app.include_router(module.router(services), prefix=PREFIX)
+    if access is not None:
+        app.include_router(keys.router(services, access), prefix=PREFIX)
     _add_health(app, services)
     app.include_router(metrics.router(services))
     pages.install(app)
     openapi.install(app)
     # Added last, so that it is the outermost layer and sees each request first.
-    app.add_middleware(RequestGuard, names=allowed_names(names))
+    app.add_middleware(RequestGuard, names=allowed_names(names), access=access)
     return app
 
 

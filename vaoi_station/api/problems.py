@@ -50,6 +50,12 @@ class Problem(BaseModel):
 KINDS: dict[str, tuple[int, str, str]] = {
     "invalid-input": (422, "Invalid value", "Correct the named field and send the request again."),
     "malformed": (400, "Unreadable request", "Send a JSON object, or no body where it is optional."),
+    "no-key": (
+        401,
+        "Key required",
+        'Send a key as "Authorization: Bearer KEY", or log in on the page; vaoi keys makes one.',
+    ),
+    "missing-scope": (403, "Not permitted with this key", "Use a key with this scope; see vaoi keys list."),
     "foreign-origin": (
         403,
         "Command from another site",

@@ -20,12 +20,14 @@ from __future__ import annotations
 import asyncio
 import json
 import re
+import time
 from contextlib import ExitStack
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from vaoi_station.api.access.access_control import AccessControl
 from vaoi_station.api.callers.caller import caller_in, set_caller
 from vaoi_station.api.callers.seats import Seats
 from vaoi_station.api.event_hub import ThreadLimit
@@ -72,13 +74,18 @@ class RequestGuard:
         names: frozenset[str] | None = None,
         max_body_bytes: int = MAX_BODY_BYTES,
         body_limit_s: float = BODY_LIMIT_S,
+        access: AccessControl | None = None,
     ) -> None:
-        """Wrap `app`; `names` are the accepted host names, by default loopback and the machine's."""
+        """Wrap `app`; `names` are the accepted host names, by default loopback and the machine's.
+
+        Without `access` every caller may do everything.
+        """
         self._app = app
         self._names = allowed_names() if names is None else names
         self._max_body_bytes, self._body_limit_s = max_body_bytes, body_limit_s
         self._bodies = Seats("bytes of requests in memory", BODIES, BODIES_OF_CALLER)
         self._parsing = ThreadLimit(1)
+        self._access = access
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Check a request. If it is permitted, pass it on, and add the security headers to its reply."""
@@ -86,8 +93,12 @@ class RequestGuard:
             await self._app(scope, receive, send)
             return
 
+        begun = time.monotonic()
+
         async def send_safely(message: Message) -> None:
             if message["type"] == "http.response.start":
+                if self._access is not None:
+                    self._access.note(scope, message["status"], begun)
                 headers = MutableHeaders(scope=message)
                 for name, value in SAFETY.items():
                     headers[name] = value
@@ -143,7 +154,7 @@ class RequestGuard:
         if path.startswith(API) and _foreign(headers) and not _followed_link(headers):
             detail = "The request came from a page of another site, not from this station's page."
             return problem_response(path, "foreign-origin", detail)
-        return None
+        return None if self._access is None else self._access.refusal(scope)
 
     async def _body(self, scope: Scope, receive: Receive, limit: int) -> bytes | Response:
         """Return the whole body of a request, or a refusal if the body is too slow, too large or has a repeated key."""

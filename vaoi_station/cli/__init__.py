@@ -22,6 +22,7 @@ from vaoi_station.cli.station.check_config import check_config
 from vaoi_station.cli.station.demo import demo
 from vaoi_station.cli.station.doctor import doctor
 from vaoi_station.cli.station.export import export, import_
+from vaoi_station.cli.station.keys import keys
 from vaoi_station.cli.station.record import record
 from vaoi_station.cli.station.serve import serve
 from vaoi_station.cli.station.view import view
@@ -90,6 +91,7 @@ app.command()(restore)
 app.command()(export)
 app.command("import")(import_)
 app.add_typer(rig, name="rig")
+app.add_typer(keys, name="keys")
 
 
 def main() -> None:

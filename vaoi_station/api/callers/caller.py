@@ -18,17 +18,22 @@ class Caller:
 
     address: str
     """Address by which it is counted."""
+    key: str | None = None
+    """Name of its key."""
+    scopes: frozenset[str] = frozenset()
+    """What it may do."""
 
     @property
     def name(self) -> str:
         """Name under which its use of resources is counted."""
-        return self.address
+        return self.address if self.key is None else f"key {self.key}"
 
 
-def set_caller(scope: Scope) -> Caller:
-    """Store the caller of a request in its scope, and return it."""
+def set_caller(scope: Scope, caller: Caller | None = None) -> Caller:
+    """Store the caller of a request in its scope, and return it; by default one without a key."""
     client = scope.get("client")
-    caller = Caller(caller_address(client[0]) if client else "local")
+    if caller is None:
+        caller = Caller(caller_address(client[0]) if client else "local")
     scope.setdefault("state", {})[_KEY] = caller
     return caller
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import ssl
 from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -21,7 +22,12 @@ class LimitedServer(uvicorn.Server):
     """The server of an application. All its connections come from acceptors, which limit them."""
 
     def __init__(
-        self, app: FastAPI, limits: ConnectionLimits, grace_s: float, beat: Callable[[], object] = lambda: None
+        self,
+        app: FastAPI,
+        limits: ConnectionLimits,
+        grace_s: float,
+        beat: Callable[[], object] = lambda: None,
+        tls: ssl.SSLContext | None = None,
     ) -> None:
         """Prepare a server. Its event loop calls `beat` ten times a second, unless a handler blocks the loop."""
         super().__init__(
@@ -37,7 +43,7 @@ class LimitedServer(uvicorn.Server):
                 timeout_graceful_shutdown=int(grace_s),
             )
         )
-        self._limits, self._beat = limits, beat
+        self._limits, self._beat, self._tls = limits, beat, tls
 
     async def on_tick(self, counter: int) -> bool:
         """Record that the event loop is alive."""
@@ -48,7 +54,7 @@ class LimitedServer(uvicorn.Server):
         """Start the application, then accept connections."""
         await super().startup(sockets=[])
         for listener in sockets or ():
-            acceptor: Any = Acceptor(listener, self._make_http, self._limits, self.config.ssl)
+            acceptor: Any = Acceptor(listener, self._make_http, self._limits, self._tls)
             self.servers.append(acceptor)
 
     def _make_http(self, accepted: AcceptedConnection, table: ConnectionTable) -> LimitedHttp:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import ssl
 from collections.abc import Iterable
 
 from fastapi import FastAPI, Response
@@ -21,9 +22,9 @@ class WaitingPage:
     It starts with the first report, and ends with the context.
     """
 
-    def __init__(self, listener: socket.socket, names: Iterable[str]) -> None:
-        """Prepare to reply on a copy of `listener`, under any of `names`."""
-        self._listener, self._names = listener, tuple(names)
+    def __init__(self, listener: socket.socket, names: Iterable[str], tls: ssl.SSLContext | None = None) -> None:
+        """Prepare to reply on a copy of `listener`, under any of `names`, and by TLS if it is given."""
+        self._listener, self._names, self._tls = listener, tuple(names), tls
         self._error: VaoiError | None = None
         self._server: WebServer | None = None
 
@@ -32,7 +33,7 @@ class WaitingPage:
         self._error = error
         if self._server is None:
             # A copy, because the server closes its socket at its end; the station's own server needs it then.
-            self._server = WebServer(self._app(), self._listener.dup(), lambda: None)
+            self._server = WebServer(self._app(), self._listener.dup(), lambda: None, tls=self._tls)
             self._server.start()
 
     def __enter__(self) -> WaitingPage:

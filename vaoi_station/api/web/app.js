@@ -3,6 +3,7 @@ import * as rest from "./rest.js";
 import { Board } from "./board.js";
 import { Controls } from "./controls.js";
 import { Live } from "./live.js";
+import { loggedIn } from "./login.js";
 import { draw } from "./marks.js";
 import { texts } from "./texts.en.js";
 
@@ -118,6 +119,7 @@ function setText(element, text) {
 }
 
 async function start() {
+  await loggedIn();
   try {
     const now = await rest.station();
     showStation(now);

@@ -30,4 +30,7 @@ export const components = async (id) => (await call("GET", `/runs/${encodeURICom
 export const component = (id, ref) => call("GET", `/runs/${encodeURIComponent(id)}/components/${part(ref)}`);
 export const arm = (request) => call("POST", "/station/arm", request);
 export const disarm = () => call("POST", "/station/disarm");
+export const session = () => call("GET", "/session");
+export const logIn = (key) => call("POST", "/session", { key });
+export const logOut = () => call("DELETE", "/session");
 export const eventsAddress = (after) => `${api}/events?after=${after}`;

@@ -1,6 +1,9 @@
 // All texts of the page; a translation is another file with the same keys.
 export const texts = {
   interface: "Programming interface",
+  key: "Key",
+  logIn: "Log in",
+  logOut: "Log out",
   boardType: "Board type",
   boardId: "Board id",
   arm: "Arm",

@@ -1,0 +1,29 @@
+"""`vaoi keys` changes the keys of a station."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from tests.cli.conftest import Result
+from vaoi_station.config import read_config
+from vaoi_station.demo.station_files import write_station_files
+from vaoi_station.files.access_keys import KEY_FILE, KeyFile
+from vaoi_station.simulation import scenario_path
+
+
+def test_keys_are_made_listed_rotated_and_revoked(vaoi: Callable[..., Result], tmp_path: Path) -> None:
+    path, _ = write_station_files(scenario_path("small"), tmp_path)
+    keys = KeyFile(read_config(path).data / KEY_FILE)
+    made = vaoi("keys", "create", "tester", "--scope", "operate", "--scope", "teach", "--config", path)
+    found = keys.find(made.out.strip())
+    assert found is not None
+    assert found.scopes == ("operate", "teach")
+    listed = vaoi("keys", "list", "--config", path)
+    assert "tester" in listed.out
+    assert made.out.strip() not in listed.out
+    rotated = vaoi("keys", "rotate", "tester", "--config", path)
+    assert keys.find(rotated.out.strip()) is not None
+    assert vaoi("keys", "revoke", "tester", "--config", path).code == 0
+    assert keys.entries() == ()
+    assert vaoi("keys", "revoke", "tester", "--config", path).code == 2

@@ -1,0 +1,126 @@
+"""Decides who sends a request and whether it may: by a key, by the login of a page, or from the station's own machine.
+
+- Programs send `Authorization: Bearer KEY`. The page exchanges a key for a cookie that scripts cannot read and that
+  browsers send from the station's own pages only (HttpOnly, SameSite=Strict).
+- A command with the cookie must state its origin, which `RequestGuard` compares; browsers always do.
+- Loopback may be open by configuration, without the scope admin. A request that a proxy passed on is not from loopback.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import time
+from http.cookies import CookieError, SimpleCookie
+from typing import Any
+
+from starlette.datastructures import Headers
+from starlette.responses import Response
+from starlette.types import Scope
+
+from vaoi_station.api.access.audit import AuditLog
+from vaoi_station.api.access.scopes import scope_needed
+from vaoi_station.api.access.sessions import COOKIE, Sessions
+from vaoi_station.api.callers.caller import Caller, set_caller
+from vaoi_station.api.problems import problem_response
+from vaoi_station.errors import VaoiError
+from vaoi_station.files.access_keys import AccessKey, KeyFile
+
+OPEN_SCOPES = frozenset({"read", "operate", "teach"})
+"""What callers on the station's own machine may do without a key. Keys are made with `vaoi keys`."""
+LOCAL = "loopback"
+_FORWARDED = ("forwarded", "x-forwarded-for", "x-real-ip", "via")
+_REFUSALS_PER_MINUTE = 60
+
+
+class AccessControl:
+    """The keys, the logins and the audit log of one station."""
+
+    def __init__(self, keys: KeyFile, audit: AuditLog, *, open_loopback: bool = True) -> None:
+        self.keys, self.audit, self.sessions = keys, audit, Sessions()
+        self._open_loopback = open_loopback
+        self._minute, self._refused = 0, 0
+
+    def refusal(self, scope: Scope) -> Response | None:
+        """Set the caller of a request; return a refusal if it may not do what it asks for, else None."""
+        headers, path = Headers(scope=scope), scope["path"]
+        try:
+            caller, with_cookie = self._caller(scope, headers)
+        except VaoiError as error:
+            return problem_response(path, error.code, error.message, status=error.status, action=error.action)
+        needed = scope_needed(scope["method"], path)
+        if caller is None:
+            if needed is None:
+                set_caller(scope)
+                return None
+            detail = f"{scope['method']} {path} needs a key with the scope {needed}; the request has no valid one."
+            return problem_response(path, "no-key", detail, headers={"WWW-Authenticate": 'Bearer realm="vaoi"'})
+        set_caller(scope, caller)
+        states_origin = "origin" in headers or "sec-fetch-site" in headers
+        if with_cookie and not states_origin and scope["method"] not in ("GET", "HEAD", "OPTIONS"):
+            return problem_response(path, "foreign-origin", "The command with a cookie does not state its origin.")
+        if needed is not None and needed not in caller.scopes:
+            detail = f"{scope['method']} {path} needs the scope {needed}; {caller.name} has {sorted(caller.scopes)}."
+            return problem_response(path, "missing-scope", detail)
+        return None
+
+    def note(self, scope: Scope, status: int, begun: float) -> None:
+        """Write a command, or a refusal for want of a key, to the audit log."""
+        if status in (401, 403):
+            minute = int(time.monotonic() // 60)
+            self._minute, self._refused = minute, self._refused + 1 if minute == self._minute else 1
+            if self._refused > _REFUSALS_PER_MINUTE:
+                return
+        elif scope["method"] in ("GET", "HEAD", "OPTIONS"):
+            return
+        caller: Caller = scope["state"]["caller"]
+        entry: dict[str, Any] = {
+            "key": caller.key or (LOCAL if caller.scopes else "none"),
+            "address": caller.address,
+            "method": scope["method"],
+            "path": scope["path"][:300],
+            "query": scope["query_string"].decode("latin-1")[:300],
+            "status": status,
+            "ms": round((time.monotonic() - begun) * 1000),
+        }
+        self.audit.add(**entry)
+
+    def _caller(self, scope: Scope, headers: Headers) -> tuple[Caller | None, bool]:
+        """Return who sends a request, None if nobody that is known, and whether a cookie states it."""
+        address = set_caller(scope).address
+        authorization = headers.get("authorization")
+        if authorization is not None:
+            kind, _, secret = authorization.partition(" ")
+            key = self.keys.find(secret.strip()) if kind.lower() == "bearer" else None
+            return (None if key is None else _with_key(address, key)), False
+        if (token := session_token(headers)) is not None:
+            key = self.sessions.key_of(token, self.keys.entries())
+            if key is not None:
+                return _with_key(address, key), True
+        forwarded = any(name in headers for name in _FORWARDED)
+        if self._open_loopback and not forwarded and _is_loopback(scope):
+            return Caller(address, scopes=OPEN_SCOPES), False
+        return None, False
+
+
+def session_token(headers: Headers) -> str | None:
+    """Return the content of the login's cookie, or None."""
+    try:
+        cookie = SimpleCookie(headers.get("cookie", "")).get(COOKIE)
+    except CookieError:
+        return None
+    return None if cookie is None else cookie.value
+
+
+def _with_key(address: str, key: AccessKey) -> Caller:
+    # Every key may read: a program that arms must see the state, too.
+    return Caller(address, key.name, frozenset({"read", *key.scopes}))
+
+
+def _is_loopback(scope: Scope) -> bool:
+    client = scope.get("client")
+    try:
+        address = ipaddress.ip_address(client[0] if client else "")
+    except ValueError:
+        return False
+    mapped = getattr(address, "ipv4_mapped", None)
+    return (mapped or address).is_loopback

@@ -1,0 +1,95 @@
+"""The audit log: every command and every refusal for want of a key, as lines of JSON in `audit.jsonl`."""
+
+from __future__ import annotations
+
+import json
+import logging
+import queue
+import threading
+from collections import deque
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+_log = logging.getLogger(__name__)
+
+AUDIT_FILE = "audit.jsonl"
+MOST_BYTES, FILES_KEPT = 8 * 2**20, 4
+"""Size at which a new file is begun, and number of files before it that are kept."""
+_MOST_WAITING = 2000
+
+
+class AuditLog:
+    """Writes entries in a thread of its own, so that a slow disk delays no request."""
+
+    def __init__(self, path: Path, most_bytes: int = MOST_BYTES) -> None:
+        self.path, self._most_bytes = path, most_bytes
+        self._waiting: queue.Queue[dict[str, Any] | None] = queue.Queue(_MOST_WAITING)
+        self._dropped = 0
+        self._thread = threading.Thread(target=self._run, name="audit", daemon=True)
+        self._thread.start()
+
+    def add(self, **entry: object) -> None:
+        """Write an entry, with the present time."""
+        record = {"time": datetime.now(UTC).isoformat(timespec="milliseconds"), **entry}
+        if self._dropped:
+            record["dropped_before"] = self._dropped
+        try:
+            self._waiting.put_nowait(record)
+            self._dropped = 0
+        except queue.Full:
+            # The disk does not follow. The next entry that is written states how many are missing.
+            self._dropped += 1
+
+    def newest(self, count: int) -> list[dict[str, Any]]:
+        """Return the newest entries of the present file and the one before, newest first."""
+        self._waiting.join()
+        lines: deque[str] = deque(maxlen=count)
+        for path in (self._old(1), self.path):
+            if path.is_file():
+                with path.open(encoding="utf-8", errors="replace") as file:
+                    lines.extend(file)
+        # The last line may be cut short by a power failure.
+        return [entry for line in reversed(lines) if (entry := _parsed(line)) is not None]
+
+    def close(self) -> None:
+        """Write what is waiting, and end."""
+        self._waiting.put(None)
+        self._thread.join(5)
+
+    def _run(self) -> None:
+        failed = False
+        while True:
+            record = self._waiting.get()
+            try:
+                if record is None:
+                    return
+                self._write(record)
+                failed = False
+            except OSError as error:
+                if not failed:
+                    _log.error("the audit log cannot be written: %s", error)
+                failed = True
+            finally:
+                self._waiting.task_done()
+
+    def _write(self, record: dict[str, Any]) -> None:
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        if self.path.exists() and self.path.stat().st_size > self._most_bytes:
+            for n in range(FILES_KEPT, 1, -1):
+                if self._old(n - 1).exists():
+                    self._old(n - 1).replace(self._old(n))
+            self.path.replace(self._old(1))
+        with self.path.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(record) + "\n")
+
+    def _old(self, n: int) -> Path:
+        return self.path.with_name(f"{self.path.name}.{n}")
+
+
+def _parsed(line: str) -> dict[str, Any] | None:
+    try:
+        entry = json.loads(line)
+    except ValueError:
+        return None
+    return entry if isinstance(entry, dict) else None
