@@ -110,7 +110,8 @@ def test_replies_match_their_schemas(client: Any, station: Any, document: dict[s
     looked_at = 0
     for path, method, operation in operations(document):
         offered = operation["responses"].get("200", {}).get("content", {})
-        if method != "get" or "text/event-stream" in offered:
+        # The client is one of a service without keys; tests/api/routes/test_keys.py has theirs.
+        if method != "get" or "text/event-stream" in offered or operation["tags"] == ["access"]:
             continue
         query = {"after": "r000000"} if path.endswith("/next") else {}
         if query:

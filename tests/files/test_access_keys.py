@@ -63,7 +63,7 @@ def test_wrong_requests_are_refused(keys: KeyFile) -> None:
     with pytest.raises(InputError, match="name"):
         keys.create("../x", ["read"])
     with pytest.raises(NotFoundError, match="known keys: 'tester'"):
-        keys.revoke("nobody")
+        keys.revoke("absent")
     assert [k.name for k in keys.entries()] == ["tester"]
 
 

@@ -36,6 +36,6 @@ class Services:
 
     async def seat_for_picture(self, request: Request) -> AsyncIterator[None]:
         """Hold a seat until the caller has read its picture; a dependency of routes."""
-        # A dependency ends after the answer was sent. So the memory for pictures that nobody reads is limited.
+        # A dependency ends after the answer was sent. So the memory for pictures that are not read is limited.
         async with self.picture_seats.take(caller_of(request).name):
             yield

@@ -154,5 +154,5 @@ def _named(keys: dict[str, AccessKey], name: str) -> AccessKey:
 
 
 def _hash(secret: str) -> str:
-    # A key holds 256 random bits, so nobody can try them all: a slow hash as for passwords would gain nothing.
+    # A key holds 256 random bits, so they cannot all be tried: a slow hash as for passwords would gain nothing.
     return hashlib.sha256(secret.encode()).hexdigest()

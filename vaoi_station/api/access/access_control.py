@@ -85,7 +85,7 @@ class AccessControl:
         self.audit.add(**entry)
 
     def _caller(self, scope: Scope, headers: Headers) -> tuple[Caller | None, bool]:
-        """Return who sends a request, None if nobody that is known, and whether a cookie states it."""
+        """Return who sends a request, None if it is not known, and whether a cookie states it."""
         address = set_caller(scope).address
         authorization = headers.get("authorization")
         if authorization is not None:

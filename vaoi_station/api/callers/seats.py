@@ -68,7 +68,7 @@ class QueuedSeats:
                     f"No picture could be made within {self._wait_s:g} s, because others are made or not yet read.",
                     action="Ask for fewer pictures at a time, and read each answer.",
                 ) from None
-            # No `await` since the test: nobody else can have taken the seat.
+            # No `await` since the test: no other request can have taken the seat.
             self._held[caller] += 1
             try:
                 yield
