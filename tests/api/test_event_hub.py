@@ -10,7 +10,7 @@ from typing import Any
 import httpx2
 import pytest
 
-from vaoi_station.api import services
+from vaoi_station.api.callers.picture_seats import PICTURES_OF_CALLER
 from vaoi_station.api.callers.seats import Seats
 from vaoi_station.api.event_hub import EventHub
 from vaoi_station.errors import StateError
@@ -88,7 +88,7 @@ def test_slow_pictures_do_not_delay_commands(served: Any, monkeypatch: pytest.Mo
     monkeypatch.setattr(served.station, "frame", slow)
     with ThreadPoolExecutor(20) as pool:
         pictures = [pool.submit(served.client.get, f"/api/v1/runs/{run}/frames/0/0") for _ in range(20)]
-        for _ in range(services.PICTURES_OF_CALLER):
+        for _ in range(PICTURES_OF_CALLER):
             begun.acquire()
         assert served.client.post("/api/v1/station/arm?board_type=demo-board").status_code == 200
         go_on.set()

@@ -9,6 +9,7 @@ from fastapi import APIRouter, Request, Response
 from fastapi.exceptions import RequestValidationError
 from pydantic import ValidationError
 
+from vaoi_station.api.event_hub import ThreadLimit
 from vaoi_station.api.http_caching import REVALIDATE, conditional_response
 from vaoi_station.api.parameters import BoardTypeName
 from vaoi_station.api.rest_models import BoardTypeList
@@ -29,6 +30,8 @@ def router(services: Services) -> APIRouter:
     """Create the routes for board types. Their documents have the format of `docs/formats.md`."""
     routes = APIRouter(prefix="/board-types", tags=["board types"])
     coordinator, ask = services.coordinator, services.commands.ask
+    # One at a time, because parsing holds the interpreter's lock.
+    parsing = ThreadLimit(1)
 
     @routes.get("", response_model_exclude_none=True)
     async def list_board_types(response: Response) -> BoardTypeList:
@@ -54,7 +57,7 @@ def router(services: Services) -> APIRouter:
         An armed line keeps its version as well; the new one applies from the next arming on.
         """
         # Not a parameter of the route: FastAPI would check its contents, which takes long, in the event loop.
-        board_type = await services.documents.ask(_parsed, await request.body())
+        board_type = await parsing.ask(_parsed, await request.body())
         if board_type.name != name:
             raise InputError.field("body", "name", board_type.name, f"{name!r}, as in the address")
         content = _document(board_type)

@@ -52,7 +52,7 @@ def router(services: Services) -> APIRouter:
         "/{ref:path}/images/{k}",
         response_class=Response,
         responses=PICTURE,
-        dependencies=[Depends(services.seat_for_picture)],
+        dependencies=[Depends(services.picture_seats.hold)],
     )
     async def get_component_image(
         *,

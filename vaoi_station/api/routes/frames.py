@@ -25,7 +25,10 @@ def router(services: Services) -> APIRouter:
     routes = APIRouter(prefix="/runs/{run}/frames", tags=["pictures"])
 
     @routes.get(
-        "/{camera}/{row}", response_class=Response, responses=PICTURE, dependencies=[Depends(services.seat_for_picture)]
+        "/{camera}/{row}",
+        response_class=Response,
+        responses=PICTURE,
+        dependencies=[Depends(services.picture_seats.hold)],
     )
     async def get_frame(
         *,

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from vaoi_station.api.services import PICTURES_OF_CALLER
+from vaoi_station.api.callers.picture_seats import PICTURES_OF_CALLER
 
 
 def test_one_caller_has_a_limited_number_of_pictures_made_at_a_time(
