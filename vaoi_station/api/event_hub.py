@@ -27,7 +27,6 @@ T = TypeVar("T")
 log = logging.getLogger(__name__)
 
 COMMAND_THREADS = 16
-PICTURE_THREADS = 8
 MAX_WAITING = 128
 """Limit of simultaneous long polls, and of simultaneous event streams."""
 MAX_POLLS_OF_CALLER = 32

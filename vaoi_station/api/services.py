@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from vaoi_station.api.callers.picture_seats import PictureSeats
-from vaoi_station.api.event_hub import COMMAND_THREADS, PICTURE_THREADS, EventHub, ThreadLimit
+from vaoi_station.api.callers.picture_seats import PICTURE_THREADS, PictureSeats
+from vaoi_station.api.event_hub import COMMAND_THREADS, EventHub, ThreadLimit
 from vaoi_station.runs.control.coordinator import StationCoordinator
 
 

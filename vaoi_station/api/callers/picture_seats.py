@@ -8,8 +8,9 @@ from fastapi import Request
 
 from vaoi_station.api.callers.caller import caller_of
 from vaoi_station.api.callers.seats import QueuedSeats
-from vaoi_station.api.event_hub import PICTURE_THREADS
 
+PICTURE_THREADS = 8
+"""Pictures that are made at a time."""
 PICTURES_OF_CALLER = 6
 """Pictures that are made for one caller, or that it has not yet read, at a time."""
 PICTURES_WAITING = 24
