@@ -47,9 +47,9 @@ _PLACED_SIGMA_PX = 2.0
 """Largest standard deviation of a position in a row that neither links nor points of the CAD data tie to the others."""
 _OTHER_LIFT_MM = 1.0
 """Least difference of a lift measured by overlaps from that of the adjustment at which the two contradict."""
-_LEAST_FITTING, _SURELY = 0.25, 5
-"""Least share of a frame's links that must fit, or number of links that do not fit by chance. Of sound frames of the
-recordings and of the twin 0.7 or more fit."""
+_LEAST_FITTING, _LEAST_SHARE, _SURELY = 3, 0.25, 5
+"""Least number and share of a frame's links that must fit, or number of links that do not fit by chance. Of sound
+frames of the recordings and of the twin 0.7 or more fit; one link of a repeated frame may fit by chance."""
 _BORDER_PX = 6.0
 """Distance from a frame's border within which the bare rim of a fiducial must not reach, so that it is detected."""
 _SEAM_LINKS = 12
@@ -174,7 +174,11 @@ class Findings:
                     linked[key][0] += own
                     linked[key][1] += fitting
         # of a frame at the end of the board, most links may lie on a textured belt
-        frames = {key for key, (own, fits) in linked.items() if fits >= _SURELY or fits > _LEAST_FITTING * own}
+        frames = {
+            key
+            for key, (own, fits) in linked.items()
+            if fits >= _SURELY or (fits >= _LEAST_FITTING and fits > _LEAST_SHARE * own)
+        }
         if points is not None:
             frames |= set(zip(points.camera.tolist(), points.row.tolist(), strict=True))
         return frozenset(frames & set(self.scene.present))
