@@ -2,7 +2,22 @@
 import * as rest from "./rest.js";
 import { texts } from "./texts.en.js";
 
-const $ = (id) => document.getElementById(id);
+// The elements are made only where they are needed: a page on the station's own machine has no login.
+function make(name, fields, ...children) {
+  const element = Object.assign(document.createElement(name), fields);
+  element.append(...children);
+  return element;
+}
+
+function offerLogOut() {
+  const link = make("a", { href: "#", id: "log-out", textContent: texts.logOut });
+  link.addEventListener("click", async (event) => {
+    event.preventDefault();
+    await rest.logOut();
+    location.reload();
+  });
+  document.querySelector("nav").append(" ", link);
+}
 
 // Resolves when the caller may read, if necessary after a login.
 export async function loggedIn() {
@@ -12,25 +27,26 @@ export async function loggedIn() {
   } catch {
     return; // a station without keys, or one that cannot be reached: the page shows that by other means
   }
-  $("log-out").hidden = !state.key;
-  $("log-out").addEventListener("click", async () => {
-    await rest.logOut();
-    location.reload();
-  });
-  if (state.scopes.includes("read")) return;
-  $("login").hidden = false;
-  $("key").focus();
+  if (state.scopes.includes("read")) {
+    if (state.key) offerLogOut();
+    return;
+  }
+  const key = make("input", { id: "key", type: "password", required: true, maxLength: 200, autocomplete: "current-password" });
+  const answer = make("p", { id: "login-answer", role: "alert" });
+  const form = make("form", { id: "login" }, make("label", { htmlFor: "key", textContent: texts.key }), " ", key, " ",
+    make("button", { textContent: texts.logIn }), answer);
+  document.querySelector("main").before(form);
+  key.focus();
   await new Promise((done) => {
-    $("login").addEventListener("submit", async (event) => {
+    form.addEventListener("submit", async (event) => {
       event.preventDefault();
       try {
-        await rest.logIn($("key").value);
-        $("key").value = "";
-        $("login").hidden = true;
-        $("log-out").hidden = false;
+        await rest.logIn(key.value);
+        form.remove();
+        offerLogOut();
         done();
       } catch (error) {
-        $("login-answer").textContent = error instanceof rest.Refusal ? error.message : texts.noAnswer;
+        answer.textContent = error instanceof rest.Refusal ? error.message : texts.noAnswer;
       }
     });
   });
