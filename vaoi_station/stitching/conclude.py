@@ -94,6 +94,7 @@ def conclude(
     """
     stages = StageTimes()
     found = sort_evidence(evidence)
+    copies = frozenset(e.task.b for e in found.links if e.copied and e.task.b is not None)
     problem = _links_problem(prior, times_s, found, link_store)
     if prior.method.links:
         found, problem = _relinked(scene, prior, problem, found, link_store)
@@ -114,6 +115,7 @@ def conclude(
         mapping,
         prior.visibility,
         prior.reference.sigma_px if prior.reference else 0.0,
+        copies=copies,
     )
     findings = _without_unknown_rows(findings)
     status, reasons = decide_verdict(findings)

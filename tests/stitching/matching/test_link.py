@@ -15,7 +15,13 @@ from numpy.typing import NDArray
 from vaoi_station.geometry import apply
 from vaoi_station.stitching.matching.evidence import Task
 from vaoi_station.stitching.matching.frame_pair import FramePair
-from vaoi_station.stitching.matching.link import choose_corners, link_neighbours, link_reference, link_rows
+from vaoi_station.stitching.matching.link import (
+    are_copies,
+    choose_corners,
+    link_neighbours,
+    link_reference,
+    link_rows,
+)
 from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
 
 SIZE = (480, 360)
@@ -54,6 +60,26 @@ def test_links_between_rows_are_the_same_points_of_the_board(
     assert (np.hypot(*off.T) < 0.12).mean() > 0.95
     assert links.coarse_px is not None
     assert np.abs(np.array(links.coarse_px) - SCALE * np.array(slip)).max() < 6
+
+
+def test_a_frame_that_was_sent_twice_has_no_links(workshop: Any) -> None:
+    camera, nominal = workshop.camera((0, 0), size_px=SIZE), np.array([0.0, 12.0])
+    a = filmed(workshop, camera, np.eye(3))
+    again = PreparedFrame(a.grey.copy())
+    links = link_rows(ROWS, FramePair(a, again, camera, camera, nominal))
+    assert links.copied
+    assert not len(links.a_px)
+    assert links.note == "the second frame is a copy of the first"
+
+
+def test_one_other_pixel_or_a_single_grey_level_makes_no_copy(workshop: Any) -> None:
+    frame = filmed(workshop, workshop.camera((0, 0), size_px=SIZE), np.eye(3)).grey
+    other = frame.copy()
+    other[101, 7] ^= 1
+    assert are_copies(frame, frame.copy())
+    assert not are_copies(frame, other)
+    assert not are_copies(frame, frame[:-1])
+    assert not are_copies(np.full_like(frame, 255), np.full_like(frame, 255)), "saturated, but not sent twice"
 
 
 @pytest.mark.parametrize("angles", [(0.0, 0.0), (0.004, -0.003), (-0.008, 0.008)])

@@ -55,6 +55,10 @@ class Links:
     ambiguous: bool = False
     """Whether the pattern in two rows fits as well at another motion of the board that the belt may have made."""
 
+    copied: bool = False
+    """Whether frame b equals frame a in every pixel: the camera sent a frame twice, and frame b was not filmed in its
+    row."""
+
     @staticmethod
     def empty(task: Task, note: str, tried: int = 0) -> Links:
         """Return the evidence of a task that found no link among the corners it tried."""

@@ -33,6 +33,8 @@ _PLACEMENT_MM = 4.0
 """Range of the coarse search between run and reference: the board's position in the same row may differ by this."""
 _SLIP_SHARE, _PLAY_MM = 0.15, 1.0
 """Range of the coarse search between rows: the share `_SLIP_SHARE` of the nominal motion, plus `_PLAY_MM`."""
+_COMPARED = 37
+"""Every line of this distance is compared first: two frames that are no copies differ in the first of them."""
 _MOVED_MM = 4.0
 """Range of the coarse search between two cameras of which one may be displaced."""
 _ENOUGH = 8
@@ -43,7 +45,12 @@ gave at most eleven false links."""
 
 
 def link_rows(task: Task, pair: FramePair) -> Links:
-    """Link two frames of one camera in different rows, with a coarse search around the nominal belt motion."""
+    """Link two frames of one camera in different rows, with a coarse search around the nominal belt motion.
+
+    Two frames that are equal in every pixel have no links, and `Links.copied` is set.
+    """
+    if are_copies(pair.a.grey, pair.b.grey):
+        return replace(Links.empty(task, "the second frame is a copy of the first"), copied=True)
     box = pair.overlap()
     if box is None:
         return Links.empty(task, "the frames do not overlap")
@@ -60,6 +67,16 @@ def link_rows(task: Task, pair: FramePair) -> Links:
 def row_reach_mm(shift_mm: Floats) -> Floats:
     """Return the range (2,) of the coarse search between two rows, on both sides of a motion (2,), in mm."""
     return np.asarray(_PLAY_MM + _SLIP_SHARE * np.abs(shift_mm))
+
+
+def are_copies(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> bool:
+    """Return whether two frames (h, w) are equal in every pixel: no sensor films the same noise twice.
+
+    Frames of a single grey level are no copies: black and saturated frames are equal without being sent twice.
+    """
+    if a.shape != b.shape or not np.array_equal(a[::_COMPARED], b[::_COMPARED]):
+        return False
+    return bool(np.array_equal(a, b) and np.ptp(a) > 0)
 
 
 def link_neighbours(task: Task, pair: FramePair) -> Links:

@@ -77,6 +77,8 @@ class Findings:
     """Standard deviation of positions by the CAD mapping of the reference; 0 without a reference."""
     unplaced: tuple[int, ...] = ()
     """Rows with good frames that are not placed, because nothing shows where the board was; not part of `scene`."""
+    copies: frozenset[FrameKey] = frozenset()
+    """Good frames that equal the frame before them in every pixel: they were not filmed in their rows."""
 
     @property
     def mapping(self) -> CadMapping | None:
@@ -163,7 +165,7 @@ class Findings:
         """
         if not self.method.links:
             # without links there is nothing that could confirm a frame between two fiducials
-            return frozenset(self.scene.present)
+            return frozenset(self.scene.present) - self.copies
         o, points = self.problem.links, self.problem.fiducials
         every = np.bincount(o.group, minlength=len(o.groups))
         used = np.bincount(o.group[self.adjusted.weight > _USED], minlength=len(o.groups))
@@ -181,7 +183,7 @@ class Findings:
         }
         if points is not None:
             frames |= set(zip(points.camera.tolist(), points.row.tolist(), strict=True))
-        return frozenset(frames & set(self.scene.present))
+        return frozenset(frames & set(self.scene.present) - self.copies)
 
     @cached_property
     def unconfirmed(self) -> tuple[FrameKey, ...]:

@@ -352,11 +352,13 @@ def _unconfirmed_frames(b: _Placed) -> Iterator[Reason]:
     if keys:
         named = ", ".join(f"camera {i} row {j}" for i, j in keys[:_MOST_NAMED_FRAMES])
         more = f" and {len(keys) - _MOST_NAMED_FRAMES} more" if len(keys) > _MOST_NAMED_FRAMES else ""
+        twice = len(b.findings.copies & set(keys))
+        copies = f"; {twice} of them equal the frame before in every pixel" if twice else ""
         yield Reason(
             ReasonCode.FRAMES_UNCONFIRMED,
             f"{len(keys)} frames that should show components fit neither the frames before and after them nor the "
-            f"board ({named}{more}): check these pictures; a camera that is frozen, covered or without light sends "
-            "such frames",
+            f"board ({named}{more}{copies}): check these pictures; a camera that is frozen, covered or without light "
+            "sends such frames",
         )
 
 
