@@ -114,7 +114,7 @@ def test_every_invalid_field_is_named(client: Any) -> None:
     assert "(given: -1)" in str(content["errors"])
 
 
-@pytest.mark.parametrize("body", [b"{", b"[1,", b"nonsense", b"\xff\xfe", b"[" * 100_000])
+@pytest.mark.parametrize("body", [b"{", b"[1,", b"nonsense", b"\xff\xfe", b"[" * 20_000])
 def test_a_body_that_is_not_json_is_refused(client: Any, body: bytes) -> None:
     problem(client.post(f"{API}/station/arm", content=body), 400, "malformed")
 

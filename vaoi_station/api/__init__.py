@@ -27,7 +27,7 @@ from vaoi_station.api.routes import (
     station,
     stitching,
 )
-from vaoi_station.api.services import Services
+from vaoi_station.api.routes.services import Services
 from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.runs.states.schemas import StationSnapshot
 from vaoi_station.runs.states.tables import StationState

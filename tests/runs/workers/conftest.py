@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.runs.workers.plant import Plant
+from tests.runs.workers.plant import BoardPlant, Plant
 from vaoi_station.acquisition.ring.ring import Ring
 from vaoi_station.acquisition.ring.ring_layout import FrameShape, RingLayout
 from vaoi_station.model import RecordingHead
@@ -82,3 +82,11 @@ def plant(shared: Plant) -> Plant:
     """The shared pool with a new run."""
     shared.open_run()
     return shared
+
+
+@pytest.fixture
+def board_plant(ring_board: RingBoard) -> Iterator[BoardPlant]:
+    """A pool over the film of a simulated board: its result is good, so that the worker checks the calibration."""
+    made = BoardPlant(ring_board.ring, ring_board.context, ring_board.setup)
+    yield made
+    made.close()

@@ -14,7 +14,7 @@ from tests.runs.conftest import a_board_type, a_calibration, a_config
 from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
 from vaoi_station.rendering import compute_views
 from vaoi_station.runs.run.salvage import camera_heads
-from vaoi_station.runs.workers.jobs import ConcludeJob, Job, LinkJob, OpenRun, RenderJob, Reply, RunContext
+from vaoi_station.runs.workers.jobs import ConcludeJob, Job, Linked, LinkJob, OpenRun, RenderJob, Reply, RunContext
 from vaoi_station.runs.workers.pool import WorkerPool
 from vaoi_station.stitching.matching.evidence import Task
 from vaoi_station.stitching.work import StitchSetup
@@ -35,6 +35,10 @@ class Plant:
         for camera in range(2):
             for row in range(3):
                 self.ring.frame(self.ring.slot(0, camera, row))[:] = picture
+        self.start()
+
+    def start(self) -> None:
+        """Start the pool over the ring, and open the run."""
         self.lost: list[str] = []
         self.complete = 0
         """How often the pool has reported that all workers are ready."""
@@ -51,14 +55,18 @@ class Plant:
         """Close the run of the test before, wait until its jobs have ended, and open a new one."""
         self.pool.close_run("r1")
         self.all_idle()
-        self.generation = self.ring.claim(0)
-        self.context = RunContext("r1", 0, self.generation)
+        self.context = self.next_context()
         self.pool.open_run(OpenRun(self.context, self.setup))
         self.on_reply = lambda _: None
         self.waited = 0.0
         self._pending.clear()
         self.lost.clear()
         self._restarts = [w.restarts for w in self.pool.status()]
+
+    def next_context(self) -> RunContext:
+        """Claim the bay for the run of the next test."""
+        self.generation = self.ring.claim(0)
+        return RunContext("r1", 0, self.generation)
 
     @property
     def restarts(self) -> list[int]:
@@ -120,6 +128,27 @@ class Plant:
     def close(self) -> None:
         self.pool.stop()
         self.ring.close()
+
+
+class BoardPlant(Plant):
+    """A pool over the film of a simulated board, whose result is not failed and is therefore checked."""
+
+    def __init__(self, ring: Ring, context: RunContext, setup: StitchSetup) -> None:
+        self.ring, self.cameras, self.setup = ring, setup.cameras, setup
+        self._board = context
+        self.start()
+
+    def next_context(self) -> RunContext:
+        """Return the context of the film, which stays in its bay."""
+        return self._board
+
+    def linked(self, jobs: list[LinkJob]) -> dict[Task, Linked]:
+        """Perform link jobs of one task each, and return their outcomes by task."""
+        pending = [self.submit(job) for job in jobs]
+        return {job.tasks[0]: answer.get().value[0] for job, answer in zip(jobs, pending, strict=True)}
+
+    def close(self) -> None:
+        self.pool.stop()
 
 
 class Pending:

@@ -12,7 +12,8 @@ from typing import Any
 
 import pytest
 
-from tests.runs.workers.plant import Plant, conclusion, numbers
+from tests.runs.workers.conftest import RingBoard
+from tests.runs.workers.plant import BoardPlant, Plant, conclusion, numbers
 from vaoi_station.drift.checks import RunCheck
 from vaoi_station.errors import GoneError, InternalError, StateError
 from vaoi_station.runs.workers import pool as module
@@ -124,31 +125,31 @@ def test_the_concluding_worker_has_gathered_the_evidence_of_others(plant: Plant,
     assert numbers(plant.submit(whole).get()) == gathered, "a restarted worker receives all evidence again"
 
 
-def test_a_check_is_a_second_reply_of_the_same_worker(plant: Plant, make_head: Any) -> None:
-    plant.all_idle()
-    jobs = [plant.link(camera, row) for row in range(2) for camera in (0, 1)]
-    replies = [plant.submit(job).get() for job in jobs]
+def test_a_check_is_a_second_reply_of_the_same_worker(board_plant: BoardPlant, ring_board: RingBoard) -> None:
+    linked = board_plant.linked([ring_board.link(task) for task in ring_board.tasks])
+    board_plant.all_idle()
     check = CheckJob("r1", "2026-01-01T00:00:00Z", "board-type", "calibration")
-    checked = plant.expect(check)
-    result = plant.submit(dataclasses.replace(conclusion(plant, make_head(3), jobs, replies), check=check))
+    checked = board_plant.expect(check)
+    result = board_plant.submit(ring_board.conclusion(linked, check))
     assert result.get().error is None
-    plant.pool.close_run("r1")
+    board_plant.pool.close_run("r1")
     assert isinstance(checked.get().value, RunCheck), "a run that is closed meanwhile is checked first"
-    plant.all_idle()
+    board_plant.all_idle()
 
 
-def test_a_check_whose_worker_dies_is_given_up(plant: Plant, make_head: Any) -> None:
-    plant.all_idle()
+def test_a_check_whose_worker_dies_is_given_up(board_plant: BoardPlant, ring_board: RingBoard) -> None:
+    linked = board_plant.linked([ring_board.link(task) for task in ring_board.tasks])
+    board_plant.all_idle()
     check = CheckJob("r1", "2026-01-01T00:00:00Z", "board-type", "calibration")
-    checked = plant.expect(check)
-    pid = plant.pid(1)
-    plant.on_reply = lambda job: os.kill(pid, signal.SIGKILL) if isinstance(job, ConcludeJob) else None
-    plant.submit(dataclasses.replace(conclusion(plant, make_head(3), [], []), check=check)).get()
+    checked = board_plant.expect(check)
+    pid = board_plant.pid(1)
+    board_plant.on_reply = lambda job: os.kill(pid, signal.SIGKILL) if isinstance(job, ConcludeJob) else None
+    board_plant.submit(ring_board.conclusion(linked, check)).get()
     outcome = checked.get()
     if outcome.error is not None:  # otherwise the check was faster than the signal
         assert outcome.error.code == "worker-lost"
-    plant.all_idle()
-    assert plant.submit(plant.link()).get().error is None
+    board_plant.all_idle()
+    assert board_plant.submit(ring_board.link(ring_board.tasks[0])).get().error is None
 
 
 def test_excluded_tasks_are_not_in_the_result(plant: Plant, make_head: Any) -> None:

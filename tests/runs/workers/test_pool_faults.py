@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
+import contextlib
 import os
 import signal
 from collections.abc import Callable
@@ -10,7 +10,8 @@ from typing import Any
 
 import pytest
 
-from tests.runs.workers.plant import Plant, conclusion
+from tests.runs.workers.conftest import RingBoard
+from tests.runs.workers.plant import BoardPlant, Plant, conclusion
 from vaoi_station.drift.checks import RunCheck
 from vaoi_station.errors import BusyError, StateError
 from vaoi_station.runs.workers import pool as module
@@ -46,23 +47,21 @@ def test_a_worker_that_another_has_outrun_is_replaced_soon(plant: Plant, monkeyp
     assert plant.pid(0) != victim
 
 
-def test_a_conclusion_does_not_wait_for_a_worker_that_hangs(plant: Plant, make_head: Any) -> None:
-    plant.all_idle()
-    jobs = [plant.link(camera) for camera in (0, 1)]
-    answers = [plant.submit(job).get() for job in jobs]
-    plant.all_idle()
-    victim = plant.pid(1)
+def test_a_conclusion_does_not_wait_for_a_worker_that_hangs(board_plant: BoardPlant, ring_board: RingBoard) -> None:
+    linked = board_plant.linked([ring_board.link(task) for task in ring_board.tasks])
+    board_plant.all_idle()
+    victim = board_plant.pid(1)
     os.kill(victim, signal.SIGSTOP)
     try:
         check = CheckJob("r1", "2026-01-01T00:00:00Z", "board-type", "calibration")
-        checked = plant.expect(check)
-        job = dataclasses.replace(conclusion(plant, make_head(3), jobs, answers), check=check)
-        result = plant.submit(job)
+        checked = board_plant.expect(check)
+        result = board_plant.submit(ring_board.conclusion(linked, check))
         assert result.get().error is None
         assert isinstance(checked.get().value, RunCheck)
     finally:
-        os.kill(victim, signal.SIGCONT)
-    plant.all_idle()
+        with contextlib.suppress(ProcessLookupError):  # a worker that was outrun is killed after some seconds
+            os.kill(victim, signal.SIGCONT)
+    board_plant.all_idle()
     assert [len(p.answers) for p in (result, checked)] == [1, 1], "result and check of the slower worker are dropped"
 
 

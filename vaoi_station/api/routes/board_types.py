@@ -13,7 +13,7 @@ from vaoi_station.api.event_hub import ThreadLimit
 from vaoi_station.api.http_caching import REVALIDATE, conditional_response
 from vaoi_station.api.parameters import BoardTypeName
 from vaoi_station.api.rest_models import BoardTypeList
-from vaoi_station.api.services import Services
+from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import InputError
 from vaoi_station.model import BoardType
 

@@ -12,7 +12,7 @@ from vaoi_station.api.http_caching import IMMUTABLE, LIVE, conditional_response
 from vaoi_station.api.parameters import Address, FormatName, MinCoverage, PxPerMm, RunId
 from vaoi_station.api.rest_models import ComponentEntry, ComponentList, ComponentViews
 from vaoi_station.api.routes.frames import PICTURE, Accept
-from vaoi_station.api.services import Services
+from vaoi_station.api.routes.services import Services
 from vaoi_station.api.view_entries import covariances, picture_query, view_entry
 from vaoi_station.runs.states.schemas import ComponentSummary
 from vaoi_station.runs.states.schemas import ImageFormat as Rendered

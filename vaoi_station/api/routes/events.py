@@ -11,7 +11,7 @@ from fastapi.sse import EventSourceResponse, ServerSentEvent
 
 from vaoi_station.api.callers.caller import caller_of
 from vaoi_station.api.rest_models import Heartbeat
-from vaoi_station.api.services import Services
+from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import InputError
 from vaoi_station.runs.states.schemas import EventRecord
 

@@ -9,7 +9,7 @@ from fastapi import APIRouter, Depends, Header, Query, Request, Response
 from vaoi_station.api.encoders import MEDIA_TYPES, choose_format, encode_image
 from vaoi_station.api.http_caching import conditional_response
 from vaoi_station.api.parameters import Camera, FormatName, Row, RunId
-from vaoi_station.api.services import Services
+from vaoi_station.api.routes.services import Services
 
 Accept = Annotated[str | None, Header(max_length=500)]
 PICTURE: dict[int | str, dict[str, Any]] = {

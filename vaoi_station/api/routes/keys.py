@@ -12,7 +12,7 @@ from vaoi_station.api.access.sessions import COOKIE, SESSION_S
 from vaoi_station.api.callers.caller import caller_of
 from vaoi_station.api.http_caching import LIVE
 from vaoi_station.api.problems import problem_response
-from vaoi_station.api.services import Services
+from vaoi_station.api.routes.services import Services
 from vaoi_station.files.access_keys import AccessKey, KeyName, NewKey, Scope
 
 Name = Annotated[str, Path(description="Name of a key.", pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")]

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from fastapi import APIRouter, Response
 
 from vaoi_station.api.http_caching import LIVE
-from vaoi_station.api.services import Services
+from vaoi_station.api.routes.services import Services
 from vaoi_station.runs.archive.run_statistics import LATENCY_BOUNDS_S, RunFigures
 from vaoi_station.runs.states.schemas import StationSnapshot
 from vaoi_station.runs.states.tables import StationState

@@ -8,7 +8,7 @@ from fastapi import APIRouter, Body, Query, Response
 
 from vaoi_station.api.http_caching import LIVE
 from vaoi_station.api.rest_models import ArmRequest
-from vaoi_station.api.services import Services
+from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import InputError
 from vaoi_station.runs.states.schemas import StationSnapshot
 

@@ -10,7 +10,7 @@ from fastapi import APIRouter, Request, Response
 from vaoi_station.api.http_caching import LIVE
 from vaoi_station.api.parameters import BoardTypeName
 from vaoi_station.api.rest_models import MethodRequest, TeachRequest
-from vaoi_station.api.services import Services
+from vaoi_station.api.routes.services import Services
 from vaoi_station.runs.states.schemas import ReferenceStatus, StitchingMethod
 
 

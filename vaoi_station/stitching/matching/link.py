@@ -49,11 +49,11 @@ def link_rows(task: Task, pair: FramePair) -> Links:
 
     Two frames that are equal in every pixel have no links, and `Links.copied` is set.
     """
-    if are_copies(pair.a.grey, pair.b.grey):
-        return replace(Links.empty(task, "the second frame is a copy of the first"), copied=True)
     box = pair.overlap()
     if box is None:
         return Links.empty(task, "the frames do not overlap")
+    if are_copies(pair.a.grey, pair.b.grey):
+        return replace(Links.empty(task, "the second frame is a copy of the first"), copied=True)
     offset = pair.offset_px(box)
     coarse = find_shift(pair.a, pair.b, box, offset, _PLAY_MM * pair.camera_a.px_per_mm + _SLIP_SHARE * np.abs(offset))
     if isinstance(coarse, Failure):

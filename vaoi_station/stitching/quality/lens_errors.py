@@ -52,7 +52,7 @@ class LensError(NamedTuple):
     @property
     def position_px(self) -> float:
         """Rms error of a position, px per axis, by that part of the error that noise does not explain."""
-        beyond = self.corner_px**2 - 2 * self.sigma_px**2
+        beyond = self.corner_px**2 - 4 * self.sigma_px**2
         return _SHARE * float(np.sqrt(max(beyond, 0.0)))
 
 

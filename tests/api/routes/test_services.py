@@ -9,7 +9,7 @@ import anyio
 
 from vaoi_station.api.callers.picture_seats import PICTURE_THREADS
 from vaoi_station.api.event_hub import EventHub
-from vaoi_station.api.services import Services
+from vaoi_station.api.routes.services import Services
 
 
 def test_busy_pictures_hold_up_no_command(station: Any) -> None:
