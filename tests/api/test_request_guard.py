@@ -6,6 +6,7 @@ import asyncio
 import json
 import math
 import socket
+import statistics
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -226,4 +227,6 @@ def test_large_board_types_do_not_delay_other_requests(served: Any) -> None:
             assert served.client.get("/healthz").status_code == 200
             waits.append(time.perf_counter() - begun)
     assert sorted(s.result().status_code for s in stored) == [200, 200, 201]
-    assert max(waits) < 2.0
+    # a blocked event loop answers two or three times meanwhile
+    assert len(waits) >= 10
+    assert statistics.median(waits) < 0.1 * sum(waits)
