@@ -5,6 +5,7 @@ from __future__ import annotations
 import sqlite3
 import subprocess
 import sys
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -38,7 +39,8 @@ def test_a_copy_is_consistent_while_a_station_writes(tmp_path: Path) -> None:
                 copy = tmp_path / f"copy{number}.db"
                 copy_database(tmp_path / "station.db", copy)
                 check_database(copy)
-                (rows,) = sqlite3.connect(copy).execute("SELECT count(*) FROM events").fetchone()
+                with closing(sqlite3.connect(copy)) as opened:
+                    (rows,) = opened.execute("SELECT count(*) FROM events").fetchone()
                 assert rows >= 400
                 assert rows % 2 == 0, "the copy has half a transaction"
         finally:
