@@ -53,7 +53,8 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
     (tmp_path / "garbage").write_bytes(b"no database " * 1000)
     with pytest.raises(DeviceError, match="cannot be read"), reading(tmp_path / "garbage"):
         pass
-    sqlite3.connect(tmp_path / "other").execute("PRAGMA user_version = 99").close()
+    with closing(sqlite3.connect(tmp_path / "other")) as other:
+        other.execute("PRAGMA user_version = 99")
     (tmp_path / "other").touch()
     with pytest.raises(InputError, match="version"), reading(tmp_path / "other"):
         pass
