@@ -35,7 +35,9 @@ _PACKAGES = {
     "curl/curl.h": "libcurl4-openssl-dev",
     "gcc": "gcc",
     "make": "make",
+    "promtool": "prometheus",
     "simavr/sim_avr.h": "libsimavr-dev libelf-dev",
+    "systemd-analyze": "systemd",
 }
 """Packages of the distribution, by the program or header that they provide."""
 

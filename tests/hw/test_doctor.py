@@ -8,8 +8,9 @@ import sys
 import threading
 import tty
 from collections.abc import Iterable, Iterator
-from contextlib import closing
+from contextlib import closing, contextmanager
 from pathlib import Path
+from select import select
 from typing import Any
 
 import pytest
@@ -131,25 +132,33 @@ def test_a_port_that_another_program_uses(terminal: tuple[int, Path]) -> None:
     assert_problem(finding, Level.FAULT, "is in use by", f"process {holder.pid}")
 
 
-class ForeignDevice:
-    """Whatever is at the other end of a terminal: answers every message by a payload of its own."""
+@contextmanager
+def foreign_device(terminal: int, payload: bytes | None) -> Iterator[None]:
+    """Answer every message at the other end of a terminal by this payload, or by a line of text without one.
 
-    def __init__(self, terminal: int, payload: bytes | None) -> None:
-        self._terminal, self._payload = terminal, payload
-        threading.Thread(target=self._talk, daemon=True).start()
+    The thread has ended before the terminal is closed: its number is soon that of the next test's terminal.
+    """
+    stopped, stop = os.pipe()
 
-    def _talk(self) -> None:
+    def talk() -> None:
         reader = FrameReader()
-        while True:
-            try:
-                data = os.read(self._terminal, 256)
-            except OSError:  # the test is over
-                return
-            if self._payload is None:
-                os.write(self._terminal, b"ready>\r\n")
+        while stopped not in (ready := select([terminal, stopped], [], [])[0]):
+            assert ready == [terminal]
+            data = os.read(terminal, 256)
+            if payload is None:
+                os.write(terminal, b"ready>\r\n")
                 continue
             for message in reader.feed(data):
-                os.write(self._terminal, encode(Message(message.type | REPLY, message.sequence, self._payload)))
+                os.write(terminal, encode(Message(message.type | REPLY, message.sequence, payload)))
+
+    thread = threading.Thread(target=talk)
+    thread.start()
+    try:
+        yield
+    finally:
+        os.close(stop)
+        thread.join()
+        os.close(stopped)
 
 
 @pytest.mark.parametrize(
@@ -161,8 +170,8 @@ class ForeignDevice:
     ],
 )
 def test_a_device_that_is_not_ours(terminal: tuple[int, Path], payload: bytes | None, said: str) -> None:
-    ForeignDevice(terminal[0], payload)
-    found = by_subject(controller(context_of(terminal[1])))
+    with foreign_device(terminal[0], payload):
+        found = by_subject(controller(context_of(terminal[1])))
     assert found["port"].level is Level.OK
     assert_problem(found["firmware"], Level.FAULT, said)
     assert set(found) == {"port", "firmware"}

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
-import shutil
 import subprocess
 from fnmatch import fnmatchcase
 from pathlib import Path
 
 import pytest
 
+from tests.needs import lacking, need
 from vaoi_station.acquisition.cameras.aravis.opening import socket_bytes
 from vaoi_station.config import read_config
 from vaoi_station.doctor.checks.network import judge_buffers
@@ -67,14 +67,14 @@ def test_service_may_lock_its_ring_and_use_its_port() -> None:
     assert PAPER.controller.port == "/dev/" + re.findall(r'SYMLINK\+="([\w-]+)"', port)[0]
 
 
-@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed")
 def test_service_has_few_privileges() -> None:
     """The exposure level of `systemd-analyze security`, 0 to 10, is at most 2.0, and systemd knows every key."""
+    need("systemd-analyze")
     unit = DEPLOY / "vaoi-station.service"
     command = ["systemd-analyze", "security", "--offline=true", "--no-pager", "--threshold=20", str(unit)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if "unrecognized option" in done.stderr:
-        pytest.skip("this systemd-analyze cannot examine a file")
+        lacking("systemd-analyze examines a file from version 250 on: update the package systemd")
     assert done.returncode == 0, done.stdout[-300:]
     assert "Unknown key" not in done.stderr
 

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import os
 import re
-import shutil
 import subprocess
 from pathlib import Path
 from typing import Any
 
-import pytest
-
+from tests.needs import need
 from vaoi_station.api.routes.metrics import Metric, as_text
 
 DOCUMENT = Path(__file__).resolve().parents[3] / "docs" / "internals" / "metrics.md"
@@ -63,8 +61,8 @@ def test_labels_are_escaped() -> None:
     assert text.splitlines()[-1] == r'a{camera="a\"b\\c\nd"} 1'
 
 
-@pytest.mark.skipif(shutil.which("promtool") is None, reason="promtool (package prometheus) is not installed")
 def test_prometheus_accepts_the_text(client: Any) -> None:
+    need("promtool")
     text = client.get("/metrics").text
     done = subprocess.run(["promtool", "check", "metrics"], input=text, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, ""), os.linesep.join([done.stdout, done.stderr])

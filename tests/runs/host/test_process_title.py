@@ -10,11 +10,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-import pytest
-
 from vaoi_station.runs.host.process_setup import set_up_process
-
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="names of processes are read from /proc")
 
 
 def child(connection: Connection[Any, Any]) -> None:
