@@ -49,6 +49,7 @@ def test_a_displaced_camera_becomes_a_warning_with_its_second_board(rig: Any, ca
     assert [m.y_px for m in drifted.history] == [0.0, 3.0, 3.0]
     reported = [e for e in rig.coordinator.events() if e.code == "calibration-drift"]
     assert len(reported) == 1
+    rig.wait_for(lambda: rig.store.checks.count(rig.coordinator.calibration().digest) == 3, "the stored checks")
     again = CalibrationWatch(rig.store.checks, EventLog(rig.store), calibration, ["a", "b"])
     assert [w.code for w in again.warnings()] == ["calibration-drift"]
     assert again.status().runs == 3
