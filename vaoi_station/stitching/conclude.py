@@ -43,7 +43,7 @@ NO_BOARD_TYPE = Failure("no board type was given, so there is no CAD mapping", R
 
 @dataclass(frozen=True, eq=False)
 class PriorKnowledge:
-    """What is known about a run before its board is filmed: board plane, expectation, velocity, method, reference."""
+    """Knowledge about a run from before its board is filmed: board plane, expectation, velocity, method, reference."""
 
     plane: BoardPlane | None
     """The board plane of the board type. None if no board type was given; the CAD matrix C is then not computed."""
@@ -53,7 +53,7 @@ class PriorKnowledge:
     method_name: str
     reference: Reference | None = None
     visibility: Visibility = VISIBILITY
-    """How much of every component the frames must show, unless the board type asks for something else."""
+    """How much of every component the frames must show, unless the board type states something else."""
     reference_frame: Callable[[FrameKey], PreparedFrame] | None = None
     """A function that returns a prepared frame of the reference; None if its frames cannot be read."""
 
@@ -65,7 +65,7 @@ class PriorKnowledge:
 
     @property
     def method(self) -> Method:
-        """The method named `method_name`: the kinds of evidence that may be used."""
+        """The method named `method_name`: it states which kinds of evidence may be used."""
         return METHODS[self.method_name]
 
 
@@ -149,7 +149,7 @@ def _links_problem(prior: PriorKnowledge, times_s: Floats, found: SortedEvidence
 def _relinked(
     scene: Scene, prior: PriorKnowledge, problem: Problem, found: SortedEvidence, link_store: LinkStore
 ) -> tuple[SortedEvidence, Problem]:
-    """Search links again between those rows between which the belt moved otherwise than at its nominal speed."""
+    """Search links again between rows between which the belt moved at another speed than its nominal one."""
     o = problem.links
     between = o.p != o.q
     measured = RowLinks(o.p[between], o.q[between], o.b_mm[between] - o.a_mm[between])
@@ -194,14 +194,17 @@ def _map_cad(
 def _refine_motion(
     prior: PriorKnowledge, problem: Problem, motion: AdjustmentResult, mapping: CadMapping | Failure
 ) -> AdjustmentResult:
-    """Iterate the motion from links to full convergence if there is no CAD mapping, which would have adjusted it."""
+    """Iterate the motion from links to full convergence, unless a CAD mapping has already adjusted it."""
     if isinstance(mapping, Failure):
         return adjust(problem, motion.motion) if prior.method.links else motion
     return mapping.moved or motion
 
 
 def _without_unknown_rows(findings: Findings) -> Findings:
-    """Return the findings without the rows whose place is not known; without a CAD mapping if the board's is not."""
+    """Return the findings without the rows in which the position of the board is not known.
+
+    If the position is known in no row, the findings are returned without a CAD mapping.
+    """
     if findings.unplaceable:
         return replace(
             findings,
@@ -228,7 +231,7 @@ def _without_unknown_rows(findings: Findings) -> Findings:
 
 
 def _corrected_scene(scene: Scene, mapping: CadMapping | Failure) -> Scene:
-    """Return the scene with the cameras displaced as the adjustment of the CAD mapping found them."""
+    """Return the scene with the camera displacements that the adjustment of the CAD mapping estimated."""
     if isinstance(mapping, Failure) or mapping.adjusted.cameras is None:
         return scene
     return replace(scene, cameras=mapping.adjusted.problem.cameras)

@@ -51,7 +51,7 @@ def _component_views(findings: Findings) -> dict[str, tuple[tuple[int, int, floa
 
 
 def _read_only(matrices: Floats) -> Floats:
-    """Return a copy of matrices that cannot be written to, as results are shared."""
+    """Return a read-only copy of matrices: results are used in several places."""
     out = matrices.copy()
     out.setflags(write=False)
     return out

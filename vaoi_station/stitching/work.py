@@ -35,15 +35,16 @@ from vaoi_station.stitching.method import METHODS, MethodName
 from vaoi_station.stitching.quality.findings import Findings
 
 _KEPT_ROWS, _KEPT_MORE = 3, 4
-"""Number of prepared frames that a task runner keeps: those of `_KEPT_ROWS` complete rows, and `_KEPT_MORE` more."""
+"""A task runner keeps the prepared frames of `_KEPT_ROWS` complete rows, and `_KEPT_MORE` further ones."""
 _KEPT_STRIPS = 1024
-"""Entries of the caches of overlap sizes. The keys are cameras and time steps, of which a station has few."""
+"""Entries of the caches of overlap sizes. A key is a camera and a time step, of which a station has only few."""
 _AT_REST = np.zeros(2)
 """Nominal motion of the board between two frames of the same row, mm: none."""
 _WIDE_PX = 110.0
-"""Smallest width, three patches, of the overlap of rows j and j + 2 for which these two rows are linked. In a narrower
-overlap, a patch with its margin fits only once. Linking it takes as long as any pair of frames, but improves σ by only
-3 to 8 per cent."""
+"""Rows j and j + 2 are linked only if their overlap is at least this wide: three patches.
+
+In a narrower overlap there is room for only one patch. Linking it takes as long as any pair of frames, but improves σ
+by only 3 to 8 %."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,7 @@ class StitchSetup:
     reference: Reference | None = None
     """A stitched run of the same board type, to which the frames are linked; None without one."""
     visibility: Visibility = VISIBILITY
-    """How much of every component the frames must show, unless the board type asks for something else."""
+    """How much of every component the frames must show, unless the board type states something else."""
 
     @cached_property
     def plane(self) -> BoardPlane | None:
@@ -90,7 +91,7 @@ def all_tasks(present: Collection[FrameKey], times_s: Mapping[int, float], setup
     in_order = sorted(frames, key=lambda key: (key[1], key[0]))
     there = frames.__contains__
     tasks = [task for key in in_order for task in _tasks_of(key, there, times_s, setup, only_ahead=True)]
-    # a bridge links the rows before and after missing rows; only at the end of a run it is known which rows are missing
+    # A bridge links the rows before and after missing rows. Which rows are missing is known only at the end of a run.
     if bridges := _bridges(frames, times_s, setup):
         known = set(tasks)
         tasks += [task for task in bridges if task not in known]
@@ -126,7 +127,7 @@ class TaskRunner:
         return found
 
     def add_evidence(self, evidence: Evidence) -> None:
-        """Project the links of evidence to the ground, so that this need not be done when the run is concluded.
+        """Project the links of evidence to the ground, which saves this work when the run is concluded.
 
         The evidence may come from any process.
         """
@@ -173,7 +174,7 @@ class TaskRunner:
             times_s: (m,) time of every row's pulse.
             present: camera and row of all good frames.
             evidence: the evidence of `all_tasks`, in any order.
-            doubts: what was doubtful when the run was filmed (`RecordingHead.doubts`).
+            doubts: doubts about the frames that arose when they were recorded (`RecordingHead.doubts`).
         """
         s = self._setup
         return conclude(
@@ -254,7 +255,7 @@ def _strip_px(camera: Camera, velocity_mm_s: tuple[float, float], dt_s: float) -
 
     The value is 0 or negative if the frames do not overlap.
     """
-    # plain floats instead of numpy, which takes longer for a single point: this runs for every frame that arrives
+    # Plain floats are used, because numpy takes longer for a single point, and this runs for every frame that arrives.
     (a, b, c), (d, e, f), (g, h, i) = camera.image_from_row.matrix.tolist()
     u, v = camera.center_px
     x, y = _middle_mm(camera)

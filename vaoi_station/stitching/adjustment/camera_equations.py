@@ -1,13 +1,13 @@
 """Equations of the displacements of cameras against their calibration, as unknowns of the adjustment.
 
 A camera whose picture moved by a displacement (x, y, turn), in px (`geometry.displacement`), sees every ground point
-moved by a small rotation and shift of the calibrated plane. In one pair of frames, this has the effect of a change of
-the row: with m the middle of the camera's view, a rotation by θ about m and a shift t are, in row j,
+moved by a small rotation and shift of the calibrated plane. Within one pair of frames, this has the same effect as a
+change of the row's motion: with m the middle of the camera's view, a rotation by θ about m and a shift t are, in row j,
 
     δφ_j = θ,    δs_j = R(φ_j)·(t − θ·J(m − c)),    J = rotation by 90°.
 
-The equations of cameras are therefore combinations of those of the rows, and are built from sums over the links of a
-pair of frames instead of from single links.
+The equations of a camera's displacement are therefore linear combinations of the equations of its rows. They are
+computed from sums over the links of a pair of frames, not from single links.
 """
 
 from __future__ import annotations
@@ -30,22 +30,23 @@ from vaoi_station.stitching.adjustment.problem import CameraEstimate, FiducialPo
 _STEP_PX = 0.05
 """Step of the numeric derivatives by a displacement. The functions are smooth over hundreds of px."""
 _STILL_PX = 0.006
-"""Standard deviation, in one run, of the displacement of a camera that was not moved, for each of x, y and turn."""
+"""Standard deviation within one run of the displacement of a camera that was not moved, for each of x, y and turn."""
 _FIRST_STILL_PX, _TIGHTENING = 0.5, 4.0
-"""The first step uses `_FIRST_STILL_PX` in place of `_STILL_PX`, each further step a `_TIGHTENING`th of the one before.
+"""The first step uses `_FIRST_STILL_PX` in place of `_STILL_PX`; each further step divides it by `_TIGHTENING`.
+
 With the tight prior from the start, the search would stay at displacements of 0, which is a local maximum."""
 _ANYWHERE_PX = 1000.0
 """Standard deviation of the weak prior that makes the normal matrix regular, before the real prior replaces it."""
 _EM_ITERATIONS = 5
 """Iterations of the search for the most likely displacements in each step of the adjustment."""
 _LARGE_PX = 1.0
-"""Displacement from which on, in the first steps, every camera is tried as the only moved one."""
+"""In the first steps, a displacement above this makes the search try each camera as the only one that moved."""
 _UNCHANGED_PX = 1e-7
-"""Displacements that change by less need no new projection of the links."""
+"""If no displacement changes by more than this, the links need not be projected again."""
 _NEW_EFFECTS_PX = 0.5
-"""Change of a displacement after which its effects are computed again; they vary slowly."""
+"""The effects of displacements vary slowly; they are computed again after a change of this much."""
 _OTHER_PX = 0.02
-"""Difference of a displacement from which on another explanation is tried."""
+"""Another explanation is tried only if one of its displacements differs by more than this."""
 
 
 class CameraEffects(NamedTuple):
@@ -84,12 +85,12 @@ def comparable_cameras(cameras: tuple[Camera, ...]) -> tuple[Camera, ...]:
 
 
 def displaced_cameras(cameras: Sequence[Camera], displacement_px: Floats) -> tuple[Camera, ...]:
-    """Return the cameras with the matrices N_i that they have with displacements (n, 3)."""
+    """Return the cameras with the N_i that result from their displacements (n, 3)."""
     return tuple(displace_camera(camera, d) for camera, d in zip(cameras, displacement_px, strict=True))
 
 
 def ground_changes(cameras: Sequence[Camera], displacement_px: Floats) -> Floats:
-    """Return homographies (n, 3, 3) from ground points by the calibrated cameras to those by the displaced cameras."""
+    """Return homographies (n, 3, 3) from ground points by the calibrated cameras to those by the displaced ones."""
     displaced = displaced_cameras(cameras, displacement_px)
     pairs = zip(displaced, cameras, strict=True)
     return np.array([now.row_from_image.matrix @ then.image_from_row.matrix for now, then in pairs])
@@ -153,10 +154,10 @@ def rotation_of_all(cameras: CameraEffects) -> Floats:
 
 
 def without_direction(information: Floats, vector: Floats, direction: Floats) -> tuple[Floats, Floats]:
-    """Return normal equations (n, n), (n,) without what they say about a motion along a direction (n,).
+    """Return normal equations (n, n), (n,) from which all information about a motion along a direction (n,) is removed.
 
-    Links show no rotation of the whole array. At large displacements, nonlinear effects and the prior of
-    the belt seem to show one, and the displacement of one camera would be taken for that of all others.
+    Links do not show a rotation of the whole array. At large displacements, nonlinear effects and the prior of the belt
+    seem to show one. The displacement of one camera would then be attributed to all other cameras.
     """
     effect = information @ direction
     strength = float(direction @ effect)
@@ -238,8 +239,8 @@ class MovingCameras:
         start = prior_weights(self.displacement_px, self._still_px) if self._weight is None else self._weight
         found, weight = most_likely(self._information, self._vector, start, self._still_px, _EM_ITERATIONS)
         if not self.settled and np.abs(found).max() > _LARGE_PX:
-            # One large displacement is otherwise shared out as a rotation of the whole array, which no link shows. From
-            # there, the truth is too far for linear equations.
+            # Otherwise, one large displacement becomes a rotation of the whole array, which links do not show. The true
+            # displacements are then too far away for linear equations.
             found = most_likely_motion(self._information, self._vector, self._still_px).displacement_px
             weight = prior_weights(found, self._still_px)
         prior = np.repeat(weight, PARAMETERS)
@@ -276,7 +277,7 @@ class MovingCameras:
         return replace(self._problem, links=links, fiducials=self.points, cameras=cameras)
 
     def reconsider(self) -> bool:
-        """Search once whether displacements of other cameras explain the links better. If True, more steps are needed.
+        """Search once whether other displacements explain the links better; return True if more steps are needed.
 
         The search is made only if a camera is displaced. The next step starts from the explanation found.
         """

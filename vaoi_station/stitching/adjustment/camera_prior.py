@@ -23,12 +23,12 @@ MOVED_PX = 2 * STILL_PX
 _WIDE_PX = 100.0
 _ITERATIONS = 40
 _SAME_PX = 0.01
-"""Largest difference of two explanations that are the same one."""
+"""Two explanations whose displacements differ by at most this are the same one."""
 _CLOSE = 10.0
 """Difference of log-probability up to which two explanations count as equally good.
 
-Two explanations can name different cameras. Only the keystone distortion that a turned camera shows decides between
-them, and a camera that was shifted instead of turned shows no keystone distortion."""
+Such explanations can name different cameras. Only keystone distortion could decide between them. A camera shows it
+after a turn, but not after a shift."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +102,7 @@ def _of_as_many_cameras(good: list[tuple[float, Attribution]]) -> list[Attributi
 def _with_rivals(chosen: Attribution, good: list[tuple[float, Attribution]]) -> Attribution:
     """Return the chosen displacements with the cameras that may have moved instead, and with the spread of all good."""
     others = {camera for a in _of_as_many_cameras(good) for camera in a.moved} - {*chosen.moved}
-    # How far a moved camera moved says nothing about which one moved: explanations by as many cameras count alike.
+    # The displacements do not show which camera moved: explanations that move as many cameras are equally good.
     as_many = [len(a.moved) == len(good[0][1].moved) for _, a in good]
     odds = np.where(as_many, 1.0, np.exp([good[0][0] - cost for cost, _ in good]))
     apart = np.array([a.displacement_px.ravel() - chosen.displacement_px.ravel() for _, a in good])

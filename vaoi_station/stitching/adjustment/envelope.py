@@ -22,7 +22,7 @@ from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.adjustment.observations import Ints
 
 _MIN_PIVOT = 1e-14
-"""Smallest pivot, as a share of the diagonal entry before elimination. An unknown with a smaller one is unobserved."""
+"""An unknown is unobserved if its pivot, divided by its diagonal entry before elimination, is below this."""
 
 
 class NormalEquations(NamedTuple):
@@ -48,7 +48,8 @@ class Envelope:
     first: Ints
     """(n,) the first stored column of each line."""
     at: Ints
-    """(n,) index of column 0 of each line in the stored values, even if the line is stored from a later column on."""
+    """(n,) index in the stored values of column 0 of each line; it is a virtual one if the line begins at a later
+    column."""
     rows: int
     """The number of rows of the run. The first 3·rows unknowns are their (φ, sx, sy). The other unknowns are coupled to
     all rows and stand last."""
@@ -134,8 +135,8 @@ def factorise(normal: NormalEquations) -> None:
         rest = whole
         for k in range(first[i], i):
             rest -= values[at[i] + k] ** 2
-        # rounding can make the pivot of an unobserved unknown 0 or negative; with a tiny one, its variance is huge and
-        # the other unknowns are not affected
+        # Rounding can make the pivot of an unobserved unknown 0 or negative. With a tiny positive pivot instead, its
+        # variance is huge, and the other unknowns are not affected.
         values[at[i] + i] = math.sqrt(max(rest, _MIN_PIVOT * whole))
 
 

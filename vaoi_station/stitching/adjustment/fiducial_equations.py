@@ -12,11 +12,12 @@ from vaoi_station.stitching.adjustment.observations import Ints
 from vaoi_station.stitching.adjustment.problem import FiducialPoints
 
 _SINGLE_PX, _COMMON_PX = 0.002, 0.004
-"""Standard deviations of two errors of a detection beyond `sigma_mm`. `_SINGLE_PX` is independent in each detection.
-`_COMMON_PX` is common to all detections of the same fiducial (artwork, light) and does not average out
-(docs/measured/uncertainty.md)."""
+"""Standard deviations of two errors of a detection that `sigma_mm` does not include.
+
+`_SINGLE_PX` is independent for each detection. `_COMMON_PX` is common to all detections of one fiducial (artwork,
+light) and does not average out (docs/measured/uncertainty.md)."""
 _SCALE_SIGMA = 3e-4
-"""Standard deviation of the size of a board relative to its CAD data: boards shrink and stretch."""
+"""Standard deviation of the relative size of a board against its CAD data: boards shrink and stretch."""
 _KNEE, _CUT = 2.0, 6.0
 """Residuals beyond `_KNEE` standard deviations lose weight (Huber). Fixture marks and reference points, of which there
 are many, have no weight beyond `_CUT` standard deviations."""
@@ -62,8 +63,8 @@ def detection_equations(points: FiducialPoints, residual: Floats, jacobian: Floa
     chi = np.sqrt((residual**2).sum(1) / 2) / sigma
     many = points.which < 0
     if many.any():
-        # as long as the rows have only their nominal motion, all of these points have large residuals without being
-        # outliers: their median scales the limits
+        # While the rows have only their nominal motion, all these points have large residuals without being outliers.
+        # The limits are therefore scaled by the median residual.
         scale = max(float(np.median(chi[many])), 1.0)
         chi, sigma = np.where(many, chi / scale, chi), np.where(many, sigma * scale, sigma)
     robust = np.where(many & (chi > _CUT), 0.0, huber_weights(chi, _KNEE))

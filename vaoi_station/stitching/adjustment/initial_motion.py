@@ -25,7 +25,7 @@ def chain_links(nominal: Motion, links: Observations) -> Motion:
         # links between two cameras have p = q = row and are left out
         last = first + np.searchsorted(p[first:last], row)
         if last > first:
-            # only links to the latest earlier row are used: the smallest distance gives the smallest error
+            # Only links to the latest earlier row are used: errors grow with the distance between the rows.
             latest = by_pair[first + np.searchsorted(p[first:last], p[last - 1]) : last]
             step = links.a_mm[latest] - links.b_mm[latest]
             shift[row] = shift[p[last - 1]] + np.median(step, axis=0)

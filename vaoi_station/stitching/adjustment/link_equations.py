@@ -77,7 +77,7 @@ class NoiseModel(NamedTuple):
     cut: float
     """Residuals beyond this number of standard deviations have no weight."""
     raised: NDArray[np.bool_]
-    """(k,) whether each link may lie on something that stands above the modelled height: on a part, or on its leads."""
+    """(k,) whether each link may lie above the modelled height: on a component or on its leads."""
 
 
 @compiled
@@ -104,9 +104,9 @@ def compute_residuals(links: LinkArrays, motion: MotionArrays, height_mm: Floats
 def compute_weights(links: LinkArrays, noise: NoiseModel, groups: int, state: LinkState) -> None:
     """Compute sigma, robust weight and weight matrix of every link from its residual.
 
-    A link that may be raised and whose residual shows a point above the modelled height gets a height of its own: its
-    weight along the lean falls by as much as such an unknown takes away. A residual that shows a point below the
-    modelled height is none, since parts stand above the board: such a link keeps its weight.
+    A link may lie on something above the modelled height (`noise.raised`). If its residual shows this, the height of
+    the point is treated as an unknown: the weight along the lean is reduced accordingly. If its residual shows a point
+    below the modelled height, the link keeps its weight, since components stand above the board.
 
     The links of one pair of frames have an error in common. The sum of their weights is therefore limited to the
     inverse variance of this error.
@@ -132,7 +132,7 @@ def compute_weights(links: LinkArrays, noise: NoiseModel, groups: int, state: Li
             wx, wy = xx * lx + xy * ly, xy * lx + yy * ly
             information = lx * wx + ly * wy
             height = -(wx * x + wy * y)
-            # in standard deviations; noise alone makes a point of the board look raised by one
+            # In standard deviations. Noise alone makes a point of the bare board look raised by one.
             if height > math.sqrt(information):
                 own = (height - math.sqrt(information)) / information
                 k = 1 / (information + 1 / own**2)

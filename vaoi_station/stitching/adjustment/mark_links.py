@@ -43,7 +43,7 @@ def _link_marks(a: Detections, b: Detections, camera: Camera, nominal: Motion) -
     distance[a.kind[:, None] != b.kind[None]] = np.inf
     k = np.flatnonzero((distance < _NEAR_MM).sum(1) == 1)
     n = distance[k].argmin(1)
-    # the partner must not have another mark near it either
+    # The partner must not have a second mark near it either.
     alone = (distance[:, n] < _NEAR_MM).sum(0) == 1
     k, n = k[alone], n[alone]
     if not len(k):

@@ -21,18 +21,19 @@ from vaoi_station.geometry.transforms import Floats
 Ints = NDArray[np.int_]
 
 SPEED_TOLERANCE = 0.05
-"""Standard deviation of the belt's mean speed from the nominal speed, relative."""
+"""Standard deviation of the belt's mean speed, as a share of its nominal speed."""
 STEP_TOLERANCE = 0.02
-"""Standard deviation of the speed of a single step between two rows from the mean speed, relative."""
+"""Standard deviation of the speed in one step between two rows, as a share of the mean speed."""
 SWAY_MM = 0.15
 """Standard deviation of the motion across the belt between two rows."""
 YAW_RAD = 0.003
 """Standard deviation of the rotation between two rows."""
 SLIP_SHARE, PLAY_MM = 0.15, 1.0
-"""Links are first searched within this share of the nominal motion, plus `PLAY_MM`. A larger deviation from the mean
-motion is not slip: the belt has stopped, or changed its speed."""
+"""Links are first searched within this share of the nominal motion, plus `PLAY_MM`.
+
+A step that differs more from the mean motion is no slip: the belt has stopped or changed its speed."""
 _UNKNOWN_SHARE = 0.5
-"""Standard deviation of the steps without links in a run whose belt stopped or changed its speed, relative."""
+"""Standard deviation of steps without links if the belt stopped or changed its speed, as a share of the step."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,15 +124,16 @@ def belt_equations(motion: Motion, times_s: Floats, velocity_mm_s: Floats) -> tu
 
 
 def let_irregular_steps_free(rest: Floats, slopes: Floats, step_mm: Floats, linked: np.ndarray) -> None:
-    """Change the equations of `belt_equations` where links show that the belt stopped or changed its speed.
+    """Change the equations of `belt_equations` in place where links show that the belt stopped or changed its speed.
 
-    Such a step is predicted by itself: the belt's mean speed would pull it. The other steps without links may then have
-    any speed. The equations of a belt that only slips are not changed.
+    The prior of such a step is changed to predict the step that the links show, because the mean speed would pull the
+    step away from it. Steps without links may then have almost any speed. The equations of a belt that only slips are
+    not changed.
 
     Args:
         rest: (m − 1, 3) constant terms.
         slopes: (m − 1, 3, 6) coefficients.
-        step_mm: (m − 1,) way of each step at the velocity of the prediction.
+        step_mm: (m − 1,) length of each step at the predicted velocity.
         linked: (m − 1,) whether links connect rows across each step.
     """
     sigma_mm = STEP_TOLERANCE * np.abs(step_mm) + 0.01

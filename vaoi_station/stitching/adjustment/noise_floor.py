@@ -11,7 +11,7 @@ from vaoi_station.stitching.adjustment.observations import Ints
 _MEDIAN = 2 * math.log(2)
 """Median of χ² of two degrees of freedom."""
 _HALVINGS = 12
-"""Number of bisections. If the limits are 0.003 and 5 px, an uncertainty of 0.2 per cent remains."""
+"""Number of bisections. With limits of 0.003 and 5 px, the result is uncertain by 0.2 %."""
 
 
 @compiled
@@ -34,8 +34,8 @@ def noise_floor(residual: Floats, noise: Floats, per_unit: Floats, use: Ints, lo
     for _ in range(_HALVINGS):
         # bisection in the logarithm: the limits are three orders of magnitude apart
         middle, above = math.sqrt(low * high), 0
-        # measurements above the median of χ² move to the front. The next bisection need not test one of the two parts
-        # again, so that all bisections together take about as long as two passes
+        # Measurements above the median of χ² are moved to the front. The next bisection then tests only one of the two
+        # parts, so that all bisections together take about as long as two passes over the measurements.
         for at in range(undecided):
             n = left[at]
             x, y, more = residual[n, 0], residual[n, 1], (middle / per_unit[n]) ** 2

@@ -1,4 +1,4 @@
-"""Project all links of a run to the ground plane and store them as arrays, which are the input of the adjustment.
+"""Project all links of a run to the ground plane and store them as arrays, the input of the adjustment.
 
 A link states that ground point `a` of row `p` and ground point `b` of row `q` are the same point of the board.
 Positions are in mm in the calibrated plane, here called the ground. Fields named `…_lean` are the displacement of a
@@ -118,8 +118,9 @@ _NO_LINKS = LinkArrays(
 class LinkStore:
     """Memory for the links of a run: each link is projected to the ground as it arrives, and kept for the conclusion.
 
-    The evidence of a large board is about a thousand small arrays, which arrive over seconds. At the end of the run
-    these arrays are no longer in a processor cache. To collect them then would take longer than the adjustment itself.
+    The evidence of a large board consists of about a thousand small arrays, which arrive over several seconds. At the
+    end of the run they are no longer in the processor's cache, so that collecting them then would take longer than the
+    adjustment itself.
     """
 
     def __init__(self, cameras: Sequence[Camera]) -> None:
@@ -190,7 +191,7 @@ class CameraArrays(NamedTuple):
     row_from_image: Floats
     """(c, 3, 3) inverse camera matrices N_i⁻¹."""
     radial: Floats
-    """(c, r) radial coefficients of the lenses, padded with zeros."""
+    """(c, r) radial coefficients of the lenses; shorter ones are filled up with zeros."""
     lens: Floats
     """(c, 5) the further parameters of each lens, `geometry.Lens.shape`."""
     eye: Floats
@@ -234,7 +235,7 @@ def _project_links(links: PixelLinks, cameras: CameraArrays) -> tuple[Floats, Fl
             x, y = (n[0, 0] * u + n[0, 1] * v + n[0, 2]) / w, (n[1, 0] * u + n[1, 1] * v + n[1, 2]) / w
             points[end, k, 0], points[end, k, 1] = x, y
             leans[end, k, 0], leans[end, k, 1] = (eye[i, 0] - x) * eye[i, 2], (eye[i, 1] - y) * eye[i, 2]
-        # after the loop, u and v are pixels of the second image, in which the information matrix is stated
+        # After this loop, u and v are pixels of the second image, in which the information matrix is stated.
         n, x, y = cameras.image_from_row[camera_b[k]], points[1, k, 0], points[1, k, 1]
         w = x * n[2, 0] + y * n[2, 1] + n[2, 2]
         a, b = (n[0, 0] - u * n[2, 0]) / w, (n[0, 1] - u * n[2, 1]) / w

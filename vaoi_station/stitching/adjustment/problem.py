@@ -32,7 +32,7 @@ class FiducialPoints:
     sigma_mm: Floats
     """(k,) standard deviation of the observed point, per axis."""
     px_per_mm: Floats
-    """(k,) local resolution."""
+    """(k,) resolution of the frame at each point."""
     which: Ints
     """(k,) index of the fiducial of the board type; `FIXTURE` or `REFERENCE`, both negative, for other points."""
     camera: Ints
@@ -98,9 +98,9 @@ class CameraEstimate:
     information: Floats
     """(3n, 3n) px⁻², information matrix of the displacements by the run alone, without any prior on them.
 
-    It is singular for motions of the whole array, which pictures of a board do not show."""
+    It contains no information about a motion of the whole array, because pictures of a board do not show one."""
     vector: Floats
-    """(3n,) px⁻¹, the product of `information` and the displacements that fit the run best without a prior."""
+    """(3n,) px⁻¹, the product of `information` and the displacements that fit the run best without any prior."""
     rivals: tuple[int, ...] = ()
     """Cameras that may have moved instead of those with a displacement."""
 
@@ -133,6 +133,6 @@ class AdjustmentResult:
     sigma0: float
     """Square root of the reduced χ² of the links."""
     problem: Problem
-    """The problem, with links and points as the displaced cameras see them, and with the displaced cameras."""
+    """The problem, with the displacements of the cameras applied to its links, points and cameras."""
     cameras: CameraEstimate | None = None
     """The displacements of the cameras; None if the calibration was taken as exact."""

@@ -18,16 +18,17 @@ from vaoi_station.stitching.adjustment.solver import adjust, evaluate_at, solve_
 from vaoi_station.stitching.matching.evidence import Detections
 
 _CONVERGED_MM = 5e-4
-"""Limit of convergence for the motion from links. It suffices to locate the board; the adjustment with the CAD mapping
-then estimates the motion again."""
+"""The estimation of the motion from links alone ends at this change. It is enough to locate the board.
+
+The adjustment with the CAD mapping then estimates the motion again."""
 _TEXTURE_SAMPLE, _ON_BOARD_WEIGHT = 4000, 0.5
-"""About how many points represent the texture of the board, and their smallest robust weight."""
+"""About how many points represent the texture of the board, and the least robust weight of their links."""
 
 
 def motion_from_links(problem: Problem, nominal: Motion) -> AdjustmentResult:
     """Estimate the motion of the rows from texture that is linked between rows and between cameras."""
     start = chain_links(nominal, problem.links)
-    # if there are many links, a subsample gives the motion to a micrometre; then all links are evaluated at this motion
+    # If there are many links, a subsample gives the motion to 1 µm; then all links are evaluated at this motion.
     subsampled = solve_subsampled(problem, start)
     if subsampled is None:
         return adjust(problem, start, converged_mm=_CONVERGED_MM)
@@ -44,7 +45,7 @@ def motion_from_marks(
 
 
 def board_texture(links: Observations, moved: AdjustmentResult) -> Floats:
-    """Return points (k, 2) of the board's texture, in tester coordinates: those of links that agree with the motion.
+    """Return points (k, 2) of the board's texture, in tester coordinates: the points of links that fit the motion.
 
     Only links between rows are used. If there are many, the points are a sample.
     """

@@ -64,40 +64,41 @@ from vaoi_station.stitching.adjustment.problem import AdjustmentResult, Problem
 
 _MAX_STEPS = 15
 CONVERGED_MM = 5e-5
-"""The adjustment ends after a step that moves no row by more than this. Each step is about a tenth of the one before
-it, so that an error of about a tenth of this limit remains."""
+"""The adjustment ends after a step that moves no row by more than this. Each step is about a tenth of the step before,
+so that an error of about a tenth of this limit remains."""
 _SAMPLE_PER_ROW, _SAMPLE_CONVERGED_MM = 100, 3e-3
 """For a solution from a subsample: the number of links per row, and the limit used in place of `CONVERGED_MM`."""
 _KNEE, _CUT = 2.0, 6.0
 """Residuals beyond `_KNEE` standard deviations lose weight (Huber); beyond `_CUT` they have no weight."""
 _PAIR_SIGMA_PX, _PAIR_SHARE = (0.002, 0.014), 0.25
-"""Error that all links of one pair of frames have in common and that does not average out. It is the larger of a
-constant and of the share `_PAIR_SHARE` of the noise floor. The constant is 0.002 px between rows of one camera
-(interpolation) and 0.014 px between two cameras (different light, and different perspective of what stands a little
-above the board)."""
+"""Error that all links of one pair of frames have in common, and that does not average out.
+It is the larger of a constant and of the share `_PAIR_SHARE` of the noise floor. The constant is 0.002 px between rows
+of one camera (interpolation). Between two cameras it is 0.014 px, because of different light and of the different
+perspective of points slightly above the board."""
 _FLOOR_PX = (0.003, 5.0)
 """Limits of the noise floor of links."""
 _AT_LIMIT, _DISPLACED_FLOOR_PX = 0.99, 60.0
-"""Share of the upper limit from which on the noise floor counts as limited by it, and the second upper limit, that
-of the noise floor between two cameras whose displacements are unknowns. It is above the displacement by
-a turn of 0.1°, some 35 px: a lower limit would reject all links of the displaced camera before it is estimated."""
+"""Two values for the noise floor between two cameras whose displacements are unknowns.
+The noise floor counts as limited if it exceeds this share of its upper limit. It is then estimated with the second
+value as upper limit. A turn of a camera by 0.1° causes a displacement of some 35 px, which is below this limit: with a
+lower one, all links of the camera would be rejected before its displacement is estimated."""
 _FLOOR_SAMPLE, _FLOOR_MIN_LINKS = 4000, 20
-"""The noise floor of a kind of link is estimated from about `_FLOOR_SAMPLE` links, to some 2 %, and from no fewer than
-`_FLOOR_MIN_LINKS`."""
+"""The noise floor of a kind of link is estimated from about `_FLOOR_SAMPLE` links, which gives it to about 2 %.
+It needs at least `_FLOOR_MIN_LINKS` links."""
 _FLOOR_STEPS = 6
-"""The noise floor is estimated in this number of steps only. It then stays constant, so that further steps converge."""
+"""The noise floor is estimated in the first steps only, up to this number. Then it stays constant, so that steps
+converge."""
 _SEAM_PX, _NARROWING = 0.04, 3.0
-"""Upper limit of the noise floor between two cameras if a surface is estimated: `_SEAM_PX`, or the scatter divided by
-`_NARROWING`, whichever is larger. With it, the surface follows the links that agree with each other, and tall parts
-that lean over the board beside the seam become outliers."""
+"""Upper limit of the noise floor between two cameras if a surface is estimated.
+It is `_SEAM_PX`, or the scatter divided by `_NARROWING`, whichever is larger. So the surface follows those links that
+agree with one another. Links on tall components beside the seam become outliers."""
 _HEIGHT_SIGMA_MM, _SUNK_MM = 3.0, 0.1
-"""Prior standard deviations of a component's height, and of a height below the board: nothing lies there."""
+"""Prior standard deviation of a component's height, and of a height below the board: components do not lie there."""
 _FREE_STEPS = 3
-"""Number of steps in which heights may be below the board and links near parts count as links on the bare board. The
-motion to start from may be that of the tops of parts, against which the board seems to lie too low."""
+"""Number of first steps in which heights may be below the board, and links near components count as links on the board.
+The initial motion may be that of the tops of components. Relative to these, the board seems to lie too low."""
 _USED_WEIGHT, _HEIGHT_MIN_LINKS = 0.1, 3
-"""A component's height is reported if at least `_HEIGHT_MIN_LINKS` links on it have a robust weight above
-`_USED_WEIGHT`."""
+"""A component's height is reported if at least `_HEIGHT_MIN_LINKS` of its links have a weight above `_USED_WEIGHT`."""
 
 
 def adjust(
@@ -124,7 +125,7 @@ def solve_subsampled(problem: Problem, start: Motion) -> Motion | None:
     every = len(problem.links) // (_SAMPLE_PER_ROW * len(start.angle))
     if every < 2:
         return None
-    # take every n-th link of each pair of frames, instead of every n-th of all links: each pair keeps some links
+    # Every n-th link of each pair of frames is taken, not every n-th of all links, so that each pair keeps some links.
     some = np.flatnonzero(_index_in_group(problem.links.group) % every == 0)
     sample = replace(problem, links=problem.links.select(some), component=problem.component[some])
     solver = _Solver(sample, start, None)
@@ -155,13 +156,13 @@ class _Solver:
         between = (links.p == links.q).astype(np.int_)
         self.kind = between * (1 + links.pairs.a[links.group])
         """(k,) kind of each link: 0 between rows, 1 + i between cameras i and i + 1 in one row."""
-        # a component has two heights, one for each kind of link. What two cameras see of it (its top) and what is seen
-        # from row to row (its leads, the board between them) may be at different heights. With a single unknown, the
-        # difference would lift the whole board
+        # A component has two heights, one for each kind of link. Two cameras see its top, while links from row to row
+        # may lie on its leads or on the board between them. With a single unknown, the difference would lift the whole
+        # board.
         self.n_parts = int(problem.component.max(initial=-1)) + 1
         component = np.where(problem.component < 0, -1, problem.component + self.n_parts * between)
         self.heights_mm = np.zeros(2 * self.n_parts)
-        # the first weights need a noise floor before it is estimated: start near its usual value
+        # The first weights need a noise floor before one has been estimated: start near its usual value.
         self.floor_px = np.full(1 + max(int(self.kind.max(initial=0)), 1), 0.05)
         shared = (4 if problem.fiducials else 0) + self.n_surface
         self.shared = np.arange(3 * self.rows, 3 * self.rows + shared)
@@ -176,16 +177,16 @@ class _Solver:
         self.state = LinkState.zeros(len(links))
         self.linked_steps = _linked_steps(links, self.rows)
         self.raised = (problem.component < 0) & problem.near if len(problem.near) else np.zeros(len(links), np.bool_)
-        """(k,) whether each link may be raised above the board although it lies on no component."""
+        """(k,) whether each link may lie above the board although no component is under it."""
         bare = [self._bare(self.kind == kind) for kind in range(len(self.floor_px))]
-        # contiguous copies: for slices with a step, Numba would compile another variant while a board waits
+        # Contiguous copies: for slices with a step, Numba would compile another variant while a board waits.
         self.floor_samples = [np.ascontiguousarray(at[:: max(len(at) // _FLOOR_SAMPLE, 1)]) for at in bare]
-        """Indices of sampled links on the bare board, by kind. The model explains these links: their residuals are
+        """Indices of sampled links on the bare board, by kind. The model explains these links: what is left is
         noise."""
         self.steps = 0
 
     def _bare(self, of_kind: NDArray[np.bool_]) -> Ints:
-        """Return the indices of those links of a kind that lie on the bare board, as surely as there are enough."""
+        """Return indices of the links of a kind that lie on the bare board; links near components only if needed."""
         bare = (self.problem.component < 0) & of_kind
         surely = np.flatnonzero(bare & ~self.raised)
         return surely if len(surely) >= _FLOOR_MIN_LINKS else np.flatnonzero(bare)
@@ -193,7 +194,7 @@ class _Solver:
     def run(self, converged_mm: float) -> None:
         """Make steps until one moves no row by `converged_mm` or more, at most `_MAX_STEPS`."""
         for _ in range(_MAX_STEPS):
-            # cameras may seem displaced as long as their prior is wide: the first steps do not count
+            # As long as their prior is wide, cameras may seem displaced: the first steps do not count.
             still = self.step() < converged_mm and self.steps > _FREE_STEPS
             if still and self.cameras.settled and not self.cameras.reconsider():
                 break
@@ -256,9 +257,9 @@ class _Solver:
     def _update_noise_floor(self) -> None:
         """Estimate the noise floor of each kind of link from links on the bare board.
 
-        Each pair of neighbouring cameras is a kind of its own. A lifted board, or a displaced camera, at first causes a
-        large scatter of the links between the cameras that show it only. All other links keep their weight until
-        surface and displacements explain this scatter.
+        Each pair of neighbouring cameras is a kind of its own. A lifted board or a displaced camera at first causes a
+        large scatter, but only in the links between the cameras concerned. All other links keep their weight until the
+        surface and the displacements explain this scatter.
         """
         if self.steps > _FLOOR_STEPS:
             return
@@ -282,7 +283,7 @@ class _Solver:
         if self.rows > 1:
             dt = np.diff(problem.times_s)
             steps = -np.diff(self.motion.shift, axis=0)[self.linked_steps] / dt[self.linked_steps, None]
-            # weighted mean of the steps and the nominal speed, each with its own variance
+            # Weighted mean of the measured steps and of the nominal speed, each with its own variance.
             prior = STEP_TOLERANCE**2 / SPEED_TOLERANCE**2
             velocity = (steps.sum(0) + prior * velocity) / (len(steps) + prior)
         columns, slopes, rest = belt_equations(self.motion, problem.times_s, velocity)
@@ -324,7 +325,7 @@ class _Solver:
         links, state, points = self.problem.links, self.state, self.problem.fiducials
         sigma0 = 1.0
         if len(links):
-            # the bound keeps the average defined where no link has any weight
+            # This lower bound avoids a division by zero where no link has any weight.
             sigma0 = float(np.sqrt(np.average(state.sigma**2, weights=np.maximum(state.robust, 1e-9))))
         fiducial_px = np.zeros((0, 2))
         if points is not None and self.similarity is not None:
@@ -356,7 +357,7 @@ class _Solver:
         covariance = np.zeros((self.rows, size, size))
         if self.factor is not None:
             covariance = row_blocks(self.envelope, inverse(self.factor, self.rows))
-            # the gauge fixes row 0: its lines of the inverse are those of the identity, not a covariance
+            # The gauge fixes row 0: the lines of row 0 in the inverse are those of the identity, not a covariance.
             covariance[0, :3] = covariance[0, :, :3] = 0
         return covariance
 

@@ -1,8 +1,9 @@
 """The surface: the height of the board above the calibrated plane, described by lift, tilt and bow.
 
-The largest error of the planar model comes from boards that are bowed, or thicker than the calibration board. The links
-of one camera from row to row do not distinguish a higher board from a faster belt. Two other observations do: links to
-the neighbouring camera, whose position is known from N_i, and the distance between fiducials, which is known from CAD.
+The largest error of the planar model comes from boards that are bowed, or thicker than the calibration board. From the
+links of one camera between rows, a higher board cannot be distinguished from a faster belt. Two other observations do:
+links to the neighbouring camera, whose position is known from N_i, and the distance between fiducials, which is known
+from CAD.
 
 The surface is a polynomial of second degree in u and v, which run from −1 to 1 over the board. Priors keep a
 coefficient near 0 if it is poorly observed.
@@ -17,11 +18,10 @@ from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import BoardType, Surface
 
 SIGMA_MM = np.array([1.0, 0.08, 0.08, 0.3, 0.1, 0.3])
-"""(6,) prior standard deviation of the coefficients: lift, tilt along u, tilt along v, and bow (u², uv, v²)."""
+"""(6,) prior standard deviations of the coefficients, mm: lift, tilt along u, tilt along v, and bow (u², uv, v²)."""
 
 _EDGE = 1.2
-"""Largest |u| and |v|. Further outside the board, the surface is taken as constant, because a polynomial would grow
-without limit there."""
+"""Largest |u| and |v|. Further outside the board, the surface stays constant; a polynomial would grow there."""
 
 
 def basis(board_type: BoardType, cad: Floats) -> Floats:

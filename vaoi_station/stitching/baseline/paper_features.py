@@ -54,7 +54,7 @@ def estimate_step(
         later: features of the later row, one entry per camera.
         cameras: the cameras, in the same order.
     """
-    # Matches are converted to mm in the conveyor's plane, where those of all cameras share one transform.
+    # Matches are converted to mm in the conveyor's plane, where one transform holds for all cameras.
     source, target = [], []
     for a, b, camera in zip(earlier, later, cameras, strict=True):
         if len(a.px) < 2 or len(b.px) < 2:

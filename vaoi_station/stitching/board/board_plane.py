@@ -19,7 +19,7 @@ from vaoi_station.stitching.board.component_index import ComponentIndex
 from vaoi_station.stitching.board.expectation import Expectation
 
 _ALIKE_RAD, _ROUNDING = np.radians(3.0), 1e-6
-"""Angle up to which two cameras count as mounted alike, and the size of sums' differences by rounding."""
+"""Largest angle between two cameras that count as mounted alike; largest difference of equal sums by rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,24 +60,26 @@ def board_plane(board_type: BoardType, camera: Camera) -> BoardPlane:
     """Make the plane of a board type: decide whether C mirrors, from the CAD data and one camera of the array.
 
     The map from CAD to image mirrors if exactly one of "y up" and "bottom side" holds (docs/conventions.md,
-    handedness). It consists of C and the camera matrix, so C mirrors if the map and the camera matrix differ in this.
+    handedness). This map is the product of C and the camera matrix. So C mirrors if either the map or the camera matrix
+    mirrors, but not both.
     """
     # Handedness is never fitted to detections: two fiducials, or a symmetric board, fit mirrored data as well.
     return BoardPlane(board_type, board_type.mirrors != camera.image_from_row.mirrors)
 
 
 def typical_camera(cameras: Sequence[Camera]) -> Camera:
-    """Return a camera that sees the board as most cameras of the array do; the first one, if all are mounted alike.
+    """Return a camera that is mounted as most cameras of the array are; the first one if all are mounted alike.
 
-    A board lies as expected "as the camera sees it", which a camera that is mounted upside down or rolled does not. In
-    an array of unlike cameras, most of them decide the quarter turn, and the tester's axes the rest: the camera that is
-    returned is one that is mounted so, or the first one rolled accordingly.
+    A board's expected rotation is stated as a camera sees it. A camera that is mounted upside down, or rolled, sees it
+    otherwise. If the cameras are not mounted alike, the direction of image x on which most of them agree is rounded to
+    the nearest axis of the tester. The camera whose image x has this direction is returned; if there is none, the first
+    camera is returned, rolled to this direction.
     """
     directions = np.array([_image_x(c) for c in cameras])
     if (np.cos(directions - directions[0]) >= np.cos(_ALIKE_RAD)).all():
         return cameras[0]
     agreement = np.cos(directions[:, None] - directions).sum(1)
-    # equal sums differ by rounding only
+    # Sums that are equal may differ by rounding.
     most = directions[np.flatnonzero(agreement >= agreement.max() - _ROUNDING)[0]]
     upright = np.round(most / (np.pi / 2)) * (np.pi / 2)
     nearest = int(np.argmax(np.round(np.cos(directions - upright), 3)))
@@ -87,7 +89,7 @@ def typical_camera(cameras: Sequence[Camera]) -> Camera:
 
 
 def _rolled(camera: Camera, angle_rad: float) -> Camera:
-    """Return a camera that is rolled about its centre, so that image x turns by an angle in tester coordinates."""
+    """Return a camera rolled about its picture's centre, so that image x turns by an angle in tester coordinates."""
     turn = angle_rad if camera.image_from_row.mirrors else -angle_rad
     (u, v), c, s = camera.center_px, np.cos(turn), np.sin(turn)
     rolled = np.array([[c, -s, u - c * u + s * v], [s, c, v - s * u - c * v], [0.0, 0.0, 1.0]])

@@ -1,8 +1,8 @@
 """The CAD mapping of a run: find the fiducials among the detections, check the orientation, adjust all unknowns.
 
-A first C is computed from the detections made while filming. It is accepted if the pictures do not contradict it: the
-board's outline must be visible where this C puts it. Otherwise the frames are searched again for more marks before the
-mapping fails. At the end, the shift of the outline against the adjusted C is measured.
+A first C is computed from the detections that were made during the run. It is accepted if the board's outline is
+visible where this C puts it. Otherwise the frames are searched again for more marks before the mapping fails. At the
+end, the shift of the outline against the adjusted C is measured.
 """
 
 from __future__ import annotations
@@ -48,26 +48,27 @@ from vaoi_station.stitching.matching.scene import Scene
 from vaoi_station.stitching.method import Method
 
 _LEAST_REFERRED = 12
-"""Least number of points linked to a reference run that can place a board without fiducials."""
+"""Least number of points linked to a reference that can place a board without fiducials."""
 _LEAST_OWN_LINKS = 24
-"""Least number of links on the board from which its motion is estimated without those beside it."""
+"""Least number of links on the board; with fewer, links beside the board are not left out."""
 _CERTAIN_FIDUCIALS = 3
-"""Least number of fiducials, all that the board type has, that place a board whose outline nothing confirms."""
+"""Least number of fiducials that place a board whose outline is not confirmed; also, none of the board type may be
+missing."""
 _LEAST_AGREEING = 0.5
-"""Least share of these points that must agree on one place."""
+"""Least share of the points linked to a reference that must agree on one position of the board."""
 
 
 class Turned(Failure):
-    """The failure that the pictures show the board turned by 180°. No other evidence replaces it by a position."""
+    """The failure that the board lies turned by 180°, as the pictures show. No other evidence overrides it."""
 
 
 class LeftOut(NamedTuple):
-    """Links that were left out because they lie beside the board."""
+    """The links that were left out because they lie beside the board."""
 
     share: float
-    """Their share of the links between rows."""
+    """Share of these links in all links between rows."""
     confirmed: bool
-    """Whether the pictures show the edges of the board where the outline is."""
+    """Whether the pictures show the edges of the board at its outline."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,19 +77,19 @@ class CadMapping:
 
     adjusted: AdjustmentResult
     outline: OutlineContrast | None
-    """Contrast along the outline where the first C puts it; None where too little of it is in view."""
+    """Contrast along the outline where the first C puts it; None if too little of the outline is in view."""
     ambiguous: bool = False
-    """Whether the board may as well be turned by 180°, because neither fiducials nor pictures decide."""
+    """Whether the board may equally well be turned by 180°, because neither fiducials nor pictures decide."""
     shift: OutlineShift | None = None
-    """Measured shift of the outline against the adjusted C; None where too little of the outline shows an edge."""
+    """Measured shift of the outline against the adjusted C; None if too little of the outline shows an edge."""
     moved: AdjustmentResult | None = None
-    """The motion of the rows by the links on the board alone, if links beside it were left out; None otherwise."""
+    """The motion of the rows from links on the board alone; None if no links beside the board were left out."""
     left_out: LeftOut | None = None
     """The links beside the board that were left out; None if none were."""
 
     @property
     def problem(self) -> Problem:
-        """The problem of the adjustment, with links and points as the displaced cameras see them."""
+        """The problem of the adjustment, with the displacements of the cameras applied to links and points."""
         return self.adjusted.problem
 
 
@@ -136,7 +137,7 @@ def map_cad(
     adjusted = adjust(whole, moved.motion, guess.c)
     if contradiction := _disagreeing_reference(points, adjusted):
         return contradiction
-    # the outline is measured as the displaced cameras see it, as everything after the adjustment is
+    # The outline is measured with the displaced cameras, as everything after the adjustment is.
     corrected = replace(scene, cameras=adjusted.problem.cameras) if adjusted.cameras is not None else scene
     shift = _measured_shift(plane, corrected, adjusted)
     mapping = CadMapping(adjusted, outline, guess.ambiguous, shift)
@@ -148,7 +149,7 @@ _FirstC = tuple[Hypothesis | Failure, tuple[Detections, ...], OutlineContrast | 
 
 
 class _OwnTexture(NamedTuple):
-    """The run without the links beside the board: its problem, the solution, and the first C found with it."""
+    """A run without the links beside the board: its problem, the solution, and the first C found with it."""
 
     problem: Problem
     moved: AdjustmentResult
@@ -159,15 +160,17 @@ class _OwnTexture(NamedTuple):
 def _apart_from_surroundings(
     plane: BoardPlane, scene: Scene, problem: Problem, moved: AdjustmentResult, known: MappingInputs, first: _FirstC
 ) -> _OwnTexture | None:
-    """Leave out the links beside the board, if they are many or the board is not found with them.
+    """Leave out the links beside the board if they are many, or if no board is found with them.
 
-    Carriers, and belts with texture, move with the board or stand still, at its height or below. Every place that the
-    detections allow is tried: the motion is estimated again from the links inside the outline there, and the place is
-    accepted if a C results and the pictures confirm the outline. Without such a place, the first C stays, or one that
-    fits all of three or more fiducials; the verdict reports that the outline does not confirm it.
+    A carrier, or a belt with texture, may move with the board or stand still, at the board's height or below it. Every
+    position of the board that the detections allow is tried. For each, the motion is estimated again from the links
+    inside the outline, and a C is searched with this motion. The position is accepted if a C is found and the pictures
+    confirm the outline. If no position is confirmed, the first C is kept. If there is no first C, a position is
+    accepted at which all fiducials, at least three, are found; the verdict reports that the outline does not confirm
+    it.
 
     Returns:
-        The run without the links beside the board; None if all links stay.
+        The run without the links beside the board; None if all links are kept.
     """
     guess, known = first[0], replace(known, detections=first[1])
     if not known.method.links or isinstance(guess, Turned) or plane.board_type.outline is None:
@@ -186,7 +189,8 @@ def _apart_from_surroundings(
     found = [one for one in tried if one is not None]
     confirmed = [one for one in found if one.left_out.confirmed]
     if not confirmed and isinstance(guess, Hypothesis):
-        # What lies on the conveyor at a seam is no doubt about the place of the board.
+        # Links beside the board that occur only between cameras lie on the conveyor; they do not make the position
+        # doubtful.
         return tried[0] if of_rows > MOST_BESIDE else None
     if not confirmed:
         every = len(plane.fiducials)
@@ -197,7 +201,7 @@ def _apart_from_surroundings(
 
 
 def _unconfirmed(one: _OwnTexture, failure: Hypothesis | Failure) -> _OwnTexture | None:
-    """Return a run without a place of the board, whose failure names the texture beside the board as its cause."""
+    """Return the run with a failure in place of C; the failure names the texture beside the board as its cause."""
     if not isinstance(failure, Failure) or one.left_out.share <= MOST_BESIDE:
         return None
     text = (
@@ -219,7 +223,7 @@ def _fits(one: _OwnTexture) -> int:
 def _without_surroundings(
     plane: BoardPlane, scene: Scene, problem: Problem, moved: AdjustmentResult, known: MappingInputs, c: Floats
 ) -> _OwnTexture | None:
-    """Estimate the motion from the links on the board that lies as `c` says; None if this gives no C."""
+    """Estimate the motion from the links on a board at position `c`, and find C with it; None if no C is found."""
     coarsest = min(camera.px_per_mm for camera in scene.cameras)
     on_board = links_on_board(plane, c, problem.links, moved.motion, coarsest)
     if len(on_board) < _LEAST_OWN_LINKS:
@@ -240,13 +244,13 @@ def _without_surroundings(
 
 
 def _disagreeing_reference(points: FiducialPoints, adjusted: AdjustmentResult) -> Failure | None:
-    """Return a failure if the reference alone places the board, and its points do not agree on a place."""
+    """Return a failure if only the reference places the board and its points do not agree on one position."""
     if not len(points.which) or (points.which != REFERENCE).any():
         return None
     fitting = int(inliers(points, adjusted.fiducial_px).sum())
     if fitting >= _LEAST_AGREEING * len(points.which):
         return None
-    # Links of a frame that shows another place agree among themselves, but not with those of other frames.
+    # Links of a frame that shows another part of the board agree with one another, but not with those of other frames.
     return Failure(
         f"only {fitting} of {len(points.which)} points of the reference agree on a place of the board (limit "
         f"{_LEAST_AGREEING:.0%}): it is turned, or of another type, or looks unlike the reference",
@@ -257,10 +261,11 @@ def _disagreeing_reference(points: FiducialPoints, adjusted: AdjustmentResult) -
 def _find_first_c(
     plane: BoardPlane, scene: Scene, moved: AdjustmentResult, known: MappingInputs, referred: FiducialPoints
 ) -> tuple[Hypothesis | Failure, tuple[Detections, ...], OutlineContrast | None]:
-    """Find a first C; return it, the detections among which it was found, and the contrast of the outline."""
+    """Find a first C; return it with the detections it was found among, and with the contrast of the outline."""
     guess, detections = _c_from_detections(plane, scene, moved, known), known.detections
     outline = _measured_outline(plane, scene, moved.motion, guess)
-    # Look-alikes may have pushed the fiducials off a frame's short list of detections. A longer list may hold them.
+    # Marks that resemble a fiducial may have displaced the fiducials from a frame's short list of detections. A longer
+    # list may contain them.
     if isinstance(guess, Turned):
         return guess, detections, outline
     if known.method.marks and (isinstance(guess, Failure) or (outline is not None and not outline.visible)):
@@ -305,7 +310,7 @@ def _c_from_detections(
 def _by_reference(
     plane: BoardPlane, scene: Scene, motion: Motion, known: MappingInputs, guess: Hypothesis, turned: Hypothesis
 ) -> Hypothesis | Failure:
-    """Decide the orientation by the reference's frames; without a clear answer, by the number of fiducials that fit."""
+    """Decide the orientation by the reference's frames; if these leave it open, by the number of fiducials that fit."""
     if known.reference is not None and known.reference_scene is not None and known.method.reference:
         found = compare_with_reference(
             plane.board_type,
@@ -327,9 +332,10 @@ def _by_reference(
 
 
 def _by_fiducial_count(plane: BoardPlane, guess: Hypothesis, turned: Hypothesis) -> Hypothesis | Failure:
-    """Decide the orientation by the number of fiducials that fit, if the pictures do not decide it.
+    """Decide the orientation by the number of fiducials that fit, where the pictures do not decide it.
 
-    If the turned board fits more fiducials, the mapping fails. If it fits as many, C is kept and marked as ambiguous.
+    If more fiducials fit the turned board, the mapping fails. If the numbers are equal, C is kept and marked as
+    ambiguous.
     """
     fit, fit_turned = len(guess.fiducials), len(turned.fiducials)
     if fit_turned > fit:
@@ -374,7 +380,7 @@ def _with_board(
     on_board = motion.board(problem.links.p, problem.links.a_mm)
     marks = motion.board(points.row, points.ground_mm)
     at_links, at_marks = (basis_at_board(plane.board_type, plane.matrix(c), at) for at in (on_board, marks))
-    # Without a working distance a height moves no point, and its unknowns would be singular.
+    # Without a working distance, a height does not move a point, and the normal equations would be singular.
     knows_height = all(camera.working_distance_mm is not None for camera in scene.cameras)
     return replace(
         problem,

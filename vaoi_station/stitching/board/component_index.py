@@ -19,7 +19,7 @@ from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment.observations import Ints
 
 _AROUND_MM = 0.3
-"""Margin around a footprint. Points in it belong to the component, since solder and shadow lie there."""
+"""Margin around a footprint. Points in it count as on the component, since solder and shadow lie there."""
 _MOST_CELLS = 400
 """Largest number of cells along each axis of the grid."""
 
@@ -36,7 +36,7 @@ class ComponentIndex:
     angle_rad: Floats
     """(n,) rotation of the footprints."""
     stands_out: NDArray[np.bool_]
-    """(n,) whether the component stands above the board; true also if its height is unknown."""
+    """(n,) whether the component stands above the board; true too if its height is unknown."""
     mm_per_unit: float
 
     @staticmethod
@@ -73,7 +73,7 @@ class ComponentIndex:
     def find(self, cad_from_board: Floats, board_mm: Floats) -> Ints:
         """Return for each of k board points the number of the component on which it lies, or −1 for none: (k,).
 
-        If components overlap, the smallest one counts. Components that do not stand above the board are ignored.
+        If components overlap, the smallest one is returned. Components that do not stand above the board are ignored.
 
         Args:
             cad_from_board: (3, 3) affine matrix, the inverse of C.
@@ -99,9 +99,10 @@ class ComponentIndex:
     @cached_property
     def _cells(self) -> _Cells:
         """The search grid over the components that stand above the board."""
-        # Components without height count as board, since links on them lie on its surface.
+        # Components without height count as bare board, since links on them lie on its surface.
         use = np.flatnonzero(self.stands_out)
-        # Small components come first, since the smallest wins. Of two with equal area, the later one wins.
+        # Small components come first, since the smallest one is returned. Of two with equal area, the later one comes
+        # first.
         use = use[np.argsort(-self.size[use].prod(1), kind="stable")[::-1]]
         cos, sin = np.abs(self._turn[use]).T
         w, h = self._half[use].T
@@ -137,7 +138,8 @@ class _Cells(NamedTuple):
         cell = (y0[box] + k // wide[box]) * columns + x0[box] + k % wide[box]
         ends = np.append(0, np.cumsum(np.bincount(cell, minlength=rows * columns)))
         first = ends[np.arange(rows)[:, None] * columns + np.arange(columns + 1)]
-        # The sort is stable, so boxes keep their order within a cell. The first box that contains a point wins.
+        # The sort is stable: boxes keep their order within a cell. A search returns the first box that contains the
+        # point.
         return _Cells(origin, size, first, numbers[box[np.argsort(cell, kind="stable")]])
 
 
@@ -154,7 +156,7 @@ class _Boxes(NamedTuple):
 
 @compiled
 def _find(cad_from_board: Floats, board_mm: Floats, cells: _Cells, boxes: _Boxes, out: Ints) -> None:
-    """Write the number of the first box that contains each point to `out` (k,); entries without a box stay."""
+    """Write to `out` (k,) the number of the first box around each point; where there is none, `out` is unchanged."""
     origin, size, first, numbers = cells.origin, cells.size, cells.first, cells.numbers
     center, turn, half = boxes.center, boxes.turn, boxes.half
     rows, columns = first.shape[0], first.shape[1] - 1

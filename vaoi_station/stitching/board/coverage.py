@@ -2,7 +2,7 @@
 
 The footprint lies at the height of the board's surface. It is divided into quarters until each part lies inside one
 frame, or outside all frames, or is smaller than 1/128 of the footprint's sides. Most footprints lie wholly in one
-frame, so that most are settled by their corners.
+frame; for these, a check of the four corners is enough.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from vaoi_station.stitching.board.component_index import ComponentIndex
 from vaoi_station.stitching.matching.evidence import FrameKey
 
 _DEEPEST = 7
-"""Number of times that a part of a footprint is divided at most."""
+"""Largest number of times that a part of a footprint is divided."""
 _BORDER_POINTS = 9
-"""Points per side of a frame by which the part of the plane that it surely shows is found."""
+"""Points per side of a frame from which the box is computed that the frame wholly shows."""
 _MARGIN = 0.01
-"""Margin of that part, as a share of its size: more than a usable lens bends a border between two points."""
+"""Margin of that box, as a share of its size: a usable lens bends a border between two points by less."""
 _VIEW_SHARE = 0.5
-"""Least share of a footprint that a frame must show to count as a view."""
+"""Least share of a footprint that a frame must show, for the frame to count as a view."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +57,8 @@ class _Array(NamedTuple):
     view_mm: Floats
     """(c, 4) lowest x and y, then highest x and y, of a box around each camera's view, mm in row coordinates."""
     inner_mm: Floats
-    """(c, 4) the same of a box that each camera shows wholly; the highest values lie below the lowest without one."""
+    """(c, 4) the same for a box that each camera shows wholly; empty (lowest values above the highest) if there is
+    none."""
 
 
 class _Found(NamedTuple):
@@ -88,7 +89,8 @@ def component_coverage(
         rows: (m, 3, 3) the matrices D_j.
         present: camera and row of the frames to count.
         surface: surface of the board; None for a board in the calibrated plane.
-        count_views: count all views. Otherwise a component that one frame shows wholly may have fewer than counted.
+        count_views: whether to count all views. If false, a component that one frame shows wholly may get a lower
+            count.
     """
     height = surface.height_mm(parts.center) if surface else np.zeros(len(parts.center))
     there = np.zeros((len(rows), len(cameras)), np.bool_)
@@ -117,14 +119,14 @@ def _array_of(cameras: Sequence[Camera], heights_mm: tuple[float, float]) -> _Ar
 
 
 def _inner_box(camera: Camera, heights_mm: tuple[float, float]) -> Floats:
-    """Return lowest x and y, then highest x and y, mm, of a box that a camera shows wholly; else an empty box."""
+    """Return a box that a camera shows wholly: lowest x and y, highest x and y, mm; an empty box if none."""
     t, (right, bottom) = np.linspace(0, 1, _BORDER_POINTS), (camera.width_px - 1, camera.height_px - 1)
     sides = [np.stack([t * right, np.full_like(t, y)], -1) for y in (0, bottom)]
     sides += [np.stack([np.full_like(t, x), t * bottom], -1) for x in (0, right)]
     middle, box = camera.ground(camera.center_px), np.array([-np.inf, -np.inf, np.inf, np.inf])
     for side in sides:
         at = np.concatenate([camera.ground(side, h) for h in heights_mm])
-        # Each side of a frame bounds the box on the side to which it lies: images may be turned or mirrored.
+        # Each side of a frame limits the box at the side where it lies: images may be turned or mirrored.
         off = at.mean(0) - middle
         axis = int(np.abs(off).argmax())
         if off[axis] > 0:
@@ -161,7 +163,7 @@ def _on_footprint(corners: Floats, u: float, v: float) -> tuple[float, float]:
 
 @compiled
 def _relation(corners: Floats, height: float, box: Floats, i: int, d: Floats, array: _Array) -> int:
-    """Return 1 if a frame shows a part of a footprint wholly, −1 if it shows none of it, 0 if that is not decided.
+    """Return 1 if a frame shows a part of a footprint wholly, −1 if it shows none of it, 0 if undecided.
 
     `box` (4,) holds the lowest u and v of the part, then the highest, as shares of the footprint's sides.
     """
@@ -184,7 +186,7 @@ def _relation(corners: Floats, height: float, box: Floats, i: int, d: Floats, ar
 
 @compiled
 def _share_in_frame(corners: Floats, height: float, i: int, d: Floats, array: _Array) -> float:
-    """Return the share of a footprint that one frame shows; the border of the frame is taken as straight within it."""
+    """Return the share of a footprint that a frame shows; the frame's border is taken as straight there."""
     polygon, clipped = np.empty((8, 2)), np.empty((8, 2))
     for k in range(4):
         polygon[k] = _to_pixel(corners[k, 0], corners[k, 1], height, i, d, array)
@@ -218,8 +220,8 @@ def _area(polygon: Floats, count: int) -> float:
 
 @compiled
 def _share_of_union(corners: Floats, height: float, near: Ints, rows: Floats, array: _Array) -> float:
-    """Return the share of a footprint that the frames `near` (f, 2), camera and row, show together."""
-    # Parts wait on a stack as (lowest u, lowest v, side, depth); each division adds three.
+    """Return the share of a footprint that several frames show together; `near` (f, 2) holds camera and row of each."""
+    # Parts that are still to be examined lie on a stack as (lowest u, lowest v, side, depth); a division adds three.
     stack = np.empty((3 * _DEEPEST + 4, 4))
     stack[0] = (0.0, 0.0, 1.0, 0.0)
     waiting, share, box = 1, 0.0, np.empty(4)
@@ -242,7 +244,7 @@ def _share_of_union(corners: Floats, height: float, near: Ints, rows: Floats, ar
                 stack[waiting + k] = (u + half * (k % 2), v + half * (k // 2), half, depth + 1)
             waiting += 4
         elif touched:
-            # At the border of the frames the middle of the smallest part decides.
+            # At the border of the frames, the middle of a smallest part decides whether the part is seen.
             box[0] = box[2] = u + side / 2
             box[1] = box[3] = v + side / 2
             for f in range(len(near)):
@@ -256,7 +258,16 @@ def _share_of_union(corners: Floats, height: float, near: Ints, rows: Floats, ar
 def _cover(
     corners: Floats, height: Floats, rows: Floats, there: NDArray[np.bool_], array: _Array, found: _Found
 ) -> None:
-    """Write how much of n footprints, with corners (n, 4, 2) in board mm, the frames `there` (m, c) show to `found`."""
+    """Compute how much of each of n footprints the frames show, and write the values to `found`.
+
+    Args:
+        corners: (n, 4, 2) corners of the footprints, mm, tester coordinates.
+        height: (n,) height of the board's surface at the footprints, mm.
+        rows: (m, 3, 3) the matrices D_j.
+        there: (m, c) which frames count, by row and camera.
+        array: the cameras.
+        found: written.
+    """
     view = array.view_mm
     unit = np.array([0.0, 0.0, 1.0, 1.0])
     outer = np.array([view[:, 0].min(), view[:, 1].min(), view[:, 2].max(), view[:, 3].max()])
@@ -290,7 +301,7 @@ def _cover(
 
 @compiled
 def _frames_near(part: Floats, rows: Floats, there: NDArray[np.bool_], array: _Array, outer: Floats, near: Ints) -> int:
-    """Write the frames that may show a footprint to `near`, and return their number.
+    """Write to `near` the frames that may show a footprint, and return their number.
 
     A frame is written as camera and row, or as −1 and −1 if it surely shows the whole footprint.
     """

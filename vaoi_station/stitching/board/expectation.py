@@ -11,7 +11,7 @@ from vaoi_station.model import BoardType
 
 @dataclass(frozen=True)
 class Expectation:
-    """Prior knowledge of the board's position and rotation. By default only: the board lies upright, as CAD shows it.
+    """Prior knowledge of the board's position and rotation. By default: the board lies upright, at any position.
 
     `angle_rad` is the rotation of the board in the image, measured from image x towards image y. It is zero if CAD
     "up" points up in the image and CAD x points right (on the bottom side: left).
@@ -25,7 +25,7 @@ class Expectation:
 
 
 def turned_by(rotation_deg: int | None) -> Expectation:
-    """Return the expectation of a board of which only the rotation on the belt is known; None: CAD-upright."""
+    """Return an expectation that states only the rotation of the board on the belt; None means upright as in CAD."""
     # CAD rotations count counter-clockwise, angles in an image clockwise (docs/conventions.md).
     return Expectation(angle_rad=-math.radians(rotation_deg)) if rotation_deg else Expectation()
 

@@ -35,14 +35,18 @@ _MOST_OUTSIDE = 0.25
 """Largest share of textured points off the board. If more lie there, C is rejected."""
 _SCALE_LIMIT = 4e-3
 _ROUGH_FACTOR, _MOST_PLACES = 4.0, 6
-"""For places of the board while its motion is uncertain: the factor on the limits of scale and of the distance from a
-candidate, and the largest number of places."""
+"""Limits while the motion is uncertain: a factor, and the largest number of positions of the board that are tried.
+
+The factor multiplies the limits of the scale of C and of the distance between a fiducial and its candidate."""
 _SLACK_MM = 0.15
 
 
 @dataclass(frozen=True, eq=False)
 class FiducialCandidates:
-    """k candidates: detections merged over frames, at `mm` (k, 2) on the board, with kind (k,) and score (k,)."""
+    """k candidates: each is the position of a possible mark on the board, merged from the detections in several frames.
+
+    Position `mm` (k, 2) in tester coordinates, kind (k,) and score (k,).
+    """
 
     mm: Floats
     kind: NDArray[np.int_]
@@ -50,13 +54,13 @@ class FiducialCandidates:
 
 
 def merge_detections(detections: Sequence[Detections], cameras: Sequence[Camera], motion: Motion) -> FiducialCandidates:
-    """Merge detections of the same mark in several frames into one candidate, that with the best score."""
+    """Merge detections of the same mark in several frames into one candidate: the detection with the best score."""
     mm, kind, score = (np.zeros((0, 2)), np.zeros(0, dtype=np.int_), np.zeros(0))
     seen = [s for s in detections if len(s.px)]
     if seen:
         _, _, mm = _to_board(seen, cameras, motion)
         kind, score = np.concatenate([s.kind for s in seen]), np.concatenate([s.score for s in seen])
-    # Detections are sorted by score, best first: of those close together, only the first is kept.
+    # Detections are sorted by score, best first: of several close together, only the first is kept.
     best_first = np.argsort(-score, kind="stable")
     mm, kind, score = mm[best_first], kind[best_first].astype(np.int_), score[best_first]
     kept = keep_distinct(mm, kind, _SAME_PLACE_MM)
@@ -93,7 +97,7 @@ def keep_distinct(mm: Floats, kind: NDArray[np.int_], apart_mm: float) -> NDArra
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """A possible first C, with the cost of its misfit and the fiducials that it fits."""
+    """A possible first C, with a cost that states how badly it fits, and the fiducials that it fits."""
 
     c: Floats
     cost: float
@@ -130,7 +134,7 @@ def find_board(
             off = max(abs(turn) / expectation.angle_tolerance_rad, abs(scale) / _SCALE_LIMIT)
             if off > 1:
                 what = f"turned by {np.degrees(turn):.1f}°, scale off by {scale:.2%}"
-                # This text serves for the message of a failure only. It shows the engineer what was nearly accepted.
+                # This text is used in the message of a failure only. It shows the engineer what was nearly accepted.
                 nearest = min(nearest, (off, what))
                 continue
             cost, used = _score_cost(plane, c, places, kinds, pair, (i, j))
@@ -149,10 +153,10 @@ def find_board(
 def find_rough_places(
     plane: BoardPlane, places: FiducialCandidates, angle_rad: float, expectation: Expectation
 ) -> list[Hypothesis]:
-    """List the places of the board that the detections allow while the motion is uncertain, the likeliest first.
+    """List the positions of the board that the detections allow while the motion is uncertain, most likely first.
 
-    The motion may be that of texture at another height beside the board: the scale along the motion is then wrong by
-    up to a per cent. Texture off the board is therefore no argument against a place.
+    The motion may have been estimated from texture beside the board, at another height. The scale along the motion is
+    then wrong by up to 1 %. Texture outside the board is therefore no argument against a position here.
     """
     flat, found = plane.fiducials, []
     kinds = [mark_kinds(plane.board_type).index(kind_of(f, plane.board_type)) for f in plane.board_type.fiducials]
@@ -254,7 +258,7 @@ def _similarities_of_pairs(
     mm_per_unit: float,
     scale_limit: float = _SCALE_LIMIT,
 ) -> list[tuple[Floats, tuple[int, int]]]:
-    """List the ordered pairs of candidates whose distance is that of two fiducials, with the similarity of each pair.
+    """List pairs of candidates as far apart as two fiducials, each with the similarity that it defines.
 
     `f` and `g` are the flat coordinates (2,) of the fiducials; `kind_f` and `kind_g` are their kinds.
     """
@@ -282,7 +286,7 @@ def _score_cost(
     chosen: tuple[int, int],
     near_mm: float = _SAME_PLACE_MM,
 ) -> tuple[float, tuple[int, ...]]:
-    """Compute the cost of the candidates' scores under C; return it with the numbers of the matched fiducials.
+    """Compute the cost of a given C from the candidates near its fiducials; return it with the matched fiducials.
 
     An unmatched fiducial costs a fixed amount, as much as a poor match.
 
@@ -314,7 +318,7 @@ def _score_cost(
 
 
 def outside_share(plane: BoardPlane, c: Floats, texture_mm: Floats) -> float:
-    """Compute the share of textured points off the board under C; 0 without an outline or with fixture marks."""
+    """Compute the share of textured points outside the board for a given C; 0 without outline or with fixture marks."""
     board_type = plane.board_type
     # A fixture has texture beside the board, so texture there is no sign of a wrong C.
     if board_type.outline is None or board_type.fixture_marks or not len(texture_mm):
@@ -327,7 +331,7 @@ def outside_share(plane: BoardPlane, c: Floats, texture_mm: Floats) -> float:
 
 @compiled
 def _outside(cad_from_board: Floats, board_mm: Floats, low: Floats, high: Floats) -> int:
-    """Count the board points (k, 2) that the affine matrix `cad_from_board` (3, 3) maps outside a CAD box."""
+    """Count the board points (k, 2) outside a CAD box; `cad_from_board` (3, 3) is the affine map to CAD coordinates."""
     count, m = 0, cad_from_board
     for n in range(len(board_mm)):
         x = m[0, 0] * board_mm[n, 0] + m[0, 1] * board_mm[n, 1] + m[0, 2]
@@ -337,7 +341,7 @@ def _outside(cad_from_board: Floats, board_mm: Floats, low: Floats, high: Floats
 
 
 def _place_score_cost(plane: BoardPlane, c: Floats, texture_mm: Floats, expectation: Expectation) -> float:
-    """Compute the cost of texture off the board plus the cost of the board's distance from its expected position."""
+    """Return the cost of texture outside the board plus the cost of the board's distance from its expected position."""
     outside = outside_share(plane, c, texture_mm)
     if outside > _MOST_OUTSIDE:
         return np.inf

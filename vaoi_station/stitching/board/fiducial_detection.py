@@ -22,7 +22,7 @@ from vaoi_station.stitching.matching.scene import Scene
 
 _MOST_PER_FRAME, _MOST_WHEN_LOST = 12, 80
 _SMALL = 1.12
-"""Factor on a mark's size before the reduction factor is chosen: cameras of similar resolution then share one."""
+"""Factor on a mark's size before the reduction factor is chosen, so that cameras of similar resolution use the same."""
 
 
 def mark_kinds(board_type: BoardType) -> tuple[tuple[Shape, float], ...]:
@@ -107,7 +107,7 @@ def _search_kind(frame: PreparedFrame, shape: Shape, size_px: float, most: int) 
 def detect_more_marks(
     board_type: BoardType, scene: Scene, detections: Sequence[Detections], *, fixture: bool
 ) -> list[Detections]:
-    """Search the frames of these detections again, with a larger limit on the number of detections per frame."""
+    """Search the frames of the given detections again, with a larger limit on the number of detections per frame."""
     return [
         detect_marks(
             s.task,
@@ -124,10 +124,10 @@ def detect_more_marks(
 def relocate_fiducials(
     board_type: BoardType, cad_matrix: Floats, scene: Scene, motion: Motion, detections: Sequence[Detections]
 ) -> list[Detections]:
-    """Locate precisely each fiducial that a frame must show; other detections stay as they are.
+    """Locate precisely each fiducial that a frame must show; all other detections are returned unchanged.
 
-    The first C (`cad_matrix`) predicts where each fiducial lies in a frame, and only this place is searched. So a
-    fiducial is found even in frames whose short list of detections did not contain it.
+    The first C (`cad_matrix`) predicts where each fiducial lies in a frame. Only this place is searched. So a fiducial
+    is found even in frames whose short list of detections did not contain it.
     """
     kinds = mark_kinds(board_type)
     kind = [kinds.index(kind_of(f, board_type)) for f in board_type.fiducials]
@@ -168,7 +168,8 @@ def _relocated(
         shape, size_mm = kinds[kind[n]]
         size_px = size_mm * px_per_mm
         near = np.hypot(*(s.px - px).T) < size_px / 3
-        # The search starts at a detection if there is one, since C from two fiducials may be off by pixels elsewhere.
+        # The search starts at a detection if there is one: C from two fiducials may be off by some pixels far from
+        # these.
         start = s.px[near][s.score[near].argmax()] if near.any() else px
         mark = locate_mark(grey, start, shape, size_px)
         if isinstance(mark, Mark):
@@ -177,7 +178,7 @@ def _relocated(
 
 
 def _with(s: Detections, keep: NDArray[np.bool_], mark: Mark, kind: int) -> Detections:
-    """Return the detections for which `keep` is true, and one more made from `mark`."""
+    """Return the detections for which `keep` is true, with `mark` added as a further detection."""
     return Detections(
         s.task,
         np.vstack([s.px[keep], mark.px]),

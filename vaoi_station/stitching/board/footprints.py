@@ -17,14 +17,14 @@ from vaoi_station.stitching.adjustment.observations import Ints
 from vaoi_station.stitching.board.board_plane import BoardPlane
 
 _BEYOND_PX = 3.0
-"""Largest distance from a frame at which a footprint's centre outside it still counts as a view."""
+"""A footprint's centre up to this far outside a frame still counts as a view."""
 
 View = tuple[int, int, float, float]
 """One view of a point: camera, row, and raw pixels x and y."""
 
 
 def component_at(plane: BoardPlane, c: Floats, board_mm: Floats) -> Ints:
-    """Return for each board point (k, 2), mm, the number of the smallest component under it, or −1 for none."""
+    """Return for each board point (k, 2), mm, the number of the smallest component on which it lies, or −1 for none."""
     return plane.components.find(np.asarray(np.linalg.inv(plane.matrix(c)), np.float64), board_mm)
 
 
@@ -72,7 +72,7 @@ class FootprintViews:
             surface: surface of the board; None for a board in the calibrated plane.
         """
         height = surface.height_mm(cad) if surface else np.zeros(len(cad))
-        # The first search uses one box around all cameras' views, since in most rows no camera sees a given point.
+        # First, one box around all cameras' views is tested: in most rows no camera sees a given point.
         between = float(height.min()), float(height.max())
         boxes = np.array([camera.view_mm(-_BEYOND_PX, between) for camera in cameras])
         row, point, place = points_in_box(rows, apply(cad_matrix, cad), boxes[:, 0].min(0), boxes[:, 1].max(0))

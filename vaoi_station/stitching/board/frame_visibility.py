@@ -1,4 +1,4 @@
-"""The frames of a run as arrays, which give the frame that shows a board point best, and the point's pixel there."""
+"""The frames of a run as arrays: find the frame that shows a board point best, and the pixel of the point in it."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class FrameArrays:
         )
 
     def nearest(self, board_mm: Floats) -> Ints:
-        """Return for each board point (k, 2) the number of the frame that shows it nearest to its centre, or −1."""
+        """Return for each board point (k, 2) the number of the frame that shows it nearest to its centre; −1: none."""
         return _nearest(np.ascontiguousarray(board_mm), self._poses, self.view_mm, self.size_px)
 
     def project(self, number: Ints, board_mm: Floats) -> Floats:
@@ -78,11 +78,11 @@ class FrameArrays:
         return _Poses(self.frame, self.rows, self.image_from_row, self.radial, self.lens)
 
     def read_samples(self, number: Ints, samples: int, read: Callable[[NDArray[np.uint8], Ints], Floats]) -> Floats:
-        """Read a line of samples for each of k places from the frame that shows it: (k, samples).
+        """Read s grey levels along a line at each of k places, from the frame that shows the place: (k, samples).
 
         Args:
             number: (k,) number of the frame for each place; −1 gives NaN.
-            samples: number of samples per place.
+            samples: number s of samples per place.
             read: function that takes the pixels of a frame and the indices (j,) of its places, and returns their
                 samples (j, samples).
         """

@@ -25,15 +25,16 @@ _SAMPLES, _DEPTHS = 10, 2
 _NEAR_MM, _FAR_MM = 0.12, 0.45
 """Distances from an edge at which its two sides are compared."""
 _APART_MM = 0.4
-"""Edges are not compared if those of the two orientations lie closer together than this."""
+"""Edges of the two orientations that lie closer together than this are not compared."""
 _CLEAR = {"outline": 1.5, "components": 2.5}
 _LEAST_STEP = {"outline": 5.0, "components": 10.0}
-"""Least contrast in grey levels of a decision, and above it the least factor between the two contrasts.
+"""Least contrast in grey levels from which the orientation is decided, by kind of edge.
 
-Components are weaker evidence than the outline, so their limits are higher."""
+Above it, the contrasts of the two orientations must also differ by a factor. Components are weaker evidence than the
+outline, so their limits are higher."""
 _LEAST_PIECES, _MOST_PIECES = 6, 48
 _LEAST_OUTLINE = 3.0
-"""Least contrast in grey levels of a visible outline. Noise alone gives less than one."""
+"""Least contrast of a visible outline, in grey levels. Noise alone gives less than 1."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +93,7 @@ def compare_orientations(
         b = _steps(pieces[apart], turned, frames)
         if min(len(a), len(b)) < _LEAST_PIECES:
             continue
-        # The median: texture and neighbouring components disturb single pieces.
+        # The median is used because texture and neighbouring components disturb single pieces.
         best = Orientation(evidence, float(np.median(a)), float(np.median(b)))
         if best.contradicts or best.confirms:
             return best
@@ -124,7 +125,7 @@ def measure_outline_contrast(
 
 def subsample_pieces(pieces: int) -> NDArray[np.int_]:
     """Choose pieces of an outline: return the indices of all of them or, if they are many, of an even subset."""
-    # 48 pieces measure the outline more precisely than boards are cut. More pieces would only take longer.
+    # 48 pieces give the position of the outline more precisely than boards are cut. More would only take more time.
     return np.unique(np.linspace(0, pieces - 1, min(pieces, _MOST_PIECES)).round().astype(np.int_))
 
 
@@ -155,7 +156,7 @@ def straight_pieces(polygons: list[Floats], mm_per_unit: float) -> Floats:
 
 
 def _apart(pieces: Floats, placed: Floats, turned: Floats) -> NDArray[np.bool_]:
-    """Return for each of k pieces whether no piece of the other orientation runs close beside it."""
+    """Return for each of k pieces whether it is far enough from all pieces of the other orientation to be compared."""
     a, b = apply(placed, pieces), apply(turned, pieces)
     along = a[:, 1] - a[:, 0]
     normal = np.stack([-along[:, 1], along[:, 0]], -1) / np.maximum(np.hypot(*along.T), 1e-9)[:, None]

@@ -23,30 +23,33 @@ from vaoi_station.stitching.board.orientation import outline_polygons, straight_
 from vaoi_station.stitching.matching.scene import Scene
 
 _STEP_MM, _REACH = 0.05, 70
-"""Distance of samples across a piece of the outline, and their number on either side."""
+"""Distance between samples across a piece of the outline, and number of samples on either side of it."""
 _ALONG = 12
 """Number of samples along a piece that are averaged."""
 _GAP, _SIDE = 1, 6
-"""A step is the difference of the means of `_SIDE` samples on both sides, `_GAP` samples away from the edge."""
+"""A step of grey level is the difference of two means of `_SIDE` samples, one on each side of the edge.
+
+The samples begin `_GAP` samples away from the edge."""
 _MOST_STEP = 40.0
 """Largest weight of a step in the histogram, in grey levels: one bright pad must not outweigh the board's edge."""
 _LEAST_STEP = 6.0
 _VOTE_MM, _VOTES = 0.1, 30
-"""Distance of the shifts in the histogram, and their number on either side of zero, along each axis."""
+"""Distance between the shifts in the histogram, and number of shifts on either side of zero, along each axis."""
 _NEAR = 8
-"""Half width, in samples, of the search for the edge of a piece around the shift with the highest sum."""
+"""Half width, in samples, of the range in which the edge of a piece is searched around the most supported shift."""
 _LEAST_PIECES = 6
 _PRIOR = np.array([3.0, 3.0, 0.02, 0.2])
 """Prior standard deviations: shift x and y (mm), turn (rad), and excess size of the outline on all sides (mm).
 
-The excess size allows for machining. So one side alone determines a shift less well than two opposite sides."""
+The excess size is what a cutter leaves on all sides. With it as an unknown, one side alone determines the shift less
+well than two opposite sides do."""
 _PIECE_SIGMA_MM, _MACHINED_MM = 0.05, 0.1
-"""Least scatter of single pieces, and error (1 σ) of the whole outline against the copper; it comes from cutting."""
+"""Least scatter of single pieces, and error (1 σ) of the cut outline as a whole against the copper."""
 _KNEE, _ROUNDS = 2.0, 6
 _LIMIT_MM, _TURN_LIMIT_MM, _LIMIT_SIGMAS = 0.5, 0.2, 4.0
-"""Limits of the shift, of the turn (at the ends of the board), and of both in standard deviations.
+"""Largest accepted shift, largest accepted turn (displacement of the board's ends), and both in standard deviations.
 
-A cut is more often shifted than turned, so the limit of the turn is lower."""
+Cutting errors shift an outline more often than they turn it, so the limit of the turn is lower."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,9 +69,9 @@ class OutlineShift:
 
     @property
     def excess_mm(self) -> float:
-        """The part of the shift that neither machining nor noise explains, as a length in mm.
+        """The part of the shift that neither cutting errors nor noise explain, as a length in mm.
 
-        It consists of the components of the shift, along the principal axes of its covariance, that exceed the limits.
+        The shift is split along the principal axes of its covariance; only components that exceed the limits count.
         """
         sigma, way = np.linalg.eigh(self.covariance)
         along = np.abs(way.T @ self.mm)
@@ -77,7 +80,7 @@ class OutlineShift:
 
     @property
     def turned_mm(self) -> float:
-        """By how many mm the turn of the outline displaces the ends of the board; 0 if it may be noise or machining."""
+        """Displacement of the board's ends by the turn of the outline, mm; 0 if noise or cutting may explain it."""
         turned = abs(self.turn_rad) * self.arm_mm
         return turned if turned > max(_TURN_LIMIT_MM, _LIMIT_SIGMAS * self.turn_sigma_rad * self.arm_mm) else 0.0
 
@@ -116,7 +119,7 @@ def measure_outline_shift(
 
 
 def edge_profiles(board: Floats, scene: Scene, motion: Motion) -> tuple[float, Floats, Floats]:
-    """Measure the steps of grey level across k pieces (k, 2, 2), start and end, mm, of a closed polygon.
+    """Measure the steps of grey level across the k pieces (k, 2, 2), start and end in mm, of a closed polygon.
 
     Returns:
         The distance of samples in mm, the outward normals (k, 2), and the height of the step at each sample
@@ -199,7 +202,7 @@ def _steps(profiles: Floats) -> Floats:
 
 
 def _voted(steps: Floats, normal: Floats) -> Floats:
-    """Find the shift (2,) mm of the board with the largest sum of steps over all pieces."""
+    """Find the shift (2,) of the board, mm, at which the sum of the steps over all pieces is largest."""
     tries = np.arange(-_VOTES, _VOTES + 1) * _VOTE_MM
     votes = _vote_histogram(np.minimum(steps, _MOST_STEP), normal, np.asarray(tries, np.float64), _STEP_MM)
     i, j = np.unravel_index(int(votes.argmax()), votes.shape)
@@ -219,7 +222,7 @@ def _vote_histogram(
         step_mm: distance of samples.
     """
     count, samples = len(tries), steps.shape[1]
-    # The line of samples is padded so that no shift leads beyond it. The inner loop then needs no test.
+    # Samples are added at the ends of the line, so that no shift reads beyond it and the inner loop needs no test.
     out, far = np.zeros((count, count)), int(2 * np.abs(tries).max() / step_mm) + 1
     line = np.zeros(samples + 2 * far)
     for k in range(len(steps)):
@@ -255,7 +258,7 @@ def _fitted(middle: Floats, normal: Floats, steps: Floats, shift: Floats) -> Out
         # 1.4826: from the median absolute deviation to the standard deviation of a normal distribution.
         scatter = max(1.4826 * float(np.median(np.abs(residual))), _PIECE_SIGMA_MM)
         weight = huber_weights(residual / scatter, _KNEE)
-    # An error in machining moves all pieces together, so the residuals of the fit do not show it.
+    # A cutting error moves all pieces together, so the residuals of the fit do not show it.
     covariance, turn_sigma = inverse[:2, :2] + _MACHINED_MM**2 * np.eye(2), float(np.sqrt(inverse[2, 2]))
     return OutlineShift(solved[:2], covariance, float(solved[2]), turn_sigma, float(np.hypot(*arm.T).max()), len(n))
 

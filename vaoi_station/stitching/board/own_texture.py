@@ -1,8 +1,9 @@
-"""Separate the texture of the board from that of its surroundings: a carrier, a pallet, a dirty or textured belt.
+"""Separate the texture of the board from that of its surroundings: a carrier, or a dirty or textured belt.
 
 Texture beside the board may move with it, stand still, or lie at another height, so that its links contradict those of
-the board. The outline in the CAD data decides which links lie on the board. That is only valid where the pictures
-confirm the outline: each of its sides that is in view shows an edge where C puts it, and not some mm beside.
+the board. The outline in the CAD data decides which links lie on the board. This is valid only where the pictures
+confirm the outline: each side of it that is in view must show an edge where C puts this side, and no stronger edge near
+by.
 """
 
 from __future__ import annotations
@@ -20,21 +21,23 @@ from vaoi_station.stitching.board.outline import edge_profiles
 from vaoi_station.stitching.matching.scene import Scene
 
 MOST_BESIDE = 0.03
-"""Largest share of links beside the board that the robust weights of the adjustment are left to deal with."""
+"""Largest share of links beside the board that need not be left out: the robust loss copes with them."""
 _MARGIN_MM = 1.0
-"""Links further from the outline than this lie beside the board, whatever the errors of C and of machining."""
+"""Links outside the outline by more than this lie beside the board; errors of C and of cutting are smaller."""
 _HALF_PATCH_PX = 12.0
-"""Links nearer to the outline than this, on the board, measure a mixture of board and surroundings."""
+"""Links on the board that are nearer to the outline than this measure a mixture of board and surroundings."""
 _EDGE_NEAR_MM = 0.5
-"""Largest distance between the edge of a side in the pictures and its place by C: machining, and C from fiducials."""
+"""Largest distance between a side's edge in the pictures and its position by C, due to cutting and fiducials."""
 _QUANTILE = 0.25
-"""The step of a side is this quantile over its pieces: an edge runs along all of them, rows of pads along some."""
+"""The step of a side is this quantile of the steps of its pieces.
+
+The edge of a board runs along all pieces of a side; a row of pads runs along only some of them."""
 _LEAST_EDGE = 4.0
 """Least step of a side at its edge, in grey levels."""
 _STANDS_OUT = 1.15
-"""Least ratio between the step at the edge of a side and the largest step beside it, further than twice the limit."""
+"""Least ratio of the step at the edge of a side to the largest step more than twice `_EDGE_NEAR_MM` away from it."""
 _LEAST_PIECES = 2
-"""Least number of pieces of a side in view that show whether there is an edge."""
+"""Least number of pieces of a side in view; with fewer, the side is not checked."""
 
 
 def beside(plane: BoardPlane, c: Floats, board_mm: Floats, margin_mm: float = _MARGIN_MM) -> NDArray[np.bool_]:
@@ -62,7 +65,7 @@ def beside(plane: BoardPlane, c: Floats, board_mm: Floats, margin_mm: float = _M
 
 
 def shares_beside(plane: BoardPlane, c: Floats, links: Observations, motion: Motion) -> tuple[float, float]:
-    """Return which shares of the links between rows, and of those between cameras, lie beside the board."""
+    """Return the share of the links between rows that lie beside the board, and that of the links between cameras."""
     off, between = beside(plane, c, motion.board(links.p, links.a_mm)), links.p == links.q
     rows, seams = off[~between], off[between]
     return (float(rows.mean()) if len(rows) else 0.0), (float(seams.mean()) if len(seams) else 0.0)

@@ -1,4 +1,4 @@
-"""Refusal of board types that no run can place: fiducials are what the CAD mapping starts from."""
+"""Refusal of board types that no run can place because they have too few fiducials."""
 
 from __future__ import annotations
 

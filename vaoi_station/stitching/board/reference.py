@@ -1,8 +1,8 @@
 """The reference run of a board type (paper, section 3.3.3), against which later runs of the type are placed.
 
 Frame (i, j) of a run shows nearly the same part of the board as frame (i, j) of the reference. The reference was
-stitched, so its points have known CAD coordinates. Each link between the two frames gives an observation of a point
-with known CAD coordinates, like a fiducial.
+stitched, so its points have known CAD coordinates. So each link between the two frames observes a point with known CAD
+coordinates, as the detection of a fiducial does.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _SCATTER_PX = 0.03
 _OUTLIER = 8.5
 """Residual, in standard deviations, above which a point has no weight: 6 per axis, so 6·√2 in the plane."""
 _SHARED_PX = 0.006
-"""Error that all links of one frame share. It does not average out."""
+"""Error that all links of one frame have in common, px. It does not average out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +40,8 @@ class Reference:
     name: str = ""
     """Name by which results refer to this reference."""
     sigma_px: float = 0.0
-    """Standard deviation of positions by the reference's own CAD mapping, in its worst view. All links share it."""
+    """Standard deviation of positions by the reference's CAD mapping, in its worst view, px; an error common to all
+    links."""
 
     def task(self, key: FrameKey) -> Task | None:
         """Return the task that links a frame of a later run to the reference; None if the reference lacks the frame."""
@@ -90,7 +91,7 @@ def cad_points(
 def _on_board(ground_mm: Floats, camera: Camera, stitch: Stitch, row: int, c: Floats) -> Floats:
     """Return the CAD coordinates (k, 2) of ground points (k, 2) that a camera saw in a row of the reference.
 
-    The board of the reference was not in the calibrated plane either: its surface displaces what the camera sees.
+    The reference's board was not exactly in the calibrated plane. Its surface is used to correct the parallax.
     """
     cad_from_row = np.linalg.inv(c) @ np.linalg.inv(stitch.row_motion[row])
     cad = apply(cad_from_row, ground_mm)
@@ -101,7 +102,7 @@ def _on_board(ground_mm: Floats, camera: Camera, stitch: Stitch, row: int, c: Fl
 
 
 def inliers(points: FiducialPoints, residual_px: Floats) -> NDArray[np.bool_]:
-    """Return for each of k points with known CAD coordinates whether it has weight, by its residual (k, 2) in px."""
+    """Return for each of k points with known CAD coordinates whether its residual (k, 2), px, is small enough."""
     return np.asarray(np.hypot(*residual_px.T) <= _OUTLIER * points.sigma_mm * points.px_per_mm)
 
 
@@ -111,6 +112,6 @@ def initial_similarity(plane: BoardPlane, reference: Reference, points: Fiducial
     assert c is not None
     start = np.array([c[0, 0], c[1, 0], c[0, 2], c[1, 2]])
     board = motion.board(points.row, points.ground_mm)
-    # The median, since some links are false and nothing has been adjusted yet.
+    # The median is used because some links are false and nothing has been adjusted yet.
     off = np.median(board - apply(plane.matrix(start), plane.cad(points.cad)), axis=0)
     return np.concatenate([start[:2], start[2:] + off])

@@ -1,7 +1,7 @@
-"""The orientation of the board by the frames of its reference, for boards whose fiducials and outline fit both ways.
+"""Decide the orientation of a board by the frames of its reference, where fiducials and outline fit both ways.
 
-Patches of the reference are compared with the patches of the run that lie at the same CAD coordinates, once with the
-board as placed and once turned by 180°. Only patches that differ between the two orientations count.
+Patches of the reference are compared with patches of the run at the same CAD coordinates, once for the board as placed
+and once for the board turned by 180°. Only patches that differ between the two orientations count.
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ from vaoi_station.stitching.matching.scene import Scene
 _SIDE = 16
 """Samples per side of a patch."""
 _PITCH_PX = 4.0
-"""Distance of two samples. Frames are read in copies that are reduced by as much."""
+"""Distance between two samples. Frames are read in copies that are reduced by this factor."""
 _LEAST_PITCH_MM = 0.15
-"""Least distance of two samples: C from the first detections is this uncertain."""
+"""Least distance between two samples: C from the first detections is uncertain by this much."""
 _ACROSS = 12
-"""Number of patches side by side in one frame of the reference, at most."""
+"""Largest number of patches side by side in one frame of the reference."""
 _LEAST_CONTRAST = 4.0
-"""Least standard deviation of a patch in grey levels."""
+"""Least contrast of a patch that is used: standard deviation of its grey levels."""
 _DIFFERENT = 0.5
-"""Correlation of the run's two patches below which a patch distinguishes the orientations."""
+"""A patch shows the orientation only if the run's two patches for it have a correlation below this."""
 _LEAST_PATCHES, _ENOUGH_PATCHES = 4, 24
 _ALIKE, _APART = 0.5, 0.3
-"""Least correlation of the orientation that fits, and the least distance to that of the other one."""
+"""Least correlation of the correct orientation, and least difference to the correlation of the other one."""
 
 
 @dataclass(frozen=True)
 class ReferenceOrientation:
-    """Median correlation with the reference in both orientations, over the patches that distinguish them."""
+    """Median correlation with the reference for both orientations, over the patches that differ between them."""
 
     as_placed: float
     turned: float
@@ -111,7 +111,7 @@ def compare_with_reference(
 
 
 def _spread(keys: tuple[FrameKey, ...]) -> list[FrameKey]:
-    """Order frames so that the first ones lie far apart: the middle, then the middles of both halves, and so on."""
+    """Order frames so that the first ones lie far apart: the middle one, then the middles of both halves, and so on."""
     step, order = len(keys), []
     while step > 1:
         step = -(-step // 2)
@@ -147,7 +147,7 @@ def _read(frames: FrameArrays, board_mm: Floats) -> Floats:
     px = frames.project(number, board_mm)
 
     def samples(image: NDArray[np.uint8], mine: Ints) -> Floats:
-        # the copy holds means of 4×4 pixels, whose first lies at 1.5
+        # A pixel of the reduced copy is the mean of 4×4 pixels; the centre of the first lies at 1.5.
         at = ((px[mine] - 1.5) / 4).astype(np.float32)
         small = cv2.resize(image, (image.shape[1] // 4, image.shape[0] // 4), interpolation=cv2.INTER_AREA)
         got = cv2.remap(small.astype(np.float32), at, None, cv2.INTER_LINEAR, borderValue=float("nan"))
@@ -157,7 +157,7 @@ def _read(frames: FrameArrays, board_mm: Floats) -> Floats:
 
 
 def _correlation(a: Floats, b: Floats) -> Floats:
-    """Compute the correlation (k,) of k pairs of patches (k, s); 1, which counts as alike, where one is unknown."""
+    """Compute the correlation (k,) of k pairs of patches (k, s); 1 if unknown, so that the pair is not used."""
     a, b = a - a.mean(1, keepdims=True), b - b.mean(1, keepdims=True)
     with np.errstate(invalid="ignore", divide="ignore"):
         out = (a * b).sum(1) / np.sqrt((a**2).sum(1) * (b**2).sum(1))

@@ -1,9 +1,9 @@
-"""Coarse search: estimate by how much the shift between two frames differs from the prediction, to a pixel or two.
+"""Coarse search: estimate, to a pixel or two, by how much the shift between two frames differs from the prediction.
 
 The overlap is cut from reduced, high-passed copies of the frames and correlated at all shifts within a given range.
-There are two copies (`PreparedFrame`): `coarse`, called full size here, and `coarser`, of half that size. A wide
-overlap is searched at half size only. A narrower one is searched at half size first; the search at full size is then
-limited to the surroundings of a few peaks.
+`PreparedFrame` has two such copies: `coarse`, called full size here, and `coarser`, of half that size. A wide overlap
+is searched at half size only. A narrower one is searched at half size first; the search at full size is then limited to
+the surroundings of a few peaks.
 """
 
 from __future__ import annotations
@@ -23,15 +23,18 @@ from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
 _MIN_SCORE = 0.25
 """Smallest correlation of a shift that is reported."""
 _AMPLE_PX = 24
-"""Width of an overlap in pixels of half size. An overlap at least this wide is searched at half size only, where it has
-a quarter of the pixels and a quarter of the shifts. One at least half this wide is searched at half size first."""
+"""Width of an overlap, in pixels of half size, from which on it is searched at half size only.
+
+There it has a quarter of the pixels and a quarter of the shifts. An overlap of at least half this width is searched at
+half size first."""
 _PEAKS, _RIVAL, _AROUND_PX = 4, 0.8, 2
-"""Which peaks of the search at half size are searched again at full size: at most `_PEAKS`, with at least the share
-`_RIVAL` of the highest correlation, each within ±`_AROUND_PX` pixels of full size."""
+"""Which peaks of the search at half size are searched again at full size.
+
+At most `_PEAKS`, with at least the share `_RIVAL` of the highest correlation, each within ±`_AROUND_PX` pixels."""
 _SIMILAR = 0.75
-"""Share of the highest correlation from which on another shift is reported as its rival."""
+"""Another shift is reported as a rival if its correlation is at least this share of the highest one."""
 _DISTINCT_PX = 3
-"""Least distance of a rival, in pixels of the searched copy: peaks that are closer are one peak."""
+"""Least distance of a rival from the best shift, in pixels of the searched copy: closer peaks are the same peak."""
 _DIRECT = 1_200_000
 """Largest number of products for which a correlation is summed directly. Beyond it, OpenCV's Fourier transform is
 faster."""
@@ -52,7 +55,7 @@ class CoarseShift:
 
 
 class NoMatch(Failure):
-    """The failure of a search in which the overlap has texture, but frame b does not show this texture."""
+    """The failure of a search where the overlap of frame a has texture that was not found in frame b."""
 
 
 def find_shift(
@@ -74,11 +77,12 @@ def find_shift(
     if min(template.shape, default=0) < 4:
         return Failure(f"the overlap of {box[2] - box[0]}×{box[3] - box[1]} px is too narrow to search in")
     template = np.ascontiguousarray(template)
-    # normalisation divides by the contrast: the noise of an empty overlap could reach any score
+    # The search divides by the contrast: in an empty overlap, noise could reach any correlation.
     contrast = math.sqrt(float(np.vdot(template, template)) / template.size)
     if contrast < _MIN_CONTRAST:
         return Failure(f"the overlap is empty: contrast {contrast:.1f} grey levels")
-    # an overlap narrower than _AMPLE_PX / 2 at half size has no reliable peak there: search at full size at once
+    # An overlap narrower than _AMPLE_PX / 2 at half size has no reliable peak there: it is searched at full size at
+    # once.
     if wide or narrow < _AMPLE_PX * a.factor:
         peaks = _peaks(template, coarse_b, box, f, offset_px, reach_px, 2)
     else:
@@ -124,7 +128,7 @@ def _peaks(
     Returns:
         Correlation and shift (2,) of each peak, the highest first; shifts are in pixels of `image`.
     """
-    # one pixel more on every side: the parabola through a peak needs the neighbours of the peak
+    # One pixel more on every side, because the parabola through a peak needs the neighbours of the peak.
     reach_x, reach_y = (max(math.ceil(v / factor) + 1, 2) for v in reach_px.tolist())
     shift_x, shift_y = (round(v / factor) for v in offset_px.tolist())
     left, top = round(box[0] / factor) + shift_x - reach_x, round(box[1] / factor) + shift_y - reach_y
@@ -173,8 +177,8 @@ def correlations(template: Small, window: Small) -> Small:
     for y in range(h - 1):
         total += energy[y]
     out = np.zeros((ny, nx), np.float32)
-    # the template is stored with the line pitch of the window: the sum over both dimensions is then one flat loop,
-    # which the compiler turns into vector instructions
+    # The template is stored with the line pitch of the window, so that the sum over both dimensions is one flat loop,
+    # which the compiler turns into vector instructions.
     for y in range(ny):
         total += energy[y + h - 1]
         for x in range(nx):

@@ -19,8 +19,9 @@ _UNIT = 1 / (4 * 3 * 255)
 """Scale of the slopes, the same as in OpenCV's cornerMinEigenVal: 4 for Sobel, 3 for the block size, 255 grey
 levels."""
 _GOOD_SHARE, _WEAK, _LEAST = 0.9, 0.003, 1e-5
-"""A corner is dropped as noise or bare belt if its texture is below `_LEAST`, or below `_WEAK` times the texture of a
-good corner. A good corner is the quantile `_GOOD_SHARE` of the best texture per cell."""
+"""A corner is dropped as noise or belt if its texture is below `_LEAST`, or below `_WEAK` times that of a good corner.
+
+The texture of a good corner is the quantile `_GOOD_SHARE` of the best texture of each cell."""
 
 _Plane = NDArray[np.float32]
 _Ints = NDArray[np.int64]
@@ -50,7 +51,7 @@ def best_corners(image: NDArray[np.uint8], x0: int, y0: int, across: tuple[int, 
             for x in range(left, left + width):
                 if score[y, x] > best[n]:
                     best[n], at[n, 0], at[n, 1] = score[y, x], x0 + x, y0 + y
-    # a high quantile over the cells is the texture of a good corner, even if most cells show bare belt
+    # A high quantile over the cells is the texture of a good corner even if most cells show only the belt.
     least = max(_WEAK * np.sort(best)[int(len(best) * _GOOD_SHARE)], _LEAST)
     return np.asarray(at[best > least])
 

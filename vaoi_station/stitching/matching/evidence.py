@@ -40,7 +40,7 @@ class Links:
     """(k, 2, 2) information matrix, px⁻²: the inverse covariance of b_px − a_px that image noise causes. It is small
     along an edge and large across it."""
     score: Floats
-    """(k,) zero-mean normalised correlation of the patches."""
+    """(k,) correlation of the two patches, from −1 to 1, after their means are subtracted."""
     note: str = ""
     """Why there are no links; empty if there are links."""
     coarse_px: tuple[float, float] | None = None
@@ -48,15 +48,15 @@ class Links:
     tried: int = 0
     """The number of corners of frame a that were searched in frame b."""
     unmatched: bool = False
-    """Whether the overlap of two cameras shows texture, but hardly any of it was found in both frames."""
+    """Whether the overlap of two cameras shows texture of which hardly any was found in both frames."""
 
     rival_px: tuple[float, float] | None = None
-    """Another shift than `coarse_px` at which the coarse search found a similar fit; None if there is none."""
+    """A different shift at which the coarse search found a similar fit; None if there is none."""
     ambiguous: bool = False
-    """Whether the pattern in two rows fits as well at another motion of the board that the belt may have made."""
+    """Whether a repeated pattern fits as well at another motion of the board that the belt may have made."""
 
     copied: bool = False
-    """Whether frame b equals frame a in every pixel: the camera sent a frame twice, and frame b was not filmed in its
+    """Whether frame b equals frame a in every pixel: the camera sent one frame twice, and frame b does not show its
     row."""
 
     @staticmethod

@@ -1,9 +1,9 @@
 """Two frames to be linked. Frames of different scale or rotation are brought into one grid of pixels first.
 
-Patches are only shifted between two frames. That is enough where the frames differ in scale and rotation as the cameras
-of an ordinary array do. Where the camera matrices differ by more, part of the finer frame is resampled with the linear
-map that they predict, so that both frames have the resolution and the direction of the coarser one. Links are found in
-this grid, and returned in pixels of the frames.
+A match between two frames only shifts a patch; it does not scale or rotate it. This is enough for the small differences
+in scale and rotation of an ordinary array. If the camera matrices differ by more, part of the finer frame is resampled:
+the linear map that the camera matrices predict gives it the resolution and the direction of the coarser frame. Links
+are found in this grid and returned in pixels of the frames.
 """
 
 from __future__ import annotations
@@ -26,16 +26,18 @@ from vaoi_station.stitching.matching.prepared_frame import MaskedFrame, Prepared
 from vaoi_station.stitching.matching.refinement import MARGIN_PX
 
 _WARPED_PX = 0.25
-"""Displacement of a patch's border, by a difference in scale or rotation, from which on frames are resampled. If only a
-shift is found between them, matches are wrong by some hundredths of a pixel."""
+"""Frames are resampled if scale or rotation displaces the border of a patch by more than this.
+
+With a shift alone, matches would then be wrong by some hundredths of a pixel."""
 _GRAIN_PX = 16
-"""Unit of the position of a resampled part, so that reduced copies of both frames have about the same pixels."""
+"""A resampled part begins at a multiple of this, so that the reduced copies of both frames have about the same
+pixels."""
 _BESIDE_PX = 2 * MARGIN_PX
 """How far a resampled part extends beyond the overlap."""
 _DENSEST = 4.0
-"""Largest factor by which the grid of corners is denser where the overlap fills only part of its box."""
+"""Largest factor by which the grid of corners is made denser where the overlap fills only part of its box."""
 _KEPT_MAPS = 256
-"""Entries of the cache of linear maps. The keys are pairs of cameras."""
+"""Entries of the cache of linear maps, one for each pair of cameras."""
 _IDENTITY = np.eye(2, 3)
 
 
@@ -57,12 +59,12 @@ class FramePair:
 
     @property
     def spread(self) -> float:
-        """Area of the box of the overlap, divided by that of the places in it where a patch can be matched."""
+        """Area of the box around the overlap, divided by the area in which a patch can be matched."""
         return 1.0
 
     @property
     def room(self) -> bool:
-        """Whether the overlap may have room for a patch."""
+        """Whether the overlap may be large enough for a patch."""
         return True
 
     def overlap(self) -> Box | None:
@@ -79,11 +81,11 @@ class FramePair:
         return np.asarray((self.predict(middle) - middle)[0])
 
     def inside(self, corners: NDArray[np.int64], guess_px: Floats) -> tuple[NDArray[np.int64], Floats]:
-        """Return those corners (k, 2) in a and guesses (k, 2) in b whose patches lie inside both frames."""
+        """Return those corners (k, 2) in a, and their guesses (k, 2) in b, whose patches lie inside both frames."""
         return inside_both(self.a.grey.shape, self.b.grey.shape, corners, guess_px)
 
     def reaching(self, reach_px: float) -> FramePair:  # noqa: ARG002  (whole frames reach as far as they can)
-        """Return the pair for a search within ± this range around the prediction."""
+        """Return the pair, prepared for a search within ± `reach_px` around the prediction."""
         return self
 
     def in_frames(self, links: Links) -> Links:
@@ -125,7 +127,7 @@ class GridPair(FramePair):
 
     @property
     def spread(self) -> float:
-        """Area of the box of the overlap, divided by that of the places in it where a patch can be matched."""
+        """Area of the box around the overlap, divided by the area in which a patch can be matched."""
         if not self.room:
             return 1.0
         size = np.maximum(np.ptp(self._common, axis=0) - 2 * MARGIN_PX, 1.0)
@@ -133,7 +135,7 @@ class GridPair(FramePair):
 
     @property
     def room(self) -> bool:
-        """Whether the overlap has room for a patch."""
+        """Whether the overlap is large enough for a patch."""
         return len(self._places) >= 3
 
     def overlap(self) -> Box | None:
@@ -148,21 +150,21 @@ class GridPair(FramePair):
         return _moved(_inverse(self.b_from_grid), self.whole.predict(_moved(self.a_from_grid, a_px)))
 
     def inside(self, corners: NDArray[np.int64], guess_px: Floats) -> tuple[NDArray[np.int64], Floats]:
-        """Return those corners (k, 2) in a and guesses (k, 2) in b whose patches lie inside both frames."""
+        """Return those corners (k, 2) in a, and their guesses (k, 2) in b, whose patches lie inside both frames."""
         corners, guess_px = super().inside(corners, guess_px)
         in_a = _holds(self.camera_a, self.a_from_grid, patch_centres(corners))
         keep = in_a & _holds(self.camera_b, self.b_from_grid, guess_px)
         return corners[keep], guess_px[keep]
 
     def reaching(self, reach_px: float) -> FramePair:
-        """Return the pair with so large a part resampled that a search within ± `reach_px` px does not leave it."""
+        """Return the pair with a resampled part large enough for a search within ± `reach_px` px."""
         return in_one_grid(self.whole, reach_px)
 
     def in_frames(self, links: Links) -> Links:
         """Return links that were found in this grid, in raw pixels of the frames."""
         if not len(links.a_px):
             return links
-        # a patch may have been found in the repeated pixels beside a resampled frame
+        # A patch may have been found among the repeated border pixels beside a resampled frame.
         keep = _holds(self.camera_b, self.b_from_grid, links.b_px)
         if not keep.any():
             return Links.empty(links.task, "the places found lie beside the frame", links.tried)
@@ -212,7 +214,7 @@ def in_one_grid(pair: FramePair, reach_px: float = 0.0) -> FramePair:
 @lru_cache(maxsize=_KEPT_MAPS)
 def is_warped(a: Camera, b: Camera) -> bool:
     """Whether the frames of two cameras differ so much in scale or rotation that shifted patches do not match."""
-    # reduced copies of frames of different size have different pixels, unless one frame is resampled
+    # Reduced copies of frames of different size do not have the same pixels, unless one frame is resampled.
     if (a.width_px, a.height_px) != (b.width_px, b.height_px):
         return True
     b_from_a = _linear(b) @ np.linalg.inv(_linear(a))
@@ -235,7 +237,7 @@ def _resampled(
         frame: the frame.
         frame_from_grid: (2, 3) affine map from the grid to pixels of the frame.
         box: (2, 2) lowest and highest corner of the box in the grid.
-        reach_px: how far a search leads beyond the box.
+        reach_px: by how much a search may exceed the box.
         factor: reduction of the copies in which the other frame is searched.
     """
     beside = _BESIDE_PX + reach_px

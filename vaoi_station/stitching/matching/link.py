@@ -20,13 +20,16 @@ from vaoi_station.stitching.matching.prepared_frame import PreparedFrame, downsa
 from vaoi_station.stitching.matching.refinement import MARGIN_PX
 
 _CORNERS, _CORNERS_APART = 80, 40
-"""Number of corners per pair of frames. `_CORNERS` is enough even if half of them are lost to tall parts.
-`_CORNERS_APART` is for rows that are not consecutive; their links only stiffen the chain of rows."""
+"""Number of corners per pair of frames.
+
+`_CORNERS` is enough even if half of them are lost to tall components. `_CORNERS_APART` is for rows that are not
+consecutive; their links only improve the shape of the chain of rows."""
 _GRAIN_PX, _AMPLE_PX = 8, 96
-"""Corners are selected in copies that are reduced by `_GRAIN_PX`, a third of a patch. Small frames, and overlaps
-narrower than `_AMPLE_PX`, are reduced by half of it."""
+"""Corners are selected in copies that are reduced by `_GRAIN_PX`, a third of a patch.
+
+Small frames, and overlaps narrower than `_AMPLE_PX`, are reduced by half of it."""
 _MIN_CELL_PX = 28
-"""Smallest side of a cell of the corner grid, px. Patches of smaller cells would measure the same pixels twice."""
+"""Smallest side of a cell of the corner grid, px. With smaller cells, two patches would measure the same pixels."""
 _MIN_SCORE, _MAX_SIGMA_PX = 0.80, 0.80
 """Smallest correlation, and largest standard deviation, of a match that becomes a link."""
 _PLACEMENT_MM = 4.0
@@ -34,14 +37,16 @@ _PLACEMENT_MM = 4.0
 _SLIP_SHARE, _PLAY_MM = 0.15, 1.0
 """Range of the coarse search between rows: the share `_SLIP_SHARE` of the nominal motion, plus `_PLAY_MM`."""
 _COMPARED = 37
-"""Every line of this distance is compared first: two frames that are no copies differ in the first of them."""
+"""Every 37th line is compared first: two frames that are not copies of one another differ in the first of these
+lines."""
 _MOVED_MM = 4.0
-"""Range of the coarse search between two cameras of which one may be displaced."""
+"""Range of the coarse search between two cameras if one of them may be displaced."""
 _ENOUGH = 8
-"""Number of links between two cameras that shows that neither was displaced since its calibration."""
+"""With at least this number of links between two cameras, neither was displaced since its calibration."""
 _CERTAIN, _CERTAIN_SHARE = 24, 0.6
-"""Number of links, and share of the tried corners, that false links to similar texture do not reach. A displaced camera
-gave at most eleven false links."""
+"""Number of links, and share of the tried corners, that only correct links reach.
+
+With false links to similar texture, a displaced camera gave at most eleven links."""
 
 
 def link_rows(task: Task, pair: FramePair) -> Links:
@@ -70,9 +75,9 @@ def row_reach_mm(shift_mm: Floats) -> Floats:
 
 
 def are_copies(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> bool:
-    """Return whether two frames (h, w) are equal in every pixel: no sensor films the same noise twice.
+    """Return whether two frames (h, w) are equal in every pixel. Sensor noise makes any two exposures different.
 
-    Frames of a single grey level are no copies: black and saturated frames are equal without being sent twice.
+    Frames of a single grey level do not count as copies: black and saturated frames are equal without being sent twice.
     """
     if a.shape != b.shape or not np.array_equal(a[::_COMPARED], b[::_COMPARED]):
         return False
@@ -95,22 +100,22 @@ def link_neighbours(task: Task, pair: FramePair) -> Links:
     if found >= _CERTAIN or found >= max(_ENOUGH, _CERTAIN_SHARE * links.tried):
         return links
     if not pair.room or _grid(pair.a, _shrink(box, pair.a.grey.shape, np.zeros(2))) is None:
-        # the overlap has no room for a single patch: that it has no links is no sign of a displaced camera
+        # The overlap is too small for a patch. That it has no links is then no sign of a displaced camera.
         return links
     reach = np.full(2, _MOVED_MM * pair.px_per_mm)
     pair = pair.reaching(float(reach[0]))
     coarse = find_shift(pair.a, pair.b, box, pair.offset_px(box), reach)
     if isinstance(coarse, Failure):
-        # the search also fails without texture, but only texture that does not match is a sign of a displaced camera
+        # The search also fails without texture. Only texture that does not match is a sign of a displaced camera.
         return replace(links, unmatched=_too_few(links) and isinstance(coarse, NoMatch))
     displaced = _link_corners(task, pair, box, coarse.px)
-    # the larger set is the likelier one: false links rarely outnumber true ones
+    # The larger set of links is more likely to be correct: false links rarely outnumber correct ones.
     best = displaced if len(displaced.a_px) > len(links.a_px) else links
     return replace(best, unmatched=_too_few(best))
 
 
 def link_in_place(task: Task, pair: FramePair) -> Links:
-    """Link two frames exactly where the cameras predict it, without a search for a displacement."""
+    """Link two frames at the place that the cameras predict, without a search for a displacement."""
     pair = in_one_grid(pair)
     box = pair.overlap()
     if box is None:
@@ -121,7 +126,7 @@ def link_in_place(task: Task, pair: FramePair) -> Links:
 def link_reference(task: Task, pair: FramePair) -> Links:
     """Link a frame of a run to the frame of the reference with the same camera and row.
 
-    The two frames differ by the position of the board only.
+    Only the position of the board differs between the two frames.
     """
     box = pair.overlap()
     assert box is not None
@@ -133,9 +138,9 @@ def link_reference(task: Task, pair: FramePair) -> Links:
 
 
 def _too_few(links: Links) -> bool:
-    """Whether the links are fewer than two cameras that are where they were calibrated would give.
+    """Whether there are fewer links than between two cameras that have not moved since their calibration.
 
-    Where a narrow overlap has room for few corners only, the limit is a share of these corners.
+    In a narrow overlap with few corners, the limit is a share of these corners.
     """
     enough = _ENOUGH if links.tried >= _ENOUGH else max(_CERTAIN_SHARE * links.tried, 1)
     return len(links.a_px) < enough

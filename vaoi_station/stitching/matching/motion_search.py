@@ -2,7 +2,7 @@
 
 The reduced, high-passed frames of each camera are correlated at all shifts at once by Fourier transforms. The sums of
 all cameras are added at the shifts that one motion on the conveyor's plane causes in each of them, so that the texture
-of the whole row decides. It yields several candidates; only links of patches show which of them is right.
+of the whole row decides. The search yields several candidates; links of patches then show which of them is right.
 
 A repeated pattern, such as a grid of LEDs, fits at several motions, and two cameras may find different ones although
 they see one motion. `possible_motions` lists them, so that all cameras together are compared at each.
@@ -26,30 +26,33 @@ from vaoi_station.stitching.matching.link import row_reach_mm
 from vaoi_station.stitching.matching.overlap import predict
 
 FASTEST = 1.5
-"""Largest motion between two rows that is searched, as a share of the nominal one. The smallest is none."""
+"""Largest motion between two rows that is searched, as a share of the nominal motion. The smallest is 0."""
 _ACROSS_MM = 2.0
 """Largest motion across the belt between two rows that is searched."""
 _BACK_MM = 1.0
-"""Range of the search against the belt's direction: a board at rest has its peak at 0, and a peak needs neighbours."""
+"""Range of the search against the belt's direction: a board at rest has its peak at 0, which needs neighbours on both
+sides."""
 _LEAST_OVERLAP = 0.12
 """Least share of a frame that both rows must show."""
 _MIN_CONTRAST = 1.0
 """Contrast, rms of the high-passed grey levels, below which a frame counts as empty."""
 _MIN_SCORE = 0.12
-"""Smallest correlation of a candidate. It is low: links decide, and parts that lean reduce the correlation."""
+"""Smallest correlation of a candidate. It is low because components that lean reduce it; links decide later."""
 _CANDIDATES = 5
 SIMILAR = 0.75
-"""Share of the most links from which on another motion fits as well."""
+"""Another motion fits as well if it has at least this share of the largest number of links."""
 APART_MM = 0.5
-"""Least difference of two motions. Smaller ones are the same motion, measured on parts that lean."""
+"""Least difference between two motions. A smaller difference comes from components that lean."""
 _STATIC_BOX, _STATIC_SHARE = 5, 0.4
-"""Texture stands still where the squared difference of two frames, over a square of `_STATIC_BOX` reduced pixels, is
-less than the share `_STATIC_SHARE` of the sum of their squares. It is 1 for unrelated texture."""
+"""Limits for texture that stands still, which is searched in squares of `_STATIC_BOX` reduced pixels.
+
+Texture stands still if the squared difference of two frames, summed over a square, is less than `_STATIC_SHARE` times
+the sum of their squares. This ratio is 1 for unrelated texture."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Sums:
-    """Sums over the common pixels of two reduced frames, (h, w): one for each cyclic shift of one against the other."""
+    """Sums over the common pixels of two reduced frames, (h, w): one sum for each cyclic shift between the frames."""
 
     products: Floats
     energy_a: Floats
@@ -60,7 +63,7 @@ class _Sums:
 
 @dataclass(frozen=True, eq=False)
 class _Reduced:
-    """A pair of frames, and its reduced, high-passed copies that are correlated."""
+    """A pair of frames, and their reduced, high-passed copies that are correlated."""
 
     pair: FramePair
     a: Small
@@ -73,8 +76,8 @@ def candidate_motions(pairs: Sequence[FramePair], *, moving: bool = False) -> li
     Args:
         pairs: the frames of rows p and q of each camera; `shift_mm` is the nominal motion, which gives direction and
             range.
-        moving: leave out what both frames show in the same place, so that texture which stands still beside the board
-            does not outweigh the board.
+        moving: whether to leave out texture that both frames show in the same place. Otherwise, texture that stands
+            still beside the board may outweigh the board.
     """
     reduced = [_Reduced(pair, *(_moving(pair) if moving else (pair.a.coarse, pair.b.coarse))) for pair in pairs]
     textured = [one for one in reduced if min(_contrast(one.a), _contrast(one.b)) >= _MIN_CONTRAST]
@@ -86,7 +89,7 @@ def candidate_motions(pairs: Sequence[FramePair], *, moving: bool = False) -> li
         return []
     along = np.asarray(nominal) / way
     cell = max(one.pair.a.factor / one.pair.camera_a.px_per_mm for one in textured)
-    # whole cells, so that a motion of exactly 0 is one of the samples
+    # A whole number of samples, so that a motion of exactly 0 is one of them.
     u = np.arange(-math.ceil(_BACK_MM / cell) - 1, math.ceil(FASTEST * way / cell) + 2) * cell
     v = np.arange(-math.ceil(_ACROSS_MM / cell), math.ceil(_ACROSS_MM / cell) + 1) * cell
     across = np.array([-along[1], along[0]])
@@ -100,7 +103,7 @@ def candidate_motions(pairs: Sequence[FramePair], *, moving: bool = False) -> li
         overlap += np.where(within, sums.overlap[at], 0.0) / len(textured)
     energy = np.sqrt(np.maximum(energy_a * energy_b, 0.0))
     whole = max(float(energy.max()), 1e-9)
-    # at shifts at which the frames share hardly any texture, the correlation of noise is large
+    # At shifts at which the frames have hardly any texture in common, the correlation of noise is large.
     known = (overlap >= _LEAST_OVERLAP) & (energy > 0.02 * whole)
     score = np.where(known, products / np.maximum(energy, 1e-9 * whole), 0.0).astype(np.float32)
     peaks = best_peaks(np.ascontiguousarray(score), _CANDIDATES).tolist()
@@ -112,7 +115,7 @@ def _contrast(coarse: Small) -> float:
 
 
 def _moving(pair: FramePair) -> tuple[Small, Small]:
-    """Return the reduced copies of the frames of a pair, with 0 where both show the same."""
+    """Return the reduced copies of both frames of a pair, with 0 where both show the same texture."""
     a, b = pair.a.coarse, pair.b.coarse
     apart, both = (cv2.boxFilter(x, -1, (_STATIC_BOX, _STATIC_BOX)) for x in ((a - b) ** 2, a * a + b * b))
     moves = apart > _STATIC_SHARE * both
@@ -122,7 +125,7 @@ def _moving(pair: FramePair) -> tuple[Small, Small]:
 def _correlated(pair: _Reduced) -> _Sums:
     """Correlate the reduced frames of a pair at all shifts, by Fourier transforms with zeros beside the frames."""
     a, b = (np.asarray(coarse, dtype=np.float64) for coarse in (pair.a, pair.b))
-    # half a frame more would do for most shifts; the whole frame is certain
+    # Half a frame of zeros would do for most shifts; a whole frame is enough for all of them.
     shape = (a.shape[0] + b.shape[0], a.shape[1] + b.shape[1])
     inside_a, inside_b = np.ones(a.shape), np.ones(b.shape)
     fa, fb, fa2, fb2, ma, mb = (np.fft.rfft2(x, shape) for x in (a, b, a * a, b * b, inside_a, inside_b))
@@ -140,7 +143,7 @@ def _pixels(pair: FramePair, motion: Floats) -> tuple[tuple[np.ndarray, np.ndarr
         The shifts as indices of line and column (...) of the arrays in `_Sums`; whether the frames overlap there (...).
     """
     centre = np.array([pair.camera_a.center_px])
-    # the picture's shift is linear in the motion to a reduced pixel or two
+    # The shift of the picture is linear in the motion, except for a reduced pixel or two.
     by_x, by_y = (predict(centre, pair.camera_a, pair.camera_b, np.array(e))[0] for e in ((1.0, 0.0), (0.0, 1.0)))
     still = predict(centre, pair.camera_a, pair.camera_b, np.zeros(2))[0]
     jacobian = np.stack([by_x - still, by_y - still], 1)
@@ -151,7 +154,7 @@ def _pixels(pair: FramePair, motion: Floats) -> tuple[tuple[np.ndarray, np.ndarr
 
 
 def has_rival(links: Sequence[Links]) -> bool:
-    """Return whether the coarse search of a camera found another shift that fits similarly."""
+    """Return whether the coarse search of any camera found another shift that fits similarly well."""
     return any(e.rival_px is not None for e in links)
 
 

@@ -12,9 +12,9 @@ from vaoi_station.geometry.projection_kernels import transfer_points
 from vaoi_station.geometry.transforms import Floats
 
 _UPRIGHT = math.cos(math.radians(2.0))
-"""Cosine of the angle between two frames from which on the overlap is not taken for a rectangle."""
+"""Two frames are turned against one another if the cosine of the angle between them is below this."""
 _LEAST_PX = 2.0
-"""Least width of an overlap, px. One that is narrower is the result of rounding."""
+"""Least width of an overlap, px. A narrower one is only the result of rounding."""
 Box = tuple[int, int, int, int]
 """A rectangle (x0, y0, x1, y1) in pixels; column x1 and line y1 do not belong to it."""
 
@@ -36,9 +36,9 @@ def _lens(camera: Camera) -> tuple[Floats, tuple[float, float, float, float, flo
 def overlap_box(a: Camera, b: Camera, shift_mm: Floats, margin_px: float = 0.0) -> Box | None:
     """Return the part of frame a that frame b shows too, reduced by a margin, or None if the frames do not overlap.
 
-    The corners of frame b are projected into frame a, and the rectangle is limited to frame a. It is exact if the two
-    frames differ by a shift, and accurate to a pixel or two at the small rotations of a camera array. If one of the
-    frames is turned against the other, it is the smallest rectangle around the part that both show.
+    The corners of frame b are projected into frame a, and the rectangle around them is limited to frame a. The result
+    is exact if the two frames differ by a shift. At the small rotations of a camera array it is accurate to a pixel or
+    two. For larger rotations, it is the smallest rectangle around the part that both frames show.
     """
     back = _frame_in(a, b, shift_mm)
     (ax, ay), (bx, by), (cx, cy), (dx, dy) = back.tolist()
@@ -83,7 +83,7 @@ def _border(camera: Camera, margin_px: float) -> Floats:
 
 
 def overlap_share(camera: Camera, shift_mm: Floats) -> float:
-    """Return which share (0 … 1) of a camera's frame is still in view after the board has moved by a shift (2,)."""
+    """Return the share (0 to 1) of a camera's frame still in view after the board has moved by `shift_mm` (2,)."""
     box = overlap_box(camera, camera, shift_mm)
     if box is None:
         return 0.0

@@ -8,11 +8,14 @@ from numpy.typing import NDArray
 WINDOW_PX = 24
 """Side of a patch: three vector registers of eight pixels."""
 PITCH_PX = 32
-"""Distance of two lines of a patch or tile in memory, in pixels. The rest of each line is padding with the value 0, so
-that one loop can run over all lines at once."""
+"""Distance between the starts of two lines of a patch or tile in memory, in pixels.
+
+The rest of each line is filled with 0, so that one loop can run over all lines at once."""
 BINOMIAL = (20, 15, 6, 1)
-"""Weights of the blur in 64ths, from the centre outwards. The blur is close to a Gaussian with σ = 1.22 px, has whole
-numbers as weights, and removes the Nyquist frequency completely."""
+"""Weights of the blur, in 64ths, from the centre outwards.
+
+They are whole numbers, they are close to a Gaussian with σ = 1.22 px, and they remove the Nyquist frequency
+completely."""
 BLUR_REACH = 3
 """Number of pixels on each side of a pixel that the blur reads."""
 TAPS = 6
@@ -60,7 +63,7 @@ SINC = _sinc()
 """(FRACTIONS + 1, TAPS) weights of the sinc interpolation at the fractions 0 … 1 of a pixel. The error of the
 interpolation displaces blurred texture by 0.002 px."""
 KERNEL = _kernel()
-"""(1538,) weights of the sinc by the distance of a pixel."""
+"""(1538,) weights of the sinc, by distance from a pixel."""
 INSIDE = _in_lines(np.ones((WINDOW_PX, WINDOW_PX)))
 """(768,) 1 at the pixels of a patch and 0 in the padding of its lines."""
 ACROSS, DOWN = map(_in_lines, np.meshgrid(np.linspace(-1, 1, WINDOW_PX), np.linspace(-1, 1, WINDOW_PX)))

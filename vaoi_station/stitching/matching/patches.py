@@ -1,10 +1,10 @@
 """Match many small patches of two images at once, and estimate the accuracy of each match.
 
-Let g (2,) be the slopes of a patch in x and y at one pixel, Σ a sum over the pixels of the patch, H = Σ g·gᵀ, and B
-the blur. Let the noise before the blur be white with variance s². The covariance of a match is then
-H⁻¹·(s²·Σ (B g)(B g)ᵀ)·H⁻¹. The difference that remains between the two matched patches has the variance v² = s²·Σ B²,
-from which s² follows. The simpler estimate v²·H⁻¹ takes blurred noise for white noise, and overestimates the accuracy
-by a factor of 4 to 14.
+Let g (2,) be the slopes of a patch in x and y at one pixel, Σ a sum over the pixels of the patch, H = Σ g·gᵀ, and B the
+blur. Let the noise before the blur be white noise with variance s². The covariance of a match is then H⁻¹·(s²·Σ (B g)(B
+g)ᵀ)·H⁻¹. The difference that remains between the two matched patches has the variance v² = s²·Σ B², from which s²
+follows. The simpler estimate v²·H⁻¹ would treat blurred noise as white noise. Its variances are too small by a factor
+of 4 to 14.
 """
 
 from __future__ import annotations
@@ -26,13 +26,14 @@ PATCH_PX = WINDOW_PX + 10
 REACH_PX = 6.0
 """Largest distance of a match from its predicted position, in x and in y; a match further away is discarded."""
 _SETTLED_PX = 0.1
-"""Largest last step of a match that counts as converged. After a larger step, the score is that of another position."""
+"""A match has converged if its last step was at most this. After a larger step, its score belongs to another
+position."""
 _SATURATED_SHARE = 0.02
-"""Largest share of saturated pixels in a match; saturated pixels do not move with the texture."""
+"""Largest share of saturated pixels in a match; more would spoil it, because they do not move with the texture."""
 _NOISE_FLOOR = 0.5
-"""Smallest noise in grey levels that is assumed after the blur: pixels are rounded to whole numbers."""
+"""Smallest noise that is assumed after the blur, in grey levels: pixels are rounded to whole numbers."""
 _TINY = 1e-9
-"""Addend to the diagonal of s²·Σ (B g)(B g)ᵀ, so that this matrix can be inverted where it is 0."""
+"""Small addend to the diagonal of s²·Σ (B g)(B g)ᵀ, so that this matrix can be inverted even where it is 0."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +45,7 @@ class Matches:
     information: Floats
     """(k, 2, 2) inverse covariance of b_px, px⁻²."""
     sigma_px: Floats
-    """(k,) standard deviation of b_px in its least certain direction."""
+    """(k,) standard deviation of b_px in the direction in which it is largest."""
     score: Floats
     """(k,) correlation of the matched patches; 0 for a lost patch."""
     found: NDArray[np.bool_]

@@ -54,7 +54,7 @@ class PreparedFrame:
 
     @cached_property
     def factor(self) -> int:
-        """By how much `coarse` is reduced: 4, or a higher power of two in large frames."""
+        """Factor by which `coarse` is reduced: 4, or a higher power of two in large frames."""
         factor = 4
         while self.grey.shape[1] // (2 * factor) >= _COARSE_WIDTH_PX:
             factor *= 2
@@ -74,7 +74,7 @@ class PreparedFrame:
 
 
 class MaskedFrame(PreparedFrame):
-    """A frame of which coarse searches use a part only. Outside this part, `coarse` is 0, that is without texture."""
+    """A frame of which coarse searches use only a part. Outside this part `coarse` is 0, which means no texture."""
 
     def __init__(self, frame: PreparedFrame, polygon_px: Floats) -> None:
         """Create it from a frame and the corners (k, 2) of a convex part."""
@@ -93,7 +93,7 @@ class MaskedFrame(PreparedFrame):
 
     @cached_property
     def copies(self) -> dict[int, NDArray[np.uint8]]:
-        """The cache of `downsampled`, which is that of the frame."""
+        """The cache of `downsampled` of the whole frame."""
         return self._frame.copies
 
     @cached_property
@@ -124,13 +124,14 @@ def downsampled(frame: PreparedFrame, factor: int) -> NDArray[np.uint8]:
 def quarter_size(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Return the means of blocks of 4×4 pixels. Incomplete blocks at the right and at the bottom are left out.
 
-    This is the first time a frame is read from memory, so that the order of access determines the time. To read line
-    by line takes half the time of reading several lines at once, and a third of the time of two reductions by 2.
+    Here a frame is read from memory for the first time, so the order of access determines the time. Reading line by
+    line takes half as long as reading several lines at once, and a third as long as two reductions by 2.
     """
     h, w = image.shape[0] // 4, image.shape[1] // 4
     out, sums = np.empty((h, w), np.uint8), np.empty(4 * w, np.uint16)
     for y in range(h):
-        # four sums are added and divided by 16 below: a start of 2 in each adds 8, which rounds to the nearest
+        # Four sums are added and divided by 16 below. Each starts at 2; this adds 8 in total and so rounds to the
+        # nearest value.
         sums[:] = 2
         for k in range(4):
             line = image[4 * y + k, : 4 * w]
@@ -167,8 +168,7 @@ def resample(
         image: (h, w) grey levels.
         image_from_grid: (2, 3) affine map from pixels of the grid to pixels of the image.
         size: width and height of the part.
-        wide: width of the interpolation, ≥ 1: the size of a pixel of the grid in pixels of the image. Texture that the
-            grid cannot show is removed.
+        wide: size of a pixel of the grid in pixels of the image, at least 1. Texture finer than the grid is removed.
     """
     return read_only(_resample(read_only(image), np.ascontiguousarray(image_from_grid), size[0], size[1], wide))
 

@@ -1,23 +1,22 @@
-"""The inner loop of matching: find one patch of image a in image b with an accuracy of a few thousandths of a pixel.
+"""The inner loop of matching: find a patch of image a in image b to a few thousandths of a pixel.
 
-Both images are blurred around the patch, which removes most of the bias of the interpolation towards whole pixels. The
-position is then found by inverse-compositional Gauss-Newton with gain and offset. It starts with bilinear
-interpolation; once steps are short, it continues with a sinc of six points under a Kaiser window until it has
-converged.
+Both images are blurred around the patch. This removes most of the interpolation's bias towards whole pixels. The
+position is then found by inverse-compositional Gauss-Newton steps, with gain and offset. The first steps use bilinear
+interpolation. Once steps are short, they use a sinc of six points with a Kaiser window, until they converge.
 
 Let t be the patch of image a minus its mean, and s the window of image b at the current position. Let g be the slopes
 of the patch in x and y, made orthogonal to changes of light (see below), and H = g·gᵀ. Products are sums over all
 pixels. One step moves the window by H⁻¹·(g·s) / gain, where gain = (t·s) / (t·t).
 
-**Light.** Vignetting and the fall-off of a lamp make a patch brighter on one side; in image b this is often the other
-side. A blob of 5 px then seems to move by 0.01 to 0.02 px. The error is the same in all patches and does not average
-out. The slopes are therefore made orthogonal to four changes of light: an offset, a gain, and a gain that varies
-linearly in x or in y. The corresponding vectors are 1, t, t·x and t·y; the code takes the blurred pixels for t in the
-latter two.
+**Light.** Vignetting, and light that falls off to one side, make a patch brighter on one side. In image b this is often
+the opposite side. A round mark of 5 px then seems to move by 0.01 to 0.02 px. The error is the same in all patches and
+does not average out. Therefore the slopes are made orthogonal to four changes of light: an offset, a gain, and a gain
+that varies linearly in x or in y. The corresponding vectors are 1, t, t·x and t·y. For the last two, the code uses the
+blurred pixels in place of t.
 
-**Memory.** Patches and tiles are flat arrays whose lines lie `PITCH_PX` apart, so that one loop runs over all lines.
-The compiler turns such a loop into vector instructions, but not a loop over one line of 24 pixels. In every sum of
-products, at least one factor is 0 in the padding of the lines.
+**Memory.** Patches and tiles are flat arrays whose lines begin `PITCH_PX` apart, so that one loop runs over all lines.
+The compiler turns this loop into vector instructions, which it would not do for a loop over one line of 24 pixels. In
+every sum of products, at least one factor is 0 in the padding of the lines.
 """
 
 from __future__ import annotations
@@ -47,21 +46,23 @@ from vaoi_station.stitching.matching.tiles import Pixels, Plane, blur, cut, satu
 _MOST_TILES = 7
 """Largest number of tiles cut out of image b for one patch. Within each tile the window can move by 1.5 px."""
 MARGIN_PX = WINDOW_PX // 2 + TAPS // 2
-"""Smallest distance of a patch's centre from the border of either image. The blur reads further and repeats border
-pixels."""
+"""Smallest distance of a patch's centre from the border of either image.
+The blur reads further out; beyond the border it repeats the border pixels."""
 _MOST_STEPS, _NEAR_PX, _STILL_PX, _LONGEST_STEP_PX, _LEAST_GAIN = 12, 0.25, 0.01, 1.5, 1e-3
-"""Limits of the iteration. After a step below `_NEAR_PX` the sinc replaces bilinear interpolation. A step with the sinc
-below `_STILL_PX` is the last one. A step is cut to `_LONGEST_STEP_PX`. A patch is lost if its gain is below
+"""Limits of the iteration.
+After a step below `_NEAR_PX` the sinc replaces bilinear interpolation. A step with the sinc below `_STILL_PX` is the
+last one. Steps longer than `_LONGEST_STEP_PX` are shortened to it. A patch is lost if its gain is below
 `_LEAST_GAIN`."""
 _FOLLOWED, _FOLLOWED_SCORE = 4, 0.8
-"""The search for a patch starts at its guess plus the mean shift from the guess of about `_FOLLOWED` earlier patches
-whose score was at least `_FOLLOWED_SCORE`, because neighbouring patches move alike."""
+"""The search for a patch starts at its guess plus a mean correction, because neighbouring patches move alike.
+The correction is the mean shift from the guess of about `_FOLLOWED` earlier patches with a score of at least
+`_FOLLOWED_SCORE`."""
 _LEAST_CORNER = 1e-6
-"""Smallest det H / (trace H)² of a patch that is searched. Below it, the patch shows an edge only, which does not
-determine a point."""
+"""Smallest det H / (trace H)² of a patch that is searched.
+Below it, the patch shows only an edge, so that its position along the edge cannot be found."""
 _A_PX, _B_PX, _B_PITCH = WINDOW_PX + 2, 32, 40
-"""Sides of the tiles cut out of images a and b, and the pitch of the raw pixels of image b, which include the margin
-of the blur."""
+"""Sides of the tiles cut out of images a and b, and the pitch of the raw pixels of image b.
+That pitch includes the margin of the blur."""
 _B_FIRST = 4
 """Position in x and y of the window's first pixel in a tile that is newly cut out of image b."""
 _RAW_LINES, _PADDING, _TILE = 40, 6 * PITCH_PX, 34 * PITCH_PX
@@ -76,10 +77,10 @@ _Float = np.float32
 
 
 class Refinement(NamedTuple):
-    """k patches after the refinement: where each was found in the second image, and how well."""
+    """k patches after the refinement: the position of each in image b, and measures of its quality."""
 
     b_px: Floats
-    """(k, 2) centres of the patches in image b; the guess if the patch has too little texture to be searched."""
+    """(k, 2) centres of the patches in image b; for a patch with too little texture to be searched, its guess."""
     hessian: Floats
     """(k, 2, 2) the matrices H = g·gᵀ, grey levels² / px²."""
     blurred: Floats
@@ -87,7 +88,7 @@ class Refinement(NamedTuple):
     score: Floats
     """(k,) correlation of the matched patches; 0 for a lost patch."""
     scatter: Floats
-    """(k,) rms of the difference that remains between the matched patches, grey levels."""
+    """(k,) rms of the difference between the two matched patches, grey levels."""
     last_step_px: Floats
     """(k,) larger component of the last step; infinite if the patch was lost."""
     saturated: Floats
@@ -117,14 +118,15 @@ def refine(  # noqa: PLR0915  (one loop over patches whose parts are inlined)
     t, tx, ty = np.zeros(_SIZE, _Float), np.zeros(_SIZE, _Float), np.zeros(_SIZE, _Float)
     patch, factor, lines, soft = (t, gx, gy, tx, ty), np.zeros((4, 4)), np.zeros(_TILE, _Float), np.zeros(_TILE, _Float)
     lead_x, lead_y, followed = 0.0, 0.0, 0
-    # `one` is always 1. The compiler does not know that; it would unroll copies of constant length byte by byte
+    # `one` is always 1, but the compiler does not know it. Otherwise it would unroll copies of constant length byte by
+    # byte.
     further, one = reach_px + _LONGEST_STEP_PX, corners.shape[1] // 2
     for k in range(len(corners)):
         x0, y0 = corners[k, 0] - _LEFT - 1, corners[k, 1] - _LEFT - 1
         cut(a, x0 - BLUR_REACH, y0 - BLUR_REACH, raw, _A_PX, PITCH_PX, PITCH_PX * one)
         blur(raw, half_way, tile_a, _A_PX, PITCH_PX, 0.0)
         last_step_px[k], saturated[k] = np.inf, saturated_share(raw, _A_PX, PITCH_PX, BLUR_REACH + 1, BLUR_REACH + 1)
-        # a patch with too little texture keeps its guess
+        # A patch with too little texture keeps its guess.
         b_px[k] = guess_px[k]
         mean, tt, xx, xy, yy = _template(tile_a, patch, factor)
         hessian[k, 0, 0], hessian[k, 0, 1], hessian[k, 1, 0], hessian[k, 1, 1] = xx, xy, xy, yy
@@ -132,7 +134,7 @@ def refine(  # noqa: PLR0915  (one loop over patches whose parts are inlined)
         if determinant <= _LEAST_CORNER * (xx + yy) ** 2 + _LEAST_CORNER:
             continue
         ixx, ixy, iyy = yy / determinant, -xy / determinant, xx / determinant
-        # from here on, a position is that of the window's first pixel, not of its centre
+        # From here on, a position is that of the window's first pixel, not of its centre.
         first_x, first_y = guess_px[k, 0] - _LEFT - 0.5, guess_px[k, 1] - _LEFT - 0.5
         px, py, tiles, near, lost = first_x + lead_x, first_y + lead_y, 0, False, True
         s1 = st = sx = sy = ss = su = sv = ex = ey = length = 0.0
@@ -148,12 +150,12 @@ def refine(  # noqa: PLR0915  (one loop over patches whose parts are inlined)
                 s1, st, sx, sy, ss, su, sv = _sharp(tile_b, px - x0, py - y0, patch, lines)
             else:
                 st, sx, sy = _bilinear(tile_b, px - x0, py - y0, patch)
-            # the window has no contrast or an inverted one: the step would be divided by a gain near 0 or below
+            # The window has no contrast, or an inverted one: the step would be divided by a gain near 0 or below 0.
             if st <= _LEAST_GAIN * tt:
                 break
             ex, ey = (ixx * sx + ixy * sy) * tt / st, (ixy * sx + iyy * sy) * tt / st
             length = max(abs(ex), abs(ey))
-            # the linearisation overshoots far from the solution: long steps are shortened
+            # Far from the solution, the linear approximation gives steps that are too long: they are shortened.
             share = min(1.0, _LONGEST_STEP_PX / max(length, 1e-9))
             px, py = px - ex * share, py - ey * share
             if max(abs(px - first_x), abs(py - first_y)) > further or not _within(px, py, b):
@@ -183,7 +185,7 @@ def refine(  # noqa: PLR0915  (one loop over patches whose parts are inlined)
 def _agreement(
     factor: Floats, tt: float, sums: tuple[float, float, float, float, float, float, float], ex: float, ey: float
 ) -> tuple[float, float]:
-    """Return correlation and scatter after the last step (ex, ey), from the sums of `_sharp` before this step."""
+    """Return correlation and scatter after the last step (ex, ey); `sums` are those of `_sharp` before this step."""
     s1, st, sx, sy, ss, su, sv = sums
     v0, v1, v2, v3 = _halfway(factor, s1, st, su, sv)
     gain = st / tt
@@ -194,7 +196,7 @@ def _agreement(
 
 @inlined
 def _outside(dx: float, dy: float) -> bool:
-    """Whether a window with its first pixel at (dx, dy) of a tile, with the reach of the sinc, exceeds the tile."""
+    """Whether a window whose first pixel is (dx, dy) of a tile extends beyond the tile, margin of the sinc included."""
     low, high = TAPS // 2 - 1, _B_PX - WINDOW_PX - TAPS // 2 + 1
     return not (low <= dx < high and low <= dy < high)
 

@@ -1,8 +1,8 @@
-"""Link rows again between which the belt moved otherwise than its nominal speed says: slower, faster, or not at all.
+"""Link rows again if the belt moved between them at another speed than its nominal one, or stood still.
 
-The links of a run are searched near the nominal motion, frame by frame, as the frames arrive. Where those of two
-consecutive rows are too few or disagree, the motion is searched here in its whole range, for all cameras together, and
-the rows are linked around the motion found. A run whose belt keeps its speed is not changed.
+While frames arrive, links are searched near the nominal motion, frame by frame. If the links of two consecutive rows
+are too few or do not agree, the motion is searched here in its whole range, for all cameras together. The rows are then
+linked around the motion found. A run in which the belt keeps its speed is not changed.
 """
 
 from __future__ import annotations
@@ -29,20 +29,24 @@ from vaoi_station.stitching.matching.scene import Scene
 from vaoi_station.stitching.matching.static_texture import STATIC_PX, shows_patches, static_corners
 
 _AGREE_MM = 0.5
-"""Largest distance from the median at which links of two rows agree. Parts that lean, and turns, cause it."""
+"""Largest distance from the median at which links of two rows agree. Turns, and components that lean, cause it."""
 _CERTAIN, _SHARE = 24, 0.4
-"""Number of agreeing links, and share of the tried corners, from which on a motion found is certain."""
+"""Number of agreeing links, and their share of the tried corners, from which on a motion is certain."""
 _FEW, _MOST = 8, 0.6
-"""The same where an overlap has few corners: at least `_FEW` links, of at least the share `_MOST` of the corners.
-Links near the nominal motion of at least this number and share need no search: pins of parts and other periodic
-texture reached the share 0.3 at a wrong motion, where the right one reached 0.9."""
+"""The same where an overlap has few corners: at least `_FEW` links, and at least the share `_MOST` of the corners.
+
+Links near the nominal motion need no search if they reach this number and share. Pins of components and other periodic
+texture reached a share of 0.3 at a wrong motion; the correct motion reached 0.9."""
 _BETTER = 2.0
-"""By which factor the agreeing links around a motion found must outnumber those around the nominal motion."""
+"""Least ratio of the agreeing links around a new motion to those around the nominal motion."""
 _REST_MM = 1.0
-"""Motion between two rows up to which the board counts as at rest. The scene's static structure is then excluded."""
+"""The board counts as at rest if its motion between two rows is at most this. Texture that stands still is then
+removed."""
 _NEAR_PX, _CONTINUES = 4.0, 0.2
-"""A patch at rest moves on with the board if it shows within `_NEAR_PX` px of its place after the motion of the next
-row. The texture at rest is the board's if at least the share `_CONTINUES` of its patches do."""
+"""Limits by which texture at rest is recognised as the board's, because the board moves on later.
+
+A patch continues if it appears within `_NEAR_PX` px of its place after the motion of the next row. At least the share
+`_CONTINUES` of the patches must do so."""
 
 
 class RowLinks(NamedTuple):
@@ -58,29 +62,29 @@ class RowLinks(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _Found:
-    """A motion between two rows that was tried, with the links of all cameras that were searched near it."""
+    """A motion between two rows that was tried, with the links of all cameras found near it."""
 
     motion_mm: Floats
     links: tuple[Links, ...]
     agreeing: int
     ambiguous: bool = False
-    """Whether another motion fits as well, because the pattern repeats itself."""
+    """Whether another motion fits as well because of a repeated pattern."""
     repeated: bool = False
-    """Whether the pattern of a camera repeats itself, so that its coarse search is no evidence."""
+    """Whether a camera sees a repeated pattern, so that its coarse search is no evidence."""
     still: int = 0
     """Number of the tried corners that both rows show in the same place."""
 
     @property
     def certain(self) -> bool:
-        """Whether so large a share of the links agrees that false links cannot explain it."""
+        """Whether the share of agreeing links is so large that false links cannot explain it."""
         return _certain(self.agreeing, max(sum(e.tried for e in self.links) - self.still, self.agreeing))
 
     def agreeing_with(self, other: _Found) -> bool:
-        """Whether these links are at least as many around the motion of another search."""
+        """Return whether this motion is that of another search too, with at least as many agreeing links."""
         return self.agreeing >= other.agreeing and float(np.hypot(*(self.motion_mm - other.motion_mm))) <= APART_MM
 
     def marked(self) -> _Found:
-        """Return the same with links that say that another motion fits as well."""
+        """Return a copy in which every `Links` states that another motion fits as well."""
         return replace(self, links=tuple(replace(e, ambiguous=True) for e in self.links), ambiguous=True)
 
     @property
@@ -90,7 +94,7 @@ class _Found:
 
 @dataclass(frozen=True, eq=False)
 class _Relinker:
-    """The frames of a run, and what is known about the motion between its rows."""
+    """The frames of a run, and the motion between its rows as far as it is known."""
 
     scene: Scene
     velocity_mm_s: Floats
@@ -98,7 +102,8 @@ class _Relinker:
     rows: tuple[int, ...] = ()
     """Rows with frames, sorted."""
     step_mm: dict[tuple[int, int], Floats] = field(default_factory=dict)
-    """Motion between consecutive rows with frames: as found, by links near the nominal one, else the nominal one."""
+    """Motion between consecutive rows with frames: the one found, else that of links near the nominal motion, else the
+    nominal one."""
 
     def pairs(self, p: int, q: int, motion_mm: Floats) -> list[tuple[Task, FramePair]]:
         """Return the tasks that link rows p and q, camera by camera, with their frames."""
@@ -115,7 +120,7 @@ class _Relinker:
         return self.counted(motion_mm, tuple(link_rows(task, pair) for task, pair in self.pairs(p, q, motion_mm)))
 
     def settle(self, links: Sequence[Links], p: int, q: int) -> _Found | None:
-        """Return the links of rows p and q around the likeliest motion that a repeated pattern allows.
+        """Return the links of rows p and q around the most likely motion among those that a repeated pattern allows.
 
         Return None if only one motion fits and all cameras have found it.
         """
@@ -159,15 +164,15 @@ class _Relinker:
             if one.certain and one.agreeing >= _BETTER * before:
                 found.append(one)
         if any(one.at_rest for one in found):
-            # Texture that stands still may be that of the belt or of its frame, and outweigh a board that moves.
+            # Texture that stands still may belong to the belt or its frame. It may outweigh a board that moves.
             found += self._search_moving(p, q, before, pairs)
         return sorted(found, key=lambda one: -one.agreeing)
 
     def _search_moving(self, p: int, q: int, before: int, pairs: Sequence[tuple[Task, FramePair]]) -> list[_Found]:
-        """Search the motion of what does not stand still between rows p and q."""
+        """Search the motion of everything that does not stand still between rows p and q."""
         found = []
         for motion in candidate_motions([pair for _, pair in pairs], moving=True):
-            # A search for the shift of each pair of frames would find texture that stands still.
+            # A separate search for each camera would find the texture that stands still.
             here = self.pairs(p, q, motion)
             one = self.counted(motion, tuple(link_in_place(task, pair) for task, pair in here))
             still = sum(static_corners(pair) for _, pair in here)
@@ -177,9 +182,10 @@ class _Relinker:
         return found
 
     def continues(self, group: Sequence[tuple[int, int]]) -> bool | None:
-        """Return whether texture at rest moves along before or after the rest, as that of a board does.
+        """Return whether texture at rest moves on before or after the rest, as the texture of a board does.
 
-        Texture of the belt's frame does not, and the board may cover it meanwhile. None if too little is in view.
+        Texture of the belt's frame does not move; meanwhile the board may cover it. Return None if too little of it is
+        in view.
         """
         first, last = self.rows.index(group[0][0]), self.rows.index(group[-1][1])
         tested = shown = 0
@@ -200,7 +206,7 @@ class _Relinker:
         return shown >= max(_FEW / 2, _CONTINUES * tested)
 
     def _moved_on(self, camera: int, rows: tuple[int, int], px: Floats, motion_mm: Floats) -> tuple[int, int]:
-        """Return how many of the patches at `px` (k, 2) of a row another row shows after a motion, and of how many."""
+        """Return how many patches at `px` (k, 2) of a row another row shows after a motion, and how many were tried."""
         present = set(self.scene.present)
         if not len(px) or (camera, rows[1]) not in present:
             return 0, 0
@@ -210,7 +216,7 @@ class _Relinker:
         return int(shows.sum()), int(inside.sum())
 
     def without_static(self, one: _Found, outside: Sequence[int]) -> _Found:
-        """Remove the links of texture that stays in its place in a row of `outside`: it is not on the board."""
+        """Remove links of texture that has the same place in a row of `outside`: such texture is not on the board."""
         present = set(self.scene.present)
         kept = []
         for e in one.links:
@@ -227,7 +233,7 @@ class _Relinker:
 def relink_rows(
     links: Sequence[Links], measured: RowLinks, scene: Scene, velocity_mm_s: Floats, times_s: Floats
 ) -> tuple[Links, ...]:
-    """Return the links of a run, searched again between rows between which the belt did not move as nominal.
+    """Return the links of a run, searched again between rows between which the motion differs from the nominal one.
 
     Args:
         links: all links of the run near the nominal motion, sorted by task; those between cameras are not changed.
@@ -249,7 +255,7 @@ def relink_rows(
                 camera = e.task.a[0]
                 a, b = scene.prepared(e.task.a), scene.prepared(e.task.b)
                 pair = FramePair(a, b, scene.cameras[camera], scene.cameras[camera], motion)
-                # A coarse search would find the repeated pattern at another place again.
+                # With a repeated pattern, a coarse search would find another place again.
                 repeated = any(step in found and found[step].repeated for step in steps)
                 new[e.task[:3]] = (link_in_place if repeated else link_rows)(e.task, pair)
     kept = [e for e in links if e.task[:3] not in new]
@@ -286,7 +292,7 @@ def _find_steps(run: _Relinker, links: Sequence[Links], measured: RowLinks) -> d
 
 
 def _likeliest(options: Sequence[_Found], nominal_mm: Floats) -> _Found | None:
-    """Return that of the motions with similarly many links which is nearest to the nominal one; None without any."""
+    """Return the motion nearest to the nominal one among those with similarly many links; None if there is none."""
     most = max((one.agreeing for one in options), default=0)
     if not most:
         return None
@@ -302,11 +308,11 @@ def _exclude_static(
     found: dict[tuple[int, int], _Found],
     candidates: Mapping[tuple[int, int], list[_Found]],
 ) -> None:
-    """Remove the links of the scene's static structure from rows at rest; what remains decides whether they rest.
+    """Remove links of texture that stands still from rows at rest; the remaining links decide whether the board rests.
 
-    The belt's frame, a bed with texture, and reflections of the LEDs are in the same place in every row; the board is
-    not: its texture moves on before or after the rest. A board that rests from the first row to the last one cannot be
-    distinguished from them. It is taken as a board, unless anything else in these rows moves.
+    The belt's frame, a bed with texture, and reflections of the LEDs are at the same place in every row. The texture of
+    a board moves on before or after the rest. A board that rests from the first row to the last cannot be distinguished
+    from them: its texture is taken as that of a board, unless something else in these rows moves.
     """
     first, last = run.rows.index(group[0][0]), run.rows.index(group[-1][1])
     outside = [*run.rows[max(first - 1, 0) : first], *run.rows[last + 1 : last + 2]]
@@ -359,7 +365,7 @@ def _agreeing(motion_mm: Floats) -> int:
 
 
 def _certain(agreeing: int, tried: int) -> bool:
-    """Return whether false links to similar texture cannot explain that number of agreeing links."""
+    """Return whether false links to similar texture cannot explain this number of agreeing links."""
     return (agreeing >= _CERTAIN and agreeing >= _SHARE * tried) or (agreeing >= _FEW and agreeing >= _MOST * tried)
 
 

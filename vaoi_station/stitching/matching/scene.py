@@ -20,4 +20,4 @@ class Scene:
     prepared: Callable[[FrameKey], PreparedFrame]
     """A function that returns the prepared frame of a camera and row, and raises LookupError if it is missing."""
     doubts: tuple[str, ...] = ()
-    """What was doubtful when the frames were taken (`RecordingHead.doubts`)."""
+    """Doubts about the frames that arose when they were recorded (`RecordingHead.doubts`)."""

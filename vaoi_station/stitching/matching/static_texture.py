@@ -1,4 +1,4 @@
-"""Whether two frames show the same texture in the same place, or at a known distance from it."""
+"""Detection of texture that two frames show in the same place, or at a known distance from it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from vaoi_station.stitching.matching.link import choose_corners
 from vaoi_station.stitching.matching.patches import inside_both, match_patches, patch_centres
 
 STATIC_PX = 1.5
-"""Largest distance in px between the places of texture that stands still: noise, and vibration of the cameras."""
+"""Largest distance in px between two places that count as the same: noise, and vibration of the cameras."""
 _SAME_SCORE = 0.8
 """Least correlation of two patches that show the same texture."""
 
@@ -20,7 +20,7 @@ def shows_patches(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return (k,) whether image b shows the patches of image a, centred at a_px (k, 2), near b_px (k, 2).
 
-    The second value is whether image b could show each of them, because the place lies inside it.
+    The second returned value is (k,) whether the place lies inside image b, so that the patch could be found.
     """
     corners, (shown, tested) = np.rint(a_px - 0.5).astype(np.int64), np.zeros((2, len(a_px)), dtype=np.bool_)
     inside, guess = inside_both(a.shape, b.shape, corners, patch_centres(corners) + b_px - a_px)
@@ -34,7 +34,7 @@ def shows_patches(
 
 
 def static_corners(pair: FramePair) -> int:
-    """Return how many corners of the overlap of two frames both show in the same place."""
+    """Return how many corners in the overlap of two frames appear in the same place in both frames."""
     box = pair.overlap()
     if box is None:
         return 0

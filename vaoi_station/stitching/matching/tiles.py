@@ -25,8 +25,8 @@ def cut(image: Pixels, x0: int, y0: int, raw: Pixels, size: int, pitch: int, wid
     """Copy the raw pixels for a tile of side `size` from an image to `raw`, a flat array with lines `pitch` apart.
 
     The square of raw pixels begins at (x0, y0) of the image and is larger than the tile by `BLUR_REACH` on every side.
-    Outside the image, border pixels are repeated. `wide` equals `pitch`; it is a variable because the compiler unrolls
-    a copy of constant length byte by byte.
+    Outside the image, border pixels are repeated. `wide` equals `pitch`, but is not a constant for the compiler, which
+    would unroll a copy of constant length byte by byte.
     """
     h, w = image.shape
     side = size + 2 * BLUR_REACH
@@ -54,7 +54,8 @@ def blur(raw: Pixels, half_way: Plane, out: Plane, size: int, pitch: int, less: 
     for n in range(size * p):
         near = w1 * (raw[n + 2 * p] + raw[n + 4 * p]) + w2 * (raw[n + p] + raw[n + 5 * p])
         half_way[n] = np.uint16(w0 * raw[n + 3 * p] + near + w3 * (raw[n] + raw[n + 6 * p]))
-    # 4096 = 64²: the weights of both directions are in 64ths. The sum down was exact; only these products round
+    # 4096 = 64²: the weights of both directions are in 64ths. The sum down the columns was exact; only these products
+    # round.
     v0, v1, v2, v3 = _Float(w0 / 4096), _Float(w1 / 4096), _Float(w2 / 4096), _Float(w3 / 4096)
     constant = _Float(less)
     for y in range(size):
@@ -67,7 +68,7 @@ def blur(raw: Pixels, half_way: Plane, out: Plane, size: int, pitch: int, less: 
 @inlined
 def saturated_share(raw: Pixels, size: int, pitch: int, x0: int, y0: int) -> float:
     """Return the share of saturated pixels in the window whose first pixel is (x0, y0) of the raw pixels of a tile."""
-    # most tiles have no saturated pixel: a maximum, which the compiler vectorises, shows that without counting
+    # Most tiles have no saturated pixel. Their maximum, a vectorised loop, shows this without counting.
     brightest = np.uint8(0)
     for n in range((size + 2 * BLUR_REACH) * pitch):
         brightest = max(brightest, raw[n])

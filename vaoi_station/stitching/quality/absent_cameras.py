@@ -16,7 +16,7 @@ from vaoi_station.stitching.matching.scene import Scene
 def absent_camera_reasons(
     scene: Scene, plane: BoardPlane | None, expectation: Expectation, motion: Motion
 ) -> list[Reason]:
-    """Return a reason for each camera without a good frame, naming the fiducials that only this camera would show.
+    """Return one reason for each camera without a good frame; it names the fiducials that only this camera would show.
 
     Args:
         scene: the cameras and the complete frames.
@@ -55,7 +55,7 @@ def expected_fiducials(plane: BoardPlane, scene: Scene, expectation: Expectation
     turn = np.array([scale * np.cos(angle), scale * np.sin(angle), 0.0, 0.0])
     low, high = plane.board_type.extent()
     corners = plane.flat(np.array([(low[0], low[1]), (high[0], low[1]), (high[0], high[1]), (low[0], high[1])]))
-    # The expectation states the lowest x and y of the rotated board, for any rotation.
+    # For every rotation, the expectation holds the lowest x and y of the board as it lies, that is, after the rotation.
     shift = np.array((x, y)) - apply_similarity(turn, corners).min(0)
     return np.asarray(apply_similarity(turn, plane.fiducials) + shift)
 

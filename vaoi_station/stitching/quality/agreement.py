@@ -15,24 +15,28 @@ from vaoi_station.stitching.board.outline import OutlineShift
 
 _FIDUCIAL_LIMIT_PX = 0.30
 _SCALE_LIMIT = 5e-4
-"""Largest relative scale error. Laminate stays below it, but a fiducial off its CAD position may exceed it."""
+"""Largest accepted scale error, relative. Laminate stays below it; a wrong position of a fiducial may exceed it."""
 _SURFACE_LIMIT = 4.0
-"""Largest tilt, twist and bow, in prior standard deviations.
+"""Largest accepted tilt, twist and bow of the board's surface, in standard deviations of their prior.
 
-A fiducial off its CAD position bends the computed surface instead of leaving a residual."""
+A fiducial that is not at its CAD position bends the computed surface instead of leaving a residual."""
 _SURFACE_LIMIT_TOGETHER = 5.6
-"""Largest root of the sum of squares of tilt, twist and bow in prior standard deviations: 1 of 10⁵ boards exceeds it.
-Three fiducials leave no residual: an error of one of them becomes a little of each."""
+"""Largest accepted root of the sum of squares of tilt, twist and bow, each in standard deviations of its prior.
+
+Of correct boards, 1 in 10⁵ exceeds it. With three fiducials there are no residuals: an error of one fiducial appears as
+a mixture of tilt, twist and bow."""
 _LAMINATE, _ARTWORK_MM = 3e-4, 0.01
-"""Standard deviations of a board's relative scale and of a fiducial's position, in the search for a wrong fiducial."""
+"""Standard deviations of a board's relative scale and of a fiducial's position (mm), in the search for a wrong
+fiducial."""
 _PLAINLY = 4.0
-"""Least factor between the misfit without any other fiducial and the misfit without the wrong fiducial."""
+"""A fiducial is named as wrong only if leaving out any other fiducial gives a χ² that is larger by at least this
+factor."""
 
 
 def fiducial_reasons(
     plane: BoardPlane, adjusted: AdjustmentResult, points: FiducialPoints | None, moved: Motion, px_per_mm: float
 ) -> list[Reason]:
-    """List the reasons if fiducials do not fit the CAD data: residuals, scale, surface, and the wrong fiducial.
+    """Return a reason for each disagreement between fiducials and CAD data: residuals, scale, surface, wrong fiducial.
 
     Args:
         plane: plane of the board type.
@@ -54,14 +58,14 @@ def fiducial_reasons(
     if abs(scale) > _SCALE_LIMIT:
         out.append(_scale_reason(plane, scale, px_per_mm))
     out += _surface_reasons(adjusted.surface_mm)
-    # The wrong fiducial is searched only if another check fails, since good data contain no wrong fiducial.
+    # A wrong fiducial is searched only if another check fails, since correct data contain none.
     if out:
         out += _wrong_fiducial(plane, {n: place for n, (place, _) in seen.items()}, px_per_mm)
     return out
 
 
 def uncertain_detections(plane: BoardPlane, points: FiducialPoints | None, limit_px: float) -> str:
-    """Return a clause that names the fiducials whose best detection is less precise than a limit; empty if none."""
+    """Return a clause that names fiducials whose best detection has a σ above a limit (px); empty if none."""
     if points is None:
         return ""
     sigma_px = points.sigma_mm * points.px_per_mm
@@ -76,7 +80,7 @@ def uncertain_detections(plane: BoardPlane, points: FiducialPoints | None, limit
 
 
 def outline_reasons(shift: OutlineShift | None, px_per_mm: float) -> list[Reason]:
-    """List the reasons if the outline is shifted or turned against the position that the fiducials predict."""
+    """Return a reason if the outline is shifted or turned against the position that the fiducials predict."""
     if shift is None:
         return []
     out = []
@@ -105,7 +109,7 @@ def outline_reasons(shift: OutlineShift | None, px_per_mm: float) -> list[Reason
 
 
 FiducialPlaces = dict[int, tuple[Floats, float]]
-"""For each number of a fiducial: its position and the mean length of its residuals in the adjustment (px).
+"""For each fiducial, by its index in the board type: its position, and the mean length of its residuals (px).
 
 The position is in tester mm. It is computed for a flat board, with the motion of the rows from links alone."""
 
@@ -113,7 +117,8 @@ The position is in tester mm. It is computed for a flat board, with the motion o
 def _places(adjusted: AdjustmentResult, points: FiducialPoints | None, moved: Motion) -> FiducialPlaces:
     if points is None:
         return {}
-    # Only the lift of the surface is used. A fiducial off its CAD position bends the other terms, which would hide it.
+    # Of the surface only the lift is used: a fiducial that is not at its CAD position bends the other terms, which
+    # would hide its error.
     lift = adjusted.surface_mm[0] if len(adjusted.surface_mm) else 0.0
     place = moved.board(points.row, points.ground_mm) + moved.turned(points.row, points.lean) * lift
     off_px = np.hypot(*adjusted.fiducial_px.T)
@@ -145,13 +150,13 @@ def _surface_reasons(surface_mm: Floats) -> list[Reason]:
 
 
 def _wrong_fiducial(plane: BoardPlane, places: dict[int, Floats], px_per_mm: float) -> list[Reason]:
-    """Return a reason that names the one fiducial which contradicts the others; none for fewer than three fiducials."""
+    """Return a reason that names the one fiducial that contradicts all others; none for fewer than three fiducials."""
     if len(places) < 3:
         return []
     without = {n: _fit_without(n, plane, places) for n in places}
     costs = sorted((cost, n) for n, (cost, _) in without.items())
     (best, n), (second, _) = costs[0], costs[1]
-    # A fiducial is named only if the result is clear: a wrong name would send the engineer to a correct fiducial.
+    # A fiducial is named only if the result is clear: otherwise the engineer would search for a fault in a correct one.
     if second < _PLAINLY * max(best, 1.0):
         return []
     off_mm, name = without[n][1], plane.board_type.fiducials[n].name
@@ -165,7 +170,7 @@ def _wrong_fiducial(plane: BoardPlane, places: dict[int, Floats], px_per_mm: flo
 
 
 def _fit_without(n: int, plane: BoardPlane, places: dict[int, Floats]) -> tuple[float, float]:
-    """Fit all fiducials but number n; return χ² of the fit and its scale, and the error of fiducial n in mm."""
+    """Fit C to all fiducials but number n; return χ² of fit and scale, and the distance (mm) of n from its place."""
     # Flat coordinates have the handedness of tester coordinates, so the fit never mirrors.
     others = [k for k in places if k != n]
     cad, board = plane.fiducials, np.array([places[k] for k in others])

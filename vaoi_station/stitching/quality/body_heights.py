@@ -1,19 +1,22 @@
-"""Choose which links lie on the body of a component, and estimate its height from them.
+"""Decide which links lie on the body of a component, and estimate the height of the body from them.
 
-A footprint holds a body, leads, pads and bare board, and each link on it may lie on any of them. The extent of the body
-inside the footprint is unknown. A hypothesis is a rectangle for the extent, and a height H. It sorts the links by their
-patches:
+The footprint of a component covers its body, its leads, pads and bare board. A link on the footprint may lie on any of
+these. How much of the footprint the body covers is not known. Therefore many hypotheses are compared. Each hypothesis
+states the *extent* of the body, a rectangle inside the footprint, and its height H. The extent sorts the links:
 
-- *inside* the extent: the link measures H; seldom a place below the top, such as an opening of a connector;
-- *outside*: the link measures the board, seldom a lead, which lies between the board and H;
-- *across* its edge: the link measures a mixture, so any value from 0 to H. All links on one edge measure similar
-  mixtures. A value on which they agree is therefore no evidence, and their likelihood is a constant.
+- *inside*: the link's patch lies wholly in the extent. The link measures H. In rare cases it measures a place below the
+  top, such as an opening in a connector.
+- *outside*: the patch lies wholly beside the extent. The link measures the board. In rare cases it measures a lead, at
+  a height between 0 and H.
+- *across*: the patch lies on an edge of the extent. The link measures a mixture of body and board: any value from 0 to
+  H. Several links on the same edge give similar mixtures, so their agreement is no evidence of a height. Their
+  likelihood is therefore the same for all values from 0 to H.
 
-Any link may be an outlier. The heights H are those on which links agree, H = 0 (no body), and "none of these": the body
-has a height that no link measures. The evidence of each is the sum over all extents, weighted by their likelihood. A
-height is estimated only if its probability reaches `_SURE`. Otherwise the links do not decide which of them lie on the
-body, and the height is unknown. In particular, a component is without body only if links lie at the level of the board
-where every extent has the body.
+Each link may also be an outlier. Three kinds of H are compared: 0 (the component has no body), each height on which
+several links agree, and "none of these" (a height that no link measures). The evidence for an H is the sum of the
+likelihoods of all its extents. Divided by the sum for all H, it is the probability of H. A height is reported only if
+its probability is at least `_SURE`. Otherwise the height is unknown. So a component is reported as without body only if
+links that are inside every probable extent measure the level of the board.
 """
 
 from __future__ import annotations
@@ -28,42 +31,51 @@ from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.adjustment.observations import Ints
 
 _REACHES = (0.4, 0.52, 0.64, 0.76, 0.88, 1.0)
-"""Possible distances of an edge of the body from the centre of the footprint, as a share of half the footprint. The
-body of an SOT-23 has 0.42, those of leaded circuits 0.64 to 0.84, a block that fills its footprint 1."""
+"""Possible distances from the centre of the footprint to an edge of the body, as shares of half the footprint.
+
+Typical values: 0.42 for a SOT-23, 0.64 to 0.84 for integrated circuits with leads, 1 for a block that fills its
+footprint."""
 _REACH_PRIORS = (0.3, 0.6, 1.0, 1.0, 1.0, 1.5)
 """Relative prior probability of each of `_REACHES`."""
 _OUTLIER, _INSIDE, _WIDE, _BELOW = 0.05, 0.84, 0.03, 0.05
-"""Prior probability of an outlier. Of a link inside the extent: to measure H, to measure it with three times its error,
-and to measure a place below the top."""
+"""Prior probabilities: that a link is an outlier; that a link inside the extent measures H with its stated error, that
+it measures H with three times that error, and that it measures a place below the top."""
 _OUTSIDE, _LEAD, _ACROSS = 0.85, 0.10, 0.5
-"""Of a link outside the extent: to measure the board, and to measure a lead. For a link across an edge, its likelihood
-relative to the largest one of a measured height; with 0.5 it is about the mean likelihood of a link that measures H."""
+"""Prior probabilities that a link outside measures the board, or a lead; likelihood of a link across an edge.
+
+The latter is relative to the largest likelihood of a link that measures a height. 0.5 is about the mean likelihood of a
+link that measures H."""
 _FLAT_PRIOR, _RANGE_MM, _WIDTH_MM = 0.1, 5.0, 0.05
-"""Prior probability of no body. Other heights have a constant density over `_RANGE_MM`; those within `_WIDTH_MM` of one
-another count as one."""
+"""Prior probability of no body; range over which all other heights are equally probable; width of one height.
+
+Two heights that differ by less than `_WIDTH_MM` count as the same height."""
 _FLAT_MM = 0.06
-"""Heights below this are not distinguished from 0."""
+"""Heights below this count as 0."""
 _AGREE = 2.5
-"""Largest difference between two heights that agree, in standard deviations."""
+"""Two heights agree if they differ by at most this, in standard deviations of their difference."""
 _SCATTER_MM = 0.006
-"""Standard deviation of the height over one body, since bodies are not flat."""
+"""Standard deviation of the height from place to place on one body: bodies are not exactly flat."""
 _MOST_HEIGHTS = 8
-"""Largest number of heights that are compared for one component, 0 included."""
+"""Largest number of heights that are compared for one component; the height 0 is one of them."""
 _SURE = 0.99
-"""Least probability of a height that is estimated."""
+"""Least probability of a height that is reported."""
 _LEAST_LINKS = 2
-"""Least number of links on a body of which a height is estimated."""
+"""Least number of links on a body; with fewer, its height is unknown."""
 _ELSEWHERE_MM = 1.0
-"""Distance from the estimated height to the unknown one, by which the probability of "none of these" enters σ."""
+"""Assumed error of the estimated height if "none of these" is true.
+
+Its square, times the probability of "none of these", is added to the variance."""
 _SCALE = 0.002
-"""Relative standard deviation of the working distance, 1 mm at 483 mm. All heights scale with the working distance."""
+"""Relative standard deviation of the working distance: 1 mm at 483 mm.
+
+All heights are proportional to the working distance, so they have the same relative error."""
 _PEAK = math.sqrt(2 * math.pi)
 
 
 def _edges() -> Floats:
-    """Return the extents of a body along one axis (k, 3): reach below the centre, reach above it, prior probability.
+    """Return the extents of a body along one axis, (k, 3): reach below the centre, reach above it, prior probability.
 
-    The body is centred in its footprint, or off the centre by one step of `_REACHES`.
+    A reach is a share of half the footprint. The two reaches are equal, or differ by one step of `_REACHES`.
     """
     number = range(len(_REACHES))
     table = [
@@ -79,20 +91,21 @@ _EDGES = _edges()
 
 
 class BodyLinks(NamedTuple):
-    """The k links by which heights of components are estimated, ordered by component, then by pair of frames."""
+    """The k links on components, ordered by component, then by pair of frames."""
 
     mm: Floats
-    """(k,) height above the board's surface."""
+    """(k,) height above the board's surface that each link measures."""
     sigma_mm: Floats
     """(k,) standard deviation of the height."""
     shared_mm: Floats
-    """(k,) the part of the height's error that all links of the same pair of frames share."""
+    """(k,) part of the height's standard deviation that all links of one pair of frames have in common."""
     pair: Ints
-    """(k,) index of the pair of frames; −1 for all pairs of two cameras, which have the same error in every row."""
+    """(k,) index of the pair of frames. It is −1 for pairs of frames of two cameras, which have one error in all
+    rows."""
     place_mm: Floats
-    """(k, 2) place of the patch relative to the centre of the footprint, along width and height of the footprint."""
+    """(k, 2) centre of the patch relative to the centre of the footprint, along the footprint's width and height."""
     reach_mm: Floats
-    """(k,) how far the patch extends from its place, along the same axes."""
+    """(k,) distance from the centre of the patch to its edge, along the same axes."""
 
 
 @compiled
@@ -100,15 +113,15 @@ def body_heights(ends: Ints, links: BodyLinks, half_mm: Floats) -> tuple[Floats,
     """Estimate the heights of the bodies of n components.
 
     Args:
-        ends: (n,) the index after the last link of each component.
-        links: the links.
-        half_mm: (n, 2) half of width and height of the footprints.
+        ends: (n,) for each component, the index after its last link.
+        links: the links of all components.
+        half_mm: (n, 2) half the width and half the height of the footprints.
 
     Returns:
-        Height (n,) in mm, its standard deviation (n,), and the number of links on the body (n,). All are 0 for a
+        Height (n,) in mm, its standard deviation (n,), and the number of links on the body (n,). All three are 0 for a
         component whose height is unknown.
     """
-    # Loops in place of expressions of arrays: Numba compiles the latter ten times as long.
+    # Loops in place of expressions of arrays: Numba needs ten times as long to compile such expressions.
     mm, spread, count = np.zeros(len(ends)), np.zeros(len(ends)), np.zeros(len(ends), np.int64)
     first = 0
     for part in range(len(ends)):
@@ -127,7 +140,7 @@ def body_heights(ends: Ints, links: BodyLinks, half_mm: Floats) -> tuple[Floats,
         heights = np.zeros(_MOST_HEIGHTS)
         m = _agreed_heights(h, s, heights)
         probability, on_body = np.zeros(m + 1), np.zeros((m + 1, n))
-        # The first round sorts the links. The second one uses heights from which links off the body are removed.
+        # The first round sorts the links. The second round repeats this with heights from the links on the body only.
         for _ in range(2):
             _compare(h, s, heights, side, probability, on_body)
             _move(h, noise, heights, on_body)
@@ -155,7 +168,11 @@ def body_heights(ends: Ints, links: BodyLinks, half_mm: Floats) -> tuple[Floats,
 
 @inlined
 def _sort_along(place: Floats, reach: Floats, half_mm: Floats, part: int, axis: int, side: Ints) -> None:
-    """Sort n patches by k extents along one axis, to `side` (2, k, n): 0 outside, 1 across an edge, 2 inside."""
+    """Sort the n patches of a component by each of k extents along one axis (0: width, 1: height of the footprint).
+
+    The result is written to `side` (2, k, n), at the index of the axis: 0 outside, 1 across an edge, 2 inside the
+    extent.
+    """
     for e in range(len(_EDGES)):
         low, high = -_EDGES[e, 0] * half_mm[part, axis], _EDGES[e, 1] * half_mm[part, axis]
         for i in range(len(place)):
@@ -165,9 +182,9 @@ def _sort_along(place: Floats, reach: Floats, half_mm: Floats, part: int, axis: 
 
 @inlined
 def _agreed_heights(h: Floats, s: Floats, heights: Floats) -> int:
-    """Write the heights on which links agree to `heights`, those with most links first; return their number.
+    """Find the heights on which links agree, write them to `heights`, and return their number.
 
-    The first height is 0. Links near 0 and below belong to it.
+    The first one is 0; links near 0 or below it agree with 0. The others follow, those with most links first.
     """
     free, m = np.ones(len(h), np.bool_), 1
     for i in range(len(h)):
@@ -193,15 +210,15 @@ def _agreed_heights(h: Floats, s: Floats, heights: Floats) -> int:
 
 @inlined
 def _compare(h: Floats, s: Floats, heights: Floats, side: Ints, probability: Floats, on_body: Floats) -> None:
-    """Compute the probability of each height, and that each link lies on the body if this height is true.
+    """Compute the probability of each height, and for each height the probability that each link lies on the body.
 
     Args:
-        h: (n,) heights by the links.
+        h: (n,) the heights that the links measure.
         s: (n,) their standard deviations.
-        heights: the m compared heights, in its first entries.
-        side: (2, k, n) how the links lie to each of k extents along each axis, as `_sort_along` writes it.
-        probability: (m + 1,) written; the last entry is that of "none of these".
-        on_body: (m + 1, n) written; 0 for "none of these".
+        heights: its first m entries are the heights that are compared.
+        side: (2, k, n) whether the links lie outside, across or inside k extents, as `_sort_along` writes it.
+        probability: (m + 1,) output; the last entry belongs to "none of these".
+        on_body: (m + 1, n) output; 0 for "none of these".
     """
     m, n, k = len(on_body) - 1, len(h), len(_EDGES)
     log, fit, evidence, best = np.zeros((3, n)), np.zeros(n), np.zeros((k, k)), -np.inf
@@ -241,15 +258,17 @@ def _compare(h: Floats, s: Floats, heights: Floats, side: Ints, probability: Flo
 
 @inlined
 def _link_likelihoods(h: Floats, s: Floats, top: float, none: bool, log: Floats, fit: Floats) -> None:
-    """Compute the likelihood of each link if the body has height `top`, relative to the largest of a measured height.
+    """Compute the likelihood of each link if the body has the height `top`.
+
+    Likelihoods are relative to the largest likelihood of a link that measures a height.
 
     Args:
-        h: (n,) heights by the links.
+        h: (n,) the heights that the links measure.
         s: (n,) their standard deviations.
-        top: height of the body; the largest possible one if no link measures it.
+        top: height of the body. If no link measures it, the largest possible height.
         none: whether no link measures the height of the body.
-        log: (3, n) written: logarithm of the likelihood of a link outside, across an edge, and inside.
-        fit: (n,) written: probability that a link inside measures the height of the body.
+        log: (3, n) output: logarithm of the likelihood of a link that lies outside, across an edge, or inside.
+        fit: (n,) output: probability that a link inside measures the height of the body.
     """
     for i in range(len(h)):
         below, above = -h[i] / s[i], (h[i] - top) / s[i]
@@ -268,7 +287,7 @@ def _link_likelihoods(h: Floats, s: Floats, top: float, none: bool, log: Floats,
 
 @inlined
 def _move(h: Floats, noise: Floats, heights: Floats, on_body: Floats) -> None:
-    """Replace each height but 0 by the weighted mean of the links that lie on the body if this height is true."""
+    """Replace each height but 0 by the weighted mean of the links that lie on the body if that height is true."""
     for c in range(1, len(on_body) - 1):
         weight, total = 1e-9, heights[c] * 1e-9
         for i in range(len(h)):
@@ -279,7 +298,7 @@ def _move(h: Floats, noise: Floats, heights: Floats, on_body: Floats) -> None:
 
 @inlined
 def _unite(heights: Floats, probability: Floats, on_body: Floats) -> None:
-    """Unite heights that `_move` has brought within `_WIDTH_MM` of one another: their probabilities add up."""
+    """Merge heights that differ by less than `_WIDTH_MM` after `_move`; the probability of both is their sum."""
     for c in range(len(on_body) - 1):
         for k in range(len(on_body) - 1):
             if k != c and 0 < probability[k] <= probability[c] and abs(heights[k] - heights[c]) < _WIDTH_MM:
@@ -300,19 +319,20 @@ def _variance(
     place: Floats,
     reach: Floats,
 ) -> float:
-    """Return the variance of a weighted mean of n links.
+    """Return the variance (mm²) of the weighted mean of the heights that n links measure.
 
-    Links of a pair of frames share a part of the error, and those with overlapping patches share their noise.
+    The links of one pair of frames have a part of their error in common. Links whose patches overlap have a part of
+    their noise in common.
 
     Args:
-        h: (n,) heights by the links.
+        h: (n,) heights that the links measure.
         mean: their weighted mean.
-        noise: (n,) standard deviations without the shared part.
+        noise: (n,) standard deviations without the part that a pair of frames has in common.
         weight: (n,) weights; their sum is 1.
         pair: (n,) index of the pair of frames; links of one pair are adjacent.
-        shared: (n,) standard deviation of the shared part.
-        place: (n, 2) places of the patches.
-        reach: (n,) how far the patches extend.
+        shared: (n,) standard deviation of the part that a pair of frames has in common.
+        place: (n, 2) centres of the patches, mm.
+        reach: (n,) distance from the centre of each patch to its edge, mm.
     """
     squares, expected, largest = 0.0, 0.0, 0.0
     common, own, group, worst = 0.0, 0.0, 0.0, 0.0
@@ -325,11 +345,11 @@ def _variance(
             group = worst = 0.0
         for j in range(len(h)):
             if pair[i] == pair[j]:
-                # the share of the patches that overlaps is the correlation of their noise
+                # The correlation of the noise of two patches is the share of their area that overlaps.
                 x, y = abs(place[i, 0] - place[j, 0]), abs(place[i, 1] - place[j, 1])
                 overlap = max(0.0, 1 - x / (2 * reach[i])) * max(0.0, 1 - y / (2 * reach[i]))
                 own += overlap * weight[i] * noise[i] * weight[j] * noise[j]
-    # Where the links scatter more than their noise explains, the mean is less accurate as well. One of the links is
-    # taken up by the mean.
+    # If the links scatter more than their noise explains, the mean is less accurate too. The scatter is compared with
+    # the noise of all links but one, because the mean itself is estimated from the links.
     freedom = max(expected - largest, largest)
     return common + own * max(1.0, squares / max(freedom, 1e-12))

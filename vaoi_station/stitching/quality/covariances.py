@@ -1,10 +1,10 @@
 """Covariances of D_j and standard deviations of M_ij, in the form in which results contain them.
 
 The pivot c is a fixed point of the conveyor's plane in the middle of the array. Three numbers describe the motion of a
-row: the turn φ of D_j (rad), and the position (x, y) (mm, row coordinates) to which D_j maps the board point that lies
-under the pivot in that row. With errors δφ and δ(x, y), a ground point p has the error
-δ(x, y) + δφ·(−(p − c)_y, (p − c)_x). The error of its image point is the derivative of N_i times that. Row 0 has no
-uncertainty, since D_0 is the identity by definition.
+row: the turn φ of D_j (rad), and the position (x, y) (mm, row coordinates) of the board point that lies under the pivot
+in that row. With errors δφ and δ(x, y), a ground point p has the error δ(x, y) + δφ·(−(p − c)_y, (p − c)_x). The error
+of its image point is the derivative of N_i times that. Row 0 has no uncertainty, since D_0 is the identity by
+definition.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Fiducials of another size: whether a board was not found because the board type states a wrong diameter.
+"""Search for fiducials of another size: check whether the board type states a wrong diameter.
 
-The search for fiducials only finds marks of about the stated size. If no board was found, the frames are searched once
-more for marks of other sizes. If these lie where the fiducials should be, and the outline of the board is visible where
-they put it, the size in the board type is wrong, not the place.
+The search for fiducials finds only marks of about the stated size. If no board was found, the frames are searched once
+more for marks of other sizes. If such marks lie at the distances of the fiducials, and the outline of the board is
+visible where these marks put it, the diameter in the board type is wrong.
 """
 
 from __future__ import annotations
@@ -22,9 +22,10 @@ from vaoi_station.stitching.matching.evidence import Task
 from vaoi_station.stitching.matching.scene import Scene
 
 _FACTORS = (0.7, 1.4, 0.83, 1.2, 0.5, 2.0)
-"""Searched sizes, relative to those of the board type. A search finds marks that are up to about 15 % off its size."""
+"""Sizes that are searched, relative to those of the board type. One search finds marks up to about 15 % off its
+size."""
 _ENOUGH = 3
-"""Number of fiducials that must agree on a place. For board types with two, the outline must confirm it."""
+"""Number of fiducials that suffices to find the board. With fewer, the outline must confirm the board's position."""
 
 
 def wrong_size(
@@ -59,7 +60,7 @@ def wrong_size(
 def _cost(
     board_type: BoardType, scene: Scene, expectation: Expectation, motion: Motion, texture_mm: Floats
 ) -> float | None:
-    """Return the cost of the best place of a board with these fiducials; None if it is not found or not confirmed."""
+    """Return the cost of the best position of the board, without unit; None if no position is found or confirmed."""
     plane = board_plane(board_type, scene.cameras[0])
     detections = [
         detect_marks(Task("marks", key), scene.prepared(key), scene.cameras[key[0]], board_type)

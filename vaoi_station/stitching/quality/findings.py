@@ -1,4 +1,4 @@
-"""All findings of the stitching of a run, from which verdict, quality numbers and report are derived."""
+"""The findings of a run: all intermediate values of its stitching, from which verdict and result are derived."""
 
 from __future__ import annotations
 
@@ -36,29 +36,33 @@ from vaoi_station.stitching.quality.unseen import FilmedBoard, SeenFrames, Unsee
 _USED = 0.1
 """Weight above which a link counts as used."""
 _SAME_HEIGHT_PX = 0.5
-"""Largest difference, in px at the seam, between a component's height by links across the seam and by other links."""
+"""Largest difference between a component's height by links across the seam and by other links, with which they agree.
+
+It is the displacement that this difference causes at the seam, in px."""
 SEAM_LIMIT_PX = 0.30
-"""Largest disagreement of two cameras at their seam, px."""
+"""Largest accepted disagreement of two cameras at their seam, px."""
 DISPLACED_PX = 0.20
-"""Largest displacement of a camera since its calibration, rms over the frame, that is corrected without a reason."""
+"""Largest displacement of a camera since its calibration that is corrected without a reason in the result: px, rms."""
 _SIGNIFICANT = 4.0
-"""Standard deviations from which on the displacements of all cameras together are significant."""
+"""Number of standard deviations from which on the displacements of all cameras together are more than noise."""
 _PLACED_SIGMA_PX = 2.0
-"""Largest standard deviation of a position in a row that neither links nor points of the CAD data tie to the others."""
+"""Largest accepted standard deviation of a position in a row that nothing but the belt's nominal speed may place."""
 _OTHER_LIFT_MM = 1.0
-"""Least difference of a lift measured by overlaps from that of the adjustment at which the two contradict."""
+"""The lift measured by overlaps contradicts the lift of the adjustment if they differ by more than this."""
 _LEAST_FITTING, _LEAST_SHARE, _SURELY = 3, 0.25, 5
-"""Least number and share of a frame's links that must fit, or number of links that do not fit by chance. Of sound
-frames of the recordings and of the twin 0.7 or more fit; one link of a repeated frame may fit by chance."""
+"""Least number and share of a frame's links that must fit the board's motion; number that always suffices.
+
+In sound frames of the recordings and of the twin, a share of 0.7 or more fits. In a repeated frame, one link may fit by
+chance."""
 _BORDER_PX = 6.0
-"""Distance from a frame's border within which the bare rim of a fiducial must not reach, so that it is detected."""
+"""Least distance of a fiducial's bare rim from the border of a frame: nearer to the border it may not be detected."""
 _SEAM_LINKS = 12
-"""Least number of links between two cameras that show whether the cameras agree."""
+"""Least number of links between two cameras from which it can be decided whether the cameras agree."""
 
 
 @dataclass(frozen=True, eq=False)
 class Findings:
-    """The inputs and solutions of the stitching of one run. Derived values are computed when first read."""
+    """The inputs, solutions and derived values of the stitching of one run; the latter are computed at first use."""
 
     plane: BoardPlane | None
     expectation: Expectation
@@ -68,17 +72,19 @@ class Findings:
     moved: AdjustmentResult
     """The solution of the adjustment without CAD data."""
     calibrated: tuple[Camera, ...]
-    """The cameras as calibrated. Those of `scene` are the displaced cameras of the adjustment."""
+    """The cameras as calibrated. The cameras in `scene` include the displacements that the adjustment estimated."""
     found: CadMapping | Failure
     """The CAD mapping of the board, or the failure that says why the board was not found."""
     visibility: Visibility = VISIBILITY
-    """How much of every component the frames must show, unless the board type asks for something else."""
+    """How much of every component the frames must show; the board type may ask for something else."""
     reference_sigma_px: float = 0.0
-    """Standard deviation of positions by the CAD mapping of the reference; 0 without a reference."""
+    """Standard deviation of positions on account of the reference's own CAD mapping, px; 0 without a reference."""
     unplaced: tuple[int, ...] = ()
-    """Rows with good frames that are not placed, because nothing shows where the board was; not part of `scene`."""
+    """Rows with good frames that have no known position, because nothing shows where the board was; not part of
+    `scene`."""
     copies: frozenset[FrameKey] = frozenset()
-    """Good frames that equal the frame before them in every pixel: they were not filmed in their rows."""
+    """Good frames that equal the preceding frame of their camera in every pixel: they do not show the board of their
+    row."""
 
     @property
     def mapping(self) -> CadMapping | None:
@@ -87,12 +93,12 @@ class Findings:
 
     @property
     def adjusted(self) -> AdjustmentResult:
-        """The final solution: that of the CAD mapping if the board was found, else that of the links alone."""
+        """The final solution: that of the CAD mapping if the board was found, otherwise that of the links alone."""
         return self.found.adjusted if isinstance(self.found, CadMapping) else self.moved
 
     @property
     def problem(self) -> Problem:
-        """The adjustment problem of which `adjusted` is the solution, as the displaced cameras see it."""
+        """The adjustment problem whose solution is `adjusted`, with the displacements of the cameras applied."""
         return self.adjusted.problem
 
     @property
@@ -102,7 +108,7 @@ class Findings:
 
     @cached_property
     def sigma(self) -> PredictedSigma:
-        """Predicted standard deviations of component positions and rows."""
+        """Predicted standard deviations of component positions, and of the rows."""
         predicted = predict_sigma(self.scene, self.plane, self.adjusted, self.views)
         share = reference_share(self.problem.fiducials, self.adjusted.fiducial_px) * self.reference_sigma_px
         predicted = with_common_error(predicted, share) if share > 0 else predicted
@@ -110,7 +116,7 @@ class Findings:
 
     @cached_property
     def lens_errors(self) -> dict[int, LensError]:
-        """Radial errors of the cameras' pictures against their calibration, by camera; empty without C."""
+        """For each camera, the radial distortion that its calibration does not contain; empty without C."""
         if self.mapping is None or not self.method.links:
             return {}
         return lens_errors(self.problem, self.adjusted, self.scene.cameras)
@@ -130,7 +136,7 @@ class Findings:
 
     @cached_property
     def views(self) -> FootprintViews | None:
-        """Views of the components, or of two board corners if there are no components; None without C."""
+        """Views of the components, or of two corners of the board if it has no components; None without C."""
         if self.plane is None or self.cad_matrix is None:
             return None
         rows = self.adjusted.motion.rows_from_tester
@@ -139,7 +145,7 @@ class Findings:
 
     @cached_property
     def fiducials_in_view(self) -> dict[int, FrameKey]:
-        """The fiducials that frames show with their bare rim, by number, each with one of the frames; empty without C.
+        """For each fiducial that a frame shows with its bare rim, by its number: one such frame; empty without C.
 
         Only frames whose pictures fit the board's motion count.
         """
@@ -160,8 +166,8 @@ class Findings:
     def confirmed(self) -> frozenset[FrameKey]:
         """The good frames whose pictures fit the board's motion: by their links, or by a point with CAD coordinates.
 
-        A few links of a frame may fit by chance: a share of them must. A frame that is black, covered or repeated is
-        complete and fits nothing: it shows no component.
+        A few links of a frame may fit by chance, so a certain share of its links must fit. A frame that is black,
+        covered or repeated can be complete, but it does not fit the motion, and no component counts as seen in it.
         """
         if not self.method.links:
             # without links there is nothing that could confirm a frame between two fiducials
@@ -175,7 +181,7 @@ class Findings:
                 if key is not None:
                     linked[key][0] += own
                     linked[key][1] += fitting
-        # of a frame at the end of the board, most links may lie on a textured belt
+        # Most links of a frame at the end of the board may lie on a textured belt.
         frames = {
             key
             for key, (own, fits) in linked.items()
@@ -187,7 +193,7 @@ class Findings:
 
     @cached_property
     def unconfirmed(self) -> tuple[FrameKey, ...]:
-        """The good frames that should show the centre of a component, and whose pictures fit nothing, in order."""
+        """The good frames, in order, that should show the centre of a component but do not fit the board's motion."""
         views = self.views
         if views is None:
             return ()
@@ -196,7 +202,7 @@ class Findings:
 
     @cached_property
     def unseen(self) -> tuple[UnseenComponent, ...]:
-        """The components that the good frames show too little of; empty without C."""
+        """The components of which the good frames show less than is asked for; empty without C."""
         if self.plane is None or self.cad_matrix is None:
             return ()
         rows = self.adjusted.motion.rows_from_tester
@@ -208,7 +214,7 @@ class Findings:
 
     @cached_property
     def heights(self) -> dict[str, Height]:
-        """Heights of components above the board, by address. Components without enough links are left out."""
+        """Heights of components above the board, by address (`U1`, `panel/U1`); none where links are too few."""
         if self.plane is None or self.mapping is None:
             return {}
         return component_heights(self.plane, self.problem, self.adjusted)
@@ -244,10 +250,11 @@ class Findings:
 
     @cached_property
     def unknown_rows(self) -> tuple[int, ...]:
-        """Rows whose place is not known: only the belt's nominal speed gives it, and belts stop or slow down.
+        """Rows in which the position of the board is not known: only the belt's nominal speed predicts it.
 
-        These are groups of rows that no link connects to the rows which CAD points place, and which have no CAD point
-        of their own, and rows beside those groups in which a position is uncertain by more than `_PLACED_SIGMA_PX`.
+        Belts may stop, so that prediction is not relied on. These are the rows of each group that has no CAD point and
+        that no link connects with rows placed by CAD points. Rows beside such a group are added if a position in them
+        has a standard deviation above `_PLACED_SIGMA_PX`.
         """
         if self.mapping is None or not self.method.links:
             return ()
@@ -266,27 +273,28 @@ class Findings:
 
     @property
     def unplaceable(self) -> bool:
-        """Whether no rows that are connected show two CAD points: the place of the whole board is then unknown."""
+        """Whether no connected group of rows shows two CAD points: the position of the whole board is unknown."""
         several = self.mapping is not None and self.method.links and len(self.connected_groups) > 1
         return several and not self._rows_fixed_by_cad
 
     @cached_property
     def _rows_fixed_by_cad(self) -> set[int]:
-        """The rows of the groups that fiducials or reference points place on the board without any other group."""
+        """The rows of those connected groups that have enough CAD points to be placed on the board by themselves."""
         return {row for g in self.connected_groups if self._fixed_by_cad(g) for row in g.tolist()}
 
     @cached_property
     def seam_of_link(self) -> np.ndarray:
-        """(k,) for each link across a seam the lower number of its two cameras; −1 for links from row to row."""
+        """(k,) for each link between two cameras the lower of the two camera numbers; −1 for links from row to row."""
         o = self.problem.links
         left = [e.task.a[0] if e.task.kind == "neighbours" else -1 for e in o.groups]
         return np.array(left, dtype=np.int_)[o.group]
 
     @cached_property
     def seams_px(self) -> dict[tuple[int, int], float]:
-        """Length, px, of the median residual of links on the bare board, by pair of neighbouring cameras.
+        """For each pair of neighbouring cameras, the length of the median residual of links on the bare board, px.
 
-        A large value means that a camera has moved, or that the board has a shape outside the surface model.
+        A large value means that a camera has moved, or that the board has a shape that the surface model cannot
+        express.
         """
         # Links on components are left out, since the height of a component is no error of the seam.
         bare = np.flatnonzero((self.seam_of_link >= 0) & (self.problem.component < 0))
@@ -301,18 +309,19 @@ class Findings:
     def displaced_cameras(self) -> tuple[tuple[int, Floats, tuple[int, ...]], ...]:
         """Cameras whose picture moved by more than `DISPLACED_PX`, rms over the frame, since the calibration.
 
-        Each is given with its displacement (3,) px and the cameras that may have moved instead.
+        Each entry holds the camera, its displacement (3,) px, and the cameras that may have moved instead of it.
         """
         estimate = self.adjusted.cameras
         if estimate is None:
             return ()
-        # a displacement that the run does not show is no finding: σ of the positions includes it. The covariance is not
-        # used for that, since it is wide where two explanations name different cameras, both of them displaced
+        # If the run does not show a displacement clearly, none is reported: σ of the positions includes it. The
+        # covariance is not used for this decision: it is large where two explanations name different cameras, although
+        # both are displaced.
         d = estimate.displacement_px.ravel()
         explained = float(2 * d @ estimate.vector - d @ estimate.information @ d)
         if explained < _SIGNIFICANT**2:
             return ()
-        # what the calibration leaves open at the seams looks like a displacement
+        # An error that the calibration leaves at the seams looks like a displacement.
         limits = [max(DISPLACED_PX, _SIGNIFICANT * seam_sigma_px(camera)) for camera in self.calibrated]
         each = zip(estimate.displacement_px, limits, strict=True)
         large = [
@@ -322,21 +331,22 @@ class Findings:
 
     @cached_property
     def lift(self) -> Lift | None:
-        """Height of the board above the calibrated plane, by the overlaps if links fail there; None: unknown."""
+        """Height of the board above the calibrated plane, from the overlaps if links fail there; None if unknown."""
         estimated = Lift(float(self.adjusted.surface_mm[0])) if len(self.adjusted.surface_mm) else None
         if not self.non_overlapping_pairs:
             return estimated
-        # Where links fail, the estimate is that of false links, or its own prior.
+        # Where links fail, the adjustment's estimate comes from false links, or is just its prior.
         measured = measure_lift(replace(self.scene, cameras=self.calibrated), self.links)
         if measured is None:
             return estimated
-        # One overlap may also be shifted by a displaced camera; fiducials that were found decide.
+        # One shifted overlap may also come from a displaced camera. If fiducials were found, their estimate is
+        # preferred.
         alone = measured.overlaps == 1 and estimated is not None and self.mapping is not None
         return estimated if alone and estimated and abs(measured.mm - estimated.mm) > _OTHER_LIFT_MM else measured
 
     @property
     def far_off_plane(self) -> bool:
-        """Whether several overlaps show another height, beyond its limit, than that with which positions were found."""
+        """Whether several overlaps show a height beyond its limit that differs from the height of the adjustment."""
         if self.lift is None or (self.lift.overlaps or 0) < 2 or abs(self.lift.mm) <= LIFT_LIMIT_MM:
             return False
         used = float(self.adjusted.surface_mm[0]) if len(self.adjusted.surface_mm) else 0.0
@@ -344,15 +354,15 @@ class Findings:
 
     @cached_property
     def _unexplained(self) -> set[int]:
-        """Cameras that disagree with a neighbour in spite of their estimated displacements, and agree with none."""
+        """Cameras that disagree with a neighbour even after correction of displacements, and agree with none."""
         apart = {pair for pair, px in self.seams_px.items() if px > SEAM_LIMIT_PX} | set(self.non_overlapping_pairs)
         agreeing = {camera for pair in set(self.seams_px) - apart for camera in pair}
-        # false links suggest a displacement, too: it is believed if it leaves a seam of the camera without a residual
+        # False links also suggest a displacement. It is accepted if the camera then agrees with at least one neighbour.
         return {camera for pair in apart for camera in pair} - agreeing
 
     @cached_property
     def _usable_seam_links(self) -> np.ndarray:
-        """(k,) whether each link can be evidence that two neighbouring cameras agree."""
+        """(k,) whether each link can serve as evidence that two neighbouring cameras agree."""
         o, component = self.problem.links, self.problem.component
         rows, seam = self.adjusted.heights_mm
         if not len(rows):
@@ -364,7 +374,7 @@ class Findings:
 
     @cached_property
     def non_overlapping_pairs(self) -> dict[tuple[int, int], int]:
-        """Pairs of neighbouring cameras whose overlap has texture that does not match, with the number of such rows."""
+        """Pairs of neighbouring cameras whose overlap has texture but too few matches, with the number of such rows."""
         unmatched = Counter(e.task.a[0] for e in self.links if e.task.kind == "neighbours" and e.unmatched)
         out = {}
         for i, rows in sorted(unmatched.items()):
@@ -377,7 +387,7 @@ class Findings:
 
     @cached_property
     def row_offsets(self) -> dict[tuple[int, int], int]:
-        """Pairs of cameras that disagree, of which the second is in rows too high by the value: −1 or +1."""
+        """For each pair of cameras whose rows do not match: by how many rows the second is too high, −1 or +1."""
         apart = {pair for pair, px in self.seams_px.items() if px > SEAM_LIMIT_PX} | set(self.non_overlapping_pairs)
         found = {pair: row_offset(self.scene, self.links, pair[0]) for pair in sorted(apart)}
         return {pair: offset for pair, offset in found.items() if offset}

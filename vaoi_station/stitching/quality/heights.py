@@ -1,9 +1,9 @@
 """Heights of components above the board, computed from the links on their bodies.
 
 The adjustment estimates a height for every component, so that links on components do not disturb the other unknowns.
-For this purpose it is irrelevant whether a link lies on the body, on a lead, or on the board between leads. The height
-of the body, however, must come from links on the body. With the adjusted motion and surface, each such link gives one
-estimate h of the height, with variance σ²:
+For that purpose, a link may lie on the body, on a lead, or on the board between leads. The height of the body, however,
+must come from links on the body. With the adjusted motion and surface, each link on a component gives one estimate h of
+the height, with variance σ²:
 
     h = −(l·W·r) / (l·W·l),    σ² = 1 / (l·W·l),
 
@@ -29,21 +29,23 @@ from vaoi_station.stitching.matching.patch_tables import WINDOW_PX
 from vaoi_station.stitching.quality.body_heights import BodyLinks, body_heights
 
 _WORST_MM = 0.5
-"""Standard deviation of a height by one link from which on the link is left out."""
+"""Links whose height has a standard deviation of more than this are left out."""
 _ASIDE = 3.5
-"""Residual, in standard deviations, in the direction that no height explains, from which on a link is left out."""
+"""Links with a residual above this, in standard deviations, in the direction that no height explains are left out."""
 _SHARED_PX, _SHARED_FLOOR = (0.004, 0.015), (0.5, 1.0)
-"""Error that all links of one pair of frames on one component share: between rows, and between cameras. It is the
-larger of a constant and of a share of the run's noise floor, because neighbouring links may have the same error."""
+"""Error that all links of one pair of frames on one component have in common: between two rows, between two cameras.
+
+It is the larger of a constant (px) and of a multiple of the run's noise floor, because neighbouring links may have the
+same error."""
 _PATCH_PX = WINDOW_PX / 2 + 1
-"""Distance from the centre of a patch to its edge. The blur reaches further, but with little weight."""
+"""Distance from the centre of a patch to its edge. Its blur extends further, but with little weight."""
 
 
 class LinkArrays(NamedTuple):
-    """The n links that lie on components, and values of all k links of the problem."""
+    """The n links that lie on components, together with arrays over all k links of the problem."""
 
     number: Ints
-    """(n,) index of each among the k links."""
+    """(n,) index of each of these links among the k links."""
     place_mm: Floats
     """(n, 2) position on the board of a point in the calibrated plane, tester coordinates."""
     place_lean: Floats
@@ -82,13 +84,14 @@ class LinkHeights(NamedTuple):
     sigma_mm: Floats
     """(n,) standard deviation."""
     shared_mm: Floats
-    """(n,) the part of the height's error that all links of the same pair of frames share."""
+    """(n,) part of the height's standard deviation that all links of one pair of frames have in common."""
     aside: Floats
-    """(n,) residual that remains at this height, in standard deviations."""
+    """(n,) residual that is left at this height, in standard deviations."""
     place_mm: Floats
-    """(n, 2) place of the patch at this height, relative to the centre of the footprint, along its width and height."""
+    """(n, 2) centre of the patch at this height, relative to the centre of the footprint, along its width and
+    height."""
     reach_mm: Floats
-    """(n,) how far the patch extends from its place, along the same axes."""
+    """(n,) distance from the centre of the patch to its edge, along the same axes."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +104,7 @@ class Height:
 
 
 def component_heights(plane: BoardPlane, problem: Problem, adjusted: AdjustmentResult) -> dict[str, Height]:
-    """Estimate the heights of components, by address. Components whose height the links do not decide are left out."""
+    """Estimate the heights of components, by address. Components of unknown height are left out."""
     c, addresses = adjusted.similarity, plane.components.addresses
     if problem.surface is None or c is None or not len(problem.links):
         return {}
@@ -127,7 +130,8 @@ def component_heights(plane: BoardPlane, problem: Problem, adjusted: AdjustmentR
     found = per_link_heights(links, footprints, cad_from_board, adjusted.floor_px)
     good = np.flatnonzero((found.sigma_mm < _WORST_MM) & (found.aside < _ASIDE))
     number = problem.component[near[good]]
-    # Two cameras see a component under the same light and angles in every row, so all their links share one error.
+    # Two cameras see a component under the same light and angles in every row: all their links have one error in
+    # common.
     pair = np.where(links.across, -1, o.group)[near[good]]
     order = np.lexsort((pair, number))
     good, pair = good[order], pair[order]
@@ -172,7 +176,7 @@ def per_link_heights(
         a, b, d = noise_mm2[n, 0, 0] + floor, noise_mm2[n, 0, 1], noise_mm2[n, 1, 1] + floor
         det = a * d - b * b
         ax, ay = (d * lx - b * ly) / det, (a * ly - b * lx) / det
-        # If both frames see the body under the same angle, l vanishes. The large sigma then exceeds `_WORST_MM`.
+        # If both frames see the body under the same angle, l is almost 0. The large sigma then exceeds `_WORST_MM`.
         information = max(ax * lx + ay * ly, 1e-12)
         height[i] = -(ax * rx + ay * ry) / information
         rx, ry = rx + lx * height[i], ry + ly * height[i]
@@ -187,7 +191,7 @@ def per_link_heights(
         y = (m[1, 0] * px + m[1, 1] * py + m[1, 2] - center[part, 1]) * mm_per_unit
         cos, sin = math.cos(angle_rad[part]), math.sin(angle_rad[part])
         place[i, 0], place[i, 1] = cos * x + sin * y, cos * y - sin * x
-        # A square patch with its sides along the tester axes reaches furthest in a footprint turned by 45°.
+        # The patch is a square along the tester axes. Its corners extend furthest in a footprint that is turned by 45°.
         gx, gy = cos * m[0, 0] + sin * m[1, 0], cos * m[0, 1] + sin * m[1, 1]
         reach[i] = _PATCH_PX / resolution * mm_per_unit * (abs(gx) + abs(gy))
     return LinkHeights(height, sigma, sole, aside, place, reach)

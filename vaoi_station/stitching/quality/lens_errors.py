@@ -1,10 +1,10 @@
-"""Estimate from the links of a run how far the lenses are distorted beyond their calibration.
+"""Estimate lens distortion that the calibration does not contain, from the links of a run.
 
-A calibration that leaves out a distortion, and states no covariance, makes positions wrong that no other check notices.
-The links of one camera from row to row show the distortion: a point of the board is seen at two places of the picture,
-and the distortion displaces it differently. The radial error of every camera is estimated from the residuals of its
-links. In every pair of frames all that the adjustment explains is taken out first: shift and turn of the row, and the
-tilt of the board.
+If a calibration leaves out a distortion and states no covariance, positions are wrong and no other check notices it.
+The links of one camera from row to row show the distortion: a point of the board appears at two places of the picture,
+and the distortion displaces it differently at each. The radial error of every camera is estimated from the residuals of
+these links. Before that, everything in each pair of frames that the adjustment can explain is removed: the shift and
+the turn of the row, and the tilt of the board.
 """
 
 from __future__ import annotations
@@ -23,46 +23,50 @@ from vaoi_station.stitching.adjustment.observations import Ints, LinkArrays
 from vaoi_station.stitching.adjustment.problem import AdjustmentResult, Problem
 
 _LEAST_LINKS, _LEAST_WEIGHT = 40, 0.1
-"""Least number of links of a camera, each of more than this robust weight, that show its distortion."""
+"""Least number of links by which the distortion of a camera is estimated, and least robust weight of each."""
 _NUISANCES = 5
-"""Shift x and y, turn, and tilt along x and y of a pair of frames."""
+"""Number of unknowns of a pair of frames that are eliminated: shift x and y, turn, and tilt along x and y."""
 _STABLE = 1e-9
-"""Share of the trace that is added to the normal matrix of the nuisances: links in a line do not determine the turn."""
+"""A small part of the normal matrix's trace is added to its diagonal, by this factor, so that it can be inverted.
+
+Links in one line do not determine the turn."""
 _SHARE = 0.2
-"""Rms error of a position, per axis, as a share of the radial error at the corner: the rms over a frame of ρ³ is 0.3,
-and 0.12 if the best scale is subtracted; boards of the twin show 0.15 to 0.25."""
+"""Rms error of a position, per axis, divided by the radial error at the corner.
+
+With ρ, the distance from the middle relative to that of a corner, the rms of ρ³ over a frame is 0.3, and 0.12 after the
+best scale is subtracted. Boards of the twin show 0.15 to 0.25."""
 _SIGNIFICANT = 4.0
-"""Number of standard deviations from which on an error is more than noise."""
+"""Number of standard deviations from which on an error counts as more than noise."""
 _LIMIT_PX = 0.4
-"""Largest radial error at the corners of a picture. It makes positions wrong by a fifth of it, rms."""
+"""Largest accepted radial error at the corners of a picture. Positions are then wrong by a fifth of it, rms."""
 
 
 class LensError(NamedTuple):
-    """The radial error of one camera's picture, by the links of a run."""
+    """The radial error of one camera's picture, estimated from the links of a run."""
 
     corner_px: float
-    """Displacement, px, that the error causes at a corner of the picture, away from the middle if positive."""
+    """Displacement of a corner of the picture by the error, px; positive if it points away from the middle."""
     sigma_px: float
 
     @property
     def significant(self) -> bool:
-        """Whether noise does not explain the error."""
+        """Whether the error is larger than noise explains."""
         return abs(self.corner_px) > _SIGNIFICANT * self.sigma_px
 
     @property
     def position_px(self) -> float:
-        """Rms error of a position, px per axis, by that part of the error that noise does not explain."""
+        """Rms error of a position, px per axis, caused by the part of the radial error that noise does not explain."""
         beyond = self.corner_px**2 - 4 * self.sigma_px**2
         return _SHARE * float(np.sqrt(max(beyond, 0.0)))
 
 
 class _Radial(NamedTuple):
-    """The radial functions of n cameras on the ground."""
+    """Ground positions of the pictures of n cameras, from which their radial errors are counted."""
 
     centre_mm: Floats
     """(n, 2) ground point in the middle of each picture."""
     radius_mm: Floats
-    """(n,) distance of a corner from it."""
+    """(n,) distance of a corner of the picture from that point."""
 
 
 class _Noise(NamedTuple):
@@ -73,7 +77,7 @@ class _Noise(NamedTuple):
     floor_px: float
     """Noise floor."""
     raised: NDArray[np.bool_]
-    """(k,) whether each link may lie on a part, whose height displaces it along its lean by any amount."""
+    """(k,) whether each link may lie on a component, whose unknown height displaces the link along its lean."""
 
 
 def lens_errors(problem: Problem, adjusted: AdjustmentResult, cameras: tuple[Camera, ...]) -> dict[int, LensError]:
@@ -101,13 +105,14 @@ def lens_errors(problem: Problem, adjusted: AdjustmentResult, cameras: tuple[Cam
     for i, c in enumerate(cameras):
         information, product = sums[i].tolist()
         if count[i] >= _LEAST_LINKS and information > 0:
-            # a point that is seen too far out makes the residual positive where the second point is further out
+            # If a point appears too far out, the residual is positive where the second point is further out than the
+            # first.
             found[i] = LensError(product / information * c.px_per_mm, information**-0.5 * c.px_per_mm)
     return found
 
 
 def lens_reasons(errors: Mapping[int, LensError]) -> Iterator[Reason]:
-    """List a reason for every camera whose picture is distorted against its calibration."""
+    """Yield a reason for every camera whose lens is distorted more than its calibration states."""
     for i, error in errors.items():
         if error.significant and abs(error.corner_px) > _LIMIT_PX:
             yield Reason(
@@ -120,17 +125,18 @@ def lens_reasons(errors: Mapping[int, LensError]) -> Iterator[Reason]:
 
 @compiled
 def _accumulate(links: LinkArrays, use: Ints, camera: Ints, residual: Floats, noise: _Noise, radial: _Radial) -> Floats:
-    """Return for each camera the information about its radial error, and its product with the estimate: (n, 2).
+    """Return for each of n cameras the information about its radial error, and information times estimate: (n, 2).
 
-    The error is that at a corner, in mm. Links of a pair of frames are adjacent; their nuisances are eliminated.
+    The error is the one at a corner of the picture, in mm. Links of one pair of frames are adjacent; shift, turn and
+    tilt of each pair are eliminated.
 
     Args:
-        links: all links.
+        links: all k links.
         use: indices of the links that are used, ascending.
         camera: (k,) camera of every link.
         residual: (k, 2) residuals, mm.
         noise: noise of the links.
-        radial: the radial functions of the cameras.
+        radial: ground positions of the cameras' pictures.
     """
     size = _NUISANCES + 1
     out, square, product = np.zeros((len(radial.radius_mm), 2)), np.zeros((size, size)), np.zeros(size)
@@ -155,7 +161,7 @@ def _accumulate(links: LinkArrays, use: Ints, camera: Ints, residual: Floats, no
         share = noise.robust[n] / (a * d - b * b)
         xx, xy, yy = share * d, -share * b, share * a
         if noise.raised[n]:
-            # what lies along the lean belongs to the height of the part
+            # The residual along the lean is explained by the component's height.
             lx, ly = xx * lean_x + xy * lean_y, xy * lean_x + yy * lean_y
             along = lean_x * lx + lean_y * ly
             if along > 0:
@@ -174,7 +180,7 @@ def _accumulate(links: LinkArrays, use: Ints, camera: Ints, residual: Floats, no
 
 @compiled
 def _eliminate(square: Floats, product: Floats) -> None:
-    """Eliminate the nuisances from the normal equations of one pair of frames, in place; lower triangle."""
+    """Eliminate shift, turn and tilt from the normal equations of one pair of frames, in place; lower triangle only."""
     small = 0.0
     for k in range(_NUISANCES):
         small += _STABLE * square[k, k]

@@ -15,7 +15,7 @@ from vaoi_station.stitching.quality.uncertainty import surface_sigma_mm
 AMBIGUOUS = "ambiguous"
 """Value of `quality.orientation` if the board turned by 180° would fit as well."""
 _OUTLIER = 8.5
-"""Residual, in standard deviations, above which a CAD point has no weight: 6 per axis, so 6·√2 in the plane."""
+"""Residual above which a CAD point has no weight, in standard deviations: 6 per axis, that is 6·√2 in the plane."""
 
 
 def quality_document(f: Findings) -> dict[str, Any]:
@@ -24,7 +24,7 @@ def quality_document(f: Findings) -> dict[str, Any]:
     sigma = f.sigma
     velocity = None
     if f.connected_groups:
-        # Only connected rows show the speed of the belt. Between groups of rows the nominal speed was assumed.
+        # Only connected rows show the speed of the belt. Between groups of rows, the nominal speed was assumed.
         group = max(f.connected_groups, key=len)
         velocity = measured_velocity(a.motion, f.problem.times_s, group)
     nominal = float(np.hypot(*f.problem.velocity_mm_s))
@@ -98,7 +98,7 @@ def _points_used(f: Findings) -> dict[str, dict[str, int]]:
 
 
 def _displacements(f: Findings) -> tuple[list[list[float]], list[list[float]]] | tuple[None, None]:
-    """Return x, y and turn (px) of every camera's displacement, and their σ; None if cameras were taken as exact."""
+    """Return x, y and turn (px) of every camera's displacement, and their σ; None if none were estimated."""
     estimate = f.adjusted.cameras
     if estimate is None:
         return None, None

@@ -1,7 +1,8 @@
-"""The error of a reference in the result of a run that was placed against it.
+"""The error that a reference adds to the result of a run placed against it.
 
-The CAD coordinates of all links to a reference come from the reference's own CAD mapping. They share its error, which
-no residual shows and which does not average out. It enters the result in proportion to the reference's weight in C.
+The CAD coordinates of all links to a reference come from the reference's own CAD mapping. So they all have the error of
+that mapping. No residual shows this error, and it does not average out. Its effect on the result is proportional to the
+weight of the reference in the estimate of C.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from vaoi_station.stitching.quality.uncertainty import PredictedSigma
 
 
 def reference_share(points: FiducialPoints | None, residual_px: Floats) -> float:
-    """Return the share, 0 … 1, of the reference in the information about C.
+    """Return which share (0 to 1) of the information about C comes from the reference.
 
     Args:
         points: the k points with known CAD coordinates.
@@ -34,7 +35,7 @@ def reference_share(points: FiducialPoints | None, residual_px: Floats) -> float
 
 
 def with_common_error(predicted: PredictedSigma, sigma_px: float) -> PredictedSigma:
-    """Return a prediction to which an error was added that all positions of components share; per axis, in px."""
+    """Return a prediction with an additional error that all component positions have in common, px per axis."""
     if predicted.worst_px is None:
         return predicted
     return replace(
@@ -46,7 +47,7 @@ def with_common_error(predicted: PredictedSigma, sigma_px: float) -> PredictedSi
 
 
 def with_camera_errors(predicted: PredictedSigma, sigma_px: Mapping[int, float]) -> PredictedSigma:
-    """Return a prediction to which an error of every camera was added, per axis in px; cameras left out have none."""
+    """Return a prediction with an additional error for each camera, px per axis; none for cameras without an entry."""
     if predicted.worst_px is None or not any(sigma_px.values()):
         return predicted
     camera, row = predicted.seen_in.T

@@ -1,9 +1,10 @@
-"""Cameras whose frames are in wrong rows: neighbours that match when the row of one of them is moved by one.
+"""Find cameras whose frames are in wrong rows: their overlaps match when the row of one camera is changed by one.
 
-All cameras of a row are fired by one pulse, so neighbours show the same part of the board in the same row. Where they
-do not, a camera has moved, or its frames are assigned to the row before or after (`acquisition.pairing.latency`). In
-the second case the overlap of row j of one camera matches row j ± 1 of the other where the calibration predicts it,
-which a camera that has moved by anything but a step of the belt does not show.
+All cameras of a row are fired by one pulse, so neighbouring cameras show the same part of the board in the same row. If
+they do not, either a camera has moved, or the frames of a camera are assigned to the row before or after
+(`acquisition.pairing.latency`). In the second case, the overlap in row j of one camera matches row j ± 1 of the other
+camera at the place that the calibration predicts. A moved camera would show this only if it had moved by exactly one
+step of the belt.
 """
 
 from __future__ import annotations
@@ -19,13 +20,13 @@ from vaoi_station.stitching.matching.link import link_in_place
 from vaoi_station.stitching.matching.scene import Scene
 
 _TRIED_ROWS = 4
-"""Number of rows per pair of cameras that are compared with the rows before and after."""
+"""Number of rows, for each pair of cameras, that are compared with the rows before and after them."""
 _AGREEING = 2
-"""Number of these rows that show the same offset before it is believed."""
+"""Number of these rows that must show the same offset."""
 _PLAINLY = 2.0
-"""Least factor between the links at the offset and the links in the same row."""
+"""Least ratio of the number of links at the offset to the number of links without offset."""
 _LINKS = 12
-"""Least number of links that shows that two frames belong to the same pulse."""
+"""Least number of links by which two frames count as frames of the same pulse."""
 _AT_REST = np.zeros(2)
 
 
@@ -34,7 +35,7 @@ def row_offset(scene: Scene, links: Iterable[Links], left: int) -> int:
 
     Args:
         scene: the frames of the run.
-        links: the links of the run, from which rows with a texture in the overlap are chosen.
+        links: the links of the run, by which rows with texture in the overlap are chosen.
         left: the lower number of the two cameras.
     """
     present = set(scene.present)
@@ -55,22 +56,22 @@ def row_offset(scene: Scene, links: Iterable[Links], left: int) -> int:
 
 
 def shifted_cameras(offsets: Mapping[tuple[int, int], int], cameras: int) -> dict[int, int]:
-    """Return camera → by how many rows its frames are too high, if most cameras agree with one another.
+    """Return for each camera in wrong rows by how many rows its frames are too high, where most cameras are right.
 
     Args:
-        offsets: pair of neighbouring cameras → offset of the second against the first; pairs without one agree.
+        offsets: for a pair of neighbouring cameras, the offset of the second against the first; 0 for pairs not listed.
         cameras: number of cameras.
     """
     place = [0]
     for i in range(cameras - 1):
         place.append(place[-1] + offsets.get((i, i + 1), 0))
     common, count = Counter(place).most_common(1)[0]
-    # Of two cameras that disagree, neither is known to be right.
+    # Of two cameras that disagree, it is not known which one is right.
     return {i: p - common for i, p in enumerate(place) if p != common} if 2 * count > cameras else {}
 
 
 def _count_links(scene: Scene, a: FrameKey, b: FrameKey) -> int:
-    """Count the links between two frames as if they belonged to the same pulse."""
+    """Count the links that are found between two frames if they are taken as frames of the same pulse."""
     cameras = scene.cameras[a[0]], scene.cameras[b[0]]
     pair = FramePair(scene.prepared(a), scene.prepared(b), *cameras, _AT_REST)
     return len(link_in_place(Task("neighbours", a, b), pair).a_px)

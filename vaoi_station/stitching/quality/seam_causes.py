@@ -1,14 +1,15 @@
-"""The cause why two neighbouring cameras do not show the same in their overlap, as far as the pictures support one.
+"""Find out why two neighbouring cameras show different pictures of their overlap, and state the cause.
 
-Links fail, or contradict one another, for several causes. Each is tested with the pixels of the overlap:
+If the links between two cameras are missing or contradict one another, the pixels of the overlap are tested for these
+causes, in this order:
 
-- the board lies far from the calibrated plane: the estimated lift of its surface;
-- exposure: saturated or black pixels, or very different brightness, in one of the two overlaps;
-- no texture: the corners of the overlap are so faint that noise alone keeps their correlation below that of a link;
-- a repeated pattern: corners that fit at several places, so that no displacement can be read from them.
+- off plane: the board lies far above or below the calibrated plane;
+- exposure: one camera shows many saturated or black pixels there, or one is much brighter than the other;
+- no texture: the corners in the overlap are so faint that noise alone prevents a link;
+- repeated pattern: the same picture appears at several places, so that links cannot show a displacement.
 
-If none of them holds, the reason says so, with the values that exclude them. A displacement is no cause in this list:
-if it explains the links, the adjustment has corrected it, and the cameras agree.
+If no test succeeds, the reason states so, together with the measured values. A displaced camera is not among the
+causes: the adjustment corrects it wherever links show it, and the cameras then agree.
 """
 
 from __future__ import annotations
@@ -31,31 +32,37 @@ from vaoi_station.stitching.matching.overlap import Box, overlap_box
 from vaoi_station.stitching.matching.scene import Scene
 
 LIFT_LIMIT_MM = 2.0
-"""Largest lift of a board that is expected: two standard deviations of its prior (`surface.SIGMA_MM`)."""
+"""Largest expected lift of a board: two standard deviations of its prior (`surface.SIGMA_MM`)."""
 _HIGHEST_MM, _SAME_LIFT_MM, _SAME_LIFT_SHARE, _SIDEWAYS_PX = 12.0, 0.5, 0.15, 3.0
-"""Range in which the lift is measured by the overlaps, largest difference (mm, or share) of two measurements of one
-lift, and largest shift of an overlap in the direction in which heights shift nothing."""
+"""Limits for the measurement of the lift from overlaps.
+
+In this order: the largest lift that is searched (mm); the largest difference between two measurements of the same lift,
+in mm and as a share of the lift; and the largest shift of an overlap in the direction in which a lift has no effect
+(px)."""
 _ROWS = 6
-"""Number of rows that are examined: those with most texture."""
+"""Number of rows that are examined: those with the most texture."""
 _SATURATED, _BLACK = 250, 1
-"""Grey levels from which, and up to which, a pixel holds no texture."""
+"""A pixel with this grey level or more is saturated; one with this grey level or less is black."""
 _CLIPPED_SHARE = 0.15
-"""Least share of such pixels, beyond that of the other camera, that keeps an overlap from matching."""
+"""An exposure is wrong if its share of saturated or black pixels is larger than that of the other camera by this."""
 _BRIGHTNESS_RATIO = 2.5
-"""Ratio of the brightness of two overlaps from which on exposure is named as the cause."""
+"""Ratio of the brightness of two overlaps above which different exposure is named as the cause."""
 _HALF_PX = 12
 """Half the side of the patch around a corner, px."""
 _LINK_SCORE = 0.80
-"""Correlation that a link needs."""
+"""Least correlation of a link."""
 _CLEAR_CORNERS = 8
-"""Number of corners that stand out of the noise in both frames, from which on an overlap has texture."""
+"""Least number of corners that stand out of the noise in both frames, for an overlap to count as textured."""
 _REPEATED, _APART_PX, _SEARCH_MM = 0.85, 8, 4.0
-"""Correlation of a corner with another place at least `_APART_PX` and at most `_SEARCH_MM` away that is a repetition.
-The latter is the range in which a displaced camera is searched."""
+"""A corner is repeated if its patch has at least the correlation `_REPEATED` with another place of the same frame.
+
+That place lies at least `_APART_PX` and at most `_SEARCH_MM` away: the range in which a displaced camera is
+searched."""
 _MOSTLY = 0.5
 _NEARLY_ALL = 0.9
-"""Share of repeated corners from which on agreeing links do not confirm a displacement. On ordinary boards, half of the
-corners look like another place, and the rest decides."""
+"""Share of repeated corners above which links that agree are no evidence of a displacement.
+
+On ordinary boards, half of the corners resemble another place; the other half then shows the true displacement."""
 _QUARTILE = 0.3186
 """Lower quartile of the absolute values of a normal distribution with standard deviation 1."""
 
@@ -63,22 +70,22 @@ Grey = NDArray[np.uint8]
 
 
 class _Overlap(NamedTuple):
-    """What the overlap of one row shows: pairs of values are those of the left and of the right camera."""
+    """Measured values of the overlap in one row. Pairs hold the values of the left and of the right camera."""
 
     saturated: tuple[float, float]
     black: tuple[float, float]
-    """Share of such pixels; of black ones the smaller of the shares in the overlap and in the whole frame."""
+    """Share of black pixels: the smaller of the share in the overlap and that in the whole frame."""
     brightness: tuple[float, float]
     """Mean grey level of the overlap."""
     frame_brightness: tuple[float, float]
     """Mean grey level of the whole frame."""
     corners: int
     standing_out: tuple[int, int]
-    """Corners whose texture stands out of the noise of a frame."""
+    """Number of corners whose texture stands out of the noise, in each frame."""
     clear: int
-    """Corners whose texture stands out of the noise in both frames."""
+    """Number of corners whose texture stands out of the noise in both frames."""
     repeated: int
-    """Clear corners that the left frame shows at another place too."""
+    """Number of the clear corners whose patch the left frame shows at another place too."""
 
 
 class Lift(NamedTuple):
@@ -90,7 +97,7 @@ class Lift(NamedTuple):
 
 
 class _Evidence(NamedTuple):
-    """What is known of two cameras that disagree, for the tests of causes."""
+    """Measured values about two cameras that disagree, as the input of the tests for causes."""
 
     names: tuple[str, str]
     lift: Lift | None
@@ -99,18 +106,18 @@ class _Evidence(NamedTuple):
     """Means over the examined rows."""
 
     def share(self, number: float) -> str:
-        """Return how many of the corners of all rows have a property, from the mean number per row."""
+        """Return the words "n of m corners" for all examined rows, from the mean number per row."""
         return f"{number * self.rows:.0f} of {self.mean.corners * self.rows:.0f} corners"
 
     @property
     def textured(self) -> tuple[bool, bool]:
-        """Whether the overlap shows texture in the left and in the right camera."""
+        """Whether the overlap shows texture in the picture of the left camera, and in that of the right camera."""
         left, right = (self._enough(n) for n in self.mean.standing_out)
         return left, right
 
     @property
     def clear(self) -> bool:
-        """Whether both cameras show texture at the same places."""
+        """Whether both cameras show enough corners with texture at the same places."""
         return self._enough(self.mean.clear)
 
     def _enough(self, corners: float) -> bool:
@@ -118,7 +125,10 @@ class _Evidence(NamedTuple):
 
     @property
     def brighter(self) -> tuple[int, float]:
-        """The camera (0 or 1) that shows the overlap brighter, and the factor, which its whole frame confirms."""
+        """The camera (0: left, 1: right) that shows the overlap brighter, and by which factor.
+
+        The factor is the smaller of the ratio in the overlap and that in the whole frame, and at least 1.
+        """
         over, frame = np.array(self.mean.brightness) + 1, np.array(self.mean.frame_brightness) + 1
         k = int(over.argmax())
         return k, float(max(min(over[k] / over[1 - k], frame[k] / frame[1 - k]), 1))
@@ -130,15 +140,7 @@ Cause = tuple[ReasonCode, str]
 def explain_seam(
     scene: Scene, links: Iterable[Links], pair: tuple[int, int], symptom: str, lift: Lift | None
 ) -> Reason:
-    """Return the reason for two cameras that disagree: the symptom with the cause that the evidence supports.
-
-    Args:
-        scene: the frames of the run.
-        links: the links of the run.
-        pair: the two cameras, the left one first.
-        symptom: how the two cameras disagree, as the beginning of a sentence.
-        lift: height of the board above the calibrated plane; None if it is unknown.
-    """
+    """Return a reason for two cameras that disagree: the symptom, followed by the cause that the tests found."""
     evidence = _gather(scene, links, pair, lift)
     if evidence is None:
         nothing = "no row has good frames of both cameras to compare"
@@ -154,14 +156,17 @@ def explain_seam(
 
 
 def measure_lift(scene: Scene, links: Iterable[Links]) -> Lift | None:
-    """Measure the height of the board above the calibrated plane by the shifts of the overlaps; None if they differ.
+    """Measure the height of the board above the calibrated plane from the shifts of the overlaps.
 
-    A lift shifts every overlap along the array, and all of them the same way. A displaced camera shifts the overlaps on
-    its two sides in opposite ways. With one overlap alone, the two look alike.
+    A lift shifts all overlaps along the array in the same direction. A displaced camera shifts the overlaps on its two
+    sides in opposite directions. With one overlap alone, the two cases cannot be distinguished.
 
     Args:
         scene: the frames of the run, with the cameras as calibrated.
-        links: the links of the run, from which rows with texture in the overlap are chosen.
+        links: the links of the run, by which rows with texture in the overlap are chosen.
+
+    Returns:
+        The lift; None if no overlap shows one, or if the overlaps show different ones.
     """
     links = tuple(links)
     each = []
@@ -180,7 +185,7 @@ def _same_lift(a_mm: float, b_mm: float) -> bool:
 
 
 def _lift_of_overlap(scene: Scene, left: FrameKey) -> float | None:
-    """Return the height at which the overlap of a frame and that of the next camera fit; None if there is none."""
+    """Return the height (mm) at which a frame matches that of the next camera in their overlap; None if none."""
     right = left[0] + 1, left[1]
     a, b = scene.cameras[left[0]], scene.cameras[right[0]]
     pair = FramePair(scene.prepared(left), scene.prepared(right), a, b, np.zeros(2))
@@ -197,9 +202,10 @@ def _lift_of_overlap(scene: Scene, left: FrameKey) -> float | None:
 
 
 def repeated_overlap(scene: Scene, links: Iterable[Links], pair: tuple[int, int], symptom: str) -> Reason | None:
-    """Return the reason that the overlap of two cameras shows a repeated pattern; None if it does not.
+    """Return a reason if the overlap of two cameras shows a repeated pattern, otherwise None.
 
-    Links on a repeated pattern agree at a place that is wrong by whole spacings, which looks like a displacement.
+    Links on a repeated pattern can agree with one another at a wrong place, off by whole periods of the pattern. This
+    looks like a displacement of a camera.
     """
     evidence = _gather(scene, links, pair, None)
     if evidence is None or evidence.mean.clear < _CLEAR_CORNERS:
@@ -224,7 +230,7 @@ def _off_plane(e: _Evidence) -> Cause | None:
         return None
     where = "above" if e.lift.mm > 0 else "below"
     about = "" if e.lift.overlaps is None else "about "
-    # A displacement of one of two cameras shifts their only overlap alike.
+    # If there is only one overlap, a displacement of a camera shifts it in the same way as a lift.
     other = "; or one of the two cameras is displaced along the array by as much" if e.lift.overlaps == 1 else ""
     return ReasonCode.BOARD_OFF_PLANE, (
         f"the board lies {about}{abs(e.lift.mm):.1f} mm {where} the calibrated plane (limit {LIFT_LIMIT_MM:.0f} mm); "
@@ -252,7 +258,7 @@ def _faint(e: _Evidence) -> Cause | None:
             f"{e.names[k]} shows the overlap {ratio:.1f} times as bright as {e.names[1 - k]}, and the noise hides its "
             f"texture ({e.share(e.mean.clear)} stand out in both); give both the same exposure, gain and light"
         )
-    # Texture that only one of them shows is no blank overlap: the other shows another place, or something hides it.
+    # An overlap with texture in one camera is not blank: the other camera shows another place, or something hides it.
     if any(e.textured):
         return None
     return ReasonCode.OVERLAP_BLANK, (
@@ -281,7 +287,10 @@ def _unexplained(e: _Evidence) -> Cause:
 
 
 def _rows(links: Iterable[Links], left: int, scene: Scene) -> Iterator[FrameKey]:
-    """Yield the left frames of the examined rows: those that did not match, or all, with most texture first."""
+    """Yield the left frames of the rows to examine, those with most texture first.
+
+    If links failed in some rows, only these rows are examined.
+    """
     seam = _seam(links, left, scene)
     return _most_textured([e for e in seam if e.unmatched] or seam)
 
@@ -297,7 +306,7 @@ def _most_textured(seam: Iterable[Links]) -> Iterator[FrameKey]:
 
 
 def _examine(scene: Scene, left: FrameKey) -> _Overlap | None:
-    """Measure the overlap of a frame with that of the next camera in the same row; None if they have no overlap."""
+    """Measure the overlap of a left frame with the next camera's frame of the same row; None if they do not overlap."""
     right = left[0] + 1, left[1]
     a, b = scene.prepared(left), scene.prepared(right)
     cameras = scene.cameras[left[0]], scene.cameras[right[0]]
@@ -315,7 +324,8 @@ def _examine(scene: Scene, left: FrameKey) -> _Overlap | None:
         share = [max(1 - n / max(float(p.var()), 1e-9), 0.0) for n, p in zip(noise, patches, strict=True)]
         for k in (0, 1):
             standing_out[k] += share[k] >= _LINK_SCORE
-        # Noise divides the correlation of a patch with itself by the root of its share in the variance of each frame.
+        # Noise reduces the correlation of two pictures of a patch to √(s₁·s₂), s being the share of texture in the
+        # variance.
         if np.sqrt(share[0] * share[1]) >= _LINK_SCORE:
             clear += 1
             repeated += _is_repeated(a.grey, corner, reach)
@@ -343,7 +353,7 @@ def _cut(grey: Grey, box: Box) -> Grey:
 
 
 def _patch(grey: Grey, place: Floats | NDArray[np.int64]) -> Grey:
-    """Return the patch around a place (2,) of a frame, as far as the frame shows it."""
+    """Cut the patch around a place (2,) px from a frame; near the border, the nearest patch inside the frame."""
     h, w = grey.shape
     x = int(np.clip(round(float(place[0])), _HALF_PX, w - _HALF_PX))
     y = int(np.clip(round(float(place[1])), _HALF_PX, h - _HALF_PX))
@@ -351,17 +361,17 @@ def _patch(grey: Grey, place: Floats | NDArray[np.int64]) -> Grey:
 
 
 def _noise_variance(strip: Grey) -> float:
-    """Estimate the variance of the noise from second differences, which smooth texture leaves small."""
+    """Estimate the variance of the noise (grey levels²) from second differences, in which smooth texture is small."""
     if min(strip.shape) < 3:
         return 0.0
     kernel = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], dtype=np.float32)
     rough = cv2.filter2D(strip, cv2.CV_32F, kernel)[1:-1, 1:-1]
-    # The lower quartile is that of places without texture, of which every overlap has some.
+    # Every overlap has places without texture. The lower quartile is taken to be one of them.
     return float(np.quantile(np.abs(rough), 0.25) / _QUARTILE / 6) ** 2 + 1 / 12
 
 
 def _is_repeated(grey: Grey, corner: NDArray[np.int64], reach: int) -> bool:
-    """Return whether the surroundings of a corner show its patch at another place too."""
+    """Return whether the patch of a corner appears at another place within `reach` px of it too."""
     x, y = (int(v) for v in corner)
     x0, y0 = max(x - reach - _HALF_PX, 0), max(y - reach - _HALF_PX, 0)
     around, patch = grey[y0 : y + reach + _HALF_PX, x0 : x + reach + _HALF_PX], _patch(grey, corner)

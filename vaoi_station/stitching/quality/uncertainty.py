@@ -1,7 +1,7 @@
-"""Predicted uncertainty of component positions: the covariance of the adjustment, propagated to the images.
+"""Predicted uncertainty of component positions: the covariance of the adjustment, carried over to the images.
 
-The position of a component in an image follows from the motion of the row, from C and from the surface. The covariance
-of the position is that of the residual that an exact detection of the component would have.
+The position of a component in an image depends on the motion of the row, on C and on the surface. The covariance of the
+position is computed as that of the residual that an exact detection of the component would have.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from vaoi_station.stitching.matching.scene import Scene
 from vaoi_station.stitching.quality.covariances import largest_sigma
 
 MODEL_PX = 0.002
-"""Standard deviation of errors that no residual shows: those of calibration, artwork and flatness."""
+"""Standard deviation of errors that no residual shows: errors of calibration, artwork and flatness."""
 _DIGITS = 4
 
 
@@ -39,11 +39,12 @@ _DIGITS = 4
 class PredictedSigma:
     """Predicted uncertainty of a run: the covariance of each view of a component, and the largest standard deviations.
 
-    A standard deviation is that in the direction where it is largest.
+    Each standard deviation is the one in the direction in which it is largest.
     """
 
     rows_px: tuple[float, ...]
-    """For each row the standard deviation of the worst component in view. Without components, that of the motion."""
+    """For each row, the largest standard deviation of a component in view. Without components, that of the row's
+    motion."""
     worst_px: float | None
     """The largest standard deviation over all views of components; None without C."""
     names: tuple[str, ...]
@@ -51,7 +52,7 @@ class PredictedSigma:
     part: Ints
     """(k,) number of the component that each view shows. Views are ordered by component, then camera, then row."""
     seen_in: Ints
-    """(k, 2) camera and row of each view."""
+    """(k, 2) camera and row of the frame of each view."""
     covariance_px2: Floats
     """(k, 2, 2) covariance of image x and y in each view."""
 
@@ -119,7 +120,7 @@ def predict_sigma(
         _displacements(scene, adjusted, camera, row),
     )
     px_per_mm = np.array([c.px_per_mm for c in scene.cameras])[camera]
-    # The adjustment takes artwork and the shape of the cameras' pictures as exact: their errors are added here.
+    # The adjustment takes artwork and calibrated camera shapes as exact: their errors are added here.
     covariance = covariance * px_per_mm[:, None, None] ** 2 + MODEL_PX**2 * np.eye(2)
     covariance = covariance + shape_covariances(scene.cameras, camera, views.px[inside])
     rows = np.zeros(len(motion))
@@ -138,12 +139,17 @@ def _leans(cameras: Sequence[Camera], camera: Ints, place: Floats) -> Floats:
 
 
 def shape_covariances(cameras: Sequence[Camera], camera: Ints, raw_px: Floats) -> Floats:
-    """Compute the covariance (k, 2, 2) px² that errors of the calibration cause at raw pixels (k, 2).
+    """Compute the covariance (k, 2, 2) px² of k raw pixels (k, 2) that errors of the calibration cause.
 
-    Only the shape of the picture counts: scale, stretch, perspective and radial distortion. A displacement (shift and
-    turn) is an unknown of the adjustment. It is estimated where the camera overlaps with its neighbours, so that an
-    error of the shape there shifts the whole picture: that error is added. The value is 0 for cameras whose
-    calibration states no covariance.
+    Only errors of the picture's shape count: scale, stretch, perspective and radial distortion. Displacements (shift
+    and turn) are unknowns of the adjustment. They are estimated where a camera overlaps with its neighbours. An error
+    of the shape there shifts the whole picture, so that error is added. The value is 0 for cameras whose calibration
+    states no covariance.
+
+    Args:
+        cameras: the cameras.
+        camera: (k,) number of the camera of each pixel.
+        raw_px: (k, 2) raw pixels.
     """
     out = np.zeros((len(raw_px), 2, 2))
     for i in np.unique(camera).tolist():
@@ -151,20 +157,20 @@ def shape_covariances(cameras: Sequence[Camera], camera: Ints, raw_px: Floats) -
         if own is not None:
             mine = camera == i
             here = basis_px(cameras[i], cameras[i].lens.undistort(raw_px[mine]))[:, :, PARAMETERS:]
-            # at a seam the shapes of both cameras count
+            # At a seam, the shape errors of both cameras count.
             out[mine] = here @ own @ here.swapaxes(1, 2) + 2 * _at_seams(cameras[i], own)
     return out
 
 
 def shape_covariance(camera: Camera) -> Floats | None:
-    """Return the covariance (6, 6) of the fields of a camera's shape, px²; None if its calibration states none."""
+    """Return the covariance (6, 6) px² of a camera's six shape terms; None if its calibration states none."""
     if camera.covariance_px2 is None:
         return None
     return np.asarray(camera.covariance_px2, dtype=np.float64)[PARAMETERS:, PARAMETERS:]
 
 
 def uncertain_calibration(cameras: Sequence[Camera], limit_px: float) -> str:
-    """Return a clause that names the cameras whose calibration leaves more than a limit at the seams; empty if none."""
+    """Return a clause that names cameras whose calibration has a σ above a limit (px) at the seams; empty if none."""
     sigma = [seam_sigma_px(camera) for camera in cameras]
     unsure = [str(i) for i, px in enumerate(sigma) if px > limit_px]
     if not unsure:
@@ -174,13 +180,13 @@ def uncertain_calibration(cameras: Sequence[Camera], limit_px: float) -> str:
 
 
 def seam_sigma_px(camera: Camera) -> float:
-    """Return the standard deviation of the camera's shape at its seams, px, in the worst direction; 0 if unknown."""
+    """Return the standard deviation (px) of a camera's shape errors at its seams, worst direction; 0 if unknown."""
     own = shape_covariance(camera)
     return 0.0 if own is None else float(largest_sigma(_at_seams(camera, own)))
 
 
 def _at_seams(camera: Camera, shape: Floats) -> Floats:
-    """Return the mean covariance (2, 2) px² of a camera's shape at the middles of its four sides."""
+    """Return the mean covariance (2, 2) px² of a camera's shape errors at the middles of its picture's four sides."""
     x, y = camera.center_px
     sides = basis_px(camera, np.array([(0.0, y), (2 * x, y), (x, 0.0), (x, 2 * y)]))[:, :, PARAMETERS:]
     return np.asarray((sides @ shape @ sides.swapaxes(1, 2)).mean(0))
@@ -256,7 +262,7 @@ class DisplacementArrays(NamedTuple):
 def position_covariances(
     views: ViewArrays, points: PointArrays, rows: RowArrays, displacements: DisplacementArrays
 ) -> Floats:
-    """Compute for each view the covariance (k, 2, 2) mm² of the residual that a detection of its point would have."""
+    """Compute for each view the covariance (k, 2, 2) mm² of the residual of an exact detection of its point."""
     row, point, place, lean = views.row, views.point, views.place_mm, views.lean
     flat, basis = points.flat, points.basis
     angle, pivot, covariance = rows.angle, rows.pivot, rows.covariance

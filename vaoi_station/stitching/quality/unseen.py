@@ -1,7 +1,8 @@
-"""Components that the good frames of a run show too little of, and the causes: lost frames, filming time, seams, width.
+"""Find components of which the good frames show too little, and the cause: lost frames, filming time, seams, width.
 
-What must be seen follows from component, board type and station (`model.Visibility`). A cause is named only if it was
-tested: the component would be seen if the lost frames had arrived, or if there were rows before or after those filmed.
+How much must be seen is stated by component, board type and station (`model.Visibility`). A cause is reported only if
+it was tested: the component would be seen if the lost frames had arrived, or if there were rows before or after the
+filmed ones.
 """
 
 from __future__ import annotations
@@ -23,20 +24,20 @@ from vaoi_station.stitching.matching.evidence import FrameKey
 Cause = Literal["frames-unconfirmed", "frames-lost", "filming-ended", "filming-began", "seam", "beyond-view"]
 
 _SLACK = 1e-9
-"""Rounding of a share that is the sum of parts."""
+"""Tolerance for rounding errors in a sum of shares."""
 _MOST_NAMED = 40
-"""Largest number of components that one reason names; the `quality` entry of the result lists all."""
+"""Largest number of components that one reason names; the `quality` entry of the result lists all of them."""
 _MOST_ROWS = 1000
-"""Largest number of rows that are assumed before and after the filmed ones."""
+"""Largest number of rows that a test adds before or after the filmed ones."""
 
 
 @dataclass(frozen=True)
 class UnseenComponent:
-    """A component that the good frames show too little of."""
+    """A component of which the good frames show less than is asked for."""
 
     address: str
     coverage: float
-    """Share of the footprint that the good frames show together."""
+    """Share of the footprint's area that the good frames show together."""
     views: int
     in_one_frame: bool
     asked: Visibility
@@ -62,16 +63,16 @@ class FilmedBoard(NamedTuple):
 
 
 class SeenFrames(NamedTuple):
-    """The frames of a run, by what is known of them."""
+    """The good frames of a run, and those of them that are confirmed."""
 
     present: Collection[FrameKey]
     """Camera and row of the good frames."""
     confirmed: Collection[FrameKey]
-    """Those good frames whose pictures fit the board; components in other frames count as unseen."""
+    """The good frames whose pictures fit the board's motion. A component in any other frame counts as unseen."""
 
 
 class _Asked(NamedTuple):
-    """What is asked of each of n components."""
+    """The visibility that is asked for, as arrays over n components."""
 
     coverage: Floats
     views: NDArray[np.int_]
@@ -85,13 +86,13 @@ class _Asked(NamedTuple):
 
 
 def required_visibility(board_type: BoardType, station: Visibility) -> tuple[Visibility, ...]:
-    """Return what is asked of each component of a board type, complete."""
+    """Return the visibility that is asked for, for each component of a board type, with all values filled in."""
     general = (board_type.visibility or Visibility()).over(station).over(VISIBILITY)
     return tuple(general if c.visibility is None else c.visibility.over(general) for c in board_type.components)
 
 
 def _asked(required: Sequence[Visibility]) -> _Asked:
-    # Most components share one object, so that its values are looked up once.
+    # Most components have the same visibility object, so its values are read only once.
     kinds = {id(r): r for r in required}
     number = {key: n for n, key in enumerate(kinds)}
     of = np.array([number[id(r)] for r in required], dtype=np.int_)
@@ -113,7 +114,7 @@ def find_unseen(
     """
     required = required_visibility(board.board_type, station)
     asked = _asked(required)
-    # Counting all views takes most of the time, and a number of views is rarely asked for.
+    # Counting all views takes most of the time, and few board types ask for a number of views.
     at = np.flatnonzero(~asked.met(board.coverage(frames.confirmed, count_views=bool(asked.views.any()))))
     if not len(at):
         return ()
@@ -180,11 +181,11 @@ _EXPLANATIONS: dict[Cause, str] = {
 
 
 def _causes(board: FilmedBoard, present: Collection[FrameKey], asked: _Asked, velocity_mm_s: Floats) -> list[Cause]:
-    """Return the cause for each component of a board that has only components of which too little is seen."""
+    """Return the cause for each component of a board that contains only the components that are seen too little."""
     complete = board.coverage(_all_frames(board))
-    # Enough area, but not in one frame: no further frame of these cameras would change that.
+    # Enough area, but not in one frame: more frames of these cameras would not change that.
     causes: list[Cause] = ["seam" if enough else "beyond-view" for enough in complete.share >= asked.coverage - _SLACK]
-    # The tests follow in the order of their costs; those of more rows are needed for what lost frames do not explain.
+    # The tests follow in the order of their cost. More rows are tried only where lost frames are not the cause.
     open_ = _explain(causes, "frames-unconfirmed", np.arange(len(causes)), asked.met(board.coverage(present)))
     open_ = _explain(causes, "frames-lost", open_, asked.met(complete)[open_])
     for cause, way in (("filming-ended", 1), ("filming-began", -1)):
@@ -196,7 +197,7 @@ def _causes(board: FilmedBoard, present: Collection[FrameKey], asked: _Asked, ve
 
 
 def _explain(causes: list[Cause], cause: Cause, at: NDArray[np.int_], holds: NDArray[np.bool_]) -> NDArray[np.int_]:
-    """Set the cause of the components `at` (k,) for which it holds (k,), and return the others."""
+    """Set `cause` for those components `at` (k,) for which `holds` (k,) is true, and return the others."""
     for k in at[holds].tolist():
         causes[k] = cause
     return at[~holds]
@@ -207,11 +208,11 @@ def _all_frames(board: FilmedBoard) -> list[FrameKey]:
 
 
 def _with_more_rows(board: FilmedBoard, way: int, velocity_mm_s: Floats) -> FilmedBoard:
-    """Return the board with rows after the last (`way` 1) or before the first (−1), until it has left the view."""
+    """Return the board with rows added after the last (`way` 1) or before the first (−1) until it is out of view."""
     speed = float(np.hypot(*velocity_mm_s))
     views = np.array([camera.view_mm() for camera in board.cameras])
     low, high = views[:, 0].min(0), views[:, 1].max(0)
-    # Half the smallest view per step: everything that passes the cameras is then in some frame as a whole.
+    # A step of half the smallest view: every part of the board is then wholly in some frame.
     step = float((views[:, 1] - views[:, 0]).min()) / 2
     at = board.parts.corners.reshape(-1, 2)
     extent = np.ptp(at @ board.cad_matrix[:2, :2].T, axis=0)
@@ -229,9 +230,9 @@ def _named(unseen: Sequence[UnseenComponent]) -> str:
 
 
 def _shortfall(u: UnseenComponent) -> str:
-    """State in a few words how much of a component is seen, and what it lacks."""
+    """State in a few words how much of a component is seen, and how much is asked for."""
     if u.asked.coverage is not None and u.coverage < u.asked.coverage - _SLACK:
-        # Rounded down, so that 98.7 % is not shown as the 99 % that are asked for.
+        # Rounded down, so that 98.7 % is not shown as 99 % if 99 % is asked for.
         return f"{np.floor(100 * u.coverage):.0f} % of {100 * u.asked.coverage:.0f} %"
     if u.asked.views is not None and u.views < u.asked.views:
         return f"{u.views} of {u.asked.views} views"

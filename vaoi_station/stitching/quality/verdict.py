@@ -1,8 +1,8 @@
 """The verdict on a stitch: ok, degraded or failed, with reasons in words and numbers.
 
-A result is ok if every position has a standard deviation of at most 0.2 px, every component is seen as much as is
-asked for, and no check fails. It is degraded if it is usable but a check fails; the reasons name the check. It has
-failed if it contains no component positions.
+A result is ok if every position has a standard deviation of at most 0.2 px, each component is seen as much as is asked
+for, and no check fails. It is degraded if it is usable but a check fails; the reasons name the check. It is failed if
+it contains no component positions.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _OUTSIDE_LIMIT = 0.03
 _MOST_NAMED_FRAMES = 6
 _CAUSES_OF_FAILURE = (ReasonCode.ROWS_LOST, ReasonCode.BOARD_OFF_PLANE)
 _ENOUGH_FIDUCIALS = 3
-"""Number of found fiducials from which on an error of one of them leaves residuals."""
+"""Least number of found fiducials for which an error of one fiducial leaves residuals."""
 
 
 class _Placed(NamedTuple):
@@ -61,16 +61,18 @@ class _Placed(NamedTuple):
 
 
 def decide_verdict(f: Findings) -> tuple[Status, tuple[Reason, ...]]:
-    """Decide the status of a result and return it with its reasons. The first reasons of a failure are its cause."""
+    """Decide the status of a result and return it with its reasons. For a failure, the cause comes first."""
     if not f.scene.present:
         nothing = "no usable frame of any camera arrived: there is nothing to stitch"
         return Status.FAILED, (Reason(ReasonCode.NO_FRAMES, nothing), *_doubtful_frames(f))
     reasons = tuple(_reasons(f))
     if isinstance(f.found, Failure):
-        # A camera that delivered no frame explains the failure better than the fiducials missing because of it.
+        # A camera that delivered no frame explains the failure better than the fiducials that are missing because of
+        # it.
         absent = absent_camera_reasons(f.scene, f.plane if f.method.marks else None, f.expectation, f.moved.motion)
-        # The same holds for lost rows: where the rows beside them are unconnected, no fiducial is where it should be.
-        # A board far off the calibrated plane is too large or too small for its fiducials.
+        # Lost rows come first for the same reason: if they separate groups of rows, no fiducial is where it is
+        # expected. A board far off the calibrated plane comes next: its fiducials seem too far apart or too close
+        # together.
         causes = (*absent, *(reason for reason in reasons if reason.code in _CAUSES_OF_FAILURE))
         failure = Reason(ReasonCode(f.found.code), f.found.reason)
         sizes = () if causes else _other_sizes(f, failure.code)
@@ -80,7 +82,7 @@ def decide_verdict(f: Findings) -> tuple[Status, tuple[Reason, ...]]:
 
 
 def _other_sizes(f: Findings, failure: ReasonCode) -> tuple[Reason, ...]:
-    """Return a reason if the fiducials were not found because they have another size than the board type states."""
+    """Return a reason if the fiducials have another size than the board type states, so that they were not found."""
     if failure is not ReasonCode.FIDUCIALS_NOT_FOUND or f.plane is None:
         return ()
     texture = board_texture(f.problem.links, f.moved)
@@ -129,10 +131,10 @@ def _unconnected_rows(f: Findings) -> Iterator[Reason]:
 
 
 def _groups_of_rows(f: Findings) -> list[Ints]:
-    """Return the groups of rows that nothing connects with one another."""
+    """Return the groups of rows between which there is no connection by links or marks."""
     if len(f.connected_groups) > 1:
         return f.connected_groups
-    # A single row that is cut off is in no group: it has links between cameras only.
+    # A single row without links to other rows is in no group.
     o, points = f.problem.links, f.problem.fiducials
     seen, placed = np.append(o.p, o.q), np.flatnonzero(f.placed)
     marked = points.row if points is not None else np.zeros(0, dtype=np.int_)
@@ -145,7 +147,7 @@ def _groups_of_rows(f: Findings) -> list[Ints]:
 
 
 def _unplaced_rows(f: Findings) -> Iterator[Reason]:
-    """Name the rows that are not placed, unless they are needless: rows at the board's ends that hardly show it."""
+    """Yield a reason for the rows without known position; rows at the board's ends that hardly show it do not count."""
     if not f.unseen and not any(set(f.unplaced) & set(g.tolist()) for g in f.connected_groups):
         return
     rows = ", ".join(f"{a}" if a == b else f"{a}–{b}" for a, b in _ranges(f.unplaced))
@@ -171,9 +173,10 @@ def _ranges(rows: tuple[int, ...]) -> list[tuple[int, int]]:
 
 
 def _repeated_rows(f: Findings) -> Iterator[Reason]:
-    """Name the rows that a repeated pattern alone connects with the others, and in which no mark confirms the motion.
+    """Yield a reason for rows that only a repeated pattern connects with the others, where no mark confirms the motion.
 
-    Marks in every group of rows confirm it: a motion that is wrong by a spacing would move one of them.
+    If every group of rows shows a mark, the motion is confirmed: a motion that is wrong by a period of the pattern
+    would displace one of these marks.
     """
     present = {row for _, row in f.scene.present}
     cuts = {(e.task.a[1], e.task.b[1]) for e in f.links if e.ambiguous and e.task.b is not None}
@@ -231,7 +234,7 @@ def _disagreeing_cameras(f: Findings) -> Iterator[Reason]:
 
 
 def _displaced_cameras(f: Findings) -> Iterator[Reason]:
-    # Seen by cameras in a line, a board off its plane looks like an array that is stretched.
+    # To cameras in a line, a board off its plane looks the same as an array that is stretched.
     height = (
         ""
         if len(f.adjusted.surface_mm)
@@ -317,7 +320,7 @@ def _invisible_outline(b: _Placed) -> Iterator[Reason]:
 def _texture_off_the_board(b: _Placed) -> Iterator[Reason]:
     left_out = b.mapping.left_out
     if left_out is not None:
-        # The pictures show where the board ends: what lies beside it is a carrier or the belt.
+        # The pictures show where the board ends, so texture outside the outline belongs to a carrier or to the belt.
         if not left_out.confirmed:
             yield Reason(
                 ReasonCode.TEXTURE_OFF_BOARD,
@@ -328,7 +331,7 @@ def _texture_off_the_board(b: _Placed) -> Iterator[Reason]:
             )
         return
     o, adjusted = b.findings.problem.links, b.findings.adjusted
-    # Only links from row to row are used. Their points move with the board; those of a seam may lie on the conveyor.
+    # Only links from row to row are used. Their points move with the board; links at a seam may lie on the conveyor.
     use = (adjusted.weight > 0.5) & (o.p != o.q)
     share = outside_share(b.plane, b.similarity, adjusted.motion.board(o.p[use], o.a_mm[use]))
     if share > _OUTSIDE_LIMIT:
@@ -347,7 +350,7 @@ def _uncertain_positions(b: _Placed) -> Iterator[Reason]:
 
 
 def _unconfirmed_frames(b: _Placed) -> Iterator[Reason]:
-    # A picture of a component from such a frame may show anything, even if other frames show the component well.
+    # In such a frame, the picture of a component may show anything, even if other frames show the component well.
     keys = b.findings.unconfirmed
     if keys:
         named = ", ".join(f"camera {i} row {j}" for i, j in keys[:_MOST_NAMED_FRAMES])

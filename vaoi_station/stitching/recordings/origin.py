@@ -1,7 +1,7 @@
 """The origin of a result: from which recording, calibration and CAD data it was made.
 
-A result fits every recording of the same array with the same number of rows by its shape. Its origin shows whether it
-belongs to this one. It is part of `quality`, which readers of older versions accept with any keys.
+By its shape alone, a result fits every recording of the same array with the same number of rows. Its origin shows
+whether it belongs to a given recording. The origin is stored in `quality`, in which older versions accept any keys.
 """
 
 from __future__ import annotations
@@ -21,13 +21,14 @@ from vaoi_station.model import BoardType, Calibration, Stitch, Strict, Whole
 KEY = "recording"
 """Key of the origin in `quality`."""
 CAD_TERMS = frozenset({"unit", "y_axis", "side", "fiducials"})
-"""Keys of a board type on which C depends. Components may change between stitching and cutting."""
+"""Keys of a board type on which C depends. Other keys, such as the components, may change between stitching and
+cutting."""
 _OPTICS = frozenset({"camera_matrices", "working_distance_mm", "principal_point", "distortion"})
 """Keys of a calibration on which the positions in frames depend."""
 
 
 class Origin(Strict):
-    """Names for people, digests for the comparison."""
+    """The origin of a result: names, for people, and digests, for the comparison."""
 
     name: str
     """Id of the run if the recording has one, otherwise the name of its directory."""
@@ -99,8 +100,9 @@ def _name(recording: Recording) -> str:
 
 def _typical_frame(recording: Recording) -> tuple[int, int] | None:
     """Return camera and row of the frame nearest to the middle of the run: it shows the board, not the empty belt."""
-    # One frame suffices: sensor noise makes the frames of any two boards different. To decode it takes some 10 ms, all
-    # frames take as long as stitching. Pixels are compared, not files: a recording may be stored as PNG or TIFF.
+    # One frame suffices: sensor noise makes the frames of any two boards different. Decoding it takes some 10 ms;
+    # decoding all frames would take as long as stitching. Pixels are compared, not files: a recording may be stored as
+    # PNG or TIFF.
     head = recording.head
     lost, middle = set(head.missing), (head.rows - 1) / 2
     keys = ((abs(j - middle), j, i) for i in range(len(head.cameras)) for j in range(head.rows) if (i, j) not in lost)

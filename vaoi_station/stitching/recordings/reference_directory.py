@@ -1,4 +1,4 @@
-"""A reference run as a directory: the recording, calibration, board type and result (made by `vaoi teach`)."""
+"""A reference on disk: a directory with recording, calibration, board type and result, made by `vaoi teach`."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ CONFIRM = (
 )
 """Action for a run whose only fault is its ambiguous orientation."""
 _SAME_CALIBRATION_PX = 0.05
-"""Largest accepted difference between the calibrations of reference and run: it adds to the error of positions."""
+"""Largest accepted difference between the calibrations of reference and run, px: it adds to the error of positions."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +74,7 @@ def teach(
     Raises:
         InputError: the directory exists, or the run cannot be stitched well enough to be a reference.
     """
-    refuse_existing(out)  # before the run is stitched, which takes seconds
+    refuse_existing(out)  # This check comes before stitching, which takes seconds.
     recording = open_recording(case).with_rotation(rotation_deg)
     known, board_type = read_calibration(calibration, recording.head.cameras), read_board_type(board)
     refuse_unplaceable(board_type, board)
@@ -98,13 +98,16 @@ def teach(
 
 def awaits_confirmation(stitch: Stitch) -> bool:
     """Return whether a result is not ok only because the board turned by 180° would fit as well."""
-    # The ambiguous orientation is a reason itself: if there is just one reason, it is this one.
+    # The ambiguous orientation is a reason too: if there is only one reason, it is this one.
     ambiguous = stitch.quality.get("orientation") == AMBIGUOUS
     return ambiguous and stitch.status is Status.DEGRADED and len(stitch.reasons) == 1
 
 
 def with_confirmed_orientation(stitch: Stitch) -> Stitch:
-    """Return a result whose only reason, the ambiguous orientation, a person has settled. Other results stay."""
+    """Return a result without its only reason, the ambiguous orientation, which a person has confirmed.
+
+    A result with other reasons, or with none, is returned unchanged.
+    """
     if not awaits_confirmation(stitch):
         return stitch
     quality = stitch.quality | {"orientation": "confirmed"}

@@ -1,6 +1,7 @@
 """Selection of the few frames per row that a reference keeps (paper, section 3.3.3).
 
-All cameras of a row share one motion, so a few frames determine it. Frames far apart determine its angle best.
+All cameras of a row see the same motion of the board, so a few frames determine it. Frames that are far apart determine
+its angle best.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ def select_reference_frames(
 def _spread(cameras: list[int]) -> list[int]:
     if len(cameras) <= MOST_PER_ROW:
         return cameras
-    # The first and the last camera are among them, so that the angle is determined over the longest distance.
+    # The first and the last camera are among them, because the angle is determined best over the longest distance.
     return [cameras[k] for k in np.linspace(0, len(cameras) - 1, MOST_PER_ROW).round().astype(int)]
 
 
