@@ -88,7 +88,7 @@ def test_waiting_pictures_are_limited(plant: Plant, make_stitch: Callable[..., A
     for worker in (0, 1):
         os.kill(plant.pid(worker), signal.SIGSTOP)
     try:
-        pending = [plant.submit(plant.picture(make_stitch, make_head(3))) for _ in range(MAX_PICTURES + 2)]
+        pending = [plant.submit(plant.picture(make_stitch, make_head(3))) for _ in range(MAX_PICTURES + 1)]
         refused = plant.submit(plant.picture(make_stitch, make_head(3))).get()
     finally:
         for worker in (0, 1):

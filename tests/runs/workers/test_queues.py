@@ -216,3 +216,48 @@ def test_every_job_is_given_out_exactly_once(
         hall.workers[worker].jobs.clear()
     assert sorted(map(repr, chosen)) == sorted(map(repr, [*jobs, hall.picture()]))
     assert {job.priority for job in chosen} <= {Priority.LINK, Priority.RENDER}
+
+
+def test_a_picture_leaves_one_worker_free_for_a_conclusion(hall: Hall) -> None:
+    hall.add(*(hall.picture() for _ in range(5)))
+    assert [hall.choose(k) is not None for k in (2, 1, 0)] == [True, True, False]
+    hall.add(hall.board.conclusion({}))
+    assert isinstance(hall.choose(0), ConcludeJob)
+
+
+def test_a_worker_that_does_not_answer_is_not_the_one_left_free(hall: Hall) -> None:
+    hall.workers[0].overdue = True
+    hall.add(hall.picture(), hall.picture())
+    assert [hall.choose(k) is not None for k in (2, 1)] == [True, False]
+
+
+def test_the_only_sound_worker_renders_too(ring_board: RingBoard) -> None:
+    alone = Hall(ring_board, 2)
+    alone.workers[1].ready = False
+    alone.add(alone.picture())
+    assert isinstance(alone.choose(0), RenderJob)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    steps=st.lists(st.tuples(st.sampled_from(["link", "picture", "conclude", "finish"]), st.integers(0, 3)), max_size=60),
+    count=st.integers(2, 4),
+)
+def test_a_conclusion_never_waits_behind_pictures(
+    ring_board: RingBoard, steps: list[tuple[str, int]], count: int
+) -> None:
+    """In any order of arrivals and of ends: when a picture begins, another worker could take a conclusion at once."""
+    hall = Hall(ring_board, count)
+    for step, k in steps:
+        if step == "finish":
+            finished = [queued.job for queued in hall.workers[k % count].jobs]
+            checks = [Queued(job.check) for job in finished if isinstance(job, ConcludeJob) and job.check is not None]
+            hall.workers[k % count].jobs = deque(checks)
+        elif step == "conclude":
+            hall.add(hall.board.conclusion({}, check=CHECK))
+        else:
+            hall.add(hall.link(k % 3) if step == "link" else hall.picture())
+        begun = [hall.choose(worker) for worker in range(count) if hall.workers[worker].idle]
+        late = [worker.job for worker in hall.workers if worker.job and worker.job.job.priority > Priority.GATHER]
+        assert sum(isinstance(queued.job, RenderJob) for queued in late) < count
+        assert len(late) < count or not any(isinstance(job, RenderJob) for job in begun)

@@ -334,15 +334,22 @@ class WorkerPool:
             worker.update(now_s)
         for worker in self._workers:
             if worker.idle and not worker.overdue:
-                queued = self._queues.choose(worker) or self._overdue_job()
+                queued = self._queues.choose(worker) or self._overdue_job(worker)
                 if queued is not None:
                     self._give(worker, queued)
             if worker.ready and len(worker.jobs) == 1 and (queued := self._queues.next_link(worker)) is not None:
                 self._give(worker, queued)
 
-    def _overdue_job(self) -> Queued | None:
-        """Return a job of an overdue worker that no other worker has; None if there is none."""
-        candidates = (q for worker in self._workers if worker.overdue for q in worker.jobs if q.repeatable)
+    def _overdue_job(self, idle: Worker) -> Queued | None:
+        """Return a job of an overdue worker that no other worker has, for an idle one; None if there is none."""
+        render = self._queues.may_render(idle)
+        candidates = (
+            q
+            for worker in self._workers
+            if worker.overdue
+            for q in worker.jobs
+            if q.repeatable and (render or not isinstance(q.job, RenderJob))
+        )
         return next((q for q in candidates if sum(q in w.jobs for w in self._workers) == 1), None)
 
     def _give(self, worker: Worker, queued: Queued) -> None:

@@ -94,12 +94,23 @@ class JobQueues:
 
         Within a priority, jobs that are assigned to this worker, or to no worker, come first.
         """
-        for homes in self._queues.values():
+        for priority, homes in self._queues.items():
+            if priority is Priority.RENDER and not self.may_render(worker):
+                continue
             mine = min((homes[h] for h in (None, worker.index) if homes[h]), key=_front, default=None)
             chosen = mine or min(self._of_others(homes, worker), key=_front, default=None)
             if chosen:
                 return chosen.popleft()
         return None
+
+    def may_render(self, worker: Worker) -> bool:
+        """Return whether a worker may begin a picture: another sound one must stay free of pictures and checks.
+
+        A conclusion that comes meanwhile thus never waits for a picture. The only sound worker renders too: it would
+        make no pictures at all otherwise, and a conclusion waits for at most the one under way.
+        """
+        others = [other for other in self._workers if other is not worker and other.ready and not other.overdue]
+        return not others or any(not _with_picture_or_check(other) for other in others)
 
     def _of_others(self, homes: defaultdict[int | None, deque[Queued]], worker: Worker) -> Iterator[deque[Queued]]:
         """Yield the queues of other workers from which a worker may take a job."""
@@ -146,6 +157,12 @@ class JobQueues:
         # not wait for it.
         checking = own.job is not None and own.job.job.priority is Priority.CHECK
         return away or checking or len(queue) > 1
+
+
+def _with_picture_or_check(worker: Worker) -> bool:
+    """Return whether a worker renders a picture, or checks the calibration now or right after its conclusion."""
+    jobs = (queued.job for queued in worker.jobs)
+    return any(j.check is not None if isinstance(j, ConcludeJob) else j.priority > Priority.GATHER for j in jobs)
 
 
 def _front(queue: deque[Queued]) -> int:
