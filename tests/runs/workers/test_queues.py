@@ -240,7 +240,9 @@ def test_the_only_sound_worker_renders_too(ring_board: RingBoard) -> None:
 
 @settings(max_examples=60, deadline=None)
 @given(
-    steps=st.lists(st.tuples(st.sampled_from(["link", "picture", "conclude", "finish"]), st.integers(0, 3)), max_size=60),
+    steps=st.lists(
+        st.tuples(st.sampled_from(["link", "picture", "conclude", "finish"]), st.integers(0, 3)), max_size=60
+    ),
     count=st.integers(2, 4),
 )
 def test_a_conclusion_never_waits_behind_pictures(
