@@ -186,12 +186,13 @@ def serve(config: StationConfig, port: int | None = None) -> None:
     from vaoi_station.api import create_app
     from vaoi_station.api.access.access_control import AccessControl
     from vaoi_station.api.access.audit import AUDIT_FILE, AuditLog
+    from vaoi_station.api.listener.certificate import CertificateFiles
     from vaoi_station.api.routes.waiting_page import WaitingPage
-    from vaoi_station.api.web_server import WebServer, open_listener, tls_context
+    from vaoi_station.api.web_server import WebServer, open_listener
 
     api, keys = config.api, KeyFile(config.data / KEY_FILE)
     address, names = (api.host, api.port if port is None else port), (api.host, *api.names)
-    tls = None if api.certificate is None else tls_context(api.certificate, api.private_key)
+    tls = None if api.certificate is None else CertificateFiles(api.certificate, api.private_key)
     with StopRequest() as stop, ExitStack() as parts:
         wait = StartWait(stop)
         socket_ = wait.until_started(lambda: open_listener(*address, "[api]"))

@@ -1,4 +1,7 @@
-"""Images of one component from a running station: python images_from_a_station.py http://127.0.0.1:8350 U1 FOLDER"""
+"""Images of one component from a running station: python images_from_a_station.py http://127.0.0.1:8350 U1 FOLDER
+
+On another machine than the station: VAOI_KEY_FILE=tester.key VAOI_CA=ca.pem python images_from_a_station.py …
+"""
 
 import sys
 from pathlib import Path

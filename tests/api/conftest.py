@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ssl
 import threading
 from collections.abc import Callable, Iterator
 
@@ -10,7 +11,10 @@ import pytest
 from fastapi.testclient import TestClient
 
 from tests.api.held_station import HeldStation
+from tests.certificates import Certificate
 from vaoi_station.api import create_app
+from vaoi_station.api.access.access_control import AccessControl
+from vaoi_station.api.listener.certificate import CertificateFiles
 from vaoi_station.api.listener.connections import ConnectionLimits
 from vaoi_station.api.web_server import WebServer, open_listener
 
@@ -18,15 +22,24 @@ from vaoi_station.api.web_server import WebServer, open_listener
 class Served:
     """The application behind a real socket on loopback, and a client for it."""
 
-    def __init__(self, station: HeldStation, port: int = 0, limits: ConnectionLimits | None = None) -> None:
+    def __init__(
+        self,
+        station: HeldStation,
+        port: int = 0,
+        limits: ConnectionLimits | None = None,
+        access: AccessControl | None = None,
+        certificate: Certificate | None = None,
+    ) -> None:
         self.station = station
-        self.app = create_app(station)
+        self.app = create_app(station, access=access)
         self._socket = open_listener("127.0.0.1", port, "test")
         self.port = self._socket.getsockname()[1]
-        self._server = WebServer(self.app, self._socket, threading.Event().set, limits)
+        tls = None if certificate is None else CertificateFiles(*certificate)
+        self._server = WebServer(self.app, self._socket, threading.Event().set, limits, tls)
         self.url = self._server.address
         self._server.start()
-        self.client = httpx2.Client(base_url=self.url, timeout=20)
+        trusted = True if certificate is None else ssl.create_default_context(cafile=str(certificate.certificate))
+        self.client = httpx2.Client(base_url=self.url, timeout=20, verify=trusted)
         self.client.get("/healthz")  # answered as soon as the application has started
 
     def stop(self) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import socket
 import ssl
-import subprocess
 import threading
 from collections.abc import Iterator
 from contextlib import suppress
@@ -14,9 +13,12 @@ import httpx2
 import pytest
 from fastapi import FastAPI
 
+from tests.certificates import Certificate, make_certificate
+from vaoi_station.api.listener import acceptor
+from vaoi_station.api.listener.certificate import CertificateFiles
 from vaoi_station.api.listener.connections import ConnectionLimits
-from vaoi_station.api.web_server import WebServer, open_listener, tls_context
-from vaoi_station.errors import DeviceError, InputError, InternalError
+from vaoi_station.api.web_server import WebServer, open_listener
+from vaoi_station.errors import DeviceError, InternalError
 
 
 @pytest.fixture
@@ -65,23 +67,16 @@ def test_a_port_in_use_is_refused_with_the_source_of_the_address() -> None:
 
 
 @pytest.fixture
-def certificate(tmp_path: Path) -> tuple[Path, Path]:
-    """A certificate for 127.0.0.1 that it has signed itself, and its private key."""
-    made, key = tmp_path / "cert.pem", tmp_path / "key.pem"
-    command = "openssl req -x509 -newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes -days 2 -subj /CN=station"
-    names = ["-addext", "subjectAltName=IP:127.0.0.1", "-keyout", str(key), "-out", str(made)]
-    subprocess.run([*command.split(), *names], check=True, capture_output=True)
-    return made, key
+def certificate(tmp_path: Path) -> Certificate:
+    return make_certificate(tmp_path)
 
 
-def test_it_speaks_tls_and_ends_handshakes_that_do_not_end(
-    ended: threading.Event, certificate: tuple[Path, Path]
-) -> None:
+def test_it_speaks_tls_and_ends_handshakes_that_do_not_end(ended: threading.Event, certificate: Certificate) -> None:
     app = FastAPI()
     app.get("/")(lambda: "served")
     limits = ConnectionLimits(per_address=8, handshake_s=1.0)
     with open_listener("127.0.0.1", 0, "[api]") as listener:
-        server = WebServer(app, listener, ended.set, limits, tls_context(*certificate))
+        server = WebServer(app, listener, ended.set, limits, CertificateFiles(*certificate))
         server.start()
         assert server.address.startswith("https://")
         trusted = ssl.create_default_context(cafile=str(certificate[0]))
@@ -94,8 +89,28 @@ def test_it_speaks_tls_and_ends_handshakes_that_do_not_end(
         server.stop()
 
 
-def test_a_certificate_that_cannot_be_used_is_refused(certificate: tuple[Path, Path], tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"\[api\] certificate .*cannot be used"):
-        tls_context(certificate[0], tmp_path / "absent.pem")
-    with pytest.raises(InputError, match="PEM"):
-        tls_context(certificate[1], certificate[1])
+def test_a_renewed_certificate_is_used_for_new_connections_without_a_restart(
+    ended: threading.Event, certificate: Certificate, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(acceptor, "RENEW_S", 0.0)
+    app = FastAPI()
+    app.get("/")(lambda: "served")
+    with open_listener("127.0.0.1", 0, "[api]") as listener:
+        server = WebServer(app, listener, ended.set, tls=CertificateFiles(*certificate))
+        server.start()
+        with httpx2.Client(verify=ssl.create_default_context(cafile=str(certificate[0])), timeout=20) as kept:
+            assert kept.get(server.address).json() == "served"
+            renewed = make_certificate(tmp_path, "renewed")
+            trusted = ssl.create_default_context(cafile=str(renewed.certificate))
+            renewed.certificate.replace(certificate.certificate)
+            renewed.private_key.replace(certificate.private_key)
+            while not _trusts(trusted, server.address):
+                assert kept.get(server.address).json() == "served"  # also keeps the files from being read for nothing
+        server.stop()
+
+
+def _trusts(context: ssl.SSLContext, address: str) -> bool:
+    try:
+        return httpx2.get(address, verify=context, timeout=20).is_success
+    except httpx2.ConnectError:
+        return False

@@ -21,6 +21,7 @@ from vaoi_station.errors import (
     StateError,
     VaoiError,
 )
+from vaoi_station.files.caller_credentials import CallerCredentials
 from vaoi_station.files.images import encode_png
 
 PROBLEMS = {
@@ -57,6 +58,12 @@ class ScriptedStation(ScriptedHandler):
             self.send(200, REPLIES[path])
         elif path in ("/cut", "/cut-refusal"):
             self.send(200 if path == "/cut" else 500, b'{"state": "id', length=100)
+        elif path == "/key":
+            self.send(200, json.dumps({"key": self.headers.get("Authorization")}).encode())
+        elif path == "/moved":
+            self.send_response(302)
+            self.send_header("Location", "/api/v1/key")
+            self.end_headers()
         elif path == "/nothing":
             self.send(204, b"")
         elif path == "/picture":
@@ -116,6 +123,8 @@ def test_events(client: Client) -> None:
         (404, NotFoundError),
         (409, StateError),
         (410, GoneError),
+        (401, InputError),
+        (403, InputError),
         (422, InputError),
         (503, BusyError),
         (500, InternalError),
@@ -160,6 +169,14 @@ def test_key_that_a_reply_lacks_is_a_device_error_with_key_and_address(client: C
         _ = reply["state"]
     assert reply.get("state") is None
     assert "request" in dict(reply)
+
+
+def test_the_key_is_sent_with_every_request_and_to_no_other_address(address: str) -> None:
+    client = Client(address, CallerCredentials("vaoi_1_2"))
+    assert client.get("/key")["key"] == "Bearer vaoi_1_2"
+    assert Client(address).get("/key")["key"] is None
+    with pytest.raises(DeviceError, match="status 302 without problem details"):
+        client.get("/moved")
 
 
 def test_absent_station_is_a_device_error() -> None:

@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 import json
+import re
 import tarfile
 from pathlib import Path
 
 import pytest
 
+from tests.api.conftest import Served
+from tests.api.held_station import HeldStation
+from tests.certificates import make_certificate
+from vaoi_station.api.access.access_control import AccessControl
+from vaoi_station.api.access.audit import AUDIT_FILE, AuditLog
+from vaoi_station.api.access.sessions import COOKIE
 from vaoi_station.doctor.support_bundle import REMOVED, without_secrets, write_support_bundle
 from vaoi_station.errors import InputError
+from vaoi_station.files.access_keys import KEY_FILE, KeyFile
+from vaoi_station.files.caller_credentials import CallerCredentials
 from vaoi_station.store import Database
 
 
@@ -46,6 +55,39 @@ def test_secrets_are_nowhere_in_a_bundle(station_toml: Path, tmp_path: Path) -> 
     assert "station.toml: 2" in found["README.txt"]
 
 
+def test_no_key_no_hash_no_login_and_no_private_key_of_a_running_station_is_in_a_bundle(
+    station_toml: Path, tmp_path: Path
+) -> None:
+    """A real service with TLS that asks for keys on loopback too; the bundle is made with the administrator's key."""
+    data = tmp_path / "data"
+    data.mkdir()
+    keys, audit = KeyFile(data / KEY_FILE), AuditLog(data / AUDIT_FILE)
+    admin, other = keys.create("admin", ["admin", "read"]), keys.create("tester-3", ["operate"])
+    access = AccessControl(keys, audit, open_loopback=False)
+    certificate = make_certificate(data)
+    station = HeldStation()
+    served = Served(station, access=access, certificate=certificate)
+    served.client.get(f"/api/v1/runs/{other.secret}", headers={"authorization": f"Bearer {admin.secret}"})
+    served.client.post(f"/api/v1/station/arm?board_type={other.secret}")
+    login = served.client.post("/api/v1/session", json={"key": other.secret}).cookies[COOKIE]
+    served.client.close()
+    # Events and log lines may quote what a caller has sent by mistake.
+    station.publish("trouble", f"called with {other.secret} and vaoi-session={login}")
+    api = f'[api]\nport = {served.port}\ncertificate = "{certificate[0]}"\nprivate_key = "{certificate[1]}"\n'
+    text = re.sub(r"(?m)^port = .*\n", "", station_toml.read_text())
+    station_toml.write_text(text.replace("[api]\n", api))
+    out = tmp_path / "support.tar.gz"
+    write_support_bundle(station_toml, out, CallerCredentials(admin.secret))
+    served.stop()
+    audit.close()
+    found = members(out)
+    assert json.loads(found["running/station.json"])["state"] == "idle"
+    assert REMOVED in found["running/events.txt"]
+    private = certificate.private_key.read_text().splitlines()[1]
+    secrets = [admin.secret, other.secret, admin.key.sha256, other.key.sha256, login, private]
+    assert [(name, n) for name, content in found.items() for n, secret in enumerate(secrets) if secret in content] == []
+
+
 @pytest.mark.parametrize(
     ("line", "kept"),
     [
@@ -57,6 +99,9 @@ def test_secrets_are_nowhere_in_a_bundle(station_toml: Path, tmp_path: Path) -> 
         ("smb://user:pass@host/share", "smb://[removed]@host/share"),
         ("tokens = ['a', 'b']", "tokens = [removed]"),
         ("keyboard = 1; the key = value stays", "keyboard = 1; the key = value stays"),
+        ("GET /x?key=vaoi_0123456789ab_A-b_c done", "GET /x?key=[removed] done"),
+        ("VAOI_KEY=vaoi_0123456789ab_A-b_c", "VAOI_KEY=[removed]"),
+        ("sent vaoi-session=abc-def; path=/", "sent vaoi-session=[removed]; path=/"),
         ("-----BEGIN PRIVATE KEY-----\nabc\n-----END PRIVATE KEY-----", REMOVED),
     ],
 )

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
 import vaoi_station as vaoi
 from tests.api.conftest import Served
 from tests.api.held_station import HeldStation
+from tests.certificates import Certificate, make_authority, make_certificate
+from vaoi_station.api.access.access_control import AccessControl
+from vaoi_station.api.access.audit import AuditLog
+from vaoi_station.files.access_keys import KeyFile
 
 
 @pytest.fixture
@@ -56,6 +61,51 @@ def test_an_address_without_a_station_is_refused() -> None:
         vaoi.connect("localhost:8350")
     with pytest.raises(vaoi.DeviceError, match="does not reply"):
         vaoi.connect("http://127.0.0.1:9")
+
+
+@pytest.fixture
+def closed(tmp_path: Path) -> Iterator[tuple[Served, Certificate, str]]:
+    """A station with TLS that asks for a key on loopback too, its authority, and a key that may read."""
+    keys, audit = KeyFile(tmp_path / "keys.json"), AuditLog(tmp_path / "audit.jsonl")
+    authority = make_authority(tmp_path)
+    station = HeldStation()
+    station.film()
+    # Served trusts the certificate itself; the tests trust the authority.
+    certificate = make_certificate(tmp_path, "station", authority)
+    chain = tmp_path / "chain.pem"
+    chain.write_text(certificate.certificate.read_text() + authority.certificate.read_text())
+    access = AccessControl(keys, audit, open_loopback=False)
+    served = Served(station, access=access, certificate=Certificate(chain, certificate.private_key))
+    yield served, authority, keys.create("reader", ["read"]).secret
+    served.client.close()  # its open connection would have 5 s to end
+    served.stop()
+    audit.close()
+
+
+def test_a_station_with_keys_and_tls_is_used_with_a_key_file_and_its_authority(
+    closed: tuple[Served, Certificate, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    served, authority, secret = closed
+    (tmp_path / "key").write_text(secret + "\n")
+    station = vaoi.connect(served.url, key_file=tmp_path / "key", ca=authority.certificate)
+    assert station.run().component("U1").images[0].pixels.ndim == 2
+    monkeypatch.setenv("VAOI_KEY_FILE", str(tmp_path / "key"))
+    monkeypatch.setenv("VAOI_CA", str(authority.certificate))
+    assert vaoi.connect(served.url).snapshot()["state"]
+    with pytest.raises(vaoi.InputError, match="needs the scope operate") as refusal:
+        station.run().release()
+    assert refusal.value.code == "missing-scope"
+
+
+def test_a_missing_key_and_an_unknown_authority_are_refused(closed: tuple[Served, Certificate, str]) -> None:
+    served, authority, secret = closed
+    with pytest.raises(vaoi.InputError, match="needs a key") as refusal:
+        vaoi.connect(served.url, ca=authority.certificate)
+    assert refusal.value.code == "no-key"
+    with pytest.raises(vaoi.DeviceError, match=r"(?i)certificate.verify.failed"):
+        vaoi.connect(served.url, key=secret)
+    with pytest.raises(vaoi.InputError, match="key is 'bytes'"):
+        vaoi.connect(served.url, key=secret.encode())  # type: ignore[arg-type]
 
 
 def test_released_frames_are_gone(served: Served) -> None:

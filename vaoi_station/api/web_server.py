@@ -5,14 +5,13 @@ from __future__ import annotations
 import errno
 import logging
 import socket
-import ssl
 from collections.abc import Callable
-from pathlib import Path
 
 from fastapi import FastAPI
 
+from vaoi_station.api.listener.certificate import CertificateFiles
 from vaoi_station.api.listener.connections import ConnectionLimits
-from vaoi_station.errors import DeviceError, InputError, InternalError
+from vaoi_station.errors import DeviceError, InternalError
 from vaoi_station.supervised_thread import SupervisedThread
 
 _log = logging.getLogger(__name__)
@@ -36,7 +35,7 @@ class WebServer:
         listener: socket.socket,
         ended: Callable[[], None],
         limits: ConnectionLimits | None = None,
-        tls: ssl.SSLContext | None = None,
+        tls: CertificateFiles | None = None,
     ) -> None:
         """Prepare the server. It calls `ended` when it ends, whatever the cause. With `tls` it speaks TLS only."""
         # Imported here: uvicorn takes long to load, and most commands do not serve.
@@ -85,20 +84,6 @@ class WebServer:
             self.thread.expect_end()
             # A station without a web server is of no use: this call lets the owner stop the station.
             self._ended()
-
-
-def tls_context(certificate: Path, private_key: Path | None) -> ssl.SSLContext:
-    """Read certificate and private key; raise InputError that names the files if they cannot be used."""
-    context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
-    context.minimum_version = ssl.TLSVersion.TLSv1_2
-    try:
-        context.load_cert_chain(certificate, private_key)
-    except (OSError, ssl.SSLError) as error:
-        raise InputError(
-            f"[api] certificate {certificate}, private_key {private_key}: cannot be used ({error}).",
-            action="Give a certificate and its private key as PEM files that the service can read.",
-        ) from error
-    return context
 
 
 def open_listener(host: str, port: int, where: str) -> socket.socket:

@@ -25,6 +25,7 @@ from vaoi_station.errors import (
     StateError,
     VaoiError,
 )
+from vaoi_station.files.caller_credentials import CallerCredentials
 from vaoi_station.files.images import decode
 
 REPLY_TIMEOUT_S = 90.0
@@ -33,7 +34,7 @@ EVENT_TIMEOUT_S = 15.0
 """Longest time between two lines of the event stream, which sends a heartbeat every two seconds."""
 _SHOWN = 200
 """Number of bytes of an unusable reply that an error quotes."""
-_ERRORS: dict[int, type[VaoiError]] = {404: NotFoundError, 409: StateError, 410: GoneError, 422: InputError}
+_ERRORS: dict[int, type[VaoiError]] = {404: NotFoundError, 409: StateError, 410: GoneError, 503: BusyError}
 
 
 class Client:
@@ -43,12 +44,17 @@ class Client:
     not what a station sends, is a `DeviceError` with the address.
     """
 
-    def __init__(self, address: str) -> None:
-        """Set the address of the station, `http://HOST:PORT`."""
+    def __init__(self, address: str, credentials: CallerCredentials | None = None) -> None:
+        """Set the address of the station, `http://HOST:PORT` or `https://HOST:PORT`, and how the caller is let in."""
         self.address = address
         self._base = f"{address}/api/v1"
-        # Proxies of the environment are ignored: the service listens on loopback, where a proxy cannot reach it.
-        self._opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
+        credentials = credentials or CallerCredentials()
+        # Proxies of the environment are ignored: the service is on loopback or in the factory's own network.
+        handlers: list[urllib.request.BaseHandler] = [urllib.request.ProxyHandler({}), _NoRedirect()]
+        if address.startswith("https:"):
+            handlers.append(urllib.request.HTTPSHandler(context=credentials.tls_context()))
+        self._opener = urllib.request.build_opener(*handlers)
+        self._opener.addheaders = [*credentials.headers().items()]
 
     def get(self, path: str, **query: Any) -> Any:
         """Request a JSON object; return None if the reply has no body."""
@@ -97,6 +103,13 @@ class Client:
         if not content and status != HTTPStatus.NO_CONTENT:
             raise unusable_reply(request.full_url, f"status {status} and no content")
         return content
+
+
+class _NoRedirect(urllib.request.HTTPRedirectHandler):
+    """Follows no redirect: a station sends none, and another server would get the key."""
+
+    def redirect_request(self, *_: Any) -> None:
+        """Return that no other request is to be sent; the reply then counts as a refusal."""
 
 
 class Reply(dict[str, Any]):
@@ -163,7 +176,8 @@ def _with_query(path: str, query: dict[str, Any]) -> str:
 
 def _error(status: int, body: bytes, url: str) -> VaoiError:
     """Return the error that a refusal's body describes as problem details (RFC 9457)."""
-    kind = _ERRORS.get(status, BusyError if status == BusyError.status else InternalError)
+    # Other refusals below 500 are for the caller to mend: a key is missing, or it has not the scope.
+    kind = _ERRORS.get(status, InputError if status < HTTPStatus.INTERNAL_SERVER_ERROR else InternalError)
     try:
         problem = json.loads(body)
         detail, action, code = problem["detail"], problem.get("action", ""), problem["code"]

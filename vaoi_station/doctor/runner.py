@@ -27,6 +27,7 @@ from vaoi_station.doctor.checks import (
 from vaoi_station.doctor.finding import Finding, Report, fault, not_applicable, ok
 from vaoi_station.doctor.machine import Machine
 from vaoi_station.errors import VaoiError
+from vaoi_station.files.caller_credentials import CallerCredentials
 from vaoi_station.version import __version__
 
 T = TypeVar("T")
@@ -55,8 +56,8 @@ STATION_CHECKS: tuple[tuple[str, Callable[[CheckContext], Iterable[Finding]]], .
 """Checks that need a configuration. The running station comes first, because the later checks depend on it."""
 
 
-def run_checks(path: Path, machine: Machine | None = None) -> Report:
-    """Run all checks for the station that a station.toml describes."""
+def run_checks(path: Path, machine: Machine | None = None, credentials: CallerCredentials | None = None) -> Report:
+    """Run all checks for the station that a station.toml describes; `credentials` are for its REST service."""
     machine = machine or Machine()
     config, findings = _read_configuration(path)
     for name, machine_check in MACHINE_CHECKS:
@@ -65,7 +66,7 @@ def run_checks(path: Path, machine: Machine | None = None) -> Report:
     if config is None:
         findings.append(replace(not_applicable("all other checks need a readable station.toml"), check="others"))
     else:
-        context = CheckContext(config, machine, running_station.find(config))
+        context = CheckContext(config, machine, running_station.find(config, credentials))
         for name, check in STATION_CHECKS:
             findings += _run_check(name, check, context)
     return Report(

@@ -18,21 +18,24 @@ from functools import partial
 from pathlib import Path
 
 from vaoi_station.config import StationConfig, read_config
-from vaoi_station.doctor.checks.running_station import address_of
+from vaoi_station.doctor.checks.running_station import ask
 from vaoi_station.doctor.config_check import check_config
 from vaoi_station.doctor.runner import run_checks
+from vaoi_station.doctor.station_connection import request
 from vaoi_station.doctor.text_report import problems_as_text
 from vaoi_station.errors import VaoiError
 from vaoi_station.files.atomic_directory import refuse_existing
+from vaoi_station.files.caller_credentials import CallerCredentials
 from vaoi_station.files.documents import write_bytes
 from vaoi_station.version import __version__
 
 UNIT = "vaoi-station"
 REMOVED = "[removed]"
 TIMEOUT_S = 20.0
+LARGEST_REPLY, MOST_EVENTS = 50_000_000, 1000
+_HEARTBEAT = b"event: heartbeat"
 PATHS = {
     "station.json": "/api/v1/station",
-    "events.json": "/api/v1/events?limit=1000",
     "runs.json": "/api/v1/runs?limit=100",
     "calibration-status.json": "/api/v1/calibration",
     "metrics.txt": "/metrics",
@@ -53,6 +56,9 @@ _WORDS = (
 )
 _SECRETS = (
     re.compile(rf"(?i)(?P<before>[\"']?\b{_WORDS}[\"']?\s*[=:]\s*)(?P<secret>\[[^\]]*\]|\"[^\"]*\"|'[^']*'|[^\n]+)"),
+    # A key of a station, and the cookie of a login, wherever they stand.
+    re.compile(r"(?P<before>)(?P<secret>\bvaoi_[0-9a-f]{6,}_[\w-]+)"),
+    re.compile(r"(?i)(?P<before>\bvaoi-session[\"']?\s*[=:]\s*)(?P<secret>[^\s;,]+)"),
     re.compile(r"(?i)(?P<before>\b(?:bearer|basic)\s+)(?P<secret>[\w.~+/=-]{8,})"),
     re.compile(r"(?P<before>\w://)(?P<secret>[^/\s:@]+:[^/\s@]+)(?=@)"),
     re.compile(
@@ -69,7 +75,7 @@ def without_secrets(text: str) -> str:
     return text
 
 
-def write_support_bundle(config: Path, out: Path) -> list[str]:
+def write_support_bundle(config: Path, out: Path, credentials: CallerCredentials | None = None) -> list[str]:
     """Write the bundle of a station as a new .tar.gz file; return the names of its members.
 
     What cannot be read is replaced by the reason, so that a bundle can be made of a station in any state.
@@ -78,7 +84,7 @@ def write_support_bundle(config: Path, out: Path) -> list[str]:
         InputError: the file exists, or cannot be written.
     """
     refuse_existing(out)
-    members = {name: without_secrets(content) for name, content in _members(config)}
+    members = {name: without_secrets(content) for name, content in _members(config, credentials)}
     members["README.txt"] = _readme(members)
     folder, packed = out.name.removesuffix(".gz").removesuffix(".tar"), io.BytesIO()
     with tarfile.open(fileobj=packed, mode="w:gz") as tar:
@@ -91,11 +97,11 @@ def write_support_bundle(config: Path, out: Path) -> list[str]:
     return sorted(members)
 
 
-def _members(path: Path) -> Iterator[tuple[str, str]]:
+def _members(path: Path, credentials: CallerCredentials | None) -> Iterator[tuple[str, str]]:
     """Yield the name and the content of every member."""
     yield "station.toml", _attempt(lambda: path.read_text(encoding="utf-8", errors="replace"))
     yield "check-config.txt", _attempt(lambda: problems_as_text(path, check_config(path)))
-    yield "doctor.json", _attempt(lambda: json.dumps(run_checks(path).document(), indent=1))
+    yield "doctor.json", _attempt(lambda: json.dumps(run_checks(path, credentials=credentials).document(), indent=1))
     for name in MACHINE_FILES:
         yield f"machine/{Path(name).name}.txt", _attempt((Path("/") / name).read_text)
     for name, command in COMMANDS.items():
@@ -107,8 +113,9 @@ def _members(path: Path) -> Iterator[tuple[str, str]]:
     yield "calibration.json", _attempt(lambda: config.calibration.read_text(encoding="utf-8", errors="replace"))
     yield "files.txt", _attempt(lambda: "\n".join(_listing(config)))
     yield "database.txt", _attempt(lambda: "\n".join(_database(config.data / "station.db")))
+    yield "running/events.txt", _attempt(partial(_events, config, credentials))
     for name, address in PATHS.items():
-        yield f"running/{name}", _attempt(partial(_reply, config, address))
+        yield f"running/{name}", _attempt(partial(_reply, config, address, credentials))
 
 
 def _attempt(read: Callable[[], str]) -> str:
@@ -123,14 +130,19 @@ def _output(words: tuple[str, ...]) -> str:
     return done.stdout + done.stderr
 
 
-def _reply(config: StationConfig, path: str) -> str:
-    connection = http.client.HTTPConnection(*address_of(config.api), timeout=TIMEOUT_S)
-    try:
-        connection.request("GET", path)
-        reply = connection.getresponse()
-        return f"{'' if reply.status == 200 else f'status {reply.status}: '}{reply.read().decode('utf-8', 'replace')}"
-    finally:
-        connection.close()
+def _reply(config: StationConfig, path: str, credentials: CallerCredentials | None) -> str:
+    status, content = request(config.api, path, TIMEOUT_S, LARGEST_REPLY, credentials, _all_events_read)
+    return f"{'' if status == http.client.OK else f'status {status}: '}{content.decode('utf-8', 'replace')}"
+
+
+def _events(config: StationConfig, credentials: CallerCredentials | None) -> str:
+    newest = ask(config.api, credentials)["last_event"]
+    return _reply(config, f"/api/v1/events?after={max(0, newest - MOST_EVENTS)}", credentials)
+
+
+def _all_events_read(content: bytes) -> bool:
+    # The stream begins with a heartbeat, and has the next one when no further event is there.
+    return content.startswith(_HEARTBEAT) and content.count(b"\n" + _HEARTBEAT) > 0
 
 
 def _listing(config: StationConfig) -> Iterator[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 from urllib.parse import quote, urlsplit
 
@@ -12,7 +13,8 @@ from numpy.typing import NDArray
 
 from vaoi_station.demo.client import Client, unusable_reply
 from vaoi_station.errors import InputError
-from vaoi_station.library.arguments import require_number, require_text, require_whole
+from vaoi_station.files.caller_credentials import caller_credentials
+from vaoi_station.library.arguments import require_number, require_path, require_text, require_whole
 from vaoi_station.library.component_images import ComponentImage, ComponentImages
 from vaoi_station.library.replies import (
     ComponentListReply,
@@ -121,9 +123,20 @@ class Station:
     than a station of this version does.
     """
 
-    def __init__(self, address: str) -> None:
-        """Set the address of the station, `http://HOST:PORT`. No request is sent yet."""
-        self._client = Client(_checked_address(address))
+    def __init__(
+        self,
+        address: str,
+        *,
+        key: str | None = None,
+        key_file: str | Path | None = None,
+        ca: str | Path | None = None,
+    ) -> None:
+        """Set the address of the station, and how the caller is let in, as for `connect`. No request is sent yet."""
+        if not isinstance(key, str | None):
+            # The type only: a value of another type may still contain the key.
+            raise InputError.field("connect", "key", type(key).__name__, "a text")
+        credentials = caller_credentials(_path("key_file", key_file), _path("ca", ca), key=key)
+        self._client = Client(_checked_address(address), credentials)
 
     def snapshot(self) -> dict[str, Any]:
         """Return the present state of the station as `GET station` gives it."""
@@ -160,17 +173,36 @@ class Station:
         return StationRun(checked(RunIdReply, summary, self._client.url(path)).id, dict(summary), self._client)
 
 
-def connect(address: str = "http://127.0.0.1:8350") -> Station:
+def connect(
+    address: str = "http://127.0.0.1:8350",
+    *,
+    key: str | None = None,
+    key_file: str | Path | None = None,
+    ca: str | Path | None = None,
+) -> Station:
     """Connect to a running station.
 
+    Args:
+        address: `http://HOST:PORT`, or `https://HOST:PORT` if the station has a certificate.
+        key: the caller's key, needed from other machines than the station's. Better than a key in a program is a file.
+        key_file: file that holds the key; by default the one that the environment variable VAOI_KEY_FILE names, or the
+            key in VAOI_KEY.
+        ca: PEM file with the certificate of the authority that signed the station's certificate, or with that
+            certificate itself; by default that of VAOI_CA, else the authorities of the system.
+
     Raises:
-        InputError: the address is not `http://HOST:PORT`.
-        DeviceError: no station replies at the address.
+        InputError: the address is not of this form, key or certificate cannot be read, or the station asks for a key or
+            for one with another scope (codes `no-key`, `missing-scope`).
+        DeviceError: no station replies at the address, or its certificate is not trusted.
     """
-    station = Station(address)
+    station = Station(address, key=key, key_file=key_file, ca=ca)
     # One request now, so that a wrong address is an error here and not at the first use.
     station.snapshot()
     return station
+
+
+def _path(name: str, value: str | Path | None) -> Path | None:
+    return None if value is None else require_path("connect", name, value)
 
 
 def _checked_address(address: str) -> str:

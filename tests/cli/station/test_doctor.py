@@ -21,7 +21,7 @@ def test_exit_code_and_output(
     vaoi: Callable[..., Result], monkeypatch: pytest.MonkeyPatch, finding: Finding, code: int, as_json: bool
 ) -> None:
     report = Report("s", "station.toml", "2026-01-01T00:00:00+00:00", "host", "1.0", None, (finding,))
-    monkeypatch.setattr(doctor, "run_checks", lambda _: report)
+    monkeypatch.setattr(doctor, "run_checks", lambda *_, **__: report)
     done = vaoi("doctor", *(["--json"] if as_json else []))
     assert (done.code, done.err) == (code, "")
     assert finding.message in done.out

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import pwd
+import re
 import sys
 from pathlib import Path
 
@@ -57,3 +60,52 @@ def test_no_writable_cache_for_compiled_code_is_a_warning(tmp_path: Path, monkey
 def test_cache_beside_the_package_comes_first(tmp_path: Path) -> None:
     finding = software.judge_cache(None, tmp_path / "package", tmp_path / "home")
     assert finding.message == f"is stored in {tmp_path / 'package' / '__pycache__'}"
+
+
+@pytest.fixture
+def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A machine whose unit runs this environment as this user; its cache is `cache` in the folder returned."""
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    units = tmp_path / "usr/lib/systemd/system"
+    units.mkdir(parents=True)
+    unit = (Path(__file__).parents[3] / "deploy/vaoi-station.service").read_text()
+    user = pwd.getpwuid(os.getuid()).pw_name
+    for old, new in (
+        ("/opt/vaoi-station/venv", sys.prefix),
+        ("User=vaoi", f"User={user}"),
+        ("/var/cache/vaoi-station", f"{tmp_path}/cache"),
+    ):
+        assert old in unit
+        unit = unit.replace(old, new)
+    (units / software.UNIT).write_text(unit)
+    return tmp_path
+
+
+def test_the_cache_is_that_of_the_service_whoever_runs_the_doctor(installed: Path) -> None:
+    finding = only(software.compiled_code_cache(Machine(installed)))
+    assert (finding.level, finding.message) == (Level.OK, f"will be stored in {installed}/cache by the service")
+    (installed / "cache").mkdir()
+    assert (
+        only(software.compiled_code_cache(Machine(installed))).message
+        == f"is stored in {installed}/cache by the service"
+    )
+
+
+def test_a_cache_that_the_user_of_the_service_cannot_write_is_a_warning_for_root_too(installed: Path) -> None:
+    (installed / "cache").mkdir(mode=0o755)
+    unit = installed / "usr/lib/systemd/system" / software.UNIT
+    unit.write_text(re.sub(r"(?m)^User=.*$", "User=daemon", unit.read_text()))
+    finding = only(software.compiled_code_cache(Machine(installed)))
+    assert_problem(finding, Level.WARNING, "cannot be written to by daemon")
+    assert finding.action == f"install -d -o daemon -g daemon -m 750 {installed}/cache"
+
+
+def test_the_unit_of_another_installation_does_not_count(installed: Path) -> None:
+    unit = installed / "usr/lib/systemd/system" / software.UNIT
+    unit.write_text(unit.read_text().replace(f"ExecStart={sys.prefix}", "ExecStart=/opt/other"))
+    assert "by the service" not in only(software.compiled_code_cache(Machine(installed))).message
+
+
+def test_a_user_of_the_service_that_does_not_exist_is_a_fault() -> None:
+    finding = software.judge_cache_of_service(software.ServiceUnit("no-such-user", Path("/")))
+    assert_problem(finding, Level.FAULT, "no-such-user of the service does not exist")

@@ -5,10 +5,10 @@ from __future__ import annotations
 import asyncio
 import logging
 import socket
-import ssl
 from collections.abc import Callable
 from functools import partial
 
+from vaoi_station.api.listener.certificate import RENEW_S, CertificateFiles
 from vaoi_station.api.listener.connections import ConnectionLimits, ConnectionTable, caller_address
 from vaoi_station.api.listener.http_connection import AcceptedConnection, LimitedHttp
 
@@ -30,11 +30,13 @@ class Acceptor:
     """Accepts the connections of one listening socket. Has the methods that uvicorn expects of a server of asyncio."""
 
     def __init__(
-        self, listener: socket.socket, make_http: MakeHttp, limits: ConnectionLimits, tls: ssl.SSLContext | None
+        self, listener: socket.socket, make_http: MakeHttp, limits: ConnectionLimits, tls: CertificateFiles | None
     ) -> None:
         self._listener, self._make_http, self._limits, self._tls = listener, make_http, limits, tls
         self._loop = asyncio.get_running_loop()
         self._log_after = 0.0
+        self._refresh_after = self._loop.time() + RENEW_S
+        self._refresh: asyncio.Future[None] | None = None
         self.table = ConnectionTable(limits)
         listener.setblocking(False)
         listener.listen(BACKLOG)
@@ -74,7 +76,7 @@ class Acceptor:
             await self._loop.connect_accepted_socket(
                 lambda: self._make_http(accepted, self.table),
                 connected,
-                ssl=self._tls,
+                ssl=self._tls.context if self._tls else None,
                 ssl_handshake_timeout=self._limits.handshake_s if self._tls else None,
                 ssl_shutdown_timeout=self._limits.closing_s if self._tls else None,
             )
@@ -104,7 +106,15 @@ class Acceptor:
             assert isinstance(connection, AcceptedConnection)
             if connection.http is not None and connection.http.overdue():
                 connection.cut()
+        if self._tls is not None and self._accepting:
+            self._refresh_certificate(self._tls)
         self._loop.call_later(SWEEP_S, self._sweep)
+
+    def _refresh_certificate(self, files: CertificateFiles) -> None:
+        """Begin to read a changed certificate, unless a disk that hangs still delays the last time."""
+        if self._loop.time() >= self._refresh_after and (self._refresh is None or self._refresh.done()):
+            self._refresh_after = self._loop.time() + RENEW_S
+            self._refresh = self._loop.run_in_executor(None, files.refresh)
 
     def _warn(self, message: str, *values: object) -> None:
         if self._loop.time() >= self._log_after:

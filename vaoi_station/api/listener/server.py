@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import socket
-import ssl
 from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import uvicorn
 
 from vaoi_station.api.listener.acceptor import Acceptor
+from vaoi_station.api.listener.certificate import CertificateFiles
 from vaoi_station.api.listener.connections import ConnectionLimits, ConnectionTable
 from vaoi_station.api.listener.http_connection import AcceptedConnection, LimitedHttp
 
@@ -27,7 +27,7 @@ class LimitedServer(uvicorn.Server):
         limits: ConnectionLimits,
         grace_s: float,
         beat: Callable[[], object] = lambda: None,
-        tls: ssl.SSLContext | None = None,
+        tls: CertificateFiles | None = None,
     ) -> None:
         """Prepare a server. Its event loop calls `beat` ten times a second, unless a handler blocks the loop."""
         super().__init__(

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import socket
-import ssl
 from collections.abc import Iterable
 
 from fastapi import FastAPI, Response
 from fastapi.requests import Request
 
 from vaoi_station.api.hosts import allowed_names
+from vaoi_station.api.listener.certificate import CertificateFiles
 from vaoi_station.api.problems import problem_response
 from vaoi_station.api.request_guard import RequestGuard
 from vaoi_station.api.web_server import WebServer
@@ -22,7 +22,7 @@ class WaitingPage:
     It starts with the first report, and ends with the context.
     """
 
-    def __init__(self, listener: socket.socket, names: Iterable[str], tls: ssl.SSLContext | None = None) -> None:
+    def __init__(self, listener: socket.socket, names: Iterable[str], tls: CertificateFiles | None = None) -> None:
         """Prepare to reply on a copy of `listener`, under any of `names`, and by TLS if it is given."""
         self._listener, self._names, self._tls = listener, tuple(names), tls
         self._error: VaoiError | None = None

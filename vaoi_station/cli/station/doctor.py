@@ -8,10 +8,14 @@ from typing import Annotated
 
 import typer
 
+from vaoi_station.cli.station.station_access import CA, KEY_FILE, credentials_of
+
 
 def doctor(
     config: Annotated[Path, typer.Option(help="Check the station of this station.toml.")] = Path("station.toml"),
     *,
+    key_file: KEY_FILE = None,
+    ca: CA = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON document.")] = False,
 ) -> None:
     """Check machine, files and devices, and propose an action for each problem. Nothing is changed.
@@ -21,6 +25,6 @@ def doctor(
     from vaoi_station.doctor import run_checks
     from vaoi_station.doctor.text_report import as_text
 
-    report = run_checks(config)
+    report = run_checks(config, credentials=credentials_of(key_file, ca))
     typer.echo(json.dumps(report.document(), indent=1) if as_json else as_text(report), nl=as_json)
     raise typer.Exit(report.exit_code)

@@ -15,13 +15,15 @@ from vaoi_station.config import ApiConfig, StationConfig
 from vaoi_station.doctor.check_context import CheckContext, RunningProcess
 from vaoi_station.doctor.finding import Finding, fault, ok, warning
 from vaoi_station.doctor.machine import nearest
+from vaoi_station.doctor.station_connection import address_of, request
+from vaoi_station.errors import InputError, VaoiError
+from vaoi_station.files.caller_credentials import CallerCredentials
 
 TIMEOUT_S = 3.0
 LARGEST_REPLY = 4_000_000
-_EVERYWHERE = {"0.0.0.0": "127.0.0.1", "::": "::1", "": "127.0.0.1"}  # noqa: S104  (an address to connect to, not to listen on)
 
 
-def find(config: StationConfig) -> RunningProcess | None:
+def find(config: StationConfig, credentials: CallerCredentials | None = None) -> RunningProcess | None:
     """Return the process that uses the station's ring, with the state it reports; None if there is no such process."""
     path = ring_path(config)
     owner = read_owner(path)
@@ -31,32 +33,24 @@ def find(config: StationConfig) -> RunningProcess | None:
     # A ring that exists but cannot be read belongs to another user: its process may live, so the port is asked.
     pid = owner[0] if owner else None
     try:
-        return RunningProcess(pid, snapshot=ask(config.api))
-    except (OSError, http.client.HTTPException, ValueError) as error:
+        return RunningProcess(pid, snapshot=ask(config.api, credentials))
+    except (OSError, http.client.HTTPException, ValueError, VaoiError) as error:
         return RunningProcess(pid, no_reply_reason=f"{type(error).__name__}: {error}")
 
 
-def address_of(api: ApiConfig) -> tuple[str, int]:
-    """Return host and port at which a station on this machine can be reached."""
-    return _EVERYWHERE.get(api.host, api.host), api.port
-
-
-def ask(api: ApiConfig) -> dict[str, Any]:
+def ask(api: ApiConfig, credentials: CallerCredentials | None = None) -> dict[str, Any]:
     """Request the state from the station's REST service (`GET station`).
 
     Raises:
         OSError, HTTPException, ValueError: no station replies at this address.
+        InputError: the station asks for a key, or the trusted certificate cannot be used.
     """
-    connection = http.client.HTTPConnection(*address_of(api), timeout=TIMEOUT_S)
-    try:
-        connection.request("GET", "/api/v1/station")
-        reply = connection.getresponse()
-        # Any program may listen at this port: the length that is read is bounded.
-        document = json.loads(reply.read(LARGEST_REPLY))
-    finally:
-        connection.close()
-    if reply.status != http.client.OK or not isinstance(document, dict) or "state" not in document:
-        raise ValueError(f"reply {reply.status} is not that of a station")
+    status, content = request(api, "/api/v1/station", TIMEOUT_S, LARGEST_REPLY, credentials)
+    document = json.loads(content)
+    if status in (http.client.UNAUTHORIZED, http.client.FORBIDDEN):
+        raise InputError("the station asks for a key with the scope read; give it with --key-file or VAOI_KEY_FILE")
+    if status != http.client.OK or not isinstance(document, dict) or "state" not in document:
+        raise ValueError(f"reply {status} is not that of a station")
     return document
 
 
@@ -91,7 +85,7 @@ def _from_reason(level: Callable[..., Finding], reason: dict[str, Any]) -> Findi
 def _port(api: ApiConfig) -> Finding:
     """Check that no other program listens at the address and port of the station's REST service."""
     # Connect instead of bind: to bind the port would take it from a station that starts at this moment.
-    address = (_EVERYWHERE.get(api.host, api.host), api.port)
+    address = address_of(api)
     try:
         with socket.create_connection(address, timeout=TIMEOUT_S):
             pass

@@ -5,10 +5,14 @@ from __future__ import annotations
 import importlib
 import os
 import platform
+import pwd
+import re
+import stat
 import struct
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 from vaoi_station import version
 from vaoi_station.doctor.finding import Finding, fault, ok, warning
@@ -16,6 +20,7 @@ from vaoi_station.doctor.machine import Machine, writable
 
 OLDEST, FIRST_UNTRIED = (3, 11), (3, 14)
 LIBRARIES = {"numpy": "numpy", "numba": "numba", "cv2": "opencv-python-headless", "pydantic": "pydantic"}
+UNIT = "vaoi-station.service"
 PACKAGE = Path(version.__file__).parent
 
 
@@ -48,9 +53,61 @@ def libraries(_: Machine) -> Iterator[Finding]:
         yield ok(", ".join(f"{name} {version}" for name, version in versions.items()), figures=versions)
 
 
-def compiled_code_cache(_: Machine) -> Iterator[Finding]:
-    """Check that Numba can store compiled inner loops in one of the folders that it tries."""
-    yield judge_cache(os.environ.get("NUMBA_CACHE_DIR"), PACKAGE, Path.home())
+def compiled_code_cache(machine: Machine) -> Iterator[Finding]:
+    """Check that Numba can store compiled inner loops, where the service does it: by its unit, as its user."""
+    given = os.environ.get("NUMBA_CACHE_DIR")
+    unit = _unit_of_this_installation(machine)
+    if given is None and unit is not None and unit.cache is not None:
+        yield judge_cache_of_service(unit)
+    else:
+        yield judge_cache(given, PACKAGE, Path.home())
+
+
+class ServiceUnit(NamedTuple):
+    """What the systemd unit of the station says about its user and its cache."""
+
+    user: str
+    cache: Path | None
+
+
+def _unit_of_this_installation(machine: Machine) -> ServiceUnit | None:
+    """Read the unit that runs the station of this environment; None if there is none."""
+    for place in ("etc/systemd/system", "usr/local/lib/systemd/system", "usr/lib/systemd/system"):
+        text = machine.text(f"{place}/{UNIT}")
+        if text is None:
+            continue
+        values = dict(re.findall(r"(?m)^(ExecStart|User)=(.*)$", text))
+        if not values.get("ExecStart", "").startswith(f"{sys.prefix}/"):
+            return None
+        cache = re.search(r"(?m)^Environment=\"?NUMBA_CACHE_DIR=([^\"\n]+)", text)
+        return ServiceUnit(values.get("User", "root").strip(), Path(cache[1].strip()) if cache else None)
+    return None
+
+
+def judge_cache_of_service(unit: ServiceUnit) -> Finding:
+    """Judge whether the cache that the unit names is writable for the user of the service, not of the doctor."""
+    assert unit.cache is not None
+    action = f"install -d -o {unit.user} -g {unit.user} -m 750 {unit.cache}"
+    try:
+        user = pwd.getpwnam(unit.user)
+    except KeyError:
+        return fault(f"the user {unit.user} of the service does not exist.", f"useradd --system {unit.user}")
+    try:
+        status = unit.cache.stat()
+    except FileNotFoundError:
+        # CacheDirectory= of the unit makes it at the next start, with the right owner.
+        return ok(f"will be stored in {unit.cache} by the service")
+    except OSError as error:
+        return warning(f"{unit.cache}, the cache of the service, cannot be examined ({error.strerror}).", action)
+    groups = os.getgrouplist(unit.user, user.pw_gid)
+    mode = status.st_mode >> (6 if status.st_uid == user.pw_uid else 3 if status.st_gid in groups else 0)
+    if stat.S_ISDIR(status.st_mode) and (mode & 0o3 == 0o3 or user.pw_uid == 0):
+        return ok(f"is stored in {unit.cache} by the service")
+    return warning(
+        f"{unit.cache} cannot be written to by {unit.user}, the user of the service: every start compiles for about a "
+        "minute.",
+        action,
+    )
 
 
 def judge_cache(given: str | None, package: Path, home: Path) -> Finding:

@@ -1,0 +1,75 @@
+"""The certificate files: read at the start, read again when they change, and kept when the new ones cannot be used."""
+
+from __future__ import annotations
+
+import logging
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from tests.certificates import Certificate, make_certificate
+from vaoi_station.api.listener.certificate import CertificateFiles
+from vaoi_station.errors import InputError
+
+
+@pytest.fixture
+def certificate(tmp_path: Path) -> Certificate:
+    return make_certificate(tmp_path)
+
+
+def test_files_that_do_not_change_are_not_read_again(certificate: Certificate) -> None:
+    files = CertificateFiles(*certificate)
+    before = files.context
+    files.refresh()
+    assert files.context is before
+
+
+def test_a_pair_that_does_not_fit_yet_leaves_the_present_one_in_use(
+    certificate: Certificate, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    files, renewed = CertificateFiles(*certificate), make_certificate(tmp_path, "renewed")
+    before = files.context
+    shutil.copy(renewed.certificate, certificate.certificate)
+    files.refresh()
+    assert files.context is before
+    assert "stays as it was" in caplog.text
+    with caplog.at_level(logging.INFO):
+        shutil.copy(renewed.private_key, certificate.private_key)
+        files.refresh()
+    assert files.context is not before
+    assert "read again" in caplog.text
+
+
+def test_files_that_vanish_leave_the_present_certificate_in_use(certificate: Certificate) -> None:
+    files = CertificateFiles(*certificate)
+    before = files.context
+    certificate.certificate.unlink()
+    files.refresh()
+    assert files.context is before
+
+
+def test_a_certificate_that_cannot_be_used_is_refused(certificate: Certificate, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"\[api\] certificate .*cannot be used"):
+        CertificateFiles(certificate.certificate, tmp_path / "absent.pem")
+    with pytest.raises(InputError, match="PEM"):
+        CertificateFiles(certificate.private_key, certificate.private_key)
+
+
+def test_an_encrypted_key_is_refused_without_asking_for_its_password(certificate: Certificate, tmp_path: Path) -> None:
+    locked = tmp_path / "locked.key"
+    command = [
+        "openssl",
+        "ec",
+        "-aes256",
+        "-passout",
+        "pass:x",
+        "-in",
+        str(certificate.private_key),
+        "-out",
+        str(locked),
+    ]
+    subprocess.run(command, check=True, capture_output=True)
+    with pytest.raises(InputError, match="not encrypted"):
+        CertificateFiles(certificate.certificate, locked)

@@ -1,0 +1,98 @@
+"""What a program shows a station to be let in, and whose certificate it trusts.
+
+A key is never an argument of a command: every user of the machine can read the arguments of all processes. It comes
+from a file, or from the environment, which only the same user can read.
+"""
+
+from __future__ import annotations
+
+import os
+import ssl
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from vaoi_station.errors import InputError
+
+KEY_VARIABLE, KEY_FILE_VARIABLE, CA_VARIABLE = "VAOI_KEY", "VAOI_KEY_FILE", "VAOI_CA"
+_LONGEST = 200
+"""Longest accepted key in characters; those of a station have 61."""
+
+
+@dataclass(frozen=True)
+class CallerCredentials:
+    """A key, and the certificates that are trusted."""
+
+    key: str | None = field(default=None, repr=False)
+    ca: Path | None = None
+    """PEM file with the certificate of the authority, or of the station itself; None trusts those of the system."""
+
+    def headers(self) -> dict[str, str]:
+        """Return the headers of a request."""
+        return {} if self.key is None else {"Authorization": f"Bearer {self.key}"}
+
+    def tls_context(self) -> ssl.SSLContext:
+        """Return how the certificate of a station is checked; raise InputError if `ca` cannot be used."""
+        try:
+            context = ssl.create_default_context(cafile=None if self.ca is None else str(self.ca))
+        except (OSError, ssl.SSLError) as error:
+            raise InputError(
+                f"{self.ca}: cannot be used as a trusted certificate ({error}).",
+                action="Give a PEM file with the certificate of the authority, or of the station itself.",
+            ) from error
+        # Trusts the certificate of a station that no authority has signed, as Python 3.13 does by default.
+        context.verify_flags |= ssl.VERIFY_X509_PARTIAL_CHAIN
+        return context
+
+
+def caller_credentials(
+    key_file: Path | None = None,
+    ca: Path | None = None,
+    *,
+    key: str | None = None,
+    environment: Mapping[str, str] = os.environ,
+) -> CallerCredentials:
+    """Return the credentials from arguments or, for those that are not given, from the environment.
+
+    Args:
+        key_file: file that holds the key and nothing else.
+        ca: PEM file with the trusted certificates.
+        key: the key itself; has precedence over `key_file`.
+        environment: its `VAOI_KEY`, `VAOI_KEY_FILE` and `VAOI_CA` are used.
+
+    Raises:
+        InputError: the file cannot be read, or what it holds cannot be a key. The message does not show it.
+    """
+    if ca is None and environment.get(CA_VARIABLE):
+        ca = Path(environment[CA_VARIABLE])
+    if key is not None:
+        return CallerCredentials(_checked(key, "key"), ca)
+    if key_file is not None:
+        return CallerCredentials(_read(key_file, "key file"), ca)
+    if environment.get(KEY_VARIABLE):
+        return CallerCredentials(_checked(environment[KEY_VARIABLE], KEY_VARIABLE), ca)
+    if environment.get(KEY_FILE_VARIABLE):
+        return CallerCredentials(_read(Path(environment[KEY_FILE_VARIABLE]), KEY_FILE_VARIABLE), ca)
+    return CallerCredentials(None, ca)
+
+
+def _read(path: Path, where: str) -> str:
+    try:
+        with path.open(encoding="utf-8", errors="replace") as file:
+            return _checked(file.read(_LONGEST + 10), f"{where} {path}")
+    except OSError as error:
+        raise InputError(
+            f"{where} {path}: cannot be read ({error.strerror}).",
+            action="Write the key that vaoi keys create has printed to a file that only you can read.",
+        ) from error
+
+
+def _checked(text: str, where: str) -> str:
+    key = text.strip()
+    # Other characters would end the header of the request, and with it begin another one.
+    if not key or len(key) > _LONGEST or not key.isascii() or not key.isprintable() or " " in key:
+        raise InputError(
+            f"{where}: holds {len(key)} characters that are not one key (one word, at most {_LONGEST} characters).",
+            action="Give the key as vaoi keys create has printed it.",
+        )
+    return key
