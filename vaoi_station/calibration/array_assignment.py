@@ -1,9 +1,10 @@
-"""Choice of one hypothesis per camera, with the nominal views as prior, and a test against all other choices.
+"""Choose one hypothesis about the marks per camera, with the nominal views as prior, and test it against others.
 
-All cameras film the same board. Its shift s and turn φ against the design are common to them; each camera adds the
-displacement of its view by its mounting: offset_i = s − φ·J·x_i + m_i, where J·x is the nominal centre x turned by
-90°. A layout that repeats can be shifted by whole spacings. If the frames do not contradict the shift, only the prior
-decides, that is the stated accuracy of `nominal_center_mm`; if it does not decide either, the assignment is unknown.
+A hypothesis states which detected mark is which mark of the layout. All cameras film the same board. Its shift s and
+turn φ against the design are common to them. The mounting of each camera displaces its view by m_i: offset_i = s −
+φ·J·x_i + m_i, where J·x is the nominal centre x turned by 90°. A periodic layout also fits after a shift by whole
+periods. If the frames do not contradict this, only the prior decides, which is the stated accuracy of
+`nominal_center_mm`. If the prior does not decide either, the assignment is unknown.
 """
 
 from __future__ import annotations
@@ -19,27 +20,30 @@ from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import CameraHead
 
 DECISIVE = 7.0
-"""Smallest difference in log-likelihood, a factor of 1000, by which an assignment counts as known."""
+"""An assignment counts as known if its log-likelihood is higher than that of any other by this: a factor of 1000."""
 _APART_MM = 0.5
-"""Hypotheses with views that are nearer to one another assign the same marks."""
+"""Two hypotheses whose views are nearer to one another than this assign the same marks."""
 _TOLERANCE_SIGMAS = 2.0
-"""The stated tolerance of a nominal centre in standard deviations. Board and mounting have half the variance each."""
+"""The stated tolerance of a nominal centre is this number of standard deviations.
+
+Half of the variance belongs to the board, half to the mounting of the camera."""
 _TURN_RAD, _ROLL_RAD = np.radians(2.0), np.radians(1.0)
 """Standard deviations of the turn of the board, and of the roll of one camera."""
 _LINEAR_FROM = 3.0
 _ROUNDS = 4
 _SEED_RANGE = 30.0
-"""Hypotheses that are worse than the best of their camera by more cannot start a better choice for the array."""
+"""A hypothesis whose log-likelihood is lower by more than this than the camera's best cannot lead to a better
+choice."""
 
 
 @dataclass(frozen=True, eq=False)
 class Assignment:
-    """The hypothesis (which mark of the layout is which of the frame) chosen for a camera, and the best other."""
+    """The hypothesis that was chosen for a camera, and its rival: the other hypothesis that comes nearest to it."""
 
     chosen: Hypothesis | None
     rival: Hypothesis | None = None
     advantage: float = np.inf
-    """Log-likelihood of the best choice for the array minus that of the best one with the rival, prior included."""
+    """Log-likelihood of the best choice for the array minus that of the best choice with the rival, prior included."""
     seen: float = np.inf
     """The part of `advantage` that comes from the frames, without the nominal views."""
 
@@ -80,7 +84,7 @@ def assign_array(
 
 
 def _tested(search: _Search, i: int, choice: NDArray[np.intp], total: float) -> Assignment:
-    """Return the assignment of camera i with the rival that comes nearest to the best choice."""
+    """Return the assignment of camera i, with the rival that comes nearest to the best choice."""
     options = search.options[i]
     if not options:
         return Assignment(None)
@@ -98,7 +102,7 @@ def _tested(search: _Search, i: int, choice: NDArray[np.intp], total: float) -> 
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """Hypotheses of all cameras as arrays (n, k), padded, and the prior."""
+    """The hypotheses of all n cameras as padded arrays (n, k), and the prior."""
 
     options: tuple[tuple[Hypothesis, ...], ...]
     centers: Floats
@@ -134,16 +138,17 @@ class _Search:
         total = self.total(found)
         worth = self.score > self.score.max(1, keepdims=True) - _SEED_RANGE
         for i, k in np.argwhere(worth & self.seen[:, None]):
-            # One camera that is right leads all others to the right choice.
+            # One camera with the correct hypothesis leads all others to theirs.
             other = self.climb(np.argmax(self._with_prior(self._pose_by(int(i), int(k))), axis=1))
             if (better := self.total(other)) > total + 1e-9:
                 found, total = other, better
         return found
 
     def climb(self, choice: NDArray[np.intp], camera: int | None = None, kept: int = 0) -> NDArray[np.intp]:
-        """Improve a choice of one hypothesis per camera until none changes. If given, `camera` keeps `kept`.
+        """Improve a choice of one hypothesis per camera until no change improves it. If given, `camera` keeps `kept`.
 
-        Two starts are compared then: the others stay as they are, or the whole board moves with that camera.
+        Then the search starts twice: with the choices of the other cameras, and with the whole board moved to fit that
+        camera.
         """
         if camera is None:
             return self._climb(choice, None)
@@ -178,7 +183,7 @@ class _Search:
         rest = self.offset - pose[:2] + pose[2] * self._turned()[:, None]
         far = np.hypot(rest[..., 0], rest[..., 1]) / self.sigma_mm
         roll = (self.angle - pose[2]) / _ROLL_RAD
-        # Linear beyond three standard deviations: a view far off its design is unlikely, but possible.
+        # Linear beyond three standard deviations: a view far from its design is unlikely, but possible.
         cost = np.where(far <= _LINEAR_FROM, far**2 / 2, _LINEAR_FROM * (far - _LINEAR_FROM / 2))
         return np.asarray(self.score - cost - roll**2 / 2)
 

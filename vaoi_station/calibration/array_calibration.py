@@ -24,7 +24,7 @@ from vaoi_station.model import Calibration, CameraHead, Distortion
 from vaoi_station.pixel_formats import eight_bit_grey
 
 _NEGLIGIBLE_PX = 1e-3
-"""Distortion at the corner below which a lens is written as ideal, which is faster to project."""
+"""A lens whose distortion at the corner is below this is written as ideal, because it is faster to project."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,13 +34,14 @@ class Outcome:
     cameras: tuple[CameraResult, ...]
     limits: Limits
     hint: str = ""
-    """Remedy for refused cameras: a change of the layout with which all cameras can be calibrated; empty if unknown."""
+    """For refused cameras: a change of the layout with which all cameras could be calibrated; empty if none is
+    known."""
     ambiguous: tuple[str, ...] = ()
     """Reflections and rotations that map the layout onto itself, so that no frame can exclude them."""
 
     @property
     def refused(self) -> bool:
-        """Whether any camera was refused; then there is no calibration."""
+        """Whether any camera was refused. There is then no calibration."""
         return any(c.refusal for c in self.cameras)
 
     @property
@@ -109,8 +110,8 @@ def calibrate(
         limits: limits that a calibration must keep, and the working distance.
 
     Raises:
-        InputError: if a frame or a camera's nominal view is missing. Refusals because of the frames' content are in
-            the outcome, with the data for their picture.
+        InputError: if a frame or a camera's nominal view is missing. A camera that is refused because of the content of
+            its frame raises no error: the outcome contains the cause.
     """
     limits = limits or Limits()
     kinds, detections = [], []
@@ -126,7 +127,7 @@ def calibrate(
         detections.append(detect_marks(eight_bit_grey(frame), kinds[camera]))
     marks_mm = np.array([(m.x, m.y) for m in layout.marks]) * layout.mm_per_unit
     results = _calibrate_cameras(heads, detections, kinds, marks_mm, limits)
-    # The search for a hint calibrates the array once per variant, so it runs after a refusal only.
+    # The search for a hint calibrates the array once for each variant, so it runs only after a refusal.
     unfit = any(c.refusal and not c.ambiguous for c in results)
     hint = _layout_hint(heads, detections, kinds, marks_mm, limits) if unfit else ""
     return Outcome(results, limits, hint, find_symmetries(marks_mm, layout.mark.size * layout.mm_per_unit / 4))

@@ -1,7 +1,7 @@
-"""Where a frame shows the blank ground of the calibration board, so that a mark of the layout would be visible there.
+"""Find the blank ground of the calibration board in a frame: places where a mark would be visible if there were one.
 
-A mark that was not detected means little where dirt, a finger or a scratch may hide it. On blank ground it contradicts
-the assignment that expects it there.
+A mark that was not detected proves little if dirt, a finger or a scratch may hide it. On blank ground, its absence
+contradicts every assignment that expects it there.
 """
 
 from __future__ import annotations
@@ -16,8 +16,10 @@ from vaoi_station.calibration.mark_detection import COARSE_PX, DetectedMarks, Ma
 from vaoi_station.geometry.transforms import Floats
 
 _RANGE, _LEVEL = 0.4, 0.35
-"""Largest range of grey levels in the area of a mark, and largest difference of their mean from the ground beside the
-nearest marks, both as shares of the contrast of marks. Vignetting alone gives up to 0.2."""
+"""Limits of blank ground, as shares of the contrast of marks.
+
+They are the largest range of grey levels in the area of a mark, and the largest difference of their mean from the
+ground beside the nearest marks. Vignetting alone gives up to 0.2."""
 _NEAREST, _NODES = 3, 64
 
 
@@ -30,7 +32,7 @@ class BlankGround:
     """Width of a pixel of the map, in px of the frame."""
 
     def at(self, px: Floats) -> NDArray[np.bool_]:
-        """Return whether a mark at raw pixels (..., 2) would lie on blank ground. Outside the frame nothing does."""
+        """Return whether a mark at raw pixels (..., 2) would lie on blank ground; false outside the frame."""
         h, w = self.blank.shape
         x, y = np.moveaxis(np.floor((px + 0.5) / self.factor), -1, 0)
         inside = (x >= 0) & (y >= 0) & (x < w) & (y < h)
@@ -39,7 +41,7 @@ class BlankGround:
 
 
 def find_blank_ground(detected: DetectedMarks, kind: MarkAppearance) -> BlankGround:
-    """Find the blank ground of a frame. Its brightness is that beside the detected marks; without any none is blank."""
+    """Find the blank ground of a frame: as bright as the ground beside the detected marks; without marks, none."""
     factor = max(int(kind.size_px / COARSE_PX), 1)
     h, w = (max(side // factor, 1) for side in detected.grey.shape)
     small = cv2.resize(detected.grey[: h * factor, : w * factor], (w, h), interpolation=cv2.INTER_AREA)
@@ -58,7 +60,7 @@ def find_blank_ground(detected: DetectedMarks, kind: MarkAppearance) -> BlankGro
 
 def _nearest_level(values: Floats, places: NDArray[np.intp], shape: tuple[int, int]) -> Floats:
     """Compute the median of the values at the nearest places (k, 2), for all pixels of a map."""
-    # Brightness changes slowly, so a few nodes are enough, and a fine map of many marks costs no memory.
+    # Brightness changes slowly, so a few nodes are enough, and a fine map with many marks needs little memory.
     h, w = (min(side, _NODES) for side in shape)
     step = np.array([shape[1] / w, shape[0] / h])
     nodes = (np.stack(np.meshgrid(np.arange(w), np.arange(h)), -1).reshape(-1, 1, 2) + 0.5) * step - 0.5

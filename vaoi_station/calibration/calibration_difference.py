@@ -1,7 +1,7 @@
 """Cross-validation: the difference of two calibrations of one array, in px over each frame.
 
-The calibration board defines the tester's coordinates and lies slightly elsewhere each time. Therefore one rigid motion
-of the tester's plane, common to all cameras, is estimated, removed and reported.
+The calibration board defines the tester coordinates, and it lies slightly elsewhere each time. Therefore one rigid
+motion of the tester's plane, common to all cameras, is estimated, removed and reported.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ GRID = (9, 7)
 class CalibrationDifference:
     """The difference of two calibrations, "this" and "other", at a grid of pixels of each camera.
 
-    The other calibration projects a pixel to the ground, and this calibration projects the ground point back to a
+    The "other" calibration projects a pixel to the ground. "This" calibration projects the ground point back to a
     pixel. The difference is the second pixel minus the first one.
     """
 
@@ -93,7 +93,7 @@ def compare_calibrations(
         )
     mine, theirs = this.cameras(tuple(heads)), other.cameras(tuple(heads))
     grids = [_grid(head, grid) for head in heads]
-    # One motion is estimated for all cameras. A motion per camera would hide a camera that was knocked.
+    # One motion is estimated for all cameras together. A separate motion for each would hide a camera that was knocked.
     here = [camera.ground(g) for camera, g in zip(mine, grids, strict=True)]
     there = [camera.ground(g) for camera, g in zip(theirs, grids, strict=True)]
     a, b = (np.concatenate([p.reshape(-1, 2) for p in places]) for places in (here, there))

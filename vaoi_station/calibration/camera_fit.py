@@ -24,17 +24,18 @@ BLUR_LIMIT_PX = 2.0
 _MIN_CONTRAST = 20.0
 _MIN_SIZE_PX = 8
 _MIN_SHARE = 0.3
-"""Share of the marks expected in a frame that must be found. With fewer, the layout belongs to another board."""
+"""Least share of the marks expected in a frame that must be found; with fewer, the layout belongs to another board."""
 _UNDETERMINED = 0.5
-"""A lens is not determined if its standard deviation is still this share of that before any mark was seen."""
+"""A lens counts as not determined if the marks did not reduce its standard deviation below this share of the
+prior's."""
 _COARSE_PX = 0.2
-"""Standard deviation at the corners above which the marks are a poor choice."""
+"""Standard deviation at the frame's corners above which a warning says that the marks are badly distributed."""
 _NO_FREEDOM = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class MarkObservation:
-    """A mark of the layout expected in the frame: its measured position, or why it was not used."""
+    """A mark of the layout that is expected in the frame: its measured position, or why it was not used."""
 
     index: int
     """Index of the mark in the layout."""
@@ -51,7 +52,7 @@ class MarkObservation:
 
 @dataclass(frozen=True, eq=False)
 class CameraResult:
-    """The calibration of one camera: the fit or the cause of the refusal, and all marks, which the picture shows."""
+    """The calibration of one camera: the fit or the cause of the refusal, and all marks, for the picture."""
 
     camera: int
     head: CameraHead
@@ -64,7 +65,7 @@ class CameraResult:
     """The remedy for the refusal."""
     notes: tuple[str, ...] = ()
     ambiguous: bool = False
-    """Whether it was refused because its marks fit the layout in two ways. Another layout is no remedy then."""
+    """Whether it was refused because its marks fit the layout in two ways. Another layout would not help."""
 
     @property
     def used(self) -> int:
@@ -73,7 +74,7 @@ class CameraResult:
 
     @property
     def lens_known(self) -> bool:
-        """Whether the marks determine the distortion, rather than the prior."""
+        """Whether the marks, and not the prior, determine the distortion."""
         return self.fit is not None and self.fit.lens_px[1] <= _UNDETERMINED * RADIAL_PX
 
     @property
@@ -81,7 +82,7 @@ class CameraResult:
         """Standard deviation in px of projected points at the frame corner where it is largest; NaN without a fit."""
         if self.fit is None:
             return math.nan
-        # From the covariance that calibration.json carries, so that the sentence and the file agree.
+        # From the covariance that is written to calibration.json, so that the sentence and the file agree.
         w, h = self.head.width - 1.0, self.head.height - 1.0
         return float(self.fit.sigma_at_px(np.array([[0, 0], [w, 0], [0, h], [w, h]])).max())
 
@@ -121,7 +122,7 @@ def calibrate_camera(
         appearance: appearance of marks in this frame.
         limits: limits that a calibration must keep, and the working distance.
     """
-    # Checks from cheap and general to specific: the first cause found is the most useful one for the operator.
+    # General checks come first, specific ones last: the first cause found is the most useful one for the operator.
     hypothesis = assignment.chosen
     due = _expected_marks(head, camera, detected, hypothesis, marks_mm, appearance)
     if (unfit := _check_size(appearance, head) or _check_frame(detected, hypothesis, due)) is not None:
@@ -131,7 +132,7 @@ def calibrate_camera(
         return CameraResult(camera, head, detected, due, None, refusal, action, ambiguous=True)
     assert hypothesis is not None
     pairs = hypothesis.pairs
-    # A first homography predicts all marks of the layout, so that those missed by the search are measured too.
+    # A first homography predicts all marks of the layout, so that marks which the search missed are measured too.
     place = estimate_homography(detected.px[pairs[:, 1]], marks_mm[pairs[:, 0]])
     marks = _measure_expected(
         place if place is not None else hypothesis.similarity, head, detected, hypothesis, marks_mm, appearance
@@ -254,7 +255,7 @@ def _measure_expected(
     marks_mm: Floats,
     appearance: MarkAppearance,
 ) -> tuple[MarkObservation, ...]:
-    """Return all marks expected in the frame. Marks that were not detected are measured at their predicted position."""
+    """Return all marks expected in the frame; those that were not detected are measured at their predicted position."""
     expected, known = apply(matrix, marks_mm), {int(k): int(n) for k, n in hypothesis.pairs}
     least = score_limit(detected.score)
     marks = []
@@ -270,7 +271,7 @@ def _measure_expected(
             marks.append(
                 MarkObservation(k, expected[k], note=f"less similar than the others (correlation {mark.score:.2f})")
             )
-        # The prediction is right to a few pixels. What lies further off than a quarter of a mark is another object.
+        # The prediction is accurate to a few pixels. Anything further away than a quarter of a mark is another object.
         elif np.hypot(*(mark.px - expected[k])) > 0.25 * appearance.size_px:
             marks.append(MarkObservation(k, expected[k], note="not at its predicted position"))
         else:
@@ -318,7 +319,7 @@ def _warnings(marks: tuple[MarkObservation, ...], detected: DetectedMarks, fit: 
 
 
 def _doubts(result: CameraResult, assignment: Assignment, limits: Limits) -> tuple[str, ...]:
-    """List what the marks did not determine, and what only the nominal view decided."""
+    """List what the marks did not determine, and what only the nominal view decided, as sentences."""
     notes = []
     if not result.lens_known:
         notes.append(
@@ -350,7 +351,7 @@ def _count(number: int) -> str:
 
 
 def _describe_ambiguity(assignment: Assignment, limits: Limits) -> tuple[str, str]:
-    """Return cause and remedy for a camera if frames and nominal views leave two assignments of the marks."""
+    """Return cause and remedy for a camera whose frame and nominal view leave two assignments of the marks possible."""
     x, y = assignment.shift_mm
     return (
         f"its marks fit the layout in two ways: shifted by ({x:.1f}, {y:.1f}) mm it explains them as well, and "
@@ -362,7 +363,7 @@ def _describe_ambiguity(assignment: Assignment, limits: Limits) -> tuple[str, st
 
 
 def _prior(head: CameraHead, limits: Limits) -> CameraPrior:
-    """Return what is known of a camera before it sees any mark."""
+    """Return the prior knowledge about a camera, before any mark of it is used."""
     return CameraPrior(
         ((head.width - 1) / 2, (head.height - 1) / 2),
         math.hypot(head.width, head.height) / 2,

@@ -1,7 +1,7 @@
-"""What is known of a camera before it sees any mark: limits of its lens and of its mounting, and of the board.
+"""Prior knowledge about a camera before it sees any mark: limits of its lens, of its mounting, and of the board.
 
-Marks cannot determine everything: four of them leave the lens free. What they leave free has the standard deviations
-below, in px at the corner of the frame, and appears with them in the covariance of the calibration.
+Marks cannot determine everything: from four marks, no distortion can be estimated. Whatever the marks leave open has
+the standard deviations below, in px at the corner of the frame, and so enters the covariance of the calibration.
 """
 
 from __future__ import annotations
@@ -15,27 +15,31 @@ from vaoi_station.geometry.camera_error import FIELDS, basis_fields
 from vaoi_station.geometry.transforms import Floats, apply
 
 RADIAL_PX = 1.5
-"""Standard deviation of the radial distortion at the corner: industrial lenses have 0.1 … 0.3 % of the distance."""
+"""Standard deviation of the radial distortion at the corner. Industrial lenses have 0.1 to 0.3 % of the distance."""
 HIGHER_ORDER = 0.05
-"""Part of the radial distortion that does not follow the cube of the radius, as its standard deviation."""
+"""Part of the radial distortion that is not proportional to the cube of the radius: its standard deviation, as a
+share."""
 _SECOND_PX = 0.5
-"""Standard deviation of a second coefficient, which is estimated only from many marks and if it is significant."""
+"""Standard deviation of a second radial coefficient, which is estimated only if it is significant and marks are
+many."""
 _STRETCH_PX = 0.5
-"""A tilt by 2° stretches a view by 0.06 %; prints differ by as much between their axes."""
+"""Standard deviation of the stretch of a view.
+
+A tilt by 2° stretches a view by 0.06 %, and prints differ by as much between their axes."""
 _TILT_RAD = math.radians(2.0)
-"""Standard deviation of the tilt of a camera: the largest plausible tilt, 6°, is three of them."""
+"""Standard deviation of the tilt of a camera. The largest plausible tilt, 6°, is three times this."""
 SHAPE, RADIAL = slice(4, 8), 8
 """Positions of stretch and perspective, and of radial distortion, in the basis of `geometry.camera_error`."""
 _GRID = np.stack(np.meshgrid(np.linspace(-0.8, 0.8, 9), np.linspace(-0.6, 0.6, 7)), -1).reshape(-1, 2)
-"""Points of a frame of 4 : 3, normalised, at which fields are compared with the basis."""
+"""Points of a frame of 4 : 3, normalised, at which displacement fields are compared with the basis."""
 _TO_BASIS = np.linalg.pinv(basis_fields(_GRID).reshape(-1, FIELDS))
 
 
 @dataclass(frozen=True)
 class CameraPrior:
-    """What is known of one camera before its calibration, and the standard deviations in px that follow from it.
+    """Prior knowledge about one camera, and the standard deviations in px that follow from it.
 
-    The accuracies are those of the calibration board, as standard deviations in mm; 0 is exact.
+    The accuracies of the calibration board are standard deviations in mm; 0 means exact.
     """
 
     center_px: tuple[float, float]
@@ -50,17 +54,17 @@ class CameraPrior:
 
     @property
     def distance_mm(self) -> float:
-        """The working distance; if it is unknown the smallest that a lens has, the diagonal of the view."""
+        """The working distance, mm. If it is unknown, the smallest that a lens has: the diagonal of the view."""
         return self.working_distance_mm or 2 * self.radius_px / self.px_per_mm
 
     @property
     def print_px(self) -> float:
-        """Standard deviation of marks by their print, per axis."""
+        """Standard deviation, per axis, of the positions of marks due to their print, px."""
         return self.mark_accuracy_mm * self.px_per_mm
 
     @property
     def grid_px(self) -> Floats:
-        """Points (k, 2) of the frame at which fields are compared with the basis."""
+        """Points (k, 2) of the frame at which displacement fields are compared with the basis."""
         return _GRID * self.radius_px + self.center_px
 
     def sigma_px(self, order: int) -> Floats:
@@ -72,7 +76,7 @@ class CameraPrior:
     def flatness_covariance_px2(self) -> Floats:
         """Compute the covariance (9, 9) of the error that a board which is not flat leaves in a calibration."""
         # A height h moves the picture by (u, v)·R·h/d. Heights that are constant, linear and quadratic over the view
-        # give scale, perspective and radial distortion, which marks of one picture cannot separate from the camera's.
+        # look like scale, perspective and radial distortion, from which marks in one picture cannot distinguish them.
         variance = np.zeros(FIELDS)
         variance[[3, 6, 7, RADIAL]] = (self.radius_px * self.flatness_mm / self.distance_mm) ** 2
         return np.diag(variance)
@@ -85,7 +89,7 @@ def to_basis(fields: Floats) -> Floats:
 
 def shape_of_view(prior: CameraPrior, image_from_plane: Floats) -> Floats:
     """Compute stretch and perspective (4,) of a homography plane → undistorted px, in px at the corner."""
-    # They are what remains of the picture of a plane after the similarity that fits it best.
+    # Stretch and perspective are what remains of the picture of a plane after the best similarity is removed.
     image = (prior.grid_px - prior.center_px) @ np.array([1, 1j])
     plane = apply(np.linalg.inv(image_from_plane), prior.grid_px) @ np.array([1, 1j])
     design = np.column_stack([plane, np.ones_like(plane)])

@@ -1,8 +1,8 @@
 """Least-squares fit of N_i and the lens to at least four marks; equation 10.
 
-A normalised direct linear transform gives the initial value. Gauss-Newton on pixel residuals gives the fit and its
-covariance. What is known of cameras beforehand (`camera_prior`) takes part as further measurements, so that stretch,
-perspective and distortion which the marks leave free stay near zero, with the standard deviation of the prior.
+A normalised direct linear transform gives the initial value. Gauss-Newton steps on pixel residuals give the fit and its
+covariance. The prior knowledge about cameras (`camera_prior`) takes part as additional measurements. So stretch,
+perspective and distortion stay near 0 where the marks do not determine them, with the standard deviation of the prior.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats, apply
 
 MARK_SIGMA_PX = 0.007
-"""Prior standard deviation of a mark's position per axis, combined with the residuals of a fit."""
+"""Prior standard deviation of a mark's measured position, per axis; it is combined with the residuals of a fit."""
 _PRIOR_FREEDOM = 4.0
-"""Weight of the prior in degrees of freedom."""
+"""Weight of this prior standard deviation, in degrees of freedom."""
 CORRELATED_MARKS = 48.0
-"""Errors of marks are correlated (print, sampling, lens model): beyond this number, more marks add little."""
+"""Errors of marks are correlated (print, sampling, lens model): more marks than this hardly improve the fit."""
 _MAX_STEPS = 12
 _SIGNIFICANT = 12.0
-"""A second coefficient is significant if it lowers the sum of squares by this many variances: about 3.5 sigma."""
+"""A second coefficient is significant if it lowers the sum of squares by this number of variances: about 3.5 σ."""
 _MIN_MARKS, _SECOND_FROM = 4, 16
-"""Number of marks required for N, and for a second coefficient of distortion."""
+"""Least number of marks for N_i, and for a second coefficient of distortion."""
 _DEGENERATE = 1e-3
 _SINGULAR = 1e-8
-"""Smallest singular value of the adjustment relative to the largest, below which equation 10 has no unique solution."""
+"""Smallest ratio of the smallest singular value to the largest. Below it, equation 10 has no unique solution."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,9 +50,9 @@ class Fit:
     covariance: Floats
     """Covariance of n11 n12 n13 n21 n22 n23 n31 n32 and the radial coefficients."""
     sigma_px: float
-    """Standard deviation of the measured position of a mark per axis, px."""
+    """Standard deviation of the measured position of a mark, per axis, px."""
     freedom: float
-    """Degrees of freedom: measurements minus the parameters that the marks, and not the prior, determine."""
+    """Degrees of freedom: number of measurements minus the number of parameters that the marks determine."""
     field_covariance_px2: Floats
     """Covariance (9, 9) of the error over the frame; see `geometry.camera_error`."""
     prior: CameraPrior
@@ -64,7 +64,7 @@ class Fit:
 
     @property
     def lens_px(self) -> tuple[float, float]:
-        """Displacement at the corner of the frame by the first radial coefficient, and its standard deviation, px."""
+        """Displacement at the frame's corner by the first radial coefficient, and its standard deviation, px."""
         return self.lens.radial[0] * self.lens.radius_px, float(np.sqrt(self.covariance[8, 8])) * self.lens.radius_px
 
     def sigma_at_px(self, raw_px: Floats) -> Floats:
@@ -74,7 +74,7 @@ class Fit:
 
 
 def fit_camera(marks_mm: Floats, px: Floats, prior: CameraPrior) -> Fit | Failure:
-    """Fit N_i and the coefficients of radial distortion: one with its prior, a second one if it is significant.
+    """Fit N_i and the radial distortion: one coefficient with its prior, and a second one if it is significant.
 
     Args:
         marks_mm: (k, 2) tester coordinates, k ≥ 4.
@@ -88,7 +88,7 @@ def fit_camera(marks_mm: Floats, px: Floats, prior: CameraPrior) -> Fit | Failur
     fit = _adjust(marks_mm, px, prior, 1)
     if isinstance(fit, Failure) or len(marks_mm) < _SECOND_FROM:
         return fit
-    # With more coefficients a fit may fail although the simpler one is sound.
+    # With more coefficients, a fit may fail although the simpler one succeeds.
     more = _adjust(marks_mm, px, prior, 2)
     return fit if isinstance(more, Failure) or not _is_significant(fit, more) else more
 
@@ -134,7 +134,7 @@ def _adjust(marks_mm: Floats, px: Floats, prior: CameraPrior, order: int) -> Fit
     h = estimate_homography(px, p)
     if h is None:
         return Failure(f"its {len(p)} marks are at one position in the frame, which determines no view of a plane")
-    # The prior is so weak that the weight of the marks matters little; twice is enough.
+    # The prior is so weak that the weight of the marks matters little: two rounds are enough.
     sigma = least = float(np.hypot(MARK_SIGMA_PX, prior.print_px))
     correlation = 1 + len(p) / CORRELATED_MARKS
     for _ in range(2):
@@ -150,7 +150,8 @@ def _adjust(marks_mm: Floats, px: Floats, prior: CameraPrior, order: int) -> Fit
         data = (design * weight).T @ (design * weight)
         covariance = np.linalg.inv((data + known.T @ known) / np.outer(scale, scale)) / np.outer(scale, scale)
         freedom = max(2 * len(p) - float(np.trace(covariance @ data)), 0.0)
-        # Few marks leave few residuals, which may be small by chance; the prior bounds the variance from below.
+        # A few marks leave few residuals, which may be small by chance. The prior keeps the variance from being too
+        # small.
         total = float((residual**2).sum()) + _PRIOR_FREEDOM * least**2
         sigma = float(np.sqrt(max(total / (freedom + _PRIOR_FREEDOM), prior.print_px**2)))
     matrix, jacobian = _denormalize(h, normal_from_mm, order)
@@ -159,13 +160,14 @@ def _adjust(marks_mm: Floats, px: Floats, prior: CameraPrior, order: int) -> Fit
 
 
 def _solve(p: Floats, px: Floats, prior: CameraPrior, h: Floats, lens: Lens, weight: float) -> tuple[Floats, Lens]:
-    """Iterate the adjustment of H (p → undistorted px) and the lens until it stands still."""
+    """Iterate the adjustment of H (p → undistorted px) and of the lens until it converges."""
     for _ in range(_MAX_STEPS):
         residual = lens.undistort(px) - apply(h, p)
         design = _design(h, lens, p, px).reshape(len(p) * 2, -1)
         prior_residual, prior_design = _prior_equations(prior, h, lens)
         rows = np.vstack([design * weight, prior_design])
-        # Columns scaled to 1, as entries of N and coefficients of the lens differ by orders of magnitude.
+        # The columns are scaled to length 1, because entries of N and coefficients of the lens differ by orders of
+        # magnitude.
         scale = np.sqrt((rows**2).sum(0))
         step = (
             np.linalg.lstsq(rows / scale, np.append(residual.ravel() * weight, prior_residual), rcond=None)[0] / scale
@@ -185,7 +187,7 @@ def _design(h: Floats, lens: Lens, p: Floats, px: Floats) -> Floats:
 def _prior_equations(prior: CameraPrior, h: Floats, lens: Lens) -> tuple[Floats, Floats]:
     """Compute residuals (m,) and design (m, 8 + q) of the prior, in its standard deviations.
 
-    The prior says that stretch, perspective and radial distortion are zero.
+    According to the prior, stretch, perspective and radial distortion are 0.
     """
     order = len(lens.radial)
     sigma = prior.sigma_px(order)
@@ -210,8 +212,8 @@ def _field_covariance(
     out = over_frame @ covariance @ over_frame.T + prior.flatness_covariance_px2()
     if len(lens.radial) > 1:
         return np.asarray(out)
-    # A part of the distortion that the first coefficient does not describe: the marks take up what they see of it, the
-    # rest is an error where there are none.
+    # A part of the distortion is not described by the first coefficient. Where there are marks, the fit absorbs this
+    # part. Elsewhere it remains as an error.
     second = Lens(lens.center_px, lens.radius_px, (0.0, 0.0))
     amount = HIGHER_ORDER * lens.radial[0] * lens.radius_px
     taken = gain @ _lens_jacobian(second, px)[..., 1].ravel() / lens.radius_px

@@ -1,4 +1,4 @@
-"""Common mistakes in a layout: reflections, rotations, shifts. They help to name the mistake in a refusal."""
+"""Common mistakes in a layout (reflection, rotation, shift), by which a refusal can name the mistake."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _MISTAKES = (
 
 def find_symmetries(marks_mm: Floats, tolerance_mm: float) -> tuple[str, ...]:
     """List the reflections and rotations that map a layout (k, 2) onto itself."""
-    # Such a mistake cannot be detected in any frame, because it leads to the same layout.
+    # Such a mistake cannot be detected in any frame, because the mistaken layout is the same as the true one.
     middle = (marks_mm.min(0) + marks_mm.max(0)) / 2
     found = []
     for name, linear in _MISTAKES:

@@ -16,15 +16,18 @@ from vaoi_station.marks import Mark, find_candidates, locate_mark
 SURROUND = 1.3
 """Diameter of the compared disc divided by the mark's size. Calibration marks can be close, so the rim is narrow."""
 COARSE_PX = 10.0
-"""Approximate size of marks in the reduced frame of the search."""
+"""Diameter of the compared disc, divided by the size of the mark.
+
+Calibration marks can be close together, so the compared rim around a mark is narrow."""
 _MAX_CANDIDATES = 400
 _STEEPEST = 200
 """Number of pixels on edges from which the blur is measured."""
 _SCORE_MARGIN = (0.02, 0.08)
 _SCORE_FACTOR = 3.0
-"""A mark whose correlation is lower than that of the other marks of its frame is covered or damaged. The limit is three
-times their usual distance from 1, within `_SCORE_MARGIN`. In even light the scores of whole marks differ by half that
-distance."""
+"""A mark is covered or damaged if its correlation is lower than that of the other marks of its frame.
+
+The limit is `_SCORE_FACTOR` times their usual distance from 1, but within `_SCORE_MARGIN`. In even light, the scores of
+complete marks differ by half that distance."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +80,7 @@ def detect_marks(grey: NDArray[np.uint8], kind: MarkAppearance) -> DetectedMarks
     h, w = (side // factor * factor for side in grey.shape)
     small = cv2.resize(grey[:h, :w], (w // factor, h // factor), interpolation=cv2.INTER_AREA)
     places, _ = find_candidates(small, "cross", kind.size_px / factor, _MAX_CANDIDATES, arm=kind.arm)
-    # Candidates come best first, so that of two on one mark the better one is kept.
+    # Candidates are sorted, best first, so that of two candidates on one mark the better one is kept.
     marks: list[Mark] = []
     opposite = 0
     for place in (places + 0.5) * factor - 0.5:
@@ -104,14 +107,15 @@ def detect_marks(grey: NDArray[np.uint8], kind: MarkAppearance) -> DetectedMarks
 
 
 def locate_cross(grey: NDArray[np.uint8], near_px: Floats, kind: MarkAppearance) -> Mark | Failure:
-    """Locate one mark near a position that is right to a third of its size."""
+    """Locate one mark near a position that is accurate to a third of the mark's size."""
     return locate_mark(grey, near_px, "cross", kind.size_px, arm=kind.arm, surround=SURROUND)
 
 
 def measure_blur_px(grey: NDArray[np.uint8], px: Floats, size_px: float) -> float:
     """Measure the median standard deviation of the blur at the edges of marks at px (k, 2).
 
-    The largest slope of an edge of height C blurred by sigma is C / (sigma √(2π)). The width of a pixel is included.
+    The largest slope of an edge of height C blurred by sigma is C / (sigma √(2π)). The result includes the width of a
+    pixel.
     """
     half, found = int(np.ceil(0.6 * size_px)), []
     for x, y in np.round(px).astype(int):
@@ -123,8 +127,8 @@ def measure_blur_px(grey: NDArray[np.uint8], px: Floats, size_px: float) -> floa
 
 def _steepest_edge_blur(patch: NDArray[np.uint8], contrast: float) -> float:
     """Measure the blur at the steepest edges of a patch, as a standard deviation in px."""
-    # The smoothing suppresses noise in the slopes. Its variance, 1 px², and that of a difference over two pixels,
-    # 1/3 px², are subtracted.
+    # Smoothing suppresses noise in the slopes. The variance of the smoothing, 1 px², and that of a difference over two
+    # pixels, 1/3 px², are subtracted.
     smooth = cv2.GaussianBlur(patch.astype(np.float32), (0, 0), 1.0)
     gx, gy = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, scale=1 / 8), cv2.Sobel(smooth, cv2.CV_32F, 0, 1, scale=1 / 8)
     slopes = np.hypot(gx, gy).ravel()
@@ -141,7 +145,7 @@ def score_limit(scores: Floats) -> float:
 
 def _reject_outliers(marks: list[Mark]) -> tuple[list[Mark], tuple[tuple[tuple[float, float], str], ...]]:
     """Return the accepted marks, and the positions of the rejected ones with the cause."""
-    # With one or two marks the median of the scores is not meaningful.
+    # With one or two marks, the median of the scores means nothing.
     if len(marks) < 3:
         return marks, ()
     least = score_limit(np.array([m.score for m in marks]))

@@ -1,9 +1,9 @@
 """Assignment of detected marks to the layout, near the nominal view of the camera.
 
-Marks carry no identity. Each pair of detected marks that matches a pair of the layout in length and direction gives a
-hypothesis. Its score is the logarithm of its likelihood: detected marks that it explains speak for it; marks that it
-expects where the frame shows blank ground speak against it, and little does where something may hide them.
-`array_assignment` chooses between the hypotheses of all cameras.
+Detected marks are all alike. Each pair of detected marks that has the length and direction of a pair in the layout
+gives a hypothesis. The score of a hypothesis is the logarithm of its likelihood. A detected mark that it explains
+raises the score. An expected mark that is missing on blank ground lowers it much. An expected mark that is missing
+where something may hide it lowers it little. `array_assignment` then chooses between the hypotheses of all cameras.
 """
 
 from __future__ import annotations
@@ -22,17 +22,18 @@ _SCALE, _ANGLE_RAD = 0.08, np.radians(8.0)
 """Accepted deviation of scale and direction from the design."""
 _MAX_SEEDS, _MAX_DETECTED = 48, 120
 _EXPLAINED = 3.0
-"""A cross that is detected by chance, at a place where the layout has a mark, has a probability of about e⁻³."""
+"""Gain of the score by a detected mark that is explained: by chance, this has a probability of about e⁻³."""
 _BLANK, _BLANK_CAP, _BLANK_MORE = 4.0, 7.0, 0.3
-"""Cost of an expected mark that is missing on blank ground: it is not printed or not detected. Beyond the cap the cost
-is that of one thing that looks like the ground and covers many marks."""
+"""Cost of an expected mark that is missing on blank ground: it is not printed, or was not detected.
+
+Beyond the cap, further missing marks cost less each: one thing that looks like the ground may cover many marks."""
 _HIDDEN, _HIDDEN_CAP, _HIDDEN_MORE = 1.0, 2.0, 0.1
-"""The same for expected marks where the frame shows something else, which may hide them."""
+"""The same for expected marks that are missing where the frame shows something that may hide them."""
 _CHUNK = 64
-"""Number of hypotheses scored at a time, which bounds the memory of the distance table."""
+"""Number of hypotheses that are scored at a time; it limits the memory of the table of distances."""
 _MAX_KEPT = 24
 _PRESELECTED_MM = 4.0
-"""Standard deviation of the shift from the nominal view, by which hypotheses are preselected."""
+"""Standard deviation of the shift from the nominal view, by which hypotheses are sorted before they are scored."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +65,9 @@ def find_hypotheses(
     size_px: float,
     ground: BlankGround | None = None,
 ) -> tuple[Hypothesis, ...]:
-    """Find the best hypotheses which detected mark is which mark of the layout, best first; none below two matches.
+    """Find the best hypotheses about which detected mark is which mark of the layout, best first.
+
+    A hypothesis with fewer than two matches is not returned.
 
     Args:
         detected_px: (m, 2) raw pixels of detected marks, best first.
@@ -89,7 +92,7 @@ def _to_layout_indices(pairs: NDArray[np.int_], near: NDArray[np.int_]) -> NDArr
 
 
 def _capped(count: NDArray[np.int_], each: float, cap: float, more: float) -> Floats:
-    """Compute the cost of `count` missing marks: `each`, or if there are many, one cause of all of them."""
+    """Compute the cost of `count` missing marks: `each` for every mark, but less for those beyond `cap`."""
     return np.asarray(np.minimum(each * count, cap + more * count), dtype=np.float64)
 
 
@@ -106,7 +109,7 @@ class _Matching:
 
     @property
     def _design(self) -> complex:
-        """The factor from mm to px by the design: its size is the resolution, its angle the roll of the camera."""
+        """The factor from mm to px by the design: its absolute value is the resolution, its angle the camera's roll."""
         return complex(self.nominal[0, 0], self.nominal[1, 0])
 
     def from_pairs(self) -> NDArray[np.complex128]:
@@ -115,8 +118,8 @@ class _Matching:
         between = (marks[None, :] - marks[:, None]) * self._design
         found = []
         for first, second in self._seeds():
-            # A quotient of complex numbers is the ratio of lengths and the difference of directions at once; the
-            # diagonal divides by zero, and its infinity or NaN fails both tests.
+            # A quotient of complex numbers holds the ratio of lengths and the difference of directions. The diagonal
+            # divides by zero; the infinity or NaN that results fails both tests.
             way = seen[second] - seen[first]
             with np.errstate(divide="ignore", invalid="ignore"):
                 ratio = way / between
@@ -138,7 +141,7 @@ class _Matching:
         return [(int(first[k]), int(second[k])) for k in chosen]
 
     def _offset_mm(self, similarities: NDArray[np.complex128]) -> Floats:
-        """Return how far the centre of the view lies from its nominal position under each hypothesis, (h, 2) mm."""
+        """Return by how much the centre of the view is off its nominal position under each hypothesis, (h, 2) mm."""
         middle = complex((self.head.width - 1) / 2, (self.head.height - 1) / 2)
         place = (middle - similarities[:, 1]) / similarities[:, 0]
         design = (middle - complex(self.nominal[0, 2], self.nominal[1, 2])) / self._design
@@ -151,7 +154,7 @@ class _Matching:
         )
         offsets = self._offset_mm(similarities)
         kept: list[int] = []
-        # Linear beyond three standard deviations: a view far off its design is unlikely, but possible.
+        # Linear beyond three standard deviations: a view far from its design is unlikely, but possible.
         far = np.hypot(*offsets.T) / _PRESELECTED_MM
         cost = np.where(far <= 3, far**2 / 2, 3 * far - 4.5)
         for n in np.argsort(cost - scores, kind="stable"):

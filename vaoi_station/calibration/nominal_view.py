@@ -38,7 +38,7 @@ def nominal_matrix(head: CameraHead, camera: int) -> Floats:
 
 def reach_mm(head: CameraHead) -> float:
     """Compute the largest accepted deviation of a view from its nominal position, mm."""
-    # Less than half a view: with more, a neighbour's marks could be taken for this camera's.
+    # Less than half a view; otherwise marks of a neighbouring camera could be taken for marks of this camera.
     r = head.nominal_px_per_mm or 1.0
     return min(REACH_MM, _REACH_SHARE * min(head.width, head.height) / r)
 

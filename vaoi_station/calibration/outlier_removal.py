@@ -1,4 +1,4 @@
-"""Removal of marks that are inconsistent with the others: a smudge, a bubble in the print, another object."""
+"""Removal of marks that contradict the others: a smudge, a bubble in the print, another object."""
 
 from __future__ import annotations
 
@@ -12,15 +12,16 @@ from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats, apply
 
 _MIN_REMAINING = 5
-"""Four marks fit without residuals, so of five marks none can be identified as the outlier."""
+"""Least number of marks that must remain. Four marks fit without residuals, so of five none can be named an outlier."""
 _MAX_REMOVED_SHARE = 0.4
 _MAX_TRIALS = 12
-"""Number of leave-one-out fits per outlier. They leave out the marks with the largest residuals."""
+"""Number of fits with one mark left out, per search for an outlier; those with the largest residuals are tried."""
 _SIGMAS, _MIN_ERROR_PX = 6.0, 0.1
 """Smallest prediction error of an outlier, in standard deviations and in px."""
 _MAX_SUBSETS, _MAX_STARTS, _MAX_ROUNDS = 100, 3, 10
 _CLEARLY_BETTER = 4.0
-"""Factor between the residuals of two fits. To leave out marks at random lowers them far less."""
+"""Least factor between the residuals of two fits, for one to be clearly better. Leaving out marks at random gives
+less."""
 _RAYLEIGH = 1.1774
 """Median length of a vector of two independent normal variables, divided by their standard deviation."""
 
@@ -28,9 +29,10 @@ _RAYLEIGH = 1.1774
 def remove_outliers(fit: Fit, marks_mm: Floats, px: Floats) -> tuple[Fit, list[int]]:
     """Remove the marks whose measured position contradicts the prediction from the other marks.
 
-    Marks are removed one by one. Several outliers can mask one another: then a good mark looks worse than they do. So a
-    second search starts from minimal subsets of the marks, if two were removed or the residuals are still large. Its
-    outcome replaces that of the first search only if it excludes a mark that the first one kept.
+    Marks are removed one by one. If there are several outliers, they can bend the fit so that a good mark has larger
+    residuals than they have. Therefore, if two marks were removed or the residuals are still large, a second search
+    starts from minimal subsets of the marks. Its outcome replaces that of the first search only if it excludes a mark
+    that the first search kept.
 
     Args:
         fit: the fit of all marks.
@@ -51,7 +53,7 @@ def remove_outliers(fit: Fit, marks_mm: Floats, px: Floats) -> tuple[Fit, list[i
 
 
 def _unmasked(fit: Fit, kept: list[int], marks_mm: Floats, px: Floats, least: int) -> tuple[Fit, list[int]]:
-    """Return the outcome of a search from minimal subsets, if outliers masked one another; else the given outcome."""
+    """Return the outcome of a search from minimal subsets if outliers hid one another, else the given outcome."""
     # A single outlier cannot be masked.
     sound = len(kept) >= len(px) - 1 and float(np.hypot(*fit.residuals_px.T).max()) <= _MIN_ERROR_PX
     if sound or len(px) <= least:
@@ -65,7 +67,7 @@ def _unmasked(fit: Fit, kept: list[int], marks_mm: Floats, px: Floats, least: in
 
 
 def _is_better(this: tuple[Fit, list[int]], other: tuple[Fit, list[int]]) -> bool:
-    """Return whether a fit explains more marks, or about as many far better."""
+    """Return whether a fit explains more marks, or about as many with far smaller residuals."""
     (fit, kept), (other_fit, other_kept) = this, other
     if fit.rms_px * _CLEARLY_BETTER < other_fit.rms_px:
         return True
@@ -78,7 +80,8 @@ def _robust_starts(marks_mm: Floats, px: Floats, least: int) -> list[list[int]]:
     if math.comb(n, 4) <= _MAX_SUBSETS:
         subsets = [list(subset) for subset in combinations(range(n), 4)]
     else:
-        # With two fifths of outliers, one of eight subsets has none. The seed is fixed: equal marks, equal outliers.
+        # If two fifths are outliers, one of eight subsets contains none. The seed is fixed, so that equal marks give
+        # equal outliers.
         g = np.random.default_rng(0)
         subsets = [g.choice(n, 4, replace=False).tolist() for _ in range(_MAX_SUBSETS)]
     found: list[tuple[float, list[int]]] = []
@@ -86,7 +89,7 @@ def _robust_starts(marks_mm: Floats, px: Floats, least: int) -> list[list[int]]:
         h = estimate_homography(px[subset], marks_mm[subset])
         if h is None:
             continue
-        with np.errstate(all="ignore"):  # a wrong homography may map a mark to infinity
+        with np.errstate(all="ignore"):  # A wrong homography may map a mark to infinity.
             error = np.hypot(*(px - apply(h, marks_mm)).T)
         nearest = np.argsort(np.where(np.isfinite(error), error, np.inf), kind="stable")[:least]
         if np.isfinite(error[nearest[-1]]):
@@ -96,14 +99,17 @@ def _robust_starts(marks_mm: Floats, px: Floats, least: int) -> list[list[int]]:
 
 
 def _grow(fit: Fit, start: list[int], marks_mm: Floats, px: Floats, least: int) -> tuple[Fit, list[int]] | None:
-    """Fit a set of marks, and replace it by all marks that agree with its fit, until it stays; None if it fails."""
+    """Fit a set of marks, then replace it by all marks that agree with the fit, until the set no longer changes.
+
+    Return None if a fit fails.
+    """
     kept = start
     for _ in range(_MAX_ROUNDS):
         trial = fit_camera(marks_mm[kept], px[kept], fit.prior)
         if isinstance(trial, Failure):
             return None
         error = np.hypot(*(trial.lens.undistort(px) - apply(trial.matrix, marks_mm)).T)
-        # Marks outside the set are extrapolated, so that the uncertainty of the prediction counts as well.
+        # Marks outside the set are extrapolated. So the uncertainty of the prediction is added to that of the mark.
         limit = np.maximum(_SIGMAS * np.hypot(trial.sigma_px, trial.sigma_at_px(px)), _MIN_ERROR_PX)
         agreeing = np.flatnonzero(error <= limit).tolist()
         if agreeing == kept:
@@ -120,8 +126,8 @@ def _leave_one_out(fit: Fit, marks_mm: Floats, px: Floats, kept: list[int]) -> t
     lengths = np.hypot(*fit.residuals_px.T)
     # The median is robust against the outliers that are still in the fit.
     usual = float(np.median(lengths)) / _RAYLEIGH * np.sqrt(2 * len(kept) / max(fit.freedom, 1))
-    # The largest residual need not be the outlier's: a least-squares fit bends towards it. So each candidate is left
-    # out in turn, and predicted by the others.
+    # The outlier need not have the largest residual, because a least-squares fit bends towards it. So each candidate is
+    # left out in turn and predicted from the others.
     for n in np.argsort(-lengths)[:_MAX_TRIALS]:
         rest = [k for m, k in enumerate(kept) if m != n]
         trial = fit_camera(marks_mm[rest], px[rest], fit.prior)

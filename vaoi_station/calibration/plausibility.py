@@ -17,7 +17,7 @@ TILT_DEG = 6.0
 MAX_SCALE_ERROR = 0.08
 """Largest accepted relative difference between fitted and nominal resolution."""
 _MAX_PRINT_ERROR = 0.02
-"""Relative scale error of the print beyond which a warning is given."""
+"""Relative scale error of the print above which a warning is given."""
 
 
 def find_implausibility(matrix: Floats, head: CameraHead, working_distance_mm: float | None) -> str | None:
@@ -44,7 +44,7 @@ def find_implausibility(matrix: Floats, head: CameraHead, working_distance_mm: f
             f"its view is stretched by {stretch - 1:.2%} in one direction, but a camera that is tilted by at most "
             f"{TILT_DEG:.0f}° stretches by {most - 1:.2%}"
         )
-    # The third row of N_i gives the relative depth; it varies over the frame by the tilt only.
+    # The third row of N_i gives the relative depth, which varies over the frame only if the camera is tilted.
     diagonal = math.hypot(head.width, head.height) / nominal
     distance = working_distance_mm or diagonal
     corners = np.array([[x, y] for x in (0, head.width - 1) for y in (0, head.height - 1)], dtype=np.float64)

@@ -1,4 +1,4 @@
-"""The drift check of a run as it is stored: a small record from which drift is detected and N_i is corrected later."""
+"""The stored drift check of a run: a small record, from which drift is detected and N_i can be corrected later."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from vaoi_station.model import Strict
 from vaoi_station.stitching.adjustment.camera_prior import Attribution, attribute_motion
 
 _DIGITS = 7
-"""Significant digits of stored matrices: more than the accuracy of the estimate, in half the text of full precision."""
+"""Significant digits of stored matrices: more than the estimate's accuracy needs, half as long as full precision."""
 _SEEN = 4
-"""Least number of links to neighbouring cameras from which a camera counts as seen."""
+"""A camera with at least this number of links to neighbouring cameras counts as seen in a run."""
 
 
 class CameraCheck(Strict):
@@ -25,7 +25,7 @@ class CameraCheck(Strict):
     x_px: float
     y_px: float
     turn_px: float
-    """Motion of the frame's corner when the camera turns about the middle of the frame."""
+    """Turn about the middle of the frame, expressed as the distance by which a corner of the frame moves."""
     sigma_px: tuple[float, float, float]
     """Standard deviations of x, y and turn."""
     rms_px: float | None
@@ -57,7 +57,7 @@ class RunCheck(Strict):
     run: str
     time: str
     board_type: str
-    """Name or digest of the board type. Runs of one board type share systematic displacements."""
+    """Name or digest of the board type. Runs of one board type have systematic displacements in common."""
     cameras: tuple[CameraCheck, ...]
     rivals: tuple[int, ...]
     """Cameras that may have moved instead of those that show a displacement."""
@@ -112,7 +112,7 @@ def _short(values: Floats) -> tuple[float, ...]:
 
 def combine_runs(checks: Sequence[RunCheck]) -> Attribution:
     """Estimate the displacements of the cameras from several runs together."""
-    # Normal equations of independent runs add up, so the evidence of old runs need not be kept for a correction.
+    # The normal equations of independent runs can be added. So only these are stored, not the links of old runs.
     size = PARAMETERS * len(checks[0].cameras)
     information, vector = np.zeros((size, size)), np.zeros(size)
     for check in checks:

@@ -21,15 +21,15 @@ _USED = 0.1
 
 @dataclass(frozen=True, eq=False)
 class DisplacementEstimate:
-    """The displacements d̂ of n cameras estimated from one run, as normal equations.
+    """The displacements d̂ of n cameras estimated from one run, in the form of normal equations.
 
-    A displacement d fits the run the worse, the larger (d − d̂)ᵀ·information·(d − d̂) is.
+    A displacement d fits the run worse, the larger (d − d̂)ᵀ·information·(d − d̂) is.
     """
 
     information: Floats
-    """(3n, 3n) px⁻², information matrix of d̂; singular for motions of the whole array."""
+    """(3n, 3n) px⁻², information matrix of d̂. It contains no information about a motion of the whole array."""
     vector: Floats
-    """(3n,) px⁻¹, the product information · d̂. It is finite even where d̂ is undetermined."""
+    """(3n,) px⁻¹, the product information · d̂. It is finite even where the run does not determine d̂."""
     rms_px: Floats
     """(n,) rms residual, without displacements, of links to neighbouring cameras and fiducials; NaN if none exist."""
     left_px: Floats
@@ -44,12 +44,12 @@ def estimate_displacements(findings: Findings) -> DisplacementEstimate:
     """Return the displacements that the adjustment of a run estimated, with counts and residuals per camera."""
     adjusted, n = _with_displacements(findings), len(findings.scene.cameras)
     if adjusted.cameras is None:
-        # a single camera, or a run without links: the run is no evidence of displacements
+        # A single camera, or a run without links, gives no evidence of displacements.
         none, nothing = np.full(n, np.nan), np.zeros(n, dtype=np.int_)
         size = PARAMETERS * n
         return DisplacementEstimate(np.zeros((size, size)), np.zeros(size), none, none, nothing, nothing)
     o, points = adjusted.problem.links, adjusted.problem.fiducials
-    # links on components are left out: the height of a component is no displacement of a camera
+    # Links on components are left out, because the height of a component looks like a displacement of a camera.
     kept = np.flatnonzero((o.p == o.q) & (adjusted.weight > _USED) & (findings.problem.component < 0))
     a, b = o.pairs.a[o.group[kept]], o.pairs.b[o.group[kept]]
     seen_by = points.camera[points.which >= 0] if points is not None else np.zeros(0, dtype=np.int_)
@@ -72,8 +72,8 @@ def estimate_displacements(findings: Findings) -> DisplacementEstimate:
 def _with_displacements(findings: Findings) -> AdjustmentResult:
     """Return the adjustment of a run with the displacements of its cameras.
 
-    A result without CAD mapping takes the cameras as exact and the board as lying in the calibrated plane. Its links
-    are then adjusted once more, for a plane board at an unknown height.
+    Without a CAD mapping, the adjustment assumed exact cameras and a board in the calibrated plane. Its links are then
+    adjusted once more, for a plane board at an unknown height.
     """
     adjusted, cameras = findings.adjusted, comparable_cameras(findings.calibrated)
     if findings.mapping is not None or not findings.method.links or not cameras:

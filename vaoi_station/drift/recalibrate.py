@@ -22,9 +22,11 @@ LEAST_LINKS = 30
 """Least number of links from one camera to its neighbours, over all runs."""
 _SIGMAS = 4.0
 _KNOWN_PX = 0.25
-"""Largest standard deviation of x, y or turn with which a displacement is still corrected."""
+"""A displacement is corrected only if the standard deviations of its x, y and turn are at most this."""
 _AGREE_PX, _AGREE_SIGMAS = 0.15, 5.0
-"""Largest difference between the displacement by one run and that by all runs: in px, and in standard deviations."""
+"""Largest accepted difference between the displacement by one run and that by all runs.
+
+It is stated in px and in standard deviations; the larger of the two is the limit."""
 _STEP_PX = 0.05
 
 
@@ -112,7 +114,7 @@ def recalibrate(
 def _has_moved(found: Attribution, i: int) -> bool:
     d = found.displacement_px[i]
     at = slice(PARAMETERS * i, PARAMETERS * (i + 1))
-    # Mahalanobis distance: the three numbers are known to different degrees, and their errors are correlated.
+    # Mahalanobis distance, because the three numbers are not equally accurate and their errors are correlated.
     distance = float(np.sqrt(d @ np.linalg.solve(found.covariance[at, at], d)))
     return rms_displacement_px(d) >= LEAST_PX and distance > _SIGMAS
 
@@ -143,8 +145,8 @@ def _refuse_too_little(checks: Sequence[RunCheck], cameras: int) -> None:
 
 
 def _refuse_vague(found: Attribution, i: int) -> None:
-    """Raise InputError if the displacement of camera i is known too inaccurately for a correction."""
-    # The camera shares few links with its neighbours, so the displacement may in truth be the height of the boards.
+    """Raise InputError if the displacement of camera i is known too poorly for a correction."""
+    # The camera has few links to its neighbours, so the height of the boards may look like a displacement.
     sigma = found.sigma_px[i]
     if sigma.max() > _KNOWN_PX:
         x, y, turn = found.displacement_px[i]
@@ -159,7 +161,8 @@ def _refuse_vague(found: Attribution, i: int) -> None:
 
 def _refuse_contradictions(checks: Sequence[RunCheck], found: Attribution, i: int) -> None:
     """Raise InputError if one run gives another displacement of camera i than all runs together."""
-    # Runs before and after a knock, or with a loose mount, have no common displacement. Their mean is wrong for all.
+    # If a camera was knocked between the runs, or its mount is loose, the runs have no common displacement. Their mean
+    # would be wrong for all of them.
     worst: tuple[float, RunCheck] | None = None
     for check in checks:
         camera = check.cameras[i]
@@ -182,7 +185,8 @@ def _refuse_contradictions(checks: Sequence[RunCheck], found: Attribution, i: in
 def _widened(covariance: list[list[float]], camera: Camera, found: Attribution, i: int) -> list[list[float]]:
     """Return the covariance of camera i's N_i, increased by that of its displacement.
 
-    The first eight parameters of that covariance are n11 … n32 of N_i; those of the lens follow and stay as they are.
+    The first eight parameters of this covariance are n11 to n32 of N_i. The parameters of the lens follow; their
+    covariance is not changed.
     """
 
     def entries(d: Floats) -> Floats:
@@ -198,9 +202,9 @@ def _widened(covariance: list[list[float]], camera: Camera, found: Attribution, 
 
 
 def _with_displacement(covariance: Floats, found: Attribution, i: int) -> Floats:
-    """Return the covariance (9, 9) of a camera's error, with shift and turn as known after the correction."""
-    # The correction replaces what the calibration knew of shift and turn, which are the first three fields, but its
-    # reference is the array as it was calibrated. So the covariances add.
+    """Return the covariance (9, 9) of a camera's error, with the accuracy of shift and turn after the correction."""
+    # The correction replaces shift and turn, which are the first three fields, as the calibration knew them. Its
+    # reference is the array as it was calibrated, so the covariances are added.
     at = slice(PARAMETERS * i, PARAMETERS * (i + 1))
     wider = np.array(covariance)
     wider[:PARAMETERS, :PARAMETERS] += found.covariance[at, at]

@@ -2,9 +2,9 @@
 
 For each camera and each of x, y and turn there are two cumulative sums (CUSUM; Page 1954), one of upward and one of
 downward deviations, in standard deviations. One unusual board raises no alarm. Two boards in a row with large
-deviations raise an alarm, and a slow drift raises it after some runs. The baseline of each board type is subtracted
-first, as long as it is small: boards of one type may always lie a little higher, and the calibration may have small
-errors.
+deviations raise an alarm, and a slow drift raises it after some runs. The baseline of each board type (its usual
+displacements) is subtracted first, if it is small. It comes from boards that always lie a little higher, or from small
+errors of the calibration.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ from vaoi_station.geometry.transforms import Floats
 BASELINE_RUNS = 5
 """Number of first runs of a board type from which its baseline (its usual displacements) is computed."""
 _BASELINE_PX = 0.15
-"""Largest length of a vector (x, y, turn) that is still a baseline. A larger one is a camera that has moved."""
+"""Largest length of the vector (x, y, turn) of a baseline. If it is longer, the camera has moved."""
 VANISHED_RUNS = 3
 """Number of consecutive boards without evidence of a camera after which the camera counts as vanished."""
 _USUALLY = 0.8
 """Least share of the earlier boards that must have shown a camera before it can count as vanished."""
 LEAST_PX = 0.05
-"""Smallest drift (rms over the frame) that is reported. Smaller drifts do no harm."""
+"""Smallest drift that is reported, px rms over the frame. Smaller drifts have no effect that matters."""
 _FLOOR_PX = 0.02
 """Scatter of displacements from board to board, in addition to their estimated standard deviations."""
 _SLACK, _ALARM, _MOST = 0.5, 10.0, 6.0
-"""Parameters of the sums: amount subtracted in each run, alarm level, and largest deviation counted for one run."""
+"""Parameters of the cumulative sums: amount subtracted in each run, alarm level, largest deviation that a run adds."""
 _CEILING = _ALARM + 3.0
-"""Largest value of a sum. It is limited so that the alarm ends some runs after the camera is corrected."""
+"""Largest value of a cumulative sum. It is limited so that the alarm ends soon after a camera is corrected."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +48,7 @@ class Drift:
     size_px: float
     """Motion of the picture by the displacement, rms over the frame."""
     since: int
-    """Index, among the given runs, of the first run that shows the drift."""
+    """Index, in the given list of runs, of the first run that shows the drift."""
     since_run: str
     since_time: str
     runs: int
@@ -69,7 +69,7 @@ def find_drifts(checks: Sequence[RunCheck]) -> tuple[Drift, ...]:
     off = d - _baselines(checks, d)
     seen = np.array([[c.seen for c in check.cameras] for check in checks])
     formal = np.array([[c.sigma_px for c in check.cameras] for check in checks])
-    # The scatter is measured on this line, since boards differ more than the estimated standard deviations predict.
+    # The scatter is measured from run to run, since boards differ more than the estimated standard deviations predict.
     scatter = median_sigma(off[seen]) if seen.any() else 0.0
     z = off / np.sqrt(formal**2 + _FLOOR_PX**2 + scatter**2)
     found = [_drift(checks, d[:, i], seen[:, i], i, k) for i, k in _alarms(z, seen).items()]
@@ -103,7 +103,7 @@ def _baselines(checks: Sequence[RunCheck], d: Floats) -> Floats:
     baselines = np.zeros_like(d)
     for at in by_type.values():
         usual = np.median(d[at[:BASELINE_RUNS]], axis=0)
-        # A camera that was knocked before the first run has a large usual displacement. It is reported, not subtracted.
+        # A camera that was knocked before the first run has a large baseline. It is reported, not subtracted.
         small = np.hypot.reduce(usual, axis=1, keepdims=True) <= _BASELINE_PX
         baselines[at] = np.where(small, usual, 0.0)
     return baselines
@@ -131,7 +131,7 @@ def _alarms(z: Floats, seen: np.ndarray) -> dict[int, int]:
 
 def _drift(checks: Sequence[RunCheck], d: Floats, seen: np.ndarray, camera: int, since: int) -> Drift:
     at = since + np.flatnonzero(seen[since:])
-    # The measured displacement is reported, baseline included: `vaoi recalibrate` corrects all of it.
+    # The whole measured displacement is reported, baseline included, because `vaoi recalibrate` corrects all of it.
     middle = np.median(d[at], axis=0)
     x, y, turn = (float(v) for v in middle)
     return Drift(

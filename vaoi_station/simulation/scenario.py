@@ -96,13 +96,14 @@ class BoardSection(Section):
 
     @property
     def marks(self) -> tuple[FiducialMark, ...]:
-        """The fiducials of the scenario or, without any, three marks that no rotation maps onto themselves."""
+        """The fiducials that the scenario states; if it states none, three marks that fit only one rotation."""
         if self.fiducials is not None:
             return self.fiducials
         w, h = self.width_mm, self.length_mm
         d = 1.0 if min(w, h) >= 30 else 0.8
         inset = min(4.0, min(w, h) / 8)
-        # The third mark is displaced: of three corners of a square, two would coincide again after a quarter turn.
+        # The third mark is displaced: of three corners of a square, two would coincide with others after a quarter
+        # turn.
         places = [(inset, inset), (w - inset, h - 1.4 * inset), (w - 1.6 * inset, 1.1 * inset)]
         return tuple(FiducialMark(x_mm=round(x, 3), y_mm=round(y, 3), diameter_mm=d) for x, y in places)
 
@@ -152,7 +153,7 @@ class LightSection(Section):
 
 
 class OnBoard(Section):
-    """Base class of the faults of one board. A fault without a board number applies to every board."""
+    """Base class of the faults of a single board. A fault without a board number applies to every board."""
 
     board: Index | None = None
 

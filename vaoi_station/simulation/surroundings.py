@@ -1,4 +1,4 @@
-"""The tables of a scenario on what lies beside the board: the texture of the belt, and a carrier with marks."""
+"""The tables of a scenario about the surroundings of the board: the texture of the belt, and a carrier with marks."""
 
 from __future__ import annotations
 

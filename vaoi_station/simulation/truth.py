@@ -1,4 +1,4 @@
-"""The truth of a passage in the format of truth.json. It serves to evaluate results and is never an input of them."""
+"""The truth of a passage in the format of truth.json. Results are compared with it; it is never an input of them."""
 
 from __future__ import annotations
 

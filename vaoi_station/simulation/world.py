@@ -1,4 +1,4 @@
-"""The world of a scenario: all that is equal for every board, such as cameras, board type, artwork and light."""
+"""The world of a scenario: everything that is the same for every board, such as cameras, board type, artwork, light."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ TEXTURE_PER_PIXEL = 1.1
 
 
 class World:
-    """The parts of a scenario that are equal for every board: cameras, calibration, line, board type, artwork, light.
+    """The parts of a scenario that are the same for every board: cameras, calibration, line, board type, artwork,
+    light.
 
     Attributes:
         scenario: the scenario, which determines everything else.

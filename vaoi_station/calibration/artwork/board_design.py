@@ -18,7 +18,7 @@ _GOLDEN = (math.sqrt(5) - 1) / 2
 _JITTER = 0.12
 """Largest displacement of marks from the regular grid, as a share of their spacing.
 
-The displacements make the views of all cameras different in each orientation.
+Because of the displacements, no two views of the board look alike in any orientation.
 """
 _MIN_DISTANCE = 1.6
 """Smallest distance of neighbouring marks divided by their size."""

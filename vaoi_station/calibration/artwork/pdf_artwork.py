@@ -38,7 +38,10 @@ def render_pdf(board: Board, title: str) -> bytes:
 
 
 def _content(board: Board, title: str, page_height: float) -> str:
-    """Write the page's operators: `re f` the ground, `m l h f` each mark, `m l S` the scale bar, `Tj` the text."""
+    """Write the drawing operators of the page.
+
+    `re f` fills the ground, `m l h f` fills each mark, `m l S` strokes the scale bar, and `Tj` writes the text.
+    """
     # The transformation matrix (cm) maps mm with y down to points with y up, so marks keep their layout coordinates.
     (x, y), (w, h), mark, k = board.low_mm, board.size_mm, board.layout.mark, _POINTS_PER_MM
     ground, ink = (1, 0) if mark.polarity == "dark" else (0, 1)

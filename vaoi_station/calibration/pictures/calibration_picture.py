@@ -49,7 +49,7 @@ def _tile(result: CameraResult, factor: int, limit_px: float) -> Picture:
     scale = _WIDTH / grey.shape[1]
     size = (_WIDTH, max(round(grey.shape[0] * scale), 1))
     frame = cv2.cvtColor(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), cv2.COLOR_GRAY2BGR)
-    # Half the contrast on a light ground, so that coloured marks stand out on dark and light parts of the frame.
+    # The contrast is halved, on a light ground, so that coloured marks stand out on dark and light parts of the frame.
     frame = np.asarray(frame // 2 + 110, dtype=np.uint8)
     _draw_marks(frame, result, scale, factor)
     band = np.full((_BAND, _WIDTH, 3), _PAPER, np.uint8)
@@ -66,7 +66,7 @@ def _draw_marks(frame: Picture, result: CameraResult, scale: float, factor: int)
             cv2.circle(frame, _tile_position(px, scale), r + 4, _FOREIGN, 2, cv2.LINE_AA)
     for (x, y), _ in result.detected.doubtful:
         cv2.circle(frame, _tile_position(np.array([x, y]), scale), r + 4, _FOREIGN, 1, cv2.LINE_AA)
-    # Without any identified mark the expected positions are only nominal: none of them is then marked as missing.
+    # Without any identified mark, the expected positions are only nominal, so none of them is shown as missing.
     identified = result.fit is not None or any(m.px is not None for m in result.marks)
     for m in result.marks:
         x, y = _tile_position(m.expected_px, scale)

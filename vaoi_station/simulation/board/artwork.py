@@ -140,7 +140,7 @@ def _paint_silk(canvas: Canvas, section: BoardSection, parts: tuple[Part, ...]) 
 
 
 def _paint_ref(canvas: Canvas, part: Part) -> None:
-    """Paint the name of a part beside it. Chips stand side by side in groups, so their names go on a free side."""
+    """Paint the name of a part beside it; in a group of chips, on a side that is free."""
     half_w, half_h = part.half_extent
     x, y = part.place
     tall = 1.0 if min(part.package.size) > 1.5 else 0.65

@@ -187,7 +187,7 @@ def _header(canvas: Canvas, part: Part) -> None:
 
 
 GOLD_PIN = 182.0
-# A table instead of branches, so that a finish without a painter raises KeyError at once.
+# A table and not branches, so that a finish without a function that paints it raises KeyError at once.
 _PAINTERS = {
     Finish.EPOXY: _epoxy,
     Finish.RESISTOR: _resistor,

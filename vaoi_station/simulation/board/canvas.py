@@ -162,7 +162,7 @@ class Canvas:
     def _blend(self, window: tuple[slice, slice], coverage: Plane | Bytes, grey: float, metal: float) -> None:
         """Blend a grey value and a share of metal into a window.
 
-        The coverage is the weight of the new values for each pixel: 0 to 1, or 0 to 255 if it has 8 bits.
+        `coverage` holds the weight of the new values for each pixel: 0 to 1, or 0 to 255 if it is an 8-bit image.
         """
         for band in bands(len(coverage)):
             share = coverage[band]
@@ -204,7 +204,7 @@ def to_bytes(plane: Plane, gain: float = 1.0) -> Bytes:
 
 
 def _step(depth: Plane) -> Plane:
-    """Compute the integral of a hat function of half width 1 from minus infinity to `depth`."""
+    """Return the integral of a hat function of half width 1, from minus infinity to `depth`."""
     t = np.clip(depth, -1, 1)
     return np.asarray(np.where(t < 0, (t + 1) ** 2 / 2, 1 - (1 - t) ** 2 / 2), np.float32)
 

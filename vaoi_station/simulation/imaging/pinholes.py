@@ -1,7 +1,7 @@
-"""The real cameras of the twin: pinholes with small errors of position, rotation and focal length, and with distortion.
+"""The true cameras of the twin: pinholes with small errors of position, rotation and focal length, and with distortion.
 
-They use the full 3D projection and not the station's formulas for planes at a height (`geometry.Camera`). So a test can
-compare both.
+They use the full projection in three dimensions. The station uses formulas for planes at a height (`geometry.Camera`).
+So a test can compare both.
 """
 
 from __future__ import annotations

@@ -91,6 +91,6 @@ def vignette(array: ArraySection, camera: int) -> Plane:
 
 
 def generator(*key: int) -> np.random.Generator:
-    """Return a random generator for a key. Equal keys give equal numbers, whatever was drawn before."""
+    """Return a random generator for a key. Equal keys give equal numbers; other generators have no influence."""
     # SFC64 must stay: a different generator would change the noise of every simulated frame.
     return np.random.Generator(np.random.SFC64(np.random.SeedSequence(key)))

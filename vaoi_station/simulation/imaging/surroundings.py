@@ -1,7 +1,7 @@
 """What a camera sees beside the board: the texture of the belt, and the carrier in which the board rides.
 
-The board's texture has a narrow margin in the belt's grey, into which its edge is blended. What lies beside the board
-is therefore added as a difference to this grey, in proportion to the share of each sample that the board leaves free.
+The texture of the board has a narrow margin in the belt's mean grey. Belt texture and carrier are added as differences
+from this grey. In each sample they count with the share that the board does not cover.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class Surroundings:
 
     @cached_property
     def _tile(self) -> Plane:
-        """The texture of the belt as differences to its grey, which continues across the tile's borders."""
+        """The texture of the belt as differences from its mean grey; it repeats without visible borders."""
         noise = np.random.default_rng([self.texture.seed, 7050]).standard_normal((_TILE_PX, _TILE_PX))
         wave = np.fft.fftfreq(_TILE_PX) * 2 * np.pi * max(self.texture.grain_mm * self.px_per_mm, 0.6)
         soft = np.exp(-(wave**2) / 2)

@@ -111,8 +111,8 @@ class BoardMotion:
     def belt_pose(self, t_s: float, follows: float) -> Floats:
         """Return the pose (3, 3), from coordinates of the belt's texture to tester mm, of what moves beside the board.
 
-        Its motion is `follows` times that of the board: 1 moves with the board, 0 stands still. A board that sticks
-        does not stop it.
+        Its motion is `follows` times that of the board: with 1 it moves like the board, with 0 it stands still. It
+        moves on when a board gets stuck.
         """
         moving = replace(self, stop_s=math.inf)
         (x0, y0, a0), (x1, y1, a1) = moving.center(0.0), moving.center(t_s)
@@ -123,7 +123,7 @@ class BoardMotion:
     def center(self, t_s: float) -> tuple[float, float, float]:
         """Return tester x and y (mm) of the board's centre, and the rotation of the board (rad), at a time."""
         section = self.belt.section
-        # A board that sticks stops at once, while the belt below it moves on.
+        # A board that gets stuck stops at once, while the belt below it moves on.
         t = self._belt_time_s(min(t_s, self.stop_s))
         now = self.start_s + t
         way = self.belt.travelled_mm(now) - self.belt.travelled_mm(self.start_s)
@@ -134,9 +134,10 @@ class BoardMotion:
         return across, section.direction * along, angle
 
     def _belt_time_s(self, t_s: float) -> float:
-        """Return the time in which a belt without changes of its speed would have come as far.
+        """Return the time that a belt at constant speed would need for the same distance.
 
-        All that varies with the belt's motion varies with this time: a board on a belt at rest does not sway.
+        Everything that varies with the belt's motion depends on this time. For example, a board on a belt at rest does
+        not sway.
         """
         t = t_s
         for change in self.belt.section.changes:

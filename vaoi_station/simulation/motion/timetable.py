@@ -22,7 +22,7 @@ class Timetable:
     turned_deg: int
     blocked_s: float
     clear_s: float
-    """Time at which the board clears the barrier; infinite for a board that sticks in it."""
+    """Time at which the board clears the barrier; infinite for a board that gets stuck in it."""
     pulse_times_s: tuple[float, ...]
     stuck: int | None
 
