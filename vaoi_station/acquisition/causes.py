@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 MAX_FRAME_ID = 65535
-"""Largest 16 bit frame id. GigE Vision counts 1 … 65535 and then 1 again; 0 never occurs. Extended ids have 64 bit."""
+"""Largest 16-bit frame id. GigE Vision counts from 1 to 65535 and then from 1 again; 0 never occurs. Extended ids have
+64 bits."""
 
 
 def id_step(first: int, second: int) -> int:
@@ -71,7 +72,7 @@ def in_counting_order(ids: Mapping[int, int]) -> dict[int, int]:
 def find_gaps(
     fired: Sequence[int], ids: Mapping[int, int], incomplete: AbstractSet[int], unassigned_ids: Sequence[int]
 ) -> list[Gap]:
-    """Return the intervals between consecutive frames of one camera that have a frame id.
+    """Return, for one camera, the intervals between consecutive frames that have a frame id.
 
     Args:
         fired: rows whose pulse was fired, in order.

@@ -1,10 +1,10 @@
 """Map the clock of a device to the host's `time.monotonic()`, with a bound of the error.
 
-A `ClockReading` states: when the device's clock showed d, the host's showed h ± b, where b is half the round trip of
-the request. The line h = h₀ + (1 + s)·(d − d₀) is fitted to the readings with weights 1/b², so that readings with a
-short round trip dominate; (d₀, h₀) is the weighted mean. A prior limits the drift s to a few hundred ppm. At the time
-of a reading the error of the line is at most b plus the residual of that reading. At a distance Δd from the reading,
-3·σ_s·Δd is added, where σ_s is the standard deviation of s.
+A `ClockReading` states that the device's clock showed d when the host's clock showed h ± b, where b is half the round
+trip of the request. The line h = h₀ + (1 + s)·(d − d₀) is fitted to the readings with weights 1/b², so that readings
+with a short round trip dominate; (d₀, h₀) is the weighted mean. A prior limits the drift s to a few hundred ppm. At the
+time of a reading the error of the line is at most b plus the residual of that reading. At a distance Δd from the
+reading, 3·σ_s·Δd is added, where σ_s is the standard deviation of s.
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ class ClockModel:
         """Add a reading and fit the line again; discard the older readings if the new one shows a jump of the clock."""
         if self._readings:
             off_s = abs(self.host_s(reading.device_s) - reading.host_s)
-            # While a clock runs on, line and reading differ by no more than the sum of both bounds. Twice that sum
-            # means that the clock has restarted.
+            # As long as a clock runs on, line and reading differ by at most the sum of both bounds. More than twice
+            # that sum means that the clock has restarted.
             if off_s > 2 * (self.bound_s(reading.device_s) + reading.bound_s + RESOLUTION_S):
                 self._readings.clear()
                 self.restarts += 1
@@ -104,7 +104,7 @@ class ClockModel:
             )
 
     def _fit(self) -> None:
-        """Fit the line by weighted least squares. The prior of the drift is included like one more reading."""
+        """Fit the line by weighted least squares. The prior of the drift counts as one more observation."""
         weights = [1 / max(r.bound_s, RESOLUTION_S) ** 2 for r in self._readings]
         total = sum(weights)
         newest = self._readings[-1]

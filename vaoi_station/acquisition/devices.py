@@ -1,4 +1,4 @@
-"""The opened devices of a station, and the progress of the session, which sets the pace of a fast replay."""
+"""The opened devices of a station, and the progress of the session, to which a fast replay adjusts its pace."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Record the outages of cameras. An outage is the cause of the frames that are missing from its time."""
+"""The outages of cameras. An outage is the cause of the frames that are missing during it."""
 
 from __future__ import annotations
 

@@ -30,8 +30,8 @@ class Slot:
 class Arrival:
     """The report that a camera has delivered a frame, complete or not, into a slot.
 
-    `frame_id` and `time_s` are None if the frame is incomplete: an incomplete GigE frame carries the id and the time
-    stamp of an older frame.
+    `frame_id` and `time_s` are None if the frame is incomplete: an incomplete GigE frame has the id and the time stamp
+    of an older frame.
     """
 
     camera: int

@@ -31,7 +31,7 @@ class TriggerPlan:
     debounce_s: float
     """Time for which the barrier must keep its new state before the change counts."""
     lights: Sequence[str] = ()
-    """Names of the light patterns, used in turn. Empty: every row has the same light."""
+    """Names of the light patterns, which the rows use in turn. Empty: every row has the same light."""
 
     @classmethod
     def of(cls, line: Line, lights: Sequence[str] = ()) -> TriggerPlan:
@@ -66,18 +66,21 @@ class BarrierClear(ControllerEvent):
 
 @dataclass(frozen=True)
 class BarrierBlockedAgain(ControllerEvent):
-    """An interruption within the tail of a run: a cut-out of the board, or another board; the run continues."""
+    """An interruption within the tail of a run, by a cut-out of the board or by another board. The run continues."""
 
 
 @dataclass(frozen=True)
 class BarrierClearAfterRun(ControllerEvent):
-    """The end of an interruption outside a run: a board that was refused, that stood in the barrier when the controller
-    was armed, or whose run had ended before."""
+    """The end of an interruption outside a run.
+
+    It is the end of a board that was refused, that stood in the barrier when the controller was armed, or whose run had
+    already ended.
+    """
 
 
 @dataclass(frozen=True)
 class BoardTooSoon(ControllerEvent):
-    """A board that was not filmed because it came within the minimum gap; `gap_s` after the one before had left."""
+    """A board that was not filmed because it came too early: `gap_s` after the previous board had left."""
 
     gap_s: float
 
@@ -119,7 +122,7 @@ class RunEnded(ControllerEvent):
 
 
 EventQueue = SimpleQueue[ControllerEvent | DeviceFault | ClockReading]
-"""The queue of a controller's reports; a `ClockReading` is a reading of its own clock."""
+"""The queue of a controller's reports. A `ClockReading` in it is a reading of the controller's own clock."""
 
 
 class Controller(Protocol):

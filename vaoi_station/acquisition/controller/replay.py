@@ -44,7 +44,10 @@ class RecordedRow:
 
 
 class Pace(Protocol):
-    """The pace of a replay that does not follow the clock. Each method waits, and returns early if `stop()` is true."""
+    """The pace of a replay that does not follow the clock.
+
+    Its methods wait; they return early once `stop()` is true.
+    """
 
     def before_run(self, stop: Callable[[], bool]) -> None:
         """Wait until a run may begin."""
@@ -151,10 +154,10 @@ class ReplayController:
             return
         if self._pace is not None:
             self._pace.before_run(stop)
-        # A paced replay runs faster than its clock, so the run before may end in the clock's future. The next one
-        # begins after that: device times must not overlap.
+        # A paced replay runs faster than its clock, so the previous run may end in the future of this clock. The next
+        # run begins after that, because device times must not overlap.
         barrier_s = max(self._clock.now_s() + LEAD_S, self._last_end_s + GAP_S if self._pace else 0.0)
-        # Whole nanoseconds: sums with the rounded recorded times are then the same in every run.
+        # Whole nanoseconds are used, so that sums with the rounded recorded times are the same in every run.
         first_s = round(barrier_s + LEAD_S, 9)
         if not self._wait_until(barrier_s, stop) or not self._begin_run(barrier_s, stop):
             return
@@ -164,7 +167,7 @@ class ReplayController:
                 return
         with self._change:
             if not stop():
-                # No BarrierClear: a recording does not hold when its board left the barrier.
+                # There is no BarrierClear: a recording does not state when its board left the barrier.
                 self._end_run(first_s + run[-1].time_s, "clear")
 
     def _begin_run(self, barrier_s: float, stop: Callable[[], bool]) -> bool:

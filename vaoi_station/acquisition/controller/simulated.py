@@ -1,4 +1,4 @@
-"""A controller that follows the firmware's rule in real time, with a simulated clock, in a thread."""
+"""A controller that applies the firmware's trigger rule in real time, with a simulated clock, in a thread."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
 """The trigger rule as pure logic: debounce, delay, periodic pulses, tail, end of the run.
 
-It specifies what the firmware does; `tests/hw/test_logic.py` compares the two. Times are seconds of the controller's
-clock. Pulse j of a run is due at edge + delay + j · period, always computed from the edge, so that rounding errors do
-not add up. An edge counts once the level has lasted `debounce_s`; the run starts at the edge. A pulse is fired
-if it is due no later than the end of the tail. An interruption within the tail (a cut-out of the board, or another
-board that follows too closely) continues the same run. Every confirmed edge is an event.
+It specifies the behaviour of the firmware; `tests/hw/test_logic.py` compares the two. Times are seconds of the
+controller's clock. Pulse j of a run is due at edge + delay + j · period, always computed from the edge, so that
+rounding errors do not add up. An edge counts once the level has lasted `debounce_s`; the run starts at the edge. A
+pulse is fired if it is due no later than the end of the tail. An interruption within the tail (a cut-out of the board,
+or another board that follows too closely) continues the same run. Every confirmed edge is an event.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ class _Passage:
     """The data of a run under way."""
 
     first_s: float
-    """When pulse 0 is due."""
+    """Time at which pulse 0 is due."""
     fired: int = 0
     clear_s: float | None = None
-    """When the board left the barrier; None while it interrupts the barrier."""
+    """Time at which the board left the barrier; None while it interrupts the barrier."""
 
 
 class TriggerRule:
@@ -48,7 +48,7 @@ class TriggerRule:
         self._raw = False
         self._blocked = False
         self._pending_s: float | None = None
-        """When the raw level last changed; None once that change is confirmed."""
+        """Time at which the raw level last changed; None once that change is confirmed."""
         self._passage: _Passage | None = None
         self._bounces: list[tuple[float, float]] = []
 
@@ -82,7 +82,7 @@ class TriggerRule:
         self._bounces.clear()
         while True:
             confirm_s, pulse_s = self._confirm_s(), self._pulse_s()
-            # At equal times the edge is confirmed first: it may end the run and thereby cancel the pulse. The firmware
+            # At equal times, the edge is confirmed first: it may end the run and so cancel the pulse. The firmware
             # decides in the same order.
             if confirm_s is not None and confirm_s <= now_s and (pulse_s is None or confirm_s <= pulse_s):
                 events += self._confirm()
@@ -119,7 +119,7 @@ class TriggerRule:
         if self._passage is None:
             return [BarrierClearAfterRun(next(self._numbers), edge_s)]
         self._passage.clear_s = edge_s
-        # The debounce time has passed since the edge, and the run cannot end before it is confirmed.
+        # The debounce time has passed since the edge. The run cannot end before the edge is confirmed.
         return [BarrierClear(next(self._numbers), edge_s), *self._end_if_over(edge_s + self.plan.debounce_s)]
 
     def _fire(self, time_s: float) -> list[ControllerEvent]:
@@ -133,7 +133,7 @@ class TriggerRule:
         assert self._passage is not None
         next_s, clear_s = self._pulse_s(), self._passage.clear_s
         assert next_s is not None
-        # This is checked first: a board that needed exactly `max_rows` has left.
+        # This is checked first, because a board that needed exactly `max_rows` rows has left.
         if clear_s is not None and next_s > clear_s + self.plan.tail_s:
             return self._end(now_s, "clear")
         return self._end(now_s, "max-rows") if self._passage.fired >= self.plan.max_rows else []
@@ -151,7 +151,7 @@ def check_plan(plan: TriggerPlan) -> None:
     if plan.max_rows < 1:
         raise InputError.field("trigger plan", "max_rows", plan.max_rows, "at least 1")
     for key in ("start_delay_s", "tail_s"):
-        # An edge is confirmed only after the debounce time. A shorter delay or tail would be over before that.
+        # An edge is confirmed only after the debounce time. A shorter delay or tail would have passed before that.
         if not getattr(plan, key) >= plan.debounce_s >= 0:
             limit = f"no shorter than debounce_s, {plan.debounce_s} s"
             raise InputError.field("trigger plan", key, getattr(plan, key), limit, "An edge is confirmed only then.")

@@ -1,1 +1,1 @@
-"""Assign every frame to its pulse by time, settle every (camera, row) of a run, and prove it. Pure logic."""
+"""Assign every frame to its pulse by time, settle every (camera, row) of a run, and prove this. Pure logic."""

@@ -1,9 +1,10 @@
 """Compare the time stamps of a camera's frames with the pulse times, without the host's clock.
 
-Time stamps are of the camera's clock, pulse times of the controller's clock. The two clocks differ by an offset and a
-constant rate, and a triggered camera answers every pulse with the same delay. Therefore time stamp = a + (1 + s)·pulse
-time, up to a jitter of microseconds. s is the median slope over all pairs of frames (Theil, 1950; Sen, 1968), limited
-to ± `MAX_DRIFT`. a is the median of time stamp − (1 + s)·pulse time. The estimate tolerates up to about 29 % outliers.
+Time stamps come from the camera's clock, pulse times from the controller's clock. The two clocks differ by an offset
+and a constant rate, and a triggered camera answers every pulse with the same delay. Therefore time stamp = a + (1 +
+s)·pulse time, up to a jitter of microseconds. s is the median slope over all pairs of frames (Theil, 1950; Sen, 1968),
+limited to ± `MAX_DRIFT`. a is the median of time stamp − (1 + s)·pulse time. The estimate tolerates up to about 29 %
+outliers.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ def residuals_s(pulse_s: Sequence[float], camera_s: Sequence[float]) -> NDArray[
     if len(x) < 2:
         return np.zeros(len(x))
     i, j = np.triu_indices(len(x), 1)
-    # The limit matters with few frames: any two lie on a line exactly, even if one belongs to another pulse.
+    # The limit matters for few frames: any two points lie exactly on a line, even if one belongs to another pulse.
     rate = min(max(median((y[j] - y[i]) / (x[j] - x[i])), -MAX_DRIFT), MAX_DRIFT)
     left = y - rate * x
     return np.asarray(left - median(left))
@@ -41,7 +42,7 @@ def residuals_s(pulse_s: Sequence[float], camera_s: Sequence[float]) -> NDArray[
 
 def median(values: NDArray[np.float64] | Sequence[float]) -> float:
     """Return the median of the values."""
-    # np.median imports NumPy's masked arrays on first use, which would delay the end of the first board by 50 ms.
+    # np.median imports NumPy's masked arrays at its first use, which would delay the end of the first board by 50 ms.
     ordered = np.sort(np.asarray(values, dtype=np.float64))
     return float(ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2]) / 2
 

@@ -1,4 +1,4 @@
-"""What a proof leaves in doubt about a run: sentences for its verdict, and what to do about each kind of finding."""
+"""The doubts that a proof leaves about a run: sentences for its verdict, and an action for each kind of finding."""
 
 from __future__ import annotations
 
@@ -25,7 +25,8 @@ ACTIONS: Mapping[Kind, str] = {
     "miscounted": "Check the camera's setting of the frame id, then film the board again.",
     "extra-frame": "Check the trigger line for bounces and crosstalk.",
 }
-"""Kind of a finding that makes a run doubtful → what to do. Kinds without an entry only explain missing frames."""
+"""For each kind of finding that makes a run doubtful, the action. Kinds without an entry only explain missing
+frames."""
 
 
 def doubtful(proof: TriggerProof | None) -> tuple[TriggerFinding, ...]:

@@ -17,7 +17,7 @@ T = TypeVar("T", bound=Hashable)
 
 
 def assign_forced(candidates: Sequence[AbstractSet[T]]) -> dict[int, T]:
-    """Assign the only possible element to each candidate set that has just one; return {index of the set: element}.
+    """Give each candidate set that has only one possible element this element; return {index of the set: element}.
 
     If two sets are left with the same single element, neither of them gets it.
     """

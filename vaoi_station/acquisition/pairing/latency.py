@@ -1,10 +1,10 @@
 """The latency of each camera: the time from a pulse to the time stamp of its frame. Pure logic.
 
 Cameras stamp the start of the exposure, its end, or the end of the read-out, so the latency may be anything from some
-microseconds to more than a trigger period T. Pulses come at equal intervals: within a run the latencies φ, φ + T and
-φ + 2 T fit equally well, and a wrong one moves all frames of the camera by one row. Only the beginning of a run decides
-between them: before it no pulse was fired, and no time stamp lies before its pulse. So a latency is confirmed by a
-frame of the first pulse. Until then the frames of the camera wait.
+microseconds to more than a trigger period T. Because pulses come at equal intervals, the latencies φ, φ + T and φ + 2 T
+fit the frames of a run equally well. A wrong one would move all frames of the camera by one or more rows. Only the
+beginning of a run decides: no pulse was fired before it, and no frame has a time stamp before its pulse. So a frame of
+the first pulse confirms the latency. Until then, the frames of the camera wait.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from vaoi_station.acquisition.pairing.clock_fit import median
 GATE_S = 0.010
 """Largest accepted difference between a frame's latency and that of its camera, if the configuration gives none, s."""
 ENOUGH = 3
-"""Count of frames, of the first pulses of a run, that confirm a latency which is not near the expected one."""
+"""Number of frames, from the first pulses of a run, that confirm a latency which is far from the expected one."""
 SILENT_PERIODS = 2
-"""Count of periods without a frame before the first pulse, after which the first frame is that of the first pulse."""
+"""If no frame comes for this number of periods before the first pulse, the first frame is that of the first pulse."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Beginning:
     bound_s: float
     """Error bound of the controller's clock plus that of the camera's clock."""
     from_silence: bool
-    """Whether the first of these pulses was the first of the run, and the camera was silent before it."""
+    """Whether the first of these pulses was the first of the run, and the camera delivered no frame just before it."""
     all_fired: bool = False
     """Whether all pulses of the run were fired and are in `pulses_s`."""
     overdue: bool = False
@@ -54,17 +54,17 @@ class Beginning:
 
 @dataclass(frozen=True)
 class Learnt:
-    """A latency, and whether the beginning of a run confirms it; if not, it may be wrong by whole periods."""
+    """A latency, and whether the beginning of a run confirms it. If not, it may be wrong by whole periods."""
 
     latency_s: float
     confirmed: bool
 
 
 class CameraLatency:
-    """The latency of one camera, as it is known by now."""
+    """The latency of one camera, as far as it is known."""
 
     def __init__(self, settings: LatencySettings) -> None:
-        """Begin with the given latency; without one, expect 0 until a run confirms or corrects this."""
+        """Begin with the configured latency; without one, expect 0 until a run shows another value."""
         self.gate_s, self.given = settings.gate_s, settings.given_s is not None
         self.value_s = settings.given_s or 0.0
         self.confirmed = self.given
@@ -81,15 +81,15 @@ class CameraLatency:
 
         Args:
             measured_s: median latency of the assigned frames.
-            in_order_s: latency at which all frames, unassigned ones too, follow the pulses one by one; None if that is
-                the latency by which they were assigned, or if there is none.
+            in_order_s: latency at which all frames, unassigned ones too, follow the pulses one by one; None if there is
+                none, or if the frames were assigned with it.
             assigned: count of the frames that were assigned.
-            extra: count of the frames that were not.
+            extra: count of the frames that were not assigned.
         """
         if self.given:
             return
         if in_order_s is not None:
-            # The beginning of the next run decides whether this was the change of a setting or a fault.
+            # The beginning of the next run shows whether a setting was changed or a fault occurred.
             self.value_s, self.confirmed = in_order_s, False
         elif extra > assigned:
             self.confirmed = False
@@ -112,14 +112,15 @@ def learn(begun: Beginning, expected_s: float, gate_s: float) -> Learnt | None:
         if first_s >= -bound_s and abs(first_s - expected_s) <= spread_s:
             return Learnt(max(first_s, 0.0), True)
         begin_s = [f - p for f, p in zip(frames_s[:ENOUGH], pulses_s, strict=False)]
-        # Beyond a period the frames may be those of the second pulse and its followers, if that of the first was lost.
+        # If the first frame is later than a period, it may be that of the second pulse, because that of the first was
+        # lost.
         if (
             len(begin_s) == ENOUGH
             and _is_latency(begin_s, bound_s, spread_s)
             and max(begin_s) < begun.period_s - bound_s
         ):
             return Learnt(median(begin_s), True)
-        # The only frame of a short run may be of something else, while the real one is still under way.
+        # The only frame of a short run may not belong to the pulse, while the frame of the pulse is still under way.
         enough = begun.all_fired and len(frames_s) >= ENOUGH
         if enough and (all_s := in_order_s(pulses_s, frames_s, bound_s, spread_s)) is not None:
             return Learnt(all_s, True)
@@ -130,7 +131,7 @@ def learn(begun: Beginning, expected_s: float, gate_s: float) -> Learnt | None:
         return Learnt(expected_s, False)
     found_s = max(median(shortest_s), 0.0)
     periods = round((expected_s - found_s) / begun.period_s)
-    # The expected latency may be longer than a period. Then the frames fit it as well.
+    # The expected latency may be longer than a period. The frames then fit it as well.
     fits = periods > 0 and abs(expected_s - found_s - periods * begun.period_s) <= bound_s
     return Learnt(expected_s if fits else found_s, False)
 
@@ -160,7 +161,7 @@ def _since_pulse_s(pulses_s: Sequence[float], at_s: float) -> float:
 
 
 def _several_per_pulse(begun: Beginning) -> bool:
-    """Whether two frames lie between consecutive pulses: the camera does not answer each pulse with one frame."""
+    """Return whether two frames lie between consecutive pulses: the camera does not send one frame per pulse."""
     latest = [bisect_right(begun.pulses_s, f + begun.bound_s) for f in begun.frames_s]
     complete = [n for n in latest if n < len(begun.pulses_s)]
     return len(set(complete)) < len(complete)

@@ -1,4 +1,4 @@
-"""Learn the latencies of all cameras while runs are filmed: which frames wait, and what each run shows."""
+"""Learn the latencies of all cameras during runs: which frames must wait, and which latency each run shows."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ class WaitingFrame(NamedTuple):
     """A complete frame that is not assigned yet."""
 
     host_s: float
-    """Its time stamp by the host's clock."""
+    """Time stamp of the frame by the host's clock."""
     aged: bool
-    """Whether it has waited for so long that it must be assigned or refused now."""
+    """Whether the frame has waited so long that it must be assigned or refused now."""
 
 
 class Latencies:
@@ -37,7 +37,7 @@ class Latencies:
         return self._cameras[camera]
 
     def awaits(self, runs: Sequence[RunRecord], camera: int, host_s: float) -> bool:
-        """Whether a frame with this time stamp waits until its run has shown the latency of its camera."""
+        """Return whether a frame with this time stamp waits until its run has shown the latency of its camera."""
         if self._cameras[camera].confirmed:
             return False
         run = self._owner(runs, camera, host_s)
@@ -84,7 +84,8 @@ class Latencies:
     def revise(self, proof: TriggerProof) -> None:
         """Update the latencies of all cameras from the proof of a finished run."""
         for camera in proof.cameras:
-            # Frames in doubt show nothing about the latency, except the one at which they would follow their pulses.
+            # Frames in doubt show nothing about the latency, except the latency at which they would follow their pulses
+            # one by one.
             measured_us = camera.latency_us if camera.proven else None
             self._cameras[camera.camera].revise(
                 None if measured_us is None else measured_us * 1e-6,

@@ -20,7 +20,7 @@ from vaoi_station.model import FrozenModel
 RESIDUAL_LIMIT_S = 200e-6
 """Largest accepted residual of a frame of a triggered camera against the pulses, s; real jitter is about 10 µs."""
 CLOCK_SLACK_S = 1e-3
-"""Error of both clocks between two readings, s, beyond the bound at the newest reading."""
+"""Error of both clocks between two readings, s, in addition to the bound at the newest reading."""
 Kind = Literal[
     "runs-freely", "extra-frame", "ignored-trigger", "exchanged", "off-beat", "early", "miscounted",
     "latency-changed", "latency-ambiguous",
@@ -28,7 +28,7 @@ Kind = Literal[
 QUESTIONING_KINDS: frozenset[Kind] = frozenset(
     {"runs-freely", "exchanged", "off-beat", "early", "miscounted", "latency-changed"}
 )
-"""Kinds of findings that put in question whether a frame was exposed by the pulse of its row."""
+"""Kinds of findings that make it doubtful whether a frame was exposed by the pulse of its row."""
 
 
 class TriggerFinding(FrozenModel):
@@ -55,8 +55,9 @@ class CameraProof(FrozenModel):
     latency_us: float | None
     """Median of time stamp minus pulse time, both on the host's clock."""
     in_order_us: float | None = None
-    """The latency at which all frames, the unassigned ones included, follow the pulses one by one, if that is another
-    latency than the one by which they were assigned; None otherwise."""
+    """The latency at which all frames, unassigned ones too, follow the pulses one by one.
+
+    None if there is no such latency, or if the frames were assigned with it."""
     proven: bool
 
 
@@ -115,7 +116,7 @@ def prove(
 
 
 def questioned_rows(proof: TriggerProof, camera: int, rows: AbstractSet[int]) -> dict[int, str]:
-    """Return {row: texts of findings} for those of the given rows of a camera whose frame is in question."""
+    """Return {row: texts of findings} for those of the given rows of a camera whose frame is in doubt."""
     notes: dict[int, str] = {}
     for finding in proof.findings:
         if finding.camera == camera and finding.kind in QUESTIONING_KINDS:
@@ -201,7 +202,7 @@ class _CameraCheck:
             assert frame.row is not None
             fired_s = self._pulses[frame.row].host_s - self._bound_s
             before_s = fired_s - frame.arrived_s
-            # A replay at the fast pace reports pulses before their time, so the order of arrival proves nothing.
+            # A fast replay reports pulses before their time, so the order of arrival proves nothing.
             if before_s <= 0 or self._pulses[frame.row].reported_s < fired_s:
                 continue
             text = f"its frame arrived {before_s * 1e3:.1f} ms before its pulse was fired: it is of an earlier pulse"
@@ -242,7 +243,8 @@ class _CameraCheck:
         """Find intervals in which the frame ids count fewer or more exposures than there were pulses."""
         found = []
         for gap in self._gaps:
-            # The camera exposed on every pulse: missing frames were lost in transfer, which is no trigger fault.
+            # The camera exposed on every pulse: the missing frames were lost in transfer, which is no fault of the
+            # trigger.
             if gap.unanswered == 0:
                 continue
             if gap.unanswered > len(gap.missing):
@@ -304,7 +306,7 @@ def _in_order_s(
     """Return the latency at which the frames follow the pulses one by one; None if they were assigned in that way."""
     rows = sorted(pulses)
     frames = sorted([*assigned, *extra], key=lambda f: f.host_s)
-    # Fewer frames follow any pulses in order by chance.
+    # So few frames may follow some pulses in order by chance.
     if len(frames) != len(rows) or len(rows) < ENOUGH or [f.row for f in frames] == rows or not extra:
         return None
     left = residuals_s([pulses[row].pulse.time_s for row in rows], [f.time_s for f in frames])

@@ -37,14 +37,17 @@ class Limits:
     """The tolerances and the waiting times of the recorder."""
 
     early_s: float = 0.010
-    """An incomplete frame may seem to arrive before its pulse by this, because of the errors of the clocks."""
+    """Because of the errors of the clocks, an incomplete frame may seem to arrive before its pulse by up to this
+    time."""
     late_s: float = 0.5
     """Frames are awaited for one period plus this time after the end of the pulses."""
     report_delay_s: float = 0.1
     """Longest time from a pulse to the controller's report of it."""
     unexplained_s: float = 5.0
-    """Time after its arrival at which a frame without a pulse is given up. It exceeds the 3 s for which a controller
-    fires without a connection to the host: the reports of those pulses are read when the connection is back."""
+    """Time after its arrival, s, at which a frame without a pulse is given up.
+
+    The controller fires for 3 s without a connection to the host; the reports of these pulses are read when the
+    connection is back. So this time is longer than 3 s."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +60,7 @@ class Settled:
 
 @dataclass(frozen=True)
 class Unassigned:
-    """The outcome that a frame belongs to no (camera, row) of a run. Its slot may be used again."""
+    """The outcome that a frame belongs to no (camera, row) of a run. Its slot is free again."""
 
     camera: int
     slot: int
@@ -134,7 +137,7 @@ class Recorder:
         self._known_until_s = max(self._known_until_s, self._controller_clock.host_s(time_s))
 
     def add_pulse(self, event: PulseFired, now_s: float) -> tuple[Pulse, Iterator[Outcome]]:
-        """Add a pulse to the newest run. Frames that arrived before the report of the pulse may be assigned now."""
+        """Add a pulse to the newest run. Frames that arrived before the report of the pulse may then be assigned."""
         self.note_controller_time(event.time_s)
         pulse = Pulse(index=event.index, time_s=event.time_s, light=event.light)
         host_s = self._controller_clock.host_s(event.time_s)
@@ -158,7 +161,9 @@ class Recorder:
         return self.settle(now_s)
 
     def settle(self, now_s: float) -> Iterator[Outcome]:
-        """Decide everything that can be decided at the time `now_s`. Call this again at `next_deadline_s` or earlier.
+        """Decide everything that can be decided at the time `now_s`.
+
+        Call this method again at `next_deadline_s` or earlier.
 
         The iterator must be exhausted. It is lazy so that the caller reports the last frame of a run before the
         proof of the run is computed.
@@ -166,7 +171,7 @@ class Recorder:
         yield from self._assign_waiting(now_s)
         for record in self.open_runs:
             yield from self._try_finish(record, now_s)
-        # This comes after the runs: only an incomplete frame that no open run could take is given up.
+        # This comes after the runs, because only an incomplete frame that no open run can take is given up.
         yield from self._give_up_undated(now_s)
         finished = [r for r in self._runs if r.finished]
         for record in finished[:-MAX_FINISHED]:
@@ -204,7 +209,7 @@ class Recorder:
         near = [(abs(found[1]), n, *found) for n, r in enumerate(self._runs) if (found := r.nearest(pulse_s))]
         if near:
             distance_s, n, row, error_s = min(near)
-            # No camera stamps a frame before its pulse: such a time stamp is of another pulse, or of none.
+            # No camera stamps a frame before its pulse: such a time stamp belongs to another pulse, or to none.
             after_s = error_s + latency.value_s
             possible = after_s >= 0 or after_s >= -self._bound_s(camera, host_s)
             if possible and distance_s <= self._gate_s(self._runs[n], camera):
@@ -220,12 +225,12 @@ class Recorder:
     def _gate_s(self, record: RunRecord, camera: int) -> float:
         """Return the tolerance, s: the largest accepted difference between a frame's latency and that of its camera."""
         bounds_s = self._controller_clock.bound_s() + self._camera_clocks[camera].bound_s()
-        # Beyond half the interval between two pulses the neighbouring pulse would be nearer.
+        # Beyond half the interval between two pulses, the neighbouring pulse would be nearer.
         return min(record.shortest_interval_s / 2, self._latencies[camera].gate_s + bounds_s)
 
     def _bound_s(self, camera: int, host_s: float) -> float:
         """Return the error bound of the difference between a time stamp and a pulse at a host time."""
-        # The bound of a clock grows with the time since its newest reading, which `_gate_s` may neglect.
+        # The bound of a clock grows with the time since its newest reading. `_gate_s` may neglect this.
         clocks = (self._controller_clock, self._camera_clocks[camera])
         return STAMP_JITTER_S + sum(clock.bound_s(clock.device_s(host_s)) for clock in clocks)
 
@@ -314,11 +319,11 @@ class Recorder:
         return {decidable[n]: (runs[index], row) for n, (index, row) in chosen.items()}
 
     def _is_decidable(self, arrival: Arrival, now_s: float) -> bool:
-        """Whether all pulses to which a frame may belong have been reported."""
+        """Return whether all pulses to which a frame may belong have been reported."""
         return self._is_reported(arrival) or now_s >= arrival.host_time_s + self.limits.report_delay_s
 
     def _is_reported(self, arrival: Arrival) -> bool:
-        """Whether the controller has reported all of its events from before the arrival of a frame."""
+        """Return whether the controller has reported all its events from before the arrival of a frame."""
         return self._known_until_s >= arrival.host_time_s
 
     def _candidates(self, arrival: Arrival) -> set[tuple[int, int]]:

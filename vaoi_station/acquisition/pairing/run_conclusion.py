@@ -14,9 +14,9 @@ from vaoi_station.acquisition.pairing.run_record import ObservedFrame, RunRecord
 from vaoi_station.model import FrameRecord, Verdict
 
 MARGIN_PERIODS = 1.5
-"""Unassigned frames enter a run's proof from this many periods before its first pulse to as many after its last."""
+"""Unassigned frames from this number of periods before the first pulse until as many after the last enter the proof."""
 PREVIOUS_RUN = -1
-"""Row number that stands for the last row of the previous run."""
+"""Row number that means "the last row of the previous run"."""
 
 
 def conclude_run(
@@ -29,7 +29,7 @@ def conclude_run(
     """Add the missing frames of a run to `run.frames`; return their records, and the proof of the run.
 
     Args:
-        run: a run whose frames have all arrived or are awaited no longer.
+        run: a run whose frames have all arrived, or are no longer awaited.
         unassigned: complete frames of every camera that belong to no pulse; not only those from the time of this run.
         outages: when cameras were away.
         pulse_bound_s: largest error of a pulse's host time.
@@ -46,7 +46,7 @@ def conclude_run(
         opening = _opening_gap(run, previous, camera, extra, outages, taken[camera])
         gaps.append([*opening, *_gaps(run, frames[-1], taken[camera])])
         missing += _missing(run, camera, gaps[-1], outages, sum(f.row is None for f in observed))
-    # The proof comes before the missing frames are recorded: its findings annotate frames that did arrive.
+    # The proof comes before the missing frames are recorded, because its findings are added to frames that did arrive.
     unconfirmed = {camera for camera, confirmed in run.latency_known.items() if not confirmed}
     proof = prove(run.pulses, pulse_bound_s, frames, gaps, unconfirmed)
     for record in missing:
@@ -126,7 +126,7 @@ def _missing(run: RunRecord, camera: int, gaps: Sequence[Gap], outages: Outages,
 
 
 def _annotate(run: RunRecord, camera: int, proof: TriggerProof) -> None:
-    """Mark every complete frame that the findings put in question as not proven, with the findings as its cause."""
+    """Mark every complete frame that the findings put in doubt as not proven, with these findings as its cause."""
     complete = {row for n, row in run.frames if n == camera and run.frames[n, row].verdict is Verdict.OK}
     for row, text in questioned_rows(proof, camera, complete).items():
         run.frames[camera, row] = run.frames[camera, row].model_copy(update={"cause": text, "proven": False})

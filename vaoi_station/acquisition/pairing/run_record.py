@@ -36,7 +36,7 @@ class ObservedFrame:
     arrived_s: float
     """Host time at which the frame arrived."""
     epoch: int = 0
-    """Count of the camera's outages before this frame. Frames of one epoch share one clock and one frame counter."""
+    """Number of the camera's outages before this frame. Frames of one epoch have the same clock and frame counter."""
 
 
 Interruption = tuple[float, float | None]
@@ -57,7 +57,7 @@ class RunRecord:
     pulses: dict[int, ObservedPulse] = field(default_factory=dict)
     """Row → its pulse."""
     skipped: dict[int, str] = field(default_factory=dict)
-    """Row → why the controller did not fire it."""
+    """Row → why the controller did not fire its pulse."""
     frames: dict[tuple[int, int], FrameRecord] = field(default_factory=dict)
     """(camera, row) → record of its frame with the verdict, which is final."""
     taken: set[tuple[int, int]] = field(default_factory=set)
@@ -73,12 +73,12 @@ class RunRecord:
     pulse_count: int | None = None
     """Count of rows of the whole run, including skipped ones; None until the end of the pulses is reported."""
     reason: str = ""
-    """Why the pulses ended: see `controller.interface.RunEnded`."""
+    """Why the pulses ended, as in `controller.interface.RunEnded`."""
     deadline_s: float = float("inf")
     """Host time until which late frames are awaited."""
     finished: bool = False
     latency_known: dict[int, bool] = field(default_factory=dict)
-    """Camera whose latency was learnt from this run → whether the beginning of the run confirms it."""
+    """For each camera whose latency was learnt from this run: whether the beginning of the run confirms the latency."""
 
     interruptions: list[Interruption] = field(default_factory=list)
     """Interruptions of the barrier during the run, by the controller's clock."""

@@ -35,13 +35,13 @@ def _open_hardware(config: StationConfig) -> Devices:
     controller = open_serial_controller(config)
     try:
         return Devices(open_aravis_cameras(config), controller)
-    except BaseException:  # KeyboardInterrupt too: the port must be free for the next attempt; raised again
+    except BaseException:  # also KeyboardInterrupt: free the port for the next attempt, then raise it again
         controller.close()
         raise
 
 
 def check_backends(config: StationConfig) -> None:
-    """Raise InputError for a scenario or recordings that do not fit the station; a new attempt would fail as well."""
+    """Raise InputError for a scenario or recordings that do not fit the station: a second attempt would fail too."""
     if config.controller.backend == "serial":
         return
     if config.controller.backend == "replay":

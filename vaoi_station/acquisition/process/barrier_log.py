@@ -8,7 +8,10 @@ from vaoi_station.acquisition.pairing.run_record import Interruption
 
 
 class BarrierLog:
-    """Collects the edges of one passage: of a run, and of what outlasts it. Times are those of the controller."""
+    """Collects the barrier's edges of one passage: of a run, and of what stays in the barrier after it.
+
+    Controller times.
+    """
 
     def __init__(self) -> None:
         self.interruptions: list[Interruption] = []
@@ -28,8 +31,8 @@ class BarrierLog:
 
     def clear(self, time_s: float) -> None:
         """Add the end of an interruption."""
-        # If the report of a beginning was lost, the interruption before is taken to have lasted until now: one that is
-        # too long is noticed, one that is missing is not.
+        # If the report of a beginning was lost, the previous interruption is taken to have lasted until now: an
+        # interruption that is too long is noticed, one that is missing is not.
         if self.interruptions:
             self.interruptions[-1] = (self.interruptions[-1][0], time_s)
 

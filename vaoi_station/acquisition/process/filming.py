@@ -1,4 +1,4 @@
-"""Film a number of runs with a station's devices, without the rest of the station."""
+"""Film a number of runs with a station's devices, without the other parts of the station."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def film_pulses(config: StationConfig, pulses: int, rate_hz: float, handlers: Fi
 
 @dataclass
 class FilmingProcess:
-    """A running acquisition process, seen from its other end: the pipe, the ring, and the handlers of its reports."""
+    """A running acquisition process as the station sees it: its pipe, the ring, and the handlers of its reports."""
 
     ring: Ring
     connection: Connection
@@ -167,7 +167,8 @@ def _filming_process(config: StationConfig, handlers: FilmingHandlers) -> Iterat
             handlers.notice(ring.lock_note)
         process = context.Process(target=run_acquisition, args=(config, ring.path, theirs), name="acquisition")
         process.start()
-        # Our copy of the process's end is closed, so that the pipe ends when the process dies, instead of blocking us.
+        # The copy of the process's end is closed here, so that the pipe ends when the process dies, and reading does
+        # not block.
         theirs.close()
         try:
             yield FilmingProcess(ring, ours, handlers)

@@ -2,7 +2,7 @@
 
 The station starts the process with `spawn` and communicates with it over one pipe. Commands, controller events,
 arrivals, clock readings and faults go through one queue, so that a single thread takes all decisions. When the pipe
-ends, the process closes its devices and exits. When a device fails, the process reports it and runs on.
+ends, the process closes its devices and exits. When a device fails, the process reports this and continues.
 """
 
 from __future__ import annotations
@@ -42,7 +42,9 @@ HEALTH_PERIOD_S = 0.5
 CLOCKS_LIMIT_S = 30.0
 """Longest time for the reading of one clock. After it, the thread that reads the clocks counts as hung, s."""
 BOARD_GRACE_S = 8.0
-"""Longest time for which a board that is passing is filmed on after a Disarm. One that takes longer stands still, s."""
+"""Longest time, s, for which a board that is passing is still filmed after a Disarm.
+
+A board that takes longer has stopped."""
 END_S = 3.0
 """Longest wait for a thread to end, s."""
 FIRST_READINGS = 8
@@ -50,8 +52,9 @@ FIRST_READINGS = 8
 URGENT_READING_PERIOD_S = 0.05
 """Time between two readings of all clocks while a command waits for accurate clocks, s."""
 CLOCK_TIMEOUT_S = 10.0
-"""Longest time for which arming or a single pulse waits until the clocks are known well enough. On a busy computer most
-round trips are long, but a single short one is enough."""
+"""Longest time, s, for which arming or a single pulse waits until the clocks are known accurately enough.
+
+On a busy computer most round trips are long, but a single short one is enough."""
 
 
 def run_acquisition(
@@ -69,7 +72,7 @@ def run_acquisition(
         open_backend: opens the devices.
     """
     if multiprocessing.parent_process() is not None and threading.current_thread() is threading.main_thread():
-        # Ctrl-C reaches the whole process group. Only the station reacts to it: it sends Shutdown.
+        # Ctrl-C reaches all processes of the group. Only the station reacts to it, by sending Shutdown.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         with Ring.attach(ring_path, writable=True) as ring:
@@ -88,7 +91,7 @@ def run_acquisition(
 
 
 class _ControllerDisarmed:
-    """A marker in the inbox. All events from before the controller was disarmed are in front of it."""
+    """A marker in the inbox: all events from before the controller was disarmed are in front of it."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +104,7 @@ class _WaitingCommand:
 
 @dataclass(frozen=True)
 class _PolledClock:
-    """The reading of a device's clock, or the error of the attempt. Number 0 is the controller, 1, 2, … the cameras."""
+    """The reading of a device's clock, or the error of the attempt. Number 0 is the controller; 1, 2, … are cameras."""
 
     number: int
     result: ClockReading | VaoiError
@@ -148,7 +151,7 @@ class _MainLoop:
             self._process_inbox()
         finally:
             self._closing.set()
-            # The closed end wakes the thread that waits for commands: a blocked recv cannot be interrupted.
+            # Closing the pipe wakes the thread that waits for commands: a blocked recv cannot be interrupted.
             waker.close()
             for thread in self._threads:
                 thread.join(END_S)
@@ -173,7 +176,7 @@ class _MainLoop:
                 return
             if item is not None:
                 self._try(partial(self._handle, item))
-            # Retried after every item, because the item may be the clock reading that the command waits for.
+            # This is tried after every item, because the item may be the clock reading that the command waits for.
             self._try(self._retry_waiting)
             self._try(self._disarm_when_due)
 
@@ -213,7 +216,8 @@ class _MainLoop:
             self._session.camera_lost(item)
             self._send(trouble_report(item.error))
         elif isinstance(item, CameraBack):
-            # The reading is added first: the clock may have restarted, and it dates the next arrival.
+            # The reading is added first: the clock may have restarted, and the reading is needed to date the next
+            # arrival.
             self._clocks[1 + item.camera].add(item.reading)
             self._session.camera_back(item)
         elif isinstance(item, DeviceFault):
@@ -228,7 +232,7 @@ class _MainLoop:
     def _add_polled(self, polled: _PolledClock) -> None:
         """Add a reading to the model of its clock; if the attempt to read failed, report the error."""
         clock = self._clocks[polled.number]
-        # The loss of a camera has been reported already. A second report would end an arming that works without it.
+        # The loss of a camera has been reported already. A second report would end an arming that succeeds without it.
         if isinstance(polled.result, ClockReading):
             clock.add(polled.result)
         elif not self._session.is_away(polled.number):

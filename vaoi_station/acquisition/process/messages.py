@@ -35,9 +35,9 @@ class Arm:
 
 @dataclass(frozen=True)
 class Disarm:
-    """Ignore the barrier once the board under way has left, at the latest after `main_loop.BOARD_GRACE_S`.
+    """Ignore the barrier once the board that is passing has left, at the latest after `main_loop.BOARD_GRACE_S`.
 
-    A board that has not left by then gets a run of the frames that it has.
+    If the board has not left by then, its run has the frames that arrived until then.
     """
 
 
@@ -105,7 +105,7 @@ class FrameSettled:
 
 @dataclass(frozen=True)
 class RunFinished:
-    """The report that every (camera, row) of a run has its verdict. Nothing of this run changes any more.
+    """The report that every (camera, row) of a run has its verdict. The run does not change any more.
 
     Runs finish in the order of their boards, unless a run waits for late frames (at most one period + 0.5 s).
     """

@@ -1,4 +1,4 @@
-"""Write a run of the ring as a recording on disk, completely or not at all."""
+"""Write a run from the ring as a recording on disk, completely or not at all."""
 
 from __future__ import annotations
 

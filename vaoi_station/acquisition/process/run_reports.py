@@ -29,7 +29,7 @@ def finished_report(config: StationConfig, finished: Finished, now_s: float) -> 
         lights=record.lights(),
         doubts=doubts_of(finished.proof),
     )
-    # A replay at the fast pace reports pulses before their time, so the last one may lie in the future.
+    # A fast replay reports pulses before their time, so the last pulse may lie in the future.
     last_pulse_s = min(max(p.host_s for p in record.pulses.values()), now_s)
     return RunFinished(
         run=record.run,

@@ -49,11 +49,11 @@ from vaoi_station.model import Verdict
 from vaoi_station.optics.pulse_timing import spare_time_us
 
 CLOCK_LIMIT_S = 2e-3
-"""Arming requires that the error bound of every clock is at most this limit, s ..."""
+"""Arming requires that the error bound of every clock is at most this (s), and at most `CLOCK_SHARE` of the period."""
 CLOCK_SHARE = 1 / 10
-"""... and at most this share of the trigger period, because frames are assigned to pulses by time."""
+"""Largest error bound of a clock as a share of the trigger period, because frames are assigned to pulses by time."""
 SILENCE_S = 10.0
-"""Time after the longest duration of a run at which the session stops waiting for the controller to end it, s."""
+"""After the longest duration of a run, the session waits this long, s, for the controller to report the run's end."""
 
 _STATES = {Verdict.OK: OK, Verdict.INCOMPLETE: INCOMPLETE}
 
@@ -96,7 +96,7 @@ class Session:
         """The grant whose slots the cameras hold for the next board."""
         self._plan: TriggerPlan | None = None
         self._run: RunRecord | None = None
-        """The run whose pulses are being fired."""
+        """The run whose pulses are being fired at present."""
         self._silent_s = float("inf")
         self._skipped: dict[int, str] = {}
         """Row → why its pulse was not fired, for rows that were skipped before the first pulse of a board."""
@@ -162,8 +162,9 @@ class Session:
                 self._plan = plan
                 self._load_next()
                 self._devices.controller.arm(plan)
-            except BaseException as error:  # any failure leaves the station not armed; raised again
-                # The controller has given up the plan before. If that plan stayed here, it would count as armed.
+            except BaseException as error:  # after any failure the station is not armed; raised again
+                # The controller has already given up its previous plan. If that plan stayed here, it would count as
+                # armed.
                 self._plan = None
                 if isinstance(error, VaoiError) and before is not None:
                     message = f"the station is not armed: its plan could not be changed: {error.message}"
@@ -201,7 +202,7 @@ class Session:
         if self._run is not None:
             self._end_run(self._run.rows, "disarmed", now_s)
         self._plan = None
-        # While disarmed no edge is reported: what is in the barrier at the next arming is unknown.
+        # While disarmed, no edge is reported. So at the next arming it is not known what is in the barrier.
         self._barrier = BarrierLog()
         self._given_up = False
         self._disarming = True
@@ -238,14 +239,15 @@ class Session:
             self._barrier = BarrierLog()
             self._barrier.blocked(event.time_s)
             self._skipped = {}
-            # The start delay leaves time to queue slots before the first pulse.
+            # During the start delay, slots are queued for the first pulse.
             self._load_while_waiting()
         elif isinstance(event, BarrierBlockedAgain):
             self._barrier.blocked(event.time_s)
         elif isinstance(event, BarrierClear):
             self._barrier.clear(event.time_s)
         elif isinstance(event, BarrierClearAfterRun):
-            # What outlasted its run belongs to that run. Everything else was in the barrier before its edge counted.
+            # What stays in the barrier after its run belongs to that run. Anything else was in the barrier before its
+            # edge counted.
             if self._barrier.is_open:
                 self._barrier.clear(event.time_s)
             else:
@@ -307,13 +309,14 @@ class Session:
         self._run.skipped, self._skipped = self._skipped, {}
         if self._barrier.over:
             self._barrier = BarrierLog()  # the report of this board's edge was lost
-        # The same list: it grows until the end of the run.
+        # This is the same list, not a copy: it grows until the end of the run.
         self._run.interruptions = self._barrier.interruptions
 
     def _end_run(self, pulses: int, reason: str, now_s: float) -> None:
         assert self._run is not None
         record, self._run, self._silent_s = self._run, None, float("inf")
-        # From here on the log belongs to what is still in the barrier; the run keeps what was known when it ended.
+        # From here on, the log belongs to what is still in the barrier. The run keeps the interruptions known at its
+        # end.
         self._barrier.over = self._barrier.over or record.interruptions is self._barrier.interruptions
         record.interruptions = list(record.interruptions)
         if record.run is None:
@@ -352,7 +355,7 @@ class Session:
         self._load_next()
 
     def _load_while_waiting(self) -> None:
-        """Queue the slots of the next grant. If a run only awaits late frames, take back its slots first."""
+        """Queue the slots of the next grant. If a run only awaits late frames, take its slots back first."""
         if self._run is None and self._next is None and self._grants:
             self._slot_queue.unload()
             self._load()

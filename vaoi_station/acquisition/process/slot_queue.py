@@ -52,8 +52,8 @@ class SlotQueue:
     def recycle(self, slot: int) -> None:
         """Clear the slot of an unassigned frame. Queue it again if its bay is still being filled."""
         bay, camera, _ = self._ring.layout.place(slot)
-        # Cleared, because holes of a later incomplete frame must be black. A bay of a finished run is not touched:
-        # it may belong to the next board already.
+        # The slot is cleared, because missing parts of a later incomplete frame must be black. A bay of a finished run
+        # is not touched: it may already belong to the next board.
         if bay == self._loaded:
             self._ring.clear(slot)
             self._queue(slot)
@@ -62,7 +62,9 @@ class SlotQueue:
             self._spare[bay, camera].append(slot)
 
     def move_to_bay(self, slot: int, bay: int, camera: int) -> int | None:
-        """Return the slot in the run's bay that holds a frame; copy the frame if necessary. None if the bay is full.
+        """Return the slot of a frame in its run's bay; copy the frame there if necessary.
+
+        Return None if the bay is full.
 
         Only late frames arrive in another bay: they fill the slots of the next run, which the camera already holds.
         """
@@ -84,7 +86,7 @@ class SlotQueue:
             return spare.pop()
         if bay != self._loaded:
             return None
-        # A camera fills its slots in order, so the last one is taken and the others are queued again as they were.
+        # A camera fills its slots in order. So the last slot is taken, and the others are queued again in their order.
         queued = self._take_back(camera)
         for slot in queued[:-1]:
             self._queue(slot)

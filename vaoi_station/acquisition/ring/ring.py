@@ -1,8 +1,8 @@
 """The ring: frames in shared memory, written by cameras and read in place by other processes.
 
 One process, the station, creates the file and unlinks it. The acquisition process maps it writable; workers and tester
-software map it read-only. A bay's **generation** changes when the bay is given to another board. A reader that compares
-the generation before and after its read knows to which run the pixels belong.
+software map it read-only. A bay's **generation** changes when the bay is given to another board. A reader that finds
+the same generation before and after it has read pixels knows to which run they belong.
 """
 
 from __future__ import annotations
@@ -51,11 +51,11 @@ class Ring:
         self.layout = layout
         self.writable = writable
         self.lock_note = ""
-        """Why the memory could not be locked in RAM; empty if it is, and for borrowers."""
+        """Why the memory could not be locked in RAM; empty if it is locked, and in processes that only map the ring."""
         self._inode = os.fstat(handle).st_ino
         self._owner_pid = os.getpid() if owner else None
         self._handle = handle if owner else None
-        """Descriptor that holds the owner's lock on the file; None for borrowers."""
+        """Descriptor that holds the owner's lock on the file; None in processes that only map the ring."""
         self._map: mmap.mmap | None = ring_file.map_file(handle, layout.file_bytes, writable)
         self._bytes: NDArray[np.uint8] = np.frombuffer(self._map, dtype=np.uint8)
         self._header = self._table(0, 1, HEADER)
@@ -76,7 +76,7 @@ class Ring:
         handle = ring_file.create_file(path, layout)
         try:
             ring = cls(path, layout, handle, writable=True, owner=True)
-        except BaseException:  # KeyboardInterrupt too: the file must not stay behind; raised again
+        except BaseException:  # also KeyboardInterrupt: remove the file, then raise it again
             path.unlink(missing_ok=True)
             os.close(handle)
             raise
@@ -107,7 +107,7 @@ class Ring:
     @property
     def owned(self) -> bool:
         """Whether this process created the file, so that it will also unlink it."""
-        # A forked child inherits the object, but must not unlink the file of its parent.
+        # A forked child inherits this object, but it must not delete the file of its parent.
         return self._owner_pid == os.getpid()
 
     @property
@@ -178,7 +178,7 @@ class Ring:
         self.write_slot_record(slot, EMPTY, NO_ROW, None)
 
     def write_slot_record(self, slot: int, state: int, row: int, frame_id: int | None) -> None:
-        """Write into the slot table what a slot contains. Tester software that reads the ring uses this table."""
+        """Write state, row and frame id of a slot into the slot table, which serves tester software."""
         self._require_writable("write to")
         bay = self.layout.place(slot)[0]
         self._slots[slot] = (self.generation(bay), state, row, frame_id or 0, 0)
@@ -195,7 +195,7 @@ class Ring:
             return
         if self.owned:
             self._header["state"] = CLOSED
-            # Unlinked only if the path is still our file: another owner may have created one there since.
+            # The file is deleted only if the path is still this file: another owner may have created one there since.
             with contextlib.suppress(FileNotFoundError):
                 if self.path.stat().st_ino == self._inode:
                     self.path.unlink()
@@ -203,7 +203,7 @@ class Ring:
             os.close(self._handle)
         mapped, self._map = self._map, None
         del self._bytes, self._header, self._bays, self._slots
-        # mmap.close() raises BufferError while NumPy views exist; it is unmapped when the last of them goes.
+        # mmap.close() raises BufferError while NumPy views exist. The memory is unmapped when the last view is gone.
         with contextlib.suppress(BufferError):
             mapped.close()
 

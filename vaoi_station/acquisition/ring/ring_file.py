@@ -39,7 +39,7 @@ def start_ticks(pid: int) -> int | None:
         return None
     # The name of the program, in parentheses, may itself contain blanks and parentheses (proc(5)).
     state, *fields = stat.rpartition(")")[2].split()
-    # A zombie holds no memory any more. The list begins with field 4 of stat; field 22 is the start time.
+    # A zombie process no longer holds memory. The list begins with field 4 of stat; field 22 is the start time.
     return None if state in "ZX" else int(fields[18])
 
 
@@ -97,7 +97,7 @@ def create_file(path: Path, layout: RingLayout) -> int:
         # The umask may have removed the group's right to read.
         os.fchmod(handle, 0o640)
         _allocate(handle, path, layout)
-    except BaseException:  # KeyboardInterrupt too: the file must not stay behind; raised again
+    except BaseException:  # also KeyboardInterrupt: remove the file, then raise it again
         os.close(handle)
         path.unlink(missing_ok=True)
         raise
@@ -152,8 +152,8 @@ def open_existing(path: Path, writable: bool) -> int:
 
 def _open_regular(path: Path, flags: int) -> int:
     """Open a regular file; raise OSError for everything else, at once."""
-    # Without O_NONBLOCK a FIFO of any user in /dev/shm would block the start for ever. Links are not followed: they may
-    # lead to a device, whose mere opening has effects, or to themselves.
+    # Without O_NONBLOCK, a FIFO of any user in /dev/shm would block the start for ever. Links are not followed: a link
+    # may lead to itself, or to a device that reacts when it is opened.
     handle = os.open(path, flags | os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC)
     if not stat.S_ISREG(os.fstat(handle).st_mode):
         os.close(handle)
@@ -162,7 +162,7 @@ def _open_regular(path: Path, flags: int) -> int:
 
 
 def _is_locked(handle: int) -> bool:
-    # A shared lock, given up when the caller closes the file: readers do not exclude one another.
+    # A shared lock, which is released when the caller closes the file: readers do not exclude one another.
     try:
         fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:

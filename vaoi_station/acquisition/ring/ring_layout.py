@@ -30,7 +30,7 @@ EMPTY, OK, INCOMPLETE = 0, 1, 2
 NO_ROW = 0xFFFFFFFF
 """Row number in the slot table for a slot that holds no frame."""
 
-# Offsets are explicit: other programs read them from ring.md, so no compiler or NumPy alignment may move a field.
+# Offsets are explicit: other programs take them from ring.md, so no compiler and no NumPy alignment may move a field.
 HEADER = np.dtype(
     {
         "names": [
@@ -185,7 +185,7 @@ class RingLayout:
     @classmethod
     def read(cls, header: NDArray[Any], cameras: NDArray[Any]) -> RingLayout:
         """Read the layout of a file from its `header` (1,) HEADER and its camera table `cameras` (n,) CAMERA_RECORD."""
-        # An unknown code is kept as hexadecimal text, which FrameShape refuses with the list of known formats.
+        # An unknown code is kept as hexadecimal text. FrameShape then refuses it with the list of known formats.
         names = {known.code: name for name, known in PIXEL_FORMATS.items()}
         frames = tuple(
             FrameShape(int(c["width"]), int(c["height"]), names.get(int(c["pixel_format"]), hex(c["pixel_format"])))

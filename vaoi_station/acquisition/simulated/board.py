@@ -44,7 +44,10 @@ class SimulatedBoard:
         self._frames[camera, row] = to_bytes(image)
 
     def pixels(self, camera: int, row: int) -> NDArray[np.uint8]:
-        """Return the flat bytes of a frame; if a stuck board has more rows than frames, the last frame is repeated."""
+        """Return the flat bytes of a frame.
+
+        A stuck board may have more rows than frames; then the last one is repeated.
+        """
         return self._frames[camera, min(row, len(self.pulses) - 1)]
 
 

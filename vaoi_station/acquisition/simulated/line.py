@@ -26,7 +26,7 @@ from vaoi_station.errors import InputError, InternalError, VaoiError
 from vaoi_station.simulation import Twin, calibration_board
 
 AHEAD = 2
-"""Count of boards prepared in advance."""
+"""Number of boards that are prepared in advance."""
 LEAD_S = 0.02
 """Time from the decision to let a board pass to the start of its passage, s."""
 SAME_TIME_S = 1e-6
@@ -135,7 +135,7 @@ class SimulatedLine:
             return
         other = faults.metadata_row(n, row)
         last = len(board.pulses) - 1
-        # An exchanged frame carries the time stamp and the id of the other row.
+        # An exchanged frame has the time stamp and the id of the other row.
         stamp_error_s = board.pulses[min(other, last)].time_s - board.pulses[min(row, last)].time_s
         stamp_error_s += faults.stamps_late_s(n)
         camera.trigger(

@@ -62,7 +62,7 @@ class FastPace:
         self._expected = self._feedback.frames_done()
 
     def before_pulse(self, stop: Callable[[], bool]) -> None:
-        """Wait until all delivered frames are done, at most `ROW_TIMEOUT_S`. A frame without a slot is never done."""
+        """Wait until all delivered frames are done, at most `ROW_TIMEOUT_S`: a frame without a slot is never done."""
         self._feedback.wait_for_frames(self._expected, stop, ROW_TIMEOUT_S)
 
     def frames_coming(self, frames: int) -> None:

@@ -1,4 +1,4 @@
-"""Open the digital twin in place of line, cameras and controller."""
+"""Open the digital twin in place of real line, cameras and controller."""
 
 from __future__ import annotations
 

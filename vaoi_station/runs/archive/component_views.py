@@ -44,7 +44,7 @@ def views_of_component(
     """Return the views of a component in usable frames, best first. Raise NotFoundError for an unknown component."""
     part = component_of(finished.board_type, ref)
     # Incomplete frames have matrices too, but the areas of their missing packets are black. The matrix of a frame that
-    # is not proven may be that of another row. Neither is a view.
+    # is not proven may be that of another row. So neither kind of frame gives a view.
     whole = {(f.camera, f.row) for f in finished.detail.frames if f.usable}
     views = finished.view_calculator.compute(part, px_per_mm=px_per_mm, min_coverage=min_coverage)
     return tuple(view for view in views if (view.camera, view.row) in whole)

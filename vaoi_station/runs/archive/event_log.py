@@ -23,7 +23,7 @@ RECENT = 1000
 """Number of the latest events that are kept in memory. Older events are read from the database."""
 _NOTHING: Mapping[str, str] = MappingProxyType({})
 _WARNINGS = frozenset({"trouble", "board-missed", "process"})
-"""Kinds of events that are logged at level WARNING; all others are logged at level INFO."""
+"""Kinds of events that are logged at level WARNING. All others are logged at level INFO."""
 
 
 class EventLog:
@@ -62,8 +62,8 @@ class EventLog:
                 code=code, message=message, action=action,
             )  # fmt: skip
             # The number is assigned and the event is written under one lock, so that the database receives the events
-            # in the order of their numbers.
-            # The last events of a stop may come when the database is closed; they are in the log.
+            # in the order of their numbers. When the station stops, the last events may come after the database was
+            # closed; they are in the log.
             with contextlib.suppress(StateError):
                 self._store.add_event(EventRow(event.number, event.model_dump_json()))
             self._recent.append(event)

@@ -1,7 +1,8 @@
-"""The archive of finished runs. All are in the database, the latest also in memory; callers can wait for the next run.
+"""The archive of finished runs: all are in the database, the latest also in memory. Callers can wait for the next run.
 
-A finished run is announced (callers that wait for it are woken, and an event is published) once its result is on disk.
-If the disk does not take it, the run is announced from memory, says so (`stored`), and is written as soon as it can be.
+A finished run is announced once its result is on disk: callers that wait for it are woken, and an event is published.
+If the disk refuses the result, the run is announced from memory, its document states this (`stored`), and the result is
+written as soon as the disk accepts it.
 """
 
 from __future__ import annotations
@@ -77,8 +78,8 @@ class FinishedRun:
 class Archive:
     """The finished runs of the station and their results. Its methods may be called from any thread.
 
-    A run is announced when its result is on disk, or when the storage is in trouble. Runs that the disk has not taken
-    yet stay in memory until it has.
+    A run is announced when its result is on disk, or when the storage is in trouble. Runs that are not on disk yet stay
+    in memory until they are.
     """
 
     def __init__(self, store: Store, events: EventLog) -> None:
@@ -99,12 +100,13 @@ class Archive:
         self._unstored: dict[str, FinishedRun] = {}
         """Finished runs that are not on disk yet, oldest first."""
         self._unannounced: dict[str, int] = {}
-        """Finish numbers of the runs that have not been announced, oldest first."""
+        """Runs that have not been announced, oldest first: for each run id, its finish number (its rank among finished
+        runs)."""
         self._announcing = threading.Lock()
-        """Held while runs are announced, so that they are announced in their order by any thread."""
+        """Held while runs are announced, so that runs are announced in their order, whichever thread does it."""
         last = store.last_finished()
         self._finished = last.finish_number or 0 if last else 0
-        """Highest finish number that was given to a run. That run may not have been announced yet."""
+        """Highest finish number given to a run so far. That run may not have been announced yet."""
         self._announced = self._finished
         self._closed = False
         self._close_unfinished()
@@ -116,7 +118,7 @@ class Archive:
         self._store.save_run(_row(progress, detail_of(progress), None))
 
     def finish(self, progress: Progress) -> RunDetail:
-        """Store a run that has ended, and return its document. The run is announced after it was written."""
+        """Store a run that has ended, and return its document. The run is announced once it is written."""
         self._finished += 1
         detail, order = detail_of(progress), progress.order
         finished = FinishedRun(
@@ -177,9 +179,9 @@ class Archive:
             if self._store.retention.forgotten(run):
                 raise _forgotten(run)
             raise NotFoundError(f"There is no run {run!r}.", action="See the list of runs.", code="unknown-run")
-        # A row without a finish number was written when the run began, but not again when it ended.
+        # A row without a finish number was written when the run began, but not again when the run ended.
         if row.finish_number is None:
-            if (known := self._cached(run)) is not None:  # it ended between the two look-ups
+            if (known := self._cached(run)) is not None:  # The run ended between the two look-ups.
                 return known
             raise DeviceError(f"The end of run {run} could not be written.", action="Check space on the data disk.")
         if not row.detail:
@@ -241,7 +243,7 @@ class Archive:
         """
         rows = self._store.runs(limit, before)
         with self._changed:
-            # Read after the rows: a run that is written meanwhile is in one of the two.
+            # These are read after the rows, so that a run which is written meanwhile is in at least one of the two.
             unstored = {
                 run: summary_of(d.detail) for run, d in self._unstored.items() if before is None or run < before
             }
@@ -255,7 +257,7 @@ class Archive:
             self._changed.notify_all()
 
     def _close_unfinished(self) -> None:
-        """Update the runs from before a restart of the station: unfinished runs failed, and all frames are gone."""
+        """After a restart of the station, mark unfinished runs as failed and the frames of all earlier runs as gone."""
         saved = []
         for row in self._store.unfinished():
             self._finished += 1
@@ -266,7 +268,7 @@ class Archive:
         self._announced = self._finished
 
     def _written(self, finished: FinishedRun, saved: Future[None]) -> None:
-        """Record that a run is on disk, or never will be, and announce it. `saved` is the completed write."""
+        """Announce a run that is on disk, or that can never be written. `saved` is the completed write."""
         run, fault = finished.detail.id, saved.exception()
         if fault is not None:
             self._events.add("trouble", f"Run {run} could not be written: {fault}", run=run, code="store")
@@ -295,9 +297,10 @@ class Archive:
         """Wake callers that wait for a run, and publish its event."""
         run = finished.detail.id
         self.on_finished(finished.detail)
-        # From here on callers learn of the run, so from here on its frames are kept for the stated time.
+        # From here on callers can know of the run, so from here on its frames are kept for the stated time.
         until_s = time.monotonic() + self.keep_s
-        # Before callers are woken: a caller that arms at once must find memory that is no longer kept.
+        # Before callers are woken: if a caller arms at once, the memory that this run no longer needs must be
+        # available.
         self.on_announced(run, until_s)
         with self._changed:
             latest = self._in_memory(run) or finished
@@ -312,13 +315,13 @@ class Archive:
         self._events.add("run", message, state=finished.detail.state, run=run)
 
     def _number_of(self, run: str) -> int:
-        """Return the finish number of a run; for a run that has not ended, that of the latest announced run."""
+        """Return the finish number of a run. For a run that has not ended, return that of the latest announced run."""
         try:
             return self.get(run).finish_number
         except StateError:
             return self._announced
         except GoneError:
-            # A caller that was away for long goes on with the oldest run that is still kept.
+            # A caller that was away for long continues with the oldest run that is still kept.
             row = self._store.run(run)
             return (row.finish_number or 0) if row else 0
 

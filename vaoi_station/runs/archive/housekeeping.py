@@ -17,9 +17,9 @@ _log = logging.getLogger(__name__)
 
 LOWEST_PRIORITY = 19
 FIRST_DELAY_S = 5.0
-"""Time from the start to the first call of a task, so that housekeeping does not delay the start of the station."""
+"""Time from the start to the first call of a task, so that housekeeping does not delay the station's start."""
 TASK_LIMIT_S = 600.0
-"""Longest time for one call of a task. After it, the thread counts as hung."""
+"""Longest time for one call of a task. After this time, the thread counts as hung."""
 
 
 @dataclass
@@ -29,11 +29,11 @@ class _Task:
     work: Callable[[], object]
     due_s: float
     fault: str = ""
-    """The failure that was published last; empty if the last call succeeded."""
+    """The failure that was published last; empty if the latest call succeeded."""
 
 
 class Housekeeping:
-    """Calls each task again and again, with a pause of its period. A task that fails is published and called again."""
+    """Calls each task periodically. If a task fails, the failure is published and the task is called again later."""
 
     def __init__(self, events: EventLog) -> None:
         self._events = events
@@ -42,7 +42,7 @@ class Housekeeping:
         self.thread = SupervisedThread(self._run, "housekeeping", TASK_LIMIT_S)
 
     def add(self, work: Callable[[], object], period_s: float, *, code: str) -> None:
-        """Add a task before `start`. `code` is that of the event by which a failure is published."""
+        """Add a task before `start`. `code` is the code of the event by which a failure of the task is published."""
         due_s = time.monotonic() + min(period_s, FIRST_DELAY_S)
         self._tasks.append(_Task(code, period_s, work, due_s))
 
@@ -58,7 +58,7 @@ class Housekeeping:
             self.thread.join()
 
     def faults(self) -> tuple[str, ...]:
-        """Return the failures of the tasks whose last call has failed."""
+        """Return the failures of the tasks whose latest call failed."""
         return tuple(task.fault for task in self._tasks if task.fault)
 
     def _run(self) -> None:
@@ -77,7 +77,7 @@ class Housekeeping:
             task.work()
             task.fault = ""
         except StateError:
-            return  # the station is stopping
+            return  # The station is stopping.
         except VaoiError as error:
             self._report(task, error.message, error.action)
         except Exception as error:  # noqa: BLE001  the thread must go on: without it the disk would fill up

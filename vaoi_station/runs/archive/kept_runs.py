@@ -42,7 +42,7 @@ class KeptRuns:
         try:
             finished = self._archive.get(run)
         except StateError:
-            finished = None  # it is being filmed or stitched: its frames are kept when it has ended
+            finished = None  # The run is being filmed or stitched: its frames are kept when it has ended.
         if not self._archive.retention.pinned(run):
             self._archive.retention.pin(run, utc())
             self._events.add("run", "The run was pinned.", run=run)
@@ -50,7 +50,7 @@ class KeptRuns:
             self.recordings.request(run)
 
     def unpin(self, run: str) -> None:
-        """Remove the pin of a run; `NotFoundError` if it has none. Its data are then deleted like others."""
+        """Remove the pin of a run; `NotFoundError` if it has none. The limits of `[keep]` apply to the run again."""
         if not self._archive.retention.pinned(run):
             raise NotFoundError(f"Run {run!r} is not pinned.", action="See the list of runs.", code="not-pinned")
         self._archive.retention.unpin(run)

@@ -1,7 +1,7 @@
-"""Recordings of runs whose frames are worth keeping: failed, degraded and pinned ones, within a quota of disk space.
+"""Recordings of runs whose frames are worth keeping (failed, degraded or pinned), within a quota of disk space.
 
 One thread of the lowest priority copies frames out of the ring. It never delays the line: it holds no lease while it
-writes, and gives a run up, counted, when the run's memory was given to a later board.
+writes. If a run's memory is given to a later board meanwhile, the run is not kept, and this is counted.
 """
 
 from __future__ import annotations
@@ -48,18 +48,18 @@ class FrameSource(Protocol):
         """Return the bay of a run. Raise GoneError if its frames are no longer in memory."""
 
     def copier(self, bay: Bay) -> Callable[[int], NDArray[Any]]:
-        """Return a function that copies the frame in a slot. It raises GoneError once the bay was given away."""
+        """Return a function that copies the frame in a slot; it raises GoneError once the bay has another run."""
 
 
 @dataclass
 class Counts:
-    """What became of the runs whose frames were to be kept, since the start."""
+    """Numbers of the runs whose frames were to be kept since the start, by outcome."""
 
     kept: int = 0
     late: int = 0
-    """Runs whose memory was needed for a later board before they were written."""
+    """Number of runs whose memory was needed for a later board before their frames were written."""
     refused: int = 0
-    """Runs that the quota, the disk or a fault did not allow to keep."""
+    """Number of runs that were not kept because of the quota, the disk or a fault."""
 
 
 class Recordings:
@@ -75,10 +75,10 @@ class Recordings:
         self._stopping = threading.Event()
         self._lock = threading.Lock()
         self._thread = threading.Thread(target=self._run, name="recordings", daemon=True)
-        # Drafts of a station that was killed. They begin with a dot, recordings do not.
+        # Drafts that a killed station left. Their names begin with a dot, those of recordings do not.
         for draft in directory.glob(".*"):
             shutil.rmtree(draft, ignore_errors=True)
-        archive.retention.pins()  # read now: `finished` must not wait for the disk
+        archive.retention.pins()  # This is read now because `finished` must not wait for the disk.
         self._sizes = {path.name: _size_of(path) for path in directory.glob("*")}
 
     def start(self) -> None:
@@ -86,14 +86,14 @@ class Recordings:
         self._thread.start()
 
     def stop(self) -> None:
-        """End the thread. A recording under way is given up; nothing remains of it."""
+        """End the thread. A recording that is being written is given up, and its files are removed."""
         self._stopping.set()
         self._waiting.put(None)
         if self._thread.is_alive():
             self._thread.join()
 
     def finished(self, detail: RunDetail) -> None:
-        """Keep the frames of a run that has ended if its verdict asks for it. Returns at once."""
+        """Keep the frames of a run that has ended if its verdict is one to be kept. Returns at once."""
         wanted = detail.verdict is not Status.OK and self._keep.recordings_of_failed
         if wanted or self._archive.retention.pinned(detail.id):
             self.request(detail.id)
@@ -138,7 +138,7 @@ class Recordings:
             except GoneError:
                 self._late(run)
             except StateError:
-                continue  # the station is stopping
+                continue  # The station is stopping.
             except VaoiError as error:
                 self._refused(run, error.message)
             except OSError as error:
@@ -156,7 +156,7 @@ class Recordings:
         self._make_room(_expected_bytes(head))
         target = self.directory / run
         with new_directory(target) as draft:
-            # Uncompressed: the frames must be out of the ring before their memory is needed.
+            # Uncompressed, because the frames must be out of the ring before their memory is needed.
             write_recording(draft, head, self._copies(finished, head, copy), suffix=".tiff")
             write_calibration(draft / "calibration.json", self._archive.calibration_of(finished))
             write_board_type(draft / "board.json", finished.board_type)
@@ -178,7 +178,7 @@ class Recordings:
                 yield frame.camera, frame.row, copy(frame.slot)
 
     def _make_room(self, needed: int) -> None:
-        """Delete the oldest recordings that are not pinned until there is room; DeviceError if there cannot be."""
+        """Delete the oldest unpinned recordings until `needed` bytes fit; DeviceError if that is not possible."""
         quota = int(self._keep.recordings_gb * 1e9)
         self.directory.mkdir(parents=True, exist_ok=True)
         pinned = self._archive.retention.pins()

@@ -9,22 +9,24 @@ from vaoi_station.runs.states.run_ids import earliest_id
 from vaoi_station.store.retention import RunRetention
 
 BATCH = 10
-"""Number of runs that one transaction forgets: the result of a board waits for at most one such transaction."""
+"""Number of runs that one transaction deletes. The result of a board waits for one such transaction at most."""
 MOST_BATCHES = 60
-"""Most transactions of one pass. A clock that was set far ahead thus deletes at most 600 runs a minute."""
+"""Largest number of transactions in one pass. If the clock is set far ahead, at most 600 runs are deleted per
+minute."""
 SHORT_BYTES, SPARE_BYTES = 1_000_000_000, 100_000_000
-"""Free space of the disk below which room is made within the database, and the room that is made: some 1000 runs."""
+"""Free disk space below which room is made within the database, and the room that is made: enough for some 1000
+runs."""
 DAY_S = 86_400.0
 
 
 class Retention:
-    """Forgets runs as [keep] of station.toml says. `sweep` is one pass."""
+    """Deletes old runs as [keep] of station.toml states. `sweep` is one pass."""
 
     def __init__(self, keep: KeepConfig, kept: RunRetention) -> None:
         self._keep, self._kept = keep, kept
 
     def sweep(self, now_s: float | None = None) -> int:
-        """Forget what exceeds the limits, at most `MOST_BATCHES` transactions; return the number of runs.
+        """Delete runs that exceed the limits, in at most `MOST_BATCHES` transactions; return their number.
 
         `now_s` is the time since 1970; None for the present time.
         """
@@ -37,7 +39,7 @@ class Retention:
         return count
 
     def _step(self, now_s: float) -> int:
-        """Forget one batch; return its number of runs, 0 if nothing exceeds the limits."""
+        """Delete one batch of runs, and return its number of runs; 0 if no limit is exceeded."""
         keep, kept = self._keep, self._kept
         for doubtful, number, days in (
             (False, keep.results, keep.days),
@@ -52,13 +54,13 @@ class Retention:
         return self._shrink() if kept.used_bytes() > keep.database_gb * 1e9 or self._disk_is_short() else 0
 
     def _disk_is_short(self) -> bool:
-        """Return whether the disk is nearly full and the database has few free pages for the next results."""
-        # Whatever fills the disk, no more than SPARE_BYTES of the history are given up for it.
+        """Return whether the disk is nearly full and the database has too few free pages for the next results."""
+        # Whatever has filled the disk, at most SPARE_BYTES of the history are deleted for that reason.
         free = self._kept.disk_free_bytes
         return free is not None and free < SHORT_BYTES and self._kept.spare_bytes() < SPARE_BYTES
 
     def _shrink(self) -> int:
-        """Forget the oldest runs because the database is too large: details of ok runs, of others, then summaries."""
+        """Delete data of the oldest runs to shrink the database: details of ok runs, of others, then summaries."""
         kept = self._kept
         for doubtful in (False, True):
             if runs := kept.surplus(doubtful, 2**40, _ALL, BATCH):
@@ -70,4 +72,4 @@ class Retention:
 
 
 _ALL = "~"
-"""Sorts after every run id."""
+"""A text that sorts after every run id."""

@@ -1,4 +1,4 @@
-"""Counts and waiting times of the runs that were announced since the station was started, for its metrics."""
+"""Counts and waiting times, for the metrics, of the runs that were announced since the station was started."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from vaoi_station.runs.states.schemas import RunDetail, Timeline
 
 LATENCY_BOUNDS_S = (0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 60.0)
-"""Upper bounds of the classes of the time from the last frame to the result."""
+"""Upper bounds, s, of the classes into which the times from the last frame to the result are counted."""
 
 
 @dataclass(frozen=True)

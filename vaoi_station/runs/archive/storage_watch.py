@@ -13,7 +13,7 @@ LOW_BYTES = 500_000_000
 
 
 class StorageWatch:
-    """The state of the storage for people. `tick` is called by the coordinator's thread."""
+    """The state of the storage, as warnings and events. `tick` is called by the coordinator's thread."""
 
     def __init__(self, store: Store, events: EventLog, count_unstored: Callable[[], int]) -> None:
         """Begin to watch; `count_unstored` returns the number of finished runs that are in memory only."""
@@ -24,7 +24,7 @@ class StorageWatch:
 
     @property
     def in_trouble(self) -> bool:
-        """Whether the storage takes no writes at present."""
+        """Whether the storage accepts no writes at present."""
         return self._trouble is not None
 
     def tick(self) -> None:
@@ -45,7 +45,7 @@ class StorageWatch:
         self._low = low is not None
 
     def warnings(self) -> tuple[Reason, ...]:
-        """Return a warning for a present trouble, for every event that lost or moved data, and for little space."""
+        """Return a warning for each present trouble, for each event that lost or moved data, and for low disk space."""
         found = []
         if (trouble := self._trouble) is not None:
             count = self._count_unstored()

@@ -1,4 +1,4 @@
-"""Documents of runs as the database holds them, read so that no record, however old or unfinished, stops a start."""
+"""Documents of runs from the database. However old or unfinished a record is, it never prevents the station's start."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def state_of(row: RunRow) -> RunState:
 
 
 def in_state(document: R, state: RunState) -> R:
-    """Return a document of a run as it is in a state."""
+    """Return a copy of a run's document with another state."""
     available = state in IN_MEMORY
     kept = {} if available else {"frames_kept_until": None}
     return document.model_copy(update={"state": state, "frames_available": available, **kept})
@@ -48,7 +48,7 @@ def detail(row: RunRow) -> RunDetail:
 
 
 def summary(row: RunRow) -> RunSummary:
-    """Return the summary of a stored run; one that says so if it cannot be read."""
+    """Return the summary of a stored run. If it cannot be read, return a summary that states this."""
     try:
         document = in_state(RunSummary.model_validate_json(row.summary), state_of(row))
         return document.model_copy(update={"forgotten": not row.detail})
@@ -73,8 +73,9 @@ def summary(row: RunRow) -> RunSummary:
 
 
 def cut_short(row: RunRow, finish_number: int) -> RunRow:
-    """Return the row of a run whose station ended before the run did, whatever state the row has."""
-    # Not by the table of steps: a row may be in any state, if its last write was lost. None may stop the start.
+    """Return the row of a run that had not ended when the station ended, marked as failed, whatever its state was."""
+    # The table of steps is not used: if the last write was lost, a row may have any state. No row may prevent the
+    # start.
     ended = replace(row, state=RunState.GONE, finish_number=finish_number)
     try:
         document = RunDetail.model_validate_json(row.detail)

@@ -23,18 +23,20 @@ from vaoi_station.runs.states.schemas import STARTING, WAITING, ProcessStatus
 from vaoi_station.supervised_thread import SupervisedThread
 
 HEARTBEAT_LIMIT_S = 10.0
-"""Longest silence of the running process, which sends two heartbeats per second. After it, the process is killed."""
+"""Longest silence of the running process. After it, the process is killed. Normally it sends two heartbeats per
+second."""
 START_LIMIT_S = 60.0
-"""Longest silence of a process before its first message: opening cameras or rendering a scenario takes time."""
+"""Longest silence of a process before its first message: opening cameras, or rendering a scenario, takes time."""
 WARM_POLL_S = 0.1
-"""Period of the checks whether the workers are warm, s."""
+"""Time between two checks whether the workers are ready, s."""
 EXIT_S = 2.0
-"""Longest time from the end of the process's pipe to the end of the process. After it, the process is killed."""
+"""Longest time from the end of the pipe to the end of the process. After it, the process is killed."""
 PACE = BackoffPolicy(first_s=0.5, longest_s=60.0, proven_s=30.0)
 """Pauses between restarts of the acquisition process."""
 PLUGGED_S = 6.0
-"""Longest pause between restarts while a device is absent or in use: once it is plugged in, it is used within seconds.
-After other failures (refused settings, wrong input, a crash) faster retries would not help."""
+"""Longest pause between restarts while a device is absent or in use, so that it is used soon after it is plugged in.
+
+After other failures (refused settings, wrong input, a crash), earlier retries would not help."""
 _ABSENT = frozenset(
     {
         "camera-absent",
@@ -46,7 +48,7 @@ _ABSENT = frozenset(
         "controller-silent",
     }
 )
-"""Codes of troubles that end when a device is plugged in, switched on or released by another program."""
+"""Codes of troubles that end when a device is plugged in or switched on, or when another program releases it."""
 
 
 class Process(Protocol):
@@ -120,7 +122,7 @@ class _Attempt:
         return time.monotonic() - self.last_message_s
 
     def record(self, report: Report) -> None:
-        """Record that a message has arrived now, and what it reports about the start of the process."""
+        """Record that a message has arrived now, and what it states about the start of the process."""
         self.last_message_s, self.has_reported = time.monotonic(), True
         if isinstance(report, Ready):
             self.ready = True
@@ -133,7 +135,7 @@ class _Attempt:
         A process that reported a trouble during its start and exited with code 0 could not start; it did not crash.
 
         Args:
-            how: phrase for every other end.
+            how: phrase for an end of any other kind.
             code: exit code of the process.
         """
         return "the acquisition process could not start" if self.cause and code == 0 else f"{how} (code {code})"
@@ -171,8 +173,8 @@ class AcquisitionLink:
     def start(self, events: StationEvents, warm: Callable[[], bool] = lambda: True) -> None:
         """Start the process once `warm` returns True, that is, the workers are ready.
 
-        However long that takes: until then the station is starting, and accepts no board. Messages of the process are
-        reported to `events`.
+        Until then, however long it takes, the state of the station is "starting", and it accepts no board. Messages of
+        the process are reported to `events`.
         """
         self._events, self._warm = events, warm
         # The process ignores SIGTERM (`set_up_process`), which is all that multiprocessing's exit handler sends before
@@ -233,7 +235,7 @@ class AcquisitionLink:
             try:
                 attempt = self._launch_process()
             except OSError as fault:
-                # Too little memory, or too many processes or files: this may pass.
+                # There is too little memory, or there are too many processes or files. This may pass.
                 self._pause(PACE.longest_s, f"the acquisition process could not be started ({fault})")
                 continue
             how = self._listen(attempt, self._events)
@@ -245,7 +247,7 @@ class AcquisitionLink:
             if attempt.process.exitcode is None:
                 attempt.process.kill()
                 attempt.process.join(EXIT_S)
-            # A killed process may still wait for a device in the kernel. It is left alone; the next one reports the
+            # A killed process may still wait for a device in the kernel. It is left alone; the next process reports the
             # device as in use.
             if (code := attempt.process.exitcode) is not None:
                 attempt.process.close()
@@ -275,7 +277,7 @@ class AcquisitionLink:
             return self._attempt
 
     def _listen(self, attempt: _Attempt, events: StationEvents) -> str:
-        """Report the messages of the process until it ends or hangs; return a phrase that describes the end."""
+        """Report the messages of the process until it ends or hangs, and return a phrase that describes its end."""
         ended = "the acquisition process ended"
         while True:
             self.thread.beat()
@@ -289,8 +291,8 @@ class AcquisitionLink:
                 return ended
             for report in reports:
                 attempt.record(report)
-                # Every message proves that the process still runs. After `proven_s` of success, the next failure counts
-                # as the first one again, with the shortest pause.
+                # Every message proves that the process still runs. After success for `proven_s`, the next failure
+                # counts as a first one again, with the shortest pause.
                 if attempt.ready:
                     self._backoff.record_success()
                 events.acquisition_message(report)

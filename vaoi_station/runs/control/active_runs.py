@@ -1,4 +1,4 @@
-"""Runs that have not ended. Their tasks go to the workers as frames arrive; their results go to the archive."""
+"""Runs that have not ended. Their tasks go to the workers as frames arrive. Their results go to the archive."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Workers(Protocol):
 
 
 class ActiveRuns:
-    """The runs that are filmed or stitched, in the order of their boards. Used by the coordinator's thread only.
+    """The runs that are being filmed or stitched, in the order of their boards. Used by the coordinator's thread only.
 
     Methods that may end runs return the runs that have ended, oldest first.
     """
@@ -116,8 +116,8 @@ class ActiveRuns:
         return []
 
     def _end_in_order(self, progress: Progress) -> list[Progress]:
-        """Mark a run as done, then end every done run that has no unfinished run before it; return the ended runs."""
-        # Callers follow runs/next and expect boards in the order in which they passed.
+        """Mark a run as done, then end each done run before which all runs have ended; return the runs that ended."""
+        # Callers use runs/next and expect boards in the order in which they passed.
         progress.done = True
         ended = list(itertools.takewhile(lambda earlier: earlier.done, self.active.values()))
         for earlier in ended:

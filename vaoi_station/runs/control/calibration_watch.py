@@ -1,6 +1,6 @@
 """Watch of the calibration: a worker checks the cameras after every run, and a drift of a camera becomes a warning.
 
-A worker performs the check after it has sent the run's result, so the check delays no result.
+The worker performs the check after it has sent the run's result, so the check does not delay this result.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from vaoi_station.store.calibration_checks import CalibrationChecks
 from vaoi_station.store.documents import digest_of
 
 FIRST_CHECKS, LATEST_CHECKS = 50, 200
-"""Numbers of checks that are evaluated: the first after the calibration came into force, and the latest."""
+"""Numbers of checks that are evaluated: the first ones since the calibration came into force, and the latest ones."""
 HISTORY_RUNS = 50
 """Number of runs in the history of a camera."""
 _UNSEEN_RUNS = 5
@@ -52,7 +52,7 @@ class CalibrationWatch:
         self._drifts, self._vanished = find_drifts(known), find_vanished_cameras(known)
 
     def warnings(self) -> tuple[Reason, ...]:
-        """Return one warning per drifted camera, and one per camera of which the latest runs give no evidence."""
+        """Return one warning per drifted camera, and one per camera for which the latest runs give no evidence."""
         drifted = [Reason(code=CODE, message=self._message(d), action=self._action(d)) for d in self._drifts]
         return (*drifted, *(self._unseen(camera) for camera in self._vanished))
 
@@ -69,13 +69,13 @@ class CalibrationWatch:
         """Store a drift check, and publish an event for each drift that begins or ends with it."""
         run, digest = job.run, job.calibration
         if reply.error is not None:
-            if not isinstance(reply.error, StateError):  # a StateError means that the station stops: no trouble
+            if not isinstance(reply.error, StateError):  # the station is stopping, which is no trouble
                 self._events.add("trouble", reply.error.message, run=run, code="calibration-not-checked")
             return
         check: RunCheck = reply.value
         self._kept.save(run, digest, check.model_dump_json())
         if digest != self.digest:
-            return  # the run was stitched with another calibration, so its check does not concern this one
+            return  # The run was stitched with another calibration, so its check is not about the present one.
         self._runs += 1
         (self._first if len(self._first) < FIRST_CHECKS else self._latest).append(check)
         checks = [*self._first, *self._latest]

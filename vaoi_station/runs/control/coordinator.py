@@ -86,7 +86,7 @@ class StationCoordinator:
             make_order: function that checks a board type and makes the order for its boards.
             references: the store of the references.
             processes: function that returns the states of all processes, for the snapshot.
-            faults: function that returns one reason per thread that has ended or hangs; it never waits.
+            faults: function that returns one reason for each thread that has ended or hangs; it returns at once.
             show_status: function that receives the station's state in one line at every tick.
         """
         self._parts, self._ring = parts, ring
@@ -127,7 +127,7 @@ class StationCoordinator:
         try:
             self._inbox.wait(stopped, lambda: self._core.stop(stopped), timeout_s)
         except TimeoutError:
-            return  # the next start of the station marks runs that have not ended by now as failed
+            return  # Runs that have not ended by now are marked as failed by the next start of the station.
 
     def close(self) -> None:
         """End the coordinator's thread. Callers that still wait receive a refusal."""
@@ -249,7 +249,7 @@ class StationCoordinator:
         self._board_types.forget_reference(board_type)
 
     def sweep_references(self) -> None:
-        """Delete the files of references that nothing uses any more."""
+        """Delete the files of references that are no longer used."""
         self._board_types.sweep()
 
     def method(self, board_type: str) -> StitchingMethod:
@@ -270,7 +270,7 @@ class StationCoordinator:
         """Return the document of a run, finished or not; `NotFoundError` if there is no run with this id."""
         try:
             return self._inbox.ask(self._active, run) or self._parts.archive.get(run).detail
-        except StateError:  # the run began between the two look-ups, so it is found among the active runs now
+        except StateError:  # The run began between the two look-ups, so it is now among the active runs.
             return self._inbox.ask(self._active, run) or self._parts.archive.get(run).detail
 
     def run_figures(self) -> RunFigures:

@@ -195,7 +195,7 @@ class Core:
                 assert_never(message)
 
     def acquisition_ended(self, description: str) -> None:
-        """Conclude the runs that the acquisition process was filming when it ended, and take its memory back.
+        """Conclude the runs that were being filmed when the acquisition process ended, and take its memory back.
 
         `AcquisitionLink` restarts the process.
         """
@@ -217,7 +217,8 @@ class Core:
         progress = Progress.begin(report, bay, order)
         self.boards.begin(progress, self.line.orders.taken_since_s)
         self.runs.open(progress)
-        # The next board may follow closely and needs memory at once: its bay is granted while this bay is filled.
+        # The next board may follow closely and needs memory at once: its bay is granted while the present bay is
+        # filled.
         self.line.keep_memory_granted()
 
     def _on_run_finished(self, report: messages.RunFinished) -> None:
@@ -234,7 +235,7 @@ class Core:
         self.line.keep_memory_granted()
 
     def _watch_trigger(self, report: messages.RunFinished) -> None:
-        """Publish which cameras have frames in doubt since this run, and which have none any more."""
+        """Publish for which cameras this run has brought doubts about their frames, and for which it has ended them."""
         begun, ended = self.trigger.add(report)
         for reason in begun:
             self._events.add("trouble", reason.message, run=report.run, code=reason.code, action=reason.action)
@@ -275,7 +276,7 @@ class Core:
             self._after_runs(self.runs.give_up(progress, reason))
 
     def _after_runs(self, ended: list[Progress]) -> None:
-        """Let the memory of ended runs be evicted, grant memory to the next board, and complete requests to stop."""
+        """Allow eviction of ended runs, grant memory to the next board, and complete requests to stop."""
         for progress in ended:
             self.memory.use(progress.run, "finished")
             self.line.keep_memory_granted()

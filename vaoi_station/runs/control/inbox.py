@@ -51,7 +51,7 @@ class Inbox:
                 answer.set_result(work(*args, **kwargs))
             except VaoiError as refusal:
                 answer.set_exception(refusal)
-            except Exception as fault:  # the caller must not wait for ever; `raise` below brings the fault into the log
+            except Exception as fault:  # the caller must not wait for ever; `raise` below logs the fault
                 answer.set_exception(InternalError(f"{type(fault).__name__}: {fault}."))
                 raise
 
@@ -75,8 +75,8 @@ class Inbox:
         while True:
             remaining = None if deadline is None else deadline - time.monotonic()
             try:
-                # Wait in steps of 1 s and then check for the end: if close() ran just before the put above, the message
-                # is never executed, and no answer comes.
+                # Wait in steps of 1 s, and check for the end of the thread after each: if close() ran just before the
+                # put above, the message is never executed and no answer comes.
                 return answer.result(1.0 if remaining is None else min(max(remaining, 0.0), 1.0))
             except TimeoutError:
                 if self._closed.is_set() and not answer.done():
@@ -89,7 +89,7 @@ class Inbox:
         if self._closed.is_set():
             return
         self.thread.expect_end()
-        # A message sets the flag, so that all messages posted before it are still executed.
+        # The flag is set by a message, so that all messages posted before it are still executed.
         self._messages.put(self._closed.set)
         if self.thread.ident is not None:
             self.thread.join()

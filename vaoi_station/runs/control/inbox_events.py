@@ -31,8 +31,8 @@ class InboxEvents:
     def worker_reply(self, job: Job, reply: Reply) -> None:
         """Pass a worker's reply, with the time of its arrival, to the coordinator."""
         if isinstance(job, RenderJob):
-            # A picture changes no state and its caller waits in another thread, so the reply need not wait in the inbox
-            # behind the messages about frames.
+            # A picture changes no state, and its caller waits in another thread. So the reply need not wait in the
+            # inbox behind messages about frames.
             self._pictures.complete(job, reply)
         else:
             self._inbox.post(self._core.worker_reply, job, reply, time.monotonic())

@@ -54,7 +54,8 @@ class LineControl:
         self.orders = Orders()
         self._standing = standing
         self._not_resumed: Reason | None = None
-        """Why the line is not armed although it was before the restart; None once it was armed or disarmed."""
+        """Why the line was not armed again after a restart; None if it was not armed before, or was armed or disarmed
+        since."""
         self._granted: dict[str, int] = {}
         """Numbers of the bays that the cameras hold for coming runs, by run id."""
         self._arming: list[Completion] = []
@@ -63,12 +64,12 @@ class LineControl:
         """Requests to arm (order, number of runs, completion) that came while the line was being disarmed."""
         self._disarm_sent = False
         self.times_blocked = 0
-        """How often the armed line had no memory for the next board."""
+        """Number of times that the armed line had no memory for the next board."""
 
     # --- requests
 
     def resume(self, resumed: Resumed) -> None:
-        """Put the order from before the restart in force; the line is armed when the devices are open."""
+        """Put the order from before the restart in force; the line is armed as soon as the devices are open."""
         if resumed.order is None:
             self._not_resumed = resumed.fault
             if resumed.fault is not None:
@@ -91,7 +92,7 @@ class LineControl:
             health: latest health report of the acquisition process; None before the first.
             completion: future of the caller.
         """
-        # While a Disarm is unconfirmed, a new request to arm waits: that Disarm would undo it.
+        # While a Disarm is not confirmed, a new request to arm waits, because that Disarm would undo it.
         if self._disarm_sent and self._machine.state in _ARMED_STATES - {StationState.FILMING}:
             self._after_disarm.append((order, runs, completion))
             return
@@ -151,7 +152,7 @@ class LineControl:
 
     def on_armed(self) -> None:
         """Handle the report that the line is armed: set the completions of the waiting requests to arm."""
-        # An Armed that arrives after a Disarm was sent is outdated: the Disarmed that follows it decides.
+        # An Armed message that arrives after a Disarm was sent is outdated: the Disarmed message that follows decides.
         if self._machine.state is StationState.ARMING and not self._disarm_sent:
             self._machine.reasons.clear()
             self._machine.advance(StationStep.ARMED)
@@ -181,7 +182,7 @@ class LineControl:
         if self._arming:
             self._keep_order()
         else:
-            # No caller waits: the line was being armed again. The order stays stored for the next start.
+            # No caller waits: the station itself was arming the line again. The order stays stored for the next start.
             self._not_resumed = Reason(
                 code="not-armed-again",
                 message=f"The line was armed before and could not be armed again: {trouble.message}",
@@ -192,11 +193,11 @@ class LineControl:
                 DeviceError(f"Arming failed: {trouble.message}", action=trouble.action, code=trouble.code)
             )
         self._arming = []
-        # The cameras keep granted memory until they confirm the Disarm: Disarmed lists the bays they did not use.
+        # The cameras keep granted memory until they confirm the Disarm: the Disarmed message lists the bays not used.
         self._send_disarm()
 
     def on_acquisition_ended(self, description: str) -> None:
-        """Take back all granted memory, to which no process can write now, and refuse the waiting requests to arm."""
+        """Take back all granted memory, since no process writes to it now, and refuse the waiting requests to arm."""
         for run in self._granted:
             self._memory.free(run)
         self._granted.clear()
@@ -235,7 +236,7 @@ class LineControl:
         try:
             self._grant()
         except BusyError as refusal:
-            # Held anew each time, because the message names the present use of the memory.
+            # The reason is set again at every call, because its message names the present use of the memory.
             self._machine.reasons.hold(Reason.of(refusal))
             if self._machine.state is StationState.ARMED:
                 self.times_blocked += 1
@@ -250,7 +251,7 @@ class LineControl:
             self._machine.advance(StationStep.MEMORY_FREED)
 
     def warnings(self) -> tuple[Reason, ...]:
-        """Return warnings about the next board: too little memory because of holds, a board id that is not certain."""
+        """Return warnings about the next board: callers hold too much memory, or the board id is not certain."""
         found = [self._not_resumed, self._memory.warning() if self._machine.state in _TAKING_BOARDS else None]
         if (why := self.orders.present_doubt) is not None and self.orders.order is not None:
             found.append(
@@ -263,7 +264,7 @@ class LineControl:
         return tuple(warning for warning in found if warning is not None)
 
     def _keep_order(self) -> None:
-        """Keep the order in force for the next start; with none in force, forget it."""
+        """Store the order in force for the next start of the station; without an order, delete the stored one."""
         self._not_resumed = None
         if self._standing is None:
             return

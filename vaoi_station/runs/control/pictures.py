@@ -1,6 +1,7 @@
 """Pixels of a run, for callers in any thread: copies of frames, and temporary images that a worker renders.
 
-The ring's memory may be given to the next board at any time. So every access holds a lease while it reads pixels.
+The memory of the ring may be given to the next board at any time. Therefore every access holds a lease while it reads
+pixels.
 """
 
 from __future__ import annotations
@@ -160,7 +161,7 @@ class FrameAccess:
 
         def take() -> tuple[Bay, Lease]:
             if not self._core.memory.has(run) and run not in self._core.runs.active:
-                self._archive.get(run)  # raises NotFoundError: an unknown run must not be reported as gone
+                self._archive.get(run)  # This raises NotFoundError: a run that is unknown must not be reported as gone.
             return self._core.memory.bay(run), self._core.leases.take(run, holder, purpose)
 
         return self._inbox.ask(take)

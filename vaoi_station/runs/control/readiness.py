@@ -1,7 +1,7 @@
 """Readiness of the cameras: the reasons why cameras are not connected, and the refusal to arm the line without them.
 
-A camera that is not connected is absent, in use by another program, or refuses its settings. Without its frames, every
-board has a gap as wide as the camera's view. The operator must know this before the batch starts.
+A camera that is not connected is absent, in use by another program, or refuses its settings. Without its frames, no
+board is seen in the camera's view. The operator must know this before the batch starts.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def require(health: Health | None, cameras: Sequence[CameraConfig]) -> None:
 
 def changes(before: Health | None, now: Health, cameras: Sequence[CameraConfig]) -> tuple[str, ...]:
     """Return one sentence per camera that was lost or connected again between two health reports."""
-    # Before the first report all cameras count as connected, so the first report names all that are not.
+    # Before the first report all cameras count as connected, so that the first report names all that are not.
     were, are = set(disconnected(before)), set(disconnected(now))
     gone = (f"{sentence(cameras[k].label)} is lost: boards would be filmed without it." for k in sorted(are - were))
     back = (f"{sentence(cameras[k].label)} is ready again." for k in sorted(were - are))
@@ -56,6 +56,6 @@ def changes(before: Health | None, now: Health, cameras: Sequence[CameraConfig])
 def not_connected(label: str, why: str) -> str:
     """Return the message that a camera is not connected, with the cause `why`.
 
-    Drivers may begin their message with the camera's name; it is removed there, so that the name appears once.
+    A driver's message may begin with the camera's name. It is removed there, so that the name appears only once.
     """
     return f"{sentence(label)} is not connected. {sentence(why.removeprefix(f'{label}: '))}".strip()

@@ -1,4 +1,4 @@
-"""Reasons for the station's state. Reasons stay until they are removed; troubles of devices also expire."""
+"""Reasons for the station's state. They stay until they are removed; troubles of devices also expire by themselves."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from vaoi_station.runs.states.schemas import Reason
 from vaoi_station.supervised_thread import ThreadFault
 
 TROUBLE_S = 10.0
-"""Time after which a trouble expires if the device does not report it again."""
+"""Time after which a trouble expires if the device does not report it again, s."""
 
 _WORD = re.compile(r"[a-z]+(?=[ :])")
 
@@ -44,12 +44,13 @@ class Reasons:
         The reason replaces an earlier one with the same code.
         """
         before = self._reasons.pop(reason.code, None)
-        self._reasons[reason.code] = reason  # a repeated reason moves to the end, after the trouble that caused it
+        self._reasons[reason.code] = reason  # A repeated reason moves to the end, after the trouble that caused it.
         return before != reason
 
     def mark_outdated(self) -> None:
         """Mark all present troubles as outdated. The next reported trouble then replaces them."""
-        # They are not removed yet: while the devices are being opened, the operator can act only on the old cause.
+        # They are not removed yet: while the devices are being opened, the old cause is all that the operator can act
+        # on.
         self._outdated = set(self._reported_s)
 
     def trouble(self, report: Trouble) -> Reason | None:

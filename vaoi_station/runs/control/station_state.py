@@ -39,7 +39,7 @@ class StationStateMachine:
 
     def advance_if_allowed(self, event: StationStep) -> None:
         """Change to the state that follows a step; ignore a step that is illegal in the present state."""
-        # Devices report asynchronously: a Disarmed or RunFinished may arrive after a fault or a stop.
+        # Devices report asynchronously: a Disarmed or RunFinished message may arrive after a fault or a stop.
         if STATION.allows(self.state, event):
             self.advance(event)
 

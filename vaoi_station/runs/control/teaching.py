@@ -111,7 +111,7 @@ class ReferenceTeaching:
             self._store.load(run, board_type)
             new = self._store.record(board_type.name) is None
             self._store.keep(board_type.name, _record_of(path, finished))
-            self._store.open(board_type)  # read now and cached, so that arming does not wait for the disk
+            self._store.open(board_type)  # It is read now and cached, so that arming does not wait for the disk.
         return new
 
     def forget(self, board_type: str) -> None:
@@ -165,17 +165,17 @@ class BoardTypeService:
         self._core, self._inbox, self._frames = core, inbox, frames
         self._changing = threading.Lock()
         self._summaries: dict[Path, tuple[tuple[int, ...], BoardTypeSummary]] = {}
-        """For each file: its time, size and inode when it was read, and the entry of the list."""
+        """For each file: its modification time, size and inode when it was read, and its entry in the list."""
 
     def list(self) -> tuple[BoardTypeSummary, ...]:
         """Return a summary of every board type, sorted by name. A file that cannot be used is listed with its fault."""
-        # A file is read again only when it has changed: to read many large ones takes seconds.
+        # A file is read again only if it has changed: reading many large files takes seconds.
         known, found = self._summaries, {}
         for path in self._directory.paths():
             try:
                 status = path.stat()
             except FileNotFoundError:
-                continue  # deleted meanwhile
+                continue  # The file was deleted meanwhile.
             state = (status.st_mtime_ns, status.st_size, status.st_ino)
             kept = known.get(path)
             if kept is None or kept[0] != state:
@@ -245,7 +245,7 @@ class BoardTypeService:
     def sweep(self) -> None:
         """Delete the files of references that are used by no board type, no unfinished run and no order.
 
-        Besides after every change it is called from time to time, because orders and runs end later.
+        This method is called after every change, and also periodically, because orders and runs end later.
         """
 
         def in_use() -> set[str]:

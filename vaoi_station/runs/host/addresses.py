@@ -1,4 +1,4 @@
-"""Addresses of this machine, which may come later than the service: a cable, a switch, DHCP."""
+"""Addresses of this machine. They may come later than the service starts: by a cable, a switch, or DHCP."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import socket
 
 
 def is_present(host: str) -> bool:
-    """Return whether an interface has an IP address now. True for a host name, which is not looked up here."""
+    """Return whether an interface has an IP address now. For a host name, return True without looking it up."""
     try:
         version = ipaddress.ip_address(host).version
     except ValueError:

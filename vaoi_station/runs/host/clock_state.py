@@ -10,7 +10,7 @@ from pathlib import Path
 
 LOCAL_TIME = Path("/etc/localtime")
 _UNSYNCHRONISED = 5
-"""TIME_ERROR of adjtimex(2): no program keeps the clock right, or its largest error is unknown."""
+"""State TIME_ERROR of adjtimex(2): no program synchronises the clock, or its largest error is unknown."""
 
 
 @dataclass(frozen=True)
@@ -18,7 +18,7 @@ class ClockState:
     """State of the wall clock at one moment."""
 
     synchronised: bool | None
-    """Whether the kernel knows that a program such as chrony keeps the clock right; None if that is not known."""
+    """Whether the kernel states that a program such as chrony keeps the clock synchronised; None if not known."""
     max_error_s: float | None
     """Largest error of the clock by the kernel's estimate, s; None if it is not synchronised."""
     time_zone: str
@@ -28,7 +28,7 @@ class ClockState:
 
 
 class _Timex(ctypes.Structure):
-    """The beginning of `struct timex`; the rest is not read."""
+    """The beginning of the C structure `struct timex`. The rest of it is not read."""
 
     _fields_ = [
         ("modes", ctypes.c_uint),
@@ -47,11 +47,14 @@ def clock_state() -> ClockState:
 
 
 def _kernel_state() -> tuple[bool | None, float | None]:
-    """Ask the kernel, without changing anything (modes 0 needs no privilege)."""
+    """Read the clock's state from the kernel: whether it is synchronised, and its largest error in s; None if unknown.
+
+    The call changes nothing: with modes 0 it needs no privilege.
+    """
     timex = _Timex()
     try:
         state = ctypes.CDLL(None, use_errno=True).adjtimex(ctypes.byref(timex))
-    except (OSError, AttributeError):  # no such function in this C library
+    except (OSError, AttributeError):  # This C library has no such function.
         return None, None
     if state < 0:
         return None, None

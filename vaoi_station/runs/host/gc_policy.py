@@ -1,9 +1,9 @@
 """Defer full garbage collections while a board is processed.
 
 A full collection scans every object that the garbage collector tracks. In a station that had filmed boards of 3000
-components it took 60 to 95 ms, and mostly came while a result was unpacked. No Python thread runs during that time.
-So objects that exist at the start are excluded permanently, and full collections run while no board is processed.
-Collections of young objects stay automatic; they take less than a millisecond.
+components, it took 60 to 95 ms and usually came while a result was unpacked. No Python thread runs during that time. So
+objects that exist at the start are excluded permanently, and full collections run only while no board is processed.
+Collections of young objects stay automatic, since they take less than a millisecond.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ IDLE_S = 10.0
 """Time between full collections while no board is processed."""
 LONGEST_S = 60.0
 """Time after which a full collection runs even while boards are processed."""
-# The module `gc` has no switch for generation 2 alone. A threshold that is never reached has the same effect.
+# The module `gc` cannot switch off generation 2 alone. A threshold that is never reached has the same effect.
 _NEVER = 1_000_000_000
 
 
 class GcPolicy:
-    """Runs full garbage collections at chosen times, in place of the interpreter. Used by one thread."""
+    """Runs full garbage collections at chosen times instead of the interpreter's times. Used by one thread."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
@@ -39,7 +39,8 @@ class GcPolicy:
 
     def tick(self, busy: bool) -> None:
         """Run a full collection if one is due. `busy` states whether a board is processed."""
-        # Collections also run on a line without pauses: otherwise memory in reference cycles would grow without limit.
+        # On a line without pauses collections must run too: otherwise memory in reference cycles would grow without
+        # limit.
         if self._before is not None and self._clock() - self._last_s >= (LONGEST_S if busy else IDLE_S):
             self._collect()
 

@@ -1,7 +1,7 @@
 """Log records for systemd's journal: its native protocol with fields, or lines with the priority as a prefix.
 
-The protocol is one datagram per record (systemd.io/JOURNAL_NATIVE_PROTOCOL). Fields beside the message let a reader
-select: `journalctl VAOI_RUN=… VAOI_CAMERA=…`.
+The protocol is one datagram per record (systemd.io/JOURNAL_NATIVE_PROTOCOL). With the fields beside the message, a
+reader can select records: `journalctl VAOI_RUN=… VAOI_CAMERA=…`.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _PRIORITIES = ((logging.CRITICAL, 2), (logging.ERROR, 3), (logging.WARNING, 4), 
 
 
 def priority(level: int) -> int:
-    """Return the priority of syslog for a level of Python's logging: 2 critical, 3 error, 4 warning, 6, 7 debug."""
+    """Return the syslog priority for a logging level of Python: 2 critical, 3 error, 4 warning, 6 info, 7 debug."""
     return next((number for least, number in _PRIORITIES if level >= least), 7)
 
 
@@ -33,12 +33,12 @@ def is_journal(environment: Mapping[str, str], descriptor: int) -> bool:
         found = os.fstat(descriptor)
     except OSError:
         return False
-    # The variable is inherited by processes whose output goes elsewhere, so the numbers must be compared.
+    # Child processes inherit the variable even if their output goes elsewhere, so the numbers must be compared.
     return environment.get(STREAM_VARIABLE) == f"{found.st_dev}:{found.st_ino}"
 
 
 def fields_of(record: logging.LogRecord) -> dict[str, str]:
-    """Return the fields of a record that are given and not empty."""
+    """Return those of `FIELDS` that a log record has and that are not empty."""
     return {name: str(value) for name in FIELDS if (value := getattr(record, name, None))}
 
 
@@ -56,13 +56,13 @@ class PriorityPrefix(logging.Formatter):
 
 
 class JournalHandler(logging.Handler):
-    """Handler that sends each record to the journal with its fields. If that fails, it writes a line to stdout."""
+    """Handler that sends each record to the journal with its fields. If this fails, it writes a line to stdout."""
 
     def __init__(self, identifier: str, path: str = SOCKET) -> None:
         super().__init__()
         self._identifier, self._path = identifier, path
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
-        # A journal that does not read must not stop the station: after this time the line goes to stdout.
+        # A journal that does not read must not stop the station: after this time, the line goes to stdout.
         self._socket.settimeout(1.0)
         self._otherwise = logging.StreamHandler(sys.stdout)
         self._otherwise.setFormatter(
@@ -103,5 +103,5 @@ def _field(name: str, value: str) -> bytes:
     data = value.encode("utf-8", "replace")[:LONGEST_BYTES]
     if b"\n" not in data:
         return b"%s=%s\n" % (name.encode(), data)
-    # A value with line breaks has its length in front, 64 bits with the least significant byte first.
+    # In front of a value with line breaks stands its length: 64 bits, least significant byte first.
     return b"%s\n%s%s\n" % (name.encode(), len(data).to_bytes(8, "little"), data)

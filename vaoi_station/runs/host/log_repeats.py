@@ -10,16 +10,18 @@ from dataclasses import dataclass
 
 WINDOW_S = 60.0
 SAME_TEXT, SAME_TEMPLATE = 5, 100
-"""Largest numbers of records within `WINDOW_S`: with the same text; of warnings, with the same text before values."""
+"""Largest numbers of records within `WINDOW_S` that are logged.
+
+The first is for records with the same text, the second for warnings that differ only in their values."""
 MOST_KEYS = 2000
-"""Bound of the memory: the oldest windows are closed first."""
+"""Largest number of windows in memory; beyond it, the oldest windows are closed first."""
 
 _Key = tuple[str, int, str]
 
 
 @dataclass
 class _Window:
-    """The records with one key since a time."""
+    """The count of records with one key since the time at which the window began."""
 
     since_s: float
     count: int = 0
@@ -27,17 +29,17 @@ class _Window:
 
 
 class RepeatLimit(logging.Filter):
-    """Filter that drops records that were logged too often, and reports how many when their window has ended."""
+    """Filter that drops records that are logged too often, and reports their number after the window has ended."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         super().__init__()
         self._clock, self._lock = clock, threading.Lock()
-        # Separate, so that many different texts do not close the window of their template.
+        # Two tables, so that many different texts do not close the window of their common template.
         self._texts: dict[_Key, _Window] = {}
         self._templates: dict[_Key, _Window] = {}
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Return False for a record over a limit. The first one after a window carries the number that was dropped."""
+        """Return False for a record over a limit. The first record after a window states how many it dropped."""
         text = (record.name, record.levelno, record.getMessage())
         template = (record.name, record.levelno, str(record.msg))
         with self._lock:
@@ -56,11 +58,11 @@ class RepeatLimit(logging.Filter):
 
 
 def _count(windows: dict[_Key, _Window], key: _Key, now: float, limit: int) -> tuple[int, bool]:
-    """Count a record; return how many the window before has dropped, and whether this one is within the limit."""
+    """Count a record; return how many the previous window dropped, and whether this record is within the limit."""
     window, dropped = windows.get(key), 0
     if window is None or now - window.since_s >= WINDOW_S:
         dropped = window.dropped if window else 0
-        windows.pop(key, None)  # a new entry goes to the end of the order
+        windows.pop(key, None)  # A new entry goes to the end, because entries are ordered by age.
         if len(windows) >= MOST_KEYS:
             del windows[next(iter(windows))]
         window = windows[key] = _Window(now)

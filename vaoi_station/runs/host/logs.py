@@ -38,8 +38,8 @@ class JsonLines(logging.Formatter):
 def configure_logging(as_json: bool | None = None) -> None:
     """Configure logging to standard output, as JSON or as text. None selects the format of the parent process.
 
-    If standard output is systemd's journal, records carry their priority: text goes there with fields, by the journal's
-    own protocol, and JSON as lines with a prefix.
+    If standard output is systemd's journal, records have a priority. Text is sent with fields, by the journal's own
+    protocol. JSON is written as lines with a prefix.
     """
     if as_json is not None:
         os.environ[JSON_VARIABLE] = "1" if as_json else ""
@@ -52,7 +52,7 @@ def _handler(as_json: bool) -> logging.Handler:
     if journal and not as_json:
         handler = JournalHandler(IDENTIFIER)
     else:
-        # Standard output, not a file: systemd and containers collect and rotate it.
+        # Standard output and not a file, because systemd and containers collect and rotate it.
         handler = logging.StreamHandler(sys.stdout)
         formatter = JsonLines() if as_json else logging.Formatter(TEXT)
         handler.setFormatter(PriorityPrefix(formatter) if journal else formatter)

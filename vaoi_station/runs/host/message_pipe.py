@@ -1,8 +1,9 @@
 """The station's end of a pipe to a child process, which never waits for the child.
 
-`Connection.send` blocks while the pipe is full, and `Connection.recv` while half of a message has arrived. A child that
-hangs, or is stopped in the middle of a large answer, would so block the thread that is to notice it, and every thread
-that waits for a lock of that thread. The messages on the wire are those of `Connection`, which the child uses.
+`Connection.send` blocks while the pipe is full. `Connection.recv` blocks while only a part of a message has arrived. So
+a child that hangs, or is stopped in the middle of a large answer, would block the thread whose task is to notice this,
+and every thread that waits for a lock of that thread. The bytes in the pipe are those of `Connection`, which the child
+uses.
 """
 
 from __future__ import annotations
@@ -20,19 +21,21 @@ from typing import Any
 _CHUNK = 1 << 20
 """Largest number of bytes that one system call reads."""
 _SHORT, _LONG = struct.Struct("!i"), struct.Struct("!Q")
-"""Lengths in front of a message, as `Connection` writes them: -1 and the long form for 2 GiB and more."""
+"""Formats of the length in front of a message, as `Connection` writes it.
+
+From 2 GiB on, the short length is −1 and the long one follows."""
 _LONGEST_SHORT = 0x7FFFFFFF
 
 
 class PipeEndedError(Exception):
-    """The child has closed its end, has died in the middle of a message, or has sent what is no message."""
+    """The child has closed its end, has died in the middle of a message, or has sent bytes that are no message."""
 
 
 class MessagePipe:
     """One duplex pipe to a child process. `send` may be called from any thread, `receive` from one thread."""
 
     def __init__(self, connection: Connection[Any, Any]) -> None:
-        """Take over the station's end of `multiprocessing.Pipe()`; the pipe closes it."""
+        """Take over the station's end of a `multiprocessing.Pipe()`. `close` closes it."""
         self._connection = connection
         self._socket = socket.fromfd(connection.fileno(), socket.AF_UNIX, socket.SOCK_STREAM)
         self._lock = threading.Lock()
@@ -45,13 +48,13 @@ class MessagePipe:
 
     @property
     def unsent(self) -> bool:
-        """Whether a part of the messages waits until the child reads; `flush` sends it."""
+        """Whether messages wait, completely or in part, until the child reads. `flush` sends them."""
         return bool(self._unsent)
 
     def send(self, message: object) -> None:
         """Send a message as far as the pipe has room, and keep the rest for `flush`.
 
-        A message to a child that has ended is lost; its end is noticed by `receive` and by its sentinel.
+        A message to a child that has ended is lost. `receive` and the sentinel of the process show that it has ended.
         """
         body = ForkingPickler.dumps(message)
         size = len(body)
@@ -91,7 +94,7 @@ class MessagePipe:
         return messages
 
     def close(self) -> None:
-        """Close the pipe; the child reads its end."""
+        """Close the pipe. The child then reads the end of its input."""
         with self._lock:
             self._unsent.clear()
             self._socket.close()
@@ -120,7 +123,7 @@ class MessagePipe:
 
 
 def wait_for(pipes: Sequence[MessagePipe], others: Sequence[int], timeout_s: float) -> set[int]:
-    """Wait until a pipe has data, has room for what it keeps unsent, or another descriptor is readable.
+    """Wait until a pipe has data, has room for its unsent messages, or another descriptor is readable.
 
     Returns the file descriptors that are ready, of `pipes` and of `others`; none after `timeout_s`.
     """
@@ -147,5 +150,5 @@ def _span(data: memoryview) -> tuple[int, int] | None:
 def _unpickled(body: memoryview) -> Any:
     try:
         return pickle.loads(body)
-    except Exception as fault:  # bytes of a broken child may raise anything; the caller ends this child
+    except Exception as fault:  # Bytes of a broken child may raise any exception. The caller then ends this child.
         raise PipeEndedError(f"a message that cannot be read: {type(fault).__name__}: {fault}") from fault

@@ -1,6 +1,6 @@
 """Wait at the start for causes that pass: a full disk, a directory that is not mounted yet, memory that is in use.
 
-Without it the service would end and be started again, and its supervisor might give up for good.
+Without this, the service would end and be started again, and systemd might give up after some attempts.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ PASSING = frozenset(
         "address-absent",
     }
 )
-"""Codes of errors whose cause passes, or is removed while the service waits. All others end the service."""
+"""Codes of errors whose cause passes by itself, or can be removed while the service waits. Others end the service."""
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 5.0
-"""Pauses between attempts; each is twice the one before. The watchdog of the unit is reset in every pause."""
+"""First and longest pause between attempts; each pause is twice the previous one. Each resets systemd's watchdog."""
 
 
 class StartWait:
-    """Attempts to start something until it succeeds, or fails for a cause that does not pass."""
+    """Tries to start something until it succeeds, or fails for a cause that does not pass."""
 
     def __init__(self, stop: StopRequest) -> None:
-        """Wait until it succeeds, or until `stop` is requested."""
+        """Prepare to wait until the start succeeds, or until `stop` is requested."""
         self._stop = stop
         self._status = StatusNotice()
 
@@ -44,7 +44,7 @@ class StartWait:
         """Return what `start` returns; None if a stop was requested first.
 
         Args:
-            start: one attempt. It leaves nothing behind if it raises an error.
+            start: makes one attempt. If it raises an error, it has undone its changes.
             report: function that is called with the error of every attempt whose cause may pass.
 
         Raises:
@@ -62,7 +62,7 @@ class StartWait:
                     _log.warning("waiting: %s", error)
                 report(error)
                 self._status(f"waiting: {error}")
-            # The service runs, although it does not film yet: the command that started it need not wait.
+            # The service runs, although it does not film yet: so the command that started it need not wait.
             notify("READY=1")
             notify_watchdog()
             if self._stop.wait(pause_s) is not None:

@@ -11,7 +11,7 @@ from types import FrameType
 
 _SIGNALS = (signal.SIGTERM, signal.SIGINT)
 _BY_ITSELF = b"\0"
-"""Byte that `request` sends in place of a signal number; no signal has the number 0."""
+"""Byte that `request` sends in place of a signal number. No signal has the number 0."""
 
 
 class StopRequest:
@@ -20,10 +20,10 @@ class StopRequest:
     On exit it restores the previous signal handlers.
     """
 
-    # A `threading.Event` set by a signal handler can deadlock: the handler runs in the waiting main thread, possibly
-    # while `wait` holds the event's lock. A flag that is checked before each wait can miss a signal that comes between
-    # the check and the wait. Therefore the interpreter writes each signal number into a socket
-    # (`signal.set_wakeup_fd`), and `wait` reads from this socket.
+    # A `threading.Event` that is set by a signal handler can deadlock: the handler runs in the waiting main thread,
+    # possibly while `wait` holds the event's lock. A flag that is checked before each wait can miss a signal that comes
+    # between check and wait. Therefore the interpreter writes each signal number to a socket (`signal.set_wakeup_fd`),
+    # and `wait` reads from this socket.
 
     def __init__(self) -> None:
         self._here, self._there = socket.socketpair()
@@ -31,7 +31,8 @@ class StopRequest:
 
     def request(self) -> None:
         """Request the stop of the service; may be called from any thread, at any time."""
-        # An error is harmless: a full socket already holds requests, and a closed one means that the service has ended.
+        # An error is harmless: a full socket already holds requests, and a closed socket means that the service has
+        # ended.
         with contextlib.suppress(OSError):
             self._there.send(_BY_ITSELF)
 
@@ -48,7 +49,7 @@ class StopRequest:
             number = self._here.recv(1)[0]
             if number == _BY_ITSELF[0]:
                 return ""
-            # The interpreter also writes the numbers of other signals that have a Python handler: ignore them.
+            # The interpreter also writes the numbers of other signals that have a Python handler. These are ignored.
             if number in _SIGNALS:
                 return signal.Signals(number).name
 

@@ -1,6 +1,6 @@
-"""Supervision of the station's threads. While one of them has ended or hangs, systemd's watchdog is not fed.
+"""Supervision of the station's threads. While one of them has ended or hangs, systemd's watchdog is not reset.
 
-The supervisor is a thread as well: if it ends or hangs, the watchdog is not fed either.
+The supervisor is a thread too: if it ends or hangs, the watchdog is not reset either.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ PERIOD_S = 0.5
 
 
 class Supervisor:
-    """Checks threads twice a second, and reports every thread that has ended or hangs, once."""
+    """Checks threads twice a second. It reports each thread that has ended or hangs, once."""
 
     def __init__(self, alive: Callable[[], object], on_faults: Callable[[Sequence[ThreadFault]], object]) -> None:
         """Begin without threads.
 
         Args:
-            alive: called after every check in which all threads were alive, to feed a watchdog.
+            alive: called after every check in which all threads were alive, to reset a watchdog.
             on_faults: called with new faults.
         """
         self._alive, self._on_faults = alive, on_faults
@@ -31,11 +31,11 @@ class Supervisor:
         self.thread = SupervisedThread(self._run, "supervisor")
 
     def watch(self, *threads: SupervisedThread) -> None:
-        """Check these threads too."""
+        """Add threads to those that are checked."""
         self._watched += threads
 
     def faults(self) -> tuple[ThreadFault, ...]:
-        """Return what is wrong with the threads at this moment. Call it from any thread."""
+        """Return one fault for each thread that has ended or hangs now. Call it from any thread."""
         return faults_of((*self._watched, self.thread))
 
     def start(self) -> None:
@@ -43,7 +43,7 @@ class Supervisor:
         self.thread.start()
 
     def stop(self) -> None:
-        """Check no more."""
+        """Stop checking the threads."""
         self.thread.expect_end()
         self._stopping.set()
         if self.thread.ident is not None and threading.current_thread() is not self.thread:

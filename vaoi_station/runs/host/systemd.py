@@ -14,14 +14,14 @@ def notify(state: str) -> bool:
     address = os.environ.get("NOTIFY_SOCKET", "")
     if not address:
         return False
-    # "@" stands for the zero byte of an abstract socket (unix(7)).
+    # In the address of an abstract socket, "@" stands for the zero byte (unix(7)).
     if address.startswith("@"):
         address = "\0" + address[1:]
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as channel:
         try:
             channel.sendto(state.encode(), address)
         except OSError:
-            # The service must not fail because its supervisor has gone.
+            # The service must not fail because systemd has gone.
             return False
     return True
 
@@ -32,7 +32,7 @@ def notify_watchdog() -> None:
 
 
 class StatusNotice:
-    """Sends systemd the line that `systemctl status` shows, whenever it has changed. Used by one thread."""
+    """Sends systemd the line that `systemctl status` shows, after each change. Used by one thread."""
 
     def __init__(self) -> None:
         self._sent = ""

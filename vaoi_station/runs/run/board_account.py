@@ -1,7 +1,8 @@
-"""The account of the boards that met the barrier: each is a run, or is counted and published as missed.
+"""The account of the boards that interrupted the barrier: each one is a run, or is counted and published as missed.
 
-A board id is armed for one board. As soon as a board may have passed without a run, the ids that were armed before
-that was published are no longer certain: the runs that follow have no id, and say so, until a caller arms again.
+A board id is armed for one board. If a board may have passed without a run, it is no longer certain to which board the
+armed ids belong. This holds for all ids that were armed before the missed board was published. The runs that follow
+have no board id, and their reasons state this, until a caller arms again.
 """
 
 from __future__ import annotations
@@ -55,18 +56,18 @@ class BoardAccount:
             self._miss(passage.boards - 1, (edge_s, now_s), reason)
 
     def unwatched(self, now_s: float, why: str) -> None:
-        """Note that boards may have passed without a report until now."""
+        """Record that boards may have passed without a report until now."""
         self._orders.doubt(now_s, now_s, why)
 
     def begin(self, progress: Progress, armed_s: float) -> None:
-        """Note since when the order of a new run was in force, and whether its board id is certain by now."""
+        """Record since when the order of a new run was in force, and whether its board id is certain by now."""
         progress.armed_s = armed_s
         self._check_id(progress)
 
     def end(self, progress: Progress, now_s: float) -> None:
         """Add what the barrier shows about an ended run to its faults; count the boards that have no run.
 
-        Runs end in the order of their boards, so that all that is known of earlier boards is known here.
+        Runs end in the order of their boards, so that everything about earlier boards is known here.
         """
         recorded = progress.recorded
         self._check_id(progress)
@@ -76,19 +77,19 @@ class BoardAccount:
         if passage is not None and passage.boards > 1:
             reason = self._too_close(progress.order, passage)
             progress.add_fault(reason)
-            # The pictures may show either board, so the id would be that of the wrong one.
+            # The pictures may show either board, so the id may be that of the wrong one.
             progress.doubt_id("several boards passed in this run")
             edge_s = _host_s(progress, recorded, passage.leading_s[-1])
             self._miss(passage.boards - 1, (edge_s, now_s), reason, progress.run)
         if recorded.reason == "max-rows":
             progress.add_fault(self._too_long(recorded))
             if recorded.interruptions and recorded.interruptions[-1][1] is None:
-                # What is still in the barrier may be another board that touches the first.
+                # What is still in the barrier may be another board that touches the first one.
                 edge_s = _host_s(progress, recorded, recorded.interruptions[-1][0])
                 self._orders.doubt(edge_s, now_s, "the barrier was still interrupted when the run before ended")
 
     def _passage(self, progress: Progress, recorded: RunFinished) -> Passage | None:
-        # A run that was cut short is faulty already, and how long its last interruption was is unknown.
+        # A run that was cut short has a fault already, and the length of its last interruption is unknown.
         known = [i for i in recorded.interruptions if i[1] is not None or recorded.reason == "max-rows"]
         if not known:
             return None
@@ -103,10 +104,10 @@ class BoardAccount:
             progress.doubt_id(why)
 
     def _miss(self, count: int, times_s: tuple[float, float], reason: Reason, run: str | None = None) -> None:
-        """Count boards; `times_s` are the host times of the last one's edge and of now."""
+        """Count missed boards; `times_s` are the host times of the last board's edge and of now."""
         self.missed += count
         self._publish("board-missed", reason.message, run=run, code=reason.code, action=reason.action)
-        # Published now: an order that comes later was given by a caller who could know of it.
+        # This is published now: an order that comes later was given by a caller who could know of it.
         self._orders.doubt(*times_s, "a board had passed without a run of its own before")
 
     def _keep_apart(self) -> str:
@@ -145,7 +146,7 @@ class BoardAccount:
 
 
 def _host_s(progress: Progress, recorded: RunFinished, time_s: float) -> float:
-    """Return the host time of an edge that is given relative to row 0."""
+    """Return the host time of an edge whose time is relative to row 0."""
     return progress.barrier_s + time_s - recorded.interruptions[0][0]
 
 

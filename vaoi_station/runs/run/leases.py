@@ -59,7 +59,7 @@ class Leases:
         return tuple(lease for lease in self.all() if lease.run == run)
 
     def of_callers(self, run: str) -> tuple[Lease, ...]:
-        """Return the leases of one run that callers hold; those of the station itself are short."""
+        """Return the leases of one run that callers hold, without the short ones of the station itself."""
         return tuple(lease for lease in self.of(run) if not lease.holder.startswith(OWN))
 
     def all(self) -> tuple[Lease, ...]:

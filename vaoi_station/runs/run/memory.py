@@ -1,8 +1,8 @@
 """Assignment of the ring's bays to runs, and eviction of finished runs.
 
-The next board gets a free bay. If no bay is free, the run that finished first is evicted, unless a lease holds it or it
-is still kept: until it is announced, and for a stated time after that. A run that is filmed or stitched is never
-evicted. If no run may be evicted, the next board is refused memory before it comes.
+The next board gets a free bay. If no bay is free, the run that finished first is evicted. A run is not evicted while a
+lease holds it, before it is announced, and for a stated time after its announcement. A run that is filmed or stitched
+is never evicted. If no run may be evicted, the next board is refused memory before it comes.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ class Memory:
         return self._bays[bay.number]
 
     def keep(self, run: str, until_s: float) -> None:
-        """Note that a finished run was announced, and keep its frames until a host time. No effect without a bay."""
+        """Record that a finished run was announced, and keep its frames until a host time. No effect without a bay."""
         for bay in self._bays:
             if bay.run == run:
                 self._bays[bay.number] = replace(bay, kept_until_s=until_s)
@@ -132,7 +132,7 @@ class Memory:
     def warning(self) -> Reason | None:
         """Return a warning if callers hold so much memory that boards have to wait for each other; else None."""
         left = sum(not (bay.run and self._leases.of_callers(bay.run)) for bay in self._bays)
-        # Two bays are the least for boards that follow one another: one is filmed while the one before is fetched.
+        # Boards that follow one another need at least two bays: one is filmed while callers read the one before.
         if left >= min(2, len(self._bays)):
             return None
         what = "no further board" if left == 0 else "one further board at a time"
@@ -174,7 +174,8 @@ class Memory:
         free = [bay for bay in self._bays if bay.use == "free"]
         if free:
             return free[0]
-        # The order of finishing counts, not that of beginning: a run that waited for late frames has the newer result.
+        # The order in which runs finished counts, not the order in which they began: a run that waited for late frames
+        # has the newer result.
         now_s = self._clock()
         idle = [
             b

@@ -1,4 +1,4 @@
-"""Orders: board type and caller's ids for the next boards. A board keeps the order in force when it met the barrier."""
+"""Orders: board type and caller's ids for the next boards. A board keeps the order that was in force at the barrier."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from vaoi_station.store import Store
 
 @dataclass(frozen=True)
 class Order:
-    """One checked request to arm: what is needed to film and stitch its boards."""
+    """One checked request to arm, with everything that is needed to film and stitch its boards."""
 
     board_type: BoardType
     board_id: str | None
@@ -35,7 +35,7 @@ class Order:
     """Limitations that do not prevent filming; every run of the order reports them."""
     configuration_digest: str = ""
     despite_lost_cameras: bool = False
-    """Film boards although a camera is not connected, as the caller allowed."""
+    """Whether to film boards although a camera is not connected, as the caller allowed."""
 
     def shown(self, runs_left: int | None) -> ArmedWith:
         """Return the part of the order that `GET station` and the page show."""
@@ -53,7 +53,7 @@ class Doubt(NamedTuple):
     """A board that may have passed without a run."""
 
     edge_s: float
-    """Host time at which it met the barrier, or until which it may have done so."""
+    """Host time at which the board interrupted the barrier, or until which it may have done so."""
     published_s: float
     """Host time at which callers could first know of it."""
     why: str
@@ -61,7 +61,7 @@ class Doubt(NamedTuple):
 
 @dataclass
 class Orders:
-    """The order in force, and the previous one, which still applies to boards that met the barrier before the change.
+    """The order in force, and the previous one, which still applies to boards at the barrier before the change.
 
     `runs_left` is the number of boards still to be filmed (None: no limit). `since_s` is the time since which the order
     is in force, by time.monotonic().
@@ -73,7 +73,7 @@ class Orders:
     taken_since_s: float = float("-inf")
     """Time since which the order that was taken last has been in force."""
     resumed: bool = False
-    """Whether the order was in force before a restart of the station, and was not given since."""
+    """Whether the order was in force before a restart of the station, and no caller has armed since."""
     _before: Order | None = None
     _before_since_s: float = float("-inf")
     _doubts: deque[Doubt] = field(default_factory=lambda: deque(maxlen=64))
@@ -102,24 +102,24 @@ class Orders:
             self.order, self.runs_left, self.since_s = None, None, now_s
 
     def doubt(self, edge_s: float, published_s: float, why: str) -> None:
-        """Note that a board may have passed without a run, and when callers could first know of it."""
+        """Record that a board may have passed without a run, and when callers could first know of it."""
         self._doubts.append(Doubt(edge_s, published_s, why))
 
     def doubt_of(self, since_s: float, barrier_s: float) -> str | None:
-        """Return why the board id of an order is not certain for a board; None if it is certain.
+        """Return why it is not certain that the board id of an order belongs to a board; None if it is certain.
 
         Args:
             since_s: time since which the order was in force.
             barrier_s: time at which the board met the barrier.
         """
-        # An order counts boards from its own acceptance on, or from that of its caller's knowledge. A board that passed
-        # unnoticed may have been the one for which the order was given.
+        # An order counts boards from the time at which it was accepted, or until which its caller knew all missed
+        # boards. A board that passed unnoticed may have been the one for which the order was given.
         why = (d.why for d in reversed(self._doubts) if d.edge_s < barrier_s and since_s <= d.published_s)
         return next(why, None)
 
     @property
     def present_doubt(self) -> str | None:
-        """Why the armed board id may not be that of the next board; None if it certainly is, or if none is armed."""
+        """Return why the armed board id may not be that of the next board; None if it is certain, or none is armed."""
         if self.order is None or self.order.board_id is None:
             return None
         return self.doubt_of(self.since_s, float("inf"))
@@ -178,7 +178,7 @@ class OrderFactory:
             InputError: the board type has too few fiducials to be placed.
             StateError: the method needs a reference that is missing or unusable.
         """
-        # Files of the directory may be older than this rule, or written by hand.
+        # Files in the directory may be older than this rule, or written by hand.
         refuse_unplaceable(board_type, "board type")
         method = self._references.method(board_type.name) or self._method
         reference, notes = self._reference(board_type, method)
@@ -202,8 +202,8 @@ class OrderFactory:
     ) -> tuple[StoredReference | None, tuple[Reason, ...]]:
         """Return the reference of a board type, and reasons that its runs must show.
 
-        Without a usable reference, the first value is None. If a reference exists but is unusable, a reason says
-        why. If the method needs a reference, both cases raise `StateError` instead.
+        Without a usable reference, the first value is None. If there is a reference that is not usable, a reason says
+        why. If the method needs a reference, `StateError` is raised in both cases.
         """
         if not METHODS[method].reference:
             return None, ()

@@ -1,7 +1,7 @@
 """How many boards interrupted the barrier during one run, from the times of the edges and the motion of the belt.
 
-One board may interrupt the barrier several times, if it has cut-outs; two boards that touch interrupt it once. So not
-the edges are counted but the lengths: everything within one length of the board after a leading edge is that board.
+One board may interrupt the barrier several times, if it has cut-outs. Two boards that touch interrupt it only once.
+Therefore boards are counted by length: everything within one board's length after a leading edge is the same board.
 """
 
 from __future__ import annotations
@@ -20,26 +20,28 @@ from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import BoardType, Stitch
 
 LENGTH_SHARE, LENGTH_MM = 0.1, 5.0
-"""A passage is longer than its board if it exceeds the board's length by this share and by this length in mm, which
-cover errors of the belt's speed between barrier and cameras, of the outline, and the width of the barrier."""
+"""A passage is longer than its board only if it exceeds the board's length by this share and by this length in mm.
+
+These margins cover errors of the belt's speed between barrier and cameras, errors of the outline, and the width of the
+barrier."""
 
 PositionMm = Callable[[float], float]
-"""Function from a time in s since row 0 to the belt's way along the motion in mm."""
+"""Function from a time in s since row 0 to the distance, mm, that the belt has moved along the motion."""
 
 
 class Passage(NamedTuple):
-    """What passed the barrier during one run."""
+    """The boards that passed the barrier during one run, as far as its interruptions show them."""
 
     boards: int
     """Count of boards, at least 1."""
     leading_s: tuple[float, ...]
-    """Times of the leading edges of the boards, s since row 0; of touching boards only the first is known."""
+    """Times of the leading edges of the boards, s since row 0. Of boards that touch, only the first edge is known."""
     lengths_mm: tuple[float, ...]
-    """Length of each interruption that ended; of an open one, up to the end of the run."""
+    """Length of each interruption that ended; of one that has not ended, the length up to the end of the run."""
     gaps_mm: tuple[float, ...]
     """Distance between consecutive interruptions."""
     limit_mm: float
-    """Greatest length of one board in the barrier."""
+    """Greatest length of one board in the barrier, mm."""
 
 
 def measure_passage(interruptions: tuple[Interruption, ...], end_s: float, way: PositionMm, limit_mm: float) -> Passage:
@@ -48,7 +50,7 @@ def measure_passage(interruptions: tuple[Interruption, ...], end_s: float, way: 
     Args:
         interruptions: interruptions of the barrier, s since row 0, not empty.
         end_s: time of the end of the run, up to which an open interruption is known to last.
-        way: the belt's way over time.
+        way: distance that the belt has moved, over time.
         limit_mm: greatest length of one board in the barrier.
     """
     spans = [(way(b), way(max(end_s, b) if c is None else c)) for b, c in interruptions]
@@ -56,13 +58,13 @@ def measure_passage(interruptions: tuple[Interruption, ...], end_s: float, way: 
     for (blocked_s, clear_s), (from_mm, to_mm) in zip(interruptions, spans, strict=True):
         apart = from_mm - start_mm > limit_mm
         if not apart and (clear_s is None or to_mm - start_mm <= limit_mm):
-            continue  # a cut-out of the same board lies before this part of it
+            continue  # This is a later part of the same board, after a cut-out.
         if clear_s is None:
-            boards += 1  # it may be stuck, so its length shows nothing
+            boards += 1  # The board may be stuck, so its length shows nothing.
         elif apart:
             boards += max(1, math.ceil((to_mm - from_mm) / limit_mm))
         else:
-            # It begins within the length of the board and ends beyond it: further boards touch the board, or nearly.
+            # It begins within the length of the board and ends beyond it: further boards touch this board, or nearly.
             boards += max(1, math.ceil((to_mm - start_mm) / limit_mm) - 1)
         start_mm = max(from_mm, to_mm - limit_mm)
         leading.append(blocked_s)
@@ -91,7 +93,7 @@ def limit_of(board_type: BoardType, line: Line, stitch: Stitch | None) -> float:
 
 
 def way_of(line: Line, stitch: Stitch | None, times_s: Floats) -> PositionMm:
-    """Return the belt's way over time: as measured from the pictures, or at the nominal speed if there is no result.
+    """Return the belt's distance over time: as measured from the pictures; without a result, at the nominal speed.
 
     Args:
         line: nominal velocity.
@@ -103,7 +105,7 @@ def way_of(line: Line, stitch: Stitch | None, times_s: Floats) -> PositionMm:
         return lambda time_s: nominal_mm_s * time_s
     centre_mm = np.zeros(2) if stitch.tester_from_cad is None else stitch.tester_from_cad(np.zeros(2))
     ways_mm = np.array([apply(m, centre_mm) for m in stitch.row_motion]) @ _direction(line)
-    # Before the first row and after the last one the belt is taken to run as it did on average.
+    # Before the first row and after the last one, the belt is assumed to move at its mean speed.
     mean_mm_s = float((ways_mm[-1] - ways_mm[0]) / (times_s[-1] - times_s[0]))
 
     def way(time_s: float) -> float:

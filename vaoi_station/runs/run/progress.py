@@ -22,7 +22,7 @@ from vaoi_station.stitching.matching.evidence import FrameKey, Task
 from vaoi_station.stitching.work import all_tasks, possible_tasks
 
 WHOLE = frozenset({"clear", "single"})
-"""Values of `controller.RunEnded.reason` for a regular end of the pulses: the run shows all that passed."""
+"""Values of `controller.RunEnded.reason` for a regular end of the pulses: the run shows everything that passed."""
 
 
 @dataclass
@@ -63,7 +63,7 @@ class Progress:
     concluding: bool = False
     """Whether the conclude job was made."""
     done: bool = False
-    """Whether the run waits only for earlier runs to end."""
+    """Whether the run is complete and only waits until earlier runs have ended."""
     conclude_ms: float = 0.0
     ready_s: float | None = None
 
@@ -118,7 +118,8 @@ class Progress:
         self.settled_s[key] = report.host_time_s
         if report.frame.verdict is not Verdict.OK or key[1] not in self.pulses:
             return []
-        # A frame without a reported pulse has no time before the final report, so `settle` has returned for it above.
+        # A frame without a reported pulse has no time before the final report, so `settle` has already returned for it
+        # above.
         self.linkable.add(key)
         return self._jobs_for(key[0], possible_tasks(key, self.linkable, self._times_s(), self.order.setup))
 
@@ -189,10 +190,10 @@ class Progress:
         return ConcludeJob(self.context, self.recorded.head, slots, self.canonical_evidence, excluded, self._check())
 
     def _check(self) -> CheckJob | None:
-        """Return the calibration check that follows the conclusion; None if the run would be no evidence.
+        """Return the calibration check that follows the conclusion; None if the run would give no evidence.
 
         A single camera has no neighbour that could show its displacement. A run that was cut short shows a part of its
-        board: what fits this part may fit the cameras badly, and look like a drift.
+        board: a solution that fits this part well may fit the cameras badly, which looks like a drift.
         """
         assert self.recorded is not None, "a run is concluded after it was filmed"
         if len(self.order.setup.cameras) < 2 or self.recorded.reason not in WHOLE:
@@ -219,7 +220,7 @@ class Progress:
             self.faults.append(reason)
 
     def weaken_result(self) -> None:
-        """Degrade an ok result of a run with faults: callers that read only the matrices must not find them sound."""
+        """Degrade an ok result of a run with faults: callers that read only the matrices must notice the faults."""
         if self.result is None or not self.faults or self.result.without_components.status is not Status.OK:
             return
         whole = Stitch.model_validate_json(self.result.document)
@@ -238,7 +239,7 @@ class Progress:
         return None if self.id_doubted else self.order.board_id
 
     def doubt_id(self, why: str) -> None:
-        """Withhold the order's board id, and add the cause to the faults. No effect without an id."""
+        """Withhold the order's board id, and add the cause to the faults. No effect if there is no id."""
         if self.order.board_id is None or self.id_doubted:
             return
         self.id_doubted = True
@@ -252,8 +253,8 @@ class Progress:
 
     def _add_error(self, error: VaoiError) -> None:
         self.add_fault(Reason.of(error))
-        # A task that fails only loses its evidence. A task that killed its workers makes the run unstitchable, because
-        # the conclusion reads the same frames and would kill workers too.
+        # A task that fails only loses its evidence. A task whose workers died makes the run unstitchable: the
+        # conclusion reads the same frames, and workers would die in it too.
         self.unstitchable = self.unstitchable or error.code == "worker-lost"
 
     def _jobs_for(self, camera: int, tasks: Iterable[Task]) -> list[LinkJob]:

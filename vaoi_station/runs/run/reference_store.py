@@ -24,7 +24,7 @@ from vaoi_station.stitching.recordings.reference_directory import open_reference
 from vaoi_station.store import Store
 
 KEEP = "keep-all"
-"""Name of an empty file in the directory of references; while it exists, no reference is deleted."""
+"""Name of an empty file in the directory of references. While it exists, no reference is deleted."""
 _METHOD: TypeAdapter[MethodName] = TypeAdapter(MethodName)
 
 
@@ -99,7 +99,8 @@ class ReferenceStore:
     def drop(self, board_type: str) -> None:
         """Remove the assignment of a reference to a board type, if there is one. The directory stays until `sweep`."""
         self._kept.drop_reference(board_type).result()
-        # An order or a run that still uses it has a copy of its own; the cache alone would keep the directory for ever.
+        # An order or a run that still uses the reference has its own copy. The cache alone would keep the directory for
+        # ever.
         with self._lock:
             self._opened.pop(board_type, None)
 
@@ -109,7 +110,8 @@ class ReferenceStore:
         `in_use` contains the ids of reference runs that orders and runs still use.
         """
         with self._lock:
-            # A database that begins anew assigns no reference: without this, the next sweep would delete all of them.
+            # If the database was replaced by an empty one, no reference is assigned: without this file, the next sweep
+            # would delete all of them.
             keep = self._directory / KEEP
             if self._store.notices and self._directory.is_dir():
                 keep.touch()
@@ -119,7 +121,7 @@ class ReferenceStore:
             opened = {stored.run for _, stored in self._opened.values()}
             for path in self._directory.glob("*"):
                 if path.name not in named | opened | {*in_use}:
-                    shutil.rmtree(path, ignore_errors=True)  # retried at the next sweep
+                    shutil.rmtree(path, ignore_errors=True)  # This is tried again at the next sweep.
 
 
 def _digest_of(directory: Path) -> str:

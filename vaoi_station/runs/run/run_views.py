@@ -79,12 +79,12 @@ def detail_of(progress: Progress) -> RunDetail:
         calibration=order.calibration_digest,
         made_with=made_with(order),
         unseen=unseen_of(progress.stitch),
-        stored=False,  # set by the archive, which knows
+        stored=False,  # Set by the archive, which has this information.
     )
 
 
 def made_with(order: Order) -> MadeWith:
-    """Return what the runs of an order are made with, and the present state of the clock."""
+    """Return the documents with which the runs of an order are made, and the present state of the clock."""
     clock, reference = clock_state(), order.reference
     return MadeWith(
         configuration=order.configuration_digest,
@@ -128,7 +128,8 @@ def reasons_of(progress: Progress) -> tuple[Reason, ...]:
     """
     stitch = progress.stitch
     recorded = progress.recorded
-    # Doubts of the recording and faults of the run are reasons of the result too. Here they have codes and actions.
+    # Doubts of the recording and faults of the run are reasons of the result too. From here they have codes and
+    # actions.
     known = {*(recorded.head.doubts if recorded else ()), *(fault.message for fault in progress.faults)}
     words = []
     if stitch:

@@ -20,7 +20,7 @@ def camera_heads(config: StationConfig) -> tuple[CameraHead, ...]:
 def early_end_reason(report: RunFinished) -> Reason | None:
     """Return a reason if the pulses of a run ended although the board may not have left; None for a normal end."""
     if report.reason in WHOLE or report.reason == "max-rows":
-        return None  # `BoardAccount` gives the reason of a run with too many rows
+        return None  # The reason of a run with too many rows comes from `BoardAccount`.
     return Reason(
         code="run-cut-short",
         message=f"After row {report.head.rows - 1} nothing more was filmed: {report.reason}.",

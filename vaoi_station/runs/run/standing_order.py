@@ -1,4 +1,4 @@
-"""The order in force, kept over a restart: what was armed is armed again, or the reason is shown."""
+"""The order in force, stored for a restart: the line is armed again with it, or the reason why not is shown."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ CODE = "not-armed-again"
 
 
 class _Armed(BaseModel):
-    """The order as it is stored."""
+    """The order in the form in which it is stored."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -31,7 +31,7 @@ class _Armed(BaseModel):
 
 @dataclass(frozen=True)
 class Resumed:
-    """What a start has made of the order that was in force: the order, or why it cannot be taken up."""
+    """The order that was in force before a restart, ready to be armed again, or the reason why it cannot be."""
 
     order: Order | None
     runs: int | None
@@ -39,13 +39,13 @@ class Resumed:
 
 
 class StandingOrder:
-    """Keeps the order in force in the database. Writing does not wait for the disk."""
+    """Stores the order in force in the database. Callers do not wait for the disk."""
 
     def __init__(self, documents: StandingDocuments) -> None:
         self._documents = documents
 
     def keep(self, order: Order, runs: int | None) -> None:
-        """Keep an order, with the number of boards that are still to be filmed for it."""
+        """Store an order, with the number of boards that are still to be filmed for it."""
         armed = _Armed(
             board_type=order.board_type.name,
             board_id=order.board_id,
@@ -56,7 +56,7 @@ class StandingOrder:
         self._documents.set(_KEY, armed.model_dump_json())
 
     def drop(self) -> None:
-        """Forget the order, because the line was disarmed."""
+        """Delete the stored order, because the line was disarmed."""
         self._documents.set(_KEY, None)
 
     def resume(
@@ -64,7 +64,7 @@ class StandingOrder:
         get_board_type: Callable[[str], BoardType],
         make_order: Callable[[BoardType, str | None, str | None], Order],
     ) -> Resumed | None:
-        """Make the order anew that was in force when the station ended; None if the line was not armed."""
+        """Make the order that was in force when the station ended again; None if the line was not armed."""
         document = self._documents.get(_KEY)
         if document is None:
             return None

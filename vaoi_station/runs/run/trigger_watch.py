@@ -1,7 +1,7 @@
 """Warnings from the trigger proofs of runs.
 
-A doubt about the frames of a camera raises one. The next run that has frames of this camera, and no doubt about them,
-ends it.
+A doubt about the frames of a camera begins a warning. The next run that has frames of this camera without a doubt ends
+it.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class TriggerChanges(NamedTuple):
 
 
 class TriggerWatch:
-    """The doubts that the newest proof of each camera leaves. Used by the coordinator's thread only."""
+    """The doubts about each camera in its newest proof. Used by the coordinator's thread only."""
 
     def __init__(self, names: Sequence[str]) -> None:
         """Begin without doubts; `names` are the cameras' names in messages."""

@@ -18,7 +18,8 @@ def utc(moment: datetime | None = None) -> str:
 
 def utc_of_host(host_s: float) -> str:
     """Format a recent host time, a value of time.monotonic(), as RFC 3339 in UTC."""
-    # The two clocks are compared now. If the wall clock was set since `host_s`, the time is wrong by that step.
+    # The two clocks are compared now. If the wall clock was set since `host_s`, the returned time is wrong by that
+    # step.
     return utc(datetime.now(UTC) - timedelta(seconds=time.monotonic() - host_s))
 
 
@@ -41,7 +42,7 @@ class RunIds:
 
 
 def earliest_id(time_s: float) -> str:
-    """Return a text that sorts before the run ids assigned since a time, in s since 1970, and after all others."""
+    """Return a text that sorts before all run ids assigned from a time (s since 1970) on, and after all earlier ids."""
     return _text(max(int(time_s * 1000), 0), _TIME_DIGITS)
 
 

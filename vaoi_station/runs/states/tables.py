@@ -122,14 +122,14 @@ STATION: Table[StationState, StationStep] = Table(
         (_S.ARMING, _E.DISARMED): _S.IDLE,
         (_S.ARMING, _E.FAULT): _S.FAULTED,
         (_S.ARMING, _E.STOP): _S.STOPPING,
-        # A new order while armed applies to the boards that come from then on.
+        # An order that is given while the line is armed applies to the boards that come from then on.
         (_S.ARMED, _E.ARM): _S.ARMED,
         (_S.ARMED, _E.BOARD_ARRIVED): _S.FILMING,
         (_S.ARMED, _E.RING_FULL): _S.BLOCKED,
         (_S.ARMED, _E.DISARMED): _S.IDLE,
         (_S.ARMED, _E.FAULT): _S.FAULTED,
         (_S.ARMED, _E.STOP): _S.STOPPING,
-        # Boards may follow closely: the next board may arrive while late frames of the previous one are awaited.
+        # Boards may follow closely: the next board may arrive while late frames of the previous board are awaited.
         (_S.FILMING, _E.BOARD_ARRIVED): _S.FILMING,
         (_S.FILMING, _E.BOARD_FILMED): _S.ARMED,
         (_S.FILMING, _E.DISARMED): _S.IDLE,
@@ -173,7 +173,7 @@ RUN: Table[RunState, RunStep] = Table(
         (_R.DEGRADED, _H.MEMORY_TAKEN): _R.GONE,
         (_R.FAILED, _H.RELEASE): _R.RELEASED,
         (_R.FAILED, _H.MEMORY_TAKEN): _R.GONE,
-        # A second release is legal, so that a caller may retry after a lost reply.
+        # A second release is legal, so that a caller may repeat it after a lost reply.
         (_R.RELEASED, _H.RELEASE): _R.RELEASED,
         (_R.GONE, _H.RELEASE): _R.GONE,
     },

@@ -38,7 +38,8 @@ class RunContext:
 
 @dataclass(frozen=True)
 class LinkJob:
-    """Perform all stitching tasks that one new frame makes possible; in one job, so that the frame is prepared once.
+    """Perform all stitching tasks that one new frame makes possible. They are one job, so that the frame is prepared
+    once.
 
     The reply's value is a tuple with one `Linked` per task, in the order of `tasks`.
     """
@@ -94,7 +95,7 @@ class GatherJob:
 
 @dataclass(frozen=True)
 class ConcludeJob:
-    """Compute the result of a run from its evidence, and from its frames, in which the fiducials are measured again.
+    """Compute the result of a run from its evidence, and from its frames, in which fiducials are measured again.
 
     The reply's value is a `Concluded`. If `check` is given, a second reply follows, whose value is a `RunCheck`.
     """
@@ -106,7 +107,7 @@ class ConcludeJob:
     linked: Mapping[Task, Linked]
     """Evidence of all tasks; the pool sends the job `without` the evidence that the worker holds already."""
     excluded: Set[Task] = frozenset()
-    """Tasks that the result must not use: other tasks replaced them because frames or pulses were missing."""
+    """Tasks that the result must not use, because frames or pulses were missing and other tasks replaced them."""
     check: CheckJob | None = None
     """The calibration check that the worker performs with the same evidence after it has sent the result; or None."""
 
@@ -155,7 +156,7 @@ class CheckJob:
 
     run: str
     time: str
-    """Time at which the conclusion was requested (UTC), stored with the check."""
+    """Time at which the conclusion was requested (UTC); it is stored with the check."""
     board_type: str
     """Digest of the run's board type."""
     calibration: str
@@ -253,7 +254,7 @@ class Reply:
 def check_after(job: Job, reply: Reply) -> CheckJob | None:
     """Return the calibration check that the worker performs after this reply; None if there is none.
 
-    A failed result is no evidence of where the cameras are: the board was not recognised, or is hardly in the picture.
+    A failed result gives no evidence about the cameras: its board was not found, or is hardly in the picture.
     """
     if not isinstance(job, ConcludeJob) or reply.error is not None:
         return None

@@ -2,9 +2,9 @@
 
 Jobs wait in the pool, not in the pipes to the workers. A worker has one job at a time. A worker that performs a link
 job may get a second link job, so that it need not wait for the pool in between. The pool detects the end of a worker at
-once by the sentinel of its process. The worker's jobs then go to another worker, and the process is restarted. A job
-whose workers died `MAX_ATTEMPTS` times is given up with an error. A job that takes much longer than usual
-(`worker.OVERDUE_S`) is repeated by an idle worker; its own worker is killed once it is certain that it hangs.
+once by the sentinel of its process. The worker's jobs then go to another worker, and the process is restarted. If
+`MAX_ATTEMPTS` workers died during a job, the job is given up with an error. A job that takes much longer than usual
+(`worker.OVERDUE_S`) is repeated by an idle worker. The first worker is killed once it is certain that it hangs.
 
 No call waits for a worker: a worker that hangs, or is stopped in the middle of an answer, blocks no thread of the
 station.
@@ -80,7 +80,7 @@ class WorkerPool:
     def start(self, events: WorkerEvents) -> None:
         """Start the workers, and report to `events`. Jobs may be submitted before the workers are ready."""
         self._events = events
-        # Workers ignore SIGTERM and SIGINT. Without this exit handler they would survive a station that exits by an
+        # Workers ignore SIGTERM and SIGINT. Without this exit handler, they would survive a station that exits by an
         # exception.
         atexit.register(self.stop, 0.0)
         self.thread.start()
@@ -91,9 +91,9 @@ class WorkerPool:
             return all(w.ready for w in self._workers)
 
     def warm(self) -> bool:
-        """Return whether boards may be filmed: every worker is ready that has not failed, at least one.
+        """Return whether boards may be filmed: at least one worker is ready, and each other one is ready or has failed.
 
-        A worker that ends again and again must not keep the station from filming with the others.
+        A worker that ends again and again must not prevent the station from filming with the others.
         """
         with self._lock:
             return any(w.ready for w in self._workers) and all(w.ready or w.restarts for w in self._workers)
@@ -185,7 +185,7 @@ class WorkerPool:
                 self._dispatch()
 
     def _pause_s(self) -> float:
-        """Return the time until a liveness check, a restart or an overdue job is due at the latest."""
+        """Return the time until the next liveness check, restart or overdue job, s."""
         now_s = time.monotonic()
         restarts_s = [w.backoff.remaining_s() for w in self._workers if w.process is None]
         with self._lock:
@@ -197,7 +197,7 @@ class WorkerPool:
         try:
             process, pipe = start_process(worker.index, self._ring_path)
         except OSError as fault:
-            # Too little memory, or too many processes or files: this may pass.
+            # There is too little memory, or there are too many processes or files. This may pass.
             worker.backoff.record_failure()
             self._report_end(f"Worker {worker.index} could not be started ({fault}); it is tried again.")
             return
@@ -224,7 +224,7 @@ class WorkerPool:
         with self._lock:
             if isinstance(message, Reply) and worker.jobs:
                 queued, worker.since_s = worker.jobs.popleft(), time.monotonic()
-                # A job that was repeated has two replies, of which the first counts.
+                # A job that was repeated has two replies. The first one counts.
                 first, queued.done = not queued.done, True
                 if first:
                     self._queues.share_evidence(worker, queued.job, message)
@@ -267,7 +267,8 @@ class WorkerPool:
         now = time.monotonic()
         with self._lock:
             busy = bool(worker.jobs) or not worker.ready
-            # All was done by other workers that began later: this one does not merely wait for a busy computer.
+            # Another worker that began later has done all of it. So this worker does not merely wait for a busy
+            # computer.
             outrun = worker.ready and busy and all(queued.done for queued in worker.jobs)
         since_s = worker.since_s if busy else worker.pinged_s
         limit_s = REPEATED_LIMIT_S if outrun else JOB_LIMIT_S if worker.ready else START_LIMIT_S
@@ -361,7 +362,7 @@ class WorkerPool:
             if job.run not in worker.opened:
                 opening = self._queues.runs.get(job.run)
                 if opening is None:
-                    return  # the run was closed while an overdue worker had the job: no part of the station needs it
+                    return  # The run was closed while an overdue worker had the job. The job is no longer needed.
                 worker.opened.add(job.run)
                 self._send(worker, opening)
             there = worker.evidence.setdefault(job.run, set())
@@ -383,7 +384,7 @@ class WorkerPool:
 
     def _abandoned(self) -> list[Queued]:
         with self._lock:
-            # A job that is repeated is at two workers; it is reported once.
+            # A job that is repeated is at two workers. It is reported only once.
             under_way = {id(q): q for w in self._workers for q in w.jobs if not q.done}
             left = [*under_way.values(), *self._queues.emptied()]
             for worker in self._workers:

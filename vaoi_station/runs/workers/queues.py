@@ -2,7 +2,8 @@
 
 Every queue has a bound. Link and gather jobs are at most those of the runs in the ring, and end with their run; each
 run has one conclude job; pictures are limited by `MAX_PICTURES`; checks are parts of conclude jobs and never wait.
-Jobs wait by the worker to which they are assigned, so that a choice takes the same time however many wait.
+There is a separate queue for each assigned worker, so that the time for a choice does not depend on the number of
+waiting jobs.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from vaoi_station.runs.workers.jobs import ConcludeJob, GatherJob, Job, LinkJob,
 from vaoi_station.runs.workers.worker import Queued, Worker
 
 MAX_PICTURES = 64
-"""Largest number of waiting render jobs. The station renders a few at a time; a caller beyond this is refused."""
+"""Largest number of waiting render jobs. The station renders only a few at a time; further requests are refused."""
 
 
 class JobQueues:
@@ -44,7 +45,7 @@ class JobQueues:
 
     def put_back(self, queued: Queued) -> None:
         """Put a job whose worker has died at the front of its queue, unless its run has been closed meanwhile."""
-        # Jobs of a closed run are of no use, and the set-up that a worker needs for them is gone.
+        # The job of a closed run is not needed, and the set-up that a worker needs for it is no longer there.
         if not self._is_closed(queued.job):
             self._queue_of(queued).appendleft(queued)
 
@@ -70,12 +71,12 @@ class JobQueues:
         if worker.jobs[0].job.priority is not Priority.LINK or self.waiting(Priority.CONCLUDE):
             return None
         mine = self._queues[Priority.LINK][worker.index]
-        # The set-up of a run is large. A worker that does not have it yet receives it when it is idle.
+        # The set-up of a run is large. A worker without it receives it when it is idle.
         return mine.popleft() if mine and not worker.overdue and mine[0].job.run in worker.opened else None
 
     def share_evidence(self, worker: Worker, job: Job, reply: Reply) -> None:
         """Record that a worker holds the evidence of its link job, and queue a gather job for the concluding worker."""
-        # A reply that arrives after the run was closed must not add an entry for the run: it would never be removed.
+        # A reply that arrives after the run was closed must not add an entry for the run, which would never be removed.
         if not isinstance(job, LinkJob) or reply.error is not None or job.run not in self.runs:
             return
         worker.evidence.setdefault(job.run, set()).update(job.tasks)
@@ -147,14 +148,14 @@ class JobQueues:
         job, own = queue[0].job, self._workers[home]
         away = not own.ready or own.overdue
         if isinstance(job, ConcludeJob):
-            # Another worker must first receive all evidence. This takes less time than to wait until the assigned
-            # worker has finished a picture or a check, but more than to wait for a link or gather job.
+            # Another worker must first receive all evidence. This takes less time than waiting until the assigned
+            # worker has finished a picture or a check, but more than waiting for a link or gather job.
             return away or (own.job is not None and own.job.job.priority > Priority.GATHER)
         if isinstance(job, GatherJob):
             return False
         # A single waiting job is left to the assigned worker, which may have its frames prepared already. If more jobs
-        # wait, they would wait too long. A check takes longer than a link job, so the first frames of the next board do
-        # not wait for it.
+        # wait, the wait would be too long. A check takes longer than a link job, so the first frames of the next board
+        # do not wait for it.
         checking = own.job is not None and own.job.job.priority is Priority.CHECK
         return away or checking or len(queue) > 1
 

@@ -1,7 +1,7 @@
 """Warm-up of a worker: it stitches a small synthetic board before it reports that it is ready.
 
-The warm-up loads libraries and compiles functions that are compiled at their first use. So the first real frame takes
-no longer than later frames.
+The warm-up loads libraries, and calls the functions that are compiled at their first call. So the first real frame
+takes no longer than later frames.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def warm_up() -> Stitch:
     setup, times_s = _setup(), np.arange(_ROWS, dtype=np.float64) * _PERIOD_S
     present = [(camera, row) for camera in range(_CAMERAS) for row in range(_ROWS)]
     picture = _picture()
-    # only frames of unlike cameras are resampled, which those of the synthetic board are not
+    # Only frames of cameras that differ are resampled, and the cameras of the synthetic board do not differ.
     resample(picture, np.eye(2, 3), (_RESAMPLED_PX, _RESAMPLED_PX), 1.0)
     _locate_other_marks(picture)
     lens = setup.cameras[0].lens
@@ -43,7 +43,7 @@ def warm_up() -> Stitch:
 
 
 def _locate_other_marks(picture: NDArray[np.uint8]) -> None:
-    """Call what is compiled for marks of any shape; those of the synthetic board are round."""
+    """Call the functions that are compiled for marks of other shapes; the marks of the synthetic board are round."""
     locate_mark(picture, np.array(picture.shape[::-1]) / 2.0, "square", _MARK_MM * _PX_PER_MM)
 
 

@@ -1,4 +1,4 @@
-"""What the pool knows of one worker: its process, its jobs, the data that it holds, and whether it is overdue."""
+"""The pool's data about one worker: its process, its jobs, the data that it holds, and whether it is overdue."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ OVERDUE_S: Mapping[Priority, float] = {
     Priority.RENDER: 3.0,
     Priority.CHECK: 5.0,
 }
-"""Time after which a job is overdue: other workers take what its worker would do next, and an idle one repeats it.
+"""Time after which a job is overdue: other workers take the jobs that wait for its worker, and an idle one repeats it.
 
-It is many times what a job takes. A worker that was only slow finishes its job as well; the first reply counts.
-"""
+This is many times the usual time of a job. A worker that was only slow finishes its job as well; the first reply
+counts."""
 PING_OVERDUE_S = 1.0
 """Time after which an unanswered ping makes an idle worker overdue, so that no job is given to it."""
 
 END_S = 5.0
-"""Longest wait for a killed process. One that the kernel cannot end, such as one that waits for a disk, is given up."""
+"""Longest wait for a killed process. Afterwards it is given up: the kernel cannot end one that waits for a disk."""
 
 
 @dataclass(eq=False)
@@ -49,7 +49,7 @@ class Queued:
     job: Job
     deaths: int = 0
     done: bool = False
-    """Whether the job was answered. A worker that repeats it, or is slow, may still answer it once more."""
+    """Whether the job was answered. A second worker that performs it, or a slow one, may still answer it again."""
     number: int = 0
     """Position in the order in which the jobs were queued."""
 
@@ -57,14 +57,15 @@ class Queued:
     def repeatable(self) -> bool:
         """Whether another worker may perform the job while its worker is overdue.
 
-        Evidence that one worker gathers is of no use to another. The evidence of a check exists in its worker only.
+        Gathered evidence is useful only to the worker that gathers it. The evidence of a check exists only in its
+        worker.
         """
         return not self.done and isinstance(self.job, LinkJob | ConcludeJob | RenderJob)
 
 
 @dataclass
 class Worker:
-    """One worker: its process, the jobs that were given to it, and the data that it holds. It outlives a restart."""
+    """One worker: its process, the jobs that were given to it, and the data that it holds. It is kept over restarts."""
 
     index: int
     process: BaseProcess | None = None
@@ -121,7 +122,7 @@ class Worker:
         return None
 
     def update(self, now_s: float) -> None:
-        """Set `overdue` for a time by time.monotonic()."""
+        """Set `overdue` to whether the worker is overdue at a time by time.monotonic()."""
         due_s = self.due_s()
         self.overdue = due_s is not None and now_s >= due_s
 
@@ -163,6 +164,7 @@ def start_process(index: int, ring: Path) -> tuple[BaseProcess, MessagePipe]:
         here.close()
         raise
     finally:
-        # The child process has a copy of this end. Kept open here, it would keep the pipe open after the child's death.
+        # The child process has a copy of this end. If it were kept open here, the pipe would stay open after the
+        # child's death.
         there.close()
     return process, MessagePipe(here)

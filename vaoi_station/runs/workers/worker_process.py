@@ -43,20 +43,23 @@ def run_worker(connection: Connection[Any, Any], ring_path: str) -> None:
                 if isinstance(message, CloseRun | Ping):
                     gc.collect()
         except (EOFError, BrokenPipeError, ConnectionResetError):
-            # The station has ended without a message; a worker must not outlive it.
+            # The station has ended without a message. A worker must not continue without it.
             return
 
 
 @contextmanager
 def _progress_sent(connection: Connection[Any, Any]) -> Iterator[None]:
-    """Report the progress of the warm-up in the context, from a separate thread. The context's end waits for it."""
+    """Report the progress of the warm-up from a thread while the context lasts.
+
+    The context's end waits for the thread.
+    """
     from vaoi_station.compiled import progress
     from vaoi_station.runs.workers.jobs import WorkerStarting
 
     ended = threading.Event()
 
     def send() -> None:
-        # The station has ended: the main thread notices it when it sends that the worker is ready.
+        # The station has ended. The main thread notices this when it reports that the worker is ready.
         with contextlib.suppress(OSError):
             while not ended.wait(PROGRESS_S):
                 connection.send(WorkerStarting(*progress()))

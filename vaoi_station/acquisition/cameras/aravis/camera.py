@@ -1,7 +1,7 @@
-"""A camera of the array that survives the loss of its connection: a supervisor thread opens it again from scratch.
+"""A camera of the array that continues after a loss of its connection: a supervisor thread opens it again from scratch.
 
 The supervisor thread checks a GigE camera four times a second. While the camera is lost, the `AravisCamera` object
-keeps its slots. When the camera replies again, the supervisor opens and configures it anew and gives it the slots
+keeps its slots. When the camera replies again, the supervisor opens and configures it anew and gives the slots to it
 again. Only one camera of the process is opened at a time.
 """
 
@@ -33,15 +33,17 @@ CHECK_S = 0.25
 HEARTBEAT_S = 1.0
 """Interval at which Aravis checks that it still controls a camera. The state that Aravis reports may be this old."""
 TEMPERATURE_S = 5.0
-"""Interval of temperature readings: every feature read costs a round trip (Aravis #253: reading all took 11.8 s)."""
+"""Interval of temperature readings.
+
+Every reading of a feature costs a round trip to the camera; reading all features took 11.8 s (Aravis #253)."""
 PACE = BackoffPolicy(first_s=0.25, longest_s=30.0, proven_s=10.0)
 """Pauses between attempts to open a lost camera. They grow to 30 s, because a camera that refuses its settings will
-probably refuse them again. `ABSENT_S` is the limit for absent cameras.
+probably refuse them again. For absent cameras, the longest pause is `ABSENT_S`.
 """
 ABSENT_S = 2.0
-"""Longest pause between attempts to open a camera that is absent or used by another program: it may be back at any
-time. Also the interval at which the supervisor checks whether a camera that refused its settings has been unplugged.
-"""
+"""Longest pause between attempts to open a camera that is absent or used by another program: it may return at any time.
+
+It is also the interval at which the supervisor checks whether a camera that refused its settings has been unplugged."""
 _ABSENT = frozenset({"camera-absent", "camera-in-use", "camera-lost"})
 
 
@@ -127,7 +129,7 @@ class AravisCamera:
 
     def health(self) -> CameraHealth:
         """Return the state, counts and temperature of the camera. Never block."""
-        # Read once: the supervisor may drop the connection between two uses.
+        # The connection is read only once, because the supervisor may drop it between two uses.
         connection, counts = self._connection, self._counts
         lost = self._fault if connection is None else None
         counters = connection.counters() if connection is not None else {}
@@ -271,7 +273,7 @@ class AravisCamera:
             connection.configure(self._share)
             reading = connection.read_clock(self._epoch_ns)
             connection.start(self._on_slot, self._share)
-        except BaseException:  # also KeyboardInterrupt: release the camera; it is raised on
+        except BaseException:  # also KeyboardInterrupt: release the camera, then raise it again
             connection.close()
             raise
         self._identity = connection.identity

@@ -51,7 +51,8 @@ def find_clock(camera: Any, name: str) -> CameraClock:
     """Return a `CameraClock` that reads the clock of this camera.
 
     Raises:
-        DeviceError: the camera has no readable clock, so no frame could be assigned to its pulse with proof.
+        DeviceError: the camera has no readable clock, so that it could not be proven which frame belongs to which
+            pulse.
     """
     device = camera.get_device()
     for command, value in LATCHES:

@@ -1,4 +1,4 @@
-"""One connection to one camera, from its opening to its loss. A new `Connection` follows after a loss.
+"""One connection to one camera, from its opening to its loss. After a loss, a new `Connection` is made.
 
 In Aravis only pushing and popping of buffers is thread-safe. So all access to the camera is guarded by one lock. The
 stream's buffers are popped by one thread only, without this lock.
@@ -190,8 +190,8 @@ class Connection:
                 with contextlib.suppress(glib_error()):  # a camera that has just gone cannot be stopped
                     self._camera.stop_acquisition()
             self._stream = self._camera = None
-        # Aravis ends its threads and sockets when the last reference to the camera is gone. PyGObject's wrappers may be
-        # in reference cycles, which only the garbage collector removes.
+        # Aravis ends its threads and sockets when the last reference to the camera is gone. The Python wrappers of
+        # PyGObject may be in reference cycles, which only the garbage collector removes.
         gc.collect()
 
     def _configure_packets(self, share: PortShare) -> None:
@@ -209,7 +209,7 @@ class Connection:
             Setting("GevSCPSPacketSize", size, lambda: camera.gv_set_packet_size(size), camera.gv_get_packet_size),
         )
         self.packet_bytes = size
-        # Without gaps, cameras that share a link starve each other (Aravis #71, #710).
+        # Without gaps between packets, cameras on one link take the bandwidth from each other (Aravis #71, #710).
         delay = network.packet_delay_ns(size, share.cameras, share.link_mbit_s)
         if delay or camera.is_feature_available("GevSCPD"):
             tick_ns = 1e9 / (camera.get_device().get_timestamp_tick_frequency() or 1e9)
@@ -270,7 +270,7 @@ def check_silence(connections: list[Connection], settle_s: float = 0.15, watch_s
     time.sleep(settle_s)
     # No slot is queued yet, so the streams count arriving packets without storing them.
     before = [connection.traffic() for connection in connections]
-    # Nothing signals the absence of packets: only time can show it.
+    # Nothing signals the absence of packets: the only way is to wait and count.
     time.sleep(watch_s)
     for connection, count in zip(connections, before, strict=True):
         if connection.traffic() != count:

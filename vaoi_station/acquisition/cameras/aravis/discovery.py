@@ -1,4 +1,4 @@
-"""Find and open a camera by its address or serial number. The code never takes just any camera that replies."""
+"""Find and open a camera by its address or serial number, never just the first camera that replies."""
 
 from __future__ import annotations
 

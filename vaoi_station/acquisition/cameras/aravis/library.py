@@ -89,7 +89,7 @@ def _gi() -> Any:
     sys.modules["gi"] = module
     try:
         spec.loader.exec_module(module)
-    except BaseException:  # also KeyboardInterrupt: a half initialised module must not stay; it is raised on
+    except BaseException:  # also KeyboardInterrupt: remove the half initialised module, then raise it again
         del sys.modules["gi"]
         raise
     return module

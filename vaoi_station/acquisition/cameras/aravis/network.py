@@ -2,7 +2,7 @@
 
 All cameras of an array expose and send at the same time. Cameras on one port of this computer share its bandwidth:
 after every packet, each camera pauses for the time of one packet of every other camera, so that no switch must buffer
-or drop packets. The first functions of the module only compute; those from `mtu_to` on query this computer.
+or drop packets. The functions before `mtu_to` only compute. Those from `mtu_to` on query this computer.
 """
 
 from __future__ import annotations

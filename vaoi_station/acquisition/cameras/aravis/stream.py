@@ -18,9 +18,9 @@ from vaoi_station.acquisition.cameras.interface import Slot
 POP_US = 50_000
 """Longest wait of the pulling thread for a buffer, in µs; after it the thread checks whether the stream is closed."""
 FILLING_S = 0.25
-"""Time to wait for the end of frames that are being received before buffers are taken back. It is longer than Aravis'
-frame retention.
-"""
+"""Time, s, for which frames that are being received may still end before their buffers are taken back.
+
+It is longer than the time for which Aravis waits for missing packets."""
 
 FAULTS = {
     "timeout": "parts of the frame did not arrive in time",
@@ -116,7 +116,8 @@ class SlotStream:
         # camera.
         if self._ending.is_set():
             return []
-        # Taken back before the thread ends, because the thread pulls the frames that are still being received.
+        # They are taken back before the thread ends, because this thread pulls the frames that are still being
+        # received.
         unused = self.take_back()
         self._ending.set()
         self._thread.join()

@@ -1,8 +1,8 @@
 """Recipes for the hardware trigger, one per make of camera: names of inputs differ, and the order of settings matters.
 
 The steps are the same for all makes: turn the free frame rate off, turn every other trigger off, then set the mode, the
-source and the edge of the frame trigger. Some makes need the mode off while the source changes, and some overlap
-exposure and read-out only if a feature asks for it.
+source and the edge of the frame trigger. Some makes need the mode off while the source changes. Some overlap exposure
+and read-out only if a certain feature is set.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Conversion of the controller's 32-bit ticks to host time, with an error bound.
 
-The counter wraps every 35.8 minutes. The host's time, known to far better than half of that, shows how often it
-has wrapped. The extended ticks are then a device clock like any other (`acquisition.clocks`).
+The counter restarts from 0 every 35.8 minutes. The host's time, which is far more accurate than half of that, shows how
+often it has done so. The extended ticks are then a device clock like any other (`acquisition.clocks`).
 """
 
 from __future__ import annotations
@@ -30,8 +30,9 @@ class TickClock:
         return reading
 
     def device_s(self, tick: int, near_host_s: float) -> float:
-        """Return seconds since the controller's reset, for a tick that occurred within 17 minutes of a host time."""
-        # Before the first reading there is nothing to count wraps from. Any origin will do: the fit finds the offset.
+        """Return the seconds since the controller's reset for a tick that occurred within 17 minutes of a host time."""
+        # Before the first reading, there is no time from which restarts of the counter could be counted. Any origin
+        # will do, because the fit finds the offset.
         if not self._known:
             return tick * TICK_S
         expected = self.model.device_s(near_host_s) / TICK_S

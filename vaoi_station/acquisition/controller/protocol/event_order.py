@@ -1,4 +1,4 @@
-"""Restore the order of events: pass each on once, by its number, although the port may lose or repeat events."""
+"""Restore the order of events: pass on each event once, by its number, although the port may lose or repeat events."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from vaoi_station.acquisition.controller.protocol.messages import Event
 
 
 class EventOrder:
-    """Passes each numbered message of the controller on once, and in order.
+    """Passes on each numbered event of the controller once, and in order.
 
     One object serves one boot of the controller, which numbers its messages from 0 after a reset.
     """

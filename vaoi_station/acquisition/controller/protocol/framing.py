@@ -52,7 +52,7 @@ class FrameReader:
         """Process received bytes, and return the messages that are complete with them."""
         self._bytes += data
         *frames, rest = self._bytes.split(b"\0")
-        # Noise without zeros must not fill the memory. What is kept of it is still too long for a frame.
+        # Noise without zeros must not fill the memory. The part that is kept is still too long for a frame.
         self._bytes = rest[: _CONTENT_LONGEST + 2]
         messages = [(frame, decode(bytes(frame))) for frame in frames if frame]
         self.bad += sum(message is None for _, message in messages)
@@ -66,12 +66,12 @@ def crc16(data: bytes) -> int:
 
 def cobs(content: bytes) -> bytes:
     """Encode at most 253 bytes by COBS, so that the code contains no zero byte."""
-    # Blocks of 254 bytes without a zero, which COBS treats specially, cannot occur in so short a content.
+    # COBS treats blocks of 254 bytes without a zero in a special way. They cannot occur in such a short content.
     return b"".join(bytes([len(part) + 1]) + part for part in content.split(b"\0"))
 
 
 def uncob(frame: bytes) -> bytes | None:
-    """Decode a COBS frame. Return None if the frame is damaged: a code points beyond its end, or it contains a zero."""
+    """Decode a COBS frame; return None if it is damaged (a code points beyond its end, or it contains a zero)."""
     parts: list[bytes] = []
     at = 0
     while at < len(frame):

@@ -1,7 +1,7 @@
 """The host's end of the protocol as a state machine without I/O: one request at a time, repeated until its reply.
 
 Every request may be repeated safely (`hw/protocol.md`), so a lost reply only costs time. A reset of the controller is a
-normal event: the boot counter shows it, pending requests are returned as unanswered, and events count from 0 again.
+normal event: the boot counter shows it, pending requests are reported as unanswered, and events count from 0 again.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Refused:
 class Unanswered:
     """A request without a known outcome: no transmission had a reply, or the controller was reset.
 
-    It may also be a request that the link made itself, such as BEAT; the controller does not reply then either.
+    It may also be a request that the link made by itself, such as BEAT; then too, the controller does not reply.
     """
 
     request: Request
@@ -122,9 +122,10 @@ class Link:
         self._acknowledged = 0
         self._next_heartbeat_s = 0.0
         self._yielding = False
-        """Whether the link's last own request was given up; a queued request is then sent before its next one."""
+        """Whether the link's last own request was given up. A queued request is then sent before the link's next own
+        one."""
         self._out_of_sync = False
-        """Whether a message did not fit the known boot; the next request is then STATUS."""
+        """Whether a message did not fit the known boot of the controller. The next request is then STATUS."""
 
     @property
     def bad_frames(self) -> int:
@@ -133,7 +134,7 @@ class Link:
 
     @property
     def up_to_date(self) -> bool:
-        """Whether all events that the controller is known to have numbered were passed on."""
+        """Whether all events that the controller has numbered, as far as known, were passed on."""
         return not self._out_of_sync and self._order.missing() is None
 
     @property
@@ -182,15 +183,16 @@ class Link:
 
     def _next_request(self, now_s: float) -> _Pending | None:
         """Choose the next request. The link's internal requests come first, except after one that had no reply."""
-        # Giving up takes longer than the interval of the heartbeat, so the next one is always due. Without this rule a
-        # silent controller would be sent nothing but BEAT, and no caller would ever get an outcome.
+        # Giving up takes longer than the interval of the heartbeat, so the next heartbeat is always due. Without this
+        # rule, only BEAT would be sent to a silent controller, and no caller would ever get an outcome.
         own = None if self._yielding and self._queue else self._own_request(now_s)
         if own is not None:
             return own
         if self._queue:
             self._yielding = False
             return self._queue.popleft()
-        # Acknowledgements go last: the firmware overwrites its oldest event anyway and uses them only to count losses.
+        # Acknowledgements go last: the firmware overwrites its oldest event in any case, and uses them only to count
+        # losses.
         if self._acknowledged < self._order.next_number:
             return _Pending(number_request(Type.ACK_EVENTS, self._order.next_number), internal=True)
         return None
@@ -226,12 +228,13 @@ class Link:
                 if refused
                 else self._on_reply(pending, message, now_s)
             )
-        # The checksum fitted by chance, or the device has another protocol. The request stays pending and is repeated.
+        # The checksum was right by chance, or the device has another protocol. The request stays pending and is
+        # repeated.
         except ValueError:
             self.unmatched += 1
             return []
         self._yielding = False
-        # A reset, noticed in the reply, may have replaced the pending request already.
+        # A reset that this reply has shown may have replaced the pending request already.
         if self._pending is pending:
             self._pending = None
         return news

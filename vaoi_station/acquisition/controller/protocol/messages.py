@@ -56,7 +56,7 @@ class Reason(IntEnum):
 
 
 class State(IntEnum):
-    """The state of the controller."""
+    """The state of the controller, as the field `state` of a Status message."""
 
     IDLE = 0
     ARMED = 1
@@ -137,7 +137,8 @@ class _Wire:
 
 @dataclass(frozen=True)
 class Timing(_Wire):
-    """The timing of the rows. Delay, period and tail are ticks or, if the belt sets the spacing, encoder counts."""
+    """The timing of the rows. Delay, period and tail are in ticks or, if the belt sets the spacing, in encoder
+    counts."""
 
     LAYOUT = Struct("<BBHIIIIIIH")
     pacing: int
@@ -289,7 +290,7 @@ def configuration(timing: Timing, steps: Sequence[Step]) -> list[Request]:
     """Return all requests that set and activate a configuration; ValueError if there are too many or too few steps."""
     if timing.steps != len(steps):
         raise ValueError(f"timing.steps is {timing.steps}, but there are {len(steps)} steps")
-    # COMMIT comes last: until then the firmware keeps its old configuration, so a half sent one has no effect.
+    # COMMIT comes last: until then, the firmware keeps its old configuration, so that an incomplete one has no effect.
     return [
         Request(Type.TIMING, timing.pack()),
         *(set_step(k, step) for k, step in enumerate(steps)),

@@ -47,7 +47,7 @@ class SerialController:
         self._thread: threading.Thread | None = None
         try:
             self._supervisor.connect()
-        except BaseException:  # also KeyboardInterrupt: the port must be free again; it is raised on
+        except BaseException:  # also KeyboardInterrupt: free the port, then raise it again
             self._release()
             raise
 
@@ -78,7 +78,7 @@ class SerialController:
                 supervisor.drop_arming()
 
     def fire_one(self) -> None:
-        """Trigger all cameras and LEDs once."""
+        """Trigger all cameras and LEDs once, independent of the barrier."""
         self._do(self._supervisor.fire_one)
 
     def read_clock(self) -> ClockReading:
@@ -116,7 +116,10 @@ class SerialController:
         self._release()
 
     def _do(self, job: Callable[[], T]) -> T:
-        """Let the controller's thread do a job, and wait for it. Raise DeviceError at once if it is not reachable."""
+        """Let the controller's thread do a job, and wait for its outcome.
+
+        Raise DeviceError at once if it is not reachable.
+        """
         if self._thread is None:
             return job()
         with self._supervisor.lock:
@@ -144,7 +147,7 @@ class SerialController:
                     self._supervisor.connect()
                 self._backoff.record_success()
                 self._serve()
-            # A reset is reported by `connect`, which knows whether a run was cut. The port is still open.
+            # `connect` reports a reset, because it knows whether the reset cut a run short. The port is still open.
             except ResetError as error:
                 self._fail_jobs(error)
             except DeviceError as error:

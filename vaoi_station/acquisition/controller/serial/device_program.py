@@ -38,11 +38,11 @@ _FIELDS = {
     8: (_WHERE, "controller.min_gap_s", TICK_S),
     9: (_WHERE, "controller.trigger_us", TICK_S * 1e6),
 }
-"""Field of a refused COMMIT → the file or plan it comes from, its name there, and the size of its unit."""
+"""For each field of a refused COMMIT: the file or plan it comes from, its name there, and the size of its unit."""
 _FIRST_STEP = 16
-"""Fields of a refused COMMIT from here on are steps."""
+"""Fields of a refused COMMIT from this number on are steps."""
 _LARGEST = {2: 0xFFFF, 9: 0xFFFF}
-"""Index of a field → its largest value, for the fields of 16 bits."""
+"""Largest values of the fields with 16 bits, by the index of the field."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ def light_step(name: str, config: ControllerConfig, ident: Ident, period_s: floa
     if period_s is not None:
         share = 1 << ident.led_duty_shift
         limits[_ticks(period_s) >> ident.led_duty_shift] = f"1/{share} of the period of {period_s} s"
-    # Checked here although the firmware checks too: its refusal names one tick limit, not the channel or the period.
+    # The firmware checks this too, but its refusal names only a limit in ticks, not the channel or the period.
     width, most = _ticks(light.on_us * 1e-6), min(limits)
     if not ident.led_shortest <= width <= most:
         why = limits[most] if width > most else "the shortest pulse of its firmware"

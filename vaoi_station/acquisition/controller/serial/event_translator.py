@@ -76,7 +76,7 @@ class EventTranslator:
         self._put = put
 
     def set_lights(self, light: Callable[[int], str], single: str) -> None:
-        """Set the names of the lights: those of the rows, and the one of single pulses."""
+        """Set the names of the lights: `light` returns that of a row, `single` is that of single pulses."""
         self._light, self._single_light = light, single
 
     def translate(self, event: Event, time_s: float) -> None:
@@ -112,7 +112,7 @@ class EventTranslator:
 
     def _barrier(self, event: Event, time_s: float) -> None:
         if event.detail:
-            # A run still under way here means that its end event was overwritten in the firmware's ring of events.
+            # If a run is still under way here, its end event was overwritten in the firmware's ring of events.
             self.end("the controller's report of its end was lost")
             self._running, self._rows = True, 0
             self._emit(BarrierBlocked(next(self._numbers), time_s))
@@ -121,7 +121,7 @@ class EventTranslator:
 
     def _edge(self, event: Event, time_s: float) -> None:
         if event.detail:
-            # An interruption within a run also begins a run whose barrier event was lost.
+            # If the barrier event of a run was lost, an interruption within the run begins it.
             if not self._running:
                 self._running, self._rows = True, 0
             self._emit(BarrierBlockedAgain(next(self._numbers), time_s))
@@ -134,7 +134,7 @@ class EventTranslator:
             self._emit(PulseFired(next(self._numbers), time_s, 0, self._single_light))
             self._emit(RunEnded(next(self._numbers), time_s, 1, "single"))
             return
-        # A pulse also begins a run whose barrier event was lost.
+        # If the barrier event of a run was lost, its first pulse begins it.
         self._running, self._rows = True, event.index + 1
         self._emit(PulseFired(next(self._numbers), time_s, event.index, self._light(event.index)))
 

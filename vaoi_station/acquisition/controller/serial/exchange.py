@@ -122,7 +122,8 @@ class Exchange:
                 f"The serial port {self._name} has gone ({error.strerror}).",
                 action="Plug the controller in again, and check its cable.",
             ) from error
-        # Timed after the wait, directly behind the read: it bounds the reply's arrival for the clock fit.
+        # The time is taken after the wait, directly after the read: it limits when the reply arrived, for the clock
+        # fit.
         messages, now_s = self.link.messages, time.monotonic()
         news = self.link.receive(data, now_s)
         if self.link.messages > messages:

@@ -17,7 +17,7 @@ import serial
 from vaoi_station.errors import DeviceError
 
 WRITE_S = 1.0
-"""A port that does not take a few bytes within this time has failed."""
+"""Longest time for which a port may not accept a few bytes. After it, the port has failed."""
 _CONTROL_FLAGS = 2
 """Index of c_cflag in what `termios.tcgetattr` returns."""
 
@@ -68,7 +68,7 @@ class Port:
         """Count of bytes received since the port was opened."""
 
     def read(self, wait_s: float) -> bytes:
-        """Return the bytes that have arrived. Return none if `wait_s` passes, or if another thread wakes the read."""
+        """Return the bytes that have arrived; none if `wait_s` passes, or if another thread wakes this call."""
         ready = {handle for handle, _ in self._incoming.poll(wait_s * 1000)}
         if self._waker.handle in ready:
             self._waker.clear()
@@ -83,8 +83,8 @@ class Port:
 
     def write(self, data: bytes) -> None:
         """Write all bytes to the serial port."""
-        # Not pyserial's write: it measures its timeout over the whole call, so a process that was stopped (SIGSTOP)
-        # within it would find a stuck port.
+        # pyserial's own write is not used: it measures its timeout over the whole call, so a process that was stopped
+        # (SIGSTOP) within it would report a blocked port.
         while data:
             if not self._outgoing.poll(WRITE_S * 1000):
                 raise OSError(errno.ETIMEDOUT, "the device takes no bytes")
@@ -92,7 +92,7 @@ class Port:
 
     def close(self) -> None:
         """Close the serial port."""
-        with contextlib.suppress(OSError, termios.error):  # it may be gone already
+        with contextlib.suppress(OSError, termios.error):  # the port may have gone already
             self._serial.close()
 
 

@@ -1,7 +1,7 @@
-"""Keep the controller in the wanted state, and restore this state after failures. One thread does all of it.
+"""Keep the controller in the wanted state, and restore this state after failures. All of this happens in one thread.
 
-What has to be done follows from the controller's own status, never from what the host remembers of it: a reset or
-another process may have changed it.
+The supervisor decides by the controller's present status, never by what the host remembers: a reset or another process
+may have changed the state.
 """
 
 from __future__ import annotations
@@ -84,9 +84,10 @@ class Supervisor:
         self.lock = threading.RLock()
         self.arming: Arming | None = None
         self.unavailable: DeviceError | None = None
-        """Why the controller cannot be reached at present; None if it can."""
+        """The error that says why the controller cannot be reached at present; None if it can be reached."""
         self.guard_tripped = False
-        """Whether the controller's guard switched an LED off. It is armed again only after a caller's command."""
+        """Whether the controller's guard switched an LED off. The controller is then armed only by a caller's
+        command."""
         self.publish_reading: Callable[[ClockReading], None] = lambda _reading: None
         """Callback for clock readings after a possible jump of the clock."""
         self.ident: Ident
@@ -95,7 +96,7 @@ class Supervisor:
         """Value of the boot counter in the boot that `timebase` presently maps."""
         self._checked_status: Status | None = None
         self._status_s = time.monotonic()
-        """When the newest status arrived."""
+        """Monotonic time, s, at which the newest status arrived."""
         self._number = randrange(0x10000)
 
     # --- connecting and disconnecting
@@ -113,7 +114,8 @@ class Supervisor:
             arming = self.arming
             self._apply(arming)
             with self.lock:
-                # `disarm` may have been called meanwhile, which only drops the arming: apply the new wish too.
+                # `disarm` may have been called meanwhile; it only drops the arming. So the new wanted state is applied
+                # too.
                 if self.arming is arming:
                     self.unavailable = None
                     return
@@ -131,7 +133,10 @@ class Supervisor:
             exchange.port.close()
 
     def drop_arming(self) -> None:
-        """Set the wanted state to disarmed, and end the run. The controller is disarmed when it can be reached."""
+        """Set the wanted state to disarmed, and end the run.
+
+        The controller is disarmed as soon as it can be reached.
+        """
         self.arming = None
         self.translator.end("disarmed")
 
@@ -148,7 +153,7 @@ class Supervisor:
             self.publish_reading(self.read_clock())
 
     def _apply(self, arming: Arming | None) -> None:
-        """Bring the controller into the wanted state, unless it is already in it."""
+        """Bring the controller into the wanted state, unless it is in this state already."""
         exchange = self._exchange_or_error()
         status = exchange.read_status()
         self.link.heartbeat = arming is not None
@@ -170,7 +175,10 @@ class Supervisor:
         exchange.request(arm(arming.number, program.crc))
 
     def _report_reset(self) -> None:
-        """Report that the controller was reset: why, and what it cost. A run under way ends with the rows it has."""
+        """Report that the controller was reset, its cause and its effects.
+
+        A run under way ends with the rows it has.
+        """
         causes = [words for bit, words in _RESET_CAUSES.items() if self.ident.reset_cause & bit]
         with self.lock:
             cost = (
@@ -195,7 +203,8 @@ class Supervisor:
         """Arm the controller; see `Controller.arm`."""
         program = make_program(plan, self._config, self.ident)
         self._number = (self._number + 1) % 0x10000
-        # A new number for each arming: after a reconnection the status shows whether the firmware is still in this one.
+        # Each arming has a new number: after a reconnection, the status shows whether the firmware is still in this
+        # arming.
         arming = Arming(program, self._number)
         exchange = self._exchange_or_error()
         try:
@@ -242,7 +251,7 @@ class Supervisor:
     # --- events
 
     def poll(self) -> None:
-        """Receive events for a moment. If the controller is not in the wanted state any more, restore the state."""
+        """Receive events for a moment. If the controller is no longer in the wanted state, restore this state."""
         exchange, before = self._exchange_or_error(), self.link.status
         exchange.poll()
         self._check_status()
@@ -270,7 +279,7 @@ class Supervisor:
     def _check_status(self) -> None:
         """Evaluate a new status. End a run whose end was lost, and arm the controller again if it is not armed."""
         status = self.link.status
-        # A status says something about the run only after all events before it, and none after it, were passed on.
+        # A status can be compared with the run only when all events before it, and none after it, were passed on.
         if status is None or status is self._checked_status or self.link.status_is_outdated or not self.link.up_to_date:
             return
         self._checked_status = status

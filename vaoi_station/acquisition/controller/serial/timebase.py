@@ -1,7 +1,7 @@
 """One time axis, in s, for the controller's clock across all its resets.
 
-A reset sets the tick counter to 0. Each boot gets a separate interval on one time axis, far enough from the one
-before that a clock fit recognises the jump (`acquisition.clocks`).
+A reset sets the tick counter to 0. Each boot gets a separate interval on one time axis. The intervals are so far apart
+that a clock fit recognises the jump between them (`acquisition.clocks`).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ BITS_PER_BYTE = 10
 """One start bit, eight data bits, one stop bit."""
 REQUEST_BYTES = 10
 REPLY_BYTES = 14
-"""Sizes of the frames of CLOCK and its reply."""
+"""Bytes of the frame of a CLOCK request, and of the frame of its reply."""
 
 
 class Timebase:
@@ -36,7 +36,8 @@ class Timebase:
         """Add a reply to CLOCK. Return it as a clock reading whose device time is on the time axis."""
         # The tick was read after the whole request had arrived and before the reply began, which narrows the bound.
         earliest_s, latest_s = sent_s + self._request_s, received_s - self._reply_s
-        # A reply faster than the baud rate allows shows a pseudo terminal or native USB; byte times do not apply.
+        # A reply faster than the baud rate allows comes from a pseudo terminal or native USB, where byte times do not
+        # apply.
         if earliest_s > latest_s:
             earliest_s, latest_s = sent_s, received_s
         reading = self._clock.add(tick, earliest_s, latest_s)
