@@ -163,8 +163,7 @@ class Session:
                 self._load_next()
                 self._devices.controller.arm(plan)
             except BaseException as error:  # after any failure the station is not armed; raised again
-                # The controller has already given up its previous plan. If that plan stayed here, it would count as
-                # armed.
+                # The controller has already given up its previous plan. If it stayed here, it would count as armed.
                 self._plan = None
                 if isinstance(error, VaoiError) and before is not None:
                     message = f"the station is not armed: its plan could not be changed: {error.message}"
