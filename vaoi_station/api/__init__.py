@@ -38,7 +38,7 @@ PREFIX = "/api/v1"
 NOT_OPERATIONAL = frozenset({StationState.STARTING, StationState.FAULTED, StationState.STOPPING})
 
 NOT_READY = PASSING | {"camera-lost", "workers-starting", "ring-full", "not-armed-again"}
-"""Codes of reasons and warnings with which the next board would not be filmed completely, or not kept on disk."""
+"""Codes of reasons and warnings with which the next board would not be filmed completely, or not be stored on disk."""
 
 
 def create_app(
@@ -47,7 +47,7 @@ def create_app(
     """Create the web application of a coordinator. The caller starts and stops the coordinator itself.
 
     Clients may address the application by any of `names`, by loopback, by the machine's names and by any IP address.
-    Without `access` every caller may do everything, and there are no keys.
+    Without `access`, every caller may send every request, and there are no keys.
 
     `app.state.hub.close()` ends streams and long polls, so that a server can stop without waiting for them. An event
     of kind "station" with state "stopping" has the same effect.
@@ -93,7 +93,7 @@ def _add_health(app: FastAPI, services: Services) -> None:
         """Return 200 if the station can film, else 503. Process supervisors use this address."""
         response.headers["Cache-Control"] = "no-store"
         if services.coordinator.faults():
-            # Read without the coordinator, whose thread may be the one that hangs.
+            # This is read without the coordinator, because its thread may be the one that hangs.
             response.status_code = 503
             return Health(status="degraded", state=StationState.FAULTED, version=__version__)
         return _health(response, await services.commands.ask(services.coordinator.snapshot), ready_only=False)

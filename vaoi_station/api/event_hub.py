@@ -60,7 +60,7 @@ class EventHub:
         self._listener = ThreadLimit(1)
         self._wakeup = asyncio.Event()
         self._newest = 0
-        # Separate, so that a caller with too many streams can still wait for its next run.
+        # These limits are separate, so that a caller with too many streams can still wait for its next run.
         self.polls = Seats("long polls", MAX_WAITING, MAX_POLLS_OF_CALLER)
         self.streams = Seats("event streams", MAX_WAITING, MAX_STREAMS_OF_CALLER)
         self.closed = False
@@ -80,7 +80,7 @@ class EventHub:
                 await task
 
     def close(self) -> None:
-        """End every event stream and long poll. Must be called from the event loop."""
+        """End all event streams and long polls. Must be called from the event loop."""
         self.closed = True
         self._wakeup.set()
 
@@ -130,5 +130,5 @@ class EventHub:
                 if any(r.kind == "station" and r.state == StationState.STOPPING for r in records):
                     self.close()
             elif time.monotonic() - asked < LISTEN_S / 2:
-                # The call returned early without an event: the log is closed, and no event will follow.
+                # The call returned early without an event: the log is closed, and no further event will come.
                 self.close()

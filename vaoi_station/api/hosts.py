@@ -1,8 +1,8 @@
 """The host names in a request that the station accepts.
 
-A web page can point its own name at the station's address (DNS rebinding). The browser then takes the
-station for the server of that page, and the headers Origin and Host agree. Host still carries the page's name, so the
-station refuses names that are not allowed. A request to an IP address cannot come from such a page.
+A web page can point its own name at the station's address (DNS rebinding). The browser then takes the station for the
+server of that page, and the headers Origin and Host agree. But Host contains the page's name, so the station refuses
+names that are not allowed. A request to an IP address cannot come from such a page.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ def addressed(host: str, names: frozenset[str]) -> bool:
     name = host.strip().lower()
     if not name:
         return True
-    # "[::1]:8350" and "name:8350" carry a port; a bare IPv6 address has several colons.
+    # "[::1]:8350" and "name:8350" contain a port. A bare IPv6 address has several colons.
     if name.startswith("["):
         name = name[1:].partition("]")[0]
     elif name.count(":") == 1:

@@ -64,7 +64,7 @@ def simplified(document: dict[str, Any]) -> dict[str, Any]:
 
 
 def _optional_not_null(schema: dict[str, Any]) -> None:
-    """Turn the fields of an object schema that may be null into optional fields that are never null."""
+    """Change the fields of an object schema that may be null to optional fields that are never null."""
     for name, field in schema.get("properties", {}).items():
         if (schema.get("title"), name) == ("Matrices", "cad_matrix"):
             # The result file uses null here for "no CAD matrix", so clients must expect it.

@@ -1,17 +1,17 @@
 """Checks of every request and security headers of every reply.
 
 - Requests addressed to a host name that is not the station's are refused (`hosts.py`).
-- A request whose length is stated twice (Content-Length and Transfer-Encoding) is refused: a proxy and the station
-  could disagree on where it ends, so that the rest would count as a request of another caller.
-- Bodies are limited in size and time, and in the memory that they take in all and for each caller. A key that appears
-  twice in an object is refused, because JSON readers differ in which value they take. The API accepts
-  JSON only, so a body counts as JSON whatever its Content-Type is: the HTTP libraries of LabVIEW, Delphi and C, and
-  curl, send none or a wrong one.
+- A request that states its length twice (Content-Length and Transfer-Encoding) is refused. A proxy and the station
+  could disagree about its end, so that the rest would count as a request of another caller.
+- Bodies are limited in size and time, and in the memory that they take, in total and for each caller. A key that
+  appears twice in an object is refused, because JSON readers differ in which value they take. The API accepts JSON
+  only, so a body counts as JSON whatever its Content-Type is: the HTTP libraries of LabVIEW, Delphi and C, and curl,
+  send none or a wrong one.
 - Without a check of the Content-Type any web page could send commands from an operator's browser. Browsers send the
   page's Origin, so commands from other origins are refused; programs send no Origin.
-- The same holds for reading: an image on a foreign page would let the station render pictures. Browsers state in
-  Sec-Fetch-Site where a request comes from. Only a link that a person follows is accepted.
-- Answers are handed over in pieces, so that one that is not read takes little memory of the connection.
+- The same holds for reading: an image on a page of another site could make the station render pictures. Browsers state
+  in Sec-Fetch-Site where a request comes from. Only a link that a person follows is accepted.
+- Replies are passed to the connection in pieces, so that a reply that is not read takes little memory.
 - Pages may load nothing from other sites (Content-Security-Policy).
 """
 
@@ -42,14 +42,15 @@ MAX_BODY_BYTES = 8 * 1024 * 1024
 MAX_COMMAND_BYTES = 64 * 1024
 """Largest accepted body of all other requests."""
 BODIES_OF_CALLER, BODIES = 2 * MAX_BODY_BYTES, 4 * MAX_BODY_BYTES
-"""Limits, in bytes, of the bodies that are in memory at a time."""
+"""Limits of the bodies that are in memory at the same time, in bytes: of one caller, and in total."""
 PIECE_BYTES = 128 * 1024
-"""Largest piece in which an answer is handed over to its connection."""
+"""Largest piece in which a reply is passed to its connection, bytes."""
 BODY_LIMIT_S = 20.0
 """Longest accepted time until a body has arrived. On a slow network 8 MB take a second."""
 SAFE = ("GET", "HEAD", "OPTIONS")
 STREAM = "/api/v1/events"
-"""Path of the event stream. HEAD is not answered by way of GET here, because the stream would start and never end."""
+"""Path of the event stream. HEAD requests for it are not handled as GET, because the stream would start and never
+end."""
 
 BOARD_TYPE = re.compile(r"/api/v1/board-types/[^/]+")
 API = "/api/"
@@ -78,7 +79,7 @@ class RequestGuard:
     ) -> None:
         """Wrap `app`; `names` are the accepted host names, by default loopback and the machine's.
 
-        Without `access` every caller may do everything.
+        Without `access`, every caller may send every request.
         """
         self._app = app
         self._names = allowed_names() if names is None else names
@@ -125,7 +126,7 @@ class RequestGuard:
         # More than 15 digits are not converted, since `int` is slow on very long numbers.
         size = int(announced) if announced.isdecimal() and len(announced) <= 15 else limit
         with ExitStack() as memory:
-            # Short bodies are not counted, so that large ones cannot keep a caller from its commands.
+            # Short bodies are not counted, so that large ones cannot prevent a caller's commands.
             if MAX_COMMAND_BYTES < size <= limit:
                 try:
                     memory.enter_context(self._bodies.take(caller_in(scope).name, size))
@@ -164,7 +165,8 @@ class RequestGuard:
                 body = await _read(Headers(scope=scope), receive, limit)
         except TimeoutError:
             detail = f"The body did not arrive within {self._body_limit_s:g} s."
-            # The rest of the body may still arrive. On an open connection it would be read as the next request.
+            # The rest of the body may still arrive. If the connection stayed open, it would be read as the next
+            # request.
             return problem_response(path, "too-slow", detail, headers=CLOSE)
         if body is None:
             return problem_response(path, "too-large", f"The body is larger than {limit} bytes.")
@@ -178,7 +180,8 @@ class RequestGuard:
 
 async def _read(headers: Headers, receive: Receive, limit: int) -> bytes | None:
     """Read the whole body; return None if it is larger than `limit` bytes."""
-    # A large Content-Length refuses the body before it is read. It is only a claim, so the bytes are counted too.
+    # If Content-Length is too large, the body is refused before it is read. The header may be wrong, so bytes are
+    # counted too.
     announced = headers.get("content-length", "")
     if announced.isdecimal() and (len(announced) > 15 or int(announced) > limit):
         return None
@@ -193,7 +196,7 @@ async def _read(headers: Headers, receive: Receive, limit: int) -> bytes | None:
 
 
 def _ambiguous(headers: Headers) -> str | None:
-    """Return what makes the extent or the address of a request ambiguous, or None."""
+    """Return what makes the end or the address of a request ambiguous; None if both are clear."""
     if "transfer-encoding" in headers and "content-length" in headers:
         return "The request has both Content-Length and Transfer-Encoding; send one of them."
     if len(headers.getlist("host")) > 1:
@@ -202,7 +205,7 @@ def _ambiguous(headers: Headers) -> str | None:
 
 
 def _foreign(headers: Headers) -> bool:
-    """Return whether a browser marks the command as coming from a page of another origin."""
+    """Return whether a browser states that the command comes from a page of another origin."""
     # With some requests older browsers send Sec-Fetch-Site but no Origin. Programs send neither.
     origin = headers.get("origin")
     if origin is None:
@@ -217,7 +220,7 @@ def _followed_link(headers: Headers) -> bool:
 
 
 def _in_pieces(send: Send) -> Send:
-    """Return a `send` function that hands a large body over in pieces, each when the caller has read most before it."""
+    """Return a `send` function that sends a large body in pieces, each after most of the previous one was read."""
 
     async def piecewise(message: Message) -> None:
         body = message.get("body", b"")
@@ -259,7 +262,7 @@ def _as_json(scope: Scope) -> Scope:
 
 
 def _replay(body: bytes, receive: Receive) -> Receive:
-    """Return a `receive` function that delivers the body that was read already, and then the messages after it."""
+    """Return a `receive` function that delivers the body that was already read, then the messages that follow."""
     pending = [body]
 
     async def again() -> Message:

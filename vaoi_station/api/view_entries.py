@@ -24,7 +24,10 @@ def covariances(quality: dict[str, Any], address: str) -> dict[tuple[int, int], 
 
 
 def view_entry(k: int, view: View, frame: FrameRecord, url: str, covariance: Covariance | None) -> ViewEntry:
-    """Build the response model of view k. `covariance` is that of the component's centre, `url` the image's address."""
+    """Build the response model for view k.
+
+    `covariance` is that of the component's centre. `url` is the address of the image.
+    """
     return ViewEntry(
         k=k,
         camera=view.camera,
@@ -46,7 +49,10 @@ def view_entry(k: int, view: View, frame: FrameRecord, url: str, covariance: Cov
 
 
 def picture_query(px_per_mm: float | None, min_coverage: float) -> str:
-    """Return the query parameters for the address of an image: those of the list in which the image has index k."""
+    """Return the query parameters for the address of an image.
+
+    They are those of the list of views to which the image's index k refers.
+    """
     # Default values are omitted: one image then has one address, which caches can use.
     asked = {"px_per_mm": px_per_mm} if px_per_mm is not None else {}
     if min_coverage != DEFAULT_COVERAGE:

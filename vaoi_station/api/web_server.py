@@ -17,13 +17,13 @@ from vaoi_station.supervised_thread import SupervisedThread
 _log = logging.getLogger(__name__)
 
 _IP_FREEBIND = 15
-"""Option of Linux for which Python has no name; it also holds for IPv6."""
+"""Number of a socket option of Linux for which Python has no name; it works for IPv6 too."""
 HTTP_GRACE_S = 5.0
-"""Time that requests under way get to finish when the server stops."""
+"""Time, s, in which requests under way may finish when the server stops."""
 SEND_BYTES = 256 * 1024
-"""Memory of the kernel for the unread answer of a connection; it takes twice as much."""
+"""Memory of the kernel for the unread reply of a connection, bytes; the kernel uses twice as much."""
 LOOP_LIMIT_S = 60.0
-"""Longest time for which a request may block the event loop. After it, the server counts as hung."""
+"""Longest time, s, for which a request may block the event loop. After it, the server counts as hung."""
 
 
 class WebServer:
@@ -37,7 +37,7 @@ class WebServer:
         limits: ConnectionLimits | None = None,
         tls: CertificateFiles | None = None,
     ) -> None:
-        """Prepare the server. It calls `ended` when it ends, whatever the cause. With `tls` it speaks TLS only."""
+        """Prepare the server. When it ends, for any cause, it calls `ended`. With `tls` it accepts only TLS."""
         # Imported here: uvicorn takes long to load, and most commands do not serve.
         from vaoi_station.api.listener.server import LimitedServer
 
@@ -78,11 +78,11 @@ class WebServer:
         try:
             self._server.run(sockets=[self._listener])
         finally:
-            # Recorded here: the caller of `stop` may come before this thread has ended.
+            # The failure is recorded here, because `stop` may be called before this thread has ended.
             self._failed = not self._stop_requested
-            # The end is reported here, so the supervisor need not report it once more.
+            # The end is reported here, so that the supervisor need not report it again.
             self.thread.expect_end()
-            # A station without a web server is of no use: this call lets the owner stop the station.
+            # A station without a web server cannot be used: this call lets the owner stop the station.
             self._ended()
 
 
@@ -93,20 +93,20 @@ def open_listener(host: str, port: int, where: str) -> socket.socket:
         DeviceError: the port is in use or not permitted, or the host name is not known yet (code `address-absent`). The
             message names `where`, the place that defines the address.
     """
-    # Opened before the rest starts, so that a port in use is reported at once.
+    # The listener is opened before everything else starts, so that a port in use is reported at once.
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     listener = socket.socket(family, socket.SOCK_STREAM)
     try:
-        # Head and body of an answer are two writes. Without this, Nagle's algorithm keeps the second one back until the
-        # caller's kernel acknowledges the first, which it delays by 40 ms on a connection that is used again.
+        # Head and body of a reply are two writes. Without this option, Nagle's algorithm holds back the second one
+        # until the caller's kernel acknowledges the first. On a connection that is used again, this takes 40 ms.
         listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        # Without a limit the kernel takes several MB for each caller that does not read.
+        # Without a limit, the kernel takes several MB for each caller that does not read.
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BYTES)
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         if family == socket.AF_INET6:
             listener.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
-        # At boot the network may come later than the station. With this option the kernel accepts the address at once,
-        # and connections arrive as soon as an interface has it (ip(7)).
+        # At boot, the network may be ready later than the station. With this option, the kernel accepts the address at
+        # once, and connections arrive as soon as an interface has it (ip(7)).
         listener.setsockopt(socket.IPPROTO_IP, _IP_FREEBIND, 1)
         listener.bind((host, port))
         listener.listen()

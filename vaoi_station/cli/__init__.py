@@ -1,4 +1,7 @@
-"""The command line `vaoi`, one module per command; heavy imports are inside the commands, so that `--help` is fast."""
+"""The command line `vaoi`, with one module per command.
+
+Heavy imports are inside the commands, so that `--help` is fast.
+"""
 
 from __future__ import annotations
 
@@ -40,9 +43,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 _PASSING = frozenset(
     {errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS, errno.ENOMEM, errno.EMFILE, errno.ENFILE, errno.ESTALE}
 )
-"""Errors that may pass without a change of the input; systemd does not restart a service that ends with code 2."""
+"""Errors that may pass without a change of the input.
 
-# Rich tracebacks are off: `main` prints errors itself, in one sentence.
+They must not end the program with code 2, because systemd does not restart a service that ends with code 2."""
+
+# Rich tracebacks are off, because `main` prints errors itself, in one sentence.
 app = typer.Typer(
     name="vaoi",
     help="Inline Video-AOI station: plan it, simulate it, film boards, stitch them, cut component images.",
@@ -102,7 +107,7 @@ def main() -> None:
         sys.stderr.write(f"vaoi: {error}\n")
         sys.exit(2 if isinstance(error, InputError | NotFoundError) else 4 if isinstance(error, InternalError) else 3)
     except OSError as error:
-        # No layer below has described this error of a file or device. Its path is the best information available.
+        # No lower layer has described this error of a file or device. Its path is the best information available.
         sys.stderr.write(f"vaoi: {error.filename or 'the system'}: {error.strerror or error}.\n")
         sys.exit(3 if error.errno in _PASSING else 2)
     except Exception as error:  # any other exception is an internal error; the user still gets one sentence

@@ -40,13 +40,13 @@ FILE_CHECKS: tuple[tuple[str, frozenset[str], Callable[[CheckContext], Iterable[
     ("disk", frozenset({"data"}), storage.data),
     ("shared memory", frozenset({"ring", "line", "cameras"}), memory.ring_space),
 )
-"""Checks of what the file names: name, keys of the file that must be valid for it, and function."""
+"""Checks of the files that station.toml names: name, the keys that must be valid for the check, and the function."""
 
 
 def check_config(path: Path, machine: Machine | None = None) -> list[Finding]:
     """Return the findings of a station.toml: every fault of the file, then those of the files it names.
 
-    Only an error of the TOML syntax hides other faults, because nothing behind it can be read.
+    Only an error of the TOML syntax hides other faults, because the rest of the file cannot be read.
     """
     try:
         data = read_toml(path)
@@ -69,7 +69,7 @@ def _examine(data: dict[str, Any]) -> tuple[list[str], dict[str, Any]]:
     found = _faults(StationConfig, data)
     given = data.get("cameras")
     cameras = given if isinstance(given, list) else []
-    # One by one: the rules of a camera are checked although another camera is faulty.
+    # Cameras are checked one by one, so that one faulty camera does not prevent the check of the others.
     for index, camera in enumerate(cameras):
         if isinstance(camera, dict):
             found |= {("cameras", index, *place): text for place, text in _faults(CameraConfig, camera).items()}
@@ -84,7 +84,7 @@ def _examine(data: dict[str, Any]) -> tuple[list[str], dict[str, Any]]:
     controller = _known(ControllerConfig, data.get("controller", {}))
     between = [*conflicts(sound, controller, data.keys() & set(TABLE_OF.values()), _known(Line, data.get("line")))]
     if between:
-        # Which devices are meant is unclear, so their stand-ins are not checked.
+        # It is not clear which devices are meant, so the inputs of simulated or replayed devices are not checked.
         valid.pop("controller", None)
     return [*(f"{key_at(place)}: {text}" for place, text in found.items()), *between], valid
 
@@ -92,8 +92,8 @@ def _examine(data: dict[str, Any]) -> tuple[list[str], dict[str, Any]]:
 def _faults(model: type[BaseModel], data: dict[str, Any]) -> dict[Place, str]:
     """Return every fault of a table and its place.
 
-    Rules that compare several keys run only where every key is valid. Therefore the faulty keys are taken out, and
-    the rest is validated again, until no new fault is found.
+    Rules that compare several keys run only if all keys are valid. Therefore faulty keys are removed and the rest is
+    validated again, until no new fault is found.
     """
     rest, found = copy.deepcopy(data), dict[Place, str]()
     while True:
@@ -101,7 +101,7 @@ def _faults(model: type[BaseModel], data: dict[str, Any]) -> dict[Place, str]:
             model.model_validate(rest)
         except ValidationError as error:
             new = {place: text for place, text in faults_of(error) if place not in found}
-            # A required key that was taken out is now missing; that is no new fault.
+            # A required key that was removed is now missing; that is no new fault.
             taken_out = [place for place in new if place and _take_out(rest, place)]
             found |= new
             if taken_out:
@@ -125,7 +125,7 @@ def _take_out(data: Any, place: Place) -> bool:
 
 
 def _known(model: type[T], data: Any) -> T | None:
-    """Return a table without its unknown keys; None if its other keys are not valid."""
+    """Return the table without its unknown keys, as a validated model; None if its other keys are not valid."""
     if isinstance(data, dict):
         with suppress(ValidationError):
             return model.model_validate({key: value for key, value in data.items() if key in model.model_fields})

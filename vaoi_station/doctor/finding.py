@@ -21,7 +21,7 @@ class Level(StrEnum):
     FAULT = "fault"
 
 
-# "not applicable" counts as "ok": a station without USB cameras must not end with a warning.
+# "not applicable" counts as "ok": the report of a station without USB cameras must not end with a warning.
 EXIT_CODES = {Level.NOT_APPLICABLE: 0, Level.OK: 0, Level.WARNING: 1, Level.FAULT: 2}
 
 

@@ -50,7 +50,7 @@ class Machine:
 
     def available_memory(self) -> int | None:
         """Read how many bytes programs can still allocate."""
-        # MemFree would be too low: the kernel gives its page cache back on demand, and MemAvailable counts that.
+        # MemFree would be too low: the kernel gives its page cache back when needed, and MemAvailable includes that.
         return self._kibibytes("proc/meminfo", "MemAvailable")
 
     def filesystem_of(self, path: Path) -> str | None:
@@ -60,7 +60,7 @@ class Machine:
             words = line.split()
             # The kernel writes a space inside a mount point as \\040.
             mount = words[1].replace("\\040", " ") if len(words) > 2 else ""
-            # The longest matching mount point wins; of two mounts on one point the later one covers the earlier.
+            # The longest matching mount point counts. Of two mounts on one point, the later one covers the earlier.
             if mount and len(mount) >= len(best) and path.resolve().is_relative_to(mount):
                 best, kind = mount, words[2]
         return kind
@@ -123,7 +123,7 @@ def is_directory(path: Path) -> bool:
 def _seen(path: Path) -> bool:
     try:
         return path.exists()
-    except OSError:  # inside a directory that this user may not search
+    except OSError:  # The path is inside a directory that this user may not search.
         return False
 
 

@@ -1,4 +1,4 @@
-"""Run all checks in order. If a check raises an exception, this is reported as a fault, and the next check runs."""
+"""Run all checks in order. If a check raises an exception, this is reported as a fault, and the next check is run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`vaoi bundle`: what a developer needs to understand a fault, in one tar file without secrets and pictures."""
+"""`vaoi bundle`: the information that a developer needs about a fault, in one tar file without secrets and pictures."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ PATHS = {
     "calibration-status.json": "/api/v1/calibration",
     "metrics.txt": "/metrics",
 }
-"""Members of the bundle that a running station gives, and their REST paths."""
+"""Members of the bundle that come from a running station, with their REST paths."""
 COMMANDS = {
     "journal.txt": ("journalctl", "-u", UNIT, "-n", "20000", "-o", "short-iso-precise", "--no-pager"),
     "unit.txt": ("systemctl", "show", "--no-pager", UNIT),
@@ -48,7 +48,7 @@ COMMANDS = {
     "network.txt": ("ip", "-brief", "address"),
     "usb.txt": ("lsusb",),
 }
-"""Members of the bundle that a command of the system gives."""
+"""Members of the bundle that come from commands of the system."""
 MACHINE_FILES = ("etc/os-release", "proc/version", "proc/meminfo", "proc/loadavg", "proc/mounts", "proc/uptime")
 
 _WORDS = (
@@ -65,7 +65,7 @@ _SECRETS = (
         r"(?P<before>)(?P<secret>-----BEGIN [A-Z ]*PRIVATE KEY-----.*?-----END [A-Z ]*PRIVATE KEY-----)", re.DOTALL
     ),
 )
-"""Values of keys that are named like a secret, credentials of HTTP, credentials in addresses, private keys."""
+"""Patterns: values of keys whose names suggest a secret, HTTP credentials, credentials in addresses, private keys."""
 
 
 def without_secrets(text: str) -> str:
@@ -78,7 +78,8 @@ def without_secrets(text: str) -> str:
 def write_support_bundle(config: Path, out: Path, credentials: CallerCredentials | None = None) -> list[str]:
     """Write the bundle of a station as a new .tar.gz file; return the names of its members.
 
-    What cannot be read is replaced by the reason, so that a bundle can be made of a station in any state.
+    In place of anything that cannot be read, the bundle states the cause. So a bundle can be made of a station in any
+    state.
 
     Raises:
         InputError: the file exists, or cannot be written.

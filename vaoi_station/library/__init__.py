@@ -1,4 +1,4 @@
-"""The public Python API: recordings, results and stations for programs that are not a station themselves.
+"""The public Python API: recordings, results and running stations, for other programs.
 
 `vaoi_station/__init__.py` lists what is public. Everything else in the package may change without notice.
 """

@@ -1,7 +1,8 @@
 """Checks of the arguments of public functions.
 
-An argument of a wrong type or value is an `InputError` with the function, the argument, its value and what is expected,
-before anything is read, computed or written. A `TypeError` is raised only for a wrong number or name of arguments.
+An argument of a wrong type or value raises an `InputError` that names the function, the argument, its value and the
+expected value. It is raised before anything is read, computed or written. A `TypeError` is raised only for a wrong
+number or name of arguments.
 """
 
 from __future__ import annotations

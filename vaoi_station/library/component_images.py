@@ -41,7 +41,8 @@ class ComponentImage:
     @property
     def pixels(self) -> NDArray[Any]:
         """The image, (height, width) or (height, width, 3) blue-green-red. It is rendered or fetched at each access."""
-        # Not cached: a caller that visits all components of a board would otherwise hold all their images.
+        # The image is not cached: otherwise, a caller that visits all components of a board would hold all their
+        # images.
         return self._load()
 
 

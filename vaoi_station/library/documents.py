@@ -1,4 +1,4 @@
-"""Read and write single documents. A path is a `Path` or a text. A wrong argument is an `InputError`."""
+"""Read and write single documents. A path is a `Path` or a text. A wrong argument raises an `InputError`."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def write_image(path: str | Path, pixels: NDArray[Any]) -> None:
     except ValueError as error:  # nested lists of different lengths
         raise InputError.field("write_image", "pixels", pixels, "an array of pixels") from error
     is_image = array.ndim == 2 or (array.ndim == 3 and array.shape[2] == 3)
-    # The encoder would scale, clip or drop values of any other kind without a word.
+    # The encoder would scale, clip or drop values of any other kind without an error.
     if array.dtype not in (np.uint8, np.uint16) or not is_image or not array.size:
         raise InputError(
             f"{target}: the pixels have shape {array.shape} and type {array.dtype}, but must be (height, width) or "

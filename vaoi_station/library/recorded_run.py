@@ -77,9 +77,10 @@ class RecordedRun:
         """
         if not isinstance(method, str) or method not in METHODS:
             raise InputError(f"method is {method!r}, but must be one of {', '.join(METHODS)}.")
-        # The paper's method is not a kind of evidence. It replaces our stitching below and ignores this setting.
+        # The paper's method is not a kind of evidence. It replaces the station's stitching below and ignores this
+        # setting.
         evidence: MethodName = "auto" if method == "paper" else method
-        # The run is opened for each call, because the kind of evidence is part of the setup that an opened run holds.
+        # The run is opened for each call, because the kind of evidence is part of the set-up that an opened run holds.
         opened = open_run(
             self.directory,
             calibration=self.calibration_path,

@@ -22,7 +22,7 @@ from vaoi_station.model import BoardType, Component, Status, Stitch
 from vaoi_station.rendering import View, ViewCalculator, render
 
 _SAME_PX = 0.01
-"""Largest difference of two equal calibrations in a frame: results state displacements with four decimals."""
+"""Largest difference in a frame, px, of two equal calibrations: results state displacements with four decimals."""
 
 
 def component_covariances(result: Stitch, ref: str) -> dict[tuple[int, int], Floats]:
@@ -174,7 +174,8 @@ def check_result(result: Stitch, rows: int, cameras: Sequence[Camera], name: str
     """Refuse a result that belongs to another recording or another calibration.
 
     Raises:
-        InputError: the number of cameras or rows differs, or M_i0 is not N_i as the result displaced it.
+        InputError: the number of cameras or rows differs, or M_i0 is not N_i with the displacement that the result
+            states.
     """
     n, m = len(result.image_matrices), len(result.row_motion)
     if (n, m) != (len(cameras), rows):
@@ -183,13 +184,13 @@ def check_result(result: Stitch, rows: int, cameras: Sequence[Camera], name: str
         )
     for i, (matrices, camera) in enumerate(zip(result.image_matrices, _as_in_run(result, cameras), strict=True)):
         first = matrices[0]
-        # M_i0 equals N_i in every result (docs/conventions.md, gauge), so this detects another calibration.
+        # M_i0 equals N_i in every result (docs/conventions.md, gauge). So a difference means another calibration.
         if first is not None and _apart_px(first, camera) > _SAME_PX:
             raise _other_recording(name, f"camera {i} has another calibration")
 
 
 def _as_in_run(result: Stitch, cameras: Sequence[Camera]) -> Sequence[Camera]:
-    """Return the calibrated cameras, displaced as the result says; as calibrated if it does not say so."""
+    """Return the cameras with the displacements that the result states; as calibrated if it states none."""
     try:
         displacement_px = np.array(result.quality.get("camera_displacement_px"), dtype=np.float64)
     except (TypeError, ValueError):  # from a file, whose `quality` is not checked

@@ -1,7 +1,7 @@
-"""Asymmetry of a mark: it bounds the error of the centre if a cover, a smudge or glare disturbs the mark.
+"""Asymmetry of a mark: it limits the error of the centre if a cover, a smudge or glare disturbs the mark.
 
 A mark and the bare rim around it are point symmetric: a rotation by 180° about the centre does not change them. If the
-image is less symmetric than vignetting explains, the error of the fitted centre may exceed its noise.
+image is less symmetric than vignetting explains, the fitted centre may have a larger error than noise causes.
 """
 
 from __future__ import annotations
@@ -20,21 +20,23 @@ _EDGE_PX = 2.0
 _RIM_PX, _RIM = 3.0, 0.25
 """Width of the compared rim in px, and its upper limit as a share of the radius."""
 _NORMAL_SHIFT, _NORMAL_SHIFT_NOISE = 0.01, 3.0
-"""Largest normal asymmetry of a mark: as a share of its size, and in standard deviations of its centre."""
+"""Largest asymmetry of an undisturbed mark: as a share of its size, and in standard deviations of its centre."""
 _NORMAL_LIGHT, _NORMAL_LIGHT_NOISE = 0.03, 2.0
-"""Largest normal asymmetry of a rim: as a share of the contrast, and the same per px of the centre's sigma."""
+"""Largest asymmetry of an undisturbed rim: as a share of the contrast, and the same per px of the centre's sigma."""
 _SHIFT_PER_LIGHT = 0.2
 """Displacement of the centre, as a share of the radius, if the asymmetry of the rim equals the contrast. The value was
 measured with light spots beside marks."""
 _COMMON_FACTOR = 2.0
-"""Factor that makes up for correlated errors. A cover or glare displaces all detections of a fiducial alike, but the
-adjustment treats detections as independent."""
+"""Factor on the standard deviation, which corrects for correlated errors.
+
+A cover or glare displaces all detections of a fiducial in the same way, but the adjustment treats detections as
+independent."""
 
 
 def asymmetry_sigma_px(
     image: NDArray[np.uint8], px: tuple[float, float], size_px: float, contrast: float, sigma_px: float
 ) -> float:
-    """Estimate the standard deviation per axis (px) that covers and glare add to a centre; 0 for an undisturbed mark.
+    """Estimate the standard deviation per axis (px) of a centre due to covers and glare; 0 for an undisturbed mark.
 
     Args:
         image: (h, w); the mark and some pixels around it should lie inside.
@@ -45,7 +47,7 @@ def asymmetry_sigma_px(
     """
     radius = size_px / 2
     odd, light = measure_asymmetry(image, *px, radius, radius + _EDGE_PX + min(_RIM_PX, _RIM * radius), contrast)
-    # Only the asymmetry beyond that of undisturbed marks counts, because `sigma_px` already contains the noise.
+    # Only asymmetry beyond that of undisturbed marks counts, because `sigma_px` already contains the noise.
     covered = max(odd - _NORMAL_SHIFT * size_px - _NORMAL_SHIFT_NOISE * sigma_px, 0.0)
     glare = _SHIFT_PER_LIGHT * radius * max(light - _NORMAL_LIGHT - _NORMAL_LIGHT_NOISE * sigma_px, 0.0)
     return _COMMON_FACTOR * math.hypot(covered, glare)

@@ -47,7 +47,7 @@ def scan_candidates(
     rim_below, rim_above = np.zeros(w, np.int16), np.zeros(w, np.int16)
     found, count, window = np.empty((256, 3)), 0, np.empty(template.size, np.float32)
     for y in range(edge, h - edge):
-        # Three tests follow, each more expensive than the one before. Most pixels fail the first, which is vectorised.
+        # Three tests follow, each slower than the previous one. Most pixels fail the first test, which is vectorised.
         _contrast_line(image, y, edge, reach, near, rim_below, rim_above)
         for x in range(edge, w - edge):
             if rim_below[x - edge] == 0 and rim_above[x - edge] == 0:
@@ -89,7 +89,8 @@ def _contrast_line(
     top, bottom = image[y - reach, edge:last], image[y + reach, edge:last]
     left, right = image[y, edge - reach : last - reach], image[y, edge + reach : last + reach]
     for x in range(last - edge):
-        # The third of four sorted values with min and max only, which vectorise; a sort does not.
+        # The third of four sorted values, computed with min and max only, because these can be vectorised and a sort
+        # cannot.
         a, b = min(left[x], right[x]), max(left[x], right[x])
         c, d = min(top[x], bottom[x]), max(top[x], bottom[x])
         least, most = np.int16(min(max(a, c), b, d)), np.int16(max(min(b, d), a, c))

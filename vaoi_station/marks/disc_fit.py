@@ -78,7 +78,7 @@ def fit_disc(
     p[7], noise = 1.0, np.inf
     for step in range(most_steps):
         rim = min(radius + max(3 * p[7], _RIM_PX), _MAX_REACH * radius)
-        # Outlier weights start after two steps. Before, large residuals come from the shift that is not yet estimated.
+        # Outlier weights are used from the third step on. Before that, residuals are large because of the shift.
         limit = max(3 * noise, _OUTLIER * abs(p[5])) if step > 1 else np.inf
         noise = _normal_equations(image, p, rim, stride, limit, pixels, odd, even)
         if not _update(p, odd, even, True, True):

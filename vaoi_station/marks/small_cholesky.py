@@ -1,6 +1,6 @@
 """Cholesky solution of up to four normal equations, compiled and in place.
 
-A call into LAPACK for each of the small systems would cost more than the solution.
+A call of LAPACK for each of these small systems would take longer than the solution itself.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ def solve_cholesky(a: NDArray[np.float64], n: int) -> bool:
         largest = a[i, i]
         for k in range(i):
             a[i, i] -= a[k, i] * a[k, i]
-        # The remaining diagonal is the part of this unknown that the others do not explain. `not >` also catches NaN.
+        # The remaining diagonal entry is the part of this unknown that the others do not explain. `not >` also catches
+        # NaN.
         if not a[i, i] > 1e-9 * largest or largest <= 0:
             return False
         a[i, i] = math.sqrt(a[i, i])

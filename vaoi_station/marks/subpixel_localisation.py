@@ -89,7 +89,7 @@ def locate_mark(
     if isinstance(found, Failure):
         return found
     px, sigma = found
-    # A fit converges on many objects; the correlation with the shape decides whether this one is the mark.
+    # A fit converges on many objects. The correlation with the shape decides whether this object is the mark.
     score, contrast = correlate_with_shape(image, px[0], px[1], SHAPE_CODE[shape], size_px, arm, surround * size_px)
     if abs(contrast) < _MIN_CONTRAST:
         return Failure(f"contrast {abs(contrast):.0f} of the mark at ({x}, {y}) px is below {_MIN_CONTRAST:.0f}")

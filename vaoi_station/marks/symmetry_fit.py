@@ -48,7 +48,7 @@ def fit_symmetry(
     normal = np.zeros((4, 5))
     cx, cy, noise = x, y, 0.0
     for stage in range(2):
-        # The first stage estimates the centre only, on few pixels. The gradient of the gain has a small effect only.
+        # The first stage estimates only the centre, on few pixels, because the gradient of the gain has little effect.
         stride, enough, unknowns = (coarse, _COARSE_PX, 2) if stage == 0 else (1, _FINE_PX, 4)
         limit = np.inf
         for step in range(_MAX_STEPS):
@@ -130,7 +130,7 @@ def _normal_equations(
             total += e * e
     normal[0, 0], normal[0, 1], normal[0, 2], normal[0, 3], normal[0, 4] = a00, a01, a02, a03, a0e
     normal[1, 1], normal[1, 2], normal[1, 3], normal[1, 4] = a11, a12, a13, a1e
-    # A constant image leaves the gradient undetermined; the tiny ridge keeps the matrix positive definite.
+    # A constant image leaves the gradient undetermined; a tiny addend keeps the matrix positive definite.
     normal[2, 2], normal[2, 3], normal[2, 4] = a22 * (1 + 1e-6), a23, a2e
     normal[3, 3], normal[3, 4] = a33 * (1 + 1e-6), a3e
     return total, count

@@ -27,7 +27,7 @@ HEADER_PX = 92
 MOST_CELLS = 3
 """Largest number of cells that a picture takes along each axis."""
 SIDE_PER_CELL_PX = 130
-"""Side of a picture in px for one cell. A side up to n² times as long gets n cells, at most `MOST_CELLS`."""
+"""Side of a picture in px that fits into one cell. A side up to n² times as long gets n cells, at most `MOST_CELLS`."""
 MAGNIFIED = 2.0
 """Largest factor by which small pictures are enlarged."""
 GREY_STEP = 4

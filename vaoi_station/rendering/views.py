@@ -26,7 +26,7 @@ from vaoi_station.model import BoardType, Component, Stitch
 from vaoi_station.rendering.crops import compute_crops, fitting_resolutions
 
 GRID = 9
-"""Points per side of the grid on which the coverage of a picture is computed if the frame cuts it off."""
+"""Points per side of the grid on which the coverage of a picture is computed if the frame shows only a part of it."""
 RESOLUTION_LIMITS = (0.1, 1000.0)
 """Smallest and largest resolution of pictures that a caller may request, px/mm."""
 _TILE_PX = 256
@@ -151,8 +151,8 @@ class ViewCalculator:
         require_coverage(min_coverage)
         if not components:
             return {}
-        # A picture that would be too large at the cameras' resolution has fewer pixels: one large component must not
-        # make the list of all components impossible. A resolution that the caller has chosen is not changed.
+        # A picture that would be too large at the cameras' resolution gets fewer pixels: one large component must not
+        # prevent the list of all components. A resolution that the caller has chosen is not changed.
         resolution = (
             fitting_resolutions(components, self._board_type, self._resolution)
             if px_per_mm is None

@@ -1,4 +1,4 @@
-"""Stitch a recorded run again and keep everything that a report shows."""
+"""Stitch a recorded run again, and keep everything that a report shows."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def restitch(opened: OpenedRun) -> StitchedRun:
 
     def frame(camera: int, row: int) -> NDArray[Any] | None:
         pixels = read(camera, row)
-        # Made while the frame is in memory, so that no file is read and decoded a second time.
+        # Thumbnails are made while the frame is in memory, so that no file is read and decoded a second time.
         if pixels is not None and (camera, row) not in thumbnails:
             thumbnails[camera, row] = thumbnail(pixels, width)
         return pixels
@@ -128,7 +128,8 @@ def restitch(opened: OpenedRun) -> StitchedRun:
 
 
 def _entry(entry: Any) -> tuple[FrameKey, str, str]:
-    """Read an entry of the recorder's list of frames, an `x_` key of the recording whose type is not checked."""
+    """Read an entry of the recorder's list of frames. This list is an `x_` key of the recording, whose type is not
+    checked."""
     if not isinstance(entry, dict):
         return (-1, -1), "", ""
     camera, row = entry.get("camera"), entry.get("row")

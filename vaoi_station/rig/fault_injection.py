@@ -34,7 +34,7 @@ def frame_faults_of(faults: Sequence[Fault]) -> FrameFaults:
 
 @dataclass(frozen=True)
 class DeviceRecovery:
-    """The end of a fault: the device or process works again, but the station may need more time."""
+    """The end of a fault: the device or process works again, but the station may need more time until it is ready."""
 
     fault: Fault
     began_ns: int
@@ -118,7 +118,8 @@ class FaultInjector:
         name = "worker 0" if fault.who == "worker" else fault.who
         pid = self._processes().get(name)
         if pid is None:
-            # The station may have fewer workers than the fault names. The rig run then fails: the fault was not tested.
+            # The station may have fewer workers than the fault names. The rig run then fails, because the fault was not
+            # tested.
             self.failed.append(f"the station has no process {name!r} to stop")
             return
         began_ns = time.monotonic_ns()

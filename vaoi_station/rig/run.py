@@ -34,13 +34,13 @@ from vaoi_station.simulation import Scenario, Twin
 
 POLL_S = 0.5
 NEXT_RUN_TIMEOUT_S = 30.0
-"""Time to wait for the next run after the last board has passed, if no run is being filmed or stitched."""
+"""Time to wait for the next run, s, after the last board has passed, if no run is being filmed or stitched."""
 CONCLUDE_TIMEOUT_S = 300.0
-"""Time to wait for the next run after the last board has passed, if one is being stitched. After an installation the
-workers compile first, which takes minutes on a busy machine.
-"""
+"""Time to wait for the next run, s, after the last board has passed, if a run is being stitched.
+
+After an installation the workers compile first, which takes minutes on a busy machine."""
 READY_TIMEOUT_S = 30.0
-"""Time in which the station must become ready again after a fault. After it, the station counts as not recovered."""
+"""Time, s, in which the station must be ready again after a fault. After it, the station counts as not recovered."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class _Record:
 
 
 class _BoardIds:
-    """Arms the station for every board with an id of its own, as a line does that reads a code on each board."""
+    """Arms the station for every board with a separate id, like a line that reads a code on each board."""
 
     def __init__(self, client: Client, watch: StatusWatch, board_type: str) -> None:
         self._client, self._watch, self.board_type = client, watch, board_type
@@ -87,7 +87,7 @@ class _BoardIds:
         ready, board_id = self._watch.wait_ready(timeout_s), f"board-{len(self.armed)}"
         try:
             self._client.post("/station/arm", board_type=self.board_type, board_id=board_id, job_id="rig")
-        except VaoiError:  # a fault may keep the station from being armed again; the board then passes without an id
+        except VaoiError:  # a fault may prevent another arming; the board then passes without an id
             self.armed.append(None)
         else:
             self.armed.append(board_id)
@@ -127,7 +127,7 @@ def run_rig(plan: Plan, progress: Callable[[str], None]) -> RigReport:
 
 
 def _borrowed_ids(boards: Sequence[BoardScore], runs: Sequence[dict[str, Any]]) -> list[str]:
-    """Return a sentence for each run that is of no fed board and has the board id of one."""
+    """Return one sentence for each run that belongs to no board of the rig but has the id of one."""
     fed = {board.run for board in boards}
     others = [run for run in runs if run["id"] not in fed and run.get("board_id") is not None]
     return [f"run {run['id']} of a board without an id has the board id {run['board_id']!r}" for run in others]
@@ -170,7 +170,7 @@ def _collect_runs(
     after, finished_s, busy_s, extra = None, math.inf, 0.0, followers(plan.faults)
     # A board that follows another one too closely has a run of its own, or is missed.
     while len(record.runs) < plan.boards + max(extra - record.missed, 0):
-        # The time limits start when all boards have passed. Until then a run may take any time.
+        # The time limits start when all boards have passed. Before that, a run may take any time.
         if feeder.finished.is_set() and math.isinf(finished_s):
             finished_s = time.monotonic()
         # The ring is checked before the next run is requested: a run that ends between the two must not be overlooked.

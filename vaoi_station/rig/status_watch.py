@@ -40,7 +40,7 @@ class StatusWatch:
         """Wait until a status requested after this call meets a condition. Return False after the timeout."""
         now_ns = time.monotonic_ns()
         with self._change:
-            # Older replies do not count: they may describe the state before the fault whose end is awaited.
+            # Older replies do not count, because they may describe the state before the fault whose end is awaited.
             return self._change.wait_for(lambda: self._requested_ns >= now_ns and condition(self.last), timeout_s)
 
     def wait_ready(self, timeout_s: float) -> bool:

@@ -34,7 +34,8 @@ def run_until_interrupted(
 
     Args:
         scenario: scenario of the twin.
-        faults: a fault of a row is injected once; a fault of the belt recurs with its board; other faults last.
+        faults: a fault of a row is injected once; a fault of the belt occurs each time its board passes; others stay
+            active.
         folder: a new or empty folder for station.toml, the controller's serial port and the station's data.
         cache: folder in which rendered boards are kept.
         different: number of different boards, which pass in turn.

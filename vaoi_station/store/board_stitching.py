@@ -55,7 +55,8 @@ class BoardStitching:
         return self._drop("board_methods", board_type)
 
     def _drop(self, table: str, board_type: str) -> Future[None]:
-        # SQLite cannot bind a table name as a parameter; the fixed set keeps the statement free of injected text.
+        # SQLite cannot take a table name as a parameter; the fixed set of names prevents injected text in the
+        # statement.
         assert table in _TABLES
 
         def write(connection: sqlite3.Connection) -> None:

@@ -12,9 +12,11 @@ from vaoi_station.files import read_board_type, write_board_type
 from vaoi_station.model import BoardType
 
 MOST_FILES, MOST_BYTES = 500, 128 * 2**20
-"""Limits of the directory. A program that stores board types without end would fill the disk."""
+"""Limits of the directory: number of files, bytes. Without them, a program that stores board types could fill the
+disk."""
 LONGEST_FILE_NAME = 250
-"""Largest number of characters of a file name without \".json\". Common file systems allow 255 bytes with it."""
+"""Largest number of characters of a file name without ".json". Common file systems allow 255 bytes for the whole
+name."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +38,7 @@ class BoardTypeDirectory:
         """Read one board type; raise `NotFoundError` with the known names if it does not exist."""
         path = self.path_of(name)
         if not path.is_file():
-            # The names come from the names of the files: to read all files takes seconds if they are many.
+            # The names come from the names of the files: reading many files takes seconds.
             known = _enumeration([unquote(path.stem) for path in self.paths()]) or "none yet"
             raise NotFoundError(
                 f"There is no board type {name!r}; known board types: {known}.",
@@ -83,7 +85,7 @@ class BoardTypeDirectory:
         """
         # The escape is reversible, so that two names never share a file; "/" and ":" cannot leave the directory.
         stem = quote(name, safe=" ()+,;=@&!#'")
-        # Also covers "." and "..", which would be directories.
+        # This also covers "." and "..", which would be directories.
         if stem.startswith("."):
             stem = "%2E" + stem[1:]
         if not name or len(stem) > LONGEST_FILE_NAME:
@@ -99,7 +101,8 @@ class BoardTypeDirectory:
 
     def _read(self, path: Path) -> BoardType:
         board_type = read_board_type(path)
-        # A copy under a new file name may still contain the old board type name; `path_of` would never find the copy.
+        # A copy of a file under a new name may still contain the old board type name; `path_of` would never find the
+        # copy.
         if (expected := self.path_of(board_type.name)) != path:
             raise InputError(
                 f"{path}: holds the board type {board_type.name!r}.",
@@ -109,6 +112,6 @@ class BoardTypeDirectory:
 
 
 def _enumeration(names: Sequence[str]) -> str:
-    """Return names for a message, of many the first ones only."""
+    """Return names as text for a message; if there are many, only the first ones."""
     shown = ", ".join(map(repr, names[:20]))
     return f"{shown} and {len(names) - 20} more" if len(names) > 20 else shown

@@ -8,7 +8,7 @@ from concurrent.futures import Future
 from vaoi_station.store.database import Database
 
 FIRST_KEPT, LATEST_KEPT = 100, 2000
-"""Numbers of checks kept per calibration: the first ones, from when it was new, and the latest ones."""
+"""Numbers of checks kept per calibration: the first ones after the calibration came into force, and the latest ones."""
 
 
 class CalibrationChecks:

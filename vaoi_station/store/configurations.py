@@ -24,7 +24,7 @@ class Configurations:
         return digest
 
     def store_again(self, now: str) -> None:
-        """Store the configuration in force, unless it is there: the database may have been replaced by an empty one."""
+        """Store the configuration in force again if it is missing: the database may be new and empty."""
         if self._database.read("SELECT 1 FROM configurations WHERE digest = ?", (self.present,)):
             return
         row = (self.present, now, self._document)

@@ -1,7 +1,7 @@
 """One SQLite file with one writer thread; readers never wait for the writer (write-ahead log).
 
-A write that the disk refuses is tried again until it succeeds, and all later writes wait behind it, so that nothing is
-written out of order. A damaged database is set aside, a deleted one is copied back, and the writes go on.
+A write that the disk refuses is tried again until it succeeds. All later writes wait until then, so that the order of
+writes is kept. A damaged database is set aside, a deleted one is copied back, and writing continues.
 """
 
 from __future__ import annotations
@@ -43,11 +43,12 @@ FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.25, 2.0
 CHECK_S = 2.0
 """Time between two checks of the file while nothing is written."""
 WRITE_LIMIT_S = 600.0
-"""Longest time for one attempt to write. After it, the writing thread counts as hung: the disk does not answer."""
+"""Longest time for one attempt to write, s. After it, the disk does not reply, and the writing thread counts as
+hung."""
 SLOW_S = 5.0
-"""Time after which a write that has not ended counts as trouble."""
+"""Time, s, after which a write that has not ended counts as trouble."""
 MOST_WAITING_BYTES = 64_000_000
-"""Largest total size of the writes that wait for the disk. Further ones are refused."""
+"""Largest total size of the writes that wait for the disk, bytes. Further writes are refused."""
 
 Write = Callable[[sqlite3.Connection], Any]
 
@@ -69,7 +70,7 @@ class Database:
         self._writer: sqlite3.Connection | None
         self._writer, notice = open_database(path)
         self.notices: tuple[StorageTrouble, ...] = () if notice is None else (notice,)
-        """What happened to the database since this start that lost or moved data: damaged, deleted, replaced."""
+        """Events since this start by which data were lost or moved: the database was damaged, deleted or replaced."""
         self._watch = FileWatch(path)
         self._readers: SimpleQueue[sqlite3.Connection | None] = SimpleQueue()
         with translated_errors(path):
@@ -86,8 +87,8 @@ class Database:
 
     @property
     def trouble(self) -> StorageTrouble | None:
-        """What keeps the database from being written at present; None if writes succeed."""
-        # Read without the lock: both are replaced as a whole, and the station asks several times a second.
+        """The trouble that prevents writing to the database at present; None if writes succeed."""
+        # Read without the lock: both are replaced as a whole, and the station reads them several times a second.
         began_s = self._began_s
         if self._trouble is None and began_s is not None and time.monotonic() - began_s > SLOW_S:
             waited = f"{time.monotonic() - began_s:.0f} s"
@@ -96,7 +97,7 @@ class Database:
 
     @property
     def free_bytes(self) -> int | None:
-        """Space that is left for the database, at the last check; None if it is not known."""
+        """Free space for the database at the last check, bytes; None if it is not known."""
         return self._watch.free_bytes
 
     def write(
@@ -106,8 +107,10 @@ class Database:
 
         Args:
             work: the statements; they are executed again after a trouble of the storage.
-            patient: wait until the storage takes the write. Otherwise trouble of the storage is an error at once.
-            durable: end only when the transaction survives a power failure. Later durable writes include it.
+            patient: whether to wait until the storage accepts the write. Otherwise a trouble of the storage is an error
+                at once.
+            durable: whether the write ends only when the transaction survives a power failure. A later durable write
+                includes it.
             size: bytes that wait in memory with `work`.
 
         Raises:
@@ -115,7 +118,7 @@ class Database:
         """
         future: Future[T] = Future()
         refused: StorageTrouble | None = None
-        # The lock keeps writes and `close` apart: a write queued behind the end would never be carried out.
+        # The lock separates writes from `close`: a write that is queued after the end would never be carried out.
         with self._changed:
             if self._closed:
                 raise StateError(f"{self.path}: is closed; the station is stopping.")
@@ -127,7 +130,7 @@ class Database:
                 self._jobs.append(_Job(work, future, patient, durable, size))
                 self._waiting_bytes += size
                 self._changed.notify_all()
-        # Outside the lock: callbacks of the future may write in their turn.
+        # This happens outside the lock, because callbacks of the future may write too.
         if refused is not None:
             future.set_exception(refused.error())
         return future
@@ -143,7 +146,10 @@ class Database:
             raise translated(error, self.path) from error
 
     def close(self) -> None:
-        """Finish all writes and close the file; no effect if it is closed. What the disk refuses now is given up."""
+        """Finish all writes and close the file; no effect if it is closed.
+
+        Writes that the disk refuses now are lost.
+        """
         with self._changed:
             if self._closed:
                 return
@@ -174,7 +180,7 @@ class Database:
             self._perform(job)
 
     def _next(self) -> _Job | None:
-        """Return the next write; None if the database was closed and all are done. Meanwhile, check the file."""
+        """Return the next write; None if the database was closed and all writes are done. Meanwhile, check the file."""
         while True:
             self.thread.beat()
             with self._changed:
@@ -189,7 +195,7 @@ class Database:
             self._check_file()
 
     def _check_file(self) -> None:
-        """Notice a deleted file without waiting for a write, and try whether a past trouble is over."""
+        """Notice a deleted file without waiting for a write, and check whether a past trouble is over."""
         self._began_s = time.monotonic()
         self._watch.measure()
         self._began_s = None
@@ -237,7 +243,7 @@ class Database:
             self._reopen()
         assert self._writer is not None
         writer = self._writer
-        # FULL waits until the write-ahead log is on the disk, with all transactions before this one.
+        # FULL waits until the write-ahead log is on the disk, including all transactions before this one.
         writer.execute(f"PRAGMA synchronous = {'FULL' if job.durable else 'NORMAL'}")
         # IMMEDIATE takes the write lock at once; a deferred transaction could fail with SQLITE_BUSY in the middle,
         # where the busy time-out does not apply.
@@ -245,13 +251,13 @@ class Database:
         try:
             result = job.work(writer)
             writer.execute("COMMIT")
-        except BaseException:  # roll back in every case; the error is raised again
+        except BaseException:  # roll back in every case, then raise the error again
             roll_back(writer)
             raise
         return result
 
     def _enter(self, trouble: StorageTrouble) -> None:
-        """Record a trouble, and refuse the writes that do not wait for its end."""
+        """Record a trouble, and refuse the writes that do not wait until it is over."""
         with self._changed:
             if self._trouble is None or self._trouble.code != trouble.code:
                 _log.warning("%s", trouble.message)
@@ -265,7 +271,7 @@ class Database:
     def _begin_anew(self, why: str) -> bool:
         """Set the damaged file aside and open an empty one; return False if that is not possible yet."""
         try:
-            # No connection may be open: the last one to close deletes the write-ahead log by its name.
+            # No connection may be open: the last one that closes deletes the write-ahead log by its name.
             self._close_connections()
             notice = set_aside(self.path, why)
             self._watch.forget()
@@ -278,7 +284,10 @@ class Database:
         return True
 
     def _follow_file(self) -> None:
-        """Write a deleted database back from the connection that still has it; open one that was put in its place."""
+        """Write back a deleted database from the connection that still has it.
+
+        Open a database that was put in its place.
+        """
         writer = self._writer
         if writer is None:
             return
@@ -292,7 +301,7 @@ class Database:
     def _reopen(self) -> None:
         self._writer, notice = open_database(self.path)
         self._watch.forget()
-        # A notice that the file is absent adds nothing to the one that led here.
+        # A notice that the file is absent adds no information to the notice that has led here.
         if notice is not None and notice.code != DELETED:
             self.notices = (*self.notices, notice)
         self._replace_readers([connect(self.path) for _ in range(READERS)])
@@ -305,8 +314,8 @@ class Database:
         self._writer = None
 
     def _replace_readers(self, connections: Sequence[sqlite3.Connection | None]) -> None:
-        """Replace the connections for reading. In place of one that is None, reads are refused."""
-        # Taking each one from the queue waits for reads that are still under way.
+        """Replace the connections for reading. Where the new connection is None, reads are refused."""
+        # Taking each connection from the queue waits for reads that are still under way.
         for connection in [self._readers.get() for _ in range(READERS)]:
             if connection is not None:
                 with contextlib.suppress(sqlite3.Error):
@@ -315,12 +324,12 @@ class Database:
             self._readers.put(new)
 
     def _submit_check(self) -> None:
-        """Let the writer check the whole file, because a read has met damage."""
+        """Let the writer check the whole file, because a read has found damage."""
         with contextlib.suppress(StateError):
             self.write(self._check, durable=False)
 
     def _check(self, _: sqlite3.Connection) -> None:
-        # By a new connection: the writer's own may have sound pages in its cache.
+        # A new connection is used: the writer's own connection may have undamaged pages in its cache.
         with contextlib.closing(connect(self.path)) as fresh:
             fault = fresh.execute("PRAGMA quick_check(1)").fetchone()[0]
         if fault != "ok":
@@ -333,6 +342,6 @@ class Database:
 
 
 def _touch(connection: sqlite3.Connection) -> None:
-    """Write something that changes nothing."""
+    """Write to the database without changing its content."""
     (version,) = connection.execute("PRAGMA user_version").fetchone()
     connection.execute(f"PRAGMA user_version = {int(version)}")

@@ -1,4 +1,7 @@
-"""The file of the database: opened, checked, migrated; set aside if it is damaged; copied if it was deleted."""
+"""The file of the database: open, check and migrate it.
+
+Set it aside if it is damaged; copy it back if it was deleted.
+"""
 
 from __future__ import annotations
 
@@ -22,14 +25,14 @@ from vaoi_station.store.storage_trouble import (
 )
 
 _COMPANIONS = ("", "-wal", "-shm")
-"""Endings of the files that together are one database."""
+"""Endings of the three files that together are one database."""
 _HEADER_BYTES = 100
 MARK = ".begun"
-"""Ending of an empty file; without it, a start without a database is the first one."""
+"""Ending of an empty marker file. If it is absent, a start without a database is the first start."""
 
 
 class Identity(NamedTuple):
-    """Device and number of a file; a path whose file was deleted or replaced leads to another one."""
+    """Device number and inode of a file. A path whose file was deleted or replaced has another identity."""
 
     device: int
     inode: int
@@ -47,8 +50,7 @@ def identity_of(path: Path) -> Identity | None:
 def open_database(path: Path) -> tuple[sqlite3.Connection, StorageTrouble | None]:
     """Open the writing connection. Create the file or migrate it; set a damaged one aside and begin an empty one.
 
-    Returns:
-        The connection, and what was found and done about it: None if all was in order.
+    Returns: The connection, and a trouble that states what was wrong and what was done; None if nothing was wrong.
 
     Raises:
         InputError: the database was written by a newer version, or by another program.
@@ -91,7 +93,7 @@ def set_aside(path: Path, why: str) -> StorageTrouble:
 
 
 def connect(path: Path) -> sqlite3.Connection:
-    """Open a connection whose transactions the caller begins and ends."""
+    """Open a connection whose transactions are begun and ended by the caller."""
     # isolation_level=None leaves BEGIN and COMMIT to the caller; readers are passed between threads, one at a time.
     connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=10)
     connection.row_factory = sqlite3.Row
@@ -101,7 +103,7 @@ def connect(path: Path) -> sqlite3.Connection:
 
 def roll_back(connection: sqlite3.Connection) -> None:
     """End a transaction that has failed, if SQLite has not done so itself."""
-    # After "disk full" and most I/O errors SQLite has rolled back already; a second ROLLBACK would fail with "cannot
+    # After "disk full" and most I/O errors, SQLite has rolled back already. A second ROLLBACK would fail with "cannot
     # rollback - no transaction is active", which would hide the cause.
     if connection.in_transaction:
         with contextlib.suppress(sqlite3.Error):
@@ -109,8 +111,8 @@ def roll_back(connection: sqlite3.Connection) -> None:
 
 
 def _deleted(path: Path) -> StorageTrouble | None:
-    """Return a trouble if there was a database at an earlier start and now there is none, or an empty file."""
-    # SQLite takes a file that is shorter than its header for a new one.
+    """Return a trouble if there was a database at an earlier start, and now there is none or an empty file."""
+    # SQLite takes a file that is shorter than its header for a new database.
     size = path.stat().st_size if path.exists() else 0
     if size >= _HEADER_BYTES or not path.with_name(path.name + MARK).exists():
         return None
@@ -122,7 +124,7 @@ def _deleted(path: Path) -> StorageTrouble | None:
 
 
 def _open(path: Path) -> sqlite3.Connection:
-    # SQLite would wait for ever at a FIFO, and report a folder in words that do not help.
+    # SQLite would wait for ever at a FIFO, and its error for a folder does not state the cause.
     if path.exists() and not stat.S_ISREG(path.stat().st_mode):
         raise StorageTrouble(
             UNAVAILABLE, f"{path}: cannot be used, because it is not a regular file.", "Move it away."
@@ -134,10 +136,10 @@ def _open(path: Path) -> sqlite3.Connection:
         # A write-ahead log with NORMAL survives a crash of the process; `Database` waits for the disk (FULL) with the
         # writes that must survive a power failure too (SQLite documentation, "PRAGMA synchronous").
         connection.execute("PRAGMA synchronous = NORMAL")
-        # Damage that is found here costs the history; found later, it would cost a result as well.
+        # If damage is found here, only the history is lost. If it were found later, a result would be lost as well.
         check_at_start(connection, path)
         migrate(connection, path)
-    except BaseException:  # close in every case; the error is raised again
+    except BaseException:  # close in every case, then raise the error again
         with contextlib.suppress(sqlite3.Error):
             connection.close()
         raise
@@ -145,7 +147,7 @@ def _open(path: Path) -> sqlite3.Connection:
 
 
 def _refuse_foreign(connection: sqlite3.Connection, path: Path) -> None:
-    """Raise InputError if another program has made the database; it is left as it is."""
+    """Raise InputError if another program has made the database. The file is not changed."""
     (version,) = connection.execute("PRAGMA user_version").fetchone()
     tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
     if ("runs" in tables) != (version > 0) or (version == 0 and tables):

@@ -1,8 +1,8 @@
 """Typed access to the database: runs, results, events, and the calibrations and board types that runs have used.
 
-Documents are JSON texts that the store does not interpret. Results never change. The frames of a run are in shared
-memory and are lost when the station ends. After a restart the caller therefore marks finished runs with
-`mark_frames_gone` and ends the runs from `unfinished` with a reason.
+Documents are JSON texts, whose content the store does not use. Results never change. The frames of a run are in shared
+memory and are lost when the station ends. Therefore, after a restart, the caller marks finished runs with
+`mark_frames_gone`, and ends the runs that `unfinished` returns with a reason.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Kind = Literal["board-type", "calibration"]
 EVENTS_KEPT = 100_000
 """Number of events kept; older events are deleted."""
 DOCUMENTS_REMEMBERED = 32
-"""Number of the latest board types and calibrations that are kept in memory too, for runs that refer to them."""
+"""Number of the latest board types and calibrations that are also kept in memory, for runs that refer to them."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Store:
     def __init__(self, database: Database) -> None:
         self.database = self._database = database
         self._documents: OrderedDict[str, tuple[str, str, str, str]] = OrderedDict()
-        """Rows of the latest documents, by digest: a database that begins anew needs them for the next run."""
+        """Rows of the latest documents, by digest: if the database has to begin anew, the next run needs them."""
         self.checks = CalibrationChecks(database)
         self.stitching = BoardStitching(database)
         self.retention = RunRetention(database)
@@ -73,17 +73,17 @@ class Store:
 
     @property
     def trouble(self) -> StorageTrouble | None:
-        """What keeps the database from being written at present; None if writes succeed."""
+        """The trouble that prevents writing to the database at present; None if writes succeed."""
         return self._database.trouble
 
     @property
     def notices(self) -> tuple[StorageTrouble, ...]:
-        """What happened to the database since the start that lost or moved data."""
+        """Events since the start by which data were lost or moved."""
         return self._database.notices
 
     @property
     def free_bytes(self) -> int | None:
-        """Space that is left for the database, at the last check; None if it is not known."""
+        """Free space for the database at the last check, bytes; None if it is not known."""
         return self._database.free_bytes
 
     def keep_document(self, kind: Kind, document: str, now: str) -> str:
@@ -94,7 +94,8 @@ class Store:
         self._documents.move_to_end(digest)
         while len(self._documents) > DOCUMENTS_REMEMBERED:
             self._documents.popitem(last=False)
-        # Not awaited, so that a line can be armed while the disk is full: the runs that refer to it are written later.
+        # The write is not awaited, so that the line can be armed while the disk is full: runs that refer to it are
+        # written later.
         self._database.write(lambda c: c.execute(_KEEP_DOCUMENT, row), patient=True, durable=False, size=len(document))
         return digest
 
@@ -118,7 +119,7 @@ class Store:
         documents = [self._documents[digest] for digest in used]
 
         def write(connection: sqlite3.Connection) -> None:
-            # They are missing after a damaged database was set aside.
+            # They are missing if a damaged database was set aside.
             for document in documents:
                 if connection.execute("SELECT 1 FROM documents WHERE digest = ?", document[:1]).fetchone() is None:
                     connection.execute(_KEEP_DOCUMENT, document)
@@ -137,15 +138,15 @@ class Store:
                 connection.execute("INSERT INTO results VALUES (?, ?)", (row.id, result))
 
         size = len(row.summary) + len(row.detail) + len(row.head or "") + len(timeline or "") + len(result or "")
-        # A run that begins need not survive a power failure: without its end there is nothing to announce.
+        # A run that begins need not survive a power failure: before its end there is nothing to announce.
         durable = row.finish_number is not None
         return self._database.write(write, patient=patient, durable=durable, size=size)
 
     def set_state(self, run: str, state: str) -> Future[None]:
-        """Set the state of a finished run whose frames were released or evicted; no effect on an unfinished one."""
+        """Set the state of a finished run whose frames were released or evicted; no effect on an unfinished run."""
 
         def write(connection: sqlite3.Connection) -> None:
-            # A run whose end was never written must stay one that the next start finds unfinished.
+            # If the end of a run was never written, the next start must find it as unfinished.
             connection.execute("UPDATE runs SET state = ? WHERE id = ? AND finish_number IS NOT NULL", (state, run))
 
         return self._database.write(write, patient=True, durable=False, size=100)
@@ -222,9 +223,9 @@ class Store:
         """Append an event, and delete the oldest beyond `EVENTS_KEPT`."""
 
         def write(connection: sqlite3.Connection) -> None:
-            # A database that was restored from a backup may have events of this number.
+            # A database that was restored from a backup may contain events with this number.
             connection.execute("INSERT OR REPLACE INTO events VALUES (?, ?)", (row.number, row.document))
-            # Deleting once per 1000 events keeps the usual write to one row.
+            # Old events are deleted only once per 1000 events, so that the usual write concerns one row.
             if row.number % 1000 == 0:
                 connection.execute("DELETE FROM events WHERE number <= ?", (row.number - EVENTS_KEPT,))
 

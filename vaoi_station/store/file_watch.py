@@ -1,4 +1,4 @@
-"""Watch of the database's file: deleted or replaced while it is open, and the space that is left."""
+"""Watch of the database's file: whether it was deleted or replaced while it is open, and the free space."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class FileWatch:
 
     @property
     def changed(self) -> bool:
-        """Whether the file was deleted or replaced: a connection would write to a file that has no name any more."""
+        """Whether the file was deleted or replaced, so that a connection writes to a file that no longer has a name."""
         return identity_of(self._path) != self._opened
 
     def forget(self) -> None:
@@ -32,24 +32,24 @@ class FileWatch:
         self._opened = identity_of(self._path)
 
     def measure(self) -> None:
-        """Read how much space the station may still use."""
-        # Kept in case of an error: a lost mount shows itself with the next write.
+        """Measure the space that the station may still use."""
+        # The last value is kept after an error: if the mount was lost, the next write shows it.
         with contextlib.suppress(OSError):
             found = os.statvfs(self._path.parent)
             self.free_bytes = found.f_bavail * found.f_frsize
 
     def rescue(self, connection: sqlite3.Connection) -> StorageTrouble:
-        """Save what `connection`, whose file is not at the path any more, can still read.
+        """Save everything that `connection`, whose file is no longer at the path, can still read.
 
-        A deleted database is put back. If another file is in its place, that one is left there, and the old content
-        is saved beside it.
+        If the database was deleted, it is put back. If another file is in its place, that file is left there, and the
+        old content is saved beside it.
         """
         replaced = identity_of(self._path) is not None
         self._path.parent.mkdir(parents=True, exist_ok=True)
         aside = self._path.with_name(f"{self._path.name}.rescued")
         aside.unlink(missing_ok=True)
         connection.execute("VACUUM INTO ?", (str(aside),))
-        # The log of the old file must not be applied to the one that is opened next.
+        # The write-ahead log of the old file must not be applied to the file that is opened next.
         for ending in ("-wal", "-shm"):
             self._path.with_name(self._path.name + ending).unlink(missing_ok=True)
         if not replaced:

@@ -1,7 +1,7 @@
 """Which finished runs are kept whole, which as a summary only, and which are pinned.
 
-A run is *whole* while its details, timeline and result are kept. A run that is forgotten in part keeps its row with
-the summary; one that is forgotten completely has no row. Pinned runs are never forgotten.
+A run is *whole* while its details, timeline and result are kept. Of a run that is forgotten in part, the row with its
+summary is kept. A run that is forgotten completely has no row. Pinned runs are never forgotten.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class RunRetention:
         """Return the oldest whole runs beyond the newest `keep`, or with ids below `before`; at most `limit` ids.
 
         Args:
-            doubtful: select the runs whose verdict is not ok, instead of the others.
+            doubtful: whether to select runs whose verdict is not ok; otherwise runs whose verdict is ok.
             keep: number of runs of this kind to keep.
             before: id below which runs are too old.
             limit: largest number of ids to return.
@@ -47,7 +47,7 @@ class RunRetention:
         return [str(row["run"]) for row in rows]
 
     def old_summaries(self, keep: int, before: str, limit: int) -> list[str]:
-        """Return the oldest runs beyond the newest `keep` runs, or with ids below `before`; at most `limit` ids.
+        """Return the oldest runs beyond the newest `keep`, or with ids below `before`; at most `limit` ids.
 
         Runs that are whole, unfinished or pinned are left out, and those that a calibration check refers to.
         """
@@ -117,7 +117,7 @@ class RunRetention:
 
     @property
     def disk_free_bytes(self) -> int | None:
-        """Free space of the data disk at the last check; None if it is not known."""
+        """Free space of the data disk at the last check, bytes; None if it is not known."""
         return self._database.free_bytes
 
     def whole(self) -> tuple[int, int]:
@@ -161,7 +161,8 @@ class RunRetention:
         return run in self.pins()
 
     def pins(self) -> frozenset[str]:
-        """Return the ids of all pinned runs. They are read once, so that a damaged disk does not hinder later calls."""
+        """Return the ids of all pinned runs. They are read only once, so that later calls succeed even if the disk
+        fails."""
         if self._pins is None:
             self._pins = frozenset(str(row["run"]) for row in self._database.read("SELECT run FROM pins"))
         return self._pins

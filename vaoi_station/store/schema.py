@@ -12,9 +12,9 @@ from vaoi_station.errors import InputError
 
 _VERDICT = "CASE WHEN json_valid(new.summary) THEN json_extract(new.summary, '$.verdict') END"
 _DOUBTFUL = f"(coalesce({_VERDICT}, '') <> 'ok')"
-"""SQL: 1 for a run whose verdict is not ok, or that has none; 0 for the others."""
+"""SQL expression: 1 for a run with a verdict other than ok, or without a verdict; 0 for all other runs."""
 
-# STRICT tables reject a value of the wrong type; without it SQLite stores text in an INTEGER column.
+# STRICT tables reject a value of the wrong type; otherwise, SQLite would store text in an INTEGER column.
 STEPS: tuple[tuple[str, ...], ...] = (
     (
         """CREATE TABLE documents (
@@ -64,8 +64,8 @@ STEPS: tuple[tuple[str, ...], ...] = (
         ) STRICT""",
     ),
     (
-        # Which finished runs still have their details and results (`store/retention.py`). Triggers fill the table, so
-        # that no code path that ends a run can leave it out.
+        # The table lists which finished runs still have details and results (`store/retention.py`). Triggers fill it,
+        # so that no code that ends a run can leave it out.
         """CREATE TABLE whole_runs (
             run TEXT PRIMARY KEY REFERENCES runs (id),
             finish_number INTEGER NOT NULL UNIQUE,
@@ -83,9 +83,9 @@ STEPS: tuple[tuple[str, ...], ...] = (
             run TEXT PRIMARY KEY REFERENCES runs (id),
             pinned TEXT NOT NULL
         ) STRICT""",
-        # One row: the highest id of the runs of which not even the summary is kept.
+        # This table has one row: the highest id of the runs of which not even the summary is kept.
         "CREATE TABLE forgotten (last TEXT NOT NULL) STRICT",
-        # A start that changes the state of runs must not read the runs of a year.
+        # A start that changes the state of runs must not have to read all runs of a year.
         "CREATE INDEX runs_with_frames ON runs (state) WHERE state IN ('ready', 'degraded', 'failed')",
     ),
     (
@@ -126,8 +126,8 @@ def migrate(connection: sqlite3.Connection, path: Path) -> None:
                 connection.execute(statement)
             connection.execute(f"PRAGMA user_version = {number + 1}")
             connection.execute("COMMIT")
-        except BaseException:  # roll back in every case; the error is raised again
-            # SQLite has done so itself after "disk full"; a second ROLLBACK would hide that cause.
+        except BaseException:  # roll back in every case, then raise the error again
+            # After "disk full", SQLite has rolled back already; a second ROLLBACK would hide that cause.
             if connection.in_transaction:
                 connection.execute("ROLLBACK")
             raise

@@ -1,7 +1,7 @@
-"""Checks in small steps, while the station runs, whether the database file is sound.
+"""Checks in small steps, while the station runs, whether the database file is undamaged.
 
-SQLite's `quick_check` reads every page and cannot be interrupted. A database of a year would delay the start by more
-than the time that the station may take (`start_check`), so its rows are read later, a few at a time.
+SQLite's `quick_check` reads every page and cannot be interrupted. With a database of a year, it would take longer than
+a start may take (`start_check`). Therefore the rows of such a database are read later, a few at a time.
 """
 
 from __future__ import annotations
@@ -10,9 +10,9 @@ from vaoi_station.errors import DeviceError
 from vaoi_station.store.database import Database
 
 ROWS, LARGE_ROWS = 400, 25
-"""Numbers of rows of one step: of tables with small rows, and of those whose rows may have megabytes."""
+"""Numbers of rows per step: for tables with small rows, and for tables whose rows may have megabytes."""
 PAUSE_STEPS = 100_000
-"""Number of steps that are left out between two rounds; at 0.2 s a step, 5.6 hours."""
+"""Number of steps without a check between two rounds. With 0.2 s per step, this is 5.6 hours."""
 RESTORE = "Stop the station and restore a backup (vaoi restore), or move the file away to begin with an empty one."
 
 _TABLES: tuple[tuple[str, str, str, int], ...] = (
@@ -25,11 +25,13 @@ _TABLES: tuple[tuple[str, str, str, int], ...] = (
     ("whole_runs", "run", "finish_number > 0", ROWS),
     ("events", "number", "json_valid(document)", ROWS),
 )
-"""Table, key, condition that a sound row fulfils, and number of rows of a step. Every column with text is read."""
+"""For each table: its name, its key, a condition that an undamaged row fulfils, and the number of rows per step.
+
+The condition reads every column that contains text."""
 
 
 class DatabaseCheck:
-    """Reads the whole database in small steps, round after round."""
+    """Reads the whole database in small steps, in one round after another."""
 
     def __init__(self, database: Database) -> None:
         self._database = database
@@ -41,13 +43,14 @@ class DatabaseCheck:
         """Read the next rows.
 
         Raises:
-            DeviceError: the file is damaged. The next step goes on behind the damaged place.
+            DeviceError: the file is damaged. The next step continues after the damaged place.
         """
         if self._left_out:
             self._left_out -= 1
             return
         table, key, sound, rows = _TABLES[self._table]
-        # The key of events is a number, which SQLite compares with a text as smaller: the first value must be one too.
+        # The key of the table of events is a number. SQLite sorts numbers before texts, so the first value must be a
+        # number.
         after: str | int = self._after or (-1 if key == "number" else "")
         try:
             found = self._database.read(

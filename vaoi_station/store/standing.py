@@ -1,4 +1,4 @@
-"""What a restart takes up again: one small document per key."""
+"""The present activity of the station, which a restart resumes: one small document per key."""
 
 from __future__ import annotations
 

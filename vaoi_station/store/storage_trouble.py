@@ -1,4 +1,4 @@
-"""Trouble of the storage: the cause behind an error of SQLite or of a file, and whether it can pass by itself."""
+"""Troubles of the storage: the cause of an error of SQLite or of a file, and whether it can pass by itself."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ FULL, READ_ONLY, UNAVAILABLE = "storage-full", "storage-read-only", "storage-una
 DAMAGED, DELETED, REPLACED = "database-damaged", "database-deleted", "database-replaced"
 NEWER, FOREIGN = "database-newer", "database-foreign"
 PASSING = frozenset({FULL, READ_ONLY, UNAVAILABLE})
-"""Codes of causes that pass, or that a person removes while the station runs: what failed is tried again."""
+"""Codes of causes that pass, or that can be removed while the station runs. A write that failed is tried again."""
 CODES = PASSING | {DAMAGED, DELETED, REPLACED, NEWER, FOREIGN}
 """All codes of troubles."""
 
@@ -49,7 +49,7 @@ _OF_SYSTEM = {
 
 @dataclass(frozen=True)
 class StorageTrouble:
-    """What is wrong with the storage, or what was done about it: code, message and action."""
+    """A fault of the storage, or an action that was taken because of it: code, message and advice."""
 
     code: str
     message: str
@@ -65,13 +65,13 @@ def trouble_of(error: BaseException, path: Path) -> StorageTrouble | None:
     if isinstance(error, OSError):
         code = _OF_SYSTEM.get(error.errno or 0, UNAVAILABLE)
         return StorageTrouble(code, f"{path}: cannot be used ({error.strerror or error}).", _ACTIONS[code])
-    # An attempt to open the file again reports its errors in the words of the station already.
+    # Opening the file again already reports its errors in the station's words.
     if isinstance(error, VaoiError) and error.code in CODES:
         return StorageTrouble(error.code, error.message, error.action)
     if not isinstance(error, sqlite3.DatabaseError):
         return None
     # The low byte is the primary code (SQLite documentation, "Result and Error Codes"). Errors that the Python module
-    # itself raises have none.
+    # itself raises have no code.
     found = _OF_SQLITE.get(getattr(error, "sqlite_errorcode", sqlite3.SQLITE_ERROR) & 0xFF)
     # `quick_check` reports damage as a row; it is raised here as a plain DatabaseError.
     if found is None and type(error) is sqlite3.DatabaseError:

@@ -1,1 +1,1 @@
-"""Who may do what: keys and their scopes, the login of the page, the audit log."""
+"""The rights of callers: keys and their scopes, the login of the page, and the audit log."""

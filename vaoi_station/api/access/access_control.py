@@ -1,9 +1,12 @@
-"""Decides who sends a request and whether it may: by a key, by the login of a page, or from the station's own machine.
+"""Identifies the caller of a request, and decides whether the request is permitted.
 
-- Programs send `Authorization: Bearer KEY`. The page exchanges a key for a cookie that scripts cannot read and that
-  browsers send from the station's own pages only (HttpOnly, SameSite=Strict).
-- A command with the cookie must state its origin, which `RequestGuard` compares; browsers always do.
-- Loopback may be open by configuration, without the scope admin. A request that a proxy passed on is not from loopback.
+The caller is known by a key, by the login of a page, or by an address of the station's own machine.
+
+- Programs send `Authorization: Bearer KEY`. The page exchanges a key for a cookie. Scripts cannot read this cookie, and
+  browsers send it only from the station's own pages (HttpOnly, SameSite=Strict).
+- A command with the cookie must state its origin, which `RequestGuard` compares; browsers always state it.
+- Callers on loopback may be permitted without a key, by configuration, but not for the scope admin. A request that a
+  proxy has forwarded does not count as one from loopback.
 """
 
 from __future__ import annotations
@@ -26,7 +29,7 @@ from vaoi_station.errors import VaoiError
 from vaoi_station.files.access_keys import AccessKey, KeyFile
 
 OPEN_SCOPES = frozenset({"read", "operate", "teach"})
-"""What callers on the station's own machine may do without a key. Keys are made with `vaoi keys`."""
+"""Scopes of callers on the station's own machine that have no key. Keys are made with `vaoi keys`."""
 LOCAL = "loopback"
 _FORWARDED = ("forwarded", "x-forwarded-for", "x-real-ip", "via")
 _REFUSALS_PER_MINUTE = 60
@@ -41,7 +44,7 @@ class AccessControl:
         self._minute, self._refused = 0, 0
 
     def refusal(self, scope: Scope) -> Response | None:
-        """Set the caller of a request; return a refusal if it may not do what it asks for, else None."""
+        """Store the caller of a request in it; return a refusal if the caller may not send this request, else None."""
         headers, path = Headers(scope=scope), scope["path"]
         try:
             caller, with_cookie = self._caller(scope, headers)
@@ -64,7 +67,7 @@ class AccessControl:
         return None
 
     def note(self, scope: Scope, status: int, begun: float) -> None:
-        """Write a command, or a refusal for want of a key, to the audit log."""
+        """Write a command, or a refusal because of a missing key, to the audit log."""
         if status in (401, 403):
             minute = int(time.monotonic() // 60)
             self._minute, self._refused = minute, self._refused + 1 if minute == self._minute else 1
@@ -85,7 +88,7 @@ class AccessControl:
         self.audit.add(**entry)
 
     def _caller(self, scope: Scope, headers: Headers) -> tuple[Caller | None, bool]:
-        """Return who sends a request, None if it is not known, and whether a cookie states it."""
+        """Return the caller of a request (None if unknown), and whether a cookie identified the caller."""
         address = set_caller(scope).address
         authorization = headers.get("authorization")
         if authorization is not None:
@@ -103,7 +106,7 @@ class AccessControl:
 
 
 def session_token(headers: Headers) -> str | None:
-    """Return the content of the login's cookie, or None."""
+    """Return the content of the cookie of a login; None if the request has none."""
     try:
         cookie = SimpleCookie(headers.get("cookie", "")).get(COOKIE)
     except CookieError:
@@ -112,7 +115,7 @@ def session_token(headers: Headers) -> str | None:
 
 
 def _with_key(address: str, key: AccessKey) -> Caller:
-    # Every key may read: a program that arms must see the state, too.
+    # Every key may read: a program that arms the line must also see the state.
     return Caller(address, key.name, frozenset({"read", *key.scopes}))
 
 

@@ -1,4 +1,4 @@
-"""The audit log: every command and every refusal for want of a key, as lines of JSON in `audit.jsonl`."""
+"""The audit log: every command, and every refusal because of a missing key, as lines of JSON in `audit.jsonl`."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ _log = logging.getLogger(__name__)
 
 AUDIT_FILE = "audit.jsonl"
 MOST_BYTES, FILES_KEPT = 8 * 2**20, 4
-"""Size at which a new file is begun, and number of files before it that are kept."""
+"""Size in bytes at which a new file is begun, and number of earlier files that are kept."""
 _MOST_WAITING = 2000
 
 
 class AuditLog:
-    """Writes entries in a thread of its own, so that a slow disk delays no request."""
+    """The audit log. A separate thread writes the entries, so that a slow disk delays no request."""
 
     def __init__(self, path: Path, most_bytes: int = MOST_BYTES) -> None:
         self.path, self._most_bytes = path, most_bytes
@@ -38,7 +38,7 @@ class AuditLog:
             self._waiting.put_nowait(record)
             self._dropped = 0
         except queue.Full:
-            # The disk does not follow. The next entry that is written states how many are missing.
+            # The disk is too slow. The next entry that is written states how many are missing.
             self._dropped += 1
 
     def newest(self, count: int) -> list[dict[str, Any]]:
@@ -49,11 +49,11 @@ class AuditLog:
             if path.is_file():
                 with path.open(encoding="utf-8", errors="replace") as file:
                     lines.extend(file)
-        # The last line may be cut short by a power failure.
+        # A power failure may have cut the last line short.
         return [entry for line in reversed(lines) if (entry := _parsed(line)) is not None]
 
     def close(self) -> None:
-        """Write what is waiting, and end."""
+        """Write the waiting entries, and end the thread."""
         self._waiting.put(None)
         self._thread.join(5)
 

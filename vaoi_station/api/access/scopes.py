@@ -7,7 +7,7 @@ import re
 from vaoi_station.files.access_keys import Scope
 
 PUBLIC = re.compile(r"/|/docs|/favicon\.ico|/(web|problems)/.*|/healthz|/readyz|/api/v1/(openapi\.json|session)")
-"""Addresses that need no key: the page itself, documentation, health for supervisors, and the login."""
+"""Addresses that need no key: the page itself, documentation, health for process supervisors, and the login."""
 _ADMIN = re.compile(r"/api/v1/(keys|audit)(/.*)?")
 _COMMANDS: tuple[tuple[re.Pattern[str], Scope], ...] = (
     (re.compile(r"/api/v1/station/(arm|disarm)"), "operate"),
@@ -24,5 +24,5 @@ def scope_needed(method: str, path: str) -> Scope | None:
         return "admin"
     if method in ("GET", "HEAD", "OPTIONS"):
         return "read"
-    # A command that is not listed needs the highest scope, so that a new one is not open by mistake.
+    # A command that is not listed needs the highest scope, so that a new command is not open by mistake.
     return next((scope for pattern, scope in _COMMANDS if pattern.fullmatch(path)), "admin")

@@ -1,4 +1,4 @@
-"""The logins of pages: a random cookie in place of the key, which a page must not keep."""
+"""The logins of pages: a random cookie replaces the key, because a page must not store the key."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import NamedTuple
 from vaoi_station.files.access_keys import AccessKey
 
 SESSION_S = 12 * 3600
-"""Longest login: one shift."""
+"""Longest duration of a login: one shift."""
 MOST_SESSIONS = 256
 COOKIE = "vaoi-session"
 
@@ -29,7 +29,10 @@ class Sessions:
         self._sessions: dict[str, _Session] = {}
 
     def begin(self, key: AccessKey) -> str:
-        """Begin a login with a key, and return the content of its cookie. Of too many logins the oldest ends."""
+        """Begin a login with a key, and return the content of its cookie.
+
+        If there are too many logins, the oldest ends.
+        """
         now = self._clock()
         self._sessions = {t: s for t, s in self._sessions.items() if s.until > now}
         while len(self._sessions) >= MOST_SESSIONS:
@@ -39,7 +42,7 @@ class Sessions:
         return token
 
     def key_of(self, token: str, keys: tuple[AccessKey, ...]) -> AccessKey | None:
-        """Return the key of a login; None if it has ended, or if its key was rotated or revoked since."""
+        """Return the key of a login; None if the login has ended, or if its key was rotated or revoked since."""
         session = self._sessions.get(_hash(token))
         if session is None or session.until <= self._clock() or session.key not in keys:
             return None

@@ -1,1 +1,1 @@
-"""Who sends a request, and how much of the station's resources each caller may use at a time."""
+"""The callers of requests, and the share of the station's resources that each caller may use at a time."""

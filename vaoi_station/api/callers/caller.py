@@ -14,18 +14,18 @@ _KEY = "caller"
 
 @dataclass(frozen=True)
 class Caller:
-    """Who sends a request."""
+    """The sender of a request."""
 
     address: str
-    """Address by which it is counted."""
+    """Address by which the caller is counted."""
     key: str | None = None
-    """Name of its key."""
+    """Name of the caller's key; None without a key."""
     scopes: frozenset[str] = frozenset()
-    """What it may do."""
+    """Scopes that the caller has."""
 
     @property
     def name(self) -> str:
-        """Name under which its use of resources is counted."""
+        """Name under which the caller's use of resources is counted."""
         return self.address if self.key is None else f"key {self.key}"
 
 

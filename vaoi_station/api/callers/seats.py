@@ -1,4 +1,7 @@
-"""Limits of what one caller, and all together, may use at a time: waiting requests, pictures, bytes of bodies."""
+"""Limits of the resources in use at a time, by one caller and in total: waiting requests, pictures, bytes of bodies.
+
+A *seat* is one unit of such a resource, for example one waiting request.
+"""
 
 from __future__ import annotations
 
@@ -12,10 +15,10 @@ from vaoi_station.errors import BusyError
 
 
 class Seats:
-    """A number of seats, limited in all and for each caller. A caller who finds none is refused."""
+    """A number of seats, limited in total and for each caller. A request for which no seat is free is refused."""
 
     def __init__(self, what: str, total: int, per_caller: int) -> None:
-        """Create the seats; `what` names in the plural what they are for."""
+        """Create the seats; `what` names, in the plural, what one seat is for."""
         self._what, self._total, self._per_caller = what, total, per_caller
         self._taken: Counter[str] = Counter()
 
@@ -26,7 +29,7 @@ class Seats:
 
     @contextmanager
     def take(self, caller: str, count: int = 1) -> Iterator[None]:
-        """Take seats in a `with` block. Raise BusyError if the caller, or all together, have too many."""
+        """Take seats in a `with` block. Raise BusyError if the caller, or all callers together, would have too many."""
         if self._taken[caller] + count > self._per_caller:
             raise BusyError(
                 f"{caller} has {self._taken[caller]} {self._what}, the limit for one caller is {self._per_caller}.",
@@ -40,16 +43,16 @@ class Seats:
         finally:
             self._taken[caller] -= count
             if not self._taken[caller]:
-                # A counter of every address that ever called would grow without end.
+                # If callers without seats stayed in the counter, it would grow with every new address.
                 del self._taken[caller]
 
 
 class QueuedSeats:
-    """Seats for which a caller waits in turn: a limited number of requests, for a limited time."""
+    """Seats for which callers wait in turn: a limited number of requests, for a limited time."""
 
     def __init__(self, what: str, total: int, per_caller: int, queue: int, wait_s: float) -> None:
         """Create the seats. Of each caller `queue` requests may wait, each for at most `wait_s`."""
-        # The number of connections limits how many wait in all.
+        # The limit of connections also limits the total number of waiting requests.
         self._queue = Seats(f"{what}, waiting ones included", sys.maxsize, per_caller + queue)
         self._total, self._per_caller, self._wait_s = total, per_caller, wait_s
         self._held: Counter[str] = Counter()
@@ -57,7 +60,7 @@ class QueuedSeats:
 
     @asynccontextmanager
     async def take(self, caller: str) -> AsyncIterator[None]:
-        """Take a seat in an `async with` block, if necessary after waiting for it. Raise BusyError if none is free."""
+        """Take a seat in an `async with` block; if necessary, wait for it. Raise BusyError if none becomes free."""
         with self._queue.take(caller):
             try:
                 async with asyncio.timeout(self._wait_s):
@@ -68,7 +71,7 @@ class QueuedSeats:
                     f"No picture could be made within {self._wait_s:g} s, because others are made or not yet read.",
                     action="Ask for fewer pictures at a time, and read each answer.",
                 ) from None
-            # No `await` since the test: no other request can have taken the seat.
+            # There was no `await` since the test, so no other request can have taken the seat.
             self._held[caller] += 1
             try:
                 yield

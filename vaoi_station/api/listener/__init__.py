@@ -1,1 +1,1 @@
-"""The listening socket: which connections are accepted, and how long they may take to send and to read."""
+"""The listening socket: which connections are accepted, and how long callers may take to send and to read."""

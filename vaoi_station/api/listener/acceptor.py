@@ -1,4 +1,4 @@
-"""Accepts connections within limits, and closes those that are overdue."""
+"""Accepts connections within limits, and closes those that have exceeded a time limit."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from vaoi_station.api.listener.http_connection import AcceptedConnection, Limite
 _log = logging.getLogger(__name__)
 
 BACKLOG = 128
-"""Connections that the kernel keeps until they are accepted."""
+"""Largest number of connections that the kernel keeps until they are accepted."""
 SWEEP_S = 0.5
 _BATCH = 32
-"""Connections accepted before other work gets its turn, so that a burst does not use up all descriptors."""
+"""Number of connections that are accepted at a time before other work continues, so that a burst leaves descriptors."""
 _PAUSE_S = 0.2
-"""Pause after an accept that failed for want of descriptors or memory."""
+"""Pause after an accept that failed because of too few descriptors or too little memory, s."""
 _LOG_EVERY_S = 60.0
 
 MakeHttp = Callable[[AcceptedConnection, ConnectionTable], LimitedHttp]
 
 
 class Acceptor:
-    """Accepts the connections of one listening socket. Has the methods that uvicorn expects of a server of asyncio."""
+    """Accepts the connections of a listening socket. It has the methods that uvicorn expects of an asyncio server."""
 
     def __init__(
         self, listener: socket.socket, make_http: MakeHttp, limits: ConnectionLimits, tls: CertificateFiles | None
@@ -70,7 +70,7 @@ class Acceptor:
             accepted.task.add_done_callback(partial(self._served, accepted, connected))
 
     async def _serve(self, accepted: AcceptedConnection, connected: socket.socket) -> None:
-        """Perform the handshake of one connection, and hand it over to its protocol."""
+        """Perform the handshake of one connection, then give the connection to its protocol."""
         try:
             connected.setblocking(False)
             await self._loop.connect_accepted_socket(
@@ -91,7 +91,7 @@ class Acceptor:
             connected.close()
 
     def _pause(self, error: OSError) -> None:
-        """Accept nothing for a moment after a failure that would repeat at once, and make room."""
+        """Accept no connection for a moment after a failure that would repeat at once, and make room by closing one."""
         self._warn("connections cannot be accepted: %s", error)
         self.table.make_room()
         self._loop.remove_reader(self._listener.fileno())

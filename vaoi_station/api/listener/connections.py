@@ -1,8 +1,8 @@
-"""The open connections, limited in all and for each address.
+"""The open connections, limited in total and for each address.
 
-If a limit is reached, the connection that does least for its caller is closed for the new one: one that has sent no
-complete request, one that is idle, or one whose caller does not read. So a caller that holds many connections open
-without using them does not keep others out.
+If a limit is reached, one connection is closed for a new one: the connection that its caller needs least. This is one
+that has sent no complete request, one that is idle, or one whose caller does not read. So a caller that holds many
+connections open without using them cannot exclude others.
 """
 
 from __future__ import annotations
@@ -18,26 +18,27 @@ MOST_PER_ADDRESS = 64
 
 
 class Idleness(NamedTuple):
-    """How dispensable a connection is; the smallest is closed first."""
+    """Measure of how little a connection is needed; the connection with the smallest value is closed first."""
 
     served: bool
-    """Whether a request was answered on it. A program that keeps its connection open is closed later than one that
-    has never sent a complete request."""
+    """Whether a request was answered on the connection.
+
+    A program that keeps its connection open is closed later than a caller that has never sent a complete request."""
     since: float
-    """Time since which it has done nothing, s on the clock of the event loop."""
+    """Time since which the connection has done nothing, s on the clock of the event loop."""
 
 
 class Connection(Protocol):
-    """What the table needs to know of a connection."""
+    """The properties of a connection that the table of connections uses."""
 
     address: str
 
     def idleness(self) -> Idleness | None:
-        """Return how dispensable the connection is; None while a request is under way."""
+        """Return how little the connection is needed; None while a request is under way."""
         ...
 
     def cut(self) -> None:
-        """Close the connection at once, without sending what is left."""
+        """Close the connection at once, without sending the rest of a reply."""
         ...
 
 
@@ -48,20 +49,22 @@ class ConnectionLimits:
     total: int = MOST_CONNECTIONS
     per_address: int = MOST_PER_ADDRESS
     handshake_s: float = 5.0
-    """Longest TLS handshake."""
+    """Longest time for a TLS handshake."""
     head_s: float = 10.0
-    """Longest time without a request under way: until the head of the next one has arrived, and unread bodies end."""
+    """Longest time without a request under way, until the head of the next request has arrived.
+
+    Unread bodies must also end within this time."""
     stall_s: float = 10.0
-    """Longest time in which a caller reads nothing of its answer."""
+    """Longest time during which a caller reads nothing of its reply."""
     answer_s: float = 120.0
-    """Longest time for which one answer waits for its reader, in all; event streams have no such limit."""
+    """Longest total time for which one reply waits for its reader; event streams have no such limit."""
     closing_s: float = 5.0
-    """Time in which the rest of an answer must be read when the station has closed the connection."""
+    """Time in which the rest of a reply must be read after the station has closed the connection."""
 
     @classmethod
     def of_this_process(cls) -> ConnectionLimits:
         """Return the limits for the number of files that this process may open."""
-        # Cameras, database, workers and references need descriptors too.
+        # Cameras, database, workers and references need file descriptors too.
         soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
         total = MOST_CONNECTIONS if soft == resource.RLIM_INFINITY else max(8, min(MOST_CONNECTIONS, soft // 3))
         return cls(total=total, per_address=min(MOST_PER_ADDRESS, max(4, total // 2)))
@@ -81,7 +84,7 @@ class ConnectionTable:
         return iter(list(self._open.values()))
 
     def admit(self, new: Connection) -> bool:
-        """Add a connection, if necessary in place of another one; return False if all others are in use."""
+        """Add a connection, if necessary in place of another one. Return False if all others are in use."""
         own = [c for c in self._open.values() if c.address == new.address]
         if len(own) >= self._limits.per_address:
             if not self._close_one(own):
@@ -92,7 +95,10 @@ class ConnectionTable:
         return True
 
     def make_room(self) -> bool:
-        """Close the most dispensable connection, if possible of the address that has most; return whether one was."""
+        """Close the connection that is needed least, of the address with the most connections.
+
+        Return whether one was closed.
+        """
         by_address: dict[str, list[Connection]] = {}
         for connection in self._open.values():
             by_address.setdefault(connection.address, []).append(connection)
@@ -114,7 +120,7 @@ class ConnectionTable:
 
 
 def caller_address(host: str) -> str:
-    """Return the address by which a caller is counted: of IPv6 the network, since one host has 2^64 addresses of it."""
+    """Return the address by which a caller is counted; for IPv6 the network, in which one host has 2^64 addresses."""
     try:
         address = ipaddress.ip_address(host.partition("%")[0])
     except ValueError:

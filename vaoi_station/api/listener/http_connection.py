@@ -1,4 +1,4 @@
-"""One HTTP connection of uvicorn, with limits of the time it may take to send a request and to read the answer."""
+"""One HTTP connection of uvicorn, with limits of the time for sending a request and for reading the reply."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from uvicorn.server import ServerState
 from vaoi_station.api.listener.connections import ConnectionLimits, ConnectionTable, Idleness
 
 STREAMS = frozenset({"/api/v1/events"})
-"""Paths whose answers have no end, so that only the time without progress is limited."""
+"""Paths whose replies have no end, so that only the time without progress is limited."""
 _SLOW_READER_S = 2.0
-"""A caller that has not read for this time may lose its connection to a new one."""
+"""A caller that has not read for this time, s, may lose its connection to a new one."""
 _QUIET_S = 10.0
 
 
 class _SeldomFilter(logging.Filter):
-    """Passes warnings at most every `_QUIET_S`: each invalid request causes one, and a caller can send thousands."""
+    """Log filter that passes a warning at most every `_QUIET_S`; a caller can send thousands of invalid requests."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -43,7 +43,7 @@ _log.addFilter(_SeldomFilter())
 
 
 class AcceptedConnection:
-    """An accepted socket, from the TLS handshake to its end, as the table of connections knows it."""
+    """An accepted socket, from the TLS handshake to its end, as an entry of the table of connections."""
 
     def __init__(self, address: str, since: float) -> None:
         self.address, self._since = address, since
@@ -52,7 +52,7 @@ class AcceptedConnection:
         """The task that performs the handshake."""
 
     def idleness(self) -> Idleness | None:
-        """Return how dispensable the connection is; None while a request is under way."""
+        """Return how little the connection is needed; None while a request is under way."""
         return Idleness(False, self._since) if self.http is None else self.http.idleness()
 
     def cut(self) -> None:
@@ -64,7 +64,7 @@ class AcceptedConnection:
 
 
 class LimitedHttp(H11Protocol):
-    """The protocol of one connection. The acceptor asks it regularly whether it is overdue."""
+    """The protocol of one connection. The acceptor regularly calls its method `overdue`."""
 
     def __init__(
         self,
@@ -79,11 +79,11 @@ class LimitedHttp(H11Protocol):
         self.logger = _log
         self._accepted, self._table, self._limits = accepted, table, limits
         self._since = self.loop.time()
-        """When the connection was made, the present request began, or the last answer was complete."""
+        """Time at which the connection was made, the present request began, or the last reply was complete."""
         self._paused: float | None = None
-        """Since when the caller's connection takes no more bytes."""
+        """Time since which the caller's connection accepts no more bytes; None while it accepts bytes."""
         self._waited_s = 0.0
-        """For how long the present answer has waited for its reader before."""
+        """Total time for which the present reply has waited for its reader before."""
         self._closing: float | None = None
         self._served = False
 
@@ -94,18 +94,18 @@ class LimitedHttp(H11Protocol):
         self._since = self.loop.time()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Give the place of the connection to another one."""
+        """Remove the connection from the table, which frees its place."""
         self._table.discard(self._accepted)
         super().connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:
-        """Take bytes, and note when they complete the head of a request."""
+        """Process received bytes, and record when they complete the head of a request."""
         before = self.cycle
         super().data_received(data)
         self._note_request(before)
 
     def on_response_complete(self) -> None:
-        """Count the time until the next request from here on."""
+        """Count the time until the next request from now on."""
         self._served = True
         self._since = self.loop.time()
         before = self.cycle
@@ -113,27 +113,27 @@ class LimitedHttp(H11Protocol):
         self._note_request(before)
 
     def send_400_response(self, msg: str) -> None:
-        """Refuse bytes that are no HTTP request."""
+        """Refuse bytes that are not an HTTP request."""
         try:
             super().send_400_response(msg)
         except LocalProtocolError:
-            # They followed a request whose answer is under way: no other answer can be sent any more.
+            # The bytes followed a request whose reply is under way: no other reply can be sent any more.
             self.transport.abort()
 
     def pause_writing(self) -> None:
-        """Note that the caller does not read as fast as the answer is sent."""
+        """Record that the caller does not read as fast as the reply is sent."""
         self._paused = self.loop.time()
         super().pause_writing()
 
     def resume_writing(self) -> None:
-        """Note that the caller has read."""
+        """Record that the caller has read."""
         if self._paused is not None:
             self._waited_s += self.loop.time() - self._paused
             self._paused = None
         super().resume_writing()
 
     def idleness(self) -> Idleness | None:
-        """Return how dispensable the connection is; None while a request is under way."""
+        """Return how little the connection is needed; None while a request is under way."""
         if self._closing is not None:
             return Idleness(False, self._closing)
         if self._paused is not None:
@@ -143,7 +143,7 @@ class LimitedHttp(H11Protocol):
         return Idleness(False, self._since) if self.cycle.more_body else None
 
     def overdue(self) -> bool:
-        """Return whether the connection has exceeded one of its times. Called regularly."""
+        """Return whether the connection has exceeded one of its time limits. Called regularly."""
         now = self.loop.time()
         if self.transport.is_closing():
             self._closing = now if self._closing is None else self._closing

@@ -37,7 +37,7 @@ class LimitedServer(uvicorn.Server):
                 ws="none",
                 log_config=None,
                 access_log=False,
-                # The address of a caller counts for its limits, so no header may replace it.
+                # A caller's limits are counted by its address, so no header may replace the address.
                 proxy_headers=False,
                 server_header=False,
                 timeout_graceful_shutdown=int(grace_s),

@@ -23,14 +23,14 @@ BODY = {
         "content": {"application/json": {"schema": {"$ref": "#/components/schemas/BoardType"}}},
     }
 }
-"""The body that a board type is stored with, as OpenAPI."""
+"""OpenAPI description of the request body with which a board type is stored."""
 
 
 def router(services: Services) -> APIRouter:
     """Create the routes for board types. Their documents have the format of `docs/formats.md`."""
     routes = APIRouter(prefix="/board-types", tags=["board types"])
     coordinator, ask = services.coordinator, services.commands.ask
-    # One at a time, because parsing holds the interpreter's lock.
+    # Only one is parsed at a time, because parsing holds the interpreter's lock.
     parsing = ThreadLimit(1)
 
     @routes.get("", response_model_exclude_none=True)
@@ -56,7 +56,8 @@ def router(services: Services) -> APIRouter:
 
         An armed line keeps its version as well; the new one applies from the next arming on.
         """
-        # Not a parameter of the route: FastAPI would check its contents, which takes long, in the event loop.
+        # The board type is not a parameter of the route: FastAPI would check its contents in the event loop, which
+        # takes long.
         board_type = await parsing.ask(_parsed, await request.body())
         if board_type.name != name:
             raise InputError.field("body", "name", board_type.name, f"{name!r}, as in the address")

@@ -36,7 +36,7 @@ def router(services: Services) -> APIRouter:
     routes = APIRouter()
     coordinator, ask = services.coordinator, services.commands.ask
 
-    # Not a part of the REST document: the format is that of Prometheus, and generated clients have no use for it.
+    # Not part of the REST document: the format is that of Prometheus, and generated clients cannot use it.
     @routes.get("/metrics", include_in_schema=False)
     async def get_metrics() -> Response:
         snapshot = await ask(coordinator.snapshot)
@@ -76,7 +76,7 @@ def metrics_of(snapshot: StationSnapshot, figures: RunFigures) -> tuple[Metric, 
 
 def _latency(figures: RunFigures) -> Metric:
     bounds = [*(f"{bound:g}" for bound in LATENCY_BOUNDS_S), "+Inf"]
-    counts = itertools.accumulate(figures.latencies)  # each class of Prometheus holds all below it
+    counts = itertools.accumulate(figures.latencies)  # a class of Prometheus also counts all smaller values
     buckets: tuple[tuple[str, Labels, float], ...] = tuple(
         ("_bucket", {"le": bound}, float(count)) for bound, count in zip(bounds, counts, strict=True)
     )
@@ -124,7 +124,7 @@ _USAGE = (
 
 
 def _usage(pid: int) -> tuple[float, ...] | None:
-    """Read what a process uses; None if it has ended."""
+    """Read the resources that a process uses, for the metrics; None if the process has ended."""
     folder, ticks = Path("/proc") / str(pid), os.sysconf("SC_CLK_TCK")
     try:
         _, resident, shared = (int(n) * _PAGE_BYTES for n in (folder / "statm").read_text().split()[:3])

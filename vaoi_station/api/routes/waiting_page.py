@@ -1,4 +1,4 @@
-"""What the service replies while the station cannot be started yet: the cause, with 503."""
+"""The reply of the service while the station cannot be started yet: the cause, with status 503."""
 
 from __future__ import annotations
 
@@ -32,7 +32,8 @@ class WaitingPage:
         """Show a cause from now on."""
         self._error = error
         if self._server is None:
-            # A copy, because the server closes its socket at its end; the station's own server needs it then.
+            # A copy is used, because the server closes its socket at its end, and the station's own server needs it
+            # then.
             self._server = WebServer(self._app(), self._listener.dup(), lambda: None, tls=self._tls)
             self._server.start()
 
@@ -46,7 +47,7 @@ class WaitingPage:
     def _app(self) -> FastAPI:
         app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
 
-        # Every method and address has the same reply, so that no caller takes it for one of the station.
+        # Every method and address has the same reply, so that no caller takes it for a reply of the station.
         @app.api_route("/{path:path}", methods=["GET", "HEAD", "POST", "PUT", "DELETE"])
         async def waiting(request: Request) -> Response:
             error = self._error

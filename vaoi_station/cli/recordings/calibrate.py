@@ -90,7 +90,7 @@ def _calibrate(
     from vaoi_station.files.images import write_image
     from vaoi_station.files.layouts import read_layout
 
-    # A calibration needs one row: the board must lie still in exactly the frames that are used together.
+    # A calibration needs exactly one row: the board must lie still in all frames that are used together.
     recording = open_recording(case)
     rows = recording.head.rows
     if row is None and rows != 1:

@@ -43,7 +43,7 @@ def stitch(
     from vaoi_station.stitching.recordings.opening import open_run
     from vaoi_station.stitching.recordings.origin import with_origin
 
-    # The paper's method ignores the kind of evidence, but opening a run requires one.
+    # The paper's method does not use this kind of evidence, but opening a run requires one.
     evidence = cast("MethodName", "auto" if method is Method.PAPER else method.value)
     opened = open_run(
         case, calibration=calibration, board=board, reference=reference, method=evidence, rotation_deg=rotation

@@ -142,7 +142,8 @@ def _station(
     from vaoi_station.demo.temporary_folder import temporary_folder
     from vaoi_station.simulation import read_scenario
 
-    # Boards rendered into --films are kept: to render a large board takes longer than all measurements.
+    # Boards that were rendered into --films are kept, because rendering a large board takes longer than all
+    # measurements.
     with temporary_folder("bench") as temporary:
         board = prerender(read_scenario(_path(scenario)), (films or temporary) / Path(scenario).stem, typer.echo)
         figures = []

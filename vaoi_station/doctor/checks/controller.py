@@ -1,7 +1,7 @@
 """Check the controller: port, firmware, limits, state and clock.
 
 Only the requests IDENT, STATUS, CLOCK and READ_EVENT are sent, which change nothing in the controller. Opening the port
-resets some boards (hw/wiring.md); without a running station nothing is lost by that. With a running station, the
+resets some controller boards (hw/wiring.md); without a running station, this does no harm. With a running station, the
 state is read from its REST service instead.
 """
 
@@ -42,9 +42,9 @@ from vaoi_station.doctor.machine import Machine
 from vaoi_station.errors import DeviceError, InputError
 
 READINGS = 20
-"""Number of clock readings. The best of them bounds the error of the clock model."""
+"""Number of clock readings. The best of them limits the error of the clock model."""
 LATENCY = "sys/bus/usb-serial/devices/{name}/latency_timer"
-"""File with the time in milliseconds for which an FTDI bridge collects bytes before it sends them."""
+"""File that contains the time, ms, for which a USB bridge of FTDI collects bytes before it sends them."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Check the machine's clocks: the wall clock, which names runs, and the monotonic clock, which times everything."""
+"""Check the machine's clocks: the wall clock, by which runs are named, and the monotonic clock, for all other times."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from vaoi_station.doctor.machine import Machine
 TIME_ERROR = 5
 """Return value of adjtimex (TIME_ERROR): the clock is not synchronised."""
 _MAX_ERROR_AT, _SIZE = 24, 256
-"""Byte offset of `maxerror` in struct timex of 64-bit Linux; a buffer size above that of the struct."""
+"""Byte offset of `maxerror` in struct timex of 64-bit Linux; and a buffer size that is larger than this struct."""
 COARSE_S = 1e-6
 GOOD_SOURCES = {"tsc", "arch_sys_counter", "kvm-clock", "hyperv_clocksource_tsc_page", "arm,sp804", "riscv_clocksource"}
 

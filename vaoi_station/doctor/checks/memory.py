@@ -35,7 +35,7 @@ def ring_space(context: CheckContext) -> Iterator[Finding]:
     space = os.statvfs(directory)
     free, available = space.f_bavail * space.f_frsize, context.machine.available_memory()
     yield _judge_space(context, needed, free, available)
-    # Not a fault: a station on the twin works from a disk too, and containers often have a small /dev/shm.
+    # Not a fault: a station with simulated cameras works from a disk too, and containers often have a small /dev/shm.
     kind = context.machine.filesystem_of(directory)
     if kind not in {"tmpfs", "ramfs", "hugetlbfs", None}:
         yield warning(

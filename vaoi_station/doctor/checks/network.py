@@ -16,7 +16,7 @@ def socket_buffers(context: CheckContext) -> Iterator[Finding]:
     if not context.real_cameras:
         yield not_applicable("no camera is on the network")
         return
-    # The kernel cuts a larger request down to this limit and reports no error to the socket.
+    # The kernel reduces a larger request to this limit and reports no error.
     yield judge_buffers(
         context.machine.sysctl("net.core.rmem_max"),
         max(socket_bytes(camera, context.config.line.trigger_period_s) for camera in context.real_cameras),

@@ -30,7 +30,8 @@ def find(config: StationConfig, credentials: CallerCredentials | None = None) ->
     hidden = owner is None and nearest(path) == path and not os.access(path, os.R_OK, effective_ids=True)
     if not hidden and (owner is None or not owner[1]):
         return None
-    # A ring that exists but cannot be read belongs to another user: its process may live, so the port is asked.
+    # A ring that exists but cannot be read belongs to another user. Its process may be alive, so the network port is
+    # tried.
     pid = owner[0] if owner else None
     try:
         return RunningProcess(pid, snapshot=ask(config.api, credentials))

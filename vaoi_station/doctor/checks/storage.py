@@ -14,7 +14,7 @@ from vaoi_station.station import DATABASE
 from vaoi_station.store.schema import VERSION
 
 SCANT_BYTES, LITTLE_BYTES = 200e6, 2e9
-"""Limits of the free space: below the first it is a fault, below the second a warning."""
+"""Limits of the free space in bytes: below the first, it is a fault; below the second, a warning."""
 
 
 def data(context: CheckContext) -> Iterator[Finding]:
@@ -35,7 +35,7 @@ def data(context: CheckContext) -> Iterator[Finding]:
 
 
 def database(path: Path) -> Iterator[Finding]:
-    """Check what is in the place of the database, without changing it, and name what was set aside."""
+    """Check the file at the database's path without changing it, and name files that were set aside."""
     if path.exists():
         try:
             yield from _judge_database(path)
@@ -57,7 +57,7 @@ def _judge_database(path: Path) -> Iterator[Finding]:
     if not path.is_file():
         yield fault(f"{path}: is not a regular file.", "Move it away.")
         return
-    # Read only, so that neither a log is applied nor a file made; the station may be running.
+    # Opened for reading only, so that no log is applied and no file is made; the station may be running.
     connection = sqlite3.connect(f"{path.as_uri()}?mode=ro", uri=True, timeout=1)
     try:
         (version,) = connection.execute("PRAGMA user_version").fetchone()

@@ -13,7 +13,7 @@ PARAMETER = "sys/module/usbcore/parameters/usbfs_memory_mb"
 
 
 def memory(context: CheckContext) -> Iterator[Finding]:
-    """Check usbfs_memory_mb: the kernel's limit must suffice for all cameras that may be connected by USB."""
+    """Check usbfs_memory_mb: the kernel's limit must be enough for all cameras that may be connected by USB."""
     # Only a camera named by its serial number can be on USB: an address is always that of a GigE camera.
     named = sum(camera.serial is not None for camera in context.real_cameras)
     if not named:

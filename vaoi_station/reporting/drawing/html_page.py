@@ -8,7 +8,7 @@ from importlib import resources
 
 from vaoi_station.reporting.drawing.svg import tag, text
 
-# The browser enforces this policy: even if an escaping mistake let markup through, nothing is loaded or run.
+# The browser enforces this policy: even if an error in the escaping let markup through, nothing is loaded or run.
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'"
 
 

@@ -49,6 +49,6 @@ def thumbnail(pixels: NDArray[Any], width: int) -> Thumbnail:
     size = (width, max(round(h * width / w), 1))
     # INTER_AREA averages all pixels under a thumbnail pixel; other methods skip most of them and alias.
     small = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
-    # The floor of 40 keeps the noise of a black frame black.
+    # The lower limit of 40 keeps the noise of a black frame black.
     gain = 235 / max(float(np.percentile(small, _BRIGHTEST)), 40.0)
     return Thumbnail(encode_jpeg(cv2.convertScaleAbs(small, alpha=max(gain, 1.0)), _QUALITY), *size)

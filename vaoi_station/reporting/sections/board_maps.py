@@ -32,7 +32,7 @@ class BoardDrawing:
     def at(self, cad: Floats) -> Floats:
         """Convert CAD points (k, 2) to SVG user units (k, 2) of the drawing."""
         x, y = ((np.asarray(cad, dtype=np.float64) - self._low) * self.scale + _MARGIN).T
-        # SVG's y axis points down; a CAD system with y up is mirrored here.
+        # SVG's y axis points down, so a CAD system whose y points up is mirrored here.
         return np.stack([x, self.height - y if self.board_type.y_axis == "up" else y], -1)
 
     def outline(self) -> str:

@@ -14,7 +14,8 @@ _WIDTH_PX = 120
 
 def picture_store(stitched: StitchedRun) -> str:
     """Return all thumbnails as SVG definitions. Sections refer to them, so that the file holds each only once."""
-    # One definition per frame: the tile graph and the frame table show the same picture, and its data is the bulk.
+    # There is one definition per frame, because tile graph and frame table show the same picture, and pictures are most
+    # of the file.
     images = "".join(
         tag("image", id=picture_id(key), width=t.width, height=t.height, href=t.uri, preserveAspectRatio="none")
         for key, t in stitched.thumbnails.items()

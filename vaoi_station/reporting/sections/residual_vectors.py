@@ -1,6 +1,6 @@
 """Residual vectors of links over the frame of each camera.
 
-An error of calibration or lens shows as a pattern that all rows share; noise does not.
+An error of calibration or lens appears as a pattern that is the same in all rows; noise does not.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _WIDTH = 374.0
 _CELLS = 14
 """Number of grid cells across a frame. Each cell shows the mean residual of its links."""
 _SINGLE = 250
-"""At most this many single links are drawn behind the means."""
+"""Largest number of single links that are drawn behind the means."""
 _COLOURS = {"rows": "#22456b", "neighbours": "#c0561a"}
 _NAMES = {"rows": "to other rows", "neighbours": "to the other camera"}
 

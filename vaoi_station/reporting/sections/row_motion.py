@@ -17,7 +17,7 @@ from vaoi_station.stitching.adjustment.motion import measured_velocity
 from vaoi_station.stitching.quality.findings import Findings
 
 _FEW_ROWS, _NARROW_PX, _WIDE_PX = 24, 374.0, 1150.0
-"""Up to this number of rows three narrow curves (px) stand side by side; with more rows the curves are wide (px)."""
+"""Up to `_FEW_ROWS` rows, three narrow curves stand side by side; with more rows, the curves are wide. Widths in px."""
 
 
 @dataclass(frozen=True, eq=False)

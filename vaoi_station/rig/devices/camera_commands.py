@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 DARK = -1
-"""Picture number that stands for a black frame, which is in no file."""
+"""Picture number of a black frame, which is in no file."""
 
 
 @dataclass(frozen=True)

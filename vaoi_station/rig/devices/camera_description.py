@@ -2,8 +2,8 @@
 
 The fake accepts a trigger only while its trigger source register holds the number of the entry *Software*; a program
 then triggers it by writing a register. This module exchanges the numbers of the entries *Line0* and *Software*. A
-client that selects Line0, and reads Line0 back, has then selected the source that the rig triggers. A client that
-triggers by software has no effect.
+client that selects Line0 reads Line0 back, but has selected the source that the rig triggers. A client that triggers by
+software has no effect.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ READY_TIMEOUT_S = 30.0
 """Longest wait until a new camera process serves GVCP; on an idle computer it needs half a second."""
 STOP_TIMEOUT_S = 10.0
 ReportHandler = Callable[[str, int, int], None]
-"""Function that is called with `sent` or `ignored`, the picture number and the frame id (0: no frame)."""
+"""Function that receives a report: `sent` or `ignored`, the picture number and the frame id (0 means no frame)."""
 
 
 class CameraProcess:
@@ -132,7 +132,7 @@ class CameraProcess:
                     self._ready.put(True)
                 else:
                     self._on_report(word, int(rest[0]), int(rest[1]) if len(rest) > 1 else 0)
-        # End of file: a process that ends before it is ready must not keep wait_ready for its full timeout.
+        # End of file: if a process ends before it is ready, wait_ready must not wait for its full timeout.
         self._ready.put(False)
 
     def _stderr_tail(self) -> str:

@@ -138,5 +138,5 @@ class Chip:
                     self._on_edge(Edge(cycle, rest[1], rest[2] == "1", self.host_ns(cycle)))
                 elif word == "reset":
                     self._on_reset()
-        # End of file: an emulator that ends before it is ready must not keep __enter__ for the full timeout.
+        # End of file: if an emulator ends before it is ready, __enter__ must not wait for the full timeout.
         self._ready.put(False)

@@ -12,7 +12,7 @@ DEVICE_NICENESS = -10
 
 def raise_priority(pid: int) -> None:
     """Give a process priority over the station's processes. Without the right to do so, change nothing."""
-    # Real devices do not wait for the CPU of the station, so emulated devices should wait as little as possible.
+    # Real devices do not wait for the station's CPU. So emulated devices should wait as little as possible.
     with contextlib.suppress(PermissionError):
         os.setpriority(os.PRIO_PROCESS, pid, DEVICE_NICENESS)
 

@@ -1,4 +1,4 @@
-"""A virtual GigE Vision camera: Aravis' fake camera, extended by a hardware trigger, given frames and packet loss.
+"""A virtual GigE Vision camera: Aravis' fake camera with a hardware trigger, given frames and packet loss.
 
     python -m vaoi_station.rig.devices.virtual_camera 127.0.0.2 SERIAL
 

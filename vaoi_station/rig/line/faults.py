@@ -13,7 +13,7 @@ from vaoi_station.simulation.scenario import Bounce, StuckBoard
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault of the rig. `kind` is a name from `KINDS`, which lists the other fields that this kind uses."""
+    """One fault of the rig. `kind` is a name from `KINDS`, which also lists the fields that this kind uses."""
 
     kind: str
     board: int = 1
@@ -119,12 +119,12 @@ def with_belt_faults(scenario: Scenario, faults: Sequence[Fault]) -> Scenario:
 
 
 def followers(faults: Sequence[Fault]) -> int:
-    """Return how many boards follow others without pictures of their own."""
+    """Return how many boards directly follow others by a fault; for these, no frames are rendered."""
     return sum(f.count for f in faults if f.kind == "follow")
 
 
 def _followers(fault: Fault, scenario: Scenario) -> list[Bounce]:
-    """Return the interruptions of the barrier by the boards that follow one, each as long as a board."""
+    """Return the interruptions of the barrier by boards that directly follow another one, each as long as a board."""
     speed_mm_s, length_mm = scenario.belt.speed_mm_s, scenario.board.length_mm
     pitch_s = (length_mm + fault.gap_mm) / speed_mm_s
     return [

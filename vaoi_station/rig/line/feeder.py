@@ -11,9 +11,9 @@ from vaoi_station.rig.line.rendered_boards import RenderedBoard
 from vaoi_station.rig.line.virtual_line import BoardPassage, VirtualLine
 
 READY_TIMEOUT_S = 30.0
-"""Longest wait until the station is ready for a board. After it the board passes nevertheless."""
+"""Longest wait until the station is ready for a board, s. After it, the board passes nevertheless."""
 END_MARGIN_S = 1.0
-"""Time to wait after the last pulse or barrier edge of a board, until its passage counts as ended."""
+"""Time to wait after the last pulse or barrier edge of a board, s, before its passage counts as ended."""
 
 
 class BoardFeeder:
@@ -69,7 +69,8 @@ class BoardFeeder:
             if self._closing.wait(max(due_s - time.monotonic(), 0.0)):
                 return
             self._wait_ready(READY_TIMEOUT_S)
-            # Counted from the moment the station was ready, so that a slow station does not get two boards at once.
+            # This is counted from the time at which the station was ready, so that a slow station does not get two
+            # boards at once.
             due_s = time.monotonic() + self._interval_s
             self.passages.append(self._line.start_passage(board))
             if self._closing.wait(board.duration_s + END_MARGIN_S):

@@ -53,7 +53,7 @@ class BoardMetadata(Strict):
     lights: tuple[str, ...]
     """Name of the light of every pulse."""
     lost: tuple[tuple[int, int], ...]
-    """(camera, row) of frames that the scenario lets get lost."""
+    """(camera, row) of the frames that the scenario's faults lose."""
     views: dict[str, tuple[tuple[float, float, float, float], ...]]
     """The truth: component → (camera, row, x, y) of the centre of its footprint in each view, x and y in raw pixels."""
 

@@ -30,16 +30,17 @@ LEAD_S = 0.05
 PULSE_TOLERANCE_S = 5e-6
 """Largest difference between a pulse and its rendered time. It moves a board by 0.02 px at 100 mm/s and 40 px/mm."""
 BRIGHTNESS_TOLERANCE = 0.005
-"""Relative difference up to which a brightness counts as the rendered one. LED on-times are exact to 0.2 µs."""
+"""Relative difference up to which a brightness counts as the rendered brightness. LED on-times are exact to 0.2 µs."""
 LOST_PACKET_SHARE = 0.05
-"""Share of packets that a frame with packet loss loses. With 100 packets, one such frame in 200 loses none."""
+"""Share of packets that are dropped from a frame with packet loss. With 100 packets, one such frame in 200 loses
+none."""
 
 _MIN_READINGS, _MAX_READINGS, _NARROW_NS = 3, 100, 20_000
 END_MARGIN_S = 0.5
-"""Time after the end of a rendered board. A later pulse no longer belongs to the board."""
+"""Time after the end of a rendered board, s. A later pulse does not belong to the board."""
 
 FrameOutcome = Literal["sent", "ignored", "hit", "lost", "dead", "late", "unarmed"]
-"""What happened to a camera's frame.
+"""The outcome of a camera's frame.
 
 sent: all packets were sent. ignored: the camera ignored the trigger. hit: some packets are missing. lost: all packets
 are missing. dead: the camera process did not run. late: rendered on demand. unarmed: no frame, because no client had
@@ -217,7 +218,7 @@ class VirtualLine:
         note, count = self._mismatch(passage, row, pulse), len(self._cameras)
         brightness = [self._lighting.brightness(pulse, n) for n in range(count)]
         fired = FiredPulse(row, pulse, offset_s * 1e6, ["late"] * count, brightness, note)
-        # Recorded before the cameras are triggered, because they may report at once.
+        # The pulse is recorded before the cameras are triggered, because they may report at once.
         passage.fired.append(fired)
         # The cameras are triggered here, in the chip's thread, because a queue between threads would add latency.
         if row is not None and not note:

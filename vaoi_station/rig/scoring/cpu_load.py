@@ -10,7 +10,7 @@ from vaoi_station.rig.scoring.rig_report import Load
 
 
 class CpuLoadMeter:
-    """Meter of CPU time since its construction. Processes that end before `read` are not counted."""
+    """Measures CPU time since its construction. Processes that end before `read` are not counted."""
 
     def __init__(self, pids: Mapping[str, int | None]) -> None:
         """Start to measure. `pids`: name → process id. Names are fields of `Load`, some with a number: `cameras 3`."""

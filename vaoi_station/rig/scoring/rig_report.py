@@ -6,8 +6,8 @@ from vaoi_station.demo.truth_comparison import Deviation
 from vaoi_station.model import Strict
 
 LIMIT_PX = 0.10
-"""Limit of the rms position error of components over all boards with the verdict ok. Runs with another verdict do not
-count: their results state a larger uncertainty.
+"""Largest accepted rms position error of components, over all boards with the verdict ok. Runs with another verdict do
+not count, because their results state a larger uncertainty.
 """
 LATE_MS = 300.0
 """Delay from a pulse to the first packet of a frame above which the frame may arrive too late for the station."""
@@ -45,7 +45,7 @@ class BoardScore(Strict):
     rows: int
     """Number of pulses that were fired."""
     rows_due: int
-    """Number of pulses that the board needs."""
+    """Number of pulses that the board needs to be filmed completely."""
     ok: int
     incomplete: int
     missing: int
@@ -133,4 +133,4 @@ class RigReport(Strict):
     """Load average of the machine over the last minute, at the end."""
     took_s: float
     failings: tuple[str, ...]
-    """What makes `ok` false, one sentence each."""
+    """The reasons why `ok` is false, one sentence each."""

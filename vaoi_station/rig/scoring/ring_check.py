@@ -33,7 +33,7 @@ class RingCheck:
     wrong: dict[tuple[int, int], str]
     """All other frames, with a description of the difference."""
     valid: bool = True
-    """Whether the bay still belonged to the run after the comparison; if not, the check means nothing."""
+    """Whether the bay still belonged to the run after the comparison; otherwise the comparison is not valid."""
 
 
 def check_bay(ring: Ring, bay: int, passage: BoardPassage) -> RingCheck:

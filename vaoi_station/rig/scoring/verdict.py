@@ -39,7 +39,7 @@ def _failings(report: RigReport, faults: Sequence[Fault], boards: int) -> Iterat
 
 
 def _account_failings(report: RigReport, faults: Sequence[Fault]) -> Iterator[str]:
-    """Yield what is wrong with the account of boards: each is a run or is missed, and no run has the id of another."""
+    """Yield errors in the account of boards: a board is neither a run nor missed, or a run has another board's id."""
     extra = followers(faults)
     if extra and report.runs + report.boards_missed != len(report.boards) + extra:
         yield (
@@ -75,9 +75,9 @@ def _board_failings(board: BoardScore, hurt: set[int]) -> Iterator[str]:
 
 
 def _result_failings(board: BoardScore, hurt: bool) -> Iterator[str]:
-    """Yield what is wrong with a board's verdict and reasons.
+    """Yield each error in a board's verdict and reasons.
 
-    If `hurt` is true, a fault has cost the board rows. Then only a reason is required, not the verdict ok.
+    If `hurt` is true, the board has lost rows by a fault. Then only a reason is required, not the verdict ok.
     """
     where = f"board {board.board}"
     if board.rows < board.rows_due and not board.reasons:
