@@ -1,6 +1,7 @@
 """Retry a device or process with growing pauses until it has worked for a while.
 
-A successful start proves little: a process that dies right after its start would otherwise be started in a tight loop.
+A successful start alone does not end the growth of the pauses. Otherwise, a process that dies right after its start
+would be started again and again without a pause.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ class Backoff:
     def record_success(self) -> None:
         """Record that the device or process works. Further calls change nothing while it works."""
         self.due_s = None
-        # Only the first call counts: the working time runs from the start, not from the latest sign of life.
+        # Only the first call counts: the working time is measured from the start, not from the latest heartbeat.
         if self._works_since_s is None:
             self._works_since_s = self._clock()
 
@@ -50,10 +51,11 @@ class Backoff:
         """Record that the device or process failed. Return the pause, in s, until the next attempt.
 
         Args:
-            longest_s: replaces the policy's upper limit, where the cause is known to end sooner.
+            longest_s: replaces the policy's upper limit if the cause is known to end sooner.
         """
         now_s = self._clock()
-        # The failure count survives a short success, so that a device that dies at once is retried ever more slowly.
+        # The failure count is kept after a short success, so that a device that fails again at once is retried ever
+        # more slowly.
         if self._works_since_s is not None and now_s - self._works_since_s >= self._policy.proven_s:
             self._failures = 0
         self._works_since_s = None
@@ -64,7 +66,7 @@ class Backoff:
         return pause_s
 
     def reset(self) -> None:
-        """Forget all failures, so that the next attempt is due now. Callers do so when the cause has changed."""
+        """Forget all failures, so that the next attempt is due now. To be called when the cause has changed."""
         self._failures, self._works_since_s, self.due_s = 0, None, self._clock()
 
     def remaining_s(self) -> float:

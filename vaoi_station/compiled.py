@@ -1,4 +1,4 @@
-"""Compile to machine code the few inner loops that numpy and OpenCV cannot do in one pass (docs/decisions/0008)."""
+"""Compile to machine code the inner loops that numpy and OpenCV cannot perform in one pass (docs/decisions/0008)."""
 
 from __future__ import annotations
 
@@ -15,8 +15,9 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 _ALLOWED = {"reassoc", "contract", "arcp", "nsz"}
-"""Fast-math flags of LLVM that the compiler may use. They allow it to reorder sums so that these run in vector
-registers. NaN and ∞ keep their meaning."""
+"""Fast-math flags of LLVM that the compiler may use.
+
+They allow it to reorder sums, so that sums run in vector registers. NaN and ∞ keep their meaning."""
 _functions: list[Any] = []
 """The compiled functions of all modules that were imported."""
 _LOCK = "vaoi-station.lock"
@@ -64,9 +65,9 @@ def inlined(function: Callable[P, R]) -> Callable[P, R]:
 def _alone(compile_it: Callable[[Any], Any], cache: Path) -> Callable[[Any], Any]:
     """Return `compile_it` with a lock: one process at a time compiles, the others wait and then load the cached code.
 
-    If two processes compiled the same function, each would run the code that it compiled itself. The two may round
-    differently, because not the same other functions are ready for inlining. The result of a station would then
-    differ from that of `vaoi stitch`.
+    If two processes compiled the same function, each would run the code that it compiled itself. The two versions may
+    round differently, because different functions were ready for inlining. The result of a station could then differ
+    from that of `vaoi stitch`.
     """
 
     def compile_alone(signature: Any) -> Any:
@@ -87,7 +88,7 @@ def _lock(directory: Path) -> Iterator[None]:
     The lock is re-entrant, because compiling a function also compiles those it calls.
     """
     global _depth  # noqa: PLW0603  (one per process, changed under its lock)
-    # an RLock excludes the other threads of this process; one thread may take it twice, which flock does not allow
+    # An RLock excludes the other threads of this process. One thread may take it twice, which flock does not allow.
     with _in_this_process:
         # nested call: this thread holds the file lock already, and a second flock on another open file would block
         if _depth:

@@ -252,7 +252,7 @@ class RingConfig(Section):
 
 
 class KeepConfig(Section):
-    """What is kept of finished runs. Of older runs only a summary is kept, and of still older ones nothing.
+    """Which data of finished runs are kept. Of older runs only a summary is kept, and of still older ones nothing.
 
     The defaults keep one year at a board every 20 s, within `database_gb`. Pinned runs are always kept whole.
     """
@@ -337,7 +337,7 @@ class StationConfig(Section):
 def conflicts(
     cameras: Sequence[CameraConfig], controller: ControllerConfig | None, tables: Set[str], line: Line | None
 ) -> Iterator[str]:
-    """Yield every contradiction between tables that are valid by themselves; None for one that is not valid.
+    """Yield every contradiction between tables. A table that is not valid by itself is None and is not compared.
 
     `tables` has the names of the tables of `TABLE_OF` that are present.
     """
@@ -370,7 +370,7 @@ def conflicts(
 
 def read_config(path: Path) -> StationConfig:
     """Read `station.toml`, and make its paths absolute."""
-    # Relative to the file, not to the working directory: systemd starts the service in /.
+    # Paths are relative to the file, not to the working directory, because systemd starts the service in /.
     config = parse(StationConfig, read_toml(path), path)
     return config.model_copy(update=absolute_paths(config, path.resolve().parent))
 
@@ -379,7 +379,7 @@ def absolute_paths(section: BaseModel, base: Path) -> dict[str, Any]:
     """Return the paths of a table and of its nested tables as absolute paths; relative ones begin at folder `base`."""
     changed: dict[str, Any] = {}
     for key in type(section).model_fields:
-        # `vaoi check-config` constructs sections without their faulty keys.
+        # `vaoi check-config` constructs sections from which the faulty keys were removed.
         value = getattr(section, key, None)
         if isinstance(value, Path):
             changed[key] = base / value

@@ -94,6 +94,6 @@ class InternalError(VaoiError):
 
 
 def _shown(value: object) -> str:
-    # A request may carry megabytes in one field; the message ends up in logs and on the operator's page.
+    # A request may contain megabytes in one field, and the message is written to logs and shown on the operator's page.
     text = repr(value)
     return text if len(text) <= 80 else text[:77] + "…"

@@ -139,7 +139,7 @@ def to_full_scale(values: NDArray[Any], bits: int) -> NDArray[Any]:
 
 
 def eight_bit_grey(pixels: NDArray[Any]) -> NDArray[np.uint8]:
-    """Return the 8-bit luminance (h, w) of a picture (h, w) or (h, w, 3); an 8-bit grey one unchanged.
+    """Return the 8-bit luminance (h, w) of a picture (h, w) or (h, w, 3); an 8-bit grey picture is not changed.
 
     Pictures of 16 bits are at full scale (`picture`, `Recording.frame`). The scale never depends on the pixels:
     thresholds in grey levels then mean the same in every frame, for stitching, calibration and viewing alike.

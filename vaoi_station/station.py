@@ -2,8 +2,8 @@
 
     store → ring → coordinator → workers → acquisition process
 
-The parts start in this order and stop in the reverse order. Also when starting or stopping fails, nothing stays in
-shared memory and no process keeps running.
+The parts start in this order and stop in the reverse order. Even if starting or stopping fails, nothing stays in shared
+memory, and no process continues to run.
 """
 
 from __future__ import annotations
@@ -45,13 +45,13 @@ from vaoi_station.supervised_thread import SupervisedThread, ThreadFault
 _log = logging.getLogger(__name__)
 
 RETENTION_S, CHECK_S = 60.0, 0.2
-"""Periods of housekeeping: deletion of old runs, and the check of a piece of the database."""
+"""Periods of housekeeping, s: of the deletion of old runs, and of the check of a part of the database."""
 GRACE_S = 10.0
 """Longest wait for unfinished runs to end when the station is stopped."""
 REPORT_S = 1.0
 """Longest wait for the event that reports the fault of a thread."""
 EXIT_FAULT = 4
-"""Exit code of a station that cannot go on: an internal error."""
+"""Exit code of a station that cannot continue: an internal error."""
 DATABASE, REFERENCES = "station.db", "references"
 
 
@@ -66,8 +66,8 @@ class Station:
         Args:
             config: the station.
             launch: the function that starts the acquisition process; None starts the real one.
-            on_fault: called after a thread of the station has ended or hangs, and an event was written. Without such a
-                thread no run ends any more, so a service exits here and is started again.
+            on_fault: called after a thread of the station has ended or hangs, and an event was written. Because no run
+                can end without this thread, a service exits here and is started again.
         """
         self.config = config
         self._launch, self._on_fault = launch, on_fault
@@ -153,7 +153,8 @@ class Station:
         """Publish that threads have ended or hang, then let the owner act."""
         for fault in faults:
             _log.critical("%s", fault)
-            # The event log may be what hangs: it gets a moment, in a separate thread.
+            # The event log may be the thread that hangs. So a separate thread writes the event, and its end is not
+            # awaited for long.
             write = threading.Thread(
                 target=lambda text=str(fault): events.add("trouble", text, code="thread-lost"), daemon=True
             )

@@ -1,4 +1,4 @@
-"""Threads that must not end or hang unnoticed: each records that it is alive, and a supervisor reads the records."""
+"""Threads whose end or hang must be noticed: each records that it is alive, and a supervisor reads these records."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class ThreadFault(NamedTuple):
 
     thread: str
     what: str
-    """What happened, as the end of a sentence."""
+    """The fault, worded as the end of a sentence."""
 
     def __str__(self) -> str:
         return f"Thread {self.thread!r} {self.what}."
@@ -62,7 +62,7 @@ class SupervisedThread(threading.Thread):
             _log.critical("thread %s has ended", self.name, exc_info=True)
 
     def fault(self) -> ThreadFault | None:
-        """Return what is wrong with the thread; None if nothing is, or if it was not started yet."""
+        """Return the fault of the thread; None if there is none, or if the thread was not started yet."""
         if self.ident is None or self._end_expected:
             return None
         if self._failure:

@@ -62,7 +62,7 @@ class SpeedFigures:
 
 def measure_stitching(board: BenchmarkBoard, repetitions: int = 5) -> SpeedFigures:
     """Measure stitching, the paper's method and rendering on one board."""
-    # Ratios compare algorithms, so neither side may use more than one thread.
+    # The ratios compare algorithms, so neither method may use more than one thread.
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
@@ -79,7 +79,7 @@ def _measure(board: BenchmarkBoard, repetitions: int) -> SpeedFigures:
     failed = ""
     for _ in range(repetitions):
         ours.append(_cpu_ms(lambda: _stitch(board)) / frames)
-    # Half the repetitions: the paper's method takes many times longer.
+    # Only half the repetitions, because the paper's method takes many times longer.
     for _ in range(max(repetitions // 2, 1)):
         theirs.append(_cpu_ms(lambda: _paper(board)) / frames)
     outcome = _paper(board)
@@ -168,7 +168,7 @@ def _rendering(board: BenchmarkBoard, stitch: Stitch, repetitions: int) -> tuple
 
 
 def _cpu_ms(work: Callable[[], Any]) -> float:
-    # CPU time, as the machine may be busy with other work.
+    # CPU time is used, because the machine may be busy with other work.
     start = time.process_time()
     work()
     return (time.process_time() - start) * 1e3

@@ -115,7 +115,7 @@ class _NoRedirect(urllib.request.HTTPRedirectHandler):
 class Reply(dict[str, Any]):
     """A JSON object of a station's reply. A key that it lacks is a fault of the station, not of the caller."""
 
-    # An attribute and no argument: libraries copy dictionaries by `type(d)(pairs)`.
+    # An attribute and not an argument, because libraries copy dictionaries by `type(d)(pairs)`.
     url = ""
     """The address that replied, for the error."""
 
@@ -131,7 +131,7 @@ class Reply(dict[str, Any]):
 
 
 def unusable_reply(url: str, received: str) -> DeviceError:
-    """Return the error for a reply that no station of this version gives; `received` says what was received."""
+    """Return the error for a reply that no station of this version sends; `received` describes the reply."""
     return DeviceError(
         f"{url}: the station replied with {received}.",
         action="Check that a station of this version runs at this address, and that no other program replies there.",

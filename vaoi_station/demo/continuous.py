@@ -54,6 +54,6 @@ def describe_run(number: int, run: dict[str, Any]) -> str:
 
 def default_port() -> int:
     """Return the station's default port if no program listens there; else 0."""
-    # Another station may already run here; a demo beside it must not fail because of it.
+    # Another station may already run here, and a demo beside it must not fail because of it.
     with socket.socket() as probe:
         return 0 if probe.connect_ex((HOST, ApiConfig().port)) == 0 else ApiConfig().port

@@ -9,7 +9,7 @@ from vaoi_station.model import Status, Strict
 from vaoi_station.runs.states.schemas import Reason, VerdictCounts
 
 LIMIT_PX = 1.0
-"""Largest distance between result and truth, in px, with which the verdict ok is correct."""
+"""Largest distance between result and truth, in px, for which the verdict ok counts as correct."""
 
 
 class LinkCount(Strict):

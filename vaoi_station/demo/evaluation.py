@@ -71,7 +71,7 @@ def evaluate(scenario: str, answers: ServiceReplies, passage: Passage, output: O
 
 
 def within_limit(found: Deviation) -> bool:
-    """Return whether a result is as close to the truth as a verdict `ok` promises."""
+    """Return whether a result is as close to the truth as it must be with the verdict ok."""
     return found.unplaced == 0 and found.max_px <= LIMIT_PX
 
 

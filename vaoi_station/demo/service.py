@@ -66,7 +66,7 @@ class Service:
     def _start(self) -> None:
         """Start the process and wait until it listens."""
         # The service gets a separate session: Ctrl-C at the terminal then reaches this process only, which ends it.
-        # Its output is unbuffered: the line with the address must arrive at once, not when a block is full.
+        # Its output is not buffered, because the line with the address must arrive at once, not when a block is full.
         environment = os.environ | {"PYTHONUNBUFFERED": "1"}
         self._process = subprocess.Popen(
             self._command,

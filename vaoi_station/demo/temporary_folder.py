@@ -1,4 +1,4 @@
-"""A temporary folder that is removed when its program ends; the next program removes those of killed programs.
+"""A temporary folder that is removed when its program ends. Folders of killed programs are removed by the next program.
 
 The owner locks its folder. The kernel releases the lock when the process ends, in whatever way it ends.
 """
@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-# A program locks its folder right after it has made it; ten seconds are ample.
+# A program locks its folder directly after it has made it; ten seconds are more than enough.
 _NEW_S = 10.0
 """Age in seconds below which a folder is not removed, because its owner may not have locked it yet."""
 
@@ -53,7 +53,7 @@ def _is_abandoned(folder: Path) -> bool:
         found = os.fstat(handle)
         if found.st_uid != os.geteuid() or time.time() - found.st_mtime < _NEW_S:
             return False
-        # The lock is free exactly if no process of the owner is left, killed or not.
+        # The lock is free exactly when no process of the owner is left, whether it ended or was killed.
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         return False

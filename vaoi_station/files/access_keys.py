@@ -37,7 +37,7 @@ class AccessKey(BaseModel):
 
     name: KeyName
     id: Annotated[str, Field(pattern=r"^[0-9a-f]{12}$")]
-    """Part of the key by which it is found; not secret."""
+    """Part of the key by which it is found in the file; it is not secret."""
     scopes: tuple[Scope, ...]
     sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
     created: str
@@ -83,7 +83,7 @@ class KeyFile:
             return self._keys
 
     def find(self, secret: str) -> AccessKey | None:
-        """Return the key with this secret, or None."""
+        """Return the key with this secret; None if there is none."""
         prefix, _, rest = secret.partition("_")
         if prefix != _PREFIX or len(secret) > 200 or not secret.isascii():
             return None
@@ -105,14 +105,17 @@ class KeyFile:
         return made
 
     def rotate(self, name: str) -> NewKey:
-        """Replace a key by a new one of the same name and scopes; the old one ends. `NotFoundError`: unknown name."""
+        """Replace a key by a new one with the same name and scopes; the old one is refused from now on.
+
+        `NotFoundError`: unknown name.
+        """
         with self._changing() as keys:
             made = _new(name, _named(keys, name).scopes)
             keys[name] = made.key
         return made
 
     def revoke(self, name: str) -> None:
-        """End a key. `NotFoundError`: unknown name."""
+        """End a key, so that it is refused from now on. `NotFoundError`: unknown name."""
         with self._changing() as keys:
             del keys[_named(keys, name).name]
 
@@ -132,7 +135,10 @@ class KeyFile:
                 self._belong_to_service(written.fileno())
 
     def _belong_to_service(self, handle: int) -> None:
-        """Give a file the owner of its directory: the administrator makes keys as root, the service reads them."""
+        """Give a file the owner of its directory.
+
+        The administrator makes keys as root, and the service, which owns the directory, must be able to read them.
+        """
         owner = self.path.parent.stat()
         with suppress(PermissionError):
             os.fchown(handle, owner.st_uid, owner.st_gid)
@@ -154,5 +160,6 @@ def _named(keys: dict[str, AccessKey], name: str) -> AccessKey:
 
 
 def _hash(secret: str) -> str:
-    # A key holds 256 random bits, so they cannot all be tried: a slow hash as for passwords would gain nothing.
+    # A key holds 256 random bits, so not all keys can be tried. A slow hash, as used for passwords, is therefore not
+    # needed.
     return hashlib.sha256(secret.encode()).hexdigest()

@@ -12,13 +12,13 @@ from vaoi_station.errors import InputError
 
 
 def refuse_existing(*targets: Path, action: str = "Choose another path, or remove what is there.") -> None:
-    """Refuse to write to a path that exists, before the work whose outcome would be written there.
+    """Refuse paths that exist. It is called before the work whose outcome would be written there.
 
     Raises:
         InputError: a target exists. It is an error of input like every other unsuitable path (exit code 2).
     """
     for target in targets:
-        # A symbolic link whose target is absent exists too: a rename would replace it.
+        # A symbolic link whose target is absent exists too: a rename would replace the link.
         if target.exists() or target.is_symlink():
             raise InputError(f"{target}: exists already.", action=action)
 

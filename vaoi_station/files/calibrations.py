@@ -47,8 +47,8 @@ def read_calibration(path: Path, cameras: int | Sequence[CameraHead] | None = No
 
 
 def _check_views(calibration: Calibration, path: Path) -> None:
-    """Raise InputError for impossible resolutions, or if only some cameras of an array mirror the board."""
-    # A homography's scale is free, so resolutions are compared, not matrix elements.
+    """Raise InputError if a resolution is impossible, or if only some cameras of an array mirror the board."""
+    # The scale of a homography is arbitrary, so resolutions are compared, and not elements of matrices.
     views = [Projective(matrix, System.IMAGE, System.ROW) for matrix in calibration.camera_matrices]
     scales = [view.scale_at(view.inverse()((0.0, 0.0))) for view in views]
     usual, mirrored = float(np.median(scales)), [view.mirrors for view in views]

@@ -79,7 +79,7 @@ def describe(error: ValidationError, where: str | Path) -> str:
 
 
 def faults_of(error: ValidationError) -> Iterator[tuple[Place, str]]:
-    """Yield every fault of a document: its place, and what is wrong there with the limit and the value given."""
+    """Yield every fault of a document: its place, and a text with the fault, the limit and the given value."""
     for fault in _causes(error.errors(include_url=False)):
         message = fault["msg"].removeprefix("Value error, ")
         if fault["type"] == "extra_forbidden":
@@ -132,7 +132,7 @@ def write_bytes(path: Path, content: bytes) -> None:
 
 
 def _causes(faults: Sequence[ErrorDetails]) -> Iterator[ErrorDetails]:
-    """Yield the faults. An array that is too short only because its items were refused is not reported."""
+    """Yield the faults, except that an array is too short only because its items were refused."""
     for fault in faults:
         inside = (other["loc"][: len(fault["loc"])] == fault["loc"] for other in faults if other is not fault)
         if fault["type"] != "too_short" or not any(inside):

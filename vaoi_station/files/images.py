@@ -15,8 +15,8 @@ from vaoi_station.files.documents import write_bytes
 
 Image = NDArray[Any]
 _PNG = b"\x89PNG\r\n\x1a\n"
-# For a damaged file OpenCV writes a warning to stderr, in addition to the refusal by this module. The level applies to
-# the process; it is set once, because threads that set and restored it would disturb one another.
+# For a damaged file, OpenCV writes a warning to stderr, in addition to the refusal by this module. The level of such
+# warnings applies to the whole process. It is set only once, because threads that change it would disturb one another.
 cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
 SUFFIXES = (".png", ".tiff", ".tif")
 
@@ -50,7 +50,7 @@ def decode(content: bytes | NDArray[np.uint8]) -> Image | None:
         return None
     try:
         image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
-    except cv2.error:  # a header that declares an impossible size
+    except cv2.error:  # the header declares an impossible size
         image = None
     return None if image is None else np.asarray(image)
 
@@ -85,7 +85,7 @@ def encode_jpeg(image: Image, quality: int = 90) -> bytes:
     """Encode an image as JPEG; 16-bit images are reduced to their upper byte.
 
     Raises:
-        InputError: `quality` is not 1 to 100. OpenCV would use the nearest one without a word.
+        InputError: `quality` is not 1 to 100. OpenCV would use the nearest valid value without an error.
     """
     if not 1 <= quality <= 100:
         raise InputError.field("JPEG", "quality", quality, "a whole number from 1 to 100")

@@ -50,9 +50,10 @@ class Recording:
 
     @cached_property
     def _estimated_bits(self) -> int:
-        """The used bits of 16-bit pixels, by the brightest pixel of frames from all parts of the recording.
+        """The number of used bits of 16-bit pixels, by the brightest pixel of frames from all parts of the recording.
 
-        All cameras share this value: a dark camera, or a dark row, must not be brightened more than the others.
+        All cameras have the same value, because a dark camera or a dark row must not be brightened more than the
+        others.
         """
         lost = set(self.head.missing)
         keys = [(i, j) for i in range(len(self.head.cameras)) for j in range(self.head.rows) if (i, j) not in lost]
@@ -74,7 +75,7 @@ class Recording:
         return to_full_scale(image, bits)
 
     def _read(self, camera: int, row: int) -> Image | None:
-        """Read one frame as its file has it, and check its size against the head; None if the frame is missing."""
+        """Read one frame as its file contains it, and check its size against the head; None if the frame is missing."""
         path = self.frame_path(camera, row)
         if path is None:
             return None

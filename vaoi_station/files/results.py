@@ -39,7 +39,8 @@ def stitch_text(stitch: Stitch) -> str:
     """
     unused = {key for key in _LEFT_OUT_IF_NONE if getattr(stitch, key) is None}
     text = stitch.model_dump_json(exclude=unused)
-    # The text holds such a number, or a name that contains the word. The slower writer raises only for the number.
+    # The text contains such a number, or a name that contains the same word. The slower writer raises an error only for
+    # the number.
     if "NaN" in text or "Infinity" in text:
         json.dumps(stitch_document(stitch), allow_nan=False)
     return text

@@ -20,7 +20,7 @@ from vaoi_station.geometry.transforms import Floats, Projective, System, apply
 _BORDER_POINTS = 9
 """Number of sampled points per side of the frame, from which the bounding box of the view is computed."""
 _BOX_MARGIN = 0.01
-"""Margin of the bounding box, as a share of its size: more than a usable lens bends a border between two samples."""
+"""Margin of the bounding box, as a share of its size: between two samples, a usable lens bends a border by less."""
 _FOOT_ITERATIONS = 5
 
 
@@ -65,7 +65,7 @@ class Camera:
 
     def ground(self, raw_px: ArrayLike, height_mm: ArrayLike = 0.0) -> Floats:
         """Project raw pixels (..., 2) to points (..., 2) in mm, `height_mm` above the calibrated plane."""
-        # Imported here: Numba takes a moment to load, and many callers of this package never project.
+        # Imported here, because Numba takes a moment to load and many callers of this package never project.
         from vaoi_station.geometry.projection_kernels import image_to_ground
 
         raw, height, out = _flatten_pairs(raw_px, height_mm)
@@ -168,14 +168,14 @@ def _foot_of(n: Floats, principal_point_px: tuple[float, float], distance_mm: fl
     middle = apply(np.linalg.inv(n), (x, y))
     f = Projective(n, System.IMAGE, System.ROW).scale_at(middle) * distance_mm
     centre = np.zeros(3)
-    # The distance is proportional to the focal length except for the small tilt, so five iterations converge.
+    # The distance is proportional to the focal length, except for the small tilt. So five iterations converge.
     for _ in range(_FOOT_ITERATIONS):
         b = np.linalg.inv(np.array([[f, 0, x], [0, f, y], [0, 0, 1]])) @ n
         # Two columns of a rotation have length 1; their mean length is the unknown scale of the homography.
         b = b / ((np.linalg.norm(b[:, 0]) + np.linalg.norm(b[:, 1])) / 2)
         r3 = np.cross(b[:, 0], b[:, 1])
         rotation = _nearest_rotation(np.column_stack([b[:, 0], b[:, 1], r3 / np.linalg.norm(r3)]))
-        # With noise the three columns are not exactly orthonormal, hence the nearest rotation.
+        # With noise, the three columns are not exactly orthonormal. Therefore the nearest rotation is taken.
         centre = -rotation.T @ b[:, 2]
         f *= distance_mm / abs(centre[2])
     return np.asarray(centre[:2])

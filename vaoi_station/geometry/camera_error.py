@@ -1,8 +1,8 @@
 """The error of a calibration as a displacement field over the frame: nine basis fields, and their covariance.
 
-A calibrated camera projects a point to q. An observation of the point lies at q + e(q) + noise. The field e is unknown,
-and is constant over all frames of a calibration: e(u, v) = Σ_k c_k·b_k(u, v), with u = (x − (w − 1)/2)/R,
-v = (y − (h − 1)/2)/R, and R half the diagonal of the frame, px.
+According to the calibration, a camera projects a point to q. A measurement of the point lies at q + e(q) + noise. The
+field e is unknown, and is constant over all frames of a calibration: e(u, v) = Σ_k c_k·b_k(u, v), with u = (x − (w −
+1)/2)/R, v = (y − (h − 1)/2)/R, and R half the diagonal of the frame, px.
 
 | k | b_k | |
 |---|---|---|
@@ -52,7 +52,10 @@ def basis_fields(uv: ArrayLike) -> Floats:
 
 
 def point_covariance_px2(camera: Camera, points_px: ArrayLike) -> Floats:
-    """Compute the covariance (k, 2, 2) of e at undistorted pixels (k, 2), px²; zero if the camera's is unknown."""
+    """Compute the covariance (k, 2, 2) px² of the error e at undistorted pixels (k, 2).
+
+    0 if the camera's is unknown.
+    """
     basis = basis_px(camera, points_px)
     if camera.covariance_px2 is None:
         return np.zeros((*basis.shape[:-1], 2))

@@ -2,9 +2,9 @@
 
 A displacement has three numbers, all in px of the camera's frame. x and y are the motion of the picture of the
 calibrated plane in the middle of the frame. The third, called turn, is the motion of the frame's corner when the
-picture turns about the middle. If the working distance is known, the three numbers stand for a small rotation of the
-camera about its projection centre, since a knock turns a camera far more than it shifts it. If the working distance is
-unknown, they stand for a motion in the image plane.
+picture turns about the middle. If the working distance is known, the three numbers describe a small rotation of the
+camera about its projection centre, because a knock turns a camera far more than it shifts it. If the working distance
+is unknown, they describe a motion in the image plane.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def moved_from_calibrated(camera: Camera, displacement_px: Floats) -> Floats:
 
 def displace_camera(camera: Camera, displacement_px: Floats) -> Camera:
     """Return the camera with its N_i changed by a displacement (3,) px."""
-    # Without displacement the same object is returned, so that an unmoved camera keeps its N_i to the last digit.
+    # Without a displacement, the same object is returned, so that a camera that has not moved keeps its exact N_i.
     if not np.any(displacement_px):
         return camera
     matrix = moved_from_calibrated(camera, displacement_px) @ camera.image_from_row.matrix

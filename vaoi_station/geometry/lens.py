@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from vaoi_station.geometry.transforms import Floats
 
 _NEGLIGIBLE = 1e-12
-"""Value of 1 / ρ² below which a turning point is ignored: it lies a million radii away, where no point is projected."""
+"""Roots 1 / ρ² below this are ignored: such a turning point lies a million radii away, where no point is projected."""
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ def encloses(outline: Sequence[tuple[float, float]] | NDArray[np.float64], point
     if len(corners) == 2:
         low, high = corners.min(0) - tolerance, corners.max(0) + tolerance
         return bool(((low <= p) & (p <= high)).all())
-    # First the distance to each edge: the crossing count below is undefined for points on an edge.
+    # First, the distance to each edge is tested: the crossing count below is undefined for points on an edge.
     a, b = corners, np.roll(corners, -1, axis=0)
     along = b - a
     t = np.clip(((p - a) * along).sum(1) / np.maximum((along**2).sum(1), 1e-300), 0, 1)
@@ -51,8 +51,8 @@ def find_crossing_edges(outline: Sequence[tuple[float, float]]) -> tuple[int, in
         return None
     ends = np.roll(corners, -1, axis=0)
     low, high = np.minimum(corners, ends), np.maximum(corners, ends)
-    # Only edges whose bounding boxes overlap can meet. Sorted by their left ends, those that begin left of the right
-    # end of an edge are neighbours in the order, so most pairs need no test.
+    # Only edges whose bounding boxes overlap can meet. The edges are sorted by their left ends. Those that begin left
+    # of the right end of an edge are then neighbours in this order, so that most pairs need no test.
     order = np.argsort(low[:, 0], kind="stable")
     lefts = low[order, 0]
     until = np.searchsorted(lefts, high[order, 0], side="right")

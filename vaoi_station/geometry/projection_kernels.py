@@ -159,7 +159,8 @@ def distort_point(u: float, v: float, radial: Floats, lens: LensShape) -> tuple[
     rho = inside
     for _ in range(_MAX_NEWTON_STEPS):
         factor, slope = _evaluate_polynomial(radial, rho * rho)
-        # The slope vanishes at the turning point; its floor keeps the step finite and the clamp keeps rho in range.
+        # The slope vanishes at the turning point. Its lower limit keeps the step finite, and the limits of rho keep it
+        # in range.
         step = (rho * factor - inside) / max(slope, 1e-12)
         rho = min(max(rho - step, 0.0), edge)
         if abs(step) <= _CONVERGED * (1 + rho):

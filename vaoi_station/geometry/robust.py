@@ -1,4 +1,4 @@
-"""Robust estimation, and estimates that can fail: these return a value or a `Failure` that says why.
+"""Robust estimation, and estimates that can fail: these return a value, or a `Failure` that states why.
 
 A failed estimate is a value and not an exception, because the caller decides what it means for the run.
 """
@@ -15,14 +15,14 @@ from vaoi_station.errors import InternalError
 from vaoi_station.geometry.transforms import Floats, Similarity, System
 
 _ROUNDING = 1e-12
-"""Largest distance of points that count as coincident, relative to their coordinates: rounding only."""
+"""Largest distance of points that count as equal, relative to their coordinates: rounding errors only."""
 _UNRELATED = 1e-12
-"""A fit that explains less than this share of the squared spread of the target points is a failure."""
+"""A fit fails if it explains less than this share of the squared spread of the target points."""
 
 
 @dataclass(frozen=True)
 class Failure:
-    """The failure of an estimate, with a sentence that says with numbers why it is not possible."""
+    """The failure of an estimate, with a sentence that states why it is not possible, with numbers."""
 
     reason: str
     code: str = ""
@@ -60,7 +60,7 @@ def fit_similarity(
     if _coincide(b, q):
         return Failure("the target points coincide; two different ones are needed")
     k = complex((np.conj(a) * b).sum() / spread)
-    # A pattern that fits only its mirror image gives k ≈ 0, which would map all points to one.
+    # A pattern that fits only its mirror image gives k ≈ 0, which would map all points to a single one.
     if abs(k) ** 2 * spread <= _UNRELATED * float((np.abs(b) ** 2).sum()):
         return Failure("the two sets of points have nothing in common under this handedness")
     linear = Similarity.of(abs(k), math.atan2(k.imag, k.real), (0, 0), target, source, mirrored=mirrored)

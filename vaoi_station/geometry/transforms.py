@@ -18,7 +18,7 @@ from vaoi_station.errors import InternalError
 
 Floats = NDArray[np.float64]
 _KIND_TOLERANCE = 1e-6
-"""Largest accepted relative deviation of a matrix from a similarity or rigid motion: it covers rounding only."""
+"""Largest accepted relative deviation of a matrix from a similarity or rigid motion: rounding errors only."""
 
 
 class System(StrEnum):
@@ -94,7 +94,7 @@ class Projective:
         return apply(self.matrix, points)
 
     def scale_at(self, point: ArrayLike) -> float:
-        """Return the local scale at a source point: target per source units (square root of the area ratio)."""
+        """Return the local scale at a source point, in target units per source unit (square root of the area ratio)."""
         p = np.asarray(point, dtype=np.float64)
         w = float(self.matrix[2, :2] @ p + self.matrix[2, 2])
         return math.sqrt(abs(float(np.linalg.det(self.matrix)) / w**3))

@@ -31,7 +31,9 @@ class Fiducial(FrozenModel):
 
 
 class Visibility(FrozenModel):
-    """How much of a component the good frames of a run must show. What is None is left to the next more general level.
+    """How much of a component the good frames of a run must show.
+
+    Values that are None come from the next general level.
 
     The levels are component, board type, station, and the defaults of `VISIBILITY`.
     """
@@ -41,10 +43,10 @@ class Visibility(FrozenModel):
     views: Annotated[Whole, Field(ge=0, le=1000)] | None = None
     """Least number of frames that show at least half of the footprint."""
     in_one_frame: bool | None = None
-    """Whether one frame must show the whole footprint, which is not so for a component on a seam."""
+    """Whether one frame must show the whole footprint. No frame does so for a component on a seam."""
 
     def over(self, general: Visibility) -> Visibility:
-        """Return these values, completed by those of the next more general level."""
+        """Return these values, with missing ones taken from the next more general level."""
         return Visibility(
             coverage=general.coverage if self.coverage is None else self.coverage,
             views=general.views if self.views is None else self.views,
@@ -53,7 +55,7 @@ class Visibility(FrozenModel):
 
 
 VISIBILITY = Visibility(coverage=0.99, views=0, in_one_frame=False)
-"""What is asked of every component unless component, board type or station ask for something else."""
+"""The visibility that every component must have, unless component, board type or station ask for something else."""
 
 
 class Component(FrozenModel):
@@ -84,7 +86,7 @@ class FixtureMarkShape(FrozenModel):
 
 
 class Place(FrozenModel):
-    """A point with named coordinates, as in JSON files."""
+    """A point with named coordinates x and y, as in JSON files."""
 
     x: Finite
     y: Finite

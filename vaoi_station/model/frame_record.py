@@ -33,7 +33,7 @@ class FrameRecord(FrozenModel):
     light: str = ""
     """Name of the light pattern of the frame's row."""
     proven: bool = True
-    """Whether the frame belongs to its row as far as the proof of the run shows; `cause` states what contradicts it."""
+    """Whether the frame belongs to its row as far as the proof of the run shows; otherwise `cause` states the doubt."""
 
     @property
     def usable(self) -> bool:

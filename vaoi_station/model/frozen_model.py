@@ -11,7 +11,8 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSeriali
 MOST_MM = 10_000.0
 """Largest coordinate or length in a document, mm. No board, line or camera array is longer."""
 MOST_ENTRY = 1e9
-"""Largest absolute entry of a matrix; the largest entry is at least the inverse. Real ones are below 10⁶."""
+"""Largest absolute entry of a matrix; the largest entry must be at least the inverse of this. Real entries are below
+10⁶."""
 
 
 class Strict(BaseModel):
@@ -42,8 +43,8 @@ def _parse_matrix(value: Any) -> NDArray[np.float64]:
         raise ValueError("has rows of different lengths, must be 3×3") from error
     except OverflowError as error:  # an integer that no float can hold
         raise ValueError(f"has an entry beyond the limit of ±{MOST_ENTRY:g}") from error
-    # NumPy would convert strings and booleans; only numbers written as numbers are accepted. Among numbers, it makes a
-    # boolean 1.0, so that the entries are checked as well.
+    # NumPy would convert strings and booleans; only numbers written as numbers are accepted. Among numbers, it converts
+    # a boolean to 1.0, so the entries are checked as well.
     if m.dtype.kind not in "iuf" or (not isinstance(value, np.ndarray) and _has_boolean(value)):
         raise ValueError("is not a matrix of numbers, must be 3×3 numbers")
     m = m.astype(np.float64)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 
 class ReasonCode(StrEnum):
-    """The code of a reason, the same in every version. `docs/formats.md` states what each means and what to do."""
+    """The code of a reason, the same in every version. `docs/formats.md` states its meaning and the action for each."""
 
     NO_FRAMES = "no-frames"
     CAMERA_ABSENT = "camera-absent"
@@ -54,4 +54,4 @@ class Reason(NamedTuple):
 
     code: ReasonCode
     text: str
-    """A sentence with names, values and limits, and with what to do."""
+    """A sentence with names, values and limits, and with the action to take."""

@@ -24,7 +24,7 @@ class CameraHead(FrozenModel):
     nominal_center_mm: PointMm | None = None
     nominal_px_per_mm: Positive | None = None
     nominal_roll_deg: Annotated[Finite, Field(ge=-360, le=360)] | None = None
-    """How the camera is mounted: its rotation from image x towards image y; 180 is upside down. None: upright."""
+    """Rotation of the mounted camera, from image x towards image y; 180 is upside down. None: upright."""
     bits: Annotated[Whole, Field(ge=8, le=16)] | None = None
     """Used bits of a 16-bit pixel, counted from the lowest: 12 for values up to 4095; None if unknown."""
 
@@ -45,7 +45,8 @@ class RecordingHead(FrozenModel):
     rotation_deg: Literal[0, 90, 180, 270] | None = None
     """Expected rotation of the board on the belt, counter-clockwise from CAD-upright as the camera sees it."""
     doubts: tuple[str, ...] = ()
-    """What was doubtful when the run was filmed; each is a reason of the result, which is then never ok."""
+    """Doubts about the frames that arose when they were recorded. Each is a reason of the result, which is then not
+    ok."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

@@ -67,7 +67,8 @@ class Stitch(FrozenModel):
     components: dict[str, tuple[tuple[Whole, Whole, Pixels, Pixels], ...]] | None = None
     camera_matrices: tuple[Matrix, ...] | None = None
     """N_i of every camera as it was in this run: the calibrated N_i, corrected by the displacement that the run shows.
-    None in results of older versions, which took the calibrated N_i as exact."""
+
+    It is None in results of older versions, which assumed that the calibrated N_i are exact."""
 
     @model_validator(mode="after")
     def _one_code_per_reason(self) -> Self:
@@ -85,7 +86,7 @@ class Stitch(FrozenModel):
         return self
 
     def image_from_tester(self, camera: int, row: int) -> Projective | None:
-        """Return M_ij of a camera and row, or None if stitching could not place that frame."""
+        """Return M_ij of a camera and row; None if stitching could not place that frame."""
         m = self.image_matrices[camera][row]
         return None if m is None else Projective(m, System.IMAGE, System.TESTER)
 
@@ -100,5 +101,5 @@ class Stitch(FrozenModel):
 
     @property
     def tester_from_cad(self) -> Projective | None:
-        """The CAD matrix C, or None if no assignment of detections to fiducials was found."""
+        """The CAD matrix C; None if the detections could not be assigned to fiducials."""
         return None if self.cad_matrix is None else Projective(self.cad_matrix, System.TESTER, System.CAD)

@@ -60,5 +60,5 @@ def camera_pitch_mm(cameras: int, width_mm: float, field_mm: float) -> float:
         InputError: if a quantity is not above 0.
     """
     require_positive(cameras=cameras, width_mm=width_mm, field_mm=field_mm)
-    # The two outer views end at the edges of the board, so n views leave n − 1 equal steps.
+    # The two outer views end at the edges of the board, so there are n − 1 equal steps between n views.
     return max(width_mm - field_mm, 0.0) / (cameras - 1) if cameras > 1 else 0.0

@@ -46,5 +46,6 @@ def not_checked(
 
 
 def _without_rounding(margin: float, limit: float) -> float:
-    # A plan may choose the limit itself as the value, such as the longest exposure. Rounding must not make it fail.
+    # A plan may choose the limit itself as the value, such as the longest exposure. A rounding error must not make it
+    # fail.
     return 0.0 if abs(margin) <= _ROUNDING * abs(limit) else margin

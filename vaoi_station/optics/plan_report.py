@@ -126,7 +126,7 @@ def _number(value: float | None, digits: int | None = None, *, signed: bool = Fa
         return "open"
     if digits is None:
         return f"{value:g}"
-    # Trailing zeros would claim a precision that the requirements do not have.
+    # Trailing zeros would suggest a precision that the requirements do not have.
     text = f"{value:+.{digits}f}" if signed else f"{value:.{digits}f}"
     return text.rstrip("0").rstrip(".") if digits and "." in text else text
 

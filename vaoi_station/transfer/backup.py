@@ -1,4 +1,4 @@
-"""Backup of a station in one file, and its restoration where nothing is."""
+"""Backup of a station in one file, and its restoration to a place where there is no station."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _ELSEWHERE = "Restore to a machine or a folder without a station, or move the ol
 
 @dataclass(frozen=True)
 class BackupSummary:
-    """What a backup contains."""
+    """The content of a backup."""
 
     files: int
     size_bytes: int
@@ -40,12 +40,12 @@ def back_up(config_path: Path, out: Path, *, recordings: bool = False) -> Backup
     Args:
         config_path: the station.toml.
         out: the file to write, which must not exist.
-        recordings: include the kept recordings of frames.
+        recordings: whether to include the kept recordings of frames.
     """
     refuse_existing(out)
     config = read_config(config_path)
     out.parent.mkdir(parents=True, exist_ok=True)
-    # The copy of the database is beside the backup: that disk must have room for it anyway.
+    # The copy of the database is made beside the backup, because that disk must have room for it in any case.
     with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}.") as scratch:
         database = Path(scratch) / DATABASE
         copy_database(config.data / DATABASE, database)
@@ -56,7 +56,7 @@ def back_up(config_path: Path, out: Path, *, recordings: bool = False) -> Backup
 
 
 def restore(package: Path, config_path: Path) -> StationConfig:
-    """Restore a backup: write station.toml to `config_path`, and everything else to where it says.
+    """Restore a backup: write station.toml to `config_path`, and all other files to the paths that it names.
 
     Nothing is written before the backup was unpacked and checked completely.
 
@@ -69,15 +69,15 @@ def restore(package: Path, config_path: Path) -> StationConfig:
         unpacked = Path(scratch)
         unpack_package(package, KIND, unpacked)
         check_database(unpacked / DATA / DATABASE)
-        # Paths of the file are relative to its place, so it is read as if it were there already.
+        # Paths in the file are relative to its folder, so it is read as if it were there already.
         config = read_config(unpacked / CONFIG)
-        # A file that is there already, such as a scenario of the package, does not hinder.
+        # A file that exists already, such as a scenario of the package, is no problem.
         moves = [m for m in _moves(unpacked, config, config_path.resolve().parent) if not _same_file(*m)]
         for _, target in moves:
             _refuse_content(target)
         for source, target in moves:
             _move(source, target)
-        # Last: a folder with a station.toml is a complete station.
+        # This is moved last, because a folder with a station.toml counts as a complete station.
         shutil.move(unpacked / CONFIG, config_path)
     return read_config(config_path)
 
@@ -91,7 +91,8 @@ def _entries(config_path: Path, config: StationConfig, database: Path, *, with_r
         yield SCENARIO, config.simulation.scenario
     yield from _files(config.board_types, BOARD_TYPES)
     for path in sorted(config.data.iterdir()):
-        # The files beside the database belong to it, or are damaged ones that were set aside; only its mark is kept.
+        # The files beside the database belong to it, or are damaged ones that were set aside. Only its marker file is
+        # kept.
         of_database = path.name.startswith(DATABASE) and not path.name.endswith(MARK)
         if not of_database and (with_recordings or path.name != RECORDINGS):
             yield from _files(path, f"{DATA}/{path.name}")
@@ -109,7 +110,10 @@ def _files(path: Path, name: str) -> Iterator[Entry]:
 
 
 def _moves(unpacked: Path, config: StationConfig, base: Path) -> list[tuple[Path, Path]]:
-    """Return what is moved where: paths of the file below the folder of the draft are below `base` in the end."""
+    """Return all moves as (source, target).
+
+    Paths of station.toml below the draft's folder are below `base` in the end.
+    """
 
     def final(path: Path) -> Path:
         inside = path.is_relative_to(unpacked.resolve())
@@ -118,7 +122,8 @@ def _moves(unpacked: Path, config: StationConfig, base: Path) -> list[tuple[Path
     targets = {CALIBRATION: config.calibration, BOARD_TYPES: config.board_types, DATA: config.data}
     if config.simulation is not None:
         targets[SCENARIO] = config.simulation.scenario
-    # Set aside under names of their own first, because the draft has the layout of the package, not that of the file.
+    # They are set aside under other names first, because the draft has the folders of the package, not those of the
+    # file.
     (unpacked / ".parts").mkdir()
     moves = []
     for name, target in targets.items():
@@ -128,7 +133,10 @@ def _moves(unpacked: Path, config: StationConfig, base: Path) -> list[tuple[Path
 
 
 def _move(source: Path, target: Path) -> None:
-    """Move a file or folder; an empty folder that exists keeps its owner and mode, and receives the content."""
+    """Move a file or folder.
+
+    If the target is an empty folder, it keeps its owner and mode, and receives the content.
+    """
     target.parent.mkdir(parents=True, exist_ok=True)
     for part in source.iterdir() if target.is_dir() else ():
         shutil.move(part, target / part.name)

@@ -1,6 +1,6 @@
 """A package: one compressed tar file with named contents, and a manifest with the digest of each.
 
-The manifest is the last member, so that a package is written in one pass and one that was cut short has none.
+The manifest is the last member. So a package can be written in one pass, and a package that was cut short has none.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def write_package(path: Path, kind: str, entries: Iterable[Entry], about: dict[s
         raise InputError(f"{path}: cannot be written ({error.strerror}).", action="Choose another place.") from error
     digests: dict[str, str] = {}
     try:
-        # Mode 0600 by mkstemp: a backup contains all that the station knows.
+        # The file has mode 0600 from mkstemp, because a backup contains all data of the station.
         with os.fdopen(handle, "wb") as file:
             with tarfile.open(fileobj=file, mode="w:gz", compresslevel=_FAST) as tar:
                 for name, content in entries:
@@ -127,7 +127,7 @@ def _add(tar: tarfile.TarFile, name: str, content: Path | bytes) -> str:
 
 
 class _Digesting:
-    """A file that computes the digest of what is read from it."""
+    """A file object that computes the digest of everything that is read from it."""
 
     def __init__(self, file: IO[bytes]) -> None:
         self._file, self.summary = file, hashlib.sha256()
@@ -149,7 +149,7 @@ def _safe(path: Path, directory: Path, name: str) -> Path:
 def _extract(source: IO[bytes], target: Path) -> str:
     target.parent.mkdir(parents=True, exist_ok=True)
     summary = hashlib.sha256()
-    # Exclusively: a second member of the same name must not replace the first.
+    # Opened exclusively, because a second member with the same name must not replace the first.
     with target.open("xb") as file:
         while chunk := source.read(_CHUNK):
             summary.update(chunk)

@@ -1,4 +1,4 @@
-"""One run as one file: its record and result, what it was made with, and its frames if they were kept."""
+"""One run as one file: its record and result, the documents it was made with, and its frames if they were kept."""
 
 from __future__ import annotations
 

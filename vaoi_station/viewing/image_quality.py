@@ -1,9 +1,9 @@
 """Focus and exposure figures of one frame.
 
-Two figures describe the focus. `focus` is the variance of the Laplacian over the squared mean: it rises towards the
-best focus in any scene, but only values of the same scene compare. `blur_px` is absolute, where the scene has edges: an
-edge of contrast C blurred by a Gaussian of standard deviation σ has the maximum slope C / (σ √(2π)), and the modulation
-falls to one half at 0.187 / σ cycles per pixel.
+Two figures describe the focus. `focus` is the variance of the Laplacian divided by the squared mean. It rises towards
+the best focus in any scene, but only values of the same scene can be compared. `blur_px` is an absolute figure, but
+needs edges in the scene: an edge of contrast C that is blurred by a Gaussian of standard deviation σ has the maximum
+slope C / (σ √(2π)), and the modulation falls to one half at 0.187 / σ cycles per pixel.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from vaoi_station.pixel_formats import eight_bit_grey
 TILES = 3
 """Parts per side of the frame whose blur is measured separately: a tilted camera is sharp on one side only."""
 _MTF50 = 0.1874
-"""Cycles per pixel at which a blur of σ = 1 px has half the modulation: √(2 ln 2) / (2π)."""
+"""Spatial frequency, cycles per pixel, at which a blur of σ = 1 px halves the modulation: √(2 ln 2) / (2π)."""
 _SMOOTH_PX = 1.0
 _OWN_VARIANCE = _SMOOTH_PX**2 + 1 / 3
 """Variance in px² that the measurement adds to the blur, by smoothing and by the finite difference for the slope."""
@@ -29,7 +29,9 @@ _PIXEL_VARIANCE = 1 / 12
 _REACH_PX = 7
 """Distance from an edge, in px, within which the grey levels of both sides are measured."""
 _THIN_PX, _BROAD = 2, 0.85
-"""Half width (px) of lines that are removed, and share of contrast that an edge must keep: a thin line is no edge."""
+"""Half width (px) of lines that are removed, and share of contrast that an edge must keep.
+
+So a thin line does not count as an edge."""
 _LEAST_CONTRAST = 24.0
 """Least contrast of an edge in grey levels, 0 … 255. Weaker edges are noise."""
 _BLOCK_PX = 24
@@ -64,7 +66,7 @@ class ImageQuality:
 
 def measure_quality(pixels: Image) -> ImageQuality:
     """Measure focus and exposure of a frame (height, width) or (height, width, 3), 8 or 16 bit."""
-    # The brightest channel: one saturated colour already spoils the frame.
+    # The brightest channel is used, because one saturated colour already spoils the frame.
     channels = pixels if pixels.ndim == 2 else pixels.max(axis=2)
     full = full_scale(channels)
     # Every second pixel in each direction suffices for percentiles, at a quarter of the cost.

@@ -1,4 +1,4 @@
-"""The latest frame of every camera; a frame is inspected when it is first requested, and once only."""
+"""The latest frame of every camera; each frame is inspected only once, when it is first requested."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class ViewedFrame:
     @property
     def inspection(self) -> FrameInspection:
         """Image quality, marks and remarks of the frame, computed on first access."""
-        # Two requests may come at the same time; the second waits for the picture of the first.
+        # Two requests may come at the same time. The second one waits until the first has encoded the picture.
         with self._lock:
             return self._inspection
 

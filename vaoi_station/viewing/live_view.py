@@ -27,7 +27,7 @@ _log = logging.getLogger(__name__)
 
 LOOPBACK = "127.0.0.1"
 FOR_EVER = 2**62
-"""Number of runs that stands for filming without end, because it is never reached."""
+"""Number of runs that means filming without end, because it is never reached."""
 NOTICES = 20
 """Number of the latest notices that the page shows."""
 
@@ -41,8 +41,8 @@ def show(
 ) -> None:
     """Film and serve the page on loopback, until interrupted (KeyboardInterrupt) or a device fails.
 
-    With `rate_hz` the controller fires at this rate without the light barrier; without it, boards are filmed.
-    When a simulated or replayed line has no more boards, the last frames stay visible.
+    With `rate_hz`, the controller fires at this rate without the light barrier. Otherwise, boards are filmed. When a
+    simulated or replayed line has no more boards, the last frames stay visible.
     """
     latest, ended = LatestFrames(specs), threading.Event()
     notices: deque[str] = deque(maxlen=NOTICES)

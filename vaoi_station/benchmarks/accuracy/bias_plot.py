@@ -32,7 +32,7 @@ class Panel:
 
 
 def draw_bias_panels(panels: Sequence[Panel], title: str, methods: tuple[str, str]) -> str:
-    """Draw panels one below the other, with our curve in green and that of the other method in red; return the SVG.
+    """Draw panels one below the other as SVG: the curve of this station's method in green, that of the other in red.
 
     Args:
         panels: the panels, from top to bottom.
@@ -47,7 +47,7 @@ def draw_bias_panels(panels: Sequence[Panel], title: str, methods: tuple[str, st
         tag("text", text(methods[1]), x=_WIDTH - 100, y=16.0, font_size=12, fill=_THEIRS),
     ]
     ground = tag("rect", x=0.0, y=0.0, width=_WIDTH, height=height, fill="#ffffff")
-    # The namespace is needed in a file of its own; inside an HTML page it is not, so `drawing` leaves it out.
+    # A separate SVG file needs the namespace. Inside an HTML page it is not needed, so `drawing` leaves it out.
     return drawing(_WIDTH, height, ground, *key, *drawn, label="Bias over the sub-pixel fraction").replace(
         "<svg", '<svg xmlns="http://www.w3.org/2000/svg" font-family="sans-serif"', 1
     )

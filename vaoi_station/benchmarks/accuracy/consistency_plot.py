@@ -29,7 +29,7 @@ def draw_consistency(twin: Sequence[RunErrors], recorded: Sequence[RunErrors]) -
         content.append(label(_LEFT_PX + 10, _TOP_PX + 18 + 16 * k, name, fill=colour, font_size=12))
     width, height = second + _SIDE_PX + 16, _TOP_PX + _SIDE_PX + 48
     body = tag("g", *content, font_family="sans-serif")
-    # The namespace is needed in a file of its own; inside an HTML page it is not, so `drawing` leaves it out.
+    # A separate SVG file needs the namespace. Inside an HTML page it is not needed, so `drawing` leaves it out.
     words = "Predicted and real error of component positions"
     return drawing(width, height, body, label=words).replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1)
 

@@ -65,7 +65,7 @@ class MarkErrors:
     bias_px: tuple[float, float]
     largest_px: float
     claimed_px: float
-    """Standard deviation that the detector reports, rms over all marks. Its key in JSON is `said_px`."""
+    """Standard deviation that the detector states, rms over all marks. Its key in JSON is `said_px`."""
     bound_px: float
     """Cramér-Rao bound of the error per axis, median over all marks."""
     paper_rms_px: float | None
@@ -103,7 +103,7 @@ class MarkFigures:
     def document(self) -> dict[str, Any]:
         """Return all figures of the benchmark as a dictionary for JSON."""
         document: dict[str, Any] = json_document(asdict(self))
-        # "said_px" is the key of the JSON file, which programs outside may read.
+        # "said_px" is the key of the JSON file, which other programs may read.
         document["rows"] = [_renamed(row, "claimed_px", "said_px") for row in document["rows"]]
         return document
 
@@ -207,7 +207,8 @@ def measure_s_curve(shape: Shape, steps: int = 20) -> MarkCurve:
     ours: list[float] = []
     theirs: list[float | None] = []
     for fraction in fractions:
-        # The mark is off the pixel centre along y as well: at the centre its symmetric samples are a special case.
+        # The mark is off the pixel centre along y too, because at the centre its samples are symmetric, which is a
+        # special case.
         truth = np.array([(side - 1) / 2 + fraction, (side - 1) / 2 + 0.2])
         image, _ = apply_condition(render_mark(shape, True, _S_CURVE_PX, truth, side, False), "clean", g)
         mark = locate_mark(image, truth, shape, _S_CURVE_PX)
@@ -221,7 +222,7 @@ def _whole_frame_ms(board: BenchmarkBoard) -> float:
     times = []
     for key, pixels in board.frames.items():
         frame = PreparedFrame(pixels)
-        # Links need the quarter-size image too, so it does not count as a cost of the marks.
+        # Links also need the quarter-size image, so it does not count as a cost of the marks.
         _ = frame.quarter
         camera = board.setup.cameras[key[0]]
         start = time.process_time()

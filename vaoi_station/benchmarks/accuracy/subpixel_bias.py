@@ -1,8 +1,8 @@
 """Measure the bias of links towards whole pixels, over the fraction of a pixel by which an image moves.
 
-On a conveyor the fraction is the same everywhere in an image. The bias therefore does not average out over the links
-of two frames, and a chain of rows adds it up. Digital image correlation calls its graph the S-curve. The images are
-sums of sinusoids, which can be rendered exactly at any shift; noise is added and grey levels are rounded. OpenCV's
+On a conveyor, the fraction is the same everywhere in an image. Therefore the bias does not average out over the links
+of two frames, and it adds up along a chain of rows. Digital image correlation calls its graph the S-curve. The images
+are sums of sinusoids, which can be rendered exactly at any shift; noise is added and grey levels are rounded. OpenCV's
 Lucas-Kanade method is measured for comparison with our refinement.
 """
 
@@ -62,7 +62,7 @@ class BiasFigures:
 
     def document(self) -> dict[str, Any]:
         """Return all figures of the benchmark as a dictionary for JSON."""
-        # "pulls" is the key of the JSON file, which programs outside may read.
+        # "pulls" is the key of the JSON file, which other programs may read.
         return {"pulls": [asdict(curve) for curve in self.curves]}
 
     def plot(self) -> str:
@@ -109,7 +109,7 @@ def _bias_curve(axis: str, noise: float, seed: int) -> BiasCurve:
 def _lucas_kanade(a: NDArray[np.uint8], b: NDArray[np.uint8], pixels: NDArray[np.int_], shift: Floats) -> Floats:
     points = pixels.astype(np.float32).reshape(-1, 1, 2)
     start = (points + np.round(shift)).astype(np.float32)
-    # One pyramid level, started at whole pixels: this compares the refinement alone.
+    # Only one pyramid level, started at whole pixels, so that only the refinement is compared.
     found, _, _ = cv2.calcOpticalFlowPyrLK(
         a, b, points, start, winSize=(21, 21), maxLevel=0, flags=cv2.OPTFLOW_USE_INITIAL_FLOW
     )

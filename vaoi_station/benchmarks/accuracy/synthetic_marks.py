@@ -106,5 +106,5 @@ def _within_diagonal(cells: Floats) -> Floats:
 
 
 def _within(beyond: Floats) -> Floats:
-    """Return the share of a sample inside an outline. The sample's centre lies `beyond` px outside the outline."""
+    """Return the share of a sample inside an outline, if the sample's centre lies `beyond` px outside the outline."""
     return np.asarray(np.clip(0.5 - beyond * _FINE, 0, 1))

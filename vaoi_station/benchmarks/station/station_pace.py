@@ -133,7 +133,7 @@ def measure_station_pace(
             coordinator.arm(run.board_type.name, runs=boards)
             details = _follow(coordinator, boards)
             missed = coordinator.snapshot().boards_missed
-            # Before the timelines are read: their transfer is not part of the work per frame.
+            # This comes before the timelines are read, because their transfer is not part of the work per frame.
             cpu = meter.read()
             memory = {name: round(private_memory_bytes(pid) / 1e6, 1) for name, pid in pids.items()}
             each = tuple(board_figures(d, coordinator.timeline(d.id)) for d in details)
@@ -165,7 +165,7 @@ def _config(run: PrerenderedRun, rate: float, workers: int, folder: Path, ring: 
 
 
 def _faster(line: Line, rate: float) -> Line:
-    # All times shrink together, so that each pulse meets the board at the same place as in the prerendered run.
+    # All times are reduced together, so that each pulse meets the board at the same place as in the prerendered run.
     return line.model_copy(
         update={
             "conveyor_mm_s": tuple(v * rate for v in line.conveyor_mm_s),
@@ -219,7 +219,7 @@ def _next(coordinator: StationCoordinator, after: str | None) -> RunDetail | Non
 def board_figures(run: RunDetail, timeline: Timeline) -> BoardFigures:
     """Compute the figures of one run from its details and the times of its tasks."""
     last_row = run.rows - 1
-    # A link of the last row becomes possible only with the last frame, so it says nothing about a backlog.
+    # A link of the last row becomes possible only with the last frame, so it shows nothing about a backlog.
     earlier = [t for t in timeline.tasks if max(t.row, t.other_row or 0) < last_row]
     lag = np.array([t.done_s - t.ready_s for t in timeline.tasks]) * 1e3
     late = np.array([max(t.row, t.other_row or 0) >= run.rows / 2 for t in timeline.tasks])
@@ -263,7 +263,7 @@ def rate_figures(head: RecordingHead, rate: float, each: tuple[BoardFigures, ...
         and max(b.links_open_at_last_frame for b in each) <= links_of_a_row,
         ready_after_last_frame_ms={
             "median": _median(ready),
-            # A measured value, not one interpolated between two boards: the nearest rank that 99 % do not exceed.
+            # The nearest rank that 99 % do not exceed: a measured value, and not one interpolated between two boards.
             "p99": sorted(ready)[math.ceil(0.99 * (len(ready) - 1))] if ready else math.nan,
             "max": max(ready, default=math.nan),
         },
@@ -283,7 +283,7 @@ def rate_figures(head: RecordingHead, rate: float, each: tuple[BoardFigures, ...
 
 def _median(values: Iterable[float]) -> float:
     """Compute the median of the values that exist, rounded to 2 decimals; NaN if there is none."""
-    # A board of one row has no lag of its second half. Infinity, a run without a result, takes part.
+    # A board of one row has no lag of its second half. Infinity, for a run without a result, is included.
     known = [float(v) for v in values if not math.isnan(v)]
     return round(statistics.median(known), 2) if known else math.nan
 

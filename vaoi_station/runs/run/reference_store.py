@@ -99,8 +99,8 @@ class ReferenceStore:
     def drop(self, board_type: str) -> None:
         """Remove the assignment of a reference to a board type, if there is one. The directory stays until `sweep`."""
         self._kept.drop_reference(board_type).result()
-        # An order or a run that still uses the reference holds a copy of it. The cache alone would keep the directory for
-        # ever.
+        # An order or a run that still uses the reference holds a copy of it. If the cache held it too, the directory
+        # would be kept for ever.
         with self._lock:
             self._opened.pop(board_type, None)
 
