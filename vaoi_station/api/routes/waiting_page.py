@@ -23,7 +23,7 @@ class WaitingPage:
     """
 
     def __init__(self, listener: socket.socket, names: Iterable[str], tls: CertificateFiles | None = None) -> None:
-        """Prepare to reply on a copy of `listener`, under any of `names`, and by TLS if it is given."""
+        """Prepare to reply on a copy of `listener`, under any of `names`; with TLS if `tls` is given."""
         self._listener, self._names, self._tls = listener, tuple(names), tls
         self._error: VaoiError | None = None
         self._server: WebServer | None = None
