@@ -16,7 +16,7 @@ from vaoi_station.geometry import apply
 from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.stitching.recordings.offline import stitch_frames
 
-TIMEOUT_S = 60.0
+TIMEOUT_S = 150.0
 RUNS = 20 if LONG else 6
 """Each bay of the ring is used twice."""
 

@@ -20,7 +20,7 @@ from vaoi_station.demo.waiting import wait_until_idle
 from vaoi_station.errors import BusyError, NotFoundError, StateError
 from vaoi_station.simulation import Twin
 
-TIMEOUT_S = 60.0
+TIMEOUT_S = 150.0
 
 
 @pytest.fixture(scope="module")

@@ -22,7 +22,7 @@ from vaoi_station.station import Station
 from vaoi_station.stitching.recordings.offline import stitch_frames
 from vaoi_station.stitching.recordings.opening import open_run
 
-TIMEOUT_S = 60.0
+TIMEOUT_S = 150.0
 
 
 def filmed(coordinator: StationCoordinator) -> RunDetail:

@@ -24,7 +24,7 @@ from vaoi_station.station import Station
 from vaoi_station.stitching.recordings.offline import stitch_frames
 from vaoi_station.stitching.work import StitchSetup
 
-TIMEOUT_S = 60.0
+TIMEOUT_S = 150.0
 RunStation = Callable[[StationConfig], StationCoordinator]
 
 

@@ -11,7 +11,7 @@ from vaoi_station.model import Status
 from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.simulation import Twin
 
-TIMEOUT_S = 90.0
+TIMEOUT_S = 150.0
 
 
 def test_component_positions_agree_with_the_truth_of_the_twin(

@@ -12,7 +12,7 @@ from vaoi_station.config import StationConfig
 from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.simulation import scenario_path
 
-TIMEOUT_S = 60.0
+TIMEOUT_S = 150.0
 KNOCK = """
 [[faults.knocked]]
 camera = 1

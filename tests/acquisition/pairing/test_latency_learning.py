@@ -68,6 +68,23 @@ def test_a_latency_that_grows_by_nearly_a_period_is_named_and_used_from_the_next
     assert set(script.verdicts("c").values()) == {Verdict.OK}
 
 
+@pytest.mark.parametrize(
+    ("latency_s", "found"), [(0.0, []), (0.098, ["latency-changed"]), (PERIOD_S, ["latency-changed"])]
+)
+def test_frames_taken_before_the_latency_came_into_doubt_count_as_well(latency_s: float, found: list[str]) -> None:
+    """Run b waits for its frames until the first ones of run c were taken; its own frames put the latency in doubt."""
+    script = RecorderScript(1)
+    film(script, "a", START_S, 0.0, list(range(6)))
+    film(script, "b", START_S + 3.0, 0.0, [])
+    for number in range(4):
+        stray_s = START_S + 3.03 + number * PERIOD_S
+        script.frame(("b", 0, -1), stray_s, 0.02)
+    film(script, "c", START_S + 3.0 + 5 * PERIOD_S + 0.35, latency_s, list(range(6)))
+    script.play()
+    assert [f.kind for f in script.proofs["c"].findings] == found
+    assert bool(script.wrong_rows("c")) <= bool(found)
+
+
 def test_a_given_latency_is_used_from_the_first_frame_on() -> None:
     script = RecorderScript(1, [LatencySettings(given_s=0.098)])
     film(script, "a", START_S, 0.098, [1, 2, 3, 4, 5])

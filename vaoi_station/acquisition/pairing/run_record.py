@@ -116,6 +116,11 @@ class RunRecord:
         row = min(self.pulses, key=lambda r: abs(self.pulses[r].host_s - host_s))
         return row, host_s - self.pulses[row].host_s
 
+    def latency_s(self, frame: ObservedFrame) -> float:
+        """Return the time from the pulse of an assigned frame's row to its time stamp."""
+        assert frame.row is not None
+        return frame.host_s - self.pulses[frame.row].host_s
+
     def open_rows(self, camera: int) -> list[int]:
         """Return the rows of which no frame of this camera has arrived. Rows without a pulse are left out."""
         return [r for r in range(self.rows) if (camera, r) not in self.taken and r not in self.skipped]
