@@ -8,6 +8,7 @@ import json
 import os
 import pickle
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -31,6 +32,10 @@ EXAMPLES = 300 if LONG else 50
 hypothesis.settings.register_profile("desk", deadline=None, max_examples=EXAMPLES)
 hypothesis.settings.register_profile("verdict", deadline=None, max_examples=EXAMPLES, derandomize=True)
 hypothesis.settings.load_profile("verdict" if VERDICT else "desk")
+
+# A shell lets the jobs that it starts in the background ignore SIGINT, and every child process inherits that.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @dataclass

@@ -37,13 +37,25 @@ def ended_by(number: signal.Signals, process: subprocess.Popen[str]) -> Iterator
         process.communicate(timeout=TIMEOUT_S)
 
 
+@contextmanager
+def killed_on_error(process: subprocess.Popen[str]) -> Iterator[None]:
+    """Kill a process if the block fails."""
+    try:
+        yield
+    except BaseException:
+        process.kill()
+        process.communicate()
+        raise
+
+
 def rig(directory: Path) -> subprocess.Popen[str]:
     """Start the emulated devices and wait until they are ready."""
     command = [sys.executable, "-m", "vaoi_station", "rig", "up", "--out", str(directory)]
     command += ["--scenario", "small", "--different", "1"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    assert process.stdout is not None
-    assert any("Boards pass" in line for line in process.stdout)
+    with killed_on_error(process):
+        assert process.stdout is not None
+        assert any("Boards pass" in line for line in process.stdout)
     return process
 
 
@@ -56,9 +68,10 @@ def service(path: Path, config: StationConfig) -> subprocess.Popen[str]:
         command = [sys.executable, "-m", "vaoi_station", "serve", "--config", str(path)]
         environment = os.environ | {"NOTIFY_SOCKET": str(address)}
         process = subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL, text=True)
-        while b"READY=1" not in notify.recv(4096):
-            pass
-    wait_until_idle(config)
+        with killed_on_error(process):
+            while b"READY=1" not in notify.recv(4096):
+                pass
+            wait_until_idle(config)
     return process
 
 

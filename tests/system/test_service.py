@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -73,6 +74,13 @@ class Service:
         self.log.append(out)
         return self.process.returncode
 
+    def close(self) -> None:
+        """End what is left after a test that failed: its process, and its connections."""
+        self.client.close()
+        if self.process.poll() is None:
+            self.process.kill()
+            self.process.communicate()
+
 
 @pytest.fixture
 def service(replay_config: Callable[..., StationConfig], tmp_path: Path) -> Iterator[Service]:
@@ -80,9 +88,7 @@ def service(replay_config: Callable[..., StationConfig], tmp_path: Path) -> Iter
     path.write_text(as_toml(replay_config(pace="original", pause_s=0.3)))
     started = Service(path)
     yield started
-    if started.process.poll() is None:
-        started.process.kill()
-        started.process.communicate()
+    started.close()
 
 
 def test_a_board_passes_and_the_service_ends_in_order(service: Service, tmp_path: Path) -> None:
@@ -117,10 +123,10 @@ def test_killed_station_leaves_no_process_and_the_next_one_removes_its_ring(serv
     for pid in pids:
         assert ends_within(pid, TIMEOUT_S), f"process {pid} outlived its station"
     assert len(list((tmp_path / "shm").iterdir())) == 1
-    again = Service(tmp_path / "station.toml")
-    again.until_idle()
-    pids = [p["pid"] for p in again.get("/station")["processes"]]
-    assert again.stop(signal.SIGINT) == 0, "".join(again.log)
+    with closing(Service(tmp_path / "station.toml")) as again:
+        again.until_idle()
+        pids = [p["pid"] for p in again.get("/station")["processes"]]
+        assert again.stop(signal.SIGINT) == 0, "".join(again.log)
     assert list((tmp_path / "shm").iterdir()) == []
     assert not [pid for pid in pids if Path(f"/proc/{pid}").exists()]
 

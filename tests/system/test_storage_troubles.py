@@ -71,9 +71,7 @@ def serve(
 
     yield start
     for service in started:
-        if service.process.poll() is None:
-            service.process.kill()
-            service.process.communicate()
+        service.close()
 
 
 def until(service: Service, path: str, holds: Callable[[Any], bool]) -> Any:
