@@ -35,6 +35,8 @@ _PACKAGES = {
     "curl/curl.h": "libcurl4-openssl-dev",
     "gcc": "gcc",
     "make": "make",
+    "nginx": "nginx-light",
+    "prometheus": "prometheus",
     "promtool": "prometheus",
     "simavr/sim_avr.h": "libsimavr-dev libelf-dev",
     "systemd-analyze": "systemd",
@@ -86,4 +88,9 @@ def chromium() -> str:
 def _is_there(name: str) -> bool:
     if name.endswith(".h"):
         return any(Path("/usr/include").glob(f"**/{name}"))
-    return shutil.which(name) is not None
+    return program(name) is not None
+
+
+def program(name: str) -> str | None:
+    """Return the path of a program, also of one for administrators; None if it is absent."""
+    return shutil.which(name, path=f"{os.environ.get('PATH', '')}:/usr/sbin:/sbin")

@@ -54,6 +54,8 @@ end."""
 
 BOARD_TYPE = re.compile(r"/api/v1/board-types/[^/]+")
 API = "/api/"
+_DECIDING = ("Host", "Origin", "Authorization", "Sec-Fetch-Site", "Sec-Fetch-Mode", "Sec-Fetch-Dest", "Sec-Fetch-User")
+"""Headers by which a request is permitted or refused."""
 CLOSE = {"Connection": "close"}
 
 CSP = "default-src 'self'; img-src 'self' blob: data:; object-src 'none'; base-uri 'none'; frame-ancestors 'self'"
@@ -199,9 +201,9 @@ def _ambiguous(headers: Headers) -> str | None:
     """Return what makes the end or the address of a request ambiguous; None if both are clear."""
     if "transfer-encoding" in headers and "content-length" in headers:
         return "The request has both Content-Length and Transfer-Encoding; send one of them."
-    if len(headers.getlist("host")) > 1:
-        return "The request has several headers Host; send one."
-    return None
+    # A proxy may decide by one of them, the station by the other.
+    twice = next((name for name in _DECIDING if len(headers.getlist(name)) > 1), None)
+    return None if twice is None else f"The request has several headers {twice}; send one."
 
 
 def _foreign(headers: Headers) -> bool:

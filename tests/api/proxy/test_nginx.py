@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import re
-import shutil
 import socket
 import ssl
 import subprocess
@@ -19,12 +17,11 @@ import pytest
 from tests.api.conftest import Served
 from tests.api.held_station import HeldStation
 from tests.certificates import make_certificate
+from tests.needs import need, program
 from vaoi_station.api.access.access_control import AccessControl
 from vaoi_station.api.access.audit import AuditLog
 from vaoi_station.files.access_keys import KeyFile
 
-NGINX = shutil.which("nginx", path=f"{os.environ.get('PATH', '')}:/usr/sbin")
-pytestmark = pytest.mark.skipif(NGINX is None, reason="needs nginx (.ci/run installs nginx-light)")
 FRAME = """
 daemon off; master_process off; pid {folder}/pid; error_log stderr warn;
 events {{ worker_connections 256; }}
@@ -63,6 +60,7 @@ def documented() -> str:
 
 @pytest.fixture(scope="module")
 def proxied(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Proxied]:
+    need("nginx")
     folder = tmp_path_factory.mktemp("nginx")
     keys, audit = KeyFile(folder / "keys.json"), AuditLog(folder / "audit.jsonl")
     station = HeldStation()
@@ -74,7 +72,7 @@ def proxied(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Proxied]:
     location = documented().replace("127.0.0.1:8350", f"127.0.0.1:{served.port}")
     names = {"folder": folder, "port": port, "certificate": made.certificate, "key": made.private_key}
     (folder / "nginx.conf").write_text(FRAME.format(location=location, **names))
-    command = [str(NGINX), "-e", "stderr", "-p", str(folder), "-c", str(folder / "nginx.conf")]
+    command = [str(program("nginx")), "-e", "stderr", "-p", str(folder), "-c", str(folder / "nginx.conf")]
     server = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     trusted = ssl.create_default_context(cafile=str(made.certificate))
     client = httpx2.Client(base_url=f"https://localhost:{port}", verify=trusted, timeout=20)
