@@ -10,7 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.api.routes.held_pins import HeldPins
+from tests.api.held.history import HeldHistory, HeldTypes
+from tests.api.held.pins import HeldPins
 from vaoi_station.api.encoders import ImageFormat, encode_image
 from vaoi_station.config import MethodName
 from vaoi_station.errors import DeviceError, GoneError, InternalError, NotFoundError, StateError
@@ -72,16 +73,15 @@ class HeldStation(StationCoordinator):
         self.warnings: tuple[Reason, ...] = ()
         self.lost: tuple[int, ...] = ()
         self.next_try: str | None = None
-        self.types = {"demo-board": BoardType.model_validate(BOARD)}
+        self.types = HeldTypes({"demo-board": BoardType.model_validate(BOARD)})
+        self.board_type_history = HeldHistory(self.types)  # type: ignore[assignment]
         self.log: list[EventRecord] = []
         self.filmed: dict[str, RunDetail] = {}
         self.pixels: dict[tuple[str, int, int], NDArray[np.uint8]] = {}
         self.holders: dict[tuple[str, str], LeaseStatus] = {}
-        self.references: dict[str, ReferenceStatus] = {}
-        self.methods: dict[str, MethodName] = {}
+        self.references, self.methods = dict[str, ReferenceStatus](), dict[str, MethodName]()
         self.kept = HeldPins(self)  # type: ignore[assignment]
-        self.broken = False
-        self.closed = False
+        self.broken = self.closed = False
         matrix = np.array([[PX_PER_MM, 0, 0], [0, -PX_PER_MM, 320], [0, 0, 1]])
         n = Projective(matrix, System.IMAGE, System.ROW)
         self.cameras = tuple(Camera(WIDTH, HEIGHT, n, Lens((0.0, 0.0), 1.0)) for _ in range(CAMERAS))

@@ -107,6 +107,8 @@ def test_replies_match_their_schemas(client: Any, station: Any, document: dict[s
     client.post("/api/v1/station/arm?board_type=demo-board&board_id=B1")
     values = {"run": station.film(board_id="B1"), "camera": 0, "row": 0, "ref": "U1", "k": 0, "name": "demo-board"}
     station.teach_reference("demo-board", values["run"])
+    station.put_board_type(station.board_type("demo-board"))
+    values["revision"] = station.board_type_history.list("demo-board")[0].id
     looked_at = 0
     for path, method, operation in operations(document):
         offered = operation["responses"].get("200", {}).get("content", {})

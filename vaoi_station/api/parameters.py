@@ -17,6 +17,9 @@ BoardTypeName = Annotated[
         pattern=r"^[^./\\\x00-\x1f\x7f][^/\\\x00-\x1f\x7f]{0,79}$",
     ),
 ]
+Revision = Annotated[
+    str, Path(description="Id of a version, as listed by `revisions`.", pattern=r"^[0-9]{8}T[0-9]{9}Z-[0-9a-f]{8}$")
+]
 Camera = Annotated[int, Path(description="Camera, from 0.", ge=0, le=9999)]
 Row = Annotated[int, Path(description="Row, from 0.", ge=0, le=99999)]
 Address = Annotated[str, Path(description="Component: `ref`, or `panel/ref` on a panel.", min_length=1, max_length=200)]

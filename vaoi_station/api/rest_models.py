@@ -11,6 +11,7 @@ from pydantic import BaseModel, Field
 
 from vaoi_station.config import MethodName
 from vaoi_station.model import Strict
+from vaoi_station.runs.archive.board_type_history import BoardTypeVersion
 from vaoi_station.runs.states.schemas import BoardTypeSummary, RunSummary
 
 Matrix3 = list[list[float]]
@@ -32,6 +33,13 @@ class BoardTypeList(Strict):
     """All board types, sorted by name."""
 
     board_types: list[BoardTypeSummary]
+    deleted: list[str] = Field(default=[], description="Names of deleted board types that can be restored.")
+
+
+class BoardTypeVersions(Strict):
+    """The versions of a board type that were replaced or deleted, newest first."""
+
+    revisions: list[BoardTypeVersion]
 
 
 class TeachRequest(Strict):

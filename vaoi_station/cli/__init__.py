@@ -20,6 +20,7 @@ from vaoi_station.cli.recordings.simulate import simulate
 from vaoi_station.cli.recordings.stitch import stitch
 from vaoi_station.cli.recordings.teach import teach
 from vaoi_station.cli.station.backup import backup, restore
+from vaoi_station.cli.station.board_types import board_types
 from vaoi_station.cli.station.bundle import bundle
 from vaoi_station.cli.station.check_config import check_config
 from vaoi_station.cli.station.demo import demo
@@ -97,6 +98,7 @@ app.command()(export)
 app.command("import")(import_)
 app.add_typer(rig, name="rig")
 app.add_typer(keys, name="keys")
+app.add_typer(board_types, name="board-types")
 
 
 def main() -> None:

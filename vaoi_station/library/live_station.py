@@ -136,7 +136,7 @@ class Station:
             # The type only: a value of another type may still contain the key.
             raise InputError.field("connect", "key", type(key).__name__, "a text")
         credentials = caller_credentials(_path("key_file", key_file), _path("ca", ca), key=key)
-        self._client = Client(_checked_address(address), credentials)
+        self._client = Client(checked_address(address), credentials)
 
     def snapshot(self) -> dict[str, Any]:
         """Return the present state of the station as `GET station` gives it."""
@@ -205,7 +205,7 @@ def _path(name: str, value: str | Path | None) -> Path | None:
     return None if value is None else require_path("connect", name, value)
 
 
-def _checked_address(address: str) -> str:
+def checked_address(address: str) -> str:
     """Return the address without a slash at its end; raise InputError if it is not `http://HOST:PORT`."""
     if not isinstance(address, str) or not address.startswith(("http://", "https://")):
         raise InputError(f"address is {address!r}, but must start with http:// or https://.")

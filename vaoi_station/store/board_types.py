@@ -10,6 +10,7 @@ from urllib.parse import quote, unquote
 from vaoi_station.errors import InputError, NotFoundError, StateError, VaoiError
 from vaoi_station.files import read_board_type, write_board_type
 from vaoi_station.model import BoardType
+from vaoi_station.store.board_type_revisions import BoardTypeRevision, BoardTypeRevisions
 
 MOST_FILES, MOST_BYTES = 500, 128 * 2**20
 """Limits of the directory: number of files, bytes. Without them, a program that stores board types could fill the
@@ -33,6 +34,7 @@ class BoardTypeDirectory:
 
     def __init__(self, directory: Path) -> None:
         self.directory = directory
+        self.revisions = BoardTypeRevisions(directory)
 
     def get(self, name: str) -> BoardType:
         """Read one board type; raise `NotFoundError` with the known names if it does not exist."""
@@ -57,7 +59,10 @@ class BoardTypeDirectory:
         return tuple(p for p in sorted(self.directory.glob("*.json")) if not p.name.startswith("."))
 
     def put(self, board_type: BoardType) -> bool:
-        """Write a board type atomically; return True if the name is new. `StateError` if there are too many."""
+        """Write a board type atomically; return True if the name is new. `StateError` if there are too many.
+
+        The version before is kept (`revisions`).
+        """
         path = self.path_of(board_type.name)
         new = not path.exists()
         others = [p for p in self.paths() if p != path]
@@ -67,15 +72,45 @@ class BoardTypeDirectory:
                 action="Delete board types that are no longer filmed.",
                 code="too-many-board-types",
             )
-        write_board_type(path, board_type)
+        kept = None if new else self.revisions.keep(path)
+        try:
+            write_board_type(path, board_type)
+        except BaseException:  # nothing was replaced; the error is raised again
+            if kept is not None:
+                self.revisions.discard(kept)
+            raise
+        if kept is not None:
+            if kept.read_bytes() == path.read_bytes():
+                self.revisions.discard(kept)
+            else:
+                self.revisions.bound(kept)
         return new
 
     def delete(self, name: str) -> None:
-        """Delete a board type; raise `NotFoundError` if it does not exist."""
-        try:
-            self.path_of(name).unlink()
-        except FileNotFoundError:
-            raise NotFoundError(f"There is no board type {name!r}.", code="unknown-board-type") from None
+        """Delete a board type; raise `NotFoundError` if it does not exist. Its last version is kept (`revisions`)."""
+        path = self.path_of(name)
+        if not path.is_file():
+            raise NotFoundError(f"There is no board type {name!r}.", code="unknown-board-type")
+        kept = self.revisions.keep(path)
+        path.unlink(missing_ok=True)
+        self.revisions.bound(kept)
+
+    def deleted(self) -> tuple[str, ...]:
+        """Return the names of board types of which only versions are left, sorted."""
+        present = {path.stem for path in self.paths()}
+        return tuple(unquote(stem) for stem in self.revisions.stems() if stem not in present)
+
+    def revisions_of(self, name: str) -> tuple[BoardTypeRevision, ...]:
+        """Return the versions of a board type, newest first; `NotFoundError` if the name never existed."""
+        path = self.path_of(name)
+        found = self.revisions.list(path.stem)
+        if not found and not path.is_file():
+            raise NotFoundError(f"There is no board type {name!r}.", code="unknown-board-type")
+        return found
+
+    def revision(self, name: str, revision: str) -> BoardType:
+        """Read one version of a board type; `NotFoundError` if there is none, `InputError` if it cannot be used."""
+        return read_board_type(self.revisions.get(self.path_of(name).stem, revision).path)
 
     def path_of(self, name: str) -> Path:
         """Return the file path of a board type; characters that file systems reject are written as %XX.

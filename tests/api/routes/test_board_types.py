@@ -112,3 +112,25 @@ def test_any_document_is_accepted_or_refused(shared_client: Any, document: dict[
         assert answer.status_code == 422
     else:
         assert answer.status_code in (200, 201)
+
+
+def test_what_was_replaced_or_deleted_is_listed_read_and_restored(client: Any) -> None:
+    client.put(f"{TYPES}/new", json=NEW)
+    client.put(f"{TYPES}/new", json=NEW | {"side": "bottom"})
+    client.delete(f"{TYPES}/new")
+    assert client.get(TYPES).json()["deleted"] == ["new"]
+    newest, oldest = client.get(f"{TYPES}/new/revisions").json()["revisions"]
+    assert client.get(f"{TYPES}/new/revisions/{newest['id']}").json()["side"] == "bottom"
+    restored = client.post(f"{TYPES}/new/revisions/{oldest['id']}/restore")
+    assert restored.status_code == 200
+    assert client.get(f"{TYPES}/new").json() == restored.json()
+    assert client.get(TYPES).json()["deleted"] == []
+
+
+def test_unknown_versions_are_refused(client: Any) -> None:
+    assert client.get(f"{TYPES}/none/revisions").status_code == 404
+    assert client.get(f"{TYPES}/demo-board/revisions").json() == {"revisions": []}
+    unknown = f"{TYPES}/demo-board/revisions/20260101T000000000Z-00000000"
+    assert client.get(unknown).json()["code"] == "unknown-revision"
+    assert client.post(f"{unknown}/restore").status_code == 404
+    assert client.get(f"{TYPES}/demo-board/revisions/..%2F..%2Fx").status_code in (404, 422)

@@ -10,9 +10,9 @@ from fastapi.exceptions import RequestValidationError
 from pydantic import ValidationError
 
 from vaoi_station.api.event_hub import ThreadLimit
-from vaoi_station.api.http_caching import REVALIDATE, conditional_response
-from vaoi_station.api.parameters import BoardTypeName
-from vaoi_station.api.rest_models import BoardTypeList
+from vaoi_station.api.http_caching import LIVE, REVALIDATE, conditional_response
+from vaoi_station.api.parameters import BoardTypeName, Revision
+from vaoi_station.api.rest_models import BoardTypeList, BoardTypeVersions
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import InputError
 from vaoi_station.model import BoardType
@@ -37,7 +37,8 @@ def router(services: Services) -> APIRouter:
     async def list_board_types(response: Response) -> BoardTypeList:
         """List all board types, sorted by name. The entry of an unusable file states the fault."""
         response.headers["Cache-Control"] = REVALIDATE
-        return BoardTypeList(board_types=list(await ask(coordinator.board_types)))
+        known, deleted = await ask(coordinator.board_types), await ask(coordinator.board_type_history.deleted)
+        return BoardTypeList(board_types=list(known), deleted=list(deleted))
 
     @routes.get("/{name}", response_model=BoardType)
     async def get_board_type(request: Request, name: BoardTypeName) -> Response:
@@ -52,7 +53,9 @@ def router(services: Services) -> APIRouter:
         openapi_extra=BODY,
     )
     async def put_board_type(request: Request, name: BoardTypeName) -> Response:
-        """Store a board type, or replace it. Finished runs keep the version they were filmed with.
+        """Store a board type, or replace it; the version before can be restored.
+
+        Finished runs keep the version they were filmed with.
 
         An armed line keeps its version as well; the new one applies from the next arming on.
         """
@@ -71,8 +74,29 @@ def router(services: Services) -> APIRouter:
 
     @routes.delete("/{name}", status_code=204)
     async def delete_board_type(name: BoardTypeName) -> None:
-        """Delete a board type. Refused with 409 while the station is armed with it."""
+        """Delete a board type, of which a version is kept. Refused with 409 while the station is armed with it."""
         await ask(coordinator.delete_board_type, name)
+
+    @routes.get("/{name}/revisions")
+    async def list_revisions(response: Response, name: BoardTypeName) -> BoardTypeVersions:
+        """List the versions of a board type that were replaced or deleted, newest first."""
+        response.headers["Cache-Control"] = LIVE
+        return BoardTypeVersions(revisions=list(await ask(coordinator.board_type_history.list, name)))
+
+    @routes.get("/{name}/revisions/{revision}", response_model=BoardType)
+    async def get_revision(name: BoardTypeName, revision: Revision) -> Response:
+        """Return the document of one version."""
+        content = _document(await ask(coordinator.board_type_history.get, name, revision))
+        return Response(content, media_type="application/json", headers={"Cache-Control": LIVE})
+
+    @routes.post("/{name}/revisions/{revision}/restore", response_model=BoardType)
+    async def restore_revision(name: BoardTypeName, revision: Revision) -> Response:
+        """Put a version in force again, from the next arming on. The present one becomes a version itself.
+
+        The reference and the method of a board type that was deleted have to be set again.
+        """
+        content = _document(await ask(coordinator.board_type_history.restore, name, revision))
+        return Response(content, media_type="application/json", headers={"Cache-Control": LIVE})
 
     return routes
 

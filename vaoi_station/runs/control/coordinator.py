@@ -19,6 +19,7 @@ from vaoi_station.errors import DeviceError, InputError, StateError
 from vaoi_station.model import BoardType, FrameRecord, Stitch
 from vaoi_station.rendering import View
 from vaoi_station.runs.archive import component_views
+from vaoi_station.runs.archive.board_type_history import BoardTypeHistory
 from vaoi_station.runs.archive.kept_runs import KeptRuns
 from vaoi_station.runs.archive.run_statistics import RunFigures
 from vaoi_station.runs.control.core import Core, Parts
@@ -101,15 +102,11 @@ class StationCoordinator:
         requests = PictureRequests(parts.workers)
         self._frames = FrameAccess(self._inbox, self._core, ring, parts.archive, requests)
         self.kept = KeptRuns(parts.config, parts.archive, parts.events, self._frames)
+        teaching = ReferenceTeaching(references, parts.config.method)
         self._board_types = BoardTypeService(
-            board_types,
-            ReferenceTeaching(references, parts.config.method),
-            parts.archive,
-            parts.events,
-            self._core,
-            self._inbox,
-            self._frames,
+            board_types, teaching, parts.archive, parts.events, self._core, self._inbox, self._frames
         )
+        self.board_type_history = BoardTypeHistory(board_types, self._board_types.put)
         self.process_events: StationEvents = InboxEvents(self._inbox, self._core, requests)
         """Receiver of the reports of the acquisition process and the workers."""
 

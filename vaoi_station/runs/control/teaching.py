@@ -189,8 +189,11 @@ class BoardTypeService:
         """Return the board type with this name; `NotFoundError` if there is none."""
         return self._directory.get(name)
 
-    def put(self, board_type: BoardType) -> bool:
-        """Add or replace a board type; return True if the name is new. `InputError` if no run could place it."""
+    def put(self, board_type: BoardType, source: str = "") -> bool:
+        """Add or replace a board type; return True if the name is new. `InputError` if no run could place it.
+
+        `source` says in the event by what it was replaced.
+        """
         refuse_unplaceable(board_type, "body")
         with self._changing:
             new = self._directory.put(board_type)
@@ -198,7 +201,7 @@ class BoardTypeService:
         # An armed line keeps the board type it was armed with: the CAD data must not change within a batch.
         later = " The change applies from the next arming on." if armed and armed.board_type == board_type.name else ""
         action = "added" if new else "replaced"
-        self._events.add("board-type", f"Board type {board_type.name!r} was {action}.{later}")
+        self._events.add("board-type", f"Board type {board_type.name!r} was {action}{source}.{later}")
         return new
 
     def delete(self, name: str) -> None:

@@ -1,0 +1,56 @@
+"""`vaoi board-types`: list the board types of a running station, and restore one that was replaced or deleted."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+from urllib.parse import quote
+
+import typer
+
+from vaoi_station.cli.station.station_access import CA, DEFAULT_STATION, KEY_FILE, STATION, credentials_of
+
+if TYPE_CHECKING:
+    from vaoi_station.demo.client import Client
+
+board_types = typer.Typer(help="The board types of a running station, and earlier versions.", no_args_is_help=True)
+
+NAME = Annotated[str, typer.Argument(help="Name of the board type.")]
+
+
+@board_types.command("list")
+def list_board_types(station: STATION = DEFAULT_STATION, key_file: KEY_FILE = None, ca: CA = None) -> None:
+    """List the board types, and those that were deleted and can be restored."""
+    reply = _client(station, key_file, ca).get("/board-types")
+    for entry in reply["board_types"]:
+        typer.echo(f"{entry['name']:40} {entry['components']:6} components")
+    for name in reply["deleted"]:
+        typer.echo(f"{name:40} deleted")
+
+
+@board_types.command()
+def revisions(name: NAME, station: STATION = DEFAULT_STATION, key_file: KEY_FILE = None, ca: CA = None) -> None:
+    """List the versions of a board type that were replaced or deleted, newest first."""
+    for entry in _client(station, key_file, ca).get(f"/board-types/{quote(name, safe='')}/revisions")["revisions"]:
+        typer.echo(f"{entry['id']}  in force from {entry['stored']} to {entry['ended']}  {entry['size_bytes']} bytes")
+
+
+@board_types.command()
+def restore(
+    name: NAME,
+    revision: Annotated[str, typer.Argument(help="Id of the version, as `revisions` lists it.")],
+    station: STATION = DEFAULT_STATION,
+    key_file: KEY_FILE = None,
+    ca: CA = None,
+) -> None:
+    """Put a version in force again, from the next arming on. The present one becomes a version itself."""
+    path = f"/board-types/{quote(name, safe='')}/revisions/{quote(revision, safe='')}/restore"
+    reply = _client(station, key_file, ca).post(path)
+    typer.echo(f"{name}: version {revision} is in force, {len(reply['components'])} components.")
+
+
+def _client(station: str, key_file: Path | None, ca: Path | None) -> Client:
+    from vaoi_station.demo.client import Client
+    from vaoi_station.library.live_station import checked_address
+
+    return Client(checked_address(station), credentials_of(key_file, ca))

@@ -1,0 +1,50 @@
+"""The versions of board types before they were replaced or deleted, for callers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from vaoi_station.model import BoardType
+from vaoi_station.runs.states.run_ids import utc
+from vaoi_station.runs.states.schemas import Schema
+from vaoi_station.store import BoardTypeDirectory
+
+
+class BoardTypeVersion(Schema):
+    """A version of a board type that was replaced or deleted."""
+
+    id: str
+    stored: str
+    """When it was written."""
+    ended: str
+    """When it was replaced or deleted."""
+    size_bytes: int
+
+
+class BoardTypeHistory:
+    """Lists and restores versions. Methods may be called from any thread except the coordinator's."""
+
+    def __init__(self, directory: BoardTypeDirectory, put: Callable[[BoardType, str], bool]) -> None:
+        """Serve the versions of a directory; `put` stores a board type, and gets where it comes from for its event."""
+        self._directory, self._put = directory, put
+
+    def deleted(self) -> tuple[str, ...]:
+        """Return the names of deleted board types that can be restored, sorted."""
+        return self._directory.deleted()
+
+    def list(self, name: str) -> tuple[BoardTypeVersion, ...]:
+        """Return the versions of a board type, newest first; `NotFoundError` if the name never existed."""
+        return tuple(
+            BoardTypeVersion(id=r.id, stored=utc(r.stored), ended=utc(r.ended), size_bytes=r.size_bytes)
+            for r in self._directory.revisions_of(name)
+        )
+
+    def get(self, name: str, revision: str) -> BoardType:
+        """Return one version; `NotFoundError` if there is none."""
+        return self._directory.revision(name, revision)
+
+    def restore(self, name: str, revision: str) -> BoardType:
+        """Put a version in force again, as if it were stored now, and return it. The present one becomes a version."""
+        board_type = self._directory.revision(name, revision)
+        self._put(board_type, f" by its version {revision}")
+        return board_type
