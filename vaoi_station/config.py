@@ -128,7 +128,7 @@ class CameraConfig(Section):
     address: Word | None = None
     """Instead of the serial number: IP address or host name, with which the camera is found without a search."""
     offset_px: tuple[Pixels, Pixels] = (0, 0)
-    """Column and row of the sensor at which the frame begins."""
+    """Column and row of the sensor's pixel at which the frame begins."""
     gain_db: Finite = 0.0
     trigger_line: Word | None = None
     """Input of the camera to which the trigger is wired; None for the usual one of its vendor."""
@@ -268,7 +268,7 @@ class KeepConfig(Section):
     runs: Annotated[Whole, Field(ge=1000)] = 2_000_000
     """Number of runs of which at least the summary is kept."""
     run_days: Positive = 400.0
-    """Age in days beyond which nothing is kept of a run."""
+    """Age in days beyond which no data of a run are kept."""
     database_gb: Annotated[Positive, Field(ge=0.05)] = 16.0
     """Size of the database, in 10^9 bytes, above which the oldest runs are forgotten before their time."""
     recordings_gb: NotNegative = 20.0

@@ -16,7 +16,7 @@ class VaoiError(Exception):
 
     code = "error"
     status = 500
-    """HTTP status of the REST reply."""
+    """HTTP status with which the REST service replies to a request that raises this error."""
 
     def __init__(self, message: str, *, action: str = "", code: str | None = None) -> None:
         super().__init__(message)
@@ -35,7 +35,7 @@ class VaoiError(Exception):
 
 
 def _rebuild(cls: type[VaoiError], message: str, action: str, code: str) -> VaoiError:
-    """Create an error again from its pickled parts."""
+    """Create a pickled error again from its parts."""
     return cls(message, action=action, code=code)
 
 

@@ -63,7 +63,7 @@ class PixelFormat:
     code: int
     """PFNC number; its bits 16 to 23 hold the bits per pixel in memory."""
     bits: int
-    """Bits of one sample."""
+    """Number of bits of one sample of a pixel."""
     packing: Packing
     mosaic: str
     """Colours of the first two pixels under a Bayer filter; empty for grey cameras."""
@@ -85,7 +85,7 @@ class PixelFormat:
 
     @property
     def dtype(self) -> np.dtype[Any]:
-        """Data type of the picture's samples."""
+        """Data type (numpy) of the samples of the picture."""
         return np.dtype("u1") if self.bits == 8 else np.dtype("<u2")
 
     def nbytes(self, width: int, height: int) -> int:

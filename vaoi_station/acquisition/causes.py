@@ -30,11 +30,11 @@ class Gap:
     """The interval between two frames of one camera: how many pulses were fired, and how often the camera exposed."""
 
     before: int
-    """Row of the first frame."""
+    """Row of the frame at the beginning of the gap."""
     after: int
-    """Row of the second frame."""
+    """Row of the frame at the end of the gap."""
     ids: tuple[int, int]
-    """Frame ids of these two frames."""
+    """Frame ids of the frames at the beginning and at the end of the gap."""
     pulses: int
     """Count of pulses fired after the pulse of row `before`, up to and including the pulse of row `after`."""
     exposed: int

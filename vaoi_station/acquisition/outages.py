@@ -18,7 +18,7 @@ class Outages:
     """The latest outages of every camera, by host time. During an outage the camera is called *away*."""
 
     def __init__(self, keep: int = 20) -> None:
-        """Keep at most `keep` outages per camera."""
+        """Create an empty list of outages for each camera; at most `keep` are kept per camera."""
         self._outages: defaultdict[int, deque[_Outage]] = defaultdict(lambda: deque(maxlen=keep))
 
     def begin(self, camera: int, since_s: float, why: str) -> None:

@@ -110,7 +110,7 @@ class EventHub:
 
     @property
     def newest(self) -> int:
-        """The number of the newest event."""
+        """Number of the newest event of the log."""
         return self._newest
 
     async def _listen(self) -> None:

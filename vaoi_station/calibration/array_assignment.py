@@ -54,7 +54,7 @@ class Assignment:
 
     @property
     def by_nominal_view(self) -> bool:
-        """Whether only the nominal views exclude the rival."""
+        """Whether the frames also allow the rival, so that only the nominal views exclude it."""
         return self.seen < DECISIVE <= self.advantage
 
     @property
@@ -107,7 +107,7 @@ class _Search:
     options: tuple[tuple[Hypothesis, ...], ...]
     centers: Floats
     score: Floats
-    """(n, k); −∞ where a camera has fewer hypotheses."""
+    """(n, k) log-likelihood of each hypothesis by the camera's frame; −∞ where a camera has fewer hypotheses."""
     offset: Floats
     angle: Floats
     sigma_mm: float
@@ -169,7 +169,7 @@ class _Search:
         return choice
 
     def scores(self, choice: NDArray[np.intp]) -> float:
-        """Return the log-likelihood of the frames."""
+        """Return the log-likelihood of the frames for one chosen hypothesis per camera."""
         return float(self.score[self.seen, choice[self.seen]].sum())
 
     def total(self, choice: NDArray[np.intp]) -> float:

@@ -62,7 +62,7 @@ class CameraResult:
     refusal: str = ""
     """Why the camera was refused, with value and limit; empty if it was calibrated."""
     action: str = ""
-    """The remedy for the refusal."""
+    """The action by which the user can remove the cause of the refusal."""
     notes: tuple[str, ...] = ()
     ambiguous: bool = False
     """Whether it was refused because its marks fit the layout in two ways. Another layout would not help."""

@@ -50,7 +50,7 @@ class CameraPrior:
     mark_accuracy_mm: float = 0.0
     """Standard deviation of the positions of marks on the board, per axis."""
     flatness_mm: float = 0.0
-    """Standard deviation of the board's height over one view."""
+    """Standard deviation, mm, of the board's height within one view, because boards are not exactly flat."""
 
     @property
     def distance_mm(self) -> float:
@@ -74,7 +74,10 @@ class CameraPrior:
         return np.array([_STRETCH_PX, _STRETCH_PX, tilt, tilt, RADIAL_PX, _SECOND_PX][: 4 + order])
 
     def flatness_covariance_px2(self) -> Floats:
-        """Compute the covariance (9, 9) of the error that a board which is not flat leaves in a calibration."""
+        """Compute the covariance (9, 9) px² of a camera's error that results from a board that is not flat.
+
+        The nine coefficients of the error are those of `geometry.camera_error`.
+        """
         # A height h moves the picture by (u, v)·R·h/d. Heights that are constant, linear and quadratic over the view
         # look like scale, perspective and radial distortion, from which marks in one picture cannot distinguish them.
         variance = np.zeros(FIELDS)

@@ -46,7 +46,7 @@ class Fit:
     matrix: Floats
     lens: Lens
     residuals_px: Floats
-    """(k, 2) measured minus predicted, in undistorted pixels."""
+    """(k, 2) measured minus predicted positions of the marks, in undistorted pixels."""
     covariance: Floats
     """Covariance of n11 n12 n13 n21 n22 n23 n31 n32 and the radial coefficients."""
     sigma_px: float

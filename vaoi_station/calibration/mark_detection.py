@@ -40,7 +40,7 @@ class MarkAppearance:
 
     @classmethod
     def of(cls, layout: Layout, px_per_mm: float) -> MarkAppearance:
-        """Return the appearance of a layout's marks at a resolution."""
+        """Return the appearance that the marks of a layout have at a resolution."""
         mark = layout.mark
         return cls(mark.size * layout.mm_per_unit * px_per_mm, mark.width / mark.size, mark.polarity == "light")
 
@@ -55,14 +55,14 @@ class DetectedMarks:
     """The marks detected in one frame, best first, and rejected candidates."""
 
     px: Floats
-    """(k, 2) raw pixels."""
+    """(k, 2) positions of the marks in raw pixels."""
     score: Floats
     blur_px: float
     """Standard deviation of the blur, measured at the edges of the marks or, without marks, in the whole frame."""
     doubtful: tuple[tuple[tuple[float, float], str], ...] = ()
     """Positions of rejected marks in px, each with the cause of the rejection."""
     opposite: int = 0
-    """Number of marks of the opposite polarity."""
+    """Number of detected marks of the opposite polarity: dark in place of light, or light in place of dark."""
     contrast: float = 0.0
     """Difference between the darkest and the lightest parts of the frame, grey levels."""
     grey: NDArray[np.uint8] = field(default_factory=lambda: np.zeros((0, 0), np.uint8))

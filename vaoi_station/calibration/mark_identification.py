@@ -19,7 +19,7 @@ from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import CameraHead
 
 _SCALE, _ANGLE_RAD = 0.08, np.radians(8.0)
-"""Accepted deviation of scale and direction from the design."""
+"""Largest accepted deviation of scale (relative) and of direction (rad) from the design."""
 _MAX_SEEDS, _MAX_DETECTED = 48, 120
 _EXPLAINED = 3.0
 """Gain of the score by a detected mark that is explained: by chance, this has a probability of about e⁻³."""
@@ -41,7 +41,7 @@ class Hypothesis:
     """One assignment of detected marks to the layout."""
 
     similarity: Floats
-    """(3, 3) tester mm → px."""
+    """(3, 3) similarity from tester coordinates, mm, to pixels."""
     pairs: NDArray[np.int_]
     """(k, 2): index of the mark in the layout, index of the detected mark."""
     score: float

@@ -10,7 +10,7 @@ from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import CameraHead
 
 REACH_MM = 12.0
-"""Largest accepted deviation of a view from the design."""
+"""Largest accepted distance of a view from its nominal position, mm."""
 _REACH_SHARE = 0.45
 """Largest accepted deviation of a view from the design, as a share of the shorter side of the view."""
 

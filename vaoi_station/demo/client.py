@@ -33,7 +33,7 @@ REPLY_TIMEOUT_S = 90.0
 EVENT_TIMEOUT_S = 15.0
 """Longest time between two lines of the event stream, which sends a heartbeat every two seconds."""
 _SHOWN = 200
-"""Number of bytes of an unusable reply that an error quotes."""
+"""Largest number of bytes of an unusable reply that an error message quotes."""
 _ERRORS: dict[int, type[VaoiError]] = {404: NotFoundError, 409: StateError, 410: GoneError, 503: BusyError}
 
 
@@ -117,11 +117,11 @@ class Reply(dict[str, Any]):
 
     # An attribute and not an argument, because libraries copy dictionaries by `type(d)(pairs)`.
     url = ""
-    """The address that replied, for the error."""
+    """The address from which the reply came, for error messages."""
 
     @classmethod
     def of(cls, url: str, pairs: Iterable[tuple[str, Any]] = ()) -> Reply:
-        """Build a reply of an address from its entries."""
+        """Build a reply from its address and its entries."""
         reply = cls(pairs)
         reply.url = url
         return reply

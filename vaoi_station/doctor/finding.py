@@ -34,7 +34,7 @@ class Finding:
     action: str = ""
     """The concrete step that solves the problem; empty without a problem."""
     subject: str = ""
-    """The camera, file or port, for checks that examine several."""
+    """The camera, file or port that the finding concerns, for checks that examine several; otherwise empty."""
     figures: Figures = field(default_factory=dict)
     check: str = ""
 
@@ -86,7 +86,7 @@ class Report:
 
     @property
     def counts(self) -> dict[Level, int]:
-        """The number of findings per level."""
+        """The number of findings by level."""
         return {level: sum(f.level is level for f in self.findings) for level in Level}
 
     def document(self) -> dict[str, Any]:

@@ -27,15 +27,16 @@ class CameraCheck(Strict):
     turn_px: float
     """Turn about the middle of the frame, expressed as the distance by which a corner of the frame moves."""
     sigma_px: tuple[float, float, float]
-    """Standard deviations of x, y and turn."""
+    """Standard deviations of x, y and turn of the displacement, px."""
     rms_px: float | None
-    """Rms residual, without displacements, of links to neighbouring cameras and of fiducials; None if none exist."""
+    """Rms residual of links to neighbouring cameras and of fiducials, with the calibrated cameras; None if none
+    exist."""
     left_px: float | None
     """Rms of the same residuals after the estimated displacements of all cameras are applied."""
     links: int
     """Number of links to neighbouring cameras."""
     fiducials: int
-    """Number of fiducial detections."""
+    """Number of detections of fiducials in the camera's frames."""
 
     @property
     def displacement_px(self) -> Floats:

@@ -31,7 +31,8 @@ class DisplacementEstimate:
     vector: Floats
     """(3n,) px⁻¹, the product information · d̂. It is finite even where the run does not determine d̂."""
     rms_px: Floats
-    """(n,) rms residual, without displacements, of links to neighbouring cameras and fiducials; NaN if none exist."""
+    """(n,) rms residual of links to neighbouring cameras and fiducials, with the calibrated cameras; NaN if none
+    exist."""
     left_px: Floats
     """(n,) rms of the same residuals after the estimated displacements are applied."""
     links: Ints

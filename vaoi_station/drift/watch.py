@@ -52,7 +52,7 @@ class Drift:
     since_run: str
     since_time: str
     runs: int
-    """Number of runs since then that show the camera."""
+    """Number of runs, since the drift began, that show the camera."""
     instead: tuple[int, ...]
     """Cameras that may have moved instead of this one."""
 

@@ -28,7 +28,7 @@ class CallerCredentials:
     """PEM file with the certificate of the authority, or of the station itself; None trusts those of the system."""
 
     def headers(self) -> dict[str, str]:
-        """Return the headers of a request."""
+        """Return the HTTP headers by which a request states the caller's key."""
         return {} if self.key is None else {"Authorization": f"Bearer {self.key}"}
 
     def tls_context(self) -> ssl.SSLContext:

@@ -25,7 +25,7 @@ from vaoi_station.geometry.camera import Camera
 from vaoi_station.geometry.transforms import Floats
 
 FIELDS = 9
-"""Number of basis fields."""
+"""Number of basis fields of which the error of a camera consists."""
 
 
 def frame_radius_px(camera: Camera) -> float:

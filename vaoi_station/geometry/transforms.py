@@ -153,7 +153,7 @@ class Euclidean(Similarity):
 
     @classmethod
     def identity(cls, target: System, source: System) -> Euclidean:
-        """Create the identity between two systems."""
+        """Create the identity transform between two coordinate systems."""
         return cls(np.eye(3), target, source)
 
 

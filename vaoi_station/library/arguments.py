@@ -27,7 +27,7 @@ def require_path(function: str, name: str, value: object) -> Path:
 
 
 def require_text(function: str, name: str, value: object) -> str:
-    """Return a text argument; refuse an empty text."""
+    """Return a text argument; raise an error for an empty text."""
     if not isinstance(value, str) or not value:
         raise InputError.field(function, name, value, "a text that is not empty")
     return value

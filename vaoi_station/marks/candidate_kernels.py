@@ -37,7 +37,7 @@ def scan_candidates(
         image: (h, w).
         template: (s, s), s odd, with mean 0 and square sum 1.
         ring: (RING, 2) offsets of the rim in whole pixels.
-        near: offset along the axes of pixels that belong to the mark's core.
+        near: distance from the centre, along the axes, of four pixels that belong to the core of a mark.
         least_score: smallest accepted correlation.
     """
     h, w = image.shape

@@ -20,7 +20,7 @@ BEFORE, AFTER = 2, 3
 """Numbers of pixels before and after a position from which its value is interpolated."""
 _MAX_STEPS, _MAX_STEP_PX = 18, 1.5
 _COARSE_PX, _FINE_PX = 0.05, 1e-3
-"""Step lengths that end the coarse and the fine stage."""
+"""The coarse stage and the fine stage of the fit end with a step shorter than this, px."""
 _OUTLIER = 0.15
 """Differences above this share of the contrast lose weight, so that copper on one side has little effect."""
 

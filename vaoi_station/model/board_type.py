@@ -15,7 +15,7 @@ from vaoi_station.geometry.polygon import encloses, find_crossing_edges
 from vaoi_station.model.frozen_model import MOST_MM, Finite, FrozenModel, Point, Positive, Whole
 
 _MAX_ENTRIES = {"components": 20_000, "fiducials": 1_000, "outline": 10_000, "fixture_marks": 10_000}
-"""Maximum number of entries per key of a board type."""
+"""Largest number of entries in each list of a board type."""
 _MOST_HEIGHT_MM = 1000.0
 MM_PER_UNIT = {"mm": 1.0, "inch": 25.4, "mil": 0.0254}
 

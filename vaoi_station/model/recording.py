@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 from vaoi_station.model.frozen_model import Finite, FrozenModel, PointMm, Positive, Whole
 
 Microseconds = Annotated[Positive, Field(le=3.6e9)]
-"""An exposure time; at most an hour."""
+"""An exposure time in µs; at most an hour."""
 MillimetresPerSecond = Annotated[Finite, Field(ge=-1e5, le=1e5)]
 
 

@@ -37,7 +37,7 @@ class LensPlan:
     working_distance_mm: float
     """Distance d at which `lens_mm` gives the resolution r. Equations (2) and (3) use this distance."""
     f_number: float | None
-    """f-number N: the chosen one, or that of equation (3)."""
+    """f-number N: the chosen value, or that of equation (3)."""
     depth_of_field_mm: float | None
     """Depth of field d_f of equation (2) at this f-number."""
     airy_disc_px: float | None
@@ -51,13 +51,13 @@ class MotionPlan:
     longest_exposure_us: float
     """Longest exposure time that the accepted motion blur allows; equation (5)."""
     exposure_us: float
-    """Exposure time s: the chosen one, or the longest."""
+    """Exposure time s: the chosen value, or the longest one."""
     motion_blur_px: float
     """Motion blur v·r·s at this exposure time; equation (4)."""
     lowest_frame_rate_hz: float
     """Lowest frame rate that gives the required m_v; equation (6)."""
     frame_rate_hz: float
-    """Frame rate t: the chosen one, or the lowest."""
+    """Frame rate t: the chosen value, or the lowest one."""
     trigger_period_us: float
     spare_time_us: float
     """Trigger period minus exposure and readout; negative if they do not fit into it."""

@@ -37,7 +37,7 @@ _PAPER, _CARD, _INK, _FAINT = (255, 255, 255), (243, 241, 239), (38, 32, 28), (1
 _COLOURS = {Status.OK: (82, 130, 28), Status.DEGRADED: (0, 118, 196), Status.FAILED: (38, 38, 190)}
 """Colour of each verdict; all colours are in the channel order of OpenCV: blue, green, red."""
 _NAME, _NOTE = (12, 700), (11, 400)
-"""Font size and weight of a tile's title and of its note."""
+"""Font size and font weight of a tile's title, and of its note."""
 
 
 @dataclass(frozen=True, eq=False)

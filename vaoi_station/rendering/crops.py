@@ -26,7 +26,7 @@ class Crops:
     """The sizes of k component pictures, and their transforms from CAD coordinates and back."""
 
     size: Floats
-    """(k, 2) width and height in px, whole numbers."""
+    """(k, 2) width and height of each picture in px, whole numbers."""
     crop_from_cad: Floats
     """(k, 3, 3) matrices from CAD coordinates to the pixels of each picture; scale and shift only."""
     cad_from_crop: Floats

@@ -34,7 +34,7 @@ _TILE_PX = 256
 _STRAIGHT_PX = 0.02
 """Largest deviation from a homography at which one matrix includes the lens for a whole picture."""
 _CORNERS = (0, 2, 8, 6)
-"""Indices of the corners, going round, among 3×3 points in row order."""
+"""Indices of the four corners, in order around the square, among 3×3 points in row order."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -94,9 +94,9 @@ class _Pairs(NamedTuple):
     """k pairs of a component and a frame. All frames are from one camera."""
 
     component: NDArray[np.int_]
-    """(k,) number of the component."""
+    """(k,) number of the component of each pair."""
     frame: NDArray[np.int_]
-    """(k,) number of the frame."""
+    """(k,) number of the frame of each pair."""
     matrices: Floats
     """(k, 3, 3) from pixels of the picture to undistorted pixels of the frame."""
     size: Floats

@@ -26,7 +26,7 @@ class FramePair:
 
     links: Links
     used: int
-    """Links that have weight in the adjustment."""
+    """Number of links between the frames that have weight in the adjustment."""
     residual_px: float | None
     """Root mean square residual of the used links; None if there are none."""
 

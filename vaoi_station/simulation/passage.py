@@ -48,7 +48,7 @@ class Passage:
 
     @property
     def blocked_s(self) -> float:
-        """Time at which the board interrupts the barrier."""
+        """Time at which the board interrupts the barrier, s since the start of the passage."""
         return self._times.blocked_s
 
     @property

@@ -56,7 +56,7 @@ class World:
 
     @cached_property
     def cameras(self) -> tuple[Camera, ...]:
-        """The cameras as the exact calibration describes them."""
+        """The cameras with the matrices and lenses of the exact calibration."""
         return self.calibration.cameras(self.heads)
 
     @cached_property

@@ -14,16 +14,16 @@ __all__ = ["METHODS", "Method", "MethodName"]
 
 @dataclass(frozen=True)
 class Method:
-    """Which kinds of evidence a stitching method uses."""
+    """The kinds of evidence that a stitching method may use."""
 
     links: bool
-    """Texture linked from row to row and from camera to camera."""
+    """Whether to use texture that is linked from row to row and from camera to camera."""
     marks: bool
-    """The board's fiducials."""
+    """Whether to use the fiducials of the board."""
     fixture: bool
-    """The marks of the fixture."""
+    """Whether to use the fixture marks."""
     reference: bool
-    """Texture linked to a reference run of the same board type."""
+    """Whether to use texture that is linked to a reference run of the same board type."""
 
 
 METHODS: dict[str, Method] = {

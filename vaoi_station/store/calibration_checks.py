@@ -12,7 +12,7 @@ FIRST_KEPT, LATEST_KEPT = 100, 2000
 
 
 class CalibrationChecks:
-    """The calibration checks of one station."""
+    """Storage of the calibration checks of one station."""
 
     def __init__(self, database: Database) -> None:
         self._database = database

@@ -78,7 +78,7 @@ class Store:
 
     @property
     def notices(self) -> tuple[StorageTrouble, ...]:
-        """Events since the start by which data were lost or moved."""
+        """Troubles since the start by which data were lost or moved."""
         return self._database.notices
 
     @property

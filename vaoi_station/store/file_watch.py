@@ -28,7 +28,7 @@ class FileWatch:
         return identity_of(self._path) != self._opened
 
     def forget(self) -> None:
-        """Watch the file that is at the path now."""
+        """Take the file that is at the path now as the one to watch, whatever was watched before."""
         self._opened = identity_of(self._path)
 
     def measure(self) -> None:

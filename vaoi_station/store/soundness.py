@@ -37,7 +37,7 @@ class DatabaseCheck:
         self._database = database
         self._table, self._after, self._left_out = 0, "", 0
         self.rounds = 0
-        """Number of complete rounds without a fault."""
+        """Number of rounds through the whole database in which no damage was found."""
 
     def step(self) -> None:
         """Read the next rows.

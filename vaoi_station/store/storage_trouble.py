@@ -17,7 +17,7 @@ NEWER, FOREIGN = "database-newer", "database-foreign"
 PASSING = frozenset({FULL, READ_ONLY, UNAVAILABLE})
 """Codes of causes that pass, or that can be removed while the station runs. A write that failed is tried again."""
 CODES = PASSING | {DAMAGED, DELETED, REPLACED, NEWER, FOREIGN}
-"""All codes of troubles."""
+"""All codes of storage troubles."""
 
 _ACTIONS = {
     FULL: "Free space in the data directory; what waits in memory is written then.",

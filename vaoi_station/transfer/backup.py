@@ -149,7 +149,7 @@ def _same_file(source: Path, target: Path) -> bool:
 
 
 def _refuse_content(target: Path) -> None:
-    """Refuse a target that exists, unless it is an empty folder."""
+    """Raise InputError for a target that exists, unless it is an empty folder."""
     if target.is_dir() and not any(target.iterdir()):
         return
     if target.exists():

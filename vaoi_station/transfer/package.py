@@ -112,7 +112,7 @@ _ACTION = "Use a file that vaoi backup or vaoi export has written, or copy it ag
 
 
 def _add(tar: tarfile.TarFile, name: str, content: Path | bytes) -> str:
-    """Add one entry, and return the digest of its content."""
+    """Add one entry to the tar file, and return the digest of its content."""
     info = tarfile.TarInfo(name)
     if isinstance(content, bytes):
         info.size = len(content)

@@ -19,7 +19,7 @@ from vaoi_station.viewing.latest_frames import LatestFrames
 
 WEB = Path(__file__).parent / "web"
 LONGEST_WAIT_S = 5.0
-"""Limit of the time-out that the page may request."""
+"""Largest time-out that the page may request, s."""
 
 
 def create_app(config: StationConfig, latest: LatestFrames, notices: Sequence[str]) -> FastAPI:

@@ -57,9 +57,9 @@ class ImageQuality:
     """`blur_px` of each of the 3 × 3 parts of the frame, in rows from the top left."""
     mean: float
     low: float
-    """1st percentile of the grey levels."""
+    """Grey level below which 1 % of the pixels lie."""
     high: float
-    """99th percentile of the grey levels."""
+    """Grey level below which 99 % of the pixels lie."""
     saturated: float
     """Share of the pixels at full scale."""
 

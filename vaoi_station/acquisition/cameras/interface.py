@@ -39,9 +39,9 @@ class Arrival:
     complete: bool
     frame_id: int | None
     time_s: float | None
-    """Start of exposure by the camera's clock."""
+    """Start of the exposure by the camera's clock, s; None if the frame is incomplete."""
     host_time_s: float
-    """time.monotonic() when the slot was delivered."""
+    """Time at which the camera delivered the slot, by time.monotonic()."""
     fault: str = ""
     """The defect that the backend found; it becomes the cause of the frame's verdict. Empty if there is none."""
 

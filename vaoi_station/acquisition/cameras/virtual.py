@@ -67,12 +67,12 @@ class VirtualCamera:
             self._change.notify()
 
     def queue(self, slot: Slot) -> None:
-        """Queue memory for a coming frame."""
+        """Queue memory for a frame that is to come."""
         with self._change:
             self._slots.append(slot)
 
     def take_back(self) -> list[int]:
-        """Withdraw the unused slots; return their numbers."""
+        """Withdraw the slots that are queued and unused; return their numbers."""
         with self._change:
             numbers = [s.number for s in self._slots]
             self._slots.clear()

@@ -109,7 +109,7 @@ class ReplayController:
         )
 
     def read_clock(self) -> ClockReading:
-        """Read the clock of the replay, which is exact."""
+        """Compare the clock of the replay with the host's; the reading is exact."""
         return self._clock.read_exactly()
 
     def health(self) -> str:

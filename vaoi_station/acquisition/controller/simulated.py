@@ -35,7 +35,7 @@ class DrivenLine(Protocol):
         """Expose all cameras for a pulse of a board."""
 
     def fire_single(self, event: PulseFired) -> None:
-        """Expose all cameras for a pulse of `fire_one`."""
+        """Expose all cameras for a single pulse that `fire_one` has requested."""
 
     def set_armed(self, armed: bool) -> None:
         """Let boards enter the belt if `armed`; otherwise hold them back."""

@@ -28,7 +28,7 @@ class LatencySettings:
     """The configuration of one camera's latency."""
 
     given_s: float | None = None
-    """The latency; None if it is learnt from the frames."""
+    """The configured latency, s; None if it is learnt from the frames."""
     gate_s: float = GATE_S
     """Largest accepted difference between a frame's latency and that of its camera, s."""
 
@@ -38,9 +38,9 @@ class Beginning:
     """The pulses and frames of one camera from the beginning of a run, all by the host's clock, in ascending order."""
 
     pulses_s: Sequence[float]
-    """Times of the pulses that were reported."""
+    """Times of the reported pulses by the host's clock, s."""
     frames_s: Sequence[float]
-    """Time stamps of the camera's complete frames."""
+    """Time stamps of the camera's complete frames, converted to the host's clock, s."""
     period_s: float
     bound_s: float
     """Error bound of the controller's clock plus that of the camera's clock."""
@@ -49,7 +49,7 @@ class Beginning:
     all_fired: bool = False
     """Whether all pulses of the run were fired and are in `pulses_s`."""
     overdue: bool = False
-    """Whether no more frames are awaited."""
+    """Whether the waiting time is over, so that no more frames are awaited."""
 
 
 @dataclass(frozen=True)

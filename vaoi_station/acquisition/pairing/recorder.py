@@ -115,7 +115,7 @@ class Recorder:
         self._waiting: list[tuple[Arrival, float]] = []
         """Complete frames whose pulse is not known yet, with the host time of their exposure."""
         self._unassigned: list[deque[ObservedFrame]] = [deque(maxlen=MAX_UNASSIGNED) for _ in camera_clocks]
-        """Newest unassigned complete frames of every camera."""
+        """The newest complete frames that belong to no pulse, for every camera."""
         self._undated: list[Arrival] = []
         """Incomplete frames without a row; their time stamps cannot be trusted."""
         self._known_until_s = float("-inf")

@@ -30,9 +30,9 @@ class ObservedFrame:
     """The row to which the frame is assigned; None for an unassigned frame."""
     frame_id: int | None
     time_s: float
-    """Time stamp by the camera's clock."""
+    """Time stamp of the frame by the camera's clock, s."""
     host_s: float
-    """The time stamp, converted to the host's clock."""
+    """Time stamp of the frame, converted to the host's clock, s."""
     arrived_s: float
     """Host time at which the frame arrived."""
     epoch: int = 0
@@ -55,7 +55,7 @@ class RunRecord:
     bay: int | None
     period_s: float
     pulses: dict[int, ObservedPulse] = field(default_factory=dict)
-    """Row → its pulse."""
+    """For each row, its pulse as the controller reported it."""
     skipped: dict[int, str] = field(default_factory=dict)
     """Row → why the controller did not fire its pulse."""
     frames: dict[tuple[int, int], FrameRecord] = field(default_factory=dict)
@@ -63,7 +63,7 @@ class RunRecord:
     taken: set[tuple[int, int]] = field(default_factory=set)
     """Every (camera, row) of which a frame has arrived."""
     complete_frames: defaultdict[int, list[ObservedFrame]] = field(default_factory=lambda: defaultdict(list))
-    """Camera → its complete frames."""
+    """For each camera, the complete frames that are assigned to a row of the run."""
     refused: dict[tuple[int, int], str] = field(default_factory=dict)
     """(camera, row) → why its frame could not be kept although it arrived."""
     unassigned: int = 0
@@ -152,7 +152,7 @@ class RunRecord:
         )
 
     def _row_times_s(self) -> dict[int, float]:
-        """Return every row's pulse time by the controller's clock."""
+        """Return the time of every row's pulse by the controller's clock, by row."""
         times = {r: p.pulse.time_s for r, p in self.pulses.items()}
         first, first_s = min(times.items())
         for row in range(self.rows):

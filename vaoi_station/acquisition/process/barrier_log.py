@@ -19,7 +19,7 @@ class BarrierLog:
         """Whether the run of this passage has ended; the next interruption belongs to another passage."""
 
     def blocked(self, time_s: float) -> None:
-        """Add the beginning of an interruption."""
+        """Add the beginning of an interruption of the barrier."""
         if self.over:
             self.interruptions, self.over = [], False
         self.interruptions.append((time_s, None))
@@ -30,7 +30,7 @@ class BarrierLog:
         return bool(self.interruptions) and self.interruptions[-1][1] is None
 
     def clear(self, time_s: float) -> None:
-        """Add the end of an interruption."""
+        """Add the end of an interruption of the barrier."""
         # If the report of a beginning was lost, the previous interruption is taken to have lasted until now: an
         # interruption that is too long is noticed, one that is missing is not.
         if self.interruptions:

@@ -81,7 +81,7 @@ class FilmingProcess:
     handlers: FilmingHandlers
     granted: int = 0
     generations: dict[int, int] = field(default_factory=dict)
-    """Bay → its present generation."""
+    """For each bay, its present generation."""
 
     def grant(self, bay: int) -> None:
         """Claim a bay, and give the acquisition process the right to use it for one more run."""

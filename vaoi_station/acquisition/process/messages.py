@@ -115,7 +115,7 @@ class RunFinished:
     head: RecordingHead
     """Head of a recording of this run; frames that are not complete or not proven count as missing."""
     frames: tuple[FrameRecord, ...]
-    """Ordered by camera, then row."""
+    """The records of all frames, ordered by camera, then by row."""
     last_frame_host_s: float
     """time.monotonic() when the last frame of the run arrived; if no frame arrived, the time of the last pulse."""
     reason: str

@@ -11,7 +11,7 @@ from vaoi_station.model import RecordingHead
 
 
 def finished_report(config: StationConfig, finished: Finished, now_s: float) -> RunFinished:
-    """Return the report of a finished run; frames that are not usable count as missing in its head."""
+    """Return the report of a finished run; frames that are not usable count as missing in its recording head."""
     record = finished.record
     assert record.run is not None
     assert record.bay is not None

@@ -118,7 +118,7 @@ class Session:
         return min(t for t in times if t is not None)
 
     def tick(self, now_s: float) -> None:
-        """Do everything whose deadline has passed."""
+        """Carry out all actions whose time has come."""
         if self._run is not None and now_s >= self._silent_s:
             error = DeviceError(
                 f"the controller has not reported the end of run {self._run.run}.",
@@ -232,7 +232,7 @@ class Session:
             self._handle_edge(event, now_s)
 
     def _handle_edge(self, event: ControllerEvent, now_s: float) -> None:
-        """Account for a confirmed edge of the barrier."""
+        """Record a confirmed edge of the barrier in the run or passage to which it belongs."""
         if isinstance(event, BarrierBlocked):
             self._edge_s = min(self._clocks[0].host_s(event.time_s), now_s)
             self._barrier = BarrierLog()

@@ -24,9 +24,9 @@ LAYOUT_VERSION = 1
 PAGE_BYTES = 4096
 
 BUILDING, IN_USE, CLOSED = 0, 1, 2
-"""States of the file in the header."""
+"""States of the ring's file, as its header states them."""
 EMPTY, OK, INCOMPLETE = 0, 1, 2
-"""States of a slot in the slot table."""
+"""States of a slot, as the slot table states them."""
 NO_ROW = 0xFFFFFFFF
 """Row number in the slot table for a slot that holds no frame."""
 
@@ -178,7 +178,7 @@ class RingLayout:
         return page
 
     def camera_records(self) -> NDArray[Any]:
-        """Return the camera table (cameras,)."""
+        """Return the camera table as an array (cameras,) of records."""
         rows = [(f.width, f.height, f.format.code, f.format.bytes_per_pixel) for f in self.frames]
         return np.array(rows, dtype=CAMERA_RECORD)
 

@@ -18,7 +18,7 @@ from vaoi_station.acquisition.controller.trigger_rule import TriggerRule
 from vaoi_station.simulation import Passage
 
 FAR_S = 1e4
-"""A time after the end of every passage, s."""
+"""A time that is later than the end of any passage, s."""
 
 
 class SimulatedBoard:

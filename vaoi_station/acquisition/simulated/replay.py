@@ -70,7 +70,7 @@ class FastPace:
         self._expected += frames
 
     def wake(self) -> None:
-        """Let waiting threads evaluate their `stop` again."""
+        """Let waiting threads evaluate their function `stop` again."""
         self._feedback.wake()
 
 

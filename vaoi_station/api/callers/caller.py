@@ -17,7 +17,7 @@ class Caller:
     """The sender of a request."""
 
     address: str
-    """Address by which the caller is counted."""
+    """IP address (for IPv6 the network) by which the caller is counted."""
     key: str | None = None
     """Name of the caller's key; None without a key."""
     scopes: frozenset[str] = frozenset()
@@ -39,7 +39,7 @@ def set_caller(scope: Scope, caller: Caller | None = None) -> Caller:
 
 
 def caller_in(scope: Scope) -> Caller:
-    """Return the caller in the scope of a request."""
+    """Return the caller that `set_caller` has stored in the scope of a request."""
     caller: Caller = scope["state"][_KEY]
     return caller
 

@@ -24,7 +24,7 @@ class Seats:
 
     @property
     def taken(self) -> int:
-        """Number of seats that are taken."""
+        """Number of seats that callers hold at present."""
         return self._taken.total()
 
     @contextmanager

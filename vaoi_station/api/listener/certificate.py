@@ -10,7 +10,7 @@ from vaoi_station.errors import InputError
 
 _log = logging.getLogger(__name__)
 RENEW_S = 5.0
-"""Time between two checks of the files."""
+"""Time between two checks whether the certificate's files have changed, s."""
 
 
 class CertificateFiles:

@@ -44,7 +44,7 @@ class Connection(Protocol):
 
 @dataclass(frozen=True)
 class ConnectionLimits:
-    """Limits of number and time. Times are in s."""
+    """Limits of the number of connections and of their times; times are in s."""
 
     total: int = MOST_CONNECTIONS
     per_address: int = MOST_PER_ADDRESS

@@ -46,7 +46,7 @@ class LimitedServer(uvicorn.Server):
         self._limits, self._beat, self._tls = limits, beat, tls
 
     async def on_tick(self, counter: int) -> bool:
-        """Record that the event loop is alive."""
+        """Record that the event loop is alive; uvicorn calls this method ten times a second."""
         self._beat()
         return await super().on_tick(counter)
 

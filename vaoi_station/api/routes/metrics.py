@@ -120,7 +120,7 @@ _USAGE = (
     ("vaoi_process_threads", "gauge", "Threads of the process."),
     ("vaoi_process_age_seconds", "gauge", "Time since the start of the process."),
 )
-"""Name, type and description of the values of `_usage`, in its order."""
+"""Name, type and description of each metric that `_usage` returns, in the same order."""
 
 
 def _usage(pid: int) -> tuple[float, ...] | None:

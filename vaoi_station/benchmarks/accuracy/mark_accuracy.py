@@ -36,7 +36,7 @@ SIZES_PX = (12.0, 16.0, 20.0, 24.0, 32.0, 40.0)
 _OFF_SHARE = 0.15
 """Largest error of the predicted centre along each axis, as a share of the mark's size."""
 _S_CURVE_PX = 16.0
-"""Size of the marks of the S-curves."""
+"""Size of the marks for which S-curves are measured: the error over the sub-pixel position, px."""
 
 
 @dataclass(frozen=True)

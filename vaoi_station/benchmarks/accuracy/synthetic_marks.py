@@ -22,7 +22,7 @@ CONDITIONS: dict[Condition, str] = {
 _FINE = 5
 """Number of samples per pixel along each axis, from which a pixel's grey level is averaged."""
 _LIGHT, _DARK = 200.0, 50.0
-"""Grey levels of mark and ground, or of ground and mark."""
+"""Grey levels of a light mark and its ground; for a dark mark, they are exchanged."""
 _SHOT, _READ = 0.03, 1.5
 _SLOPE = 0.003
 _VIGNETTE, _FRAME_PX = 0.25, (1392, 1040)

@@ -44,7 +44,7 @@ class PrerenderedRun:
 
     @property
     def board_type(self) -> BoardType:
-        """CAD data of the board."""
+        """CAD data of the board that was rendered."""
         return read_board_type(self.directory / "board.json")
 
     @property

@@ -41,7 +41,7 @@ class ScalingFigures:
     own_memory_mb: float
     """Increase of the private memory during stitching, at its peak. Frames are mapped files and do not count."""
     frames_mb: float
-    """Size of all frames."""
+    """Size of all frames of the board, MB."""
     status: str
     reasons: tuple[str, ...]
 

@@ -108,7 +108,7 @@ class SenderCamera:
         self._sender.request(FillRequest(self.number, row, slot.number), frame_id, time_s)
 
     def queue(self, slot: Slot) -> None:
-        """Queue memory for a coming frame."""
+        """Queue memory for a frame that is to come."""
         self._slots.append(slot)
 
     def take_back(self) -> list[int]:

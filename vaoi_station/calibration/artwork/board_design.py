@@ -33,7 +33,7 @@ class ArrayDesign:
     pitch_mm: float
     """Distance between neighbouring cameras, along tester x."""
     field_mm: tuple[float, float]
-    """Field of view of one camera, width × height."""
+    """Width and height of the field of view of one camera, mm."""
     columns: int = 5
     rows: int = 4
     """Number of marks in each view is `columns` across × `rows` down."""
@@ -71,7 +71,7 @@ class Board:
 
     layout: Layout
     low_mm: tuple[float, float]
-    """Smallest x and y of the outline, in layout coordinates."""
+    """Smallest x and y of the board's outline, mm, in layout coordinates."""
     high_mm: tuple[float, float]
 
     @property

@@ -42,7 +42,7 @@ def rotate(name: NAME, config: CONFIG = DEFAULT) -> None:
 
 @keys.command()
 def revoke(name: NAME, config: CONFIG = DEFAULT) -> None:
-    """End a key."""
+    """End a key: it is refused from now on."""
     _file(config).revoke(name)
 
 

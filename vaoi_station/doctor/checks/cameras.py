@@ -42,7 +42,7 @@ class Offered:
     serial: str
     triggers: tuple[str, ...]
     sources: tuple[str, ...]
-    """Inputs that can be a trigger source."""
+    """Inputs of the camera that can be a trigger source."""
     formats: tuple[str, ...]
     exposure_us: tuple[float, float]
     sensor: tuple[int, int]

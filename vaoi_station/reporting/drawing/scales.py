@@ -12,7 +12,7 @@ RISING: tuple[Colour, ...] = ((62, 32, 98), (52, 94, 141), (38, 140, 136), (108,
 ABOUT_ZERO: tuple[Colour, ...] = ((33, 78, 140), (126, 168, 206), (240, 240, 238), (222, 158, 120), (158, 58, 30))
 """Colours from negative to positive values; the middle colour stands for zero."""
 GOOD: tuple[Colour, ...] = ((176, 58, 46), (214, 140, 50), (120, 160, 80), (24, 110, 80))
-"""Colours from bad to good values."""
+"""Colours for values from bad to good."""
 
 
 @dataclass(frozen=True)

@@ -62,7 +62,7 @@ def polyline(points: Iterable[tuple[float, float]], **attributes: Value | None) 
 
 
 def polygon(points: Iterable[tuple[float, float]], *content: str, **attributes: Value | None) -> str:
-    """Return a closed polygon."""
+    """Return an SVG polygon that connects the points in order and is closed."""
     return tag("polygon", *content, points=_points(points), **attributes)
 
 

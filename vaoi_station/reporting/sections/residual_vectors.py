@@ -21,7 +21,7 @@ _WIDTH = 374.0
 _CELLS = 14
 """Number of grid cells across a frame. Each cell shows the mean residual of its links."""
 _SINGLE = 250
-"""Largest number of single links that are drawn behind the means."""
+"""Largest number of single links whose residuals are drawn in addition to the mean of each cell."""
 _COLOURS = {"rows": "#22456b", "neighbours": "#c0561a"}
 _NAMES = {"rows": "to other rows", "neighbours": "to the other camera"}
 

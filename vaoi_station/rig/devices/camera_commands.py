@@ -28,6 +28,6 @@ class TriggerCommand:
 
     @classmethod
     def from_line(cls, line: str) -> TriggerCommand:
-        """Parse the line that `to_line` writes."""
+        """Parse a line that `to_line` has written."""
         _, picture, timestamp, brightness, lost_share = line.split()
         return cls(int(picture), int(timestamp), float(brightness), float(lost_share))

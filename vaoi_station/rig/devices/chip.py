@@ -31,7 +31,7 @@ class Edge:
     pin: str
     level: bool
     host_ns: int
-    """Time of the cycle, ns of CLOCK_MONOTONIC."""
+    """Time of the chip's cycle in which the level changed, ns of CLOCK_MONOTONIC."""
 
 
 class Chip:

@@ -65,7 +65,7 @@ class VirtualCamera:
         self.report(f"ready {address}")
 
     def execute(self, line: str) -> None:
-        """Execute one command line; see the module's description."""
+        """Execute one command line; the module's description lists the commands."""
         word, *rest = line.split(maxsplit=1)
         if word == "film":
             self._frames = _FrameFile(Path(rest[0].rstrip("\n")))
@@ -75,7 +75,7 @@ class VirtualCamera:
             raise ValueError(f"unknown command {line!r}")
 
     def report(self, line: str) -> None:
-        """Write one line to the process that started this one."""
+        """Write one report line to the process that started this camera."""
         with self._reporting:
             self._output.write(line + "\n")
             self._output.flush()

@@ -72,7 +72,7 @@ class FrameRenderer:
             return path
 
     def close(self) -> None:
-        """End the process, if it runs."""
+        """End the rendering process, if it runs."""
         if self._connection is not None:
             self._connection.close()
         if self._process is not None:

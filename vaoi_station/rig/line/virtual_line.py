@@ -53,7 +53,7 @@ class Lighting:
     """The lights of the station: the LED channels of each light, and the exposure times of the cameras."""
 
     channels: dict[str, tuple[int, ...]]
-    """Name of the light → its LED channels."""
+    """For each light, by its name, its LED channels."""
     exposures_us: tuple[float, ...]
     """Exposure of every camera. LEDs have no effect on a frame outside the exposure."""
 

@@ -294,7 +294,7 @@ class Archive:
                 self._announce_one(finished)
 
     def _announce_one(self, finished: FinishedRun) -> None:
-        """Wake callers that wait for a run, and publish its event."""
+        """Wake the callers that wait for this run, and publish its event."""
         run = finished.detail.id
         self.on_finished(finished.detail)
         # From here on callers can know of the run, so from here on its frames are kept for the stated time.

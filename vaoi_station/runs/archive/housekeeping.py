@@ -47,7 +47,7 @@ class Housekeeping:
         self._tasks.append(_Task(code, period_s, work, due_s))
 
     def start(self) -> None:
-        """Start the thread."""
+        """Start the thread that calls the tasks."""
         self.thread.start()
 
     def stop(self) -> None:

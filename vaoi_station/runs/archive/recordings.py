@@ -82,7 +82,7 @@ class Recordings:
         self._sizes = {path.name: _size_of(path) for path in directory.glob("*")}
 
     def start(self) -> None:
-        """Start the thread."""
+        """Start the thread that writes recordings."""
         self._thread.start()
 
     def stop(self) -> None:

@@ -15,14 +15,14 @@ LATENCY_BOUNDS_S = (0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 60.0)
 
 @dataclass(frozen=True)
 class RunFigures:
-    """The figures at one moment."""
+    """The counts and waiting times of runs at one moment."""
 
     verdicts: dict[str, int]
     """Number of runs for each verdict; `none` for runs without a result."""
     frames: dict[str, int]
     """Number of frames for each verdict of a frame."""
     latencies: tuple[int, ...] = (0,) * (len(LATENCY_BOUNDS_S) + 1)
-    """Number of results in each class of `LATENCY_BOUNDS_S`; the last one is above all bounds."""
+    """Number of results in each class of `LATENCY_BOUNDS_S`; the last class is above all bounds."""
     latency_sum_s: float = 0.0
 
 
@@ -47,6 +47,6 @@ class RunStatistics:
                 self._sum_s += waited_s
 
     def figures(self) -> RunFigures:
-        """Return the present figures."""
+        """Return the counts and waiting times up to now."""
         with self._lock:
             return RunFigures(dict(self._verdicts), dict(self._frames), tuple(self._latencies), self._sum_s)

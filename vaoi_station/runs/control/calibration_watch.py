@@ -24,7 +24,7 @@ from vaoi_station.store.documents import digest_of
 FIRST_CHECKS, LATEST_CHECKS = 50, 200
 """Numbers of checks that are evaluated: the first ones since the calibration came into force, and the latest ones."""
 HISTORY_RUNS = 50
-"""Number of runs in the history of a camera."""
+"""Largest number of runs in the history of each camera."""
 _UNSEEN_RUNS = 5
 """Number of successive runs without evidence of a camera after which the camera's state is `unseen`."""
 CODE = "calibration-drift"

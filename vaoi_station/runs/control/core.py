@@ -44,7 +44,7 @@ class Parts:
     run_ids: RunIds
     watch: CalibrationWatch
     standing: StandingOrder | None = None
-    """Keeps the order in force over a restart."""
+    """The object that stores the order in force for a restart; None if orders are not stored."""
     resumed: Resumed | None = None
     """The order that was in force when the station ended."""
 

@@ -26,7 +26,7 @@ Completion = Future[None]
 
 
 class Acquisition(Protocol):
-    """The method of the acquisition link that line control uses."""
+    """The one method of the acquisition link that line control calls."""
 
     def send(self, command: messages.Command) -> None:
         """Send a command to the acquisition process, without waiting for its effect."""

@@ -70,7 +70,7 @@ class JournalHandler(logging.Handler):
         )
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Send one record."""
+        """Send one log record to the journal."""
         try:
             self._socket.sendto(self.datagram(record), self._path)
         except OSError:
@@ -94,7 +94,7 @@ class JournalHandler(logging.Handler):
         return b"".join(_field(name, value) for name, value in fields.items())
 
     def close(self) -> None:
-        """Close the socket."""
+        """Close the socket to the journal."""
         self._socket.close()
         super().close()
 

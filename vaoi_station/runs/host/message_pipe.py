@@ -64,7 +64,7 @@ class MessagePipe:
             self._flush()
 
     def flush(self) -> None:
-        """Send what waits, as far as the pipe has room."""
+        """Send waiting messages as far as the pipe has room."""
         with self._lock:
             self._flush()
 

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from vaoi_station.supervised_thread import SupervisedThread, ThreadFault, faults_of
 
 PERIOD_S = 0.5
-"""Time between two checks."""
+"""Time between two checks of the threads, s."""
 
 
 class Supervisor:

@@ -33,7 +33,7 @@ class Passage(NamedTuple):
     """The boards that passed the barrier during one run, as far as its interruptions show them."""
 
     boards: int
-    """Count of boards, at least 1."""
+    """Number of boards, at least 1."""
     leading_s: tuple[float, ...]
     """Times of the leading edges of the boards, s since row 0. Of boards that touch, only the first edge is known."""
     lengths_mm: tuple[float, ...]

@@ -41,7 +41,7 @@ class Progress:
     requested_s: dict[Task, float] = field(default_factory=dict)
     """Tasks for which a job was made; for each task, the time at which the last of its frames was settled."""
     linked: dict[Task, Linked] = field(default_factory=dict)
-    """Evidence that the workers found, by task."""
+    """Evidence that the workers have sent, by task."""
     pending: set[Task] = field(default_factory=set)
     """Requested tasks whose reply has not arrived."""
     canonical_tasks: tuple[Task, ...] = ()
@@ -52,7 +52,7 @@ class Progress:
     recorded: RunFinished | None = None
     """The final report of the acquisition process; None while filming."""
     armed_s: float = float("-inf")
-    """Time since which the order has been in force."""
+    """Time since which the order of the run has been in force."""
     id_doubted: bool = False
     """Whether the order's board id may belong to another board."""
     faults: list[Reason] = field(default_factory=list)

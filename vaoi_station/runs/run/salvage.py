@@ -9,7 +9,7 @@ from vaoi_station.runs.run.progress import WHOLE, Progress
 from vaoi_station.runs.states.schemas import Reason
 
 CAUSE = "the acquisition process ended before it arrived"
-"""Cause that the records of missing frames give."""
+"""Cause of missing frames that is stated in their records."""
 
 
 def camera_heads(config: StationConfig) -> tuple[CameraHead, ...]:

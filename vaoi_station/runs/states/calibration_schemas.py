@@ -50,7 +50,8 @@ class CameraCalibration(Schema):
     camera: int
     name: str
     state: Literal["steady", "drifted", "unseen", "unknown"]
-    """"unseen": the latest runs give no evidence of the camera's position; "unknown": no run has been checked yet."""
+    """"steady" or "drifted"; "unseen": the latest runs give no evidence of the camera's position; "unknown": no run was
+    checked."""
     drift: CameraDrift | None = None
     history: tuple[CameraMoment, ...] = ()
     """The camera in each of the latest runs, oldest first."""

@@ -228,7 +228,7 @@ class Linked:
 
     @property
     def evidence(self) -> Evidence:
-        """The evidence. Each access unpickles it again."""
+        """The unpickled evidence. Each access unpickles it again."""
         found: Evidence = pickle.loads(self.packed)
         return found
 

@@ -325,7 +325,7 @@ class WorkerPool:
         return True
 
     def _is_under_way(self, queued: Queued) -> bool:
-        """Return whether a worker has the job."""
+        """Return whether any worker has the job at present."""
         return any(queued in worker.jobs for worker in self._workers)
 
     def _dispatch(self) -> None:

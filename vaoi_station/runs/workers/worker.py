@@ -51,7 +51,7 @@ class Queued:
     done: bool = False
     """Whether the job was answered. A second worker that performs it, or a slow one, may still answer it again."""
     number: int = 0
-    """Position in the order in which the jobs were queued."""
+    """Position of the job in the order in which jobs were queued."""
 
     @property
     def repeatable(self) -> bool:
@@ -86,7 +86,7 @@ class Worker:
     pinged_s: float | None = None
     """Time of a ping that was not answered yet; None if there is none."""
     progress: str = ""
-    """How far the warm-up is; empty before the first report."""
+    """Progress of the warm-up as text; empty before the first report."""
     overdue: bool = False
     """Whether the job under way, or the reply to a ping, is overdue; see `update`."""
 
@@ -127,7 +127,7 @@ class Worker:
         self.overdue = due_s is not None and now_s >= due_s
 
     def kill(self) -> None:
-        """Kill the process, if there is one."""
+        """Kill the worker's process, if there is one."""
         if self.process is not None:
             self.process.kill()
 

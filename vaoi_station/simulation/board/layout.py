@@ -132,7 +132,7 @@ class _PartPlacer:
         self.reserved = tuple(self.taken)
 
     def fill(self) -> tuple[Part, ...]:
-        """Place all parts and return them."""
+        """Place all parts of the board and return them."""
         area_cm2 = self.section.width_mm * self.section.length_mm / 100
         wanted = round(self.section.density * area_cm2)
         for n in range(round(wanted * 0.09)):

@@ -14,7 +14,7 @@ Box = tuple[float, float, float, float]
 
 
 class Finish(StrEnum):
-    """The style of the top of a body, as it is painted."""
+    """The style in which the top of a body is painted."""
 
     EPOXY = "epoxy"
     RESISTOR = "resistor"

@@ -33,7 +33,7 @@ class Surroundings:
     board: BoardSection
     belt_grey: float
     px_per_mm: float
-    """Resolution of the textures."""
+    """Resolution of the textures, px per mm."""
 
     @property
     def visible(self) -> bool:

@@ -29,15 +29,15 @@ class Waves:
 
     @property
     def amplitude(self) -> float:
-        """Amplitude a of each sinusoid."""
+        """The amplitude a that all sinusoids of the sum have."""
         return math.sqrt(2 / len(self.omega))
 
     def value(self, t_s: float) -> float:
-        """Return the sum of the sinusoids at a time."""
+        """Return the sum of the sinusoids at the time `t_s`, s."""
         return self.amplitude * sum(math.sin(w * t_s + p) for w, p in zip(self.omega, self.phase, strict=True))
 
     def integral(self, t_s: float) -> float:
-        """Return the integral of the sum of the sinusoids from time 0 to a time."""
+        """Return the integral of the sum of the sinusoids from time 0 to `t_s`, s."""
         pairs = zip(self.omega, self.phase, strict=True)
         return self.amplitude * sum((math.cos(p) - math.cos(w * t_s + p)) / w for w, p in pairs)
 
@@ -67,17 +67,17 @@ class Belt:
         return self.true_speed_mm_s * (t_s + s.speed_wander * waves(s.seed, 0, s.wander_period_s).integral(t_s))
 
     def speed_mm_s(self, t_s: float) -> float:
-        """Return the speed of the belt at a time."""
+        """Return the speed of the belt at a time, mm/s."""
         s = self.section
         return self.true_speed_mm_s * (1 + s.speed_wander * waves(s.seed, 0, s.wander_period_s).value(t_s))
 
     def sway_mm(self, t_s: float) -> float:
-        """Return the lateral displacement of a board on the belt at a time."""
+        """Return by how much a board is displaced across the belt at a time, mm."""
         s = self.section
         return s.sway_mm * waves(s.seed, 1, s.wander_period_s).value(t_s)
 
     def yaw_rad(self, t_s: float) -> float:
-        """Return the deviation of a board's rotation at a time."""
+        """Return the angle by which a board is turned on the belt at a time, rad, in addition to its fixed rotation."""
         s = self.section
         return math.radians(s.yaw_wander_deg) * waves(s.seed, 2, s.wander_period_s).value(t_s)
 

@@ -205,7 +205,7 @@ class MovingCameras:
 
     @property
     def settled(self) -> bool:
-        """Whether the last step used the final width of the prior."""
+        """Whether the prior had its final width in the last step."""
         return bool((self._still_px <= self._final_px).all())
 
     def columns_of(self, camera: Ints) -> Ints:

@@ -32,13 +32,13 @@ class NormalEquations(NamedTuple):
     """
 
     first: Ints
-    """(n,) the first stored column of each line."""
+    """(n,) the first stored column of each line of the matrix."""
     at: Ints
     """(n,) index of column 0 of each line in `values`: entry (i, j) is `values[at[i] + j]`."""
     values: Floats
     """The entries inside the envelope; after `factorise`, those of the Cholesky factor."""
     right: Floats
-    """(n,) the right-hand side."""
+    """(n,) the right-hand side of the equations."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +46,7 @@ class Envelope:
     """Which entries of a lower triangular matrix (n, n) are stored, and where: entry (i, j) is `values[at[i] + j]`."""
 
     first: Ints
-    """(n,) the first stored column of each line."""
+    """(n,) the first stored column of each line of the matrix."""
     at: Ints
     """(n,) index in the stored values of column 0 of each line; it is a virtual one if the line begins at a later
     column."""
@@ -178,7 +178,7 @@ def trailing_lines(envelope: Envelope, count: int) -> Ints:
 def inverse(factor: NormalEquations, rows: int) -> Floats:
     """Return those entries of the inverse normal matrix that are inside the envelope, stored like the factor.
 
-    `factor` are the factorised normal equations of `rows` rows.
+    `factor` holds the factorised normal equations of a run with `rows` rows.
     """
     first, at, values = factor.first, factor.at, factor.values
     out = np.zeros_like(values)

@@ -72,9 +72,9 @@ class OtherColumns(NamedTuple):
     """The columns of the unknowns that all rows share, and the number of component heights."""
 
     surface: int
-    """The number of coefficients of the surface."""
+    """The number of coefficients of the surface that are unknowns."""
     surface_column: int
-    """Column of the first coefficient of the surface."""
+    """Column of the first coefficient of the surface in the normal matrix."""
     camera_column: int
     """Column of the first camera's displacement; −1 if the cameras are taken as exact."""
     heights: int
@@ -89,14 +89,18 @@ class HeightEquations(NamedTuple):
     normal: Floats
     """(c,) diagonal of the normal matrix of the heights, which are not coupled to one another."""
     right: Floats
-    """(c,) right-hand side of the heights."""
+    """(c,) right-hand side of the heights' normal equations."""
 
 
 @compiled
 def _ranges(
     component: Ints, p: Ints, q: Ints, group: Ints, pairs: CameraPairs, columns: OtherColumns
 ) -> tuple[Ints, Ints, Ints, Ints]:
-    """Return the first row, last row, first camera and number of entries (c,) of each component."""
+    """Find the rows and cameras to which the height of each of c components is coupled.
+
+    Returns:
+        First row, last row, first camera, and number of entries in `HeightEquations.entries`, (c,) each.
+    """
     count = columns.heights
     first, last = np.zeros(count, np.int64), np.full(count, -1)
     camera, furthest = np.zeros(count, np.int64), np.full(count, -1)

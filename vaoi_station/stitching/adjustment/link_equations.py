@@ -35,7 +35,7 @@ class MotionArrays(NamedTuple):
     """The motion of m rows, in the form that compiled functions take."""
 
     angle: Floats
-    """(m,) angle φ of each row, rad."""
+    """(m,) angle φ by which each row is rotated, rad."""
     shift: Floats
     """(m, 2) shift s of each row, mm."""
     pivot: Floats
@@ -50,7 +50,7 @@ class LinkState(NamedTuple):
     lean: Floats
     """(k, 2) change l of the residual per mm of height of the point."""
     sigma: Floats
-    """(k,) residual in standard deviations, rms of its two axes."""
+    """(k,) length of the residual in standard deviations: rms of its two axes."""
     robust: Floats
     """(k,) robust weight, 0 … 1."""
     weight: Floats
@@ -149,7 +149,7 @@ def compute_weights(links: LinkArrays, noise: NoiseModel, groups: int, state: Li
 
 
 class LinkModel(NamedTuple):
-    """The unknowns on which links depend, besides the rows."""
+    """The unknowns on which links depend besides the rows: surface, component heights, camera displacements."""
 
     heights: HeightModel
     coupling: Coupling

@@ -9,7 +9,7 @@ from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.adjustment.observations import Ints
 
 _MEDIAN = 2 * math.log(2)
-"""Median of χ² of two degrees of freedom."""
+"""Median of the χ² distribution with two degrees of freedom."""
 _HALVINGS = 12
 """Number of bisections. With limits of 0.003 and 5 px, the result is uncertain by 0.2 %."""
 

@@ -24,7 +24,7 @@ from vaoi_station.stitching.matching.evidence import Links
 Ints = NDArray[np.int_]
 
 _INITIAL_CAPACITY = 4096
-"""Number of links for which a new store allocates memory."""
+"""Number of links for which a new link store allocates memory."""
 
 
 class LinkArrays(NamedTuple):
@@ -45,7 +45,7 @@ class LinkArrays(NamedTuple):
     noise_mm2: Floats
     """(k, 2, 2) covariance of the residual that image noise alone causes."""
     px_per_mm: Floats
-    """(k,) local resolution of the second image."""
+    """(k,) resolution of the second image at each link."""
     group: Ints
     """(k,) index of the pair of frames from which each link comes; links of one pair are adjacent."""
 
@@ -54,7 +54,7 @@ class CameraPairs(NamedTuple):
     """The cameras of g pairs of frames, in the form that compiled functions take."""
 
     a: Ints
-    """(g,) camera of the first frame of each pair."""
+    """(g,) number of the camera of the first frame of each pair."""
     b: Ints
     """(g,) camera of the second frame: the same camera, or the next one."""
 
@@ -102,7 +102,7 @@ class Observations:
 
     @staticmethod
     def empty() -> Observations:
-        """Return a set without links."""
+        """Return a set of observations without any link."""
         return Observations(*LinkArrays._make(column.copy() for column in _NO_LINKS), ())
 
     def select(self, at: Ints) -> Observations:
@@ -193,7 +193,7 @@ class CameraArrays(NamedTuple):
     radial: Floats
     """(c, r) radial coefficients of the lenses; shorter ones are filled up with zeros."""
     lens: Floats
-    """(c, 5) the further parameters of each lens, `geometry.Lens.shape`."""
+    """(c, 5) further parameters of each lens, in the form of `geometry.Lens.shape`."""
     eye: Floats
     """(c, 3) foot point x, y of each camera in mm, and the lean per mm of distance from the foot point."""
 

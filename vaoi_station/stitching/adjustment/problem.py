@@ -26,7 +26,7 @@ class FiducialPoints:
     ground_mm: Floats
     """(k, 2) observed point on the ground plane."""
     lean: Floats
-    """(k, 2) displacement in mm per mm of height."""
+    """(k, 2) displacement of each ground point, mm, per mm of height."""
     cad: Floats
     """(k, 2) CAD coordinates; y is already flipped if the CAD mapping mirrors."""
     sigma_mm: Floats
@@ -46,7 +46,7 @@ class FiducialPoints:
 
     @staticmethod
     def empty() -> FiducialPoints:
-        """Return a set without points."""
+        """Return a set of observed points without any point."""
         pairs, no = np.zeros((0, 2)), np.zeros(0, dtype=np.int_)
         return FiducialPoints(no, pairs, pairs, pairs, np.zeros(0), np.zeros(0), no, no)
 
@@ -56,9 +56,9 @@ class SurfaceBasis:
     """The f basis functions of the surface: their values at links and detections, and the priors of coefficients."""
 
     at_links: Floats
-    """(k, f) values at the k links."""
+    """(k, f) values of the basis functions at the k links."""
     at_fiducials: Floats
-    """(s, f) values at the s points of `Problem.fiducials`."""
+    """(s, f) values of the basis functions at the s points of `Problem.fiducials`."""
     sigma_mm: Floats
     """(f,) prior standard deviation of each coefficient."""
 
@@ -90,9 +90,9 @@ class CameraEstimate:
     """The displacements of n cameras against their calibration, as one run shows them."""
 
     displacement_px: Floats
-    """(n, 3) estimate of x, y and turn of each camera."""
+    """(n, 3) estimated x, y and turn of each camera, px."""
     covariance: Floats
-    """(3n, 3n) covariance of the estimate, px²."""
+    """(3n, 3n) covariance of the estimated displacements, px²."""
     cross: Floats
     """(m, u, 3n) covariance of the displacements with the u unknowns of `AdjustmentResult.covariance`, by row."""
     information: Floats
@@ -113,7 +113,7 @@ class AdjustmentResult:
     similarity: Floats | None
     """(4,) C as (a, b, x, y): board = [a −b; b a]·cad + (x, y). None if the problem has no fiducials."""
     surface_mm: Floats
-    """(f,) coefficients of the surface."""
+    """(f,) coefficients of the surface, mm."""
     heights_mm: Floats
     """(2, number of components) component heights: first from links between rows, second from links between cameras.
     NaN if a component has too few links, or if it is so tall that its links are outliers."""
@@ -131,7 +131,7 @@ class AdjustmentResult:
     floor_px: float
     """Noise floor of the links between rows."""
     sigma0: float
-    """Square root of the reduced χ² of the links."""
+    """Square root of the reduced χ² of the links: 1 if their residuals are as large as their noise model states."""
     problem: Problem
     """The problem, with the displacements of the cameras applied to its links, points and cameras."""
     cameras: CameraEstimate | None = None

@@ -76,7 +76,7 @@ It is the larger of a constant and of the share `_PAIR_SHARE` of the noise floor
 of one camera (interpolation). Between two cameras it is 0.014 px, because of different light and of the different
 perspective of points slightly above the board."""
 _FLOOR_PX = (0.003, 5.0)
-"""Limits of the noise floor of links."""
+"""Smallest and largest noise floor of links, px."""
 _AT_LIMIT, _DISPLACED_FLOOR_PX = 0.99, 60.0
 """Two values for the noise floor between two cameras whose displacements are unknowns.
 The noise floor counts as limited if it exceeds this share of its upper limit. It is then estimated with the second
@@ -236,7 +236,7 @@ class _Solver:
         return float(np.abs(rows[:, 1:]).max())
 
     def _motion_arrays(self) -> MotionArrays:
-        """Return the current motion as compiled functions take it."""
+        """Return the current motion in the form that compiled functions take."""
         return MotionArrays(self.motion.angle, self.motion.shift, self.motion.pivot)
 
     def _compute_residuals(self) -> None:

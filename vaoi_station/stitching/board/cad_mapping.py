@@ -394,5 +394,5 @@ def _with_board(
 
 
 def _half_patch_mm(scene: Scene) -> float:
-    """Return half the width of a link's patch on the board."""
+    """Return half the width of a link's patch on the board, mm."""
     return WINDOW_PX / 2 / float(np.mean([camera.px_per_mm for camera in scene.cameras]))

@@ -116,7 +116,7 @@ class _Cells(NamedTuple):
     origin: Floats
     """(2,) lowest corner of the grid."""
     size: Floats
-    """(2,) width and height of a cell."""
+    """(2,) width and height of one cell."""
     first: Ints
     """(rows, columns + 1): cell (r, c) holds the boxes `numbers[first[r, c] : first[r, c + 1]]`."""
     numbers: Ints
@@ -147,11 +147,11 @@ class _Boxes(NamedTuple):
     """n rotated rectangles, in CAD coordinates."""
 
     center: Floats
-    """(n, 2) centres."""
+    """(n, 2) centres of the rectangles."""
     turn: Floats
-    """(n, 2) cosine and sine of the rotations."""
+    """(n, 2) cosine and sine of the rectangles' rotations."""
     half: Floats
-    """(n, 2) half of width and height."""
+    """(n, 2) half the width and half the height of the rectangles."""
 
 
 @compiled

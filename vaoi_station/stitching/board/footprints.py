@@ -89,7 +89,7 @@ class FootprintViews:
         return FootprintViews(point[order], *(values[order] for values in others))
 
     def without_rows(self, rows: Sequence[int]) -> FootprintViews:
-        """Return the views of all other rows."""
+        """Return the views in all rows except the given ones."""
         keep = ~np.isin(self.row, rows)
         return FootprintViews(self.point[keep], self.camera[keep], self.row[keep], self.place_mm[keep], self.px[keep])
 

@@ -33,7 +33,7 @@ _QUANTILE = 0.25
 
 The edge of a board runs along all pieces of a side; a row of pads runs along only some of them."""
 _LEAST_EDGE = 4.0
-"""Least step of a side at its edge, in grey levels."""
+"""Smallest step of grey level at the edge of a side."""
 _STANDS_OUT = 1.15
 """Least ratio of the step at the edge of a side to the largest step more than twice `_EDGE_NEAR_MM` away from it."""
 _LEAST_PIECES = 2

@@ -22,7 +22,7 @@ from vaoi_station.stitching.matching.evidence import FrameKey
 from vaoi_station.stitching.matching.scene import Scene
 
 _SIDE = 16
-"""Samples per side of a patch."""
+"""Number of samples along each side of a patch."""
 _PITCH_PX = 4.0
 """Distance between two samples. Frames are read in copies that are reduced by this factor."""
 _LEAST_PITCH_MM = 0.15

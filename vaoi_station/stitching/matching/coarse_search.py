@@ -21,7 +21,7 @@ from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
 
 _MIN_SCORE = 0.25
-"""Smallest correlation of a shift that is reported."""
+"""Smallest correlation with which a shift is reported."""
 _AMPLE_PX = 24
 """Width of an overlap, in pixels of half size, from which on it is searched at half size only.
 

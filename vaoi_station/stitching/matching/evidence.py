@@ -10,7 +10,7 @@ import numpy as np
 from vaoi_station.geometry.transforms import Floats
 
 FrameKey = tuple[int, int]
-"""Camera and row."""
+"""The address of a frame: camera and row."""
 
 
 class Task(NamedTuple):
@@ -42,7 +42,7 @@ class Links:
     score: Floats
     """(k,) correlation of the two patches, from −1 to 1, after their means are subtracted."""
     note: str = ""
-    """Why there are no links; empty if there are links."""
+    """Text that states why there are no links; empty if there are links."""
     coarse_px: tuple[float, float] | None = None
     """Shift that the coarse search added to the predicted one; None if no links were found."""
     tried: int = 0
@@ -71,9 +71,9 @@ class Detections:
 
     task: Task
     px: Floats
-    """(k, 2) raw pixels."""
+    """(k, 2) positions of the detections in raw pixels."""
     sigma_px: Floats
-    """(k,) standard deviation of `px`."""
+    """(k,) standard deviation of `px`, per axis, in px."""
     score: Floats
     """(k,) correlation of the pixels with the expected picture of the mark."""
     kind: np.ndarray

@@ -33,7 +33,7 @@ _GRAIN_PX = 16
 """A resampled part begins at a multiple of this, so that the reduced copies of both frames have about the same
 pixels."""
 _BESIDE_PX = 2 * MARGIN_PX
-"""How far a resampled part extends beyond the overlap."""
+"""Distance by which a resampled part extends beyond the overlap, px."""
 _DENSEST = 4.0
 """Largest factor by which the grid of corners is made denser where the overlap fills only part of its box."""
 _KEPT_MAPS = 256
@@ -105,7 +105,7 @@ class GridPair(FramePair):
     a_from_grid: Floats = field(default_factory=_IDENTITY.copy)
     """(2, 3) affine map from pixels of `a` to raw pixels of the first frame."""
     b_from_grid: Floats = field(default_factory=_IDENTITY.copy)
-    """(2, 3) the same for `b` and the second frame."""
+    """(2, 3) affine map from pixels of `b` to raw pixels of the second frame."""
 
     @property
     def px_per_mm(self) -> float:
@@ -268,7 +268,7 @@ def _area(polygon: Floats) -> float:
 
 
 def _scale(affine: Floats) -> float:
-    """Return the factor of lengths under an affine map (2, 3)."""
+    """Return by which factor an affine map (2, 3) changes lengths."""
     return math.sqrt(abs(float(np.linalg.det(affine[:, :2]))))
 
 

@@ -70,7 +70,10 @@ def link_rows(task: Task, pair: FramePair) -> Links:
 
 
 def row_reach_mm(shift_mm: Floats) -> Floats:
-    """Return the range (2,) of the coarse search between two rows, on both sides of a motion (2,), in mm."""
+    """Return by how far the coarse search between two rows looks on both sides of a predicted motion.
+
+    Both the predicted motion `shift_mm` and the returned range are (2,), mm.
+    """
     return np.asarray(_PLAY_MM + _SLIP_SHARE * np.abs(shift_mm))
 
 

@@ -33,7 +33,7 @@ _BACK_MM = 1.0
 """Range of the search against the belt's direction: a board at rest has its peak at 0, which needs neighbours on both
 sides."""
 _LEAST_OVERLAP = 0.12
-"""Least share of a frame that both rows must show."""
+"""Least share of a frame that the frames of both rows must show."""
 _MIN_CONTRAST = 1.0
 """Contrast, rms of the high-passed grey levels, below which a frame counts as empty."""
 _MIN_SCORE = 0.12

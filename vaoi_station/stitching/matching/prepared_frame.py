@@ -98,12 +98,12 @@ class MaskedFrame(PreparedFrame):
 
     @cached_property
     def factor(self) -> int:
-        """By how much `coarse` is reduced."""
+        """Factor by which `coarse` is reduced."""
         return self._frame.factor
 
     @cached_property
     def coarse(self) -> NDArray[np.float32]:
-        """The copy `coarse` of the frame, 0 outside the part."""
+        """The copy `coarse` of the frame, set to 0 outside the selected part."""
         whole = self._frame.coarse
         mask = np.zeros(whole.shape, np.uint8)
         corners = np.clip((self._polygon_px + 0.5) / self.factor - 0.5, -_FAR_PX, _FAR_PX)
@@ -175,7 +175,7 @@ def resample(
 
 @compiled
 def _resample(image: NDArray[np.uint8], affine: Floats, width: int, height: int, wide: float) -> NDArray[np.uint8]:
-    """Perform `resample` with a windowed sinc."""
+    """Perform the work of `resample` with a windowed sinc."""
     h, w = image.shape
     reach = KERNEL_REACH * wide
     most = int(2 * reach) + 2

@@ -100,7 +100,7 @@ class _Relinker:
     velocity_mm_s: Floats
     times_s: Floats
     rows: tuple[int, ...] = ()
-    """Rows with frames, sorted."""
+    """Numbers of the rows that have frames, sorted."""
     step_mm: dict[tuple[int, int], Floats] = field(default_factory=dict)
     """Motion between consecutive rows with frames: the one found, else that of links near the nominal motion, else the
     nominal one."""

@@ -50,7 +50,7 @@ _FLAT_PRIOR, _RANGE_MM, _WIDTH_MM = 0.1, 5.0, 0.05
 
 Two heights that differ by less than `_WIDTH_MM` count as the same height."""
 _FLAT_MM = 0.06
-"""Heights below this count as 0."""
+"""Heights below this count as 0, mm."""
 _AGREE = 2.5
 """Two heights agree if they differ by at most this, in standard deviations of their difference."""
 _SCATTER_MM = 0.006

@@ -42,7 +42,7 @@ It is the displacement that this difference causes at the seam, in px."""
 SEAM_LIMIT_PX = 0.30
 """Largest accepted disagreement of two cameras at their seam, px."""
 DISPLACED_PX = 0.20
-"""Largest displacement of a camera since its calibration that is corrected without a reason in the result: px, rms."""
+"""Displacements of a camera up to this are corrected without a reason in the result: px, rms over the frame."""
 _SIGNIFICANT = 4.0
 """Number of standard deviations from which on the displacements of all cameras together are more than noise."""
 _PLACED_SIGMA_PX = 2.0
@@ -70,7 +70,7 @@ class Findings:
     method: Method
     links: tuple[Links, ...]
     moved: AdjustmentResult
-    """The solution of the adjustment without CAD data."""
+    """The solution of the adjustment of the links alone, without CAD data."""
     calibrated: tuple[Camera, ...]
     """The cameras as calibrated. The cameras in `scene` include the displacements that the adjustment estimated."""
     found: CadMapping | Failure

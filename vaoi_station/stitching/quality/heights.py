@@ -31,7 +31,8 @@ from vaoi_station.stitching.quality.body_heights import BodyLinks, body_heights
 _WORST_MM = 0.5
 """Links whose height has a standard deviation of more than this are left out."""
 _ASIDE = 3.5
-"""Links with a residual above this, in standard deviations, in the direction that no height explains are left out."""
+"""Links with a larger residual than this in the direction that no height explains are left out; in standard
+deviations."""
 _SHARED_PX, _SHARED_FLOOR = (0.004, 0.015), (0.5, 1.0)
 """Error that all links of one pair of frames on one component have in common: between two rows, between two cameras.
 
@@ -49,7 +50,7 @@ class LinkArrays(NamedTuple):
     place_mm: Floats
     """(n, 2) position on the board of a point in the calibrated plane, tester coordinates."""
     place_lean: Floats
-    """(n, 2) change of this position per mm of height."""
+    """(n, 2) change of `place_mm` per mm of height."""
     residual_mm: Floats
     """(n, 2) residual that the link has on a flat board in the calibrated plane."""
     lean: Floats
@@ -70,9 +71,9 @@ class FootprintArrays(NamedTuple):
     """The footprints of c components, in CAD units and axes."""
 
     center: Floats
-    """(c, 2) centres."""
+    """(c, 2) centres of the footprints."""
     angle_rad: Floats
-    """(c,) rotations."""
+    """(c,) rotations of the footprints."""
     mm_per_unit: float
 
 
@@ -80,9 +81,9 @@ class LinkHeights(NamedTuple):
     """The height of a component by each of n links, with the errors of these heights."""
 
     mm: Floats
-    """(n,) height above the board's surface."""
+    """(n,) height of the component above the board's surface by each link."""
     sigma_mm: Floats
-    """(n,) standard deviation."""
+    """(n,) standard deviation of the height by each link."""
     shared_mm: Floats
     """(n,) part of the height's standard deviation that all links of one pair of frames have in common."""
     aside: Floats

@@ -70,12 +70,12 @@ class _Radial(NamedTuple):
 
 
 class _Noise(NamedTuple):
-    """The noise of k links."""
+    """The noise of k links, in the form that compiled functions take."""
 
     robust: Floats
-    """(k,) robust weights."""
+    """(k,) robust weights of the links, 0 to 1."""
     floor_px: float
-    """Noise floor."""
+    """Noise floor of the links, px."""
     raised: NDArray[np.bool_]
     """(k,) whether each link may lie on a component, whose unknown height displaces the link along its lean."""
 

@@ -22,7 +22,7 @@ from vaoi_station.stitching.matching.scene import Scene
 _TRIED_ROWS = 4
 """Number of rows, for each pair of cameras, that are compared with the rows before and after them."""
 _AGREEING = 2
-"""Number of these rows that must show the same offset."""
+"""Number of the compared rows that must show the same offset."""
 _PLAINLY = 2.0
 """Least ratio of the number of links at the offset to the number of links without offset."""
 _LINKS = 12

@@ -103,7 +103,7 @@ class _Evidence(NamedTuple):
     lift: Lift | None
     rows: int
     mean: _Overlap
-    """Means over the examined rows."""
+    """Means of the measured values over the examined rows."""
 
     def share(self, number: float) -> str:
         """Return the words "n of m corners" for all examined rows, from the mean number per row."""

@@ -216,20 +216,20 @@ class ViewArrays(NamedTuple):
     """k views of board points, as arrays for the compiled function."""
 
     row: Ints
-    """(k,) row of the view."""
+    """(k,) row of each view."""
     point: Ints
-    """(k,) number of the point that the view shows."""
+    """(k,) number of the point that each view shows."""
     place_mm: Floats
     """(k, 2) position of the point in the conveyor's plane in that row."""
     lean: Floats
-    """(k, 2) change of that position per mm of height."""
+    """(k, 2) change of `place_mm` per mm of height."""
 
 
 class PointArrays(NamedTuple):
     """n points of a board type, as arrays for the compiled function."""
 
     flat: Floats
-    """(n, 2) flat CAD coordinates."""
+    """(n, 2) flat CAD coordinates of the points."""
     basis: Floats
     """(n, f) values of the surface's basis functions."""
 
@@ -240,7 +240,7 @@ class RowArrays(NamedTuple):
     angle: Floats
     """(m,) turn φ of each row, rad."""
     pivot: Floats
-    """(2,) pivot of the turns, mm."""
+    """(2,) pivot about which the turns are counted, mm."""
     covariance: Floats
     """(m, u, u) covariance of the u = 7 + f unknowns: (φ, sx, sy) of the row, (a, b, x, y) of C, and the surface."""
 

@@ -24,7 +24,7 @@ from vaoi_station.stitching.matching.evidence import FrameKey
 Cause = Literal["frames-unconfirmed", "frames-lost", "filming-ended", "filming-began", "seam", "beyond-view"]
 
 _SLACK = 1e-9
-"""Tolerance for rounding errors in a sum of shares."""
+"""Rounding error that is tolerated in a sum of shares."""
 _MOST_NAMED = 40
 """Largest number of components that one reason names; the `quality` entry of the result lists all of them."""
 _MOST_ROWS = 1000
@@ -72,7 +72,7 @@ class SeenFrames(NamedTuple):
 
 
 class _Asked(NamedTuple):
-    """The visibility that is asked for, as arrays over n components."""
+    """The visibility that each of n components must have, as arrays."""
 
     coverage: Floats
     views: NDArray[np.int_]
@@ -240,7 +240,7 @@ def _shortfall(u: UnseenComponent) -> str:
 
 
 def _lost_frames(cameras: int, rows: int, present: Collection[FrameKey]) -> str:
-    """Name the cameras that lost frames, and how many."""
+    """Return a text that names the cameras that lost frames, and the number of these frames."""
     there = {*present}
     lost = {i: [j for j in range(rows) if (i, j) not in there] for i in range(cameras)}
     words = []

@@ -51,7 +51,7 @@ class _Placed(NamedTuple):
 
     @property
     def points(self) -> FiducialPoints | None:
-        """The observed points with known CAD coordinates."""
+        """The observed points with known CAD coordinates; None if there are none."""
         return self.mapping.problem.fiducials
 
     @property

@@ -19,7 +19,7 @@ from vaoi_station.files.documents import parse
 from vaoi_station.model import BoardType, Calibration, Stitch, Strict, Whole
 
 KEY = "recording"
-"""Key of the origin in `quality`."""
+"""Key under which the origin is stored in `quality`."""
 CAD_TERMS = frozenset({"unit", "y_axis", "side", "fiducials"})
 """Keys of a board type on which C depends. Other keys, such as the components, may change between stitching and
 cutting."""
@@ -35,7 +35,7 @@ class Origin(Strict):
     frame: tuple[Whole, Whole] | None
     """Camera and row of the frame that identifies the recording; None if no frame arrived."""
     pixels: str | None
-    """Digest of the pixels of this frame."""
+    """Digest of the pixels of the frame that identifies the recording."""
     calibration: str
     board_type: str | None
     """Name of the board type; None without one."""
@@ -43,7 +43,7 @@ class Origin(Strict):
 
 
 def with_origin(result: Stitch, recording: Recording, calibration: Calibration, board_type: BoardType | None) -> Stitch:
-    """Return the result with its origin."""
+    """Return the result with its origin added."""
     origin = _origin(recording, calibration, board_type, _typical_frame(recording))
     return result.model_copy(update={"quality": {**result.quality, KEY: origin.model_dump(mode="json")}})
 

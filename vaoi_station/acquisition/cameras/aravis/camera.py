@@ -77,7 +77,7 @@ class AravisCamera:
         in a float.
         """
         self._lock = threading.Lock()
-        """Guards `_connection` and `_waiting`."""
+        """Lock that guards `_connection` and `_waiting`."""
         self._connection: Connection | None = connection
         self._waiting: list[Slot] = []
         self._arrivals: SimpleQueue[CameraEvent] = SimpleQueue()

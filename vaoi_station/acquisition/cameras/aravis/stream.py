@@ -51,7 +51,7 @@ class SlotResult:
     whole: bool
     frame_id: int | None
     time_ns: int | None
-    """Time stamp of the frame in the camera's clock."""
+    """Time stamp of the frame by the camera's clock, ns; None for an incomplete frame."""
     host_time_s: float
     fault: str = ""
 
@@ -74,7 +74,7 @@ class SlotStream:
         self._filling = aravis().BufferStatus.FILLING
         self._lock = threading.Lock()
         self._buffer_pulled = threading.Condition(self._lock)
-        """Condition that is notified after every pulled buffer."""
+        """Condition that is notified whenever a buffer was taken from the stream."""
         self._queued: dict[int, tuple[Any, Slot]] = {}
         """C pointer of a buffer → the buffer and its slot, for all buffers that the stream has."""
         self._ending = threading.Event()
@@ -124,7 +124,7 @@ class SlotStream:
         return unused
 
     def counters(self) -> dict[str, int]:
-        """Return the stream's counters by name."""
+        """Return the stream's counters of frames and packets, by name."""
         # For diagnosis only: `n_underruns` counts packets, `n_missing_packets` the whole tail of a frame (measured).
         stream = self._stream
         names = (stream.get_info_name(k) for k in range(stream.get_n_infos()))

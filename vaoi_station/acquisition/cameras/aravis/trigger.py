@@ -15,7 +15,7 @@ FRAME_TRIGGERS = ("FrameStart", "FrameBurstStart", "AcquisitionStart")
 
 @dataclass(frozen=True)
 class Recipe:
-    """How the hardware trigger of one make of camera is set."""
+    """The settings by which the hardware trigger of one make of camera is set."""
 
     line: str
     """GenICam name of the opto-isolated input."""
@@ -34,7 +34,7 @@ RECIPES = {
     "lucid": Recipe("Line2", extra=(("TriggerOverlap", "PreviousFrame"),)),
     "aravis": Recipe("Line0"),
 }
-"""Beginning of the vendor's name in lower case → its recipe."""
+"""For each make of camera, given by the beginning of its vendor's name in lower case: its recipe."""
 GENERIC = Recipe("Line0", off_while_changing=True)
 """The recipe of unknown makes. It turns the mode off before the source changes, which cameras of all makes accept."""
 

@@ -10,7 +10,7 @@ from vaoi_station.acquisition.clocks import ClockModel, ClockReading
 from vaoi_station.acquisition.controller.protocol.messages import TICK_S
 
 _WRAP = 1 << 32
-"""Ticks until the counter wraps."""
+"""Number of ticks after which the controller's 32-bit counter restarts from 0."""
 
 
 class TickClock:

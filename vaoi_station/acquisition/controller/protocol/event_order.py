@@ -16,7 +16,7 @@ class EventOrder:
         """Number of the next event to pass on."""
         self._early: dict[int, Event] = {}
         self._announced = 0
-        """All events before this number have occurred."""
+        """Number before which all events are known to have occurred, whether received or not."""
 
     def add(self, event: Event) -> list[Event]:
         """Add an event, and return the events that can be passed on now, in order.

@@ -46,7 +46,7 @@ class FrameReader:
     def __init__(self) -> None:
         self._bytes = bytearray()
         self.bad = 0
-        """Count of damaged frames."""
+        """Count of damaged frames that were received."""
 
     def feed(self, data: bytes) -> list[Message]:
         """Process received bytes, and return the messages that are complete with them."""

@@ -83,7 +83,7 @@ class Restarted:
 
 
 Notification = Replied | Refused | Unanswered | EventReceived | EventsLost | Restarted
-"""What `Link.receive` returns."""
+"""All results that `Link.receive` can return."""
 
 
 @dataclass
@@ -109,11 +109,11 @@ class Link:
         self.unmatched = 0
         """Count of messages that match no pending request."""
         self.messages = 0
-        """Count of all valid messages, as a sign of life."""
+        """Count of all valid messages; its growth shows that the controller is alive."""
         self.boots: int | None = None
-        """The controller's boot counter, once known."""
+        """Value of the controller's boot counter; None until it is known."""
         self.status: Status | None = None
-        """The newest status."""
+        """The newest status that the controller has sent; None before the first."""
         self._reader = FrameReader()
         self._sequences = (k % 256 for k in itertools.count(first_sequence))
         self._queue: deque[_Pending] = deque()

@@ -18,11 +18,11 @@ TICK_S = 0.5e-6
 ROW_NONE = 0xFFFF
 """Index of a pulse that belongs to no row."""
 REPLY = 0x80
-"""Added to the type of a request in its reply."""
+"""Number that is added to the type of a request to get the type of its reply."""
 
 
 class Type(IntEnum):
-    """The type of a message."""
+    """The types of messages, as the first byte of a message states them."""
 
     IDENT = 0x01
     STATUS = 0x02
@@ -81,7 +81,7 @@ class Pacing(IntEnum):
 
 
 class Kind(IntEnum):
-    """The kind of an event."""
+    """The kinds of events that the controller reports."""
 
     BOOT = 1
     BARRIER = 2
@@ -120,10 +120,10 @@ class _Wire:
 
     LAYOUT: ClassVar[Struct]
     GROWS: ClassVar[bool] = False
-    """Whether a higher minor version may append fields."""
+    """Whether a later minor version of the protocol may append fields to this message."""
 
     def pack(self) -> bytes:
-        """Return the bytes of the struct."""
+        """Return the message as the bytes that are sent."""
         return self.LAYOUT.pack(*astuple(self))
 
     @classmethod

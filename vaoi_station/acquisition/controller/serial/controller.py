@@ -21,7 +21,7 @@ from vaoi_station.errors import DeviceError
 T = TypeVar("T")
 
 PACE = BackoffPolicy(first_s=0.1, longest_s=1.0, proven_s=5.0)
-"""Pauses between attempts to open the port again."""
+"""Pauses between attempts to open the serial port again."""
 
 
 def open_serial_controller(config: StationConfig) -> SerialController:

@@ -25,7 +25,7 @@ from vaoi_station.config import ControllerConfig
 from vaoi_station.errors import InputError
 
 DARK = Step(0, 0)
-"""The step of a row without light."""
+"""The step of the firmware's light program for a row without light."""
 _WHERE = "station.toml"
 _PLAN = "trigger plan"
 _FIELDS = {

@@ -19,7 +19,7 @@ from vaoi_station.errors import DeviceError
 WRITE_S = 1.0
 """Longest time for which a port may not accept a few bytes. After it, the port has failed."""
 _CONTROL_FLAGS = 2
-"""Index of c_cflag in what `termios.tcgetattr` returns."""
+"""Index of the control flags (c_cflag) in the list that `termios.tcgetattr` returns."""
 
 
 class Waker:
@@ -40,7 +40,7 @@ class Waker:
             os.read(self.handle, 4096)
 
     def close(self) -> None:
-        """Close the pipe."""
+        """Close both ends of the pipe."""
         os.close(self.handle)
         os.close(self._write_end)
 

@@ -93,7 +93,7 @@ class Supervisor:
         self.ident: Ident
         self._exchange: Exchange | None = None
         self._boots: int | None = None
-        """Value of the boot counter in the boot that `timebase` presently maps."""
+        """Value of the controller's boot counter for which `timebase` converts ticks at present."""
         self._checked_status: Status | None = None
         self._status_s = time.monotonic()
         """Monotonic time, s, at which the newest status arrived."""

@@ -12,7 +12,7 @@ from vaoi_station.acquisition.controller.protocol.clock import TickClock
 BOOT_SPACING_S = 3600.0
 """Time on the axis between the end of one boot and the beginning of the next."""
 BITS_PER_BYTE = 10
-"""One start bit, eight data bits, one stop bit."""
+"""Bits on the serial line for one byte: one start bit, eight data bits, one stop bit."""
 REQUEST_BYTES = 10
 REPLY_BYTES = 14
 """Bytes of the frame of a CLOCK request, and of the frame of its reply."""
