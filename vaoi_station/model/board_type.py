@@ -33,9 +33,8 @@ class Fiducial(FrozenModel):
 class Visibility(FrozenModel):
     """How much of a component the good frames of a run must show.
 
-    Values that are None come from the next general level.
-
-    The levels are component, board type, station, and the defaults of `VISIBILITY`.
+    A value that is None is taken from the next more general level. The levels are component, board type, station, and
+    the defaults of `VISIBILITY`.
     """
 
     coverage: Annotated[Finite, Field(ge=0, le=1)] | None = None
