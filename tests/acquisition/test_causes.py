@@ -10,9 +10,13 @@ from vaoi_station.acquisition.causes import MAX_FRAME_ID, explain_missing, find_
 
 
 @pytest.mark.parametrize(
-    ("first", "second", "step"), [(1, 2, 1), (65535, 1, 1), (65534, 2, 3), (7, 7, 0), (9, 8, -1), (70000, 70002, 2)]
-)
-def test_ids_wrap_from_65535_to_1(first: int, second: int, step: int) -> None:
+    ("first", "second", "step"),
+    [
+        (1, 2, 1), (65535, 1, 1), (65534, 2, 3), (7, 7, 0), (9, 8, -1), (70000, 70002, 2),
+        (65535, 65536, 1), (2**64 - 1, 1, 1), (2, 2**64 - 1, -2), (2**53 + 2, 2**53 + 1, -1),
+    ],
+)  # fmt: skip
+def test_ids_wrap_from_their_largest_to_1(first: int, second: int, step: int) -> None:
     assert id_step(first, second) == step
 
 

@@ -11,18 +11,19 @@ from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from itertools import pairwise
 
-MAX_FRAME_ID = 65535
-"""Largest 16-bit frame id. GigE Vision counts from 1 to 65535 and then from 1 again; 0 never occurs. Extended ids have
-64 bits."""
+MAX_FRAME_ID, MAX_EXTENDED_ID = 0xFFFF, 0xFFFF_FFFF_FFFF_FFFF
+"""Largest 16-bit frame id, and largest 64-bit one. GigE Vision counts 1 … largest and then 1 again; 0 never occurs."""
 
 
 def id_step(first: int, second: int) -> int:
-    """Return the number of frames from id `first` to id `second`. 16-bit ids may wrap to their start in between."""
+    """Return the number of frames from id `first` to id `second`. Ids may wrap to their start in between."""
     step = second - first
-    # Half the range separates a wrap from a step back. An id above 65535 proves extended ids, which do not wrap.
-    if abs(step) <= MAX_FRAME_ID // 2 or max(first, second) > MAX_FRAME_ID:
+    # An id above 65535 proves 64-bit ids.
+    largest = MAX_EXTENDED_ID if max(first, second) > MAX_FRAME_ID else MAX_FRAME_ID
+    # Half the range separates a wrap from a step back.
+    if abs(step) <= largest // 2:
         return step
-    return step + MAX_FRAME_ID if step < 0 else step - MAX_FRAME_ID
+    return step + largest if step < 0 else step - largest
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,10 @@ class StandInBuffer:
     def __init__(self, size: int, address: int) -> None:
         self.size, self.address = size, address
         self.status = BufferStatus.CLEARED
-        self.frame = SimpleNamespace(width=16, height=16, code=PIXEL_FORMATS["Mono8"].code, id=7, time_ns=1_000)
+        self.frame = SimpleNamespace(
+            width=16, height=16, code=PIXEL_FORMATS["Mono8"].code, id=7, time_ns=1_000,
+            received=256, chunks=False, began_ns=1_000,
+        )  # fmt: skip
 
     @classmethod
     def new(cls, size: int, address: int) -> StandInBuffer:
@@ -63,6 +66,12 @@ class StandInBuffer:
 
     def get_timestamp(self) -> int:
         return int(self.frame.time_ns)
+
+    def get_system_timestamp(self) -> int:
+        return int(self.frame.began_ns)
+
+    def has_chunks(self) -> bool:
+        return bool(self.frame.chunks)
 
 
 class StandInDevice:
@@ -132,7 +141,7 @@ class StandInStream:
         self.pushed: list[StandInBuffer] = []
         self.filled: list[StandInBuffer] = []
         self.running = True
-        self.counters = {"n_completed_buffers": 0, "n_underruns": 0, "port": 4711}
+        self.counters = {"n_completed_buffers": 0, "n_duplicated_packets": 0, "n_underruns": 0, "port": 4711}
         self.properties: dict[str, object] = {}
         self.fill_when_popped: Callable[[], None] = lambda: None
         """Called by the pulling thread before each pop."""
@@ -181,6 +190,9 @@ class StandInCamera:
                 "BinningHorizontal": 2,
                 "ExposureAuto": "Continuous",
                 "GammaEnable": True,
+                "ChunkModeActive": True,
+                "PtpEnable": True,
+                "GevIEEE1588": True,
                 "AcquisitionMode": "SingleFrame",
                 "TriggerSelector": "AcquisitionStart",
                 "TriggerMode": "Off",

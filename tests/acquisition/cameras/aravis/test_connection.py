@@ -135,6 +135,14 @@ def test_a_receive_buffer_that_is_too_small_is_warned_of(camera: StandInCamera, 
     assert gige.warning(PortShare(socket_bytes=500_000)) == ""
 
 
+def test_packets_that_were_sent_again_are_warned_of(camera: StandInCamera, gige: Connection) -> None:
+    gige.start(RESULTS.put, PortShare())
+    camera.stream.counters |= {"n_received_packets": 1_000, "n_resent_packets": 12}
+    assert gige.warning(PortShare()) == "", "twelve may be of one disturbance"
+    camera.stream.counters |= {"n_received_packets": 10_000, "n_resent_packets": 120}
+    assert gige.warning(PortShare()).startswith("1.2% of its packets were lost on the way and sent again")
+
+
 def test_control_is_asked_of_gige_cameras_only(camera: StandInCamera, gige: Connection) -> None:
     camera.device.controlled = False
     assert not gige.is_controller()
@@ -142,13 +150,30 @@ def test_control_is_asked_of_gige_cameras_only(camera: StandInCamera, gige: Conn
     assert gige.is_controller()
 
 
-def test_a_camera_that_sends_without_a_trigger_is_found(
+def test_a_camera_that_sends_without_a_trigger_is_found_at_its_first_packet(
     camera: StandInCamera, connection: Connection, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     connection.start(RESULTS.put, PortShare())
-    check_silence([connection], settle_s=0.0, watch_s=0.0)
-    traffic = iter(range(10))
-    monkeypatch.setattr(connection, "traffic", lambda: next(traffic))
+    check_silence([connection], latched_s=0.0, silence_s=0.0)
+    counts = iter([5, 5, 6])
+    monkeypatch.setattr(connection, "traffic", lambda: next(counts))
     with pytest.raises(DeviceError, match="camera c0: sends frames although no trigger was fired") as refused:
-        check_silence([connection], settle_s=0.0, watch_s=0.0)
+        check_silence([connection], latched_s=0.0, silence_s=3600.0)
     assert refused.value.code == "camera-free-running"
+
+
+def test_a_check_of_silence_that_is_abandoned_ends_at_once(connection: Connection) -> None:
+    connection.start(RESULTS.put, PortShare())
+    abandoned = threading.Event()
+    abandoned.set()
+    check_silence([connection], latched_s=3600.0, silence_s=3600.0, abandoned=abandoned)
+    reads = iter(range(10))
+
+    def traffic() -> int:
+        if next(reads) == 2:
+            abandoned.set()
+        return 0
+
+    abandoned.clear()
+    connection.traffic = traffic  # type: ignore[method-assign]
+    check_silence([connection], latched_s=0.0, silence_s=3600.0, abandoned=abandoned)

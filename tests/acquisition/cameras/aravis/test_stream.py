@@ -11,7 +11,8 @@ import pytest
 
 from tests.acquisition.cameras.aravis.stand_in import BufferStatus, StandInBuffer, StandInStream
 from vaoi_station.acquisition.cameras.aravis import stream as stream_module
-from vaoi_station.acquisition.cameras.aravis.stream import FrameFormat, SlotResult, SlotStream
+from vaoi_station.acquisition.cameras.aravis.frame_check import FrameFormat
+from vaoi_station.acquisition.cameras.aravis.stream import SlotResult, SlotStream
 from vaoi_station.acquisition.cameras.interface import Slot
 from vaoi_station.pixel_formats import PIXEL_FORMATS
 
@@ -146,4 +147,4 @@ def test_closing_ends_the_thread_and_returns_the_unused_slots(bench: Bench) -> N
 
 
 def test_only_counts_are_counters(bench: Bench) -> None:
-    assert bench.slots.counters() == {"n_completed_buffers": 0, "n_underruns": 0}
+    assert bench.slots.counters() == {"n_completed_buffers": 0, "n_duplicated_packets": 0, "n_underruns": 0}

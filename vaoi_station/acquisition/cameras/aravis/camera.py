@@ -214,9 +214,9 @@ class AravisCamera:
             # Frames may be missing since the last moment of certain control, not only since the last reply.
             self._last_reply_s = self._last_controlled_s
             raise DeviceError(
-                f"{self.config.label}: is no longer controlled by this station: this computer sent no heartbeat "
-                "for too long, or another program has taken it.",
-                action="Close other programs that use it; it is opened again automatically.",
+                f"{self.config.label}: is no longer controlled by this station: it has restarted, this computer sent "
+                "no heartbeat for too long, or another program has taken it.",
+                action="Check its power, and close other programs that use it; it is opened again automatically.",
                 code="camera-lost",
             )
         clock_error, self._clock_error = self._clock_error, None

@@ -17,9 +17,10 @@ from typing import Any
 from vaoi_station.acquisition.cameras.aravis import network, settings
 from vaoi_station.acquisition.cameras.aravis.clock import find_clock
 from vaoi_station.acquisition.cameras.aravis.discovery import open_device
+from vaoi_station.acquisition.cameras.aravis.frame_check import FrameFormat
 from vaoi_station.acquisition.cameras.aravis.library import aravis, glib_error, version
 from vaoi_station.acquisition.cameras.aravis.settings import Setting
-from vaoi_station.acquisition.cameras.aravis.stream import FrameFormat, SlotResult, SlotStream
+from vaoi_station.acquisition.cameras.aravis.stream import SlotResult, SlotStream
 from vaoi_station.acquisition.clocks import ClockReading
 from vaoi_station.config import CameraConfig
 from vaoi_station.errors import DeviceError
@@ -32,6 +33,10 @@ USB3_MIN_VERSION = (0, 8, 30)
 RETENTION_US = 200_000
 """Time, µs, for which Aravis waits for the missing packets of a frame."""
 # Aravis' default of 100 ms lost the first frames after a pause (Aravis #818, #746).
+RESENT_PACKETS, RESENT_SHARE = 20, 0.001
+"""Count and share of packets that were sent again above which a camera is warned of. A sound network loses none."""
+TRAFFIC_CHECK_S = 0.02
+"""Interval at which a camera that must be silent is checked for packets."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +104,7 @@ class Connection:
             raise DeviceError(
                 f"{self.config.label}: sends frames of {payload} bytes, but {self.config.width}×"
                 f"{self.config.height} px {self.config.pixel_format} are {self.config.frame_bytes}.",
-                action="Turn chunk data and line padding off ([cameras.features]), or correct width, height, format.",
+                action="Turn line padding off ([cameras.features]), or correct width, height, format.",
                 code="frame-size",
             )
 
@@ -162,7 +167,7 @@ class Connection:
             found = version()
             return "" if found >= USB3_MIN_VERSION else f"Aravis {'.'.join(map(str, found))} is unreliable with USB3."
         if self.granted_bytes >= share.socket_bytes:
-            return ""
+            return _resend_warning(self.counters())
         return (
             f"The kernel holds {self.granted_bytes / 1e6:.1f} MB of its packets, {share.socket_bytes / 1e6:.1f} MB are "
             "wanted: raise net.core.rmem_max."
@@ -255,27 +260,52 @@ class Connection:
                 ) from error
 
 
-def check_silence(connections: list[Connection], settle_s: float = 0.15, watch_s: float = 0.4) -> None:
-    """Check that no camera sends frames before the first pulse.
+def _resend_warning(counters: dict[str, int]) -> str:
+    """Return a warning if many packets had to be sent again since the camera was opened; an empty text otherwise."""
+    resent, received = counters.get("n_resent_packets", 0), counters.get("n_received_packets", 0)
+    # Frames are complete nevertheless, so nothing else shows that the network loses packets.
+    if resent < RESENT_PACKETS or resent < RESENT_SHARE * received:
+        return ""
+    return (
+        f"{resent / received:.1%} of its packets were lost on the way and sent again: check cable and switch, and give "
+        "its port fewer cameras or a faster link."
+    )
+
+
+def check_silence(
+    connections: list[Connection],
+    latched_s: float = 0.15,
+    silence_s: float = 0.4,
+    abandoned: threading.Event | None = None,
+) -> None:
+    """Check that no camera sends frames before the first pulse. Return at once if one sends or the caller gives up.
 
     Args:
         connections: the started cameras.
-        settle_s: time to wait before the check, for a frame that was triggered before.
-        watch_s: duration of the check.
+        latched_s: time within which a frame may arrive whose trigger the camera had latched before it was started.
+        silence_s: time after it during which no packet may arrive.
+        abandoned: set by another thread that no longer needs the cameras.
 
     Raises:
         DeviceError: a camera sends although no trigger was fired; the message names the camera.
     """
+    abandoned = abandoned or threading.Event()
     # A trigger that a camera latched before the start of its acquisition yields one frame at once. That is no fault.
-    time.sleep(settle_s)
+    if abandoned.wait(latched_s):
+        return
     # No slot is queued yet, so the streams count arriving packets without storing them.
     before = [connection.traffic() for connection in connections]
-    # Nothing signals the absence of packets: the only way is to wait and count.
-    time.sleep(watch_s)
-    for connection, count in zip(connections, before, strict=True):
-        if connection.traffic() != count:
-            raise DeviceError(
-                f"{connection.config.label}: sends frames although no trigger was fired.",
-                action="Check what its trigger input is wired to, and that nothing else triggers it.",
-                code="camera-free-running",
-            )
+    silent_until_s = time.monotonic() + silence_s
+    while True:
+        # Read first, so that packets that arrive within the last interval are seen.
+        is_over = time.monotonic() >= silent_until_s
+        for connection, count in zip(connections, before, strict=True):
+            if connection.traffic() != count:
+                raise DeviceError(
+                    f"{connection.config.label}: sends frames although no trigger was fired.",
+                    action="Check what its trigger input is wired to, and that nothing else triggers it.",
+                    code="camera-free-running",
+                )
+        # Nothing signals the absence of packets: only time can show it.
+        if is_over or abandoned.wait(min(TRAFFIC_CHECK_S, silence_s)):
+            return

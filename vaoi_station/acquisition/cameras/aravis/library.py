@@ -67,6 +67,21 @@ def version() -> tuple[int, int, int]:
     return int(major), int(minor), int(micro)
 
 
+def received_bytes(buffer: Any) -> int:
+    """Return the number of bytes that were written into an `Aravis.Buffer`. Its frame must be complete."""
+    # Through PyGObject, `get_data` would copy all pixels. The hash of a PyGObject is its C pointer.
+    size = ctypes.c_size_t()
+    _get_data()(hash(buffer), ctypes.byref(size))
+    return size.value
+
+
+@functools.cache
+def _get_data() -> Any:
+    get_data = shared_library().arv_buffer_get_data
+    get_data.argtypes, get_data.restype = [ctypes.c_void_p, ctypes.POINTER(ctypes.c_size_t)], ctypes.c_void_p
+    return get_data
+
+
 def _gi() -> Any:
     """Import the package `gi` from this environment; if it is not there, from the distribution's directory."""
     if "gi" in sys.modules or importlib.util.find_spec("gi") is not None:

@@ -110,7 +110,7 @@ def _with_device_errors(name: str, settings: Iterator[Setting]) -> Iterator[Sett
 
 
 def _picture(camera: Any, config: CameraConfig) -> Iterator[Setting]:
-    """Yield the settings of binning, pixel format, region, exposure and gain. Automatic controls are switched off."""
+    """Yield the settings of the picture: binning, format, region, exposure, gain; the rest off."""
     x, y = config.offset_px
     region = (x, y, config.width, config.height)
     device = camera.get_device()
@@ -123,6 +123,11 @@ def _picture(camera: Any, config: CameraConfig) -> Iterator[Setting]:
         lambda: camera.set_pixel_format_from_string(config.pixel_format),
         camera.get_pixel_format_as_string,
     )
+    # Chunk data would follow the pixels in every frame, which then would not fit its slot. A clock that is synchronised
+    # (PTP, under its names in SFNC 2 and GigE Vision) may jump within a run; the station fits every clock by itself.
+    for feature in ("ChunkModeActive", "PtpEnable", "GevIEEE1588"):
+        if device.is_feature_available(feature):
+            yield feature_setting(device, feature, False)
     yield Setting("Region", region, lambda: camera.set_region(*region), lambda: _region(camera))
     # Turned off before exposure and gain are set: while an automatic control is on, cameras refuse or overwrite values.
     for feature in ("ExposureAuto", "GainAuto", "BlackLevelAuto", "GammaEnable"):

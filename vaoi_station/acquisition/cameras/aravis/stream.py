@@ -12,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from vaoi_station.acquisition.cameras.aravis.frame_check import FrameCheck, FrameFormat
 from vaoi_station.acquisition.cameras.aravis.library import aravis
 from vaoi_station.acquisition.cameras.interface import Slot
 
@@ -21,26 +22,6 @@ FILLING_S = 0.25
 """Time, s, for which frames that are being received may still end before their buffers are taken back.
 
 It is longer than the time for which Aravis waits for missing packets."""
-
-FAULTS = {
-    "timeout": "parts of the frame did not arrive in time",
-    "missing-packets": "packets of the frame were lost on the way",
-    "wrong-packet-id": "packets of the frame were out of order",
-    "size-mismatch": "the frame is larger than configured",
-    "aborted": "receiving the frame was broken off",
-    "filling": "receiving the frame was broken off",
-}
-"""Nickname of a buffer's status in Aravis → text for users. Newer versions of Aravis may have more nicknames."""
-
-
-@dataclass(frozen=True)
-class FrameFormat:
-    """The size and the pixel format that a complete frame must have."""
-
-    width: int
-    height: int
-    code: int
-    """Code of the pixel format (PFNC)."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +51,7 @@ class SlotStream:
             name: beginning of the thread's name.
         """
         self._stream = stream
-        self._format, self._on_slot = kind, on_slot
+        self._check, self._on_slot = FrameCheck(stream, kind), on_slot
         self._filling = aravis().BufferStatus.FILLING
         self._lock = threading.Lock()
         self._buffer_pulled = threading.Condition(self._lock)
@@ -146,17 +127,10 @@ class SlotStream:
 
     def _result(self, buffer: Any, slot: Slot) -> SlotResult:
         host_time_s = time.monotonic()
-        status = buffer.get_status()
         # Without SUCCESS, frame id, time stamp and size may be those of an older frame, because Aravis writes them when
         # the leader packet arrives (measured: id 65401 again instead of 65406).
-        if status != aravis().BufferStatus.SUCCESS:
-            fault = FAULTS.get(status.value_nick, f"Aravis calls the frame {status.value_nick!r}")
+        if fault := self._check.fault(buffer, slot.memory.nbytes):
             return SlotResult(slot, False, None, None, host_time_s, fault)
-        kind = FrameFormat(buffer.get_image_width(), buffer.get_image_height(), buffer.get_image_pixel_format())
-        if kind != self._format:
-            return SlotResult(
-                slot, False, None, None, host_time_s, f"the frame is {_describe(kind)}, not {_describe(self._format)}"
-            )
         return SlotResult(slot, True, buffer.get_frame_id(), buffer.get_timestamp(), host_time_s)
 
     def _wait_for_filling_frames(self) -> None:
@@ -165,7 +139,3 @@ class SlotStream:
 
     def _none_filling(self) -> bool:
         return not any(buffer.get_status() == self._filling for buffer, _ in self._queued.values())
-
-
-def _describe(kind: FrameFormat) -> str:
-    return f"{kind.width}×{kind.height} px in format {kind.code:#010x}"
