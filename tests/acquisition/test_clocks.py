@@ -71,6 +71,17 @@ def test_a_jump_of_the_clock_starts_a_new_line() -> None:
     model = ClockModel("controller")
     for k in range(10):
         model.add(ClockReading(float(k), 100.0 + k, 1e-4))
-    model.add(ClockReading(0.5, 110.0, 1e-4))
+    jump = model.add(ClockReading(0.5, 110.0, 1e-4))
     assert model.restarts == 1
+    assert jump is not None
+    assert (round(jump.size_s, 6), jump.since_s, jump.until_s) == (-9.5, 109.0, 110.0)
+    assert str(jump) == "its clock jumped by -9.50 s"
     assert model.host_s(1.5) == pytest.approx(111.0, abs=1e-3)
+
+
+def test_a_step_within_the_errors_of_readings_is_no_jump() -> None:
+    model = ClockModel("camera c0")
+    for k in range(10):
+        assert model.add(ClockReading(float(k), 100.0 + k, 1e-5)) is None
+    assert model.add(ClockReading(10.0005, 110.0, 1e-5)) is None
+    assert model.restarts == 1, "the line begins anew nevertheless"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from vaoi_station.acquisition.clocks import ClockJump
 from vaoi_station.acquisition.outages import Outages
 
 
@@ -33,3 +34,13 @@ def test_only_the_newest_outages_are_kept() -> None:
         "",
         *(f"the camera was lost: {k}" for k in "34"),
     ]
+
+
+def test_times_between_the_readings_of_a_clock_that_jumped_are_unknown() -> None:
+    outages = Outages()
+    jump = ClockJump(37.0, 10.0, 10.5)
+    outages.add_jump(1, jump)
+    assert [outages.jump_between(1, s, s) for s in (9.9, 10.2, 10.6)] == [None, jump, None]
+    assert outages.jump_between(1, 9.9, 10.1) is jump
+    assert outages.jump_between(0, 10.2, 10.2) is None
+    assert [outages.count_ended(1, s) for s in (10.4, 10.5)] == [0, 1], "its clock begins a new epoch"

@@ -57,6 +57,8 @@ class Camera:
         """The camera's time minus this computer's monotonic time."""
         self.next_id = 1
         self.obeys_chunk_mode = True
+        self.blocked = False
+        """Whether a firewall drops all frames on their way."""
         self.resend: Script = as_it_is
         """Makes from the packets that a client asks for again those that are sent."""
         self.resend_requests = 0
@@ -131,7 +133,7 @@ class Camera:
     def send(self, packets: Sequence[bytes]) -> None:
         """Send packets to the client."""
         to = (socket.inet_ntoa(self._memory[STREAM_ADDRESS : STREAM_ADDRESS + 4]), self._number(STREAM_PORT) & 0xFFFF)
-        for packet in packets:
+        for packet in () if self.blocked else packets:
             self._data.sendto(packet, to)
 
     def close(self) -> None:

@@ -14,6 +14,12 @@ from itertools import pairwise
 MAX_FRAME_ID, MAX_EXTENDED_ID = 0xFFFF, 0xFFFF_FFFF_FFFF_FFFF
 """Largest 16-bit frame id, and largest 64-bit one. GigE Vision counts 1 … largest and then 1 again; 0 never occurs."""
 
+NO_PACKET = (
+    "the camera answers, but not one packet of a frame has arrived since it was opened; check that no firewall of this "
+    "computer or switch drops its UDP packets, and that its trigger line is wired"
+)
+"""Cause of missing frames of a camera that answers requests and never sent a frame."""
+
 
 def id_step(first: int, second: int) -> int:
     """Return the number of frames from id `first` to id `second`. Ids may wrap to their start in between."""

@@ -17,6 +17,8 @@ from vaoi_station.errors import DeviceError
 
 PRIOR_DRIFT = 2e-4
 """Standard deviation of the drift s of a crystal clock before anything is measured."""
+JUMP_S = 1e-3
+"""Smallest jump of a clock that is reported, s; smaller ones may be errors of readings."""
 RESOLUTION_S = 1e-7
 """Lower limit for the error bound of a reading, s. It keeps the weights 1/b² finite."""
 
@@ -37,6 +39,21 @@ class ClockReading:
     """Half the round trip of the request: the largest error of the reading."""
 
 
+@dataclass(frozen=True)
+class ClockJump:
+    """A jump of a device's clock between two of its readings."""
+
+    size_s: float
+    """Positive if the device's clock shows more than it should."""
+    since_s: float
+    """Host time of the last reading before the jump."""
+    until_s: float
+    """Host time of the first reading after it."""
+
+    def __str__(self) -> str:
+        return f"its clock jumped by {self.size_s:+.2f} s"
+
+
 class ClockModel:
     """The mapping from one device's clock to the host's, updated with every reading."""
 
@@ -51,18 +68,26 @@ class ClockModel:
         self.restarts = 0
         """Count of jumps of the device's clock, for example because the device was switched off and on."""
 
-    def add(self, reading: ClockReading) -> None:
-        """Add a reading and fit the line again; discard the older readings if the new one shows a jump of the clock."""
+    def add(self, reading: ClockReading) -> ClockJump | None:
+        """Add a reading and fit the line again. If it shows a jump of the clock, discard older ones; return the jump.
+
+        A jump of less than `JUMP_S` is not returned.
+        """
+        jump = None
         if self._readings:
             off_s = abs(self.host_s(reading.device_s) - reading.host_s)
             # As long as a clock runs on, line and reading differ by at most the sum of both bounds. More than twice
             # that sum means that the clock has restarted.
             if off_s > 2 * (self.bound_s(reading.device_s) + reading.bound_s + RESOLUTION_S):
+                if off_s >= JUMP_S:
+                    size_s = reading.device_s - self.device_s(reading.host_s)
+                    jump = ClockJump(size_s, self._readings[-1].host_s, reading.host_s)
                 self._readings.clear()
                 self.restarts += 1
         self._readings.append(reading)
         self._fit()
         self._bound_s = self.bound_s(reading.device_s)
+        return jump
 
     def host_s(self, device_s: float) -> float:
         """Return the host time at which the device's clock shows `device_s`."""

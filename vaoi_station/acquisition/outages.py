@@ -1,10 +1,16 @@
-"""The outages of cameras. An outage is the cause of the frames that are missing during it."""
+"""The outages of cameras and the jumps of their clocks.
+
+An outage is the cause of the frames that are missing from its time. Frames that arrive between the two readings of a
+clock that has jumped cannot be dated: the old and the new time are both possible.
+"""
 
 from __future__ import annotations
 
 import math
 from collections import defaultdict, deque
 from dataclasses import dataclass
+
+from vaoi_station.acquisition.clocks import ClockJump
 
 
 @dataclass
@@ -15,10 +21,11 @@ class _Outage:
 
 
 class Outages:
-    """The latest outages of every camera, by host time. During an outage the camera is called *away*."""
+    """The latest outages and clock jumps of every camera. During an outage the camera is called *away*."""
 
     def __init__(self, keep: int = 20) -> None:
-        """Create an empty list of outages for each camera; at most `keep` are kept per camera."""
+        """Create empty lists of outages and clock jumps; at most `keep` of each are kept per camera."""
+        self._jumps: defaultdict[int, deque[ClockJump]] = defaultdict(lambda: deque(maxlen=keep))
         self._outages: defaultdict[int, deque[_Outage]] = defaultdict(lambda: deque(maxlen=keep))
 
     def begin(self, camera: int, since_s: float, why: str) -> None:
@@ -30,13 +37,22 @@ class Outages:
         for outage in self._outages[camera]:
             outage.until_s = min(outage.until_s, at_s)
 
+    def add_jump(self, camera: int, jump: ClockJump) -> None:
+        """Record a jump of a camera's clock."""
+        self._jumps[camera].append(jump)
+
+    def jump_between(self, camera: int, first_s: float, last_s: float) -> ClockJump | None:
+        """Return the jump of a camera's clock that makes its times between two host times unknown, if there is one."""
+        return next((j for j in self._jumps[camera] if j.since_s <= last_s and first_s <= j.until_s), None)
+
     def is_away(self, camera: int) -> bool:
         """Return whether a camera is away at present."""
         return any(math.isinf(outage.until_s) for outage in self._outages[camera])
 
     def count_ended(self, camera: int, host_s: float) -> int:
-        """Return how many outages of a camera had ended by the host time `host_s`."""
-        return sum(outage.until_s <= host_s for outage in self._outages[camera])
+        """Return how many outages and clock jumps of a camera had ended by the host time `host_s`."""
+        ends_s = (*(o.until_s for o in self._outages[camera]), *(j.until_s for j in self._jumps[camera]))
+        return sum(end_s <= host_s for end_s in ends_s)
 
     def cause_at(self, camera: int, host_s: float) -> str:
         """Return why a camera was away at the time `host_s`; an empty text if it was not away."""

@@ -7,7 +7,7 @@ import inspect
 import numpy as np
 import pytest
 
-from vaoi_station.acquisition.cameras.interface import Arrival, CameraDevice, CameraHealth, Slot
+from vaoi_station.acquisition.cameras.interface import Arrival, CameraDevice, CameraHealth, Slot, is_silent
 from vaoi_station.acquisition.cameras.replay import ReplayCamera
 from vaoi_station.acquisition.cameras.simulated import SimulatedCamera
 from vaoi_station.acquisition.device_clock import DeviceClock
@@ -42,3 +42,16 @@ def test_an_incomplete_arrival_needs_neither_id_nor_time() -> None:
     arrival = Arrival(0, 3, False, None, None, 17.0, "packets lost")
     assert arrival == Arrival(0, 3, False, None, None, 17.0, "packets lost")
     assert hash(arrival) == hash(Arrival(0, 3, False, None, None, 17.0, "packets lost")), "the recorder maps arrivals"
+
+
+@pytest.mark.parametrize(
+    ("health", "silent"),
+    [
+        (CameraHealth(True, counters=(("n_received_packets", 0),)), True),
+        (CameraHealth(True, counters=(("n_received_packets", 1),)), False),
+        (CameraHealth(False, counters=(("n_received_packets", 0),)), False),
+        (CameraHealth(True), False),
+    ],
+)
+def test_only_a_connected_camera_that_counts_packets_can_be_silent(health: CameraHealth, silent: bool) -> None:
+    assert is_silent(health) is silent

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
+from vaoi_station.acquisition.causes import NO_PACKET
+from vaoi_station.acquisition.clocks import ClockJump
 from vaoi_station.acquisition.outages import Outages
 from vaoi_station.acquisition.pairing.run_conclusion import conclude_run
 from vaoi_station.acquisition.pairing.run_record import ObservedFrame, ObservedPulse, RunRecord
@@ -107,3 +111,31 @@ def test_a_finding_is_the_cause_of_its_complete_frame() -> None:
     assert not proof.proven
     assert {row for (_, row), frame in run.frames.items() if frame.cause} == {1, 2}
     assert all(frame.verdict is Verdict.OK for frame in run.frames.values())
+
+
+def test_frames_of_the_time_in_which_a_clock_jumped_are_not_used() -> None:
+    """Two readings of the clock enclose the jump; before and after it each frame is proven."""
+    run, outages = run_with_frames({0: 1, 1: 2, 3: 4, 4: 5, 5: 6}), Outages()
+    for k, frame in enumerate(run.complete_frames[0]):
+        if frame.row in (4, 5):
+            run.complete_frames[0][k] = replace(frame, time_s=frame.time_s - 1.0)
+    outages.add_jump(0, ClockJump(-1.0, START_S + 0.15, START_S + 0.35))
+    missing, proof = conclude_run(run, [[]], outages, 1e-4)
+    assert [(frame.row, "its clock jumped by -1.00 s" in frame.cause) for frame in missing] == [(2, True)]
+    assert [(f.row, f.kind) for f in proof.findings] == [(3, "clock-jumped")]
+    assert (proof.proven, proof.cameras[0].proven) == (False, False)
+    assert {row for (_, row), frame in run.frames.items() if frame.usable} == {0, 1, 4, 5}
+
+
+def test_a_frame_that_a_jump_moved_to_another_run_is_no_extra_frame_there() -> None:
+    run, outages = run_with_frames({row: row + 1 for row in range(6)}), Outages()
+    outages.add_jump(0, ClockJump(37.0, START_S - 37.5, START_S - 36.5))
+    moved = ObservedFrame(None, 7, START_S + 0.23, START_S + 0.23, START_S - 36.8)
+    _, proof = conclude_run(run, [[moved]], outages, 1e-4)
+    assert proof.findings == ()
+
+
+def test_a_camera_that_answers_and_never_sent_a_packet_is_named() -> None:
+    run = run_with_frames({}, rows=2)
+    run.silent = frozenset({0})
+    assert causes(run) == dict.fromkeys(range(2), NO_PACKET)

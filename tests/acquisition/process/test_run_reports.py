@@ -6,10 +6,11 @@ from collections.abc import Callable
 
 import pytest
 
+from vaoi_station.acquisition.clocks import ClockJump
 from vaoi_station.acquisition.pairing.proof import TriggerProof
 from vaoi_station.acquisition.pairing.recorder import Finished
 from vaoi_station.acquisition.pairing.run_record import ObservedPulse, RunRecord
-from vaoi_station.acquisition.process.run_reports import finished_report, trouble_report
+from vaoi_station.acquisition.process.run_reports import clock_jump_error, finished_report, trouble_report
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import DeviceError
 from vaoi_station.model import FrameRecord, Pulse, Verdict
@@ -67,3 +68,11 @@ def test_the_head_states_the_rotation_of_boards_on_this_line(
     expected = config.line.expected_board.model_copy(update={"rotation_deg": configured})
     turned = config.model_copy(update={"line": config.line.model_copy(update={"expected_board": expected})})
     assert finished_report(turned, finished(None), 101.0).head.rotation_deg == written
+
+
+def test_a_clock_jump_names_the_camera_its_cost_and_what_to_do() -> None:
+    report = trouble_report(clock_jump_error("camera c0", ClockJump(37.0, 10.0, 10.5)))
+    assert report.message == (
+        "camera c0: its clock jumped by +37.00 s; frames of the 0.5 s before it was noticed are not used."
+    )
+    assert (report.code, "PTP" in report.action) == ("clock-jumped", True)

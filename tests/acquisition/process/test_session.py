@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from vaoi_station.acquisition.cameras.interface import Arrival, CameraBack, CameraLost, Slot
+from vaoi_station.acquisition.cameras.interface import Arrival, Slot
 from vaoi_station.acquisition.clocks import ClockModel, ClockReading
 from vaoi_station.acquisition.controller.interface import (
     BarrierBlocked,
@@ -131,10 +131,10 @@ def test_arming_is_refused_while_a_clock_is_unknown(make_config: Callable[..., S
 
 def test_arming_does_not_wait_for_the_clock_of_a_lost_camera(make_config: Callable[..., StationConfig]) -> None:
     with session_bench(make_config(), (1e-5, 1e-5, None)) as bench:
-        bench.session.camera_lost(CameraLost(1, 0.5, "it does not answer any more", DeviceError("camera c1: is gone.")))
+        bench.session.outages.begin(1, 0.5, "it does not answer any more")
         bench.session.arm(bench.plan)
         assert bench.of(Armed)
-        bench.session.camera_back(CameraBack(1, 0.6, ClockReading(0.0, 0.0, 1e-5)))
+        bench.session.outages.end(1, 0.6)
         with pytest.raises(DeviceError, match="camera c1"):
             bench.session.arm(bench.plan)
 

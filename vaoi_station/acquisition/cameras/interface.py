@@ -65,6 +65,11 @@ class CameraHealth:
     """What the operator should do if the camera is not connected; empty if that is not known."""
 
 
+def is_silent(health: CameraHealth) -> bool:
+    """Return whether not one packet of a connected GigE camera has arrived since it was opened."""
+    return health.connected and dict(health.counters).get("n_received_packets") == 0
+
+
 @dataclass(frozen=True)
 class DeviceFault:
     """A fault in the thread of a device, reported through the queue of the device's events."""

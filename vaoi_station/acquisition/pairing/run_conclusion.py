@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import replace
 
-from vaoi_station.acquisition.causes import Gap, explain_missing, find_gaps
+from vaoi_station.acquisition.causes import NO_PACKET, Gap, explain_missing, find_gaps
+from vaoi_station.acquisition.clocks import ClockJump
 from vaoi_station.acquisition.outages import Outages
-from vaoi_station.acquisition.pairing.proof import TriggerProof, prove, questioned_rows
+from vaoi_station.acquisition.pairing.proof import TriggerFinding, TriggerProof, prove, questioned_rows
 from vaoi_station.acquisition.pairing.run_record import ObservedFrame, RunRecord
 from vaoi_station.model import FrameRecord, Verdict
 
@@ -37,23 +38,56 @@ def conclude_run(
     """
     missing: list[FrameRecord] = []
     frames, gaps = [], []
+    jumped: list[dict[int, str]] = []
+    """Camera → {row: why the frame that was assigned to it cannot be dated}."""
     taken: list[set[int]] = [set() for _ in unassigned]
     for camera, row in run.taken:
         taken[camera].add(row)
     for camera, extra in enumerate(unassigned):
-        observed = [*run.complete_frames[camera], *_near_run(run, extra)]
+        jumped.append(_jumped_rows(run, camera, outages))
+        dated = [f for f in run.complete_frames[camera] if f.row not in jumped[-1]]
+        observed = [*dated, *(f for f in _near_run(run, extra) if _jump_of(f, camera, outages) is None)]
         frames.append([_with_epoch(f, outages.count_ended(camera, f.host_s)) for f in observed])
         opening = _opening_gap(run, previous, camera, extra, outages, taken[camera])
         gaps.append([*opening, *_gaps(run, frames[-1], taken[camera])])
         missing += _missing(run, camera, gaps[-1], outages, sum(f.row is None for f in observed))
     # The proof comes before the missing frames are recorded, because its findings are added to frames that did arrive.
     unconfirmed = {camera for camera, confirmed in run.latency_known.items() if not confirmed}
-    proof = prove(run.pulses, pulse_bound_s, frames, gaps, unconfirmed)
+    proof = _with_jumps(prove(run.pulses, pulse_bound_s, frames, gaps, unconfirmed), jumped)
     for record in missing:
         run.frames[record.camera, record.row] = record
     for camera in {finding.camera for finding in proof.findings}:
         _annotate(run, camera, proof)
     return missing, proof
+
+
+def _jump_of(frame: ObservedFrame, camera: int, outages: Outages) -> ClockJump | None:
+    """Return the clock jump that makes the time of a frame unknown, if there is one."""
+    # Under a wrong time the frame may seem to be exposed long before or after the jump; its arrival is certain.
+    times_s = (frame.arrived_s, frame.host_s)
+    return next((jump for s in times_s if (jump := outages.jump_between(camera, s, s)) is not None), None)
+
+
+def _jumped_rows(run: RunRecord, camera: int, outages: Outages) -> dict[int, str]:
+    """Return {row: finding} for the assigned frames of a camera whose time is unknown because its clock jumped."""
+    return {
+        frame.row: f"{jump} before, during or after its exposure, so that the frame may be of another pulse"
+        for frame in run.complete_frames[camera]
+        if frame.row is not None and (jump := _jump_of(frame, camera, outages)) is not None
+    }
+
+
+def _with_jumps(proof: TriggerProof, jumped: Sequence[Mapping[int, str]]) -> TriggerProof:
+    """Return the proof with a finding for every frame whose time is unknown because its camera's clock jumped."""
+    found = tuple(
+        TriggerFinding(camera=camera, row=row, kind="clock-jumped", text=text)
+        for camera, rows in enumerate(jumped)
+        for row, text in sorted(rows.items())
+    )
+    if not found:
+        return proof
+    cameras = tuple(c.model_copy(update={"proven": c.proven and not jumped[c.camera]}) for c in proof.cameras)
+    return TriggerProof(proven=False, cameras=cameras, findings=(*proof.findings, *found))
 
 
 def _with_epoch(frame: ObservedFrame, epoch: int) -> ObservedFrame:
@@ -119,10 +153,20 @@ def _missing(run: RunRecord, camera: int, gaps: Sequence[Gap], outages: Outages,
             cause = (
                 run.refused.get((camera, row))
                 or outages.cause_at(camera, run.pulses[row].host_s)
+                or _jump_cause(run, camera, row, outages)
+                or (NO_PACKET if camera in run.silent else "")
                 or explain_missing(row, numbered, gaps, unassigned)
             )
         records.append(FrameRecord(camera=camera, row=row, verdict=Verdict.MISSING, cause=cause))
     return records
+
+
+def _jump_cause(run: RunRecord, camera: int, row: int, outages: Outages) -> str:
+    """Return why a row has no frame if its camera's clock jumped then; an empty text otherwise."""
+    fired_s = run.pulses[row].host_s
+    # The frame of a pulse arrives within a period; the jump may lie before the one or after the other.
+    jump = outages.jump_between(camera, fired_s, fired_s + run.period_s)
+    return "" if jump is None else f"{jump} then, so that no frame could be assigned by its time stamp"
 
 
 def _annotate(run: RunRecord, camera: int, proof: TriggerProof) -> None:

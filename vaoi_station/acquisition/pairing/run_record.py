@@ -80,6 +80,8 @@ class RunRecord:
     latency_known: dict[int, bool] = field(default_factory=dict)
     """For each camera whose latency was learnt from this run: whether the beginning of the run confirms the latency."""
 
+    silent: frozenset[int] = frozenset()
+    """Cameras of which not one packet had arrived when the pulses ended, although they answer requests."""
     interruptions: list[Interruption] = field(default_factory=list)
     """Interruptions of the barrier during the run, by the controller's clock."""
 

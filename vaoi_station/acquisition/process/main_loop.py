@@ -28,7 +28,7 @@ from vaoi_station.acquisition.controller.interface import Controller, Controller
 from vaoi_station.acquisition.devices import Devices
 from vaoi_station.acquisition.process.backends import open_devices
 from vaoi_station.acquisition.process.messages import Arm, Disarm, FireOne, Grant, Health, Ready, Report, Shutdown
-from vaoi_station.acquisition.process.run_reports import trouble_report
+from vaoi_station.acquisition.process.run_reports import clock_jump_error, trouble_report
 from vaoi_station.acquisition.process.session import Session
 from vaoi_station.acquisition.ring.ring import Ring, RingLayout
 from vaoi_station.config import StationConfig
@@ -213,13 +213,13 @@ class _MainLoop:
         elif isinstance(item, _ControllerDisarmed):
             self._session.finish_disarming(now_s)
         elif isinstance(item, CameraLost):
-            self._session.camera_lost(item)
+            self._session.outages.begin(item.camera, item.since_s, item.why)
             self._send(trouble_report(item.error))
         elif isinstance(item, CameraBack):
             # The reading is added first: the clock may have restarted, and the reading is needed to date the next
             # arrival.
             self._clocks[1 + item.camera].add(item.reading)
-            self._session.camera_back(item)
+            self._session.outages.end(item.camera, item.at_s)
         elif isinstance(item, DeviceFault):
             self._send(trouble_report(item.error, item.device))
         elif isinstance(item, ClockReading):
@@ -234,7 +234,12 @@ class _MainLoop:
         clock = self._clocks[polled.number]
         # The loss of a camera has been reported already. A second report would end an arming that succeeds without it.
         if isinstance(polled.result, ClockReading):
-            clock.add(polled.result)
+            jump = clock.add(polled.result)
+            if jump is not None and polled.number > 0:
+                self._session.outages.add_jump(polled.number - 1, jump)
+                # A jump before the line is armed harms no board. Reported as trouble it would end the arming.
+                if self._waiting is None:
+                    self._send(trouble_report(clock_jump_error(clock.name, jump)))
         elif not self._session.is_away(polled.number):
             self._send(trouble_report(polled.result, clock.name))
 

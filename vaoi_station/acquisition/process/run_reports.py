@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from vaoi_station.acquisition.clocks import ClockJump
 from vaoi_station.acquisition.pairing.doubts import doubts_of
 from vaoi_station.acquisition.pairing.recorder import Finished
 from vaoi_station.acquisition.process.messages import RunFinished, Trouble
 from vaoi_station.config import StationConfig
-from vaoi_station.errors import VaoiError
+from vaoi_station.errors import DeviceError, VaoiError
 from vaoi_station.model import RecordingHead
 
 
@@ -41,6 +42,15 @@ def finished_report(config: StationConfig, finished: Finished, now_s: float) -> 
         unassigned=record.unassigned,
         proof=finished.proof,
         interruptions=record.interruptions_s(),
+    )
+
+
+def clock_jump_error(camera: str, jump: ClockJump) -> DeviceError:
+    """Return the error that reports a jump of a camera's clock."""
+    return DeviceError(
+        f"{camera}: {jump}; frames of the {jump.until_s - jump.since_s:.1f} s before it was noticed are not used.",
+        action="Switch off what sets the camera's clock (PTP, IEEE 1588, another program), and check its power.",
+        code="clock-jumped",
     )
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterable
 
-from vaoi_station.acquisition.cameras.interface import Arrival, CameraBack, CameraLost
+from vaoi_station.acquisition.cameras.interface import Arrival, is_silent
 from vaoi_station.acquisition.clocks import ClockModel
 from vaoi_station.acquisition.controller.interface import (
     BarrierBlocked,
@@ -24,6 +24,7 @@ from vaoi_station.acquisition.controller.interface import (
     TriggerPlan,
 )
 from vaoi_station.acquisition.devices import Devices
+from vaoi_station.acquisition.outages import Outages
 from vaoi_station.acquisition.pairing.latency import LatencySettings
 from vaoi_station.acquisition.pairing.recorder import Finished, Outcome, Recorder, Unassigned
 from vaoi_station.acquisition.pairing.run_record import RunRecord
@@ -276,13 +277,10 @@ class Session:
         self._slot_queue.mark_returned(arrival.slot)
         self._apply(self._recorder.add_arrival(arrival, now_s), now_s)
 
-    def camera_lost(self, event: CameraLost) -> None:
-        """Record that a camera is away. Its missing frames get this as their cause."""
-        self._recorder.outages.begin(event.camera, event.since_s, event.why)
-
-    def camera_back(self, event: CameraBack) -> None:
-        """Record that a camera delivers frames again."""
-        self._recorder.outages.end(event.camera, event.at_s)
+    @property
+    def outages(self) -> Outages:
+        """The outages of the cameras and the jumps of their clocks, which are the causes of missing frames."""
+        return self._recorder.outages
 
     def is_away(self, number: int) -> bool:
         """Whether a device was lost and is not back; cameras count from 1, the controller (0) is never away."""
@@ -314,6 +312,7 @@ class Session:
     def _end_run(self, pulses: int, reason: str, now_s: float) -> None:
         assert self._run is not None
         record, self._run, self._silent_s = self._run, None, float("inf")
+        record.silent = frozenset(k for k, c in enumerate(self._devices.cameras) if is_silent(c.health()))
         # From here on, the log belongs to what is still in the barrier. The run keeps the interruptions known at its
         # end.
         self._barrier.over = self._barrier.over or record.interruptions is self._barrier.interruptions
