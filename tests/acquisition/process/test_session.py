@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from vaoi_station.acquisition.cameras.interface import Arrival, Slot
+from vaoi_station.acquisition.cameras.interface import Arrival, CameraHealth, Slot
 from vaoi_station.acquisition.clocks import ClockModel, ClockReading
 from vaoi_station.acquisition.controller.interface import (
     BarrierBlocked,
@@ -64,6 +64,9 @@ class ScriptedDevice:
         if self.refuses:
             raise DeviceError("the port is gone.", action="Plug it in.")
         self.fired += 1
+
+    def health(self) -> CameraHealth:
+        return CameraHealth(True)
 
 
 @dataclass
