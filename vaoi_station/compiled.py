@@ -46,7 +46,7 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def progress() -> tuple[int, int]:
-    """Return the number of functions that this process has compiled or loaded from the cache, and that of all."""
+    """Return how many functions this process has compiled or loaded from the cache, and how many there are."""
     return sum(bool(made.signatures) for made in _functions), len(_functions)
 
 

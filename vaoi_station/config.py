@@ -139,10 +139,10 @@ class CameraConfig(Section):
     features: dict[str, bool | Whole | Finite | str] = {}
     """Further settings by their GenICam names, written in this order before the trigger settings."""
     nominal_center_mm: tuple[Finite, Finite] | None = None
-    """Centre of its view by the mechanical design, in tester coordinates; calibration needs it to a few mm."""
+    """Nominal centre of the camera's view, in tester coordinates, mm; calibration needs it to within a few mm."""
     nominal_px_per_mm: Positive | None = None
     nominal_roll_deg: Annotated[Finite, Field(ge=-360, le=360)] | None = None
-    """How it is mounted: its rotation from image x towards image y; 180 is upside down. None: upright."""
+    """Rotation of the mounted camera, from image x towards image y; 180 is upside down. None: upright."""
 
     @property
     def label(self) -> str:
@@ -287,7 +287,7 @@ class ApiConfig(Section):
     open_loopback: bool = True
     """Whether programs on this machine may read, operate and teach without a key. All others need one."""
     certificate: Path | None = None
-    """Certificate of the station with its chain (PEM); with it the service speaks TLS only."""
+    """Certificate of the station with its chain (PEM); if it is given, the service accepts only TLS."""
     private_key: Path | None = None
     """Private key of the certificate (PEM)."""
 

@@ -49,7 +49,7 @@ class SupervisedThread(threading.Thread):
         self._beat_s = math.inf
 
     def expect_end(self) -> None:
-        """Record that the thread is asked to end, so that its end is no fault."""
+        """Record that the thread was asked to end, so that its end is not a fault."""
         self._end_expected = True
 
     def run(self) -> None:

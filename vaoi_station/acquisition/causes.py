@@ -45,7 +45,7 @@ class Gap:
     pulses: int
     """Count of pulses fired after the pulse of row `before`, up to and including the pulse of row `after`."""
     exposed: int
-    """Count of frames that the camera exposed for these pulses, by its frame ids."""
+    """Count of frames that the camera exposed in the gap, according to its frame ids."""
     missing: tuple[int, ...]
     """Rows between `before` and `after` of which no frame arrived."""
 

@@ -20,7 +20,7 @@ from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import CameraHead
 
 DECISIVE = 7.0
-"""An assignment counts as known if its log-likelihood is higher than that of any other by this: a factor of 1000."""
+"""An assignment counts as known if its log-likelihood exceeds that of every other by this (a factor of 1000)."""
 _APART_MM = 0.5
 """Two hypotheses whose views are nearer to one another than this assign the same marks."""
 _TOLERANCE_SIGMAS = 2.0
@@ -70,7 +70,7 @@ class Assignment:
 def assign_array(
     options: Sequence[tuple[Hypothesis, ...]], heads: Sequence[CameraHead], tolerance_mm: float
 ) -> tuple[Assignment, ...]:
-    """Choose one hypothesis per camera, and test it against the others.
+    """Choose one hypothesis for each camera, and test each choice against the other hypotheses.
 
     Args:
         options: hypotheses of each camera.

@@ -26,8 +26,8 @@ _MIN_SIZE_PX = 8
 _MIN_SHARE = 0.3
 """Least share of the marks expected in a frame that must be found; with fewer, the layout belongs to another board."""
 _UNDETERMINED = 0.5
-"""A lens counts as not determined if the marks did not reduce its standard deviation below this share of the
-prior's."""
+"""If the marks do not reduce the standard deviation of a lens below this share of the prior's, the lens is
+undetermined."""
 _COARSE_PX = 0.2
 """Standard deviation at the frame's corners above which a warning says that the marks are badly distributed."""
 _NO_FREEDOM = 0.5
@@ -65,7 +65,8 @@ class CameraResult:
     """The action by which the user can remove the cause of the refusal."""
     notes: tuple[str, ...] = ()
     ambiguous: bool = False
-    """Whether it was refused because its marks fit the layout in two ways. Another layout would not help."""
+    """Whether the camera was refused because its marks fit the layout in two ways, so that another layout would not
+    help."""
 
     @property
     def used(self) -> int:

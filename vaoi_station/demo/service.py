@@ -18,7 +18,7 @@ from vaoi_station.errors import DeviceError, InternalError
 START_S = 60.0
 """Longest time until the service listens, also on a busy machine."""
 END_S = 30.0
-"""Longest time for the service to end after SIGTERM. Then it is killed, and its child processes end with it."""
+"""Longest time, s, for the service to end after SIGTERM; after it, the service is killed with its child processes."""
 _LOG_LINES = 200
 _LISTENING = re.compile(r"listening on (http://\S+)")
 

@@ -56,7 +56,7 @@ def poll(client: Client, after: str | None) -> dict[str, Any] | None:
 
 
 def _latest(client: Client) -> Any:
-    """Return the latest run. It may have finished before the first poll began, so that no poll returns it."""
+    """Return the latest run, which may have finished before the first poll began, so that no poll returns it."""
     try:
         return client.get("/runs/latest")
     except NotFoundError:

@@ -12,7 +12,7 @@ from vaoi_station.errors import InputError
 
 
 def refuse_existing(*targets: Path, action: str = "Choose another path, or remove what is there.") -> None:
-    """Refuse paths that exist. It is called before the work whose outcome would be written there.
+    """Refuse paths that exist, before the work whose outcome would be written to them.
 
     Raises:
         InputError: a target exists. It is an error of input like every other unsuitable path (exit code 2).

@@ -1,4 +1,4 @@
-"""What a program shows a station to be let in, and whose certificate it trusts.
+"""The credentials of a program for a station: the caller's key, and the certificates that the program trusts.
 
 A key is never an argument of a command: every user of the machine can read the arguments of all processes. It comes
 from a file, or from the environment, which only the same user can read.

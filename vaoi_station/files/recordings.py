@@ -100,7 +100,7 @@ class Recording:
         return Recording(self.directory, self.head.model_copy(update={"rotation_deg": rotation_deg}))
 
     def copy_head(self, directory: Path) -> None:
-        """Write the head to another directory: the file as it is, but with the rotation of this recording."""
+        """Write the head to another directory: a copy of the file, but with the rotation of this recording."""
         data = read_json(self.directory / "recording.json")
         if data.get("rotation_deg") == self.head.rotation_deg:
             shutil.copyfile(self.directory / "recording.json", directory / "recording.json")

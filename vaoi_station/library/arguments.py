@@ -53,7 +53,7 @@ def require_number(function: str, name: str, value: Any, least: float, most: flo
 
 
 def require_instance(function: str, name: str, value: object, *kinds: type) -> None:
-    """Refuse an argument that is not an instance of one of these classes."""
+    """Refuse an argument that is not an instance of one of the given classes."""
     if not isinstance(value, kinds):
         names = " or ".join(kind.__name__ for kind in kinds)
         raise InputError.field(function, name, value, f"of type {names}, not {type(value).__name__}")

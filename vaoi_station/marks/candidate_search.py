@@ -17,7 +17,9 @@ from vaoi_station.marks.candidate_kernels import ring_offsets, scan_candidates, 
 from vaoi_station.marks.mark_shape import CROSS_ARM, Shape, coverage
 
 SURROUND = 2.0
-"""Diameter of the compared disc divided by the size of the mark. It covers the mark and the bare rim around it."""
+"""Diameter of the compared disc, divided by the size of the mark.
+
+The disc covers the mark and the bare rim around it."""
 _MIN_SIZE_PX = 5.0
 _MIN_CORRELATION = 0.75
 _RIM_SHARE, _RIM_PX = 0.2, 1.25

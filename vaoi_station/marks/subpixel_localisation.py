@@ -29,7 +29,9 @@ _QUICK_SIDE = 12
 _MAX_STEPS, _MAX_QUICK_STEPS = 12, 5
 """Largest number of iterations of the disc fit, if `precise` is true or false. Undisturbed discs take three."""
 _SMOOTH, _MIN_SMOOTH_PX, _MAX_SMOOTH_PX = 1 / 16, 0.8, 1.5
-"""Blur before the symmetry fit, as a share of the size, and its limits in px. It removes the aliasing of the sensor."""
+"""Blur before the symmetry fit, as a share of the mark's size, and its limits in px.
+
+The blur removes the aliasing of the sensor."""
 _EDGE_PX = 2.0
 """Width of the strip around a mark that its blurred edge affects."""
 _SHARP_PX = 0.67

@@ -15,7 +15,7 @@ class Constraint:
 
     name: str
     equation: str
-    """The inequality as the paper writes it, with its number if it has one."""
+    """The inequality as the paper writes it, with its equation number if it has one."""
     value: float | None
     relation: Literal["≤", "≥"]
     limit: float | None

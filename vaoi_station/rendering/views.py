@@ -254,7 +254,7 @@ def compute_views(
 
 
 def require_resolution(px_per_mm: object) -> None:
-    """Raise InputError unless a resolution is None (that of the cameras) or a number within its limits."""
+    """Raise InputError unless a resolution is a number within its limits, or None for the resolution of the cameras."""
     if px_per_mm is not None and not _is_within(px_per_mm, *RESOLUTION_LIMITS):
         limit = f"None or a number from {RESOLUTION_LIMITS[0]:g} to {RESOLUTION_LIMITS[1]:g}"
         raise InputError.field("component images", "px_per_mm", px_per_mm, limit)

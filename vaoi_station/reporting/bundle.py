@@ -1,4 +1,4 @@
-"""Write a run and everything it was stitched from into one directory, so that it can be stitched again elsewhere."""
+"""Write a run, with all files from which it was stitched, into one directory, so that it can be stitched elsewhere."""
 
 from __future__ import annotations
 

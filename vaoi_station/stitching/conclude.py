@@ -58,7 +58,10 @@ class PriorKnowledge:
     """A function that returns a prepared frame of the reference; None if its frames cannot be read."""
 
     def reference_scene(self, cameras: tuple[Camera, ...]) -> Scene | None:
-        """Return the frames of the reference, filmed by the same cameras; None if there are none that can be read."""
+        """Return the frames of the reference, filmed by the same cameras.
+
+        None without a reference or if they cannot be read.
+        """
         if self.reference is None or self.reference_frame is None:
             return None
         return Scene(cameras, tuple(sorted(self.reference.present)), self.reference_frame)

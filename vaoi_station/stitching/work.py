@@ -64,7 +64,7 @@ class StitchSetup:
 
     @cached_property
     def plane(self) -> BoardPlane | None:
-        """The board plane of the board type as these cameras see it; None without a board type."""
+        """The board plane of the board type for the cameras of this set-up; None without a board type."""
         return None if self.board_type is None else board_plane(self.board_type, self.cameras[0])
 
 

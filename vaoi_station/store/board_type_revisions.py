@@ -68,7 +68,7 @@ class BoardTypeRevisions:
         return kept
 
     def discard(self, kept: Path) -> None:
-        """Delete a version that is no version: what replaced it is equal, or was not written."""
+        """Delete a version that is not needed, because its replacement is equal to it or was not written."""
         kept.unlink(missing_ok=True)
 
     def bound(self, kept: Path) -> None:

@@ -87,7 +87,7 @@ class Store:
         return self._database.free_bytes
 
     def keep_document(self, kind: Kind, document: str, now: str) -> str:
-        """Store a board type or a calibration as it was used, and return its digest."""
+        """Store a board type or a calibration in the form in which it was used, and return its digest."""
         digest = digest_of(document)
         row = (digest, kind, now, document)
         self._documents[digest] = row

@@ -96,7 +96,7 @@ class RunRetention:
         return self._database.write(write)
 
     def forgotten(self, run: str) -> bool:
-        """Return whether a run without a row is so old that it may have been deleted."""
+        """Return whether a run without a row is so old that its row may have been deleted."""
         rows = self._database.read("SELECT max(last) AS last FROM forgotten")
         return rows[0]["last"] is not None and run <= str(rows[0]["last"])
 

@@ -28,7 +28,7 @@ TIMELINE_FILE, CONFIGURATION_FILE, CALIBRATION_FILE, BOARD_FILE = (
 
 
 def export_run(config_path: Path, run: str, out: Path) -> bool:
-    """Write a run to a file; return whether its frames are in it.
+    """Write a run to a file; return whether the file contains its frames.
 
     Raises:
         InputError: the file exists.

@@ -86,7 +86,7 @@ class CameraLost:
     since_s: float
     """Earliest time.monotonic() from which on the camera may have been away."""
     why: str
-    """Why it stopped, in a few words; this appears in the cause of every frame that is missing during the outage."""
+    """Cause of the loss in a few words; it appears in the cause of every frame that is missing during the outage."""
     error: VaoiError
 
 

@@ -20,7 +20,7 @@ GATE_S = 0.010
 ENOUGH = 3
 """Number of frames, from the first pulses of a run, that confirm a latency which is far from the expected one."""
 SILENT_PERIODS = 2
-"""If no frame comes for this number of periods before the first pulse, the first frame is that of the first pulse."""
+"""If no frame comes for this number of periods before the first pulse, the first frame belongs to the first pulse."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Beginning:
     bound_s: float
     """Error bound of the controller's clock plus that of the camera's clock."""
     from_silence: bool
-    """Whether the first of these pulses was the first of the run, and the camera delivered no frame just before it."""
+    """Whether `pulses_s` begins with the run's first pulse, and the camera delivered no frame shortly before it."""
     all_fired: bool = False
     """Whether all pulses of the run were fired and are in `pulses_s`."""
     overdue: bool = False
@@ -137,7 +137,7 @@ def learn(begun: Beginning, expected_s: float, gate_s: float) -> Learnt | None:
 
 
 def in_order_s(pulses_s: Sequence[float], frames_s: Sequence[float], bound_s: float, spread_s: float) -> float | None:
-    """Return the latency at which the k-th frame is that of the k-th pulse; None if there is no such latency.
+    """Return the latency at which the k-th frame belongs to the k-th pulse; None if there is no such latency.
 
     Args:
         pulses_s: times of all pulses of a run, ascending.

@@ -65,7 +65,7 @@ class RunRecord:
     complete_frames: defaultdict[int, list[ObservedFrame]] = field(default_factory=lambda: defaultdict(list))
     """For each camera, the complete frames that are assigned to a row of the run."""
     refused: dict[tuple[int, int], str] = field(default_factory=dict)
-    """(camera, row) → why its frame could not be kept although it arrived."""
+    """For each (camera, row) whose frame arrived but could not be kept, the cause."""
     unassigned: int = 0
     """Count of frames that belong to no pulse."""
     last_frame_host_s: float | None = None

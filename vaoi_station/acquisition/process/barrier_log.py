@@ -8,9 +8,9 @@ from vaoi_station.acquisition.pairing.run_record import Interruption
 
 
 class BarrierLog:
-    """Collects the barrier's edges of one passage: of a run, and of what stays in the barrier after it.
+    """Collects the edges of the barrier during one passage: of a run, and of what stays in the barrier after its end.
 
-    Controller times.
+    Times are those of the controller's clock, s.
     """
 
     def __init__(self) -> None:

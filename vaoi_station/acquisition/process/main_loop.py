@@ -181,7 +181,7 @@ class _MainLoop:
             self._try(self._disarm_when_due)
 
     def _check_threads(self) -> None:
-        """Raise InternalError, which ends this process, if a thread has ended or hangs: the station restarts it."""
+        """Raise InternalError if a thread has ended or hangs. This ends the process, and the station restarts it."""
         for fault in (*self._failures, *faults_of(self._threads)):
             raise InternalError(f"In the acquisition process: {fault}", code="thread-lost")
 

@@ -43,7 +43,7 @@ def ring_path(config: StationConfig) -> Path:
 
 
 class Ring:
-    """The open ring with its frames. The process that called `create` owns it; `attach` only maps it."""
+    """The open ring with its frames. The process that called `create` owns the ring; `attach` only maps it."""
 
     def __init__(self, path: Path, layout: RingLayout, handle: int, *, writable: bool, owner: bool) -> None:
         """Map the open file `handle`. Callers use `create` or `attach` instead of this constructor."""
@@ -106,7 +106,7 @@ class Ring:
 
     @property
     def owned(self) -> bool:
-        """Whether this process created the file, so that it will also unlink it."""
+        """Whether this process created the file and must therefore delete it."""
         # A forked child inherits this object, but it must not delete the file of its parent.
         return self._owner_pid == os.getpid()
 

@@ -29,7 +29,7 @@ SUFFIX = ".ring"
 
 
 def start_ticks(pid: int) -> int | None:
-    """Return when a process started, in kernel ticks since boot; None if there is no such process.
+    """Return the start time of a process, in kernel ticks since boot; None if there is no such process.
 
     Pid and start time together identify a process: pids are reused, start times are not.
     """

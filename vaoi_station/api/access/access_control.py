@@ -44,7 +44,10 @@ class AccessControl:
         self._minute, self._refused = 0, 0
 
     def refusal(self, scope: Scope) -> Response | None:
-        """Store the caller of a request in it; return a refusal if the caller may not send this request, else None."""
+        """Identify the caller and store it in the request.
+
+        Return a refusal if the request is not permitted, else None.
+        """
         headers, path = Headers(scope=scope), scope["path"]
         try:
             caller, with_cookie = self._caller(scope, headers)

@@ -23,7 +23,7 @@ Labels = Mapping[str, str]
 
 
 class Metric(NamedTuple):
-    """A metric: its name, type and description, and its samples with a suffix of the name and labels."""
+    """A metric: its name, type and description, and its samples, each with a suffix of the name, labels and a value."""
 
     name: str
     kind: str

@@ -32,7 +32,7 @@ class Panel:
 
 
 def draw_bias_panels(panels: Sequence[Panel], title: str, methods: tuple[str, str]) -> str:
-    """Draw panels one below the other as SVG: the curve of this station's method in green, that of the other in red.
+    """Draw panels one below the other as SVG: this station's method in green, the other method in red.
 
     Args:
         panels: the panels, from top to bottom.

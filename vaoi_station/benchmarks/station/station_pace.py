@@ -50,7 +50,7 @@ class BoardFigures:
     lag_first_half_ms: float
     """Time from the arrival of the later of two frames to their link, median over the rows of the first half."""
     lag_second_half_ms: float
-    """Median of the same time over the rows of the second half. If it is larger, the station falls behind."""
+    """The same as `lag_first_half_ms` for the second half of the rows. If it is larger, the station falls behind."""
 
 
 @dataclass(frozen=True)

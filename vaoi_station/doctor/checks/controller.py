@@ -82,7 +82,7 @@ def controller(context: CheckContext) -> Iterator[Finding]:
 
 
 def of_running_station(context: CheckContext) -> Finding:
-    """Report the controller's state as the running station gives it. The check `station` reports its problems."""
+    """Report the controller's state as the running station states it; the check `station` reports its problems."""
     assert context.running is not None
     if not context.running.snapshot:
         return warning(

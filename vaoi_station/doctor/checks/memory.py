@@ -71,7 +71,7 @@ def _judge_space(context: CheckContext, needed: int, free: int, available: int |
 
 
 def lock_limit(context: CheckContext) -> Iterator[Finding]:
-    """Check memory locking: that a running station has locked its ring, else that this user is permitted to do so."""
+    """Check that a running station has locked its ring in memory; without one, that this user is permitted to do so."""
     needed = context.layout.file_bytes
     if context.running is not None and context.running.pid is None:
         yield not_applicable(f"{context.running.description} holds the ring; whether it is locked cannot be read")

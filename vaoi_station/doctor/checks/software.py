@@ -64,14 +64,14 @@ def compiled_code_cache(machine: Machine) -> Iterator[Finding]:
 
 
 class ServiceUnit(NamedTuple):
-    """What the systemd unit of the station says about its user and its cache."""
+    """The user and the cache directory that the systemd unit of the station states."""
 
     user: str
     cache: Path | None
 
 
 def _unit_of_this_installation(machine: Machine) -> ServiceUnit | None:
-    """Read the unit that runs the station of this environment; None if there is none."""
+    """Read the unit that runs the station of this environment; None if there is no such unit."""
     for place in ("etc/systemd/system", "usr/local/lib/systemd/system", "usr/lib/systemd/system"):
         text = machine.text(f"{place}/{UNIT}")
         if text is None:

@@ -37,7 +37,9 @@ class Vectors:
     at_px: Floats
     off_px: Floats
     links: int = 0
-    """Number of links. It is smaller than k for links between rows: both points of such a link count in k."""
+    """Number of links.
+
+    It is smaller than k for links between rows, because both points of such a link count in k."""
 
     @property
     def rms_px(self) -> float | None:

@@ -10,7 +10,7 @@ DARK = -1
 
 @dataclass(frozen=True)
 class TriggerCommand:
-    """One rising edge of the trigger line, and what the camera delivers for it."""
+    """One rising edge of the trigger line, and the frame that the camera delivers for it."""
 
     picture: int
     """Index of the picture in the selected file of frames; DARK: a black frame."""

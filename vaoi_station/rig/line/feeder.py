@@ -1,4 +1,4 @@
-"""Feed the line: let one board after another pass, each one when the station is ready to record it."""
+"""Let one board after another pass the line, each as soon as the station is ready to record it."""
 
 from __future__ import annotations
 

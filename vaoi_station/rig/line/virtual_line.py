@@ -28,7 +28,9 @@ from vaoi_station.rig.line.rendered_boards import RenderedBoard
 LEAD_S = 0.05
 """Time from `start_passage` to the start of the passage. The emulator must receive the planned edges in this time."""
 PULSE_TOLERANCE_S = 5e-6
-"""Largest difference between a pulse and its rendered time. It moves a board by 0.02 px at 100 mm/s and 40 px/mm."""
+"""Largest difference between the time of a pulse and the time for which its frames were rendered, s.
+
+At 100 mm/s and 40 px/mm, it displaces the board by 0.02 px."""
 BRIGHTNESS_TOLERANCE = 0.005
 """Relative difference up to which a brightness counts as the rendered brightness. LED on-times are exact to 0.2 µs."""
 LOST_PACKET_SHARE = 0.05
@@ -83,7 +85,7 @@ class FiredPulse:
     brightness: list[float]
     """Brightness of each camera's frame, relative to the rendered frame."""
     note: str = ""
-    """Text that describes how the pulse differs from what was rendered; empty: it does not."""
+    """Text that states how the pulse differs from the pulse for which frames were rendered; empty if it does not."""
     sent_ms: dict[int, float] = field(default_factory=dict)
     """Camera → time, ms, from the pulse to the first packet of the camera's frame."""
 

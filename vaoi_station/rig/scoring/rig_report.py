@@ -33,11 +33,11 @@ class BoardScore(Strict):
 
     board: int
     run: str | None
-    """Id of the station's run of this board; None: there is none."""
+    """Id of the run by which the station recorded this board; None if there is no such run."""
     state: str | None
     status: str | None
     armed_id: str | None
-    """Board id with which the station was armed for this board; None: it was not."""
+    """Board id with which the station was armed for this board; None if it was not armed for it."""
     board_id: str | None
     """Board id of the station's run; None: the run has none."""
     reasons: tuple[str, ...]

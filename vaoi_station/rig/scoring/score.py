@@ -17,7 +17,9 @@ Cell = tuple[int, int]
 RUN_MATCH_S = 0.5
 """Largest difference between the barrier edge of a run and that of a passage, if the run is of that passage."""
 IN_FLIGHT_S = 0.2
-"""Longest time from a pulse to the last packet of its frames. An outage can still hit a frame in this time."""
+"""Longest time from a pulse to the last packet of its frames, s.
+
+An outage that begins within this time after a pulse may still lose frames of the pulse."""
 _OUTCOME_TEXTS: dict[FrameOutcome, str] = {
     "ignored": "the camera ignored the pulse",
     "hit": "packets were lost",
@@ -54,7 +56,7 @@ class BoardEvidence:
     """Comparison of the ring with the rendered frames; None: not done."""
     px_per_mm: Sequence[float]
     armed_id: str | None = None
-    """Board id with which the station was armed for this board; None: it was not."""
+    """Board id with which the station was armed for this board; None if it was not armed for it."""
 
 
 def score(evidence: BoardEvidence, outages: Sequence[Outage]) -> BoardScore:

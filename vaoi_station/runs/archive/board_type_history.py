@@ -25,7 +25,7 @@ class BoardTypeHistory:
     """Lists and restores versions. Methods may be called from any thread except the coordinator's."""
 
     def __init__(self, directory: BoardTypeDirectory, put: Callable[[BoardType, str], bool]) -> None:
-        """Serve the versions of a directory; `put` stores a board type, and gets where it comes from for its event."""
+        """Serve the versions of a directory's board types. `put` stores a board type, with its origin for the event."""
         self._directory, self._put = directory, put
 
     def deleted(self) -> tuple[str, ...]:
@@ -44,7 +44,10 @@ class BoardTypeHistory:
         return self._directory.revision(name, revision)
 
     def restore(self, name: str, revision: str) -> BoardType:
-        """Put a version in force again, as if it were stored now, and return it. The present one becomes a version."""
+        """Put an earlier version in force again, as if it were stored now, and return it.
+
+        The present one is kept as a version.
+        """
         board_type = self._directory.revision(name, revision)
         self._put(board_type, f" by its version {revision}")
         return board_type

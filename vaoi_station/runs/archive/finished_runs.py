@@ -201,7 +201,7 @@ class Archive:
         return self._unstored.get(run) or self._recent.get(run)
 
     def _numbered(self, finish_number: int) -> FinishedRun | None:
-        """Return the finished run with this number if it is in memory."""
+        """Return the finished run with this finish number if it is in memory, else None."""
         runs = (*self._recent.values(), *self._unstored.values())
         return next((run for run in runs if run.finish_number == finish_number), None)
 

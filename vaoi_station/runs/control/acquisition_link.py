@@ -34,9 +34,10 @@ EXIT_S = 2.0
 PACE = BackoffPolicy(first_s=0.5, longest_s=60.0, proven_s=30.0)
 """Pauses between restarts of the acquisition process."""
 PLUGGED_S = 6.0
-"""Longest pause between restarts while a device is absent or in use, so that it is used soon after it is plugged in.
+"""Longest pause between restarts while a device is absent or in use.
 
-After other failures (refused settings, wrong input, a crash), earlier retries would not help."""
+It is short, so that a device is used soon after it is plugged in. After other failures (refused settings, wrong input,
+a crash), earlier retries would not help."""
 _ABSENT = frozenset(
     {
         "camera-absent",
@@ -96,7 +97,7 @@ def spawn_launcher(config: StationConfig, ring: Path) -> Launch:
 
 
 def acquire(config: StationConfig, ring: str, connection: Connection[Any, Any]) -> None:
-    """Run the acquisition process until it ends. This function is the target of `multiprocessing.Process`."""
+    """Run the acquisition process until it ends. The child process starts with this function."""
     set_up_process(one_thread=False)
     # Imported here: camera libraries must not be loaded into the station's own process.
     from vaoi_station.acquisition.process.main_loop import run_acquisition
@@ -122,7 +123,7 @@ class _Attempt:
         return time.monotonic() - self.last_message_s
 
     def record(self, report: Report) -> None:
-        """Record that a message has arrived now, and what it states about the start of the process."""
+        """Record that a message has arrived now, and which trouble or readiness of the process it states."""
         self.last_message_s, self.has_reported = time.monotonic(), True
         if isinstance(report, Ready):
             self.ready = True
@@ -211,7 +212,7 @@ class AcquisitionLink:
         return "" if self._started or self._stopping.is_set() else WAITING
 
     def stop(self, timeout_s: float = 5.0) -> None:
-        """Let the process close its devices and end; after `timeout_s` kill it. A second call does nothing."""
+        """Let the process close its devices and end; kill it after `timeout_s`. A second call has no effect."""
         if self._stopping.is_set():
             return
         self._stopping.set()

@@ -235,7 +235,7 @@ class Core:
         self.line.keep_memory_granted()
 
     def _watch_trigger(self, report: messages.RunFinished) -> None:
-        """Publish for which cameras this run has brought doubts about their frames, and for which it has ended them."""
+        """Publish the warnings about frames in doubt that begin with this run, and those that end with it."""
         begun, ended = self.trigger.add(report)
         for reason in begun:
             self._events.add("trouble", reason.message, run=report.run, code=reason.code, action=reason.action)

@@ -42,7 +42,10 @@ class BoardAccount:
         self._miss(1, (report.host_time_s, now_s), Reason(code="board-missed", message=message, action=action))
 
     def passage_missed(self, report: MissedPassage, now_s: float) -> None:
-        """Count the boards that followed a missed board within the same passage; it was counted when it came."""
+        """Count the boards that followed a missed board within the same passage.
+
+        The missed board itself was counted when it came.
+        """
         order = self._orders.order
         if order is None or len(report.interruptions) == 0:
             return
@@ -65,7 +68,7 @@ class BoardAccount:
         self._check_id(progress)
 
     def end(self, progress: Progress, now_s: float) -> None:
-        """Add what the barrier shows about an ended run to its faults; count the boards that have no run.
+        """Add faults of an ended run that its interruptions of the barrier show; count boards that have no run.
 
         Runs end in the order of their boards, so that everything about earlier boards is known here.
         """

@@ -53,7 +53,9 @@ class Doubt(NamedTuple):
     """A board that may have passed without a run."""
 
     edge_s: float
-    """Host time at which the board interrupted the barrier, or until which it may have done so."""
+    """Host time at which the board interrupted the barrier.
+
+    If that time is not known, it is the latest time at which the board may have done so."""
     published_s: float
     """Host time at which callers could first know of it."""
     why: str
@@ -106,7 +108,9 @@ class Orders:
         self._doubts.append(Doubt(edge_s, published_s, why))
 
     def doubt_of(self, since_s: float, barrier_s: float) -> str | None:
-        """Return why it is not certain that the board id of an order belongs to a board; None if it is certain.
+        """Return the cause if an order's board id may belong to another board than the given one.
+
+        None if it is certain.
 
         Args:
             since_s: time since which the order was in force.
@@ -119,7 +123,10 @@ class Orders:
 
     @property
     def present_doubt(self) -> str | None:
-        """Return why the armed board id may not be that of the next board; None if it is certain, or none is armed."""
+        """Return the cause if the armed board id may belong to another board than the next.
+
+        None if it is certain, or none is armed.
+        """
         if self.order is None or self.order.board_id is None:
             return None
         return self.doubt_of(self.since_s, float("inf"))

@@ -16,7 +16,7 @@ from vaoi_station.runs.states.schemas import Reason
 
 
 class TriggerChanges(NamedTuple):
-    """What a run has changed: the warnings that begin with it, and the names of the cameras whose warnings end."""
+    """The warnings that begin with a run, and the names of the cameras whose warnings end with it."""
 
     begun: tuple[Reason, ...]
     ended: tuple[str, ...]

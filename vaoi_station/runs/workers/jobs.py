@@ -109,7 +109,8 @@ class ConcludeJob:
     excluded: Set[Task] = frozenset()
     """Tasks that the result must not use, because frames or pulses were missing and other tasks replaced them."""
     check: CheckJob | None = None
-    """The calibration check that the worker performs with the same evidence after it has sent the result; or None."""
+    """The calibration check that the worker performs with the same evidence after it has sent the result; None: no
+    check."""
 
     priority = Priority.CONCLUDE
     affinity: int | None = None

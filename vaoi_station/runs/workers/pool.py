@@ -48,7 +48,9 @@ _log = logging.getLogger(__name__)
 JOB_LIMIT_S = 30.0
 """Longest time for one job. After this time, the worker counts as hung and is killed."""
 REPEATED_LIMIT_S = 5.0
-"""Longest time for a job that another worker has finished meanwhile. After it, the slower worker counts as hung."""
+"""Longest time for a job that another worker has finished meanwhile, s.
+
+After it, the slower worker counts as hung."""
 START_LIMIT_S = 600.0
 """Longest time for the start of a worker. The first start after an installation compiles, which takes minutes."""
 PING_INTERVAL_S = 1.0
@@ -205,7 +207,7 @@ class WorkerPool:
             worker.process, worker.pipe, worker.since_s = process, pipe, time.monotonic()
 
     def _receive(self, worker: Worker) -> None:
-        """Handle the messages that have arrived from a worker, and send what its pipe had no room for."""
+        """Handle the messages that have arrived from a worker, and send messages that its pipe had no room for."""
         assert worker.pipe is not None
         worker.pipe.flush()
         try:

@@ -44,7 +44,7 @@ class JobQueues:
         return True
 
     def put_back(self, queued: Queued) -> None:
-        """Put a job whose worker has died at the front of its queue, unless its run has been closed meanwhile."""
+        """Put a job whose worker has died back at the front of its queue, unless the job's run was closed meanwhile."""
         # The job of a closed run is not needed, and the set-up that a worker needs for it is no longer there.
         if not self._is_closed(queued.job):
             self._queue_of(queued).appendleft(queued)
@@ -91,7 +91,7 @@ class JobQueues:
             homes[home] = deque(q for q in queue if q.job.run != run)
 
     def choose(self, worker: Worker) -> Queued | None:
-        """Take the most urgent job that an idle worker may perform out of its queue; None if there is none.
+        """Take the most urgent job for an idle worker out of its queue and return it; None if there is none.
 
         Within a priority, jobs that are assigned to this worker, or to no worker, come first.
         """

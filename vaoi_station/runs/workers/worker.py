@@ -49,7 +49,9 @@ class Queued:
     job: Job
     deaths: int = 0
     done: bool = False
-    """Whether the job was answered. A second worker that performs it, or a slow one, may still answer it again."""
+    """Whether the job was answered.
+
+    A second worker that repeats it, or a slow one, may still answer it again."""
     number: int = 0
     """Position of the job in the order in which jobs were queued."""
 

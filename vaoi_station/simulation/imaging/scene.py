@@ -81,7 +81,7 @@ class LitTextures:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """All that a camera can see of a board: the shape of its surface, its artwork, and the belt around it."""
+    """Everything that a camera can see of a board: the shape of its surface, its artwork, and the belt around it."""
 
     section: BoardSection
     artwork: Artwork

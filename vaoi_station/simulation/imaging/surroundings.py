@@ -43,7 +43,7 @@ class Surroundings:
     def draw(
         self, image: Bytes, camera: Pinhole, lattice: Lattice, seen_mm: Floats, pose: Floats, belt_pose: Floats
     ) -> Bytes:
-        """Return the rendered surface (2h, 2w) of the board with what lies beside it.
+        """Return the rendered surface (2h, 2w) of the board with its surroundings: belt texture and carrier.
 
         Args:
             image: the surface of the board on a belt of even grey.

@@ -19,7 +19,7 @@ class BarrierBounceTime:
 
 @dataclass(frozen=True)
 class PassageFaults:
-    """The faults of one board during its passage, and functions that give those of one camera and row."""
+    """The faults of one board during its passage, with functions that return the faults of one camera and row."""
 
     section: FaultSection
     board_number: int

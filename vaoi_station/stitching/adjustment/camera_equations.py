@@ -46,7 +46,7 @@ _UNCHANGED_PX = 1e-7
 _NEW_EFFECTS_PX = 0.5
 """The effects of displacements vary slowly; they are computed again after a change of this much."""
 _OTHER_PX = 0.02
-"""Another explanation is tried only if one of its displacements differs by more than this."""
+"""Another explanation of the links is tried only if one of its displacements differs by more than this."""
 
 
 class CameraEffects(NamedTuple):

@@ -18,9 +18,9 @@ from vaoi_station.stitching.adjustment.solver import adjust, evaluate_at, solve_
 from vaoi_station.stitching.matching.evidence import Detections
 
 _CONVERGED_MM = 5e-4
-"""The estimation of the motion from links alone ends at this change. It is enough to locate the board.
+"""The estimation of the motion from links alone ends when no row moves by more than this in a step.
 
-The adjustment with the CAD mapping then estimates the motion again."""
+This is accurate enough to locate the board. The adjustment with the CAD mapping then estimates the motion again."""
 _TEXTURE_SAMPLE, _ON_BOARD_WEIGHT = 4000, 0.5
 """About how many points represent the texture of the board, and the least robust weight of their links."""
 

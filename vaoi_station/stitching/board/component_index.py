@@ -19,7 +19,7 @@ from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment.observations import Ints
 
 _AROUND_MM = 0.3
-"""Margin around a footprint. Points in it count as on the component, since solder and shadow lie there."""
+"""Margin around a footprint, mm. Points in it count as on the component, because solder and shadow lie there."""
 _MOST_CELLS = 400
 """Largest number of cells along each axis of the grid."""
 

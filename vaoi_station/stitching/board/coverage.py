@@ -57,8 +57,8 @@ class _Array(NamedTuple):
     view_mm: Floats
     """(c, 4) lowest x and y, then highest x and y, of a box around each camera's view, mm in row coordinates."""
     inner_mm: Floats
-    """(c, 4) the same for a box that each camera shows wholly; empty (lowest values above the highest) if there is
-    none."""
+    """(c, 4) the same numbers for a box that each camera shows wholly; an empty box has lowest values above the
+    highest."""
 
 
 class _Found(NamedTuple):

@@ -22,7 +22,9 @@ from vaoi_station.stitching.matching.scene import Scene
 
 _MOST_PER_FRAME, _MOST_WHEN_LOST = 12, 80
 _SMALL = 1.12
-"""Factor on a mark's size before the reduction factor is chosen, so that cameras of similar resolution use the same."""
+"""Factor on a mark's size before the reduction of the frame is chosen.
+
+With it, cameras of similar resolution get the same reduction."""
 
 
 def mark_kinds(board_type: BoardType) -> tuple[tuple[Shape, float], ...]:

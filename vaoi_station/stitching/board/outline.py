@@ -59,7 +59,9 @@ class OutlineShift:
     mm: Floats
     """(2,) shift in tester coordinates; 0 in a direction that no piece determines."""
     covariance: Floats
-    """(2, 2) covariance of the shift, mm². In a direction that no piece determines it is that of the prior."""
+    """(2, 2) covariance of the shift, mm².
+
+    In a direction in which no piece determines the shift, it is the covariance of the prior."""
     turn_rad: float
     turn_sigma_rad: float
     arm_mm: float

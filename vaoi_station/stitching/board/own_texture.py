@@ -29,7 +29,7 @@ _HALF_PATCH_PX = 12.0
 _EDGE_NEAR_MM = 0.5
 """Largest distance between a side's edge in the pictures and its position by C, due to cutting and fiducials."""
 _QUANTILE = 0.25
-"""The step of a side is this quantile of the steps of its pieces.
+"""The step of grey level of a side is this quantile of the steps of its pieces.
 
 The edge of a board runs along all pieces of a side; a row of pads runs along only some of them."""
 _LEAST_EDGE = 4.0

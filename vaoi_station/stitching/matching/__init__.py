@@ -1,1 +1,1 @@
-"""Match two frames: prepare them, choose corners in one, find these in the other to a few thousandths of a pixel."""
+"""Match two frames: prepare them, choose corners in the first, and find these in the second to 0.01 px or better."""

@@ -33,12 +33,11 @@ _MIN_CELL_PX = 28
 _MIN_SCORE, _MAX_SIGMA_PX = 0.80, 0.80
 """Smallest correlation, and largest standard deviation, of a match that becomes a link."""
 _PLACEMENT_MM = 4.0
-"""Range of the coarse search between run and reference: the board's position in the same row may differ by this."""
+"""Range of the coarse search between run and reference, mm: the board's position in a row may differ by this."""
 _SLIP_SHARE, _PLAY_MM = 0.15, 1.0
 """Range of the coarse search between rows: the share `_SLIP_SHARE` of the nominal motion, plus `_PLAY_MM`."""
 _COMPARED = 37
-"""Every 37th line is compared first: two frames that are not copies of one another differ in the first of these
-lines."""
+"""Every 37th line is compared first: frames that are no copies of one another differ in the first of these lines."""
 _MOVED_MM = 4.0
 """Range of the coarse search between two cameras if one of them may be displaced."""
 _ENOUGH = 8

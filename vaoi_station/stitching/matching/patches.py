@@ -26,8 +26,7 @@ PATCH_PX = WINDOW_PX + 10
 REACH_PX = 6.0
 """Largest distance of a match from its predicted position, in x and in y; a match further away is discarded."""
 _SETTLED_PX = 0.1
-"""A match has converged if its last step was at most this. After a larger step, its score belongs to another
-position."""
+"""A match has converged if its last step was at most this, px. Otherwise its score belongs to another position."""
 _SATURATED_SHARE = 0.02
 """Largest share of saturated pixels in a match; more would spoil it, because they do not move with the texture."""
 _NOISE_FLOOR = 0.5

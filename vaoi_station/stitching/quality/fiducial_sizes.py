@@ -22,8 +22,9 @@ from vaoi_station.stitching.matching.evidence import Task
 from vaoi_station.stitching.matching.scene import Scene
 
 _FACTORS = (0.7, 1.4, 0.83, 1.2, 0.5, 2.0)
-"""Sizes that are searched, relative to those of the board type. One search finds marks up to about 15 % off its
-size."""
+"""Sizes that are searched, relative to those of the board type.
+
+A search for one size finds marks whose size differs by up to about 15 %."""
 _ENOUGH = 3
 """Number of fiducials that suffices to find the board. With fewer, the outline must confirm the board's position."""
 

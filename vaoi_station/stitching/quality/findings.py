@@ -145,7 +145,7 @@ class Findings:
 
     @cached_property
     def fiducials_in_view(self) -> dict[int, FrameKey]:
-        """For each fiducial that a frame shows with its bare rim, by its number: one such frame; empty without C.
+        """One frame for each fiducial that a frame shows with its bare rim, by number of the fiducial; empty without C.
 
         Only frames whose pictures fit the board's motion count.
         """

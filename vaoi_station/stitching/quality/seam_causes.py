@@ -44,7 +44,7 @@ _ROWS = 6
 _SATURATED, _BLACK = 250, 1
 """A pixel with this grey level or more is saturated; one with this grey level or less is black."""
 _CLIPPED_SHARE = 0.15
-"""An exposure is wrong if its share of saturated or black pixels is larger than that of the other camera by this."""
+"""A camera's exposure is wrong if its share of saturated or black pixels exceeds that of the other camera by this."""
 _BRIGHTNESS_RATIO = 2.5
 """Ratio of the brightness of two overlaps above which different exposure is named as the cause."""
 _HALF_PX = 12
@@ -93,7 +93,7 @@ class Lift(NamedTuple):
 
     mm: float
     overlaps: int | None = None
-    """Number of overlaps that were shifted by this height; None if the height is that of the adjustment."""
+    """Number of overlaps that show this height; None if the height comes from the adjustment."""
 
 
 class _Evidence(NamedTuple):
@@ -371,7 +371,7 @@ def _noise_variance(strip: Grey) -> float:
 
 
 def _is_repeated(grey: Grey, corner: NDArray[np.int64], reach: int) -> bool:
-    """Return whether the patch of a corner appears at another place within `reach` px of it too."""
+    """Return whether the patch of a corner also appears at another place within `reach` px of the corner."""
     x, y = (int(v) for v in corner)
     x0, y0 = max(x - reach - _HALF_PX, 0), max(y - reach - _HALF_PX, 0)
     around, patch = grey[y0 : y + reach + _HALF_PX, x0 : x + reach + _HALF_PX], _patch(grey, corner)

@@ -1,4 +1,4 @@
-"""One connection to one camera, from its opening to its loss. After a loss, a new `Connection` is made.
+"""One connection to one camera, from its opening to its loss. Each reconnection is a new `Connection`.
 
 In Aravis only pushing and popping of buffers is thread-safe. So all access to the camera is guarded by one lock. The
 stream's buffers are popped by one thread only, without this lock.

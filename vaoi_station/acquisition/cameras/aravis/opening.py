@@ -82,7 +82,7 @@ def _check_distinct(connections: Sequence[Connection]) -> None:
 
 
 def _port_shares(config: StationConfig, connections: Sequence[Connection]) -> list[PortShare]:
-    """Return, for each camera, how it shares its network port: other cameras, speed of the port, receive buffer."""
+    """Return for each camera the network port that it uses: number of its cameras, speed, receive buffer."""
     on_port = Counter(connection.identity.interface for connection in connections)
     shares = []
     for connection in connections:

@@ -40,7 +40,7 @@ class Setting:
     read: Callable[[], Any]
     tolerance: float = 0.0
     transient: bool = False
-    """Whether a later setting of the same feature replaces this one. Then this one cannot be compared at the end."""
+    """Whether a later setting of the same feature replaces this setting, so that it cannot be compared at the end."""
 
     def matches(self, got: object) -> bool:
         """Return whether a value that was read back equals the wanted one, within the tolerance."""

@@ -35,7 +35,7 @@ HEARTBEAT_S = 0.25
 
 @dataclass(frozen=True)
 class Replied:
-    """A request that the controller carried out, at a time between its first sending and its reply."""
+    """A request that the controller carried out, at a time between its first transmission and the reply."""
 
     request: Request
     payload: bytes

@@ -38,7 +38,7 @@ _FIELDS = {
     8: (_WHERE, "controller.min_gap_s", TICK_S),
     9: (_WHERE, "controller.trigger_us", TICK_S * 1e6),
 }
-"""For each field of a refused COMMIT: the file or plan it comes from, its name there, and the size of its unit."""
+"""For each field of a refused COMMIT: the file or plan that states it, its name there, and the size of its unit."""
 _FIRST_STEP = 16
 """Fields of a refused COMMIT from this number on are steps."""
 _LARGEST = {2: 0xFFFF, 9: 0xFFFF}

@@ -76,7 +76,7 @@ class EventTranslator:
         self._put = put
 
     def set_lights(self, light: Callable[[int], str], single: str) -> None:
-        """Set the names of the lights: `light` returns that of a row, `single` is that of single pulses."""
+        """Set the names of the lights: `light` returns the name for a row, `single` is the name for single pulses."""
         self._light, self._single_light = light, single
 
     def translate(self, event: Event, time_s: float) -> None:

@@ -106,7 +106,7 @@ class Exchange:
         return self.link.status
 
     def poll(self) -> list[Notification]:
-        """Send what is due, and process what arrives within `POLL_S`.
+        """Send the bytes that are due, and process those that arrive within `POLL_S`.
 
         Raises:
             SilentError: a request had no reply; this may be a heartbeat, which no caller requested.
