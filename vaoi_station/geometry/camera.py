@@ -20,7 +20,9 @@ from vaoi_station.geometry.transforms import Floats, Projective, System, apply
 _BORDER_POINTS = 9
 """Number of sampled points per side of the frame, from which the bounding box of the view is computed."""
 _BOX_MARGIN = 0.01
-"""Margin of the bounding box, as a share of its size: between two samples, a usable lens bends a border by less."""
+"""Margin of the bounding box, as a share of its size.
+
+A usable lens bends the border of the view between two sampled points by less than this."""
 _FOOT_ITERATIONS = 5
 
 

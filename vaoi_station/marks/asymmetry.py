@@ -18,7 +18,7 @@ _SECTORS = 4
 _EDGE_PX = 2.0
 """Distance outside a mark's edge at which its blur ends."""
 _RIM_PX, _RIM = 3.0, 0.25
-"""Width of the compared rim in px, and its upper limit as a share of the radius."""
+"""Width of the rim that is compared, px, and the upper limit of this width as a share of the mark's radius."""
 _NORMAL_SHIFT, _NORMAL_SHIFT_NOISE = 0.01, 3.0
 """Largest asymmetry of an undisturbed mark: as a share of its size, and in standard deviations of its centre."""
 _NORMAL_LIGHT, _NORMAL_LIGHT_NOISE = 0.03, 2.0

@@ -11,7 +11,7 @@ from vaoi_station.geometry.transforms import Floats
 RING = 16
 """Number of samples on the bare rim around a mark."""
 _MAX_DEVIANT = 4
-"""Number of samples on the rim that may differ, because something covers the rim there."""
+"""Largest number of samples on the rim that may differ from the rest, because something covers the rim there."""
 _MIN_DIFFERENCE = 8
 """Smallest accepted difference between a mark and its rim, in grey levels."""
 
@@ -105,7 +105,11 @@ def _contrast_line(
 def _has_bare_rim(
     image: NDArray[np.uint8], x: int, y: int, ring: NDArray[np.int_], rim_below: int, rim_above: int
 ) -> bool:
-    """Return whether nearly all rim samples are at most `rim_below` or, if `rim_below` is 0, at least `rim_above`."""
+    """Return whether nearly all samples on the rim are darker, or lighter, than the mark.
+
+    If `rim_below` is not 0, the mark is the lighter one: samples must be at most `rim_below`. Otherwise samples must be
+    at least `rim_above`.
+    """
     deviant = 0
     for k in range(RING):
         v = image[y + ring[k, 1], x + ring[k, 0]]

@@ -23,9 +23,11 @@ The disc covers the mark and the bare rim around it."""
 _MIN_SIZE_PX = 5.0
 _MIN_CORRELATION = 0.75
 _RIM_SHARE, _RIM_PX = 0.2, 1.25
-"""Distance of the rim samples from the edge of the mark, as a share of its size, and the lower limit in px."""
+"""Distance of the rim samples from the edge of the mark, as a share of the mark's size; and its lower limit in px."""
 _CORE_SHARE = 0.22
-"""Reach of the core as a share of the size: every shape is filled along the axes up to this distance."""
+"""Distance from the centre of a mark, as a share of its size, up to which every shape is filled along the axes.
+
+This part of the mark is called the core."""
 
 
 def reduction_factor(size_px: float) -> int:

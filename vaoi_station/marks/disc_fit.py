@@ -20,9 +20,13 @@ from vaoi_station.marks.small_cholesky import position_variance, solve_cholesky
 FITTED, NO_EDGE, TOO_FAR = 0, 1, 2
 _COARSE_STEPS = 8
 _COARSE_BLUR, _COARSE_REACH, _COARSE_SAMPLES = 0.3, 1.45, 3.0
-"""Coarse stage: blur and reach as shares of the radius, and number of samples per radius."""
+"""Values of the coarse stage of the fit.
+
+They are the blur and the reach, both as shares of the radius, and the number of samples per radius."""
 _MIN_BLUR_PX, _RIM_PX, _MAX_REACH = 0.4, 3.5, 1.9
-"""Fine stage: smallest blur, least width of the fitted rim, and largest reach from the centre divided by the radius."""
+"""Values of the fine stage of the fit.
+
+They are the smallest blur (px), the least width of the fitted rim (px), and the largest reach divided by the radius."""
 _MIN_CONTRAST = 1.0
 _OUTLIER = 0.1
 """Residuals above this share of the contrast lose weight, so that a reflection or a smudge has little effect."""

@@ -30,9 +30,11 @@ GRID = 9
 RESOLUTION_LIMITS = (0.1, 1000.0)
 """Smallest and largest resolution of pictures that a caller may request, px/mm."""
 _TILE_PX = 256
-"""Longest side of a tile. Over it, a lens with a distortion of 1 px at the frame's corner is straight to 0.03 px."""
+"""Longest side of a tile, px.
+
+Within a tile, a lens with a distortion of 1 px at the frame's corner bends lines by at most 0.03 px."""
 _STRAIGHT_PX = 0.02
-"""Largest deviation from a homography at which one matrix includes the lens for a whole picture."""
+"""Largest deviation from a homography, px, with which a single matrix represents the lens for a whole picture."""
 _CORNERS = (0, 2, 8, 6)
 """Indices of the four corners, in order around the square, among 3×3 points in row order."""
 

@@ -71,7 +71,10 @@ class RateFigures:
     """Boards for which no bay was free, because earlier boards were still being stitched."""
     frames_lost: int
     kept_up: bool
-    """Whether no board or frame was lost, and at each last frame no more links were open than one row has."""
+    """Whether the station kept up with the line.
+
+    No board or frame was lost, and when a board's last frame arrived, at most the links of one row were not computed
+    yet."""
     ready_after_last_frame_ms: dict[str, float]
     conclude_ms: float
     lag_first_half_ms: float

@@ -19,7 +19,7 @@ from vaoi_station.rig.line.virtual_line import FrameFaults, VirtualLine
 from vaoi_station.simulation import Scenario
 
 TERMINAL = "trigger"
-"""Name of the link in the rig's folder that a station opens as the controller's serial port."""
+"""Name of the symbolic link, in the rig's folder, that a station opens as the controller's serial port."""
 
 
 class Devices:

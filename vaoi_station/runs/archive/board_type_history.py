@@ -1,4 +1,4 @@
-"""The versions of board types before they were replaced or deleted, for callers."""
+"""The earlier versions of board types, from before they were replaced or deleted: list them and restore them."""
 
 from __future__ import annotations
 

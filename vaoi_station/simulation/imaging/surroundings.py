@@ -97,7 +97,7 @@ class Surroundings:
 
     @staticmethod
     def _place(camera: Pinhole, lattice: Lattice, pose: Floats, z_mm: float) -> Floats:
-        """Return the coordinates (k, 2) of a moving plane at height `z_mm` that the nodes of a frame show."""
+        """Return the positions (k, 2), mm, on a plane at height `z_mm` that moves with `pose`, as the nodes see it."""
         return np.asarray(apply(np.linalg.inv(pose), camera.ground(lattice.nodes_px, z_mm)))
 
     def _cover(

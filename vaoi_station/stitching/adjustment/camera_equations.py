@@ -28,7 +28,7 @@ from vaoi_station.stitching.adjustment.observations import CameraPairs, Ints, Li
 from vaoi_station.stitching.adjustment.problem import CameraEstimate, FiducialPoints, Problem
 
 _STEP_PX = 0.05
-"""Step of the numeric derivatives by a displacement. The functions are smooth over hundreds of px."""
+"""Step of the numeric derivatives with respect to a displacement; the functions are smooth over hundreds of px."""
 _STILL_PX = 0.006
 """Standard deviation within one run of the displacement of a camera that was not moved, for each of x, y and turn."""
 _FIRST_STILL_PX, _TIGHTENING = 0.5, 4.0
@@ -42,9 +42,9 @@ _EM_ITERATIONS = 5
 _LARGE_PX = 1.0
 """In the first steps, a displacement above this makes the search try each camera as the only one that moved."""
 _UNCHANGED_PX = 1e-7
-"""If no displacement changes by more than this, the links need not be projected again."""
+"""If no displacement changes by more than this, px, the links are not projected again."""
 _NEW_EFFECTS_PX = 0.5
-"""The effects of displacements vary slowly; they are computed again after a change of this much."""
+"""The effects of displacements are computed again after a displacement has changed by this, px; they vary slowly."""
 _OTHER_PX = 0.02
 """Another explanation of the links is tried only if one of its displacements differs by more than this."""
 

@@ -67,7 +67,7 @@ CONVERGED_MM = 5e-5
 """The adjustment ends after a step that moves no row by more than this. Each step is about a tenth of the step before,
 so that an error of about a tenth of this limit remains."""
 _SAMPLE_PER_ROW, _SAMPLE_CONVERGED_MM = 100, 3e-3
-"""For a solution from a subsample: the number of links per row, and the limit used in place of `CONVERGED_MM`."""
+"""For a solution from a subsample of the links: number of links per row, and the value used as `CONVERGED_MM`."""
 _KNEE, _CUT = 2.0, 6.0
 """Residuals beyond `_KNEE` standard deviations lose weight (Huber); beyond `_CUT` they have no weight."""
 _PAIR_SIGMA_PX, _PAIR_SHARE = (0.002, 0.014), 0.25

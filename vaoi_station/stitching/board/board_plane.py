@@ -19,7 +19,9 @@ from vaoi_station.stitching.board.component_index import ComponentIndex
 from vaoi_station.stitching.board.expectation import Expectation
 
 _ALIKE_RAD, _ROUNDING = np.radians(3.0), 1e-6
-"""Largest angle between two cameras that count as mounted alike; largest difference of equal sums by rounding."""
+"""Largest angle (rad) between two cameras that count as mounted alike; tolerance for rounding errors.
+
+The tolerance applies to sums that would be equal without rounding errors."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -52,8 +52,9 @@ _LEAST_REFERRED = 12
 _LEAST_OWN_LINKS = 24
 """Least number of links on the board; with fewer, links beside the board are not left out."""
 _CERTAIN_FIDUCIALS = 3
-"""Least number of fiducials that place a board whose outline is not confirmed; also, none of the board type may be
-missing."""
+"""Number of fiducials from which on a board is placed although its outline is not confirmed.
+
+In addition, all fiducials of the board type must be found."""
 _LEAST_AGREEING = 0.5
 """Least share of the points linked to a reference that must agree on one position of the board."""
 

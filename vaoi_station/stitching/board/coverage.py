@@ -26,9 +26,9 @@ from vaoi_station.stitching.matching.evidence import FrameKey
 _DEEPEST = 7
 """Largest number of times that a part of a footprint is divided."""
 _BORDER_POINTS = 9
-"""Points per side of a frame from which the box is computed that the frame wholly shows."""
+"""Points per side of a frame, from which the box that the frame wholly shows is computed."""
 _MARGIN = 0.01
-"""Margin of that box, as a share of its size: a usable lens bends a border between two points by less."""
+"""Margin of the box that a frame wholly shows, as a share of its size; a usable lens bends a border by less."""
 _VIEW_SHARE = 0.5
 """Least share of a footprint that a frame must show, for the frame to count as a view."""
 

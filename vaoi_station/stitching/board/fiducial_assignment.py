@@ -35,9 +35,10 @@ _MOST_OUTSIDE = 0.25
 """Largest share of textured points off the board. If more lie there, C is rejected."""
 _SCALE_LIMIT = 4e-3
 _ROUGH_FACTOR, _MOST_PLACES = 4.0, 6
-"""Limits while the motion is uncertain: a factor, and the largest number of positions of the board that are tried.
+"""Limits while the motion of the board is uncertain.
 
-The factor multiplies the limits of the scale of C and of the distance between a fiducial and its candidate."""
+The first is a factor on the limits of the scale of C and of the distance between a fiducial and its candidate. The
+second is the largest number of positions of the board that are tried."""
 _SLACK_MM = 0.15
 
 

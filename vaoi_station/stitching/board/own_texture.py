@@ -35,7 +35,9 @@ The edge of a board runs along all pieces of a side; a row of pads runs along on
 _LEAST_EDGE = 4.0
 """Smallest step of grey level at the edge of a side."""
 _STANDS_OUT = 1.15
-"""Least ratio of the step at the edge of a side to the largest step more than twice `_EDGE_NEAR_MM` away from it."""
+"""A side of the outline stands out only if its step at the edge exceeds other steps by this factor.
+
+The other steps are those more than twice `_EDGE_NEAR_MM` away from the expected edge."""
 _LEAST_PIECES = 2
 """Least number of pieces of a side in view; with fewer, the side is not checked."""
 

@@ -77,7 +77,7 @@ class Detections:
     score: Floats
     """(k,) correlation of the pixels with the expected picture of the mark."""
     kind: np.ndarray
-    """(k,) index into `mark_kinds(board_type)`."""
+    """(k,) kind of mark of each detection: index into the list that `mark_kinds(board_type)` returns."""
 
 
 Evidence = Links | Detections

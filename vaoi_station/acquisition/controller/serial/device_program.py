@@ -42,7 +42,7 @@ _FIELDS = {
 _FIRST_STEP = 16
 """Fields of a refused COMMIT from this number on are steps."""
 _LARGEST = {2: 0xFFFF, 9: 0xFFFF}
-"""Largest values of the fields with 16 bits, by the index of the field."""
+"""Largest values of those fields of a COMMIT that have 16 bits, by the index of the field."""
 
 
 @dataclass(frozen=True)
