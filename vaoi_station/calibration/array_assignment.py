@@ -32,8 +32,9 @@ _TURN_RAD, _ROLL_RAD = np.radians(2.0), np.radians(1.0)
 _LINEAR_FROM = 3.0
 _ROUNDS = 4
 _SEED_RANGE = 30.0
-"""A hypothesis whose log-likelihood is lower by more than this than the camera's best cannot lead to a better
-choice."""
+"""A search for a better choice starts from a hypothesis only if its log-likelihood is not lower by more than this.
+
+The difference is counted from the camera's best hypothesis."""
 
 
 @dataclass(frozen=True, eq=False)

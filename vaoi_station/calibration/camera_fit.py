@@ -26,8 +26,7 @@ _MIN_SIZE_PX = 8
 _MIN_SHARE = 0.3
 """Least share of the marks expected in a frame that must be found; with fewer, the layout belongs to another board."""
 _UNDETERMINED = 0.5
-"""If the marks do not reduce the standard deviation of a lens below this share of the prior's, the lens is
-undetermined."""
+"""A lens is undetermined if its standard deviation after the fit is at least this share of that before the fit."""
 _COARSE_PX = 0.2
 """Standard deviation at the frame's corners above which a warning says that the marks are badly distributed."""
 _NO_FREEDOM = 0.5

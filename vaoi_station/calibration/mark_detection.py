@@ -14,11 +14,11 @@ from vaoi_station.geometry.transforms import Floats
 from vaoi_station.marks import Mark, find_candidates, locate_mark
 
 SURROUND = 1.3
-"""Diameter of the compared disc divided by the mark's size. Calibration marks can be close, so the rim is narrow."""
-COARSE_PX = 10.0
 """Diameter of the compared disc, divided by the size of the mark.
 
 Calibration marks can be close together, so the compared rim around a mark is narrow."""
+COARSE_PX = 10.0
+"""Approximate size of marks in the reduced frame of the search, px."""
 _MAX_CANDIDATES = 400
 _STEEPEST = 200
 """Number of pixels on edges from which the blur is measured."""

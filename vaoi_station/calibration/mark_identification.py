@@ -22,13 +22,16 @@ _SCALE, _ANGLE_RAD = 0.08, np.radians(8.0)
 """Largest accepted deviation of scale (relative) and of direction (rad) from the design."""
 _MAX_SEEDS, _MAX_DETECTED = 48, 120
 _EXPLAINED = 3.0
-"""Gain of the score by a detected mark that is explained: by chance, this has a probability of about e⁻³."""
-_BLANK, _BLANK_CAP, _BLANK_MORE = 4.0, 7.0, 0.3
-"""Cost of an expected mark that is missing on blank ground: it is not printed, or was not detected.
+"""Amount by which a detected mark that the hypothesis explains raises its score.
 
-Beyond the cap, further missing marks cost less each: one thing that looks like the ground may cover many marks."""
+The probability that a mark is detected by chance at a place of the layout is about e⁻³."""
+_BLANK, _BLANK_CAP, _BLANK_MORE = 4.0, 7.0, 0.3
+"""Cost of expected marks that are missing on blank ground, because they are not printed or were not detected.
+
+Each mark costs the first number, up to a total of the second one. Beyond it, a further mark costs only the third
+number, because one thing that looks like the ground may cover many marks."""
 _HIDDEN, _HIDDEN_CAP, _HIDDEN_MORE = 1.0, 2.0, 0.1
-"""The same for expected marks that are missing where the frame shows something that may hide them."""
+"""Cost of expected marks that are missing where something may hide them; the three numbers mean the same as above."""
 _CHUNK = 64
 """Number of hypotheses that are scored at a time; it limits the memory of the table of distances."""
 _MAX_KEPT = 24

@@ -28,10 +28,10 @@ _APART_MM = 0.4
 """Edges of the two orientations that lie closer together than this are not compared."""
 _CLEAR = {"outline": 1.5, "components": 2.5}
 _LEAST_STEP = {"outline": 5.0, "components": 10.0}
-"""Least contrast in grey levels from which the orientation is decided, by kind of edge.
+"""Least contrast, in grey levels, from which on the edges of a kind can decide the orientation.
 
-Above it, the contrasts of the two orientations must also differ by a factor. Components are weaker evidence than the
-outline, so their limits are higher."""
+In addition, the contrasts of the two orientations must differ by the factor in `_CLEAR`. Components are weaker evidence
+than the outline, so their limits are higher."""
 _LEAST_PIECES, _MOST_PIECES = 6, 48
 _LEAST_OUTLINE = 3.0
 """Least contrast of a visible outline, in grey levels. Noise alone gives less than 1."""

@@ -44,7 +44,8 @@ _PRIOR = np.array([3.0, 3.0, 0.02, 0.2])
 The excess size is what a cutter leaves on all sides. With it as an unknown, one side alone determines the shift less
 well than two opposite sides do."""
 _PIECE_SIGMA_MM, _MACHINED_MM = 0.05, 0.1
-"""Least scatter of single pieces, and error (1 σ) of the cut outline as a whole against the copper."""
+"""Least scatter of single pieces of the outline, mm, and error of the cut outline as a whole against the copper (1
+σ)."""
 _KNEE, _ROUNDS = 2.0, 6
 _LIMIT_MM, _TURN_LIMIT_MM, _LIMIT_SIGMAS = 0.5, 0.2, 4.0
 """Largest accepted shift, largest accepted turn (displacement of the board's ends), and both in standard deviations.

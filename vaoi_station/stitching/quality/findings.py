@@ -36,9 +36,9 @@ from vaoi_station.stitching.quality.unseen import FilmedBoard, SeenFrames, Unsee
 _USED = 0.1
 """Weight above which a link counts as used."""
 _SAME_HEIGHT_PX = 0.5
-"""Largest difference between a component's height by links across the seam and by other links, with which they agree.
+"""Two heights of a component agree if their difference causes a displacement of at most this at the seam, px.
 
-It is the displacement that this difference causes at the seam, in px."""
+One height comes from links across the seam, the other one from other links."""
 SEAM_LIMIT_PX = 0.30
 """Largest accepted disagreement of two cameras at their seam, px."""
 DISPLACED_PX = 0.20
@@ -46,7 +46,7 @@ DISPLACED_PX = 0.20
 _SIGNIFICANT = 4.0
 """Number of standard deviations from which on the displacements of all cameras together are more than noise."""
 _PLACED_SIGMA_PX = 2.0
-"""Largest accepted standard deviation of a position in a row that nothing but the belt's nominal speed may place."""
+"""Largest accepted standard deviation of a position in a row that neither links nor CAD points tie to other rows."""
 _OTHER_LIFT_MM = 1.0
 """The lift measured by overlaps contradicts the lift of the adjustment if they differ by more than this."""
 _LEAST_FITTING, _LEAST_SHARE, _SURELY = 3, 0.25, 5

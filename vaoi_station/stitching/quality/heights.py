@@ -34,10 +34,10 @@ _ASIDE = 3.5
 """Links with a larger residual than this in the direction that no height explains are left out; in standard
 deviations."""
 _SHARED_PX, _SHARED_FLOOR = (0.004, 0.015), (0.5, 1.0)
-"""Error that all links of one pair of frames on one component have in common: between two rows, between two cameras.
+"""Error that all links of one pair of frames on one component have in common, because neighbouring links err alike.
 
-It is the larger of a constant (px) and of a multiple of the run's noise floor, because neighbouring links may have the
-same error."""
+It is the larger of a constant, `_SHARED_PX`, and of a multiple, `_SHARED_FLOOR`, of the run's noise floor. Each has two
+values: for two rows of one camera, and for two cameras."""
 _PATCH_PX = WINDOW_PX / 2 + 1
 """Distance from the centre of a patch to its edge. Its blur extends further, but with little weight."""
 

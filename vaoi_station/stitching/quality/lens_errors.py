@@ -27,9 +27,9 @@ _LEAST_LINKS, _LEAST_WEIGHT = 40, 0.1
 _NUISANCES = 5
 """Number of unknowns of a pair of frames that are eliminated: shift x and y, turn, and tilt along x and y."""
 _STABLE = 1e-9
-"""A small part of the normal matrix's trace is added to its diagonal, by this factor, so that it can be inverted.
+"""Share of the normal matrix's trace that is added to its diagonal, so that the matrix can always be inverted.
 
-Links in one line do not determine the turn."""
+Otherwise it could not be inverted if all links lie in one line, because such links do not determine the turn."""
 _SHARE = 0.2
 """Rms error of a position, per axis, divided by the radial error at the corner.
 
