@@ -83,3 +83,26 @@ def test_silence_is_a_fault_unless_the_thread_waits_for_work(resting: bool) -> N
     assert began.wait(PATIENCE_S)
     again.set()
     thread.join(PATIENCE_S)
+
+
+def test_a_thread_is_at_rest_only_while_it_waits() -> None:
+    waits, released = threading.Event(), threading.Event()
+
+    def work() -> None:
+        with thread.waiting():
+            waits.set()
+            released.wait(PATIENCE_S)
+        works.set()
+        ended.wait(PATIENCE_S)
+
+    works, ended = threading.Event(), threading.Event()
+    thread = SupervisedThread(work, "work", limit_s=0.0)
+    thread.start()
+    assert waits.wait(PATIENCE_S)
+    assert thread.fault() is None
+    released.set()
+    assert works.wait(PATIENCE_S)
+    assert "hangs for" in str(thread.fault())
+    thread.expect_end()
+    ended.set()
+    thread.join(PATIENCE_S)

@@ -6,13 +6,17 @@ import logging
 import math
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import NamedTuple
 
 _log = logging.getLogger(__name__)
 
 LIMIT_S = 15.0
 """Longest time between two heartbeats of a thread, unless its owner sets another limit."""
+
+DEVICE_LIMIT_S = 30.0
+"""Longest time between two heartbeats of a thread that serves a device: some of its requests take seconds."""
 
 
 class ThreadFault(NamedTuple):
@@ -47,6 +51,15 @@ class SupervisedThread(threading.Thread):
     def rest(self) -> None:
         """Record that the thread waits for work: until the next heartbeat its silence is no fault."""
         self._beat_s = math.inf
+
+    @contextmanager
+    def waiting(self) -> Iterator[None]:
+        """Record that the thread waits for work while a `with` block runs, and that it is alive after it."""
+        self.rest()
+        try:
+            yield
+        finally:
+            self.beat()
 
     def expect_end(self) -> None:
         """Record that the thread was asked to end, so that its end is not a fault."""

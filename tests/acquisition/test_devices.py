@@ -67,6 +67,10 @@ def test_the_controller_is_closed_before_the_cameras() -> None:
         def close(self) -> None:
             closed.append(self.name)
 
+        def threads(self) -> tuple[str, ...]:
+            return (f"{self.name}'s thread",)
+
     devices: Any = Devices((Device("camera 0"), Device("camera 1")), Device("controller"))  # type: ignore[arg-type]
+    assert devices.threads() == ("controller's thread", "camera 0's thread", "camera 1's thread")
     devices.close()
     assert closed == ["controller", "camera 0", "camera 1"]

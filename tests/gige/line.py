@@ -16,6 +16,7 @@ from vaoi_station.acquisition.controller.interface import (
     TriggerPlan,
 )
 from vaoi_station.acquisition.device_clock import DeviceClock
+from vaoi_station.supervised_thread import SupervisedThread
 
 
 class ScriptedController:
@@ -42,6 +43,9 @@ class ScriptedController:
 
     def health(self) -> str:
         return "scripted"
+
+    def threads(self) -> tuple[SupervisedThread, ...]:
+        return ()
 
     def close(self) -> None:
         """Do nothing."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 from vaoi_station.acquisition.cameras.interface import CameraDevice
 from vaoi_station.acquisition.controller.interface import Controller
+from vaoi_station.supervised_thread import SupervisedThread
 
 
 class Feedback:
@@ -60,6 +61,10 @@ class Devices:
     cameras: tuple[CameraDevice, ...]
     controller: Controller
     feedback: Feedback = field(default_factory=Feedback)
+
+    def threads(self) -> tuple[SupervisedThread, ...]:
+        """Return the threads of all devices, which must neither end nor hang while the devices are open."""
+        return (*self.controller.threads(), *(thread for camera in self.cameras for thread in camera.threads()))
 
     def close(self) -> None:
         """Close cameras and controller."""

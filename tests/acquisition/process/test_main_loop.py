@@ -168,6 +168,42 @@ def test_a_thread_of_the_process_that_ends_or_hangs_ends_the_process(
     assert "In the acquisition process: Thread 'clocks' hangs for" in trouble.message
 
 
+TWIN_THREADS = ("controller", "line", "camera-0", "camera-1")
+
+
+@pytest.mark.parametrize("hangs", [False, True])
+@pytest.mark.parametrize("name", TWIN_THREADS)
+def test_each_thread_of_a_device_that_ends_or_hangs_ends_the_process(
+    start: Start, make_config: Make, monkeypatch: pytest.MonkeyPatch, name: str, hangs: bool
+) -> None:
+    monkeypatch.setattr(main_loop, "END_S", 0.1)
+    release = threading.Event()
+
+    def fail() -> None:
+        if hangs:
+            release.wait(PATIENCE_S)
+        else:
+            raise RuntimeError("boom")
+
+    def open_with_fault(config: StationConfig) -> Devices:
+        devices = open_devices(config)
+        assert [thread.name for thread in devices.threads()] == list(TWIN_THREADS)
+        thread = next(thread for thread in devices.threads() if thread.name == name)
+        thread._work, thread._limit_s = fail, 0.1
+        return devices
+
+    bench = start(make_config(), ready=False, open_backend=open_with_fault)
+    trouble = bench.until(Trouble)
+    release.set()
+    bench.thread.join(PATIENCE_S)
+    for thread in threading.enumerate():
+        if thread.name == "closing":
+            thread.join(PATIENCE_S)
+    assert trouble.code == "thread-lost"
+    what = "hangs for" if hangs else "has ended (RuntimeError: boom)"
+    assert f"In the acquisition process: Thread {name!r} {what}" in trouble.message
+
+
 def test_disarming_cancels_the_waiting_command(start: Start, make_config: Make) -> None:
     """The cancelled command is not carried out when the clocks are known later."""
     computer = BusyComputer(math.inf)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from vaoi_station.acquisition.clocks import ClockReading
 from vaoi_station.errors import VaoiError
+from vaoi_station.supervised_thread import SupervisedThread
 
 
 @dataclass(frozen=True)
@@ -120,6 +121,9 @@ class CameraDevice(Protocol):
 
     def health(self) -> CameraHealth:
         """Return the camera's state; never blocks."""
+
+    def threads(self) -> tuple[SupervisedThread, ...]:
+        """Return the threads of the camera, which must neither end nor hang while it is open."""
 
     def close(self) -> None:
         """Stop delivery and release the camera; after the return the camera writes to no slot."""

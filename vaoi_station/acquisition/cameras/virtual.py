@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from vaoi_station.acquisition.cameras.interface import Arrival, CameraEvent, CameraHealth, Slot
 from vaoi_station.acquisition.clocks import ClockReading
+from vaoi_station.supervised_thread import DEVICE_LIMIT_S, SupervisedThread
 
 
 @dataclass(frozen=True)
@@ -51,12 +52,12 @@ class VirtualCamera:
         self._slots: deque[Slot] = deque()
         self._change = threading.Condition()
         self._closing = False
-        self._thread: threading.Thread | None = None
+        self._thread = SupervisedThread(self._deliver, f"camera-{number}", DEVICE_LIMIT_S)
         self._delivered = self._incomplete = self._dropped = 0
 
     def start(self, events: SimpleQueue[CameraEvent]) -> None:
         """Begin to deliver frames as arrivals into the queue `events`."""
-        self._thread = threading.Thread(target=self._deliver, args=(events,), name=f"camera-{self.number}")
+        self._events = events
         self._thread.start()
 
     def expose(self, exposure: Exposure) -> None:
@@ -83,15 +84,20 @@ class VirtualCamera:
         message = f"{self._dropped} frames dropped: no free slot in the ring" if self._dropped else ""
         return CameraHealth(not self._closing, message, None, self._delivered, self._incomplete)
 
+    def threads(self) -> tuple[SupervisedThread, ...]:
+        """Return the thread that delivers frames."""
+        return (self._thread,)
+
     def close(self) -> None:
         """End the thread that delivers frames, and wait for its end; frames in transfer are dropped."""
+        self._thread.expect_end()
         with self._change:
             self._closing = True
             self._change.notify()
-        if self._thread is not None:
+        if self._thread.ident is not None:
             self._thread.join()
 
-    def _deliver(self, events: SimpleQueue[CameraEvent]) -> None:
+    def _deliver(self) -> None:
         while (exposure := self._next()) is not None:
             with self._change:
                 slot = self._slots.popleft() if self._slots else None
@@ -103,7 +109,7 @@ class VirtualCamera:
             slot.memory[:arrived] = exposure.pixels[:arrived]
             if not self._wait_until(exposure.end_s):
                 return
-            events.put(self._arrival(exposure, slot))
+            self._events.put(self._arrival(exposure, slot))
 
     def _arrival(self, exposure: Exposure, slot: Slot) -> Arrival:
         now_s = time.monotonic()
@@ -121,12 +127,14 @@ class VirtualCamera:
                 wait_s = self._coming[0][0] - time.monotonic() if self._coming else None
                 if wait_s is not None and wait_s <= 0:
                     return heapq.heappop(self._coming)[2]
-                self._change.wait(wait_s)
+                with self._thread.waiting():
+                    self._change.wait(wait_s)
             return None
 
     def _wait_until(self, host_s: float) -> bool:
         """Wait until a host time; return False if the camera was closed meanwhile."""
         with self._change:
             while not self._closing and (left_s := host_s - time.monotonic()) > 0:
-                self._change.wait(left_s)
+                with self._thread.waiting():
+                    self._change.wait(left_s)
             return not self._closing

@@ -14,6 +14,7 @@ from typing import Protocol
 from vaoi_station.acquisition.cameras.interface import DeviceFault
 from vaoi_station.acquisition.clocks import ClockReading
 from vaoi_station.config import Line
+from vaoi_station.supervised_thread import SupervisedThread
 
 
 @dataclass(frozen=True)
@@ -159,6 +160,9 @@ class Controller(Protocol):
 
     def health(self) -> str:
         """Return a sentence that describes the controller's state, without waiting for the device."""
+
+    def threads(self) -> tuple[SupervisedThread, ...]:
+        """Return the threads of the controller, which must neither end nor hang while it is open."""
 
     def close(self) -> None:
         """Switch all outputs off and close the port."""

@@ -25,6 +25,7 @@ from vaoi_station.acquisition.controller.interface import (
 )
 from vaoi_station.acquisition.device_clock import DeviceClock
 from vaoi_station.errors import InputError, StateError, VaoiError
+from vaoi_station.supervised_thread import DEVICE_LIMIT_S, SupervisedThread
 
 LEAD_S = 0.05
 """Time from the barrier to the first pulse, and from arming to the barrier."""
@@ -79,12 +80,11 @@ class ReplayController:
         self._pulses = 0
         self._played = 0
         self._last_end_s = 0.0
-        self._thread: threading.Thread | None = None
+        self._thread = SupervisedThread(self._play_all, "controller", DEVICE_LIMIT_S)
 
     def start(self, events: EventQueue) -> None:
         """Begin to put events into the queue `events`."""
         self._events = events
-        self._thread = threading.Thread(target=self._play_all, name="controller")
         self._thread.start()
 
     def arm(self, plan: TriggerPlan) -> None:
@@ -116,12 +116,17 @@ class ReplayController:
         """Return a sentence with the number of runs that were played."""
         return f"replay: {self._played} runs played"
 
+    def threads(self) -> tuple[SupervisedThread, ...]:
+        """Return the thread that replays recordings."""
+        return (self._thread,)
+
     def close(self) -> None:
         """End the thread that replays recordings, and wait for its end."""
+        self._thread.expect_end()
         with self._change:
             self._plan, self._closing = None, True
             self._wake()
-        if self._thread is not None:
+        if self._thread.ident is not None:
             self._thread.join()
 
     def _play_all(self) -> None:
@@ -131,8 +136,9 @@ class ReplayController:
             # A recording that cannot be read is reported like a device that fails; the station stays up.
             except VaoiError as error:
                 self._events.put(DeviceFault("replay", error))
-                return
+                run = None
             if run is None or not self._wait_armed():
+                self._thread.expect_end()  # there is nothing more to play
                 return
             self._play(run)
             self._played += 1
@@ -153,7 +159,8 @@ class ReplayController:
             self._events.put(DeviceFault("replay", InputError.field("trigger plan", "max_rows", plan.max_rows, limit)))
             return
         if self._pace is not None:
-            self._pace.before_run(stop)
+            with self._thread.waiting():
+                self._pace.before_run(stop)
         # A paced replay runs faster than its clock, so the previous run may end in the future of this clock. The next
         # run begins after that, because device times must not overlap.
         barrier_s = max(self._clock.now_s() + LEAD_S, self._last_end_s + GAP_S if self._pace else 0.0)
@@ -201,14 +208,16 @@ class ReplayController:
     def _wait_until(self, device_s: float, stop: Callable[[], bool]) -> bool:
         """Wait until a device time, or until the pace permits the next pulse. Return False if `stop()` becomes true."""
         if self._pace is not None:
-            self._pace.before_pulse(stop)
+            with self._thread.waiting():
+                self._pace.before_pulse(stop)
             return not stop()
         return self._wait_until_host(self._clock.host_s(device_s), stop)
 
     def _wait_until_host(self, host_s: float, stop: Callable[[], bool]) -> bool:
         with self._change:
             while not stop() and (left_s := host_s - time.monotonic()) > 0:
-                self._change.wait(left_s)
+                with self._thread.waiting():
+                    self._change.wait(left_s)
             return not stop()
 
     def _wake(self) -> None:
@@ -217,6 +226,6 @@ class ReplayController:
             self._pace.wake()
 
     def _wait_armed(self) -> bool:
-        with self._change:
+        with self._change, self._thread.waiting():
             self._change.wait_for(lambda: self._closing or self._plan is not None)
             return not self._closing

@@ -20,6 +20,7 @@ from vaoi_station.acquisition.controller.interface import (
 from vaoi_station.acquisition.controller.trigger_rule import TriggerRule
 from vaoi_station.acquisition.device_clock import DeviceClock
 from vaoi_station.errors import StateError
+from vaoi_station.supervised_thread import DEVICE_LIMIT_S, SupervisedThread
 
 Edge = tuple[float, bool]
 """Time by the controller's clock, and whether the barrier is interrupted from then on."""
@@ -57,12 +58,11 @@ class SimulatedController:
         self._rule: TriggerRule | None = None
         self._closing = False
         self._runs = 0
-        self._thread: threading.Thread | None = None
+        self._thread = SupervisedThread(self._work, "controller", DEVICE_LIMIT_S)
 
     def start(self, events: EventQueue) -> None:
         """Begin to put events into the queue `events`."""
         self._events = events
-        self._thread = threading.Thread(target=self._work, name="controller")
         self._thread.start()
 
     def arm(self, plan: TriggerPlan) -> None:
@@ -110,12 +110,17 @@ class SimulatedController:
         """Return a sentence with the state and the number of boards so far."""
         return f"simulated: {'armed' if self._rule else 'idle'}, {self._runs} boards seen"
 
+    def threads(self) -> tuple[SupervisedThread, ...]:
+        """Return the thread that simulates the controller."""
+        return (self._thread,)
+
     def close(self) -> None:
         """End the thread that simulates the controller, and wait for its end."""
+        self._thread.expect_end()
         with self._changed:
             self._closing, self._rule = True, None
             self._changed.notify()
-        if self._thread is not None:
+        if self._thread.ident is not None:
             self._thread.join()
 
     def _work(self) -> None:
@@ -125,7 +130,8 @@ class SimulatedController:
                 ended = self._step(self.clock.now_s())
                 if ended:
                     self._line.end_run()
-                self._changed.wait(self._wait_s())
+                with self._thread.waiting():
+                    self._changed.wait(self._wait_s())
 
     def _step(self, now_s: float) -> bool:
         """Do everything that is due at the time `now_s`. Return whether a run has ended by this."""

@@ -80,7 +80,13 @@ def run_acquisition(
             devices = open_backend(config)
             try:
                 _MainLoop(config, ring, devices, connection).run()
-            finally:
+            except InternalError as error:
+                _report_failure(connection, error)
+                _close_within(devices, END_S)
+            except BaseException:  # any other end closes the devices too; raised again
+                devices.close()
+                raise
+            else:
                 devices.close()
     except VaoiError as error:
         _report_failure(connection, error)
@@ -182,7 +188,7 @@ class _MainLoop:
 
     def _check_threads(self) -> None:
         """Raise InternalError if a thread has ended or hangs. This ends the process, and the station restarts it."""
-        for fault in (*self._failures, *faults_of(self._threads)):
+        for fault in (*self._failures, *faults_of((*self._threads, *self._devices.threads()))):
             raise InternalError(f"In the acquisition process: {fault}", code="thread-lost")
 
     def _note_failure(self, failure: threading.ExceptHookArgs) -> None:
@@ -304,6 +310,13 @@ class _MainLoop:
     def _read_clocks(self) -> None:
         for clock, source in zip(self._clocks, self._sources, strict=True):
             clock.add(source.read_clock())
+
+
+def _close_within(devices: Devices, longest_s: float) -> None:
+    """Close the devices, but wait no longer than this: a thread that hangs may keep its device from closing."""
+    closing = threading.Thread(target=devices.close, name="closing", daemon=True)
+    closing.start()
+    closing.join(longest_s)
 
 
 def _check_layout(ring: Ring, config: StationConfig) -> None:

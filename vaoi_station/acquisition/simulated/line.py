@@ -24,11 +24,14 @@ from vaoi_station.acquisition.device_clock import DeviceClock
 from vaoi_station.acquisition.simulated.board import SimulatedBoard, to_bytes
 from vaoi_station.errors import InputError, InternalError, VaoiError
 from vaoi_station.simulation import Twin, calibration_board
+from vaoi_station.supervised_thread import SupervisedThread
 
 AHEAD = 2
 """Number of boards that are prepared in advance."""
 LEAD_S = 0.02
 """Time from the decision to let a board pass to the start of its passage, s."""
+RENDER_LIMIT_S = 600.0
+"""Longest time for one frame of the twin, s. The first one may wait for the compiler on a busy computer."""
 SAME_TIME_S = 1e-6
 """Largest accepted difference between the times of a fired and a predicted pulse, s."""
 
@@ -82,12 +85,11 @@ class SimulatedLine:
         self._start_s = 0.0
         self._next_host_s = float("-inf")
         self._armed = self._passing = self._closing = False
-        self._thread: threading.Thread | None = None
+        self._thread = SupervisedThread(self._work, "line", RENDER_LIMIT_S)
 
     def start(self, controller: SimulatedController, faults: EventQueue) -> None:
         """Begin to prepare boards; report faults to `faults`."""
         self._controller, self._faults = controller, faults
-        self._thread = threading.Thread(target=self._work, name="line")
         self._thread.start()
 
     def accept(self, plan: TriggerPlan) -> TriggerPlan:
@@ -157,12 +159,17 @@ class SimulatedLine:
         for k in range(math.ceil(passing_s / interval_s)):
             self._cameras[n].trigger(host_s + (k + 1 / 3) * interval_s, board.pixels(n, 0))
 
+    def threads(self) -> tuple[SupervisedThread, ...]:
+        """Return the thread that lets boards pass."""
+        return (self._thread,)
+
     def close(self) -> None:
         """End the thread that lets boards pass, and wait for its end."""
+        self._thread.expect_end()
         with self._change:
             self._closing = True
             self._change.notify()
-        if self._thread is not None:
+        if self._thread.ident is not None:
             self._thread.join()
 
     def _agrees(self, board: SimulatedBoard, event: PulseFired) -> bool:
@@ -173,6 +180,7 @@ class SimulatedLine:
     def _work(self) -> None:
         try:
             while not self._closing:
+                self._thread.beat()
                 if self._may_pass():
                     self._let_pass()
                 elif not self._passing and self._to_prepare():
@@ -180,6 +188,7 @@ class SimulatedLine:
                 else:
                     self._wait()
         except VaoiError as error:
+            self._thread.expect_end()  # the fault is reported; no board comes any more
             self._faults.put(DeviceFault("simulated line", error))
 
     def _may_pass(self) -> bool:
@@ -218,4 +227,5 @@ class SimulatedLine:
             if self._closing or self._may_pass() or (not self._passing and self._to_prepare()):
                 return
             waiting_for_time = self._armed and self._ready and not self._passing
-            self._change.wait(max(self._next_host_s - time.monotonic(), 0.0) if waiting_for_time else None)
+            with self._thread.waiting():
+                self._change.wait(max(self._next_host_s - time.monotonic(), 0.0) if waiting_for_time else None)

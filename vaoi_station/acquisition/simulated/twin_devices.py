@@ -11,6 +11,7 @@ from vaoi_station.acquisition.simulated.line import SimulatedLine, accept_plan
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import InputError
 from vaoi_station.simulation import Scenario, Twin, read_scenario
+from vaoi_station.supervised_thread import SupervisedThread
 
 
 class _ControllerWithLine(SimulatedController):
@@ -24,6 +25,10 @@ class _ControllerWithLine(SimulatedController):
         """Start the controller, then the line."""
         super().start(events)
         self._simulated_line.start(self, events)
+
+    def threads(self) -> tuple[SupervisedThread, ...]:
+        """Return the threads of controller and line."""
+        return (*super().threads(), *self._simulated_line.threads())
 
     def close(self) -> None:
         """Close the line, then the controller."""

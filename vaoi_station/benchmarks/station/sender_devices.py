@@ -26,6 +26,7 @@ from vaoi_station.benchmarks.station.prerendered_run import PrerenderedRun
 from vaoi_station.config import StationConfig
 from vaoi_station.runs.control.acquisition_link import Launch, Process
 from vaoi_station.runs.host.process_setup import set_up_process
+from vaoi_station.supervised_thread import SupervisedThread
 
 if TYPE_CHECKING:
     Pipe = Connection[Any, Any]
@@ -55,12 +56,14 @@ class SenderConnection:
         """Slot → frame id and time stamp of its arrival, for requests without a reply."""
         self._sending = threading.Lock()
         self._arrivals: SimpleQueue[CameraEvent] | None = None
+        self.thread = SupervisedThread(self._receive, "sender-replies")
+        """The thread that receives the replies."""
 
     def start(self, arrivals: SimpleQueue[CameraEvent]) -> None:
         """Start to put arrivals into a queue. Each camera calls this method; only the first call has an effect."""
         if self._arrivals is None:
             self._arrivals = arrivals
-            threading.Thread(target=self._receive, name="sender-replies", daemon=True).start()
+            self.thread.start()
 
     def request(self, request: FillRequest, frame_id: int, time_s: float) -> None:
         """Request that the sender fills a slot. The arrival of the frame will have the given id and time stamp."""
@@ -73,8 +76,10 @@ class SenderConnection:
         assert self._arrivals is not None
         while True:
             try:
-                request: FillRequest = self._connection.recv()
+                with self.thread.waiting():
+                    request: FillRequest = self._connection.recv()
             except (EOFError, OSError):
+                self.thread.expect_end()
                 # The sender ends with the benchmark; there is nothing left to deliver.
                 return
             frame_id, time_s = self._pending.pop(request.slot)
@@ -125,6 +130,10 @@ class SenderCamera:
         """Return the counts of delivered and dropped frames."""
         message = f"{self._without_slot} frames found no free slot" if self._without_slot else ""
         return CameraHealth(True, message, None, self._delivered)
+
+    def threads(self) -> tuple[SupervisedThread, ...]:
+        """Return the thread that receives the sender's replies; all cameras share it."""
+        return (self._sender.thread,)
 
     def close(self) -> None:
         """Do nothing: the connection ends with its pipe."""

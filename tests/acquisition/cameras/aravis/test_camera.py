@@ -21,6 +21,7 @@ from vaoi_station.acquisition.clocks import ClockReading
 from vaoi_station.backoff import BackoffPolicy
 from vaoi_station.config import CameraConfig
 from vaoi_station.errors import DeviceError
+from vaoi_station.supervised_thread import SupervisedThread
 
 SLOTS = [Slot(number, np.zeros(32, np.uint8)) for number in range(4)]
 EPOCH_S = 5.0
@@ -79,6 +80,9 @@ class StandInConnection:
 
     def is_controller(self) -> bool:
         return self.controlled
+
+    def threads(self) -> tuple[SupervisedThread, ...]:
+        return (SupervisedThread(lambda: None, "frames"),)
 
     def counters(self) -> dict[str, int]:
         return {"n_underruns": 3}

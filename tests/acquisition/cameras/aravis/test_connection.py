@@ -51,6 +51,17 @@ def test_a_configured_and_started_camera_runs_until_it_is_closed(camera: StandIn
     assert connection.counters() == {}
 
 
+def test_the_receiving_thread_is_supervised_until_the_end(connection: Connection) -> None:
+    assert connection.threads() == ()
+    connection.start(RESULTS.put, PortShare())
+    [thread] = connection.threads()
+    assert thread.name == "camera-c0-frames"
+    assert thread.fault() is None
+    connection.close()
+    assert connection.threads() == ()
+    assert thread.fault() is None
+
+
 def test_a_camera_that_is_gone_is_released_without_access_to_it(camera: StandInCamera, connection: Connection) -> None:
     connection.start(RESULTS.put, PortShare())
     connection.close(gone=True)

@@ -139,6 +139,29 @@ def test_a_buffer_that_was_taken_back_is_not_reported_again(bench: Bench) -> Non
     assert bench.results.empty()
 
 
+def test_a_pulling_thread_that_ends_is_a_fault(bench: Bench) -> None:
+    def fail() -> None:
+        raise RuntimeError("boom")
+
+    bench.aravis_stream.fill_when_popped = fail
+    bench.slots.thread.join(10)
+    assert str(bench.slots.thread.fault()) == "Thread 'test-frames' has ended (RuntimeError: boom)."
+
+
+def test_a_pulling_thread_that_hangs_is_a_fault(bench: Bench) -> None:
+    hangs, release = threading.Event(), threading.Event()
+
+    def stand() -> None:
+        hangs.set()
+        release.wait(10)
+
+    bench.slots.thread._limit_s = 0.0
+    bench.aravis_stream.fill_when_popped = stand
+    assert hangs.wait(10)
+    assert "hangs for" in str(bench.slots.thread.fault())
+    release.set()
+
+
 def test_closing_ends_the_thread_and_returns_the_unused_slots(bench: Bench) -> None:
     bench.slots.queue(SLOTS[2])
     assert bench.slots.close() == [SLOTS[2]]

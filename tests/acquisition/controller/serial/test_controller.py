@@ -146,6 +146,17 @@ def test_events_come_while_no_request_is_made(
     assert until(events, RunEnded).reason == "disarmed"
 
 
+def test_the_thread_at_the_port_is_supervised_until_the_end(
+    controller: SerialController, events: EventQueue, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    [thread] = controller.threads()
+    controller.arm(PLAN)
+    assert thread.fault() is None
+    beats = threading.Semaphore(0)
+    monkeypatch.setattr(thread, "beat", beats.release)
+    assert beats.acquire(timeout=20), "it shows that it is alive while nothing happens"
+
+
 def test_health_names_state_firmware_and_clock(controller: SerialController, events: EventQueue) -> None:
     assert controller.health().startswith("serial: idle, firmware 1.2.3, start 1, clock ±")
     controller.arm(PLAN)

@@ -27,11 +27,14 @@ from vaoi_station.acquisition.cameras.interface import (
 from vaoi_station.acquisition.clocks import ClockReading
 from vaoi_station.backoff import Backoff, BackoffPolicy
 from vaoi_station.errors import DeviceError, InputError, VaoiError
+from vaoi_station.supervised_thread import SupervisedThread
 
 CHECK_S = 0.25
 """Interval at which the supervisor checks that the camera is present."""
 HEARTBEAT_S = 1.0
 """Interval at which Aravis checks that it still controls a camera. The state that Aravis reports may be this old."""
+OPENING_LIMIT_S = 60.0
+"""Longest time for opening a camera: each access to one that has just gone takes 2.6 s (measured)."""
 TEMPERATURE_S = 5.0
 """Interval of temperature readings.
 
@@ -91,7 +94,7 @@ class AravisCamera:
         self._last_controlled_s = self._last_reply_s
         """Last monotonic time, s, at which this process certainly controlled the camera."""
         self._closing = threading.Event()
-        self._thread = threading.Thread(target=self._supervise, name=f"camera-{self.config.name}")
+        self._thread = SupervisedThread(self._supervise, f"camera-{self.config.name}", OPENING_LIMIT_S)
         connection.start(self._on_slot, share)
 
     def start(self, arrivals: SimpleQueue[CameraEvent]) -> None:
@@ -145,8 +148,14 @@ class AravisCamera:
             next_try_s=self._backoff.due_s,
         )
 
+    def threads(self) -> tuple[SupervisedThread, ...]:
+        """Return the supervisor and, unless the camera is lost, the thread that receives frames."""
+        connection = self._connection
+        return (self._thread, *(connection.threads() if connection is not None else ()))
+
     def close(self) -> None:
         """End the supervisor, stop the camera and release it."""
+        self._thread.expect_end()
         self._closing.set()
         if self._thread.ident is not None:
             self._thread.join()
@@ -176,6 +185,7 @@ class AravisCamera:
         temperature_due_s = 0.0
         self._backoff.record_success()
         while not self._closing.wait(CHECK_S if self._connection else min(self._backoff.remaining_s(), ABSENT_S)):
+            self._thread.beat()
             if self._connection is None:
                 self._reopen_when_due()
                 continue
@@ -242,8 +252,12 @@ class AravisCamera:
     def _reopen(self) -> bool:
         """Try once to open the camera and to start it; return whether this succeeded."""
         try:
-            with OPENING_LOCK:
+            with self._thread.waiting():
+                OPENING_LOCK.acquire()  # a camera that hangs while it is opened is reported by its own supervisor
+            try:
                 connection, reading = self._connect()
+            finally:
+                OPENING_LOCK.release()
         except VaoiError as error:
             self._fault = error
             return False

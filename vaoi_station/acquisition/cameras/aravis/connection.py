@@ -25,6 +25,7 @@ from vaoi_station.acquisition.clocks import ClockReading
 from vaoi_station.config import CameraConfig
 from vaoi_station.errors import DeviceError
 from vaoi_station.pixel_formats import PIXEL_FORMATS
+from vaoi_station.supervised_thread import SupervisedThread
 
 USB3_MIN_VERSION = (0, 8, 30)
 """The first version of Aravis that is reliable with USB3."""
@@ -133,6 +134,11 @@ class Connection:
         """The stream to which slots are queued. It exists after `start`."""
         assert self._stream is not None
         return self._stream
+
+    def threads(self) -> tuple[SupervisedThread, ...]:
+        """Return the thread that receives frames; none before `start` and after `close`."""
+        stream = self._stream  # read once: another thread may release the stream
+        return () if stream is None else (stream.thread,)
 
     def counters(self) -> dict[str, int]:
         """Return the stream's counters by name. The dictionary is empty before `start` and after `close`."""

@@ -15,6 +15,7 @@ from typing import Any
 from vaoi_station.acquisition.cameras.aravis.frame_check import FrameCheck, FrameFormat
 from vaoi_station.acquisition.cameras.aravis.library import aravis
 from vaoi_station.acquisition.cameras.interface import Slot
+from vaoi_station.supervised_thread import SupervisedThread
 
 POP_US = 50_000
 """Longest wait of the pulling thread for a buffer, in µs; after it the thread checks whether the stream is closed."""
@@ -59,8 +60,9 @@ class SlotStream:
         self._queued: dict[int, tuple[Any, Slot]] = {}
         """C pointer of a buffer → the buffer and its slot, for all buffers that the stream has."""
         self._ending = threading.Event()
-        self._thread = threading.Thread(target=self._pull, name=f"{name}-frames")
-        self._thread.start()
+        self.thread = SupervisedThread(self._pull, f"{name}-frames")
+        """The pulling thread."""
+        self.thread.start()
 
     def queue(self, slot: Slot) -> None:
         """Give a slot's memory to the stream. Frames fill slots in the order in which the slots were given."""
@@ -100,8 +102,9 @@ class SlotStream:
         # They are taken back before the thread ends, because this thread pulls the frames that are still being
         # received.
         unused = self.take_back()
+        self.thread.expect_end()
         self._ending.set()
-        self._thread.join()
+        self.thread.join()
         return unused
 
     def counters(self) -> dict[str, int]:
@@ -113,6 +116,7 @@ class SlotStream:
 
     def _pull(self) -> None:
         while not self._ending.is_set():
+            self.thread.beat()
             # The call releases the GIL while it waits. A signal callback instead would run Python in Aravis' receive
             # thread, which crashed (Aravis #453, #714, #941).
             buffer = self._stream.timeout_pop_buffer(POP_US)

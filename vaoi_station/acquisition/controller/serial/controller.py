@@ -17,6 +17,7 @@ from vaoi_station.acquisition.controller.serial.supervisor import Supervisor
 from vaoi_station.backoff import Backoff, BackoffPolicy
 from vaoi_station.config import ControllerConfig, StationConfig
 from vaoi_station.errors import DeviceError
+from vaoi_station.supervised_thread import DEVICE_LIMIT_S, SupervisedThread
 
 T = TypeVar("T")
 
@@ -44,7 +45,7 @@ class SerialController:
         self._jobs: SimpleQueue[tuple[Callable[[], Any], Future[Any]]] = SimpleQueue()
         self._backoff = Backoff(PACE)
         self._closing = threading.Event()
-        self._thread: threading.Thread | None = None
+        self._thread = SupervisedThread(self._work, "controller", DEVICE_LIMIT_S)
         try:
             self._supervisor.connect()
         except BaseException:  # also KeyboardInterrupt: free the port, then raise it again
@@ -55,7 +56,6 @@ class SerialController:
         """Begin to put events into the queue `events`."""
         self._supervisor.publish_reading = events.put
         self._supervisor.translator.start(events.put)
-        self._thread = threading.Thread(target=self._work, name="controller")
         self._thread.start()
 
     def arm(self, plan: TriggerPlan) -> None:
@@ -105,13 +105,18 @@ class SerialController:
         """The largest error of the clock fit at this moment, in s."""
         return self._supervisor.timebase.bound_s()
 
+    def threads(self) -> tuple[SupervisedThread, ...]:
+        """Return the thread that uses the port."""
+        return (self._thread,)
+
     def close(self) -> None:
         """Disarm, then close the port."""
         self.disarm()
+        self._thread.expect_end()
         with self._supervisor.lock:
             self._closing.set()
             self._waker.wake()
-        if self._thread is not None:
+        if self._thread.ident is not None:
             self._thread.join()
         self._release()
 
@@ -120,7 +125,7 @@ class SerialController:
 
         Raise DeviceError at once if it is not reachable.
         """
-        if self._thread is None:
+        if self._thread.ident is None:
             return job()
         with self._supervisor.lock:
             if (down := self._supervisor.unavailable) is not None:
@@ -141,6 +146,7 @@ class SerialController:
 
     def _serve_and_reconnect(self) -> None:
         while not self._closing.is_set():
+            self._thread.beat()
             try:
                 if self._supervisor.unavailable is not None:
                     self._backoff.start_attempt()
@@ -160,6 +166,7 @@ class SerialController:
         """Do jobs and receive events, in the controller's thread, until the connection fails."""
         self._broken = None
         while not self._closing.is_set():
+            self._thread.beat()
             try:
                 job, future = self._jobs.get_nowait()
             except Empty:
