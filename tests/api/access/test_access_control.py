@@ -6,6 +6,8 @@ from typing import Any
 
 import pytest
 
+from tests.api.conftest import Served
+from vaoi_station.api.access.access_control import AccessControl
 from vaoi_station.api.access.audit import AuditLog
 from vaoi_station.files.access_keys import KeyFile
 
@@ -79,3 +81,18 @@ def test_refusals_without_end_do_not_fill_the_audit_log(call_from: Any, audit: A
     for _ in range(200):
         client.get("/api/v1/station")
     assert len(audit.newest(1000)) <= 120
+
+
+def test_an_open_event_stream_ends_when_its_key_is_revoked(keys: KeyFile, audit: AuditLog, station: Any) -> None:
+    access = AccessControl(keys, audit, open_loopback=False)
+    served = Served(station, access=access)
+    try:
+        key = {"authorization": f"Bearer {keys.create('reader', ['read']).secret}"}
+        with served.client.stream("GET", "/api/v1/events", headers=key) as events:
+            lines = events.iter_lines()
+            assert next(lines).startswith("event: heartbeat")
+            keys.rotate("reader")
+            station.publish("station", "something that the old key must not see")
+            assert not [line for line in lines if "must not see" in line]
+    finally:
+        served.stop()

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import ipaddress
 import time
+from collections.abc import Callable
 from http.cookies import CookieError, SimpleCookie
 from typing import Any
 
@@ -33,6 +34,7 @@ OPEN_SCOPES = frozenset({"read", "operate", "teach"})
 LOCAL = "loopback"
 _FORWARDED = ("forwarded", "x-forwarded-for", "x-real-ip", "via")
 _REFUSALS_PER_MINUTE = 60
+_STILL_KNOWN = "still-known"
 
 
 class AccessControl:
@@ -61,6 +63,7 @@ class AccessControl:
             detail = f"{scope['method']} {path} needs a key with the scope {needed}; the request has no valid one."
             return problem_response(path, "no-key", detail, headers={"WWW-Authenticate": 'Bearer realm="vaoi"'})
         set_caller(scope, caller)
+        scope["state"][_STILL_KNOWN] = lambda: self._still_known(caller)
         states_origin = "origin" in headers or "sec-fetch-site" in headers
         if with_cookie and not states_origin and scope["method"] not in ("GET", "HEAD", "OPTIONS"):
             return problem_response(path, "foreign-origin", "The command with a cookie does not state its origin.")
@@ -68,6 +71,13 @@ class AccessControl:
             detail = f"{scope['method']} {path} needs the scope {needed}; {caller.name} has {sorted(caller.scopes)}."
             return problem_response(path, "missing-scope", detail)
         return None
+
+    def _still_known(self, caller: Caller) -> bool:
+        """Return whether the key of a caller is the same as when its request began; answers may last for hours."""
+        try:
+            return caller.access_key is None or caller.access_key in self.keys.entries()
+        except VaoiError:
+            return False
 
     def note(self, scope: Scope, status: int, begun: float) -> None:
         """Write a command, or a refusal because of a missing key, to the audit log."""
@@ -108,6 +118,12 @@ class AccessControl:
         return None, False
 
 
+def still_known(scope: Scope) -> bool:
+    """Return whether the caller of a request that is under way may still read; it may not when its key was revoked."""
+    check: Callable[[], bool] = scope["state"].get(_STILL_KNOWN, lambda: True)
+    return check()
+
+
 def session_token(headers: Headers) -> str | None:
     """Return the content of the cookie of a login; None if the request has none."""
     try:
@@ -119,7 +135,7 @@ def session_token(headers: Headers) -> str | None:
 
 def _with_key(address: str, key: AccessKey) -> Caller:
     # Every key may read: a program that arms the line must also see the state.
-    return Caller(address, key.name, frozenset({"read", *key.scopes}))
+    return Caller(address, key.name, frozenset({"read", *key.scopes}), key)
 
 
 def _is_loopback(scope: Scope) -> bool:

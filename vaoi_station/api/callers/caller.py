@@ -8,6 +8,7 @@ from fastapi import Request
 from starlette.types import Scope
 
 from vaoi_station.api.listener.connections import caller_address
+from vaoi_station.files.access_keys import AccessKey
 
 _KEY = "caller"
 
@@ -22,6 +23,8 @@ class Caller:
     """Name of the caller's key; None without a key."""
     scopes: frozenset[str] = frozenset()
     """Scopes that the caller has."""
+    access_key: AccessKey | None = None
+    """The key itself, as it was when the request began."""
 
     @property
     def name(self) -> str:

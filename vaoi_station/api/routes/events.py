@@ -9,6 +9,7 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Header, Query, Request
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
+from vaoi_station.api.access.access_control import still_known
 from vaoi_station.api.callers.caller import caller_of
 from vaoi_station.api.rest_models import Heartbeat
 from vaoi_station.api.routes.services import Services
@@ -43,16 +44,19 @@ def router(services: Services) -> APIRouter:
 
     @routes.get("/events", response_class=EventSourceResponse)
     async def stream_events(
-        after: int = Depends(start), _: None = Depends(reserve_place)
+        request: Request, after: int = Depends(start), _: None = Depends(reserve_place)
     ) -> AsyncIterator[ServerSentEvent]:
         """Stream every event as one message whose id is its number, in order and without gaps.
 
         Resume with `Last-Event-ID` (browsers send it automatically) or `?after=`; without either, the stream starts
-        with the next event. After two seconds without an event, an event `heartbeat` reports state and time.
+        with the next event. After two seconds without an event, an event `heartbeat` reports state and time. The stream
+        ends when the caller's key is revoked or rotated.
         """
         yield await _heartbeat(services)
         while not services.hub.closed:
             records = await services.hub.events(after, HEARTBEAT_S)
+            if not await services.commands.ask(still_known, request.scope):
+                return
             for record in records:
                 after = record.number
                 yield _message(record)

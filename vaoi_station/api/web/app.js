@@ -119,7 +119,7 @@ function setText(element, text) {
 }
 
 async function start() {
-  await loggedIn();
+  await loggedIn(live);
   try {
     const now = await rest.station();
     showStation(now);

@@ -8,6 +8,7 @@ export class Live {
   #source = null;
   #receivedAt = performance.now();
   #newest = 0;
+  #paused = false;
 
   // onEvent(record, or null after a reconnect), onHeartbeat(heartbeat), onAge(stale, seconds)
   constructor({ onEvent, onHeartbeat, onAge }) {
@@ -31,14 +32,28 @@ export class Live {
     });
   }
 
+  // While a person logs in, no message is expected.
+  pause() {
+    this.#paused = true;
+  }
+
+  resume() {
+    this.#paused = false;
+    this.noteMessage();
+  }
+
   noteMessage() {
     this.#receivedAt = performance.now();
   }
 
   #check() {
+    if (this.#paused) return;
     const silent = performance.now() - this.#receivedAt;
     this.onAge(silent > STALE_MS, Math.floor(silent / 1000));
     // A browser does not reconnect after a reply that is not an event stream.
-    if (this.#source?.readyState === EventSource.CLOSED) this.open(this.#newest);
+    if (this.#source?.readyState === EventSource.CLOSED) {
+      this.open(this.#newest);
+      this.onEvent(null); // the page asks for the state, and learns whether it must log in again
+    }
   }
 }

@@ -13,14 +13,14 @@ function offerLogOut() {
   const link = make("a", { href: "#", id: "log-out", textContent: texts.logOut });
   link.addEventListener("click", async (event) => {
     event.preventDefault();
-    await rest.logOut();
+    await rest.logOut().catch(() => {}); // the login may have ended already
     location.reload();
   });
   document.querySelector("nav").append(" ", link);
 }
 
 // Resolves when the caller may read, if necessary after a login.
-export async function loggedIn() {
+export async function loggedIn(live) {
   let state;
   try {
     state = await rest.session();
@@ -33,9 +33,13 @@ export async function loggedIn() {
   }
   const key = make("input", { id: "key", type: "password", required: true, maxLength: 200, autocomplete: "current-password" });
   const answer = make("p", { id: "login-answer", role: "alert" });
-  const form = make("form", { id: "login" }, make("label", { htmlFor: "key", textContent: texts.key }), " ", key, " ",
-    make("button", { textContent: texts.logIn }), answer);
-  document.querySelector("main").before(form);
+  const form = make("form", { id: "login" }, make("h2", { textContent: texts.logInTitle }),
+    make("label", { htmlFor: "key", textContent: texts.key }), key, make("button", { textContent: texts.logIn }), answer,
+    make("p", { textContent: texts.logInHelp }));
+  const main = document.querySelector("main");
+  live.pause();
+  main.hidden = true;
+  main.before(form);
   key.focus();
   await new Promise((done) => {
     form.addEventListener("submit", async (event) => {
@@ -43,10 +47,14 @@ export async function loggedIn() {
       try {
         await rest.logIn(key.value);
         form.remove();
+        main.hidden = false;
+        live.resume();
         offerLogOut();
         done();
       } catch (error) {
-        answer.textContent = error instanceof rest.Refusal ? error.message : texts.noAnswer;
+        const refused = error instanceof rest.Refusal;
+        answer.textContent = !refused ? texts.noAnswer : error.code === "no-key" ? texts.wrongKey : error.message;
+        key.select();
       }
     });
   });

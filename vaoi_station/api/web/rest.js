@@ -17,8 +17,14 @@ async function call(method, path, body) {
   });
   const text = await answer.text();
   const content = text ? JSON.parse(text) : null;
+  if (answer.status === 401 && path !== "/session") await beginAgain();
   if (!answer.ok) throw new Refusal(content ?? { detail: `HTTP ${answer.status}.`, action: "", status: answer.status });
   return content;
+}
+
+// The login has ended, or its key was revoked: the page begins again, with the login.
+async function beginAgain() {
+  if (!(await session()).scopes.includes("read")) location.reload();
 }
 
 const part = (address) => address.split("/").map(encodeURIComponent).join("/");

@@ -1,0 +1,186 @@
+"""What one caller may try to keep others out. Each attack runs until it is stopped, from an address of its own."""
+
+from __future__ import annotations
+
+import json
+import math
+import secrets
+import socket
+import threading
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from typing import NamedTuple
+
+ATTACKER = "127.0.0.66"
+"""Source address of all attacks; the honest caller has 127.0.0.1."""
+OUTSIDE = "X-Forwarded-For: 192.0.2.66\r\n"
+"""Header with which a request counts as one from outside, so that it needs a key."""
+
+
+CORNERS = 10_000
+"""Corners of the large board types, which have a tenth as many fiducials and half as many components."""
+
+
+class Target(NamedTuple):
+    """A running station, and a run of it whose frames are in memory."""
+
+    port: int
+    run: str
+
+
+Attack = Callable[[Target, threading.Event], None]
+
+
+def connect(target: Target, sent: bytes = b"") -> socket.socket:
+    """Open a connection from the attacker's address and send bytes."""
+    s = socket.socket()
+    try:
+        s.settimeout(2)
+        s.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        s.bind((ATTACKER, 0))
+        s.connect(("127.0.0.1", target.port))
+        s.sendall(sent)
+    except OSError:
+        s.close()
+        raise
+    return s
+
+
+def get(path: str, headers: str = "") -> bytes:
+    """Return a request."""
+    return f"GET {path} HTTP/1.1\r\nHost: localhost\r\n{headers}\r\n".encode()
+
+
+def post(method: str, path: str, body: bytes, length: int | None = None) -> bytes:
+    """Return a request with a body; `length` is the length that it announces, by default the true one."""
+    size = len(body) if length is None else length
+    return f"{method} {path} HTTP/1.1\r\nHost: localhost\r\nContent-Length: {size}\r\n\r\n".encode() + body
+
+
+def hold(target: Target, stop: threading.Event, sent: bytes, most: int, drip: bytes = b"") -> None:
+    """Hold as many as `most` connections that have sent something and do not read; send `drip` on each in turn."""
+    held: deque[socket.socket] = deque()
+    while not stop.wait(0.002):
+        with suppress(OSError):
+            held.append(connect(target, sent))
+        if drip and held:
+            with suppress(OSError):
+                held[0].send(drip)
+            held.rotate()
+        if len(held) > most:
+            held.popleft().close()
+    for s in held:
+        s.close()
+
+
+def ask(target: Target, stop: threading.Event, requests: Callable[[], bytes], pause_s: float = 0.0) -> None:
+    """Send one request after the other, each on a new connection, and read the beginning of each answer."""
+    while not stop.wait(pause_s):
+        with suppress(OSError), connect(target, requests()) as s:
+            s.recv(65536)
+
+
+def half_heads(target: Target, stop: threading.Event) -> None:
+    """Send half a head on each of 1,100 connections."""
+    hold(target, stop, b"GET / HTTP/1.1\r\nHost: localhost\r\n", 1100)
+
+
+def slow_heads(target: Target, stop: threading.Event) -> None:
+    """Send heads byte by byte."""
+    hold(target, stop, b"GET / HTTP/1.1\r\nHost: localhost\r\nX-", 200, b"a")
+
+
+def slow_bodies(target: Target, stop: threading.Event) -> None:
+    """Announce large board types and send them byte by byte."""
+    hold(target, stop, post("PUT", "/api/v1/board-types/slow", b"{", 8_000_000), 200, b" ")
+
+
+def unread_answers(target: Target, stop: threading.Event) -> None:
+    """Ask for whole frames and read nothing."""
+    hold(target, stop, get(f"/api/v1/runs/{target.run}/frames/0/1?format=raw"), 80)
+
+
+def event_streams(target: Target, stop: threading.Event) -> None:
+    """Open event streams and read nothing."""
+    hold(target, stop, get("/api/v1/events?after=0"), 256)
+
+
+def long_polls(target: Target, stop: threading.Event) -> None:
+    """Wait for the next run on many connections."""
+    hold(target, stop, get("/api/v1/runs/next?timeout=60"), 256)
+
+
+def large_board_types(target: Target, stop: threading.Event) -> None:
+    """Store board types with 10,000 corners and 1,000 fiducials, each under another name."""
+    turn = [2 * math.pi * i / CORNERS for i in range(CORNERS)]
+    document = {
+        "name": "NAME",
+        "outline": [[100 * math.cos(t), 100 * math.sin(t)] for t in turn],
+        "fiducials": [
+            {"name": f"F{i}", "x": i % 32 - 16, "y": i // 32 - 16, "diameter": 0.2} for i in range(CORNERS // 10)
+        ],
+        "components": [
+            {"ref": f"R{i}", "center": [i % 50, i // 50], "width": 1, "height": 1} for i in range(CORNERS // 2)
+        ],
+    }
+    text, numbers = json.dumps(document), iter(range(10**9))
+
+    def requests() -> bytes:
+        name = f"flood-{next(numbers)}"
+        return post("PUT", f"/api/v1/board-types/{name}", text.replace("NAME", name).encode())
+
+    ask(target, stop, requests)
+
+
+def overwritten_board_types(target: Target, stop: threading.Event) -> None:
+    """Overwrite one board type again and again."""
+    numbers = iter(range(10**9))
+
+    def requests() -> bytes:
+        part = {"ref": "U1", "center": [next(numbers), 2], "width": 3, "height": 4}
+        fiducials = [{"name": f"F{k}", "x": 9 * k, "y": 7 * k, "diameter": 1} for k in range(2)]
+        document = {"name": "again", "components": [part], "fiducials": fiducials}
+        return post("PUT", "/api/v1/board-types/again", json.dumps(document).encode())
+
+    ask(target, stop, requests)
+
+
+def pictures(target: Target, stop: threading.Event) -> None:
+    """Ask for large pictures as fast as they come."""
+    ask(target, stop, lambda: get(f"/api/v1/runs/{target.run}/components/U1/images/0?px_per_mm=200"))
+
+
+def pictures_without_a_key(target: Target, stop: threading.Event) -> None:
+    """Ask for large pictures from outside, without a key."""
+    ask(target, stop, lambda: get(f"/api/v1/runs/{target.run}/components/U1/images/0?px_per_mm=500", OUTSIDE))
+
+
+def guessed_keys(target: Target, stop: threading.Event) -> None:
+    """Guess keys, in requests and in the login of the page."""
+
+    def requests() -> bytes:
+        key = f"vaoi_{secrets.token_hex(6)}_{secrets.token_urlsafe(32)}"
+        if key[5] < "8":
+            return get("/api/v1/station", f"{OUTSIDE}Authorization: Bearer {key}\r\n")
+        return post("POST", "/api/v1/session", json.dumps({"key": key}).encode())
+
+    ask(target, stop, requests)
+
+
+ATTACKS: dict[str, Attack] = {
+    attack.__name__: attack
+    for attack in (
+        half_heads,
+        slow_heads,
+        slow_bodies,
+        unread_answers,
+        event_streams,
+        long_polls,
+        large_board_types,
+        overwritten_board_types,
+        pictures,
+        pictures_without_a_key,
+        guessed_keys,
+    )
+}
