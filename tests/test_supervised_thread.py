@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import ctypes
+import gc
 import re
 import threading
 import time
+import weakref
 
 import pytest
 
@@ -106,3 +108,23 @@ def test_a_thread_is_at_rest_only_while_it_waits() -> None:
     thread.expect_end()
     ended.set()
     thread.join(PATIENCE_S)
+
+
+def test_a_thread_that_has_ended_does_not_keep_its_owner() -> None:
+    class Owner:
+        def __init__(self) -> None:
+            self.thread = SupervisedThread(self.work, "work")
+
+        def work(self) -> None:
+            """Do nothing."""
+
+    owner = Owner()
+    owner.thread.start()
+    owner.thread.join(PATIENCE_S)
+    gone = weakref.ref(owner)
+    gc.disable()
+    try:
+        del owner
+        assert gone() is None
+    finally:
+        gc.enable()

@@ -73,6 +73,9 @@ class SupervisedThread(threading.Thread):
         except BaseException as error:  # noqa: BLE001  any end of the thread is a fault, which the supervisor acts on
             self._failure = f"{type(error).__name__}: {error}".rstrip(": ")
             _log.critical("thread %s has ended", self.name, exc_info=True)
+        finally:
+            # The work is often a method of the thread's owner: the two would keep each other, and what the owner holds.
+            del self._work
 
     def fault(self) -> ThreadFault | None:
         """Return the fault of the thread; None if there is none, or if the thread was not started yet."""

@@ -46,9 +46,9 @@ class ClockJump:
     size_s: float
     """Positive if the device's clock shows more than it should."""
     since_s: float
-    """Host time of the last reading before the jump."""
+    """Earliest host time of the last reading before the jump."""
     until_s: float
-    """Host time of the first reading after it."""
+    """Latest host time of the first reading after it."""
 
     def __str__(self) -> str:
         return f"its clock jumped by {self.size_s:+.2f} s"
@@ -81,7 +81,9 @@ class ClockModel:
             if off_s > 2 * (self.bound_s(reading.device_s) + reading.bound_s + RESOLUTION_S):
                 if off_s >= JUMP_S:
                     size_s = reading.device_s - self.device_s(reading.host_s)
-                    jump = ClockJump(size_s, self._readings[-1].host_s, reading.host_s)
+                    # The camera took its time at some moment of the round trip, which may be long on a busy computer.
+                    last = self._readings[-1]
+                    jump = ClockJump(size_s, last.host_s - last.bound_s, reading.host_s + reading.bound_s)
                 self._readings.clear()
                 self.restarts += 1
         self._readings.append(reading)
