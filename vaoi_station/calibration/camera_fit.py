@@ -51,7 +51,7 @@ class MarkObservation:
 
 @dataclass(frozen=True, eq=False)
 class CameraResult:
-    """The calibration of one camera: the fit or the cause of the refusal, and all marks, for the picture."""
+    """The calibration of one camera: the fit or the cause of the refusal, and all marks."""
 
     camera: int
     head: CameraHead
@@ -240,7 +240,7 @@ def _expected_marks(
     marks_mm: Floats,
     appearance: MarkAppearance,
 ) -> tuple[MarkObservation, ...]:
-    """List the marks expected in the frame with their detected positions, for the picture of a refusal."""
+    """List the marks expected in the frame of a refused camera, with the positions of those that were detected."""
     px = apply(hypothesis.similarity if hypothesis else nominal_matrix(head, camera), marks_mm)
     known = {int(k): detected.px[n] for k, n in hypothesis.pairs} if hypothesis else {}
     due = sorted({*np.flatnonzero(is_in_frame(head, px, appearance.margin_px)).tolist(), *known})

@@ -26,7 +26,7 @@ from vaoi_station.geometry.transforms import Floats, apply
 MARK_SIGMA_PX = 0.007
 """Prior standard deviation of a mark's measured position, per axis; it is combined with the residuals of a fit."""
 _PRIOR_FREEDOM = 4.0
-"""Weight of this prior standard deviation, in degrees of freedom."""
+"""Weight of the prior standard deviation of a mark's position, in degrees of freedom."""
 CORRELATED_MARKS = 48.0
 """Errors of marks are correlated (print, sampling, lens model): more marks than this hardly improve the fit."""
 _MAX_STEPS = 12

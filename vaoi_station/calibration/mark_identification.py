@@ -31,7 +31,9 @@ _BLANK, _BLANK_CAP, _BLANK_MORE = 4.0, 7.0, 0.3
 Each mark costs the first number, up to a total of the second one. Beyond it, a further mark costs only the third
 number, because one thing that looks like the ground may cover many marks."""
 _HIDDEN, _HIDDEN_CAP, _HIDDEN_MORE = 1.0, 2.0, 0.1
-"""Cost of expected marks that are missing where something may hide them; the three numbers mean the same as above."""
+"""Cost of expected marks that are missing where something may hide them.
+
+Each mark costs the first number, up to a total of the second one; beyond it, a further mark costs the third number."""
 _CHUNK = 64
 """Number of hypotheses that are scored at a time; it limits the memory of the table of distances."""
 _MAX_KEPT = 24

@@ -109,7 +109,7 @@ class _NoRedirect(urllib.request.HTTPRedirectHandler):
     """Follows no redirect: a station sends none, and another server would get the key."""
 
     def redirect_request(self, *_: Any) -> None:
-        """Return that no other request is to be sent; the reply then counts as a refusal."""
+        """Return None, which means that the redirect is not followed. The caller then gets it as a refusal."""
 
 
 class Reply(dict[str, Any]):

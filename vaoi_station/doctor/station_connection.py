@@ -57,7 +57,7 @@ def request(
 
 
 def _context(api: ApiConfig, credentials: CallerCredentials) -> ssl.SSLContext:
-    """Return the trust in the certificate that the configuration names, whatever host name it was made for."""
+    """Return TLS settings that trust the certificate in the configuration, whatever host name it was made for."""
     if credentials.ca is not None:
         return credentials.tls_context()
     context = CallerCredentials(ca=api.certificate).tls_context()

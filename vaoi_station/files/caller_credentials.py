@@ -25,14 +25,15 @@ class CallerCredentials:
 
     key: str | None = field(default=None, repr=False)
     ca: Path | None = None
-    """PEM file with the certificate of the authority, or of the station itself; None trusts those of the system."""
+    """PEM file with the certificate of the authority, or of the station itself; None: those of the system are
+    trusted."""
 
     def headers(self) -> dict[str, str]:
         """Return the HTTP headers by which a request states the caller's key."""
         return {} if self.key is None else {"Authorization": f"Bearer {self.key}"}
 
     def tls_context(self) -> ssl.SSLContext:
-        """Return how the certificate of a station is checked; raise InputError if `ca` cannot be used."""
+        """Return the TLS settings that check the certificate of a station; raise InputError if `ca` cannot be used."""
         try:
             context = ssl.create_default_context(cafile=None if self.ca is None else str(self.ca))
         except (OSError, ssl.SSLError) as error:

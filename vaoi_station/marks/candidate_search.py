@@ -64,7 +64,12 @@ def find_candidates(
 
 @lru_cache(maxsize=64)
 def _template(shape: Shape, size_px: float, arm: float) -> tuple[NDArray[np.float32], NDArray[np.int_], int]:
-    """Return the template (mean 0, square sum 1), the offsets of the rim samples, and the reach of the core in px."""
+    """Return what the search compares with each place of an image, for a mark of the given shape and size.
+
+    Returns:
+        The picture of the mark (mean 0, square sum 1), the offsets of the samples on the bare rim around the mark, and
+        the distance (px) from the centre up to which the mark is filled along the axes.
+    """
     side = max(2 * round(SURROUND / math.sqrt(2) * size_px / 2) + 1, 7)
     template = coverage(shape, size_px, side, arm=arm)
     template -= template.mean()

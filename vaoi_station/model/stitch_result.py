@@ -91,7 +91,7 @@ class Stitch(FrozenModel):
         return None if m is None else Projective(m, System.IMAGE, System.TESTER)
 
     def cameras(self, calibrated: Sequence[Camera]) -> tuple[Camera, ...]:
-        """Return the cameras as they were in this run, from the calibrated cameras."""
+        """Return the cameras with the displacements that this run showed; `calibrated` are the cameras without them."""
         if self.camera_matrices is None:
             return tuple(calibrated)
         return tuple(

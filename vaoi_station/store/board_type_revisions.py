@@ -29,14 +29,14 @@ class BoardTypeRevision(NamedTuple):
     id: str
     path: Path
     stored: datetime
-    """When it was written."""
+    """Time at which the version was written."""
     ended: datetime
-    """When it was replaced or deleted."""
+    """Time at which the version was replaced or deleted."""
     size_bytes: int
 
     @property
     def in_force_s(self) -> float:
-        """Time for which it was in force, s; 0 if the clock was set back meanwhile."""
+        """Time for which the version was in force, s; 0 if the clock was set back meanwhile."""
         return max(0.0, (self.ended - self.stored).total_seconds())
 
 

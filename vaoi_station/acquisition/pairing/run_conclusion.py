@@ -15,7 +15,8 @@ from vaoi_station.acquisition.pairing.run_record import ObservedFrame, RunRecord
 from vaoi_station.model import FrameRecord, Verdict
 
 MARGIN_PERIODS = 1.5
-"""Unassigned frames from this number of periods before the first pulse until as many after the last enter the proof."""
+"""The proof of a run also uses unassigned frames, up to this number of periods before its first and after its last
+pulse."""
 PREVIOUS_RUN = -1
 """Row number that means "the last row of the previous run"."""
 

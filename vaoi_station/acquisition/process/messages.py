@@ -138,7 +138,7 @@ class BoardMissed:
 
 @dataclass(frozen=True)
 class MissedPassage:
-    """The end of the passage of a missed board; further boards may have followed within it.
+    """The end of the passage of a missed board; other boards may have passed before it ended.
 
     `host_time_s` is the time of the first interruption, to which `interruptions` are relative.
     """

@@ -12,7 +12,7 @@ from vaoi_station.model import RecordingHead
 
 
 def finished_report(config: StationConfig, finished: Finished, now_s: float) -> RunFinished:
-    """Return the report of a finished run; frames that are not usable count as missing in its recording head."""
+    """Return the report of a finished run, with the head of its recording, in which unusable frames are missing."""
     record = finished.record
     assert record.run is not None
     assert record.bay is not None

@@ -110,7 +110,7 @@ class Session:
 
     @property
     def filming(self) -> bool:
-        """Whether the pulses of a board with a run of its own are being fired."""
+        """Whether a board is being filmed as a run. Pulses of a board for which no bay was free belong to no run."""
         return self._run is not None and self._run.run is not None
 
     def deadline_s(self, after_s: float) -> float:

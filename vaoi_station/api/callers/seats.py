@@ -18,7 +18,7 @@ class Seats:
     """A number of seats, limited in total and for each caller. A request for which no seat is free is refused."""
 
     def __init__(self, what: str, total: int, per_caller: int) -> None:
-        """Create the seats; `what` is the plural of what one seat stands for, for messages."""
+        """Create the seats; `what` is what callers have seats for, in the plural, for messages, such as "pictures"."""
         self._what, self._total, self._per_caller = what, total, per_caller
         self._taken: Counter[str] = Counter()
 

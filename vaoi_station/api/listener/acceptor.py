@@ -111,7 +111,7 @@ class Acceptor:
         self._loop.call_later(SWEEP_S, self._sweep)
 
     def _refresh_certificate(self, files: CertificateFiles) -> None:
-        """Begin to read a changed certificate, unless a disk that hangs still delays the last time."""
+        """Begin to read a changed certificate, unless the last reading has not ended because the disk hangs."""
         if self._loop.time() >= self._refresh_after and (self._refresh is None or self._refresh.done()):
             self._refresh_after = self._loop.time() + RENEW_S
             self._refresh = self._loop.run_in_executor(None, files.refresh)

@@ -17,7 +17,7 @@ class CertificateFiles:
     """The TLS settings for new connections. Connections that are open keep the certificate they began with."""
 
     def __init__(self, certificate: Path, private_key: Path | None) -> None:
-        """Read both files; raise InputError that names them if they cannot be used."""
+        """Read both files. If they cannot be used, raise an InputError that names them."""
         self._certificate, self._private_key = certificate, private_key
         self._state = self._present()
         self.context = self._read()

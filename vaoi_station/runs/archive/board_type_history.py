@@ -15,14 +15,15 @@ class BoardTypeVersion(Schema):
 
     id: str
     stored: str
-    """When it was written."""
+    """Time at which the version was written."""
     ended: str
-    """When it was replaced or deleted."""
+    """Time at which the version was replaced or deleted."""
     size_bytes: int
 
 
 class BoardTypeHistory:
-    """Lists and restores versions. Methods may be called from any thread except the coordinator's."""
+    """Lists and restores earlier versions of board types. Methods may be called from any thread except the
+    coordinator's."""
 
     def __init__(self, directory: BoardTypeDirectory, put: Callable[[BoardType, str], bool]) -> None:
         """Serve the versions of a directory's board types. `put` stores a board type, with its origin for the event."""
@@ -40,7 +41,7 @@ class BoardTypeHistory:
         )
 
     def get(self, name: str, revision: str) -> BoardType:
-        """Return one version; `NotFoundError` if there is none."""
+        """Return one version of a board type; `NotFoundError` if there is none."""
         return self._directory.revision(name, revision)
 
     def restore(self, name: str, revision: str) -> BoardType:

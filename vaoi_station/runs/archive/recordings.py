@@ -93,7 +93,7 @@ class Recordings:
             self._thread.join()
 
     def finished(self, detail: RunDetail) -> None:
-        """Keep the frames of a run that has ended if its verdict is one to be kept. Returns at once."""
+        """Keep the frames of a run that has ended if the configuration keeps runs with its verdict. Returns at once."""
         wanted = detail.verdict is not Status.OK and self._keep.recordings_of_failed
         if wanted or self._archive.retention.pinned(detail.id):
             self.request(detail.id)

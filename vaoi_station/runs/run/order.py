@@ -57,7 +57,7 @@ class Doubt(NamedTuple):
 
     If that time is not known, it is the latest time at which the board may have done so."""
     published_s: float
-    """Host time at which callers could first know of it."""
+    """Host time at which callers could first know of the board."""
     why: str
 
 

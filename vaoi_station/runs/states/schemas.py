@@ -383,7 +383,7 @@ class ComponentSummary(Schema):
     in_one_frame: bool | None = None
     """Whether one good frame shows the whole footprint; None without a CAD mapping."""
     unseen: bool = False
-    """Whether this is less than the board type or the station asks for."""
+    """Whether the good frames show less of the component than the board type or the station asks for."""
 
 
 class EventRecord(Schema):

@@ -97,7 +97,7 @@ class Surroundings:
 
     @staticmethod
     def _place(camera: Pinhole, lattice: Lattice, pose: Floats, z_mm: float) -> Floats:
-        """Return the positions (k, 2), mm, on a plane at height `z_mm` that moves with `pose`, as the nodes see it."""
+        """Return the positions (k, 2), mm, that the nodes see on a plane at height `z_mm` which moves with `pose`."""
         return np.asarray(apply(np.linalg.inv(pose), camera.ground(lattice.nodes_px, z_mm)))
 
     def _cover(

@@ -40,7 +40,7 @@ _ANYWHERE_PX = 1000.0
 _EM_ITERATIONS = 5
 """Iterations of the search for the most likely displacements in each step of the adjustment."""
 _LARGE_PX = 1.0
-"""In the first steps, a displacement above this makes the search try each camera as the only one that moved."""
+"""If a displacement exceeds this, px, the first steps of the search try each camera as the only one that moved."""
 _UNCHANGED_PX = 1e-7
 """If no displacement changes by more than this, px, the links are not projected again."""
 _NEW_EFFECTS_PX = 0.5
@@ -59,7 +59,10 @@ class CameraEffects(NamedTuple):
 
 
 def camera_effects(cameras: Sequence[Camera], displacement_px: Floats) -> CameraEffects:
-    """Return the effect of small changes of the displacements (n, 3) of cameras as calibrated."""
+    """Return how small changes of the displacements of cameras move the ground points that the cameras see.
+
+    The changes are counted from the displacements `displacement_px` (n, 3), with which the cameras are taken.
+    """
     motion, middle = np.zeros((len(cameras), 3, 3)), np.zeros((len(cameras), 2))
     for i, camera in enumerate(cameras):
         here = displace_camera(camera, displacement_px[i])

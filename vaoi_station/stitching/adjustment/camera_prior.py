@@ -100,7 +100,7 @@ def _of_as_many_cameras(good: list[tuple[float, Attribution]]) -> list[Attributi
 
 
 def _with_rivals(chosen: Attribution, good: list[tuple[float, Attribution]]) -> Attribution:
-    """Return the chosen displacements with the cameras that may have moved instead, and with the spread of all good."""
+    """Return an explanation with the cameras that may have moved instead, and with the spread of all `good`."""
     others = {camera for a in _of_as_many_cameras(good) for camera in a.moved} - {*chosen.moved}
     # The displacements do not show which camera moved: explanations that move as many cameras are equally good.
     as_many = [len(a.moved) == len(good[0][1].moved) for _, a in good]

@@ -59,10 +59,11 @@ class Coupling(NamedTuple):
         return Coupling(first, last, camera, at, columns.surface, columns.surface_column, columns.camera_column)
 
     def equations(self, heights_mm: Floats, sigma_mm: float, sunk_mm: float) -> HeightEquations:
-        """Return the equations of the prior alone: every height is 0 with standard deviation `sigma_mm`.
+        """Return the equations of the component heights without any link: they contain only the prior.
 
-        Components stand above the board: for heights that are below 0, the standard deviation is `sunk_mm`.
-        `heights_mm` (c,) are the current heights, to which the solution is a change.
+        The prior expects a height of 0 with standard deviation `sigma_mm`. As components stand above the board, the
+        standard deviation of heights that are below 0 is `sunk_mm`. The unknowns are changes of the current heights
+        `heights_mm` (c,).
         """
         normal = np.where(heights_mm < 0, 1 / sunk_mm**2, 1 / sigma_mm**2)
         return HeightEquations(np.zeros(int(self.at[-1])), normal, -heights_mm * normal)

@@ -32,7 +32,7 @@ _SATURATED_SHARE = 0.02
 _NOISE_FLOOR = 0.5
 """Smallest noise that is assumed after the blur, in grey levels: pixels are rounded to whole numbers."""
 _TINY = 1e-9
-"""Small addend to the diagonal of s²·Σ (B g)(B g)ᵀ, so that this matrix can be inverted even where it is 0."""
+"""Small number, added to the diagonal of a covariance (2, 2), so that it can be inverted even where it is 0."""
 
 
 @dataclass(frozen=True, eq=False)

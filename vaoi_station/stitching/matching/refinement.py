@@ -72,7 +72,7 @@ _AREA = WINDOW_PX * WINDOW_PX
 _SIZE = WINDOW_PX * PITCH_PX
 
 _Patch = tuple[Plane, Plane, Plane, Plane, Plane]
-"""The arrays of one patch, (768,) each: t, the slopes in x and y, t·x and t·y."""
+"""The arrays of one patch, (768,) each: grey levels t minus their mean, slopes in x and in y, t·x and t·y."""
 _Float = np.float32
 
 
@@ -82,9 +82,9 @@ class Refinement(NamedTuple):
     b_px: Floats
     """(k, 2) centres of the patches in image b; for a patch with too little texture to be searched, its guess."""
     hessian: Floats
-    """(k, 2, 2) the matrices H = g·gᵀ, grey levels² / px²."""
+    """(k, 2, 2) the normal matrices H = g·gᵀ, grey levels² / px²; g are the slopes of a patch in x and y."""
     blurred: Floats
-    """(k, 2, 2) Σ (B g)(B g)ᵀ, B being the blur: the covariance of g·n for blurred white noise n of unit variance."""
+    """(k, 2, 2) Σ (B g)(B g)ᵀ, with B the blur: the covariance of g·n for blurred white noise n of unit variance."""
     score: Floats
     """(k,) correlation of the matched patches; 0 for a lost patch."""
     scatter: Floats

@@ -298,7 +298,7 @@ def _move(h: Floats, noise: Floats, heights: Floats, on_body: Floats) -> None:
 
 @inlined
 def _unite(heights: Floats, probability: Floats, on_body: Floats) -> None:
-    """Merge heights that differ by less than `_WIDTH_MM` after `_move`; the probability of both is their sum."""
+    """Merge heights that differ by less than `_WIDTH_MM` into one, whose probability is the sum of theirs."""
     for c in range(len(on_body) - 1):
         for k in range(len(on_body) - 1):
             if k != c and 0 < probability[k] <= probability[c] and abs(heights[k] - heights[c]) < _WIDTH_MM:

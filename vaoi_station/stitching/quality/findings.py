@@ -346,7 +346,7 @@ class Findings:
 
     @property
     def far_off_plane(self) -> bool:
-        """Whether several overlaps show a height beyond its limit that differs from the height of the adjustment."""
+        """Whether several overlaps show the board too far off the calibrated plane, unlike the adjustment."""
         if self.lift is None or (self.lift.overlaps or 0) < 2 or abs(self.lift.mm) <= LIFT_LIMIT_MM:
             return False
         used = float(self.adjusted.surface_mm[0]) if len(self.adjusted.surface_mm) else 0.0
@@ -387,7 +387,7 @@ class Findings:
 
     @cached_property
     def row_offsets(self) -> dict[tuple[int, int], int]:
-        """For each pair of cameras whose rows do not match: by how many rows the second is too high, −1 or +1."""
+        """For each pair of cameras whose rows do not match: the error, −1 or +1, of the second camera's row numbers."""
         apart = {pair for pair, px in self.seams_px.items() if px > SEAM_LIMIT_PX} | set(self.non_overlapping_pairs)
         found = {pair: row_offset(self.scene, self.links, pair[0]) for pair in sorted(apart)}
         return {pair: offset for pair, offset in found.items() if offset}

@@ -87,7 +87,7 @@ class LinkHeights(NamedTuple):
     shared_mm: Floats
     """(n,) part of the height's standard deviation that all links of one pair of frames have in common."""
     aside: Floats
-    """(n,) residual that is left at this height, in standard deviations."""
+    """(n,) length of the part of the residual that no height explains, in standard deviations."""
     place_mm: Floats
     """(n, 2) centre of the patch at this height, relative to the centre of the footprint, along its width and
     height."""

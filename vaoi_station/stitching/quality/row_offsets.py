@@ -31,7 +31,7 @@ _AT_REST = np.zeros(2)
 
 
 def row_offset(scene: Scene, links: Iterable[Links], left: int) -> int:
-    """Return by how many rows (−1, 0, +1) the frames of camera left + 1 are too high against those of camera left.
+    """Return by how many rows (−1, 0, +1) the row numbers of camera left + 1 are too high against those of camera left.
 
     Args:
         scene: the frames of the run.
@@ -56,7 +56,7 @@ def row_offset(scene: Scene, links: Iterable[Links], left: int) -> int:
 
 
 def shifted_cameras(offsets: Mapping[tuple[int, int], int], cameras: int) -> dict[int, int]:
-    """Return for each camera in wrong rows by how many rows its frames are too high, where most cameras are right.
+    """Return, for each camera with wrong row numbers, by how many rows they are too high; most cameras must be right.
 
     Args:
         offsets: for a pair of neighbouring cameras, the offset of the second against the first; 0 for pairs not listed.

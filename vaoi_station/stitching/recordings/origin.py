@@ -28,7 +28,7 @@ _OPTICS = frozenset({"camera_matrices", "working_distance_mm", "principal_point"
 
 
 class Origin(Strict):
-    """The origin of a result: names, for people, and digests, for the comparison."""
+    """The origin of a result: names, which people read, and digests, by which two origins are compared."""
 
     name: str
     """Id of the run if the recording has one, otherwise the name of its directory."""

@@ -110,7 +110,7 @@ def _with_device_errors(name: str, settings: Iterator[Setting]) -> Iterator[Sett
 
 
 def _picture(camera: Any, config: CameraConfig) -> Iterator[Setting]:
-    """Yield the settings of the picture: binning, format, region, exposure, gain; the rest off."""
+    """Yield the settings of the picture: binning, format, region, exposure and gain; automatic controls are off."""
     x, y = config.offset_px
     region = (x, y, config.width, config.height)
     device = camera.get_device()

@@ -80,7 +80,7 @@ class EventTranslator:
         self._light, self._single_light = light, single
 
     def translate(self, event: Event, time_s: float) -> None:
-        """Translate the next event of the firmware, and pass on the events that it becomes."""
+        """Translate the next event of the firmware, and pass the resulting events of the station on to `put`."""
         if event.kind == Kind.BOOT:
             return
         self._time_s = time_s
