@@ -23,6 +23,7 @@ import re
 import time
 from contextlib import ExitStack
 
+import anyio
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -116,10 +117,20 @@ class RequestGuard:
             await refusal(scope, receive, send)
         elif scope["method"] == "HEAD" and scope["path"] != STREAM:
             await self._app({**scope, "method": "GET"}, receive, _without_body(send))
+        elif scope["method"] in SAFE and scope["path"] == STREAM:
+            await self._stream(scope, receive, send)
         elif scope["method"] in SAFE:
             await self._app(scope, receive, send)
         else:
             await self._with_body(scope, receive, send)
+
+    async def _stream(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request for the event stream on. That its reader has gone is no fault of the station."""
+        try:
+            await self._app(scope, receive, send)
+        # FastAPI's stream ends so if messages waited for a reader that has disconnected.
+        except* anyio.BrokenResourceError:
+            pass
 
     async def _with_body(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Read the body of a request, then pass it on."""

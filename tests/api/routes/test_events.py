@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+import logging
+import socket
+from collections.abc import Callable, Iterator
 from itertools import islice
 from typing import Any
 
 import pytest
 
+from tests.api.held_station import HeldStation
 from vaoi_station.api.callers.seats import Seats
 
 
@@ -99,3 +102,20 @@ def test_too_many_streams_are_refused_before_the_first_header(served: Any) -> No
         assert (refused.status_code, refused.json()["code"]) == (503, "busy")
         assert refused.headers["content-type"] == "application/problem+json"
         assert served.app.state.hub.waiting == 1
+
+
+def test_a_reader_that_goes_without_having_read_is_no_incident(
+    station: HeldStation, serve: Callable[..., Any], caplog: pytest.LogCaptureFixture
+) -> None:
+    for _ in range(800):
+        station.publish("test", "x" * 20_000)
+    with caplog.at_level(logging.ERROR):
+        served = serve(station)
+        with socket.create_connection(("127.0.0.1", served.port)) as reader:
+            reader.sendall(b"GET /api/v1/events?after=0 HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
+            # Megabytes more wait than the sockets hold, so that the stream waits for its reader when it goes.
+            assert sum(len(reader.recv(4096)) for _ in range(200)) > 100_000
+        while served.app.state.hub.waiting:
+            assert served.client.get("/api/v1/runs").status_code == 200
+        served.stop()  # its requests have ended then
+    assert not caplog.records, caplog.text
