@@ -97,3 +97,12 @@ def test_jpeg_keeps_the_upper_byte_of_16_bit() -> None:
     assert found is not None
     assert found.dtype == np.uint8
     assert abs(int(found.mean()) - 0x80) <= 1
+
+
+@pytest.mark.parametrize("suffix", [".webp", ".bmp", ".ppm", ".hdr"])
+def test_other_formats_are_refused_whatever_their_name_is(tmp_path: Path, suffix: str) -> None:
+    """OpenCV decides by content: a run archive of another origin would reach the decoders of all its formats."""
+    grey = np.zeros((8, 8, 3), np.float32 if suffix == ".hdr" else np.uint8)
+    (tmp_path / "frame.png").write_bytes(cv2.imencode(suffix, grey)[1].tobytes())
+    with pytest.raises(InputError, match="not a picture"):
+        read_image(tmp_path / "frame.png")

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from vaoi_station.errors import InputError
+from vaoi_station.files.durability import make_directories, sync_directory, sync_tree
 
 
 def refuse_existing(*targets: Path, action: str = "Choose another path, or remove what is there.") -> None:
@@ -27,18 +28,23 @@ def refuse_existing(*targets: Path, action: str = "Choose another path, or remov
 def new_directory(directory: Path) -> Iterator[Path]:
     """Yield a draft directory for the caller to fill. At the end rename it to `directory`; on an exception remove it.
 
+    The directory survives a power failure with everything in it, also with files that were not written durably.
+
     Raises:
         InputError: the directory exists.
     """
     refuse_existing(directory)
-    directory.parent.mkdir(parents=True, exist_ok=True)
+    make_directories(directory.parent)
     # The draft is created beside the target, because a rename is atomic only within one file system.
     draft = Path(tempfile.mkdtemp(dir=directory.parent, prefix=f".{directory.name}."))
     try:
         # mkdtemp gives access to its owner only.
         draft.chmod(0o755)
         yield draft
+        # Otherwise a power failure could leave the name with empty or absent files behind it.
+        sync_tree(draft)
         draft.rename(directory)
+        sync_directory(directory.parent)
     except BaseException:  # also after Ctrl-C: remove the draft, then raise again
         shutil.rmtree(draft, ignore_errors=True)
         raise

@@ -15,6 +15,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from vaoi_station.errors import InputError, InternalError, NotFoundError
+from vaoi_station.files.durability import make_directories, sync_directory
 
 M = TypeVar("M", bound=BaseModel)
 Place = tuple[int | str, ...]
@@ -47,7 +48,10 @@ def read_toml(path: Path) -> dict[str, Any]:
     """Parse a TOML file."""
     try:
         return tomllib.loads(_text(path))
-    except tomllib.TOMLDecodeError as error:
+    except RecursionError as error:
+        raise InputError(f"{path}: is nested too deeply for a document of this station.") from error
+    # Besides its own error tomllib raises that of `int`, for numbers of thousands of digits.
+    except ValueError as error:
         raise InputError(f"{path}: not valid TOML: {error}.") from error
 
 
@@ -103,8 +107,13 @@ def write_json(path: Path, data: Any) -> None:
     write_bytes(path, (json.dumps(data, indent=1, allow_nan=False) + "\n").encode())
 
 
-def write_bytes(path: Path, content: bytes) -> None:
+def write_bytes(path: Path, content: bytes, *, durable: bool = True) -> None:
     """Write a file so that readers see the old or the new content, never a part.
+
+    Args:
+        path: the file. Its directory is created if it is absent.
+        content: all bytes of the file.
+        durable: return only when the file, under its name, survives a power failure.
 
     Raises:
         InputError: the path is not a file, or cannot be written to.
@@ -113,7 +122,7 @@ def write_bytes(path: Path, content: bytes) -> None:
     if path.exists() and not path.is_file():
         raise InputError(f"{path}: is not a file and is not overwritten.", action="Give the path of a file.")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        make_directories(path.parent)
         # The temporary file is in the same directory, because a rename is atomic only within one file system.
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     except OSError as error:
@@ -122,10 +131,14 @@ def write_bytes(path: Path, content: bytes) -> None:
         with os.fdopen(handle, "wb") as file:
             file.write(content)
             file.flush()
-            # Without fsync, a power failure after the rename can leave an empty file under the new name.
-            os.fsync(file.fileno())
             os.fchmod(file.fileno(), 0o644)
+            # Without fsync, a power failure after the rename can leave an empty file under the new name.
+            if durable:
+                os.fsync(file.fileno())
         Path(name).replace(path)
+        # A rename is on the disk only when its directory is: without this, a revoked key would be valid again.
+        if durable:
+            sync_directory(path.parent)
     except BaseException:  # also after Ctrl-C: remove the temporary file, then raise again
         Path(name).unlink(missing_ok=True)
         raise

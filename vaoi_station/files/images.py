@@ -15,6 +15,9 @@ from vaoi_station.files.documents import write_bytes
 
 Image = NDArray[Any]
 _PNG = b"\x89PNG\r\n\x1a\n"
+_DECODED = (_PNG, b"II*\0", b"MM\0*", b"\xff\xd8\xff")
+"""First bytes of PNG, TIFF and JPEG. OpenCV goes by content, not by the name of a file: without this list a file of
+another origin could reach the decoders of all its other formats."""
 # For a damaged file, OpenCV writes a warning to stderr, in addition to the refusal by this module. The level of such
 # warnings applies to the whole process. It is set only once, because threads that change it would disturb one another.
 cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
@@ -43,8 +46,10 @@ def read_image(path: Path) -> Image:
 
 
 def decode(content: bytes | NDArray[np.uint8]) -> Image | None:
-    """Decode an image file in memory; None if OpenCV cannot decode it. OpenCV itself writes nothing to stderr."""
+    """Decode a PNG, TIFF or JPEG in memory; None if OpenCV cannot decode it. OpenCV itself writes nothing to stderr."""
     data = np.frombuffer(content, np.uint8) if isinstance(content, bytes) else content
+    if not bytes(data[: len(_PNG)]).startswith(_DECODED):
+        return None
     # libpng writes to stderr directly for damaged data, so that a PNG is checked before libpng receives it.
     if not data.size or _is_damaged_png(data.data):
         return None
@@ -103,4 +108,6 @@ def encode(suffix: str, image: Image, options: list[int]) -> bytes:
 
 def write_image(path: Path, image: Image, level: int = 3) -> None:
     """Write a PNG, or an uncompressed TIFF for the suffix .tiff or .tif, atomically."""
-    write_bytes(path, encode_tiff(image) if path.suffix in (".tiff", ".tif") else encode_png(image, level))
+    content = encode_tiff(image) if path.suffix in (".tiff", ".tif") else encode_png(image, level)
+    # A recording has hundreds of them; `new_directory` waits for all at its end.
+    write_bytes(path, content, durable=False)

@@ -9,6 +9,7 @@ from urllib.parse import quote, unquote
 
 from vaoi_station.errors import InputError, NotFoundError, StateError, VaoiError
 from vaoi_station.files import read_board_type, write_board_type
+from vaoi_station.files.durability import sync_directory
 from vaoi_station.model import BoardType
 from vaoi_station.store.board_type_revisions import BoardTypeRevision, BoardTypeRevisions
 
@@ -93,6 +94,7 @@ class BoardTypeDirectory:
             raise NotFoundError(f"There is no board type {name!r}.", code="unknown-board-type")
         kept = self.revisions.keep(path)
         path.unlink(missing_ok=True)
+        sync_directory(self.directory)
         self.revisions.bound(kept)
 
     def deleted(self) -> tuple[str, ...]:

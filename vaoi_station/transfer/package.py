@@ -18,6 +18,7 @@ from typing import IO, Any
 
 from vaoi_station.errors import DeviceError, InputError
 from vaoi_station.files.atomic_directory import refuse_existing
+from vaoi_station.files.durability import sync_directory
 
 MANIFEST = "manifest.json"
 VERSION = 1
@@ -61,6 +62,7 @@ def write_package(path: Path, kind: str, entries: Iterable[Entry], about: dict[s
             file.flush()
             os.fsync(file.fileno())
         Path(draft).rename(path)
+        sync_directory(path.parent)
     except BaseException as error:  # also after Ctrl-C: remove the draft, then raise again
         Path(draft).unlink(missing_ok=True)
         if isinstance(error, OSError):
@@ -89,7 +91,7 @@ def unpack_package(path: Path, kind: str, directory: Path) -> dict[str, Any]:
                     manifest = json.loads(source.read(_LARGEST_MANIFEST))
                 else:
                     found[member.name] = _extract(source, _safe(path, directory, member.name))
-    except (tarfile.TarError, zlib.error, EOFError, ValueError, OSError) as error:
+    except (tarfile.TarError, zlib.error, EOFError, ValueError, RecursionError, OSError) as error:
         if isinstance(error, OSError) and error.errno is not None:
             raise InputError(
                 f"{path}: cannot be unpacked ({error.strerror}).", action="Check path and disk."
@@ -101,9 +103,10 @@ def unpack_package(path: Path, kind: str, directory: Path) -> dict[str, Any]:
         raise InputError.field(
             path, "version", manifest.get("version"), str(VERSION), "Use the software that wrote it."
         )
-    expected = manifest.get("sha256")
+    stated = manifest.get("sha256")
+    expected = stated if isinstance(stated, dict) else {}
     if expected != found:
-        wrong = sorted({*found} ^ {*(expected or {})} | {n for n in found if (expected or {}).get(n) != found[n]})
+        wrong = sorted({*found} ^ {*expected} | {n for n in found if expected.get(n) != found[n]})
         raise InputError(f"{path}: {', '.join(wrong[:3])} differs from the manifest.", action=_ACTION)
     return manifest
 

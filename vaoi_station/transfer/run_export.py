@@ -9,6 +9,7 @@ from pathlib import Path
 from vaoi_station.config import read_config
 from vaoi_station.errors import GoneError, NotFoundError, StateError
 from vaoi_station.files.atomic_directory import new_directory, refuse_existing
+from vaoi_station.files.documents import parse, read_json
 from vaoi_station.runs.archive.recordings import DIRECTORY as RECORDINGS
 from vaoi_station.runs.archive.recordings import RESULT_FILE, RUN_FILE
 from vaoi_station.runs.states.run_ids import utc
@@ -61,7 +62,7 @@ def import_run(package: Path, directory: Path) -> RunDetail:
     """
     with new_directory(directory) as draft:
         unpack_package(package, KIND, draft)
-        return RunDetail.model_validate_json((draft / RUN_FILE).read_bytes())
+        return parse(RunDetail, read_json(draft / RUN_FILE), f"{package}: {RUN_FILE}")
 
 
 def _detail(database: sqlite3.Connection, run: str) -> RunDetail:

@@ -1,0 +1,58 @@
+"""What a station writes, in a process whose file operations are recorded: runs, board types, keys, a reference.
+
+Usage: `python -m tests.power.workload ROOT LOG`. It prints one line for each promise: the size of the record at that
+moment, the kind and what was promised.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from vaoi_station.files import write_board_type
+from vaoi_station.files.access_keys import KeyFile
+from vaoi_station.files.atomic_directory import new_directory
+from vaoi_station.model import BoardType
+from vaoi_station.store import Database, RunRow, Store
+
+RUNS = 60
+NOW = "2026-01-01T00:00:00Z"
+
+
+def main(root: Path, log: Path) -> None:
+    """Write, and state after each promise how far the record is."""
+
+    def promise(*words: str) -> None:
+        print(log.stat().st_size, *words, flush=True)
+
+    store, keys = Store(Database(root / "data" / "station.db")), KeyFile(root / "data" / "keys.json")
+    for number in range(RUNS):
+        run = f"run-{number:03d}"
+        board = store.keep_document("board-type", f'{{"name": "b{number // 10}"}}', NOW)
+        calibration = store.keep_document("calibration", '{"n": 1}', NOW)
+        begun = RunRow(run, "filming", None, board, calibration, "{}", "{}")
+        store.save_run(begun)
+        done = RunRow(run, "ready", number + 1, board, calibration, '{"s": 1}', '{"d": 1}', '{"h": 1}')
+        store.save_run(done, '{"t": 1}', f'{{"r": "{run}", "m": "{"m" * 20_000}"}}').result()
+        promise("run", run)
+        if number % 10 == 3:
+            type_ = BoardType(name=f"type-{number}", outline=((0.0, 0.0), (60.0, 40.0)))
+            write_board_type(root / "board-types" / f"type-{number}.json", type_)
+            promise("board-type", f"type-{number}")
+        if number % 20 == 5:
+            keys.create(f"stays-{number}", ["read"])
+            promise("key", f"stays-{number}")
+        if number % 20 == 15:
+            keys.create(f"ends-{number}", ["read"])
+            keys.revoke(f"ends-{number}")
+            promise("no-key", f"ends-{number}")
+            with new_directory(root / "data" / "references" / run) as draft:
+                (draft / "frames").mkdir()
+                (draft / "reference.json").write_text("{}" * 5000)
+                (draft / "frames" / "0.png").write_bytes(b"p" * 30_000)
+            promise("reference", run)
+    store.close()
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), Path(sys.argv[2]))
