@@ -102,7 +102,7 @@ class Projective:
     @property
     def mirrors(self) -> bool:
         """Whether the transform changes handedness."""
-        return bool(np.linalg.det(self.matrix / self.matrix[2, 2]) < 0)
+        return bool(np.sign(np.linalg.det(self.matrix)) * np.sign(self.matrix[2, 2]) < 0)
 
 
 class Similarity(Projective):

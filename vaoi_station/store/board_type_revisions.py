@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from vaoi_station.errors import DeviceError, NotFoundError
+from vaoi_station.files.durability import make_directories, sync_directory, sync_file
 
 FOLDER = ".revisions"
 MOST_OF_TYPE, MOST_REVISIONS, MOST_BYTES = 20, 2000, 128 * 2**20
@@ -53,12 +54,15 @@ class BoardTypeRevisions:
             digest = hashlib.sha256(path.read_bytes()).hexdigest()[:8]
             name = f"{now:%Y%m%dT%H%M%S}{now.microsecond // 1000:03d}Z-{digest}.json"
             kept = self._root / path.stem / name
-            kept.parent.mkdir(parents=True, exist_ok=True)
+            make_directories(kept.parent)
             kept.unlink(missing_ok=True)
             try:
                 os.link(path, kept)  # a link keeps the time at which the version was written
             except OSError:
                 shutil.copy2(path, kept)  # the file system has no links
+                sync_file(kept)
+            # On the disk before what it is kept from: the file that replaces it, or its deletion.
+            sync_directory(kept.parent)
         except OSError as error:
             raise DeviceError(
                 f"{path}: the present version cannot be kept ({error.strerror}), so nothing was changed.",
