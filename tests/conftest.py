@@ -12,7 +12,8 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -104,8 +105,7 @@ class Cases:
         """Return the file or folder of a name; the first process that asks makes it, the others wait for it."""
         path = self.scratch / name
         if not path.exists():
-            with (self.scratch / f".{name}.lock").open("w") as lock:
-                fcntl.flock(lock, fcntl.LOCK_EX)
+            with _locked(self.scratch / f".{name}.lock"):
                 if not path.exists():
                     aside = self.scratch / f".{name}.aside"
                     make(aside)
@@ -117,8 +117,20 @@ class Cases:
         if not (case / "recording.json").is_file():
             if "VAOI_CASES" in os.environ:
                 pytest.fail(f"VAOI_CASES={os.environ['VAOI_CASES']} holds no case {name!r}")
-            _film(name, case)
+            # Sessions on several interpreters run side by side: one films, the others wait for it.
+            self.filmed.mkdir(parents=True, exist_ok=True)
+            with _locked(self.filmed / f".{name}.lock"):
+                if not (case / "recording.json").is_file():
+                    _film(name, case)
         return case
+
+
+@contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    """Hold a lock between processes."""
+    with path.open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
 
 
 @pytest.fixture(scope="session")

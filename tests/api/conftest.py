@@ -39,7 +39,7 @@ class Served:
         self.url = self._server.address
         self._server.start()
         trusted = True if certificate is None else ssl.create_default_context(cafile=str(certificate.certificate))
-        self.client = httpx2.Client(base_url=self.url, timeout=20, verify=trusted)
+        self.client = httpx2.Client(base_url=self.url, timeout=60, verify=trusted)
         self.client.get("/healthz")  # answered as soon as the application has started
 
     def stop(self) -> None:

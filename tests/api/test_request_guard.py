@@ -217,16 +217,16 @@ def test_large_board_types_do_not_delay_other_requests(served: Any) -> None:
             {"ref": f"R{i}", "center": [i % 100 - 50, i // 100 - 50], "width": 1, "height": 1} for i in range(10_000)
         ],
     }
-    with ThreadPoolExecutor(3) as pool:
+    with ThreadPoolExecutor(2) as pool:
         stored = [
-            pool.submit(httpx2.put, f"{served.url}/api/v1/board-types/large", json=large, timeout=60) for _ in range(3)
+            pool.submit(httpx2.put, f"{served.url}/api/v1/board-types/large", json=large, timeout=60) for _ in range(2)
         ]
         waits = []
         while not all(s.done() for s in stored):
             begun = time.perf_counter()
             assert served.client.get("/healthz").status_code == 200
             waits.append(time.perf_counter() - begun)
-    assert sorted(s.result().status_code for s in stored) == [200, 200, 201]
-    # a blocked event loop answers two or three times meanwhile
+    assert sorted(s.result().status_code for s in stored) == [200, 201]
+    # a blocked event loop answers once or twice meanwhile
     assert len(waits) >= 10
     assert statistics.median(waits) < 0.1 * sum(waits)

@@ -74,7 +74,7 @@ def certificate(tmp_path: Path) -> Certificate:
 def test_it_speaks_tls_and_ends_handshakes_that_do_not_end(ended: threading.Event, certificate: Certificate) -> None:
     app = FastAPI()
     app.get("/")(lambda: "served")
-    limits = ConnectionLimits(per_address=8, handshake_s=1.0)
+    limits = ConnectionLimits(per_address=8, handshake_s=4.0)
     with open_listener("127.0.0.1", 0, "[api]") as listener:
         server = WebServer(app, listener, ended.set, limits, CertificateFiles(*certificate))
         server.start()

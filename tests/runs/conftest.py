@@ -39,6 +39,7 @@ from vaoi_station.model import (
 )
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
+from vaoi_station.runs.control import acquisition_link
 from vaoi_station.runs.control.acquisition_link import AcquisitionLink
 from vaoi_station.runs.control.calibration_watch import CalibrationWatch
 from vaoi_station.runs.control.coordinator import StationCoordinator
@@ -303,6 +304,12 @@ def end_link(link: AcquisitionLink, peer: Peer) -> None:
     ending.start()
     peer.close()
     ending.join()
+
+
+@pytest.fixture(autouse=True)
+def _silent_peer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let no scripted process, which sends no heartbeats, be killed for its silence on a slow machine."""
+    monkeypatch.setattr(acquisition_link, "HEARTBEAT_LIMIT_S", 600.0)
 
 
 @pytest.fixture

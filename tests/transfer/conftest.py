@@ -9,13 +9,13 @@ from typing import Any
 
 import pytest
 
-from tests.runs.conftest import a_calibration, a_stitch, make_rig, store
+from tests.runs.conftest import _silent_peer, a_calibration, a_stitch, make_rig, store
 from tests.runs.control.test_teaching import filmed
 from vaoi_station.demo.station_files import to_toml
 from vaoi_station.files import write_calibration
 from vaoi_station.model import Status
 
-__all__ = ["make_rig", "store"]
+__all__ = ["_silent_peer", "make_rig", "store"]
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ import pytest
 
 from tests.runs.workers.conftest import CHECK, RingBoard
 from vaoi_station.drift.checks import RunCheck
-from vaoi_station.runs.workers.jobs import CloseRun, Concluded, Ping, Reply, WorkerReady
+from vaoi_station.runs.workers.jobs import CloseRun, Concluded, Ping, Reply, WorkerReady, WorkerStarting
 from vaoi_station.runs.workers.worker_process import run_worker
 
 PATIENCE_S = 120.0
@@ -34,8 +34,11 @@ def worker(ring_board: RingBoard) -> Iterator[tuple[BaseProcess, Pipe]]:
 
 
 def receive(pipe: Pipe) -> Any:
-    assert pipe.poll(PATIENCE_S)
-    return pipe.recv()
+    """Wait for the next message that does not report the progress of a slow warm-up."""
+    while True:
+        assert pipe.poll(PATIENCE_S)
+        if not isinstance(message := pipe.recv(), WorkerStarting):
+            return message
 
 
 def test_a_worker_reports_its_result_then_its_check_and_ends_when_asked(

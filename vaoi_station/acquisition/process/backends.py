@@ -28,7 +28,7 @@ def open_devices(config: StationConfig) -> Devices:
 
 def _open_hardware(config: StationConfig) -> Devices:
     """Open real cameras and a real controller."""
-    from vaoi_station.acquisition.cameras.aravis import open_aravis_cameras
+    from vaoi_station.acquisition.cameras.aravis.opening import open_aravis_cameras
     from vaoi_station.acquisition.controller.serial import open_serial_controller
 
     # The controller is opened first: it fails at once, while an absent camera is noticed only after seconds.
