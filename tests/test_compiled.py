@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import subprocess
 import sys
@@ -73,6 +74,12 @@ def test_processes_that_start_together_run_the_same_code(tmp_path: Path) -> None
     misses = [int(process.communicate()[0]) for process in processes]
     assert [process.returncode for process in processes] == [0, 0]
     assert sorted(misses) == [0, 1], "one compiles, the other finds the code"
+    [lock] = (tmp_path / "cache").rglob("vaoi-station.lock")
+    with lock.open("w") as loading:  # as a process does that loads code from the cache
+        fcntl.flock(loading, fcntl.LOCK_SH)
+        third = [sys.executable, source]
+        done = subprocess.run(third, env=environment, input="now\n", capture_output=True, text=True, check=True)
+    assert int(done.stdout) == 0
 
 
 _NAMED = """

@@ -5,7 +5,7 @@ from __future__ import annotations
 import fcntl
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, cast
 
@@ -40,7 +40,7 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
         # Numba found no writable directory for its cache: every process compiles for itself
         return cast("Callable[P, R]", numba.njit(nogil=True, fastmath=_ALLOWED, error_model="numpy")(function))
     # Numba calls `compile` for each new combination of argument types
-    made.compile = _alone(made.compile, Path(made.stats.cache_path))
+    made.compile = _alone(made)
     _functions.append(made)
     return cast("Callable[P, R]", made)
 
@@ -62,16 +62,29 @@ def inlined(function: Callable[P, R]) -> Callable[P, R]:
     )
 
 
-def _alone(compile_it: Callable[[Any], Any], cache: Path) -> Callable[[Any], Any]:
-    """Return `compile_it` with a lock: one process at a time compiles, the others wait and then load the cached code.
+def _alone(made: Any) -> Callable[[Any], Any]:
+    """Return `made.compile` with a lock: one process at a time compiles, the others wait and then load the cached code.
 
-    If two processes compiled the same function, each would run the code that it compiled itself. The two versions may
-    round differently, because different functions were ready for inlining. The result of a station could then differ
-    from that of `vaoi stitch`.
+    If two processes compiled the same function, each would run the code that it compiled itself. The two may round
+    differently, because not the same other functions are ready for inlining. The result of a station would then
+    differ from that of `vaoi stitch`. Code that is in the cache is loaded by any number of processes at the same time:
+    all workers of a station start together.
     """
+    compile_it, load, cache = made.compile, made._cache.load_overload, Path(made.stats.cache_path)
 
     def compile_alone(signature: Any) -> Any:
-        with _lock(cache):
+        with _in_this_process, ExitStack() as compiling:
+
+            def load_or_lock(*request: Any) -> Any:
+                with _lock(cache, fcntl.LOCK_SH):
+                    found = load(*request)
+                if found is None:
+                    compiling.enter_context(_lock(cache, fcntl.LOCK_EX))
+                    # Another process may have compiled it between the two locks.
+                    found = load(*request)
+                return found
+
+            made._cache.load_overload = load_or_lock
             return compile_it(signature)
 
     return compile_alone
@@ -82,13 +95,13 @@ _depth = 0
 
 
 @contextmanager
-def _lock(directory: Path) -> Iterator[None]:
-    """Let one process at a time compile into a cache directory.
+def _lock(directory: Path, how: int) -> Iterator[None]:
+    """Exclude other processes from a cache directory: all (`LOCK_EX`), or those that compile into it (`LOCK_SH`).
 
-    The lock is re-entrant, because compiling a function also compiles those it calls.
+    The lock is re-entrant, because compiling a function also loads or compiles those it calls.
     """
     global _depth  # noqa: PLW0603  (one per process, changed under its lock)
-    # An RLock excludes the other threads of this process. One thread may take it twice, which flock does not allow.
+    # an RLock excludes the other threads of this process; one thread may take it twice, which flock does not allow
     with _in_this_process:
         # nested call: this thread holds the file lock already, and a second flock on another open file would block
         if _depth:
@@ -96,7 +109,7 @@ def _lock(directory: Path) -> Iterator[None]:
             return
         directory.mkdir(parents=True, exist_ok=True)
         with (directory / _LOCK).open("w") as file:
-            fcntl.flock(file, fcntl.LOCK_EX)
+            fcntl.flock(file, how)
             _depth += 1
             try:
                 yield

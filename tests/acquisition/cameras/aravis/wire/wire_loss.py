@@ -59,7 +59,7 @@ def test_a_camera_that_is_killed_comes_back_and_the_others_lose_nothing(
     assert isinstance(lost, CameraLost)
     assert lost.camera == 1
     assert before_s - 1 < lost.since_s < lost_s
-    assert lost_s - before_s < 3, "noticed long before Aravis would"
+    assert lost_s - before_s < 10, "noticed long before Aravis would"
     assert lost.error.message == "camera c1: there is no camera at 127.0.0.3 (it does not answer any more)."
     health = stage.cameras[1].health()
     assert not health.connected
@@ -74,7 +74,7 @@ def test_a_camera_that_is_killed_comes_back_and_the_others_lose_nothing(
     while len(news) == 1:
         pulse()
     assert isinstance(news[1], CameraBack)
-    assert time.monotonic() - back_s < 12
+    assert time.monotonic() - back_s < 30
     assert received == sent
     mortal.fire(0)
     arrival = stage.arrival()
