@@ -79,7 +79,7 @@ def config(replay_config: Callable[..., StationConfig]) -> StationConfig:
 @pytest.fixture(scope="module")
 def shared_config(twin: Twin, recordings: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> StationConfig:
     replay = ReplayConfig(recordings=recordings, pace="fast", pause_s=0.01)
-    return config_of(twin, tmp_path_factory.mktemp("shared"), "replay", replay=replay)
+    return config_of(twin, tmp_path_factory.mktemp("shared"), "replay", replay=replay, workers=1)
 
 
 @pytest.fixture(scope="module")

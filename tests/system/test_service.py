@@ -85,7 +85,7 @@ class Service:
 @pytest.fixture
 def service(replay_config: Callable[..., StationConfig], tmp_path: Path) -> Iterator[Service]:
     path = tmp_path / "station.toml"
-    path.write_text(as_toml(replay_config(pace="original", pause_s=0.3)))
+    path.write_text(as_toml(replay_config(pace="original", pause_s=0.3).model_copy(update={"workers": 1})))
     started = Service(path)
     yield started
     started.close()
@@ -110,7 +110,7 @@ def test_a_board_passes_and_the_service_ends_in_order(service: Service, tmp_path
     picture = service.client.get(f"/runs/{run['id']}/components/{address}/images/0")
     assert picture.content[:4] == b"\x89PNG"
     pids = [p["pid"] for p in service.get("/station")["processes"]]
-    assert len(pids) == 3
+    assert len(pids) == 2
     assert service.stop(signal.SIGTERM) == 0, "".join(service.log)
     assert list((tmp_path / "shm").iterdir()) == []
     assert not [pid for pid in pids if Path(f"/proc/{pid}").exists()]
@@ -149,7 +149,7 @@ if __name__ == "__main__":
 def test_station_that_is_not_stopped_ends_with_its_program(
     replay_config: Callable[..., StationConfig], tmp_path: Path
 ) -> None:
-    (tmp_path / "station.toml").write_text(as_toml(replay_config()))
+    (tmp_path / "station.toml").write_text(as_toml(replay_config().model_copy(update={"workers": 1})))
     (tmp_path / "without_stop.py").write_text(WITHOUT_STOP)
     root = Path(__file__).parents[2]
     done = subprocess.run(

@@ -62,7 +62,7 @@ def serve(
 ) -> Iterator[Callable[[], Service]]:
     """Return a function that starts the service on the small disk."""
     config = tmp_path / "station.toml"
-    config.write_text(as_toml(replay_config(pace="original", pause_s=0.3)))
+    config.write_text(as_toml(replay_config(pace="original", pause_s=0.3).model_copy(update={"workers": 1})))
     started: list[Service] = []
 
     def start() -> Service:

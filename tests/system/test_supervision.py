@@ -60,7 +60,7 @@ class Broken:
 def broken(replay_config: Callable[..., StationConfig], monkeypatch: pytest.MonkeyPatch) -> Iterator[Broken]:
     # Without one of its threads a station cannot stop in order.
     monkeypatch.setattr(station_module, "GRACE_S", 0.1)
-    made = Broken(replay_config())
+    made = Broken(replay_config().model_copy(update={"workers": 1}))
     yield made
     made.close()
 
@@ -126,7 +126,7 @@ def test_a_service_that_lost_a_thread_ends_so_that_it_is_started_again(
     replay_config: Callable[..., StationConfig], tmp_path: Path, name: str, how: str
 ) -> None:
     config = tmp_path / "station.toml"
-    config.write_text(as_toml(replay_config()))
+    config.write_text(as_toml(replay_config().model_copy(update={"workers": 1})))
     command = [sys.executable, "-c", SERVE.format(lose=LOSE[how], name=name), str(config)]
     folder = Path(__file__).parents[2]
     # A file, not a pipe: the workers have it open until they have ended as well.
@@ -154,7 +154,7 @@ def test_a_supervisor_that_hangs_feeds_no_watchdog(
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
         listener.bind(str(tmp_path / "notify"))
         monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
-        broken = Broken(replay_config())
+        broken = Broken(replay_config().model_copy(update={"workers": 1}))
         try:
             assert fed(listener, TIMEOUT_S)
             supervisor = broken.station._supervisor
@@ -192,11 +192,12 @@ def test_no_board_is_lost_by_a_worker_that_hangs(replay_config: Callable[..., St
 def test_an_acquisition_process_that_hangs_is_replaced(
     replay_config: Callable[..., StationConfig], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("vaoi_station.runs.control.acquisition_link.HEARTBEAT_LIMIT_S", 2.0)
-    with Station(replay_config()) as station:
+    with Station(replay_config().model_copy(update={"workers": 1})) as station:
         coordinator = station.coordinator
         until_state(coordinator, "idle")
         seen = coordinator.snapshot().last_event
         os.kill(pid_of(coordinator, "acquisition"), signal.SIGSTOP)
-        wait_for_event(coordinator, "station", "faulted", seen)
+        with monkeypatch.context() as impatient:  # only now: the next process may start slowly
+            impatient.setattr("vaoi_station.runs.control.acquisition_link.HEARTBEAT_LIMIT_S", 2.0)
+            wait_for_event(coordinator, "station", "faulted", seen)
         until_state(coordinator, "idle")
