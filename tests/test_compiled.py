@@ -77,7 +77,7 @@ def test_processes_that_start_together_run_the_same_code(tmp_path: Path) -> None
     [lock] = (tmp_path / "cache").rglob("vaoi-station.lock")
     with lock.open("w") as loading:  # as a process does that loads code from the cache
         fcntl.flock(loading, fcntl.LOCK_SH)
-        third = [sys.executable, source]
+        third = [sys.executable, str(source)]
         done = subprocess.run(third, env=environment, input="now\n", capture_output=True, text=True, check=True)
     assert int(done.stdout) == 0
 
