@@ -44,7 +44,7 @@ class ClockJump:
     """A jump of a device's clock between two of its readings."""
 
     size_s: float
-    """Positive if the device's clock shows more than it should."""
+    """Size of the jump, s; positive if the device's clock shows more than it should."""
     since_s: float
     """Earliest host time of the last reading before the jump."""
     until_s: float

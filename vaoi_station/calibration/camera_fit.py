@@ -89,17 +89,18 @@ class CameraResult:
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits that a calibration must satisfy, the known working distance, and the accuracy of board and design."""
+    """Limits that a calibration must satisfy, the known working distance, and the accuracy of the calibration board and
+    of nominal views."""
 
     residual_px: float = 0.2
     """Largest accepted rms residual of one camera."""
     working_distance_mm: float | None = None
     center_tolerance_mm: float = 2.0
-    """How well `nominal_center_mm` is known for the board as it lies, mm (two standard deviations)."""
+    """Accuracy of `nominal_center_mm` relative to the calibration board as it lies, mm: two standard deviations."""
     mark_accuracy_mm: float = 0.0
     """Standard deviation of the positions of marks on the board per axis; 0 if layout.json is exact."""
     flatness_mm: float = 0.0
-    """Standard deviation of the board's height within one view; 0 if it is flat."""
+    """Standard deviation of the calibration board's height within one view, mm; 0 if it is flat."""
 
 
 def calibrate_camera(

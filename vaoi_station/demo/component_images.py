@@ -39,7 +39,7 @@ def fetch_component_images(client: Client, run: str, folder: Path) -> ComponentI
 
 
 def list_unseen_components(client: Client, run: str) -> ComponentImages:
-    """List all components as tiles without images, for a run that has no positions."""
+    """List all components as tiles without images. Used for a run whose result contains no component positions."""
     components = _components(client, run)
     return ComponentImages(len(components), 0, tuple(Tile(None, c["address"], NOT_SEEN) for c in components))
 

@@ -44,7 +44,7 @@ class Drift:
 
     camera: int
     displacement_px: tuple[float, float, float]
-    """x, y, and turn at the corner: median of the runs since the drift began."""
+    """Displacement x, y and turn, px, as the median of the runs since the drift began."""
     size_px: float
     """Motion of the picture by the displacement, rms over the frame."""
     since: int

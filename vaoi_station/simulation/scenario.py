@@ -209,7 +209,7 @@ class FreeRunning(OnBoard):
 
 
 class LateStamps(OnBoard):
-    """A camera whose time stamps come `by_s` later after the pulses than the start of the exposure."""
+    """A camera whose time stamps come later than the start of the exposure, by `by_s` seconds."""
 
     camera: Index
     by_s: Positive

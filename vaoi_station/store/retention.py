@@ -78,7 +78,7 @@ class RunRetention:
         return self._database.write(write)
 
     def forget_runs(self, runs: Sequence[str]) -> Future[None]:
-        """Delete the rows of runs that `old_summaries` has returned."""
+        """Delete the runs that `old_summaries` has returned from the database."""
 
         def write(connection: sqlite3.Connection) -> None:
             if not runs:
@@ -96,7 +96,7 @@ class RunRetention:
         return self._database.write(write)
 
     def forgotten(self, run: str) -> bool:
-        """Return whether a run without a row is so old that its row may have been deleted."""
+        """Return whether a run that is not in the database is so old that it may have been deleted from there."""
         rows = self._database.read("SELECT max(last) AS last FROM forgotten")
         return rows[0]["last"] is not None and run <= str(rows[0]["last"])
 

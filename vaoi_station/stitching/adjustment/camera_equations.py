@@ -46,7 +46,7 @@ _UNCHANGED_PX = 1e-7
 _NEW_EFFECTS_PX = 0.5
 """The effects of displacements are computed again after a displacement has changed by this, px; they vary slowly."""
 _OTHER_PX = 0.02
-"""Another explanation of the links is tried only if one of its displacements differs by more than this."""
+"""Another explanation of the links is tried only if one of its displacements differs by more than this, px."""
 
 
 class CameraEffects(NamedTuple):

@@ -26,9 +26,10 @@ _MIN_PIVOT = 1e-14
 
 
 class NormalEquations(NamedTuple):
-    """The lower triangle of a normal matrix (n, n), stored in its envelope, and the right-hand side.
+    """The normal equations (n, n) in the form that compiled functions take: the stored entries and the right-hand side.
 
-    This form is that of compiled functions.
+    Only the lower triangle is stored, and of each line only the entries from the first one that can differ from 0
+    (envelope).
     """
 
     first: Ints
@@ -46,10 +47,10 @@ class Envelope:
     """Which entries of a lower triangular matrix (n, n) are stored, and where: entry (i, j) is `values[at[i] + j]`."""
 
     first: Ints
-    """(n,) the first stored column of each line of the matrix."""
+    """Which entries of a lower triangular matrix (n, n) are stored, and where: entry (i, j) is `values[at[i] + j]`."""
     at: Ints
-    """(n,) index in the stored values of column 0 of each line; it is a virtual one if the line begins at a later
-    column."""
+    """(n,) for each line, the index in the stored values minus the column; it is the same for all entries of the
+    line."""
     rows: int
     """The number of rows of the run. The first 3·rows unknowns are their (φ, sx, sy). The other unknowns are coupled to
     all rows and stand last."""

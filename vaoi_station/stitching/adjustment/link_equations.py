@@ -43,8 +43,9 @@ class MotionArrays(NamedTuple):
 
 
 _NEAR_MM = 0.1
-"""Least standard deviation of the height of a link near a part. Such links agree with the surface if it follows them,
-whether they lie on the board or on a part: only several of them together say where the board is."""
+"""Least standard deviation of the height of a link near a part, mm.
+
+A single such link may lie on the board or on the part. Only several of them together show where the board is."""
 
 
 class LinkState(NamedTuple):

@@ -30,8 +30,9 @@ FASTEST = 1.5
 _ACROSS_MM = 2.0
 """Largest motion across the belt between two rows that is searched."""
 _BACK_MM = 1.0
-"""Range of the search against the belt's direction: a board at rest has its peak at 0, which needs neighbours on both
-sides."""
+"""Range of the search against the belt's direction, mm.
+
+A board at rest has its highest correlation at a motion of 0, and a maximum needs neighbours on both sides."""
 _LEAST_OVERLAP = 0.12
 """Least share of a frame that the frames of both rows must show."""
 _MIN_CONTRAST = 1.0

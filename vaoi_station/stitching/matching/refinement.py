@@ -185,7 +185,7 @@ def refine(  # noqa: PLR0915  (one loop over patches whose parts are inlined)
 def _agreement(
     factor: Floats, tt: float, sums: tuple[float, float, float, float, float, float, float], ex: float, ey: float
 ) -> tuple[float, float]:
-    """Return correlation and scatter after the last step (ex, ey); `sums` are those of `_sharp` before this step."""
+    """Return correlation and scatter of a patch after its last step (ex, ey); `sums` are its sums before this step."""
     s1, st, sx, sy, ss, su, sv = sums
     v0, v1, v2, v3 = _halfway(factor, s1, st, su, sv)
     gain = st / tt

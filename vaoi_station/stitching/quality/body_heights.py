@@ -38,13 +38,15 @@ footprint."""
 _REACH_PRIORS = (0.3, 0.6, 1.0, 1.0, 1.0, 1.5)
 """Relative prior probability of each of `_REACHES`."""
 _OUTLIER, _INSIDE, _WIDE, _BELOW = 0.05, 0.84, 0.03, 0.05
-"""Prior probabilities: that a link is an outlier; that a link inside the extent measures H with its stated error, that
-it measures H with three times that error, and that it measures a place below the top."""
-_OUTSIDE, _LEAD, _ACROSS = 0.85, 0.10, 0.5
-"""Prior probabilities that a link outside measures the board, or a lead; likelihood of a link across an edge.
+"""Prior probabilities for a link: that it is an outlier, and three for links inside the extent of the body.
 
-The latter is relative to the largest likelihood of a link that measures a height. 0.5 is about the mean likelihood of a
-link that measures H."""
+These three are: that the link measures the body's height H with its stated error, that it measures H with three times
+that error, and that it measures a place below the top."""
+_OUTSIDE, _LEAD, _ACROSS = 0.85, 0.10, 0.5
+"""Prior probabilities that a link outside the extent measures the board, or a lead; likelihood of links across an edge.
+
+The likelihood is relative to the largest likelihood of a link that measures a height. 0.5 is about the mean likelihood
+of a link that measures the body's height."""
 _FLAT_PRIOR, _RANGE_MM, _WIDTH_MM = 0.1, 5.0, 0.05
 """Prior probability of no body; range over which all other heights are equally probable; width of one height.
 
@@ -105,7 +107,7 @@ class BodyLinks(NamedTuple):
     place_mm: Floats
     """(k, 2) centre of the patch relative to the centre of the footprint, along the footprint's width and height."""
     reach_mm: Floats
-    """(k,) distance from the centre of the patch to its edge, along the same axes."""
+    """(k,) distance from the centre of the patch to its edge, mm, along the width and height of the footprint."""
 
 
 @compiled

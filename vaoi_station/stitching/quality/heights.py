@@ -92,7 +92,7 @@ class LinkHeights(NamedTuple):
     """(n, 2) centre of the patch at this height, relative to the centre of the footprint, along its width and
     height."""
     reach_mm: Floats
-    """(n,) distance from the centre of the patch to its edge, along the same axes."""
+    """(n,) distance from the centre of the patch to its edge, mm, along the width and height of the footprint."""
 
 
 @dataclass(frozen=True)
