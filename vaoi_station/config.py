@@ -199,6 +199,8 @@ class ControllerConfig(Section):
     """Width of the camera trigger, within the limits of hw/protocol.md."""
     min_gap_s: Annotated[NotNegative, Field(le=LONGEST_GAP_S)] = 0.0
     """A board that arrives sooner after the end of the previous run is not filmed."""
+    interlock: Literal["off", "on"] = "off"
+    """Whether the output "line ready" lets the conveyor hold boards back while they would not be filmed well."""
     lights: dict[str, LightConfig] = {}
     order: tuple[str, ...] = ()
     """Lights of consecutive rows; empty for all in the order of the file. Without lights only cameras are triggered."""
@@ -207,6 +209,12 @@ class ControllerConfig(Section):
     def _lights_exist(self) -> Self:
         if unknown := [name for name in self.order if name not in self.lights]:
             raise ValueError(f"order names the lights {unknown}, but there are {list(self.lights)}")
+        return self
+
+    @model_validator(mode="after")
+    def _interlock_has_an_output(self) -> Self:
+        if self.interlock == "on" and self.backend == "replay":
+            raise ValueError('interlock = "on" needs the backend "serial" or "simulated": a replay has no outputs')
         return self
 
     @property

@@ -20,7 +20,7 @@
 #define ADDRESS_TCCR1A 0x80
 
 struct output { const char *name; uint8_t com_shift; uint8_t level; };
-static struct output outputs[] = {{"PB1", 6, 0}, {"PB2", 4, 0}, {"PD4", 0, 0}, {"PD5", 0, 0}, {"PD6", 0, 0}, {"PD7", 0, 0}};
+static struct output outputs[] = {{"PB1", 6, 0}, {"PB2", 4, 0}, {"PD4", 0, 0}, {"PD5", 0, 0}, {"PD6", 0, 0}, {"PD7", 0, 0}, {"PC0", 0, 0}};
 static uint8_t inputs[26][8]; /* levels by port letter and bit, to be applied again after a reset */
 
 avr_t *avr;

@@ -8,7 +8,7 @@ from __future__ import annotations
 from hw.wiring.circuit import Circuit
 from hw.wiring.figure import Figure, Firmware
 from hw.wiring.light import bank_figures, current_figures, currents, heat_figures, one_shot_figures
-from hw.wiring.signals import input_figures, output_figures, trigger_figures
+from hw.wiring.signals import input_figures, interlock_figures, output_figures, trigger_figures
 from hw.wiring.transient import transient_figures
 
 
@@ -17,6 +17,7 @@ def all_figures(circuit: Circuit, firmware: Firmware) -> dict[str, list[Figure]]
     return {
         "inputs": input_figures(circuit),
         "outputs": output_figures(circuit),
+        "interlock": interlock_figures(circuit),
         "trigger": trigger_figures(circuit),
         "one-shots": one_shot_figures(circuit, firmware),
         "current": current_figures(circuit, firmware),

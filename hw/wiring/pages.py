@@ -18,8 +18,8 @@ HW = Path(__file__).parents[1]
 PAGE = HW / "wiring.md"
 CONTROLLER = "A1"
 _BLOCK = re.compile(r"(<!-- drawn: ([\w-]+) -->\n).*?(<!-- end -->)", re.DOTALL)
-PORTS = {f"D{k}": f"P{'D' if k < 8 else 'B'}{k % 8}" for k in range(14)}
-"""Arduino's names of the chip's ports D and B."""
+PORTS = {f"D{k}": f"P{'D' if k < 8 else 'B'}{k % 8}" for k in range(14)} | {f"A{k}": f"PC{k}" for k in range(6)}
+"""Arduino's names of the chip's ports D, B and C."""
 
 
 def made(circuit: Circuit) -> dict[Path, str]:

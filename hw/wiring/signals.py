@@ -53,6 +53,26 @@ def output_figures(circuit: Circuit) -> list[Figure]:
     ]
 
 
+def interlock_figures(circuit: Circuit) -> list[Figure]:
+    """Calculate the output "line ready": the relay's LED at the chip, and its contact at the conveyor."""
+    chip, relay, conveyor = circuit.design["chip"], circuit.design["relay"], circuit.design["conveyor"]
+    supply, series = circuit.design["logic_supply_v"], circuit.value("R40")
+    floating = chip["pin_leakage_a"] * circuit.value("R39") * (1 + RESISTOR)
+    least = (supply[0] - chip["pin_drop_v"] - relay["led_v"][1]) / (series * (1 + RESISTOR))
+    most = (supply[1] - relay["led_v"][0]) / (series * (1 - RESISTOR))
+    pull = supply[1] / (circuit.value("R39") * (1 - RESISTOR))
+    drop = conveyor["draws_a"] * relay["on_ohm"]
+    return [
+        Figure("LED of the relay in reset", "leakage · R39", floating, "V", "≤", relay["off_v"], "off"),
+        Figure("LED of the relay, least", "(V − drop − V_LED)/R40", least, "A", "≥", relay["on_a"], "on"),
+        Figure("LED of the relay, most", "(V − V_LED)/R40", most, "A", "≤", relay["led_largest_a"]),
+        Figure("pin when high", "the same + V/R39", most + pull, "A", "≤", chip["pin_source_a"]),
+        Figure("contact, closed", "I · R_on", drop, "V", "≤", conveyor["low_v"], "0 of a 24 V input"),
+        Figure("contact, current", "conveyor's input", conveyor["draws_a"], "A", "≤", relay["largest_a"]),
+        Figure("contact, open", "suppressor diode", relay["clamp_v"], "V", "≤", relay["largest_v"]),
+    ]
+
+
 def trigger_figures(circuit: Circuit) -> list[Figure]:
     """Calculate the trigger output, which drives up to 12 opto-isolated camera inputs."""
     d = circuit.design

@@ -39,13 +39,13 @@ from vaoi_station.runs.states.schemas import (
     RunSummary,
     StationSnapshot,
     StitchingMethod,
-    Timeline,
     Timings,
     VerdictCounts,
     Versions,
 )
 from vaoi_station.runs.states.schemas import ImageFormat as Rendered
 from vaoi_station.runs.states.tables import RunState, StationState
+from vaoi_station.runs.states.timeline_schemas import Timeline
 
 CAMERAS, ROWS, HEIGHT, WIDTH, PX_PER_MM = 3, 4, 240, 320, 8.0
 VERSIONS = Versions(station="0.1.0", opencv=cv2.__version__, python="3")
@@ -158,8 +158,8 @@ class HeldStation(StationCoordinator):
         )
         return StationSnapshot(
             name="test", state=self.state, since=NOW, reasons=self.reasons, warnings=self.warnings,
-            armed_with=self.armed,
-            cameras=tuple(camera), all_cameras_ready=not self.lost, controller="ok",
+            armed_with=self.armed, cameras=tuple(camera), all_cameras_ready=not self.lost,
+            line_ready=self.state == "armed" and not self.lost, controller="ok",
             processes=(acquisition, worker), ring=ring, versions=VERSIONS,
             retention=Retention(runs_in_memory=3, lease_s=600, frames="a while", results="always", events="always"),
             last_run=done[-1].id if done else None, filming=None, last_event=len(self.log),

@@ -11,6 +11,8 @@ from vaoi_station.acquisition.controller.interface import (
     BarrierBlocked,
     BarrierClear,
     EventQueue,
+    LineOutput,
+    Permit,
     PulseFired,
     RunEnded,
     TriggerPlan,
@@ -40,6 +42,15 @@ class ScriptedController:
 
     def read_clock(self) -> ClockReading:
         return self._clock.read()
+
+    def permit_board(self, permit: Permit | None) -> None:
+        pass
+
+    def line_output(self) -> LineOutput | None:
+        return None
+
+    def is_watching(self) -> bool:
+        return True
 
     def health(self) -> str:
         return "scripted"

@@ -165,7 +165,7 @@ def foreign_device(terminal: int, payload: bytes | None) -> Iterator[None]:
     ("payload", "said"),
     [
         (None, "no message of the trigger controller's protocol"),
-        (bytes([9, 3]) + bytes(46), "speaks protocol 9.3, this station 1.1"),
+        (bytes([9, 3]) + bytes(46), "speaks protocol 9.3, this station 1.2"),
         (bytes([1, 0, 1, 0, 0, 4, 16, 1]) + bytes(16) + b"coffee\0\0" + bytes(16), "calls itself b'coffee'"),
     ],
 )

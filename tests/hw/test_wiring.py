@@ -35,7 +35,7 @@ def test_what_is_drawn_is_what_the_circuit_says(path: Path) -> None:
 def firmware_pins() -> dict[str, str]:
     """Net → port pin, from the definitions the firmware is compiled with."""
     text = (HW / "firmware" / "chip" / "board.h").read_text(encoding="utf-8")
-    pins = dict(re.findall(r"#define (\w+) \(1 << (P[BD]\d)\)", text))
+    pins = dict(re.findall(r"#define (\w+) \(1 << (P[BCD]\d)\)", text))
     first = re.search(r"#define CHANNEL_SHIFT PD(\d)", text)
     assert first is not None
     assert pins.pop("SERIAL_RX") == "PD0"  # the Nano's own USB bridge is there
@@ -50,8 +50,8 @@ def test_the_pins_are_those_of_the_firmware() -> None:
 
 def test_the_names_beside_the_chips_are_those_of_board_h() -> None:
     text = (HW / "firmware" / "chip" / "board.h").read_text(encoding="utf-8")
-    named = re.findall(r"\* (P[BD]\d) (D\d+)\b", text)
-    assert len(named) == 4
+    named = re.findall(r"\* (P[BCD]\d) ([AD]\d+)\b", text)
+    assert len(named) == 5
     assert all(PORTS[arduino] == port for port, arduino in named)
 
 
@@ -113,7 +113,7 @@ def test_nothing_conducts_from_the_pc_to_the_machine() -> None:
         if {n for _, n in part.pins} & pc and {n for _, n in part.pins} & machine
     }
     assert across == {"U1"}  # U2's LED hangs on the sensor alone
-    assert {s.barrier for s in CIRCUIT.sheets} - {""} == {"U1", "U2"}
+    assert {s.barrier for s in CIRCUIT.sheets} - {""} == {"U1", "U2", "U12"}
 
 
 def test_the_bill_counts_every_copy() -> None:

@@ -75,9 +75,11 @@ def a_calibration(cameras: int = 2) -> Calibration:
     )
 
 
-def a_config(directory: Path, runs: int = 3, cameras: int = 2, keep_s: float = 0.0) -> StationConfig:
+def a_config(
+    directory: Path, runs: int = 3, cameras: int = 2, keep_s: float = 0.0, interlock: str = "off"
+) -> StationConfig:
     (directory / "ring").mkdir(exist_ok=True)
-    return StationConfig(
+    config = StationConfig(
         name="test",
         calibration=directory / "calibration.json",
         board_types=directory / "board-types",
@@ -96,6 +98,9 @@ def a_config(directory: Path, runs: int = 3, cameras: int = 2, keep_s: float = 0
         # 0 is shorter than station.toml allows: boards of a test follow one another within milliseconds.
         ring=RingConfig(directory=directory / "ring", runs=runs).model_copy(update={"keep_s": keep_s}),
     )  # fmt: skip
+    # A real replay has no outputs; here a test plays the acquisition process.
+    controller = config.controller.model_copy(update={"interlock": interlock})
+    return config.model_copy(update={"controller": controller})
 
 
 def a_head(rows: int, missing: tuple[tuple[int, int], ...] = ()) -> RecordingHead:

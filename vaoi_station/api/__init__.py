@@ -29,16 +29,13 @@ from vaoi_station.api.routes import (
 )
 from vaoi_station.api.routes.services import Services
 from vaoi_station.runs.control.coordinator import StationCoordinator
+from vaoi_station.runs.control.readiness import EXPECTED, NOT_READY
 from vaoi_station.runs.states.schemas import StationSnapshot
 from vaoi_station.runs.states.tables import StationState
-from vaoi_station.store.storage_trouble import PASSING
 from vaoi_station.version import __version__
 
 PREFIX = "/api/v1"
 NOT_OPERATIONAL = frozenset({StationState.STARTING, StationState.FAULTED, StationState.STOPPING})
-
-NOT_READY = PASSING | {"camera-lost", "workers-starting", "ring-full", "not-armed-again"}
-"""Codes of reasons and warnings with which the next board would not be filmed completely, or not be stored on disk."""
 
 
 def create_app(
@@ -110,7 +107,8 @@ def _add_health(app: FastAPI, services: Services) -> None:
 def _health(response: Response, snapshot: StationSnapshot, *, ready_only: bool) -> Health:
     codes = list(dict.fromkeys(reason.code for reason in (*snapshot.reasons, *snapshot.warnings)))
     dead = snapshot.state in NOT_OPERATIONAL
-    unready = dead or snapshot.state is StationState.BLOCKED or not NOT_READY.isdisjoint(codes)
+    held = {reason.code for reason in snapshot.line_held} - EXPECTED
+    unready = dead or bool(held) or snapshot.state is StationState.BLOCKED or not NOT_READY.isdisjoint(codes)
     response.status_code = 503 if dead or (ready_only and unready) else 200
     response.headers["Cache-Control"] = "no-store"
     status: Literal["ok", "degraded"] = "degraded" if unready else "ok"

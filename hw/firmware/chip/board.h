@@ -5,6 +5,8 @@
  * PB2 D10  out  LED gate, OC1B; pull-down outside, for the time of a reset
  * PD2 D2   in   encoder A (INT0)           PD3 D3  in   encoder B (INT1)
  * PD4..PD7 D4..D7  out  LED channels 0 to 3; a LED is lit while its channel and the gate are both high
+ * PC0 A0   out  line ready, high = a board may come; pull-down outside. A0, because bootloaders blink D13 and a
+ *               programmer drives D11 to D13
  * PD0 RX, PD1 TX   serial port, 250 000 baud, which 16 MHz divides exactly (115 200 would be 2.1 % off)
  *
  * Port B is written only in outputs.c, and only with zeros: the compare units drive its outputs.
@@ -21,6 +23,7 @@
 #define BARRIER_PIN (1 << PB0)
 #define TRIGGER_PIN (1 << PB1)
 #define GATE_PIN (1 << PB2)
+#define LINE_READY_PIN (1 << PC0)
 #define CHANNEL_SHIFT PD4
 #define CHANNEL_PINS (0xF << CHANNEL_SHIFT)
 #define ENCODER_A (1 << PD2)

@@ -44,12 +44,14 @@ ISR(TIMER1_CAPT_vect)
     uint8_t now = (PINB & BARRIER_PIN) != 0;
     if (now != level) {
         level = now;
+        if (level) PORTC &= (uint8_t)~LINE_READY_PIN; /* first of all: the next board must wait */
         select_next_edge();
         store_edge(timebase_extend(captured));
     }
     now = (PINB & BARRIER_PIN) != 0;
     if (now != level) {
         level = now;
+        if (level) PORTC &= (uint8_t)~LINE_READY_PIN;
         select_next_edge();
         store_edge(timebase_extend(TCNT1));
     }

@@ -40,6 +40,7 @@ static void all_low(void)
     TCCR1A = 0;
     PORTB &= (uint8_t)~(TRIGGER_PIN | GATE_PIN);
     PORTD &= (uint8_t)~CHANNEL_PINS;
+    PORTC &= (uint8_t)~LINE_READY_PIN;
     trigger_phase = gate_phase = LOW;
     guard_left = 0;
 }
@@ -110,11 +111,27 @@ void outputs_start(void)
     all_low(); /* low before they are outputs */
     DDRB |= TRIGGER_PIN | GATE_PIN;
     DDRD |= CHANNEL_PINS;
+    DDRC |= LINE_READY_PIN;
     TIMSK1 |= (1 << OCIE1A) | (1 << OCIE1B);
     OCR2A = F_CPU / 1000000UL * GUARD_TICK_US / 64 - 1;
     TCCR2A = 1 << WGM21; /* CTC mode: from 0 to OCR2A */
     TIMSK2 = 1 << OCIE2A;
     TCCR2B = 1 << CS22; /* clk/64 */
+}
+
+uint8_t ready_output(uint8_t high)
+{
+    uint8_t level = 0;
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
+        /* The edge of a board that comes now may not have reached the logic yet. */
+        if (high && !(PINB & BARRIER_PIN)) {
+            PORTC |= LINE_READY_PIN;
+            level = 1;
+        } else {
+            PORTC &= (uint8_t)~LINE_READY_PIN;
+        }
+    }
+    return level;
 }
 
 uint8_t guard_ticks(void) { return guard_count; }

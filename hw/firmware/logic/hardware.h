@@ -15,6 +15,9 @@ uint8_t pulse_cancel(void);
 /* Switches all outputs low at once. */
 void outputs_off(void);
 
+/* Sets the output "line ready" and returns its level: it stays low while the barrier is blocked. */
+uint8_t ready_output(uint8_t high);
+
 /* Encoder counts since the reset. */
 int32_t encoder_position(void);
 /* Records the time at which the encoder reaches a position; the present time if it is beyond it already. */

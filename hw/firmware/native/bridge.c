@@ -6,16 +6,34 @@
 static struct controller controller;
 static struct receiver receiver;
 
+/* What may be known about the output "line ready" without its rules. */
+static struct { uint8_t blocked, stated; ticks_t stated_at; } outside;
+
+/* Returns the first violation of the chip's limits or of the output's promises in words, or NULL. */
+const char *bridge_violation(ticks_t now)
+{
+    if (chip_violation() || !chip_ready()) return chip_violation();
+    if (!outside.stated || now - outside.stated_at > MS((uint32_t)READY_LONGEST_MS)) return "line ready without a host";
+    if (controller.interlock.permit == PERMIT_TEST) return controller.state == STATE_IDLE ? NULL : "a test while armed";
+    if (outside.blocked) return "line ready while the barrier is blocked";
+    return controller.state == STATE_ARMED ? NULL : "line ready while not armed";
+}
+
 void bridge_start(ticks_t now) { bridge_boot(now, 1); }
 
 void bridge_boot(ticks_t now, uint32_t boots)
 {
     chip_reset(now);
     memset(&receiver, 0, sizeof receiver);
+    memset(&outside, 0, sizeof outside);
     controller_start(&controller, now, 0, boots, 1);
 }
 
-void bridge_edge(ticks_t tick, uint8_t blocked) { controller_edge(&controller, &(struct edge){tick, encoder_position(), blocked}); }
+void bridge_edge(ticks_t tick, uint8_t blocked)
+{
+    outside.blocked = blocked;
+    controller_edge(&controller, &(struct edge){tick, encoder_position(), blocked});
+}
 
 void bridge_encoder(int32_t position) { chip_set_encoder(position); }
 
@@ -33,6 +51,10 @@ uint32_t bridge_talk(const uint8_t *bytes, uint32_t count, uint8_t *frames, tick
     while (count--)
         if (receive(&receiver, *bytes++)) {
             handle_request(&controller, &receiver, now, &reply);
+            if (reply.type == (MSG_READY | MSG_REPLY)) {
+                outside.stated = 1;
+                outside.stated_at = now;
+            }
             size += make_frame(frames + size, reply.type, message_sequence(&receiver), reply.payload, reply.size);
         }
     return size;

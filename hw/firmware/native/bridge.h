@@ -12,5 +12,6 @@ void bridge_poll(ticks_t now);
 uint32_t bridge_talk(const uint8_t *bytes, uint32_t count, uint8_t *frames, ticks_t now);
 uint16_t bridge_bad_frames(void);
 uint8_t bridge_event(struct event *event);
+const char *bridge_violation(ticks_t now);
 
 #endif

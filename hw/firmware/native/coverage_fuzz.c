@@ -152,7 +152,7 @@ static void seed_corpus(void)
 
 static const char *fault_after_play(void)
 {
-    if (chip_violation()) return chip_violation();
+    if (bridge_violation(now)) return bridge_violation(now);
     bridge_talk((const uint8_t[]){0}, 1, answers, now); /* ends a frame that noise left open */
     return send(MSG_STATUS, NULL, 0) ? NULL : "no answer to STATUS";
 }

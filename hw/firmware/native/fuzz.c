@@ -2,7 +2,7 @@
  *
  *          fuzz FRAMES [SEED]
  *
- * Fails if an LED is lit beyond limits.h, or if the controller stops replying.
+ * Fails if an LED is lit beyond limits.h, if the output "line ready" is high without reason, or if the controller stops replying.
  */
 #include <stdio.h>
 #include <stdlib.h>
@@ -50,6 +50,11 @@ static uint8_t make_payload(uint8_t type, uint8_t *payload)
         memcpy(payload, &fire, sizeof fire);
         return sizeof fire;
     }
+    case MSG_READY: {
+        struct ready_request ready = {(uint16_t)random_below(4), (uint16_t)random_below(1100)};
+        memcpy(payload, &ready, sizeof ready);
+        return sizeof ready;
+    }
     case MSG_CLOCK: case MSG_READ_EVENT: case MSG_ACK_EVENTS: return 4;
     default: return 0;
     }
@@ -57,6 +62,7 @@ static uint8_t make_payload(uint8_t type, uint8_t *payload)
 
 static uint8_t answers[1 << 16];
 static ticks_t now;
+static uint32_t ready_polls;
 
 static uint32_t send(uint8_t type, const void *payload, uint8_t size, uint8_t damage)
 {
@@ -96,7 +102,7 @@ static void fire_as_fast_as_possible(void)
 static void send_random(void)
 {
     uint8_t payload[PAYLOAD_LONGEST], noise[80];
-    uint8_t type = random_below(10) ? 1 + random_below(13) : (uint8_t)random_below(256);
+    uint8_t type = random_below(10) ? 1 + random_below(14) : (uint8_t)random_below(256);
     if ((type == MSG_SAFE || type == MSG_DISARM) && random_below(5)) type = MSG_CLOCK; /* else hardly any run would last */
     switch (random_below(12)) {
     case 0:
@@ -121,12 +127,14 @@ static void pass_time(void)
         if (random_below(20) == 0) bridge_edge(now, blocked ^= 1);
         if (random_below(3) == 0) bridge_encoder(position += (int32_t)random_below(40) - 4);
         bridge_poll(now);
+        ready_polls += chip_ready();
+        if (bridge_violation(now)) return;
     }
 }
 
 static void check(uint32_t frame)
 {
-    const char *violation = chip_violation();
+    const char *violation = bridge_violation(now);
     struct event event;
     while (bridge_event(&event)) {}
     if (!violation) {
@@ -150,7 +158,7 @@ int main(int argc, char **argv)
         check(k);
         pulses += chip_pulses();
     }
-    printf("%u frames, %u pulses, %u bad frames: no LED beyond its limits, every STATUS answered\n", frames, pulses,
-           bridge_bad_frames());
-    return pulses < frames / 100; /* without pulses the LED limits were not tested */
+    printf("%u frames, %u pulses, %u bad frames, %u polls with line ready: no LED beyond its limits, line ready only when "
+           "permitted, every STATUS answered\n", frames, pulses, bridge_bad_frames(), ready_polls);
+    return pulses < frames / 100 || ready_polls < frames / 100; /* without them the limits were not tested */
 }

@@ -16,6 +16,7 @@ static struct {
     uint8_t watching, reached;
     ticks_t reached_at;
     uint32_t pulses;
+    uint8_t ready;
     uint64_t time;                  /* ticks since the reset, without wrapping */
     int64_t lit[LED_CHANNELS];      /* light minus allowance, scaled */
     int64_t lowest[LED_CHANNELS];   /* minimum of that since the reset */
@@ -106,7 +107,11 @@ uint8_t pulse_cancel(void)
     return 1;
 }
 
-void outputs_off(void) { chip.waiting = chip.unreported = 0; }
+void outputs_off(void) { chip.waiting = chip.unreported = chip.ready = 0; }
+
+uint8_t ready_output(uint8_t high) { return chip.ready = high; }
+
+uint8_t chip_ready(void) { return chip.ready; }
 
 int32_t encoder_position(void) { return chip.position; }
 

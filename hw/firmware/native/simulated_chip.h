@@ -10,6 +10,8 @@ void chip_advance(ticks_t now);
 void chip_set_encoder(int32_t position);
 /* Count of pulses that rose since the last call. */
 uint32_t chip_pulses(void);
+/* Level of the output "line ready". */
+uint8_t chip_ready(void);
 /* The first violation of limits.h in words, or NULL. */
 const char *chip_violation(void);
 

@@ -12,6 +12,8 @@ import pytest
 from vaoi_station.acquisition.controller.interface import (
     BarrierBlocked,
     EventQueue,
+    LineOutput,
+    Permit,
     PulseFired,
     RunEnded,
     TriggerPlan,
@@ -32,6 +34,7 @@ class Bench:
         self.single: list[PulseFired] = []
         self.armed: list[bool] = []
         self.ended = 0
+        self.permits: list[Permit | None] = []
         self.events: EventQueue = SimpleQueue()
         self.controller = SimulatedController(self.clock, self)
         self.controller.start(self.events)
@@ -50,6 +53,12 @@ class Bench:
 
     def end_run(self) -> None:
         self.ended += 1
+
+    def permit_board(self, permit: Permit | None) -> None:
+        self.permits.append(permit)
+
+    def line_output(self) -> LineOutput | None:
+        return LineOutput(bool(self.permits and self.permits[-1]))
 
     def board(self, length_s: float, lead_s: float = 0.005) -> float:
         """A board that blocks the barrier; the device time at which it does."""
@@ -144,3 +153,11 @@ def test_its_clock_is_read_within_the_bound(bench: Bench) -> None:
     reading = bench.controller.read_clock()
     assert before_s <= reading.host_s <= time.monotonic()
     assert abs(bench.clock.host_s(reading.device_s) - reading.host_s) <= reading.bound_s + 1e-6
+
+
+def test_permits_and_the_output_are_those_of_the_line(bench: Bench) -> None:
+    permit = Permit(1, 5.0)
+    bench.controller.permit_board(permit)
+    assert bench.permits == [permit]
+    assert bench.controller.line_output() == LineOutput(True)
+    assert bench.controller.is_watching()

@@ -9,7 +9,7 @@ from typing import Any, get_args
 import pytest
 
 from vaoi_station.acquisition.cameras.interface import CameraHealth
-from vaoi_station.acquisition.controller.interface import TriggerPlan
+from vaoi_station.acquisition.controller.interface import Permit, TriggerPlan
 from vaoi_station.acquisition.process import messages
 from vaoi_station.model import CameraHead, FrameRecord, Pulse, RecordingHead, Verdict
 
@@ -26,6 +26,7 @@ EXAMPLES: list[Any] = [
     messages.Grant("r1", 2),
     messages.Arm(TriggerPlan(0.1, 0.1, 0.2, 5, 0.001)),
     messages.Disarm(),
+    messages.PermitBoard(Permit(1, 20.0)),
     messages.FireOne(),
     messages.Shutdown(),
     messages.Ready(2),

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from vaoi_station.acquisition.cameras.interface import DeviceFault
-from vaoi_station.acquisition.controller.interface import PulseFired, TriggerPlan
+from vaoi_station.acquisition.controller.interface import Permit, PulseFired, TriggerPlan
 from vaoi_station.acquisition.device_clock import DeviceClock
 from vaoi_station.acquisition.simulated.board import to_bytes
 from vaoi_station.acquisition.simulated.line import SimulatedLine, accept_plan
@@ -64,14 +64,22 @@ def make_line(make_config: Callable[..., StationConfig], tiny: str) -> Iterator[
     """Return a function that starts a line with faults of the scenario; it is closed at the end."""
     started: list[SimulatedLine] = []
 
-    def make(faults: str = "", boards: int = 0) -> LineBench:
+    def make(faults: str = "", boards: int = 0, interlock: bool = False) -> LineBench:
         config = make_config(tiny + faults)
         assert config.simulation is not None
         twin = Twin(read_scenario(config.simulation.scenario))
         plan = TriggerPlan.of(twin.line, twin.scenario.line.lights)
         cameras, controller = (ScriptedCamera(), ScriptedCamera()), ScriptedController()
         clock = DeviceClock(0.0, 0.0, origin_s=0.0)
-        line = SimulatedLine(twin, plan, cameras, clock, boards, 0.0)  # type: ignore[arg-type]  # as much as it uses
+        line = SimulatedLine(
+            twin,
+            plan,
+            cameras,  # type: ignore[arg-type]  # as much as it uses
+            clock,
+            boards,
+            0.0,
+            interlock,
+        )
         queue: SimpleQueue[Any] = SimpleQueue()
         line.start(controller, queue)  # type: ignore[arg-type]  # it schedules edges only
         started.append(line)
@@ -118,6 +126,23 @@ def test_no_more_boards_come_than_configured(make_line: Callable[..., LineBench]
     assert bench.controller.came.acquire(timeout=TIMEOUT_S)
     bench.line.end_run()
     assert not bench.controller.came.acquire(timeout=0.1)
+
+
+def test_a_conveyor_with_an_interlock_lets_one_board_in_for_each_permit(make_line: Callable[..., LineBench]) -> None:
+    line, came = (bench := make_line(interlock=True)).line, bench.controller.came
+    line.set_armed(True)
+    assert not came.acquire(timeout=0.1)
+    assert line.line_output() is not None
+    line.permit_board(Permit(1, time.monotonic() - 1.0))
+    assert not came.acquire(timeout=0.1), "it has run out"
+    valid_s = time.monotonic() + 1e3
+    line.permit_board(Permit(1, valid_s))
+    assert came.acquire(timeout=TIMEOUT_S)
+    line.end_run()
+    line.permit_board(Permit(1, valid_s + 1.0))
+    assert not came.acquire(timeout=0.1), "it is used up"
+    line.permit_board(Permit(2, valid_s))
+    assert came.acquire(timeout=TIMEOUT_S)
 
 
 FAULTS = """

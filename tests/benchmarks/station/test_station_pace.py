@@ -20,7 +20,8 @@ from vaoi_station.benchmarks.station.station_pace import (
     rate_figures,
 )
 from vaoi_station.benchmarks.station.tables import process_table, station_table
-from vaoi_station.runs.states.schemas import RunDetail, TaskTiming, Timeline, Timings, VerdictCounts
+from vaoi_station.runs.states.schemas import RunDetail, Timings, VerdictCounts
+from vaoi_station.runs.states.timeline_schemas import TaskTiming, Timeline
 from vaoi_station.simulation import Scenario
 
 BOARDS, RATE = 2, 2.0

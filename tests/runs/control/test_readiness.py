@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from vaoi_station.acquisition.cameras.interface import CameraHealth
@@ -9,6 +11,8 @@ from vaoi_station.acquisition.process.messages import Health
 from vaoi_station.config import CameraConfig
 from vaoi_station.errors import DeviceError
 from vaoi_station.runs.control import readiness
+from vaoi_station.runs.states.schemas import Reason
+from vaoi_station.runs.states.tables import StationState
 
 
 def camera(name: str) -> CameraConfig:
@@ -63,3 +67,43 @@ def test_only_changes_are_reported() -> None:
     assert readiness.changes(health(True, False), health(True, False), CAMERAS) == ()
     swapped = readiness.changes(health(True, False), health(False, True), CAMERAS)
     assert swapped == ("Camera left is lost: boards would be filmed without it.", "Camera right is ready again.")
+
+
+READY = readiness.LineFacts(StationState.ARMED, True, health(True, True), False, (), 1.5)
+
+
+def codes(**changes: object) -> list[str]:
+    return [reason.code for reason in readiness.held_back(replace(READY, **changes), CAMERAS)]  # type: ignore[arg-type]
+
+
+def test_the_next_board_may_come_only_if_nothing_speaks_against_it() -> None:
+    assert codes() == []
+
+
+@pytest.mark.parametrize("state", [state for state in StationState if state is not StationState.ARMED])
+def test_in_every_state_but_armed_the_next_board_waits(state: StationState) -> None:
+    assert codes(state=state) == [{"blocked": "ring-full", "filming": "line-filming"}.get(str(state), "line-not-armed")]
+
+
+def test_a_lost_camera_holds_boards_back_unless_the_order_accepts_it() -> None:
+    assert codes(health=health(True, False)) == ["camera-lost"]
+    assert codes(health=health(True, False), without_cameras=True) == []
+
+
+def test_a_board_without_memory_waits() -> None:
+    assert codes(expects_board=False) == ["line-not-armed"]
+
+
+def test_devices_that_have_not_reported_count_as_not_ready() -> None:
+    assert codes(health=None) == ["line-not-armed"]
+    assert codes(now_s=1.1 + readiness.HEALTH_OLD_S) == ["devices-silent"]
+    assert codes(health=replace(health(True, True), controller_ready=False)) == ["controller-not-ready"]
+
+
+@pytest.mark.parametrize("code", ["storage-full", "storage-read-only", "workers-starting", "thread-lost"])
+def test_troubles_of_disk_workers_and_threads_hold_boards_back(code: str) -> None:
+    assert codes(reasons=(Reason(code=code, message="so it is", action="do it"),)) == [code]
+
+
+def test_warnings_that_leave_the_next_board_whole_do_not_hold_it_back() -> None:
+    assert codes(reasons=(Reason(code="calibration-drift", message="so it is", action="do it"),)) == []

@@ -48,6 +48,24 @@ class TriggerPlan:
 
 
 @dataclass(frozen=True)
+class Permit:
+    """The station's permission for one board to come, for the output "line ready". A board that comes uses it up."""
+
+    number: int
+    """1 to 65535, another one for each board."""
+    until_s: float
+    """time.monotonic() until which it is valid; the station renews it before."""
+
+
+@dataclass(frozen=True)
+class LineOutput:
+    """The output "line ready" as the controller last reported it, and in words why it is low."""
+
+    high: bool
+    why: str = ""
+
+
+@dataclass(frozen=True)
 class ControllerEvent:
     """An event of the controller, numbered from 0 without gaps; `time_s` is the controller's own time."""
 
@@ -157,6 +175,19 @@ class Controller(Protocol):
 
     def read_clock(self) -> ClockReading:
         """Compare the controller's clock with the host's; called from a separate thread because it may take time."""
+
+    def permit_board(self, permit: Permit | None) -> None:
+        """Let the output "line ready" permit one board; None holds boards back. Returns at once.
+
+        The controller sets the output by itself: high only while the permit is valid, no board has used it up, and a
+        board that came would be filmed.
+        """
+
+    def line_output(self) -> LineOutput | None:
+        """Return the state of the output "line ready"; None if there is none. Does not wait for the device."""
+
+    def is_watching(self) -> bool:
+        """Return whether the controller replies, and fires for boards when armed. Does not wait for the device."""
 
     def health(self) -> str:
         """Return a sentence that describes the controller's state, without waiting for the device."""

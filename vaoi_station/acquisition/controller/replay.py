@@ -19,6 +19,8 @@ from vaoi_station.acquisition.controller.interface import (
     BarrierBlocked,
     ControllerEvent,
     EventQueue,
+    LineOutput,
+    Permit,
     PulseFired,
     RunEnded,
     TriggerPlan,
@@ -107,6 +109,17 @@ class ReplayController:
             "a replay plays recorded boards; it cannot fire a pulse of its own.",
             action="Film the boards it plays: vaoi view --boards.",
         )
+
+    def permit_board(self, permit: Permit | None) -> None:
+        """Ignore the permit: the boards of a replay have come already."""
+
+    def line_output(self) -> LineOutput | None:
+        """Return None: a replay has no outputs."""
+        return None
+
+    def is_watching(self) -> bool:
+        """Return True: this controller is part of the process."""
+        return True
 
     def read_clock(self) -> ClockReading:
         """Compare the clock of the replay with the host's; the reading is exact."""

@@ -13,6 +13,8 @@ from vaoi_station.acquisition.controller.interface import (
     BarrierBlocked,
     ControllerEvent,
     EventQueue,
+    LineOutput,
+    Permit,
     PulseFired,
     RunEnded,
     TriggerPlan,
@@ -43,6 +45,12 @@ class DrivenLine(Protocol):
 
     def end_run(self) -> None:
         """Record that a run has ended."""
+
+    def permit_board(self, permit: Permit | None) -> None:
+        """Let one board come while the permit is valid, if the conveyor obeys the interlock."""
+
+    def line_output(self) -> LineOutput | None:
+        """Return whether a board may come now; None if the conveyor does not obey the interlock."""
 
 
 class SimulatedController:
@@ -105,6 +113,18 @@ class SimulatedController:
     def read_clock(self) -> ClockReading:
         """Compare the controller's clock with the host's."""
         return self.clock.read()
+
+    def permit_board(self, permit: Permit | None) -> None:
+        """Permit the next board, or hold boards back."""
+        self._line.permit_board(permit)
+
+    def line_output(self) -> LineOutput | None:
+        """Return whether the simulated conveyor may let a board in; None if it does not obey the interlock."""
+        return self._line.line_output()
+
+    def is_watching(self) -> bool:
+        """Return True: this controller is part of the process."""
+        return True
 
     def health(self) -> str:
         """Return a sentence with the state and the number of boards so far."""

@@ -27,7 +27,17 @@ from vaoi_station.acquisition.clocks import ClockError, ClockModel, ClockReading
 from vaoi_station.acquisition.controller.interface import Controller, ControllerEvent
 from vaoi_station.acquisition.devices import Devices
 from vaoi_station.acquisition.process.backends import open_devices
-from vaoi_station.acquisition.process.messages import Arm, Disarm, FireOne, Grant, Health, Ready, Report, Shutdown
+from vaoi_station.acquisition.process.messages import (
+    Arm,
+    Disarm,
+    FireOne,
+    Grant,
+    Health,
+    PermitBoard,
+    Ready,
+    Report,
+    Shutdown,
+)
 from vaoi_station.acquisition.process.run_reports import clock_jump_error, trouble_report
 from vaoi_station.acquisition.process.session import Session
 from vaoi_station.acquisition.ring.ring import Ring, RingLayout
@@ -131,6 +141,8 @@ class _MainLoop:
         self._threads: tuple[SupervisedThread, ...] = ()
         self._failures: list[ThreadFault] = []
         self._waiting: _WaitingCommand | None = None
+        self._health_is_due = False
+        """Whether a device was lost or is back since the last heartbeat: the next one is sent at once."""
 
     def run(self) -> None:
         """Start the devices, then handle one message after another until `Shutdown`.
@@ -167,7 +179,8 @@ class _MainLoop:
         health_s = ticked_s = time.monotonic()
         while True:
             now_s = time.monotonic()
-            if now_s >= health_s:
+            if now_s >= health_s or self._health_is_due:
+                self._health_is_due = False
                 self._check_threads()
                 self._send(self._health(now_s))
                 health_s = now_s + HEALTH_PERIOD_S
@@ -209,31 +222,41 @@ class _MainLoop:
             self._session.handle_arrival(item, now_s)
         elif isinstance(item, ControllerEvent):
             self._session.handle_event(item, now_s)
-        elif isinstance(item, Grant):
-            self._session.grant(item)
-        elif isinstance(item, Arm | FireOne):
-            self._waiting = _WaitingCommand(item, now_s + CLOCK_TIMEOUT_S)
-        elif isinstance(item, Disarm):
-            self._waiting = None
-            self._disarm_by_s = min(self._disarm_by_s, now_s + BOARD_GRACE_S)
+        elif isinstance(item, Grant | Arm | FireOne | Disarm | PermitBoard):
+            self._obey(item, now_s)
         elif isinstance(item, _ControllerDisarmed):
             self._session.finish_disarming(now_s)
         elif isinstance(item, CameraLost):
             self._session.outages.begin(item.camera, item.since_s, item.why)
             self._send(trouble_report(item.error))
+            self._health_is_due = True
         elif isinstance(item, CameraBack):
             # The reading is added first: the clock may have restarted, and the reading is needed to date the next
             # arrival.
             self._clocks[1 + item.camera].add(item.reading)
             self._session.outages.end(item.camera, item.at_s)
+            self._health_is_due = True
         elif isinstance(item, DeviceFault):
             self._send(trouble_report(item.error, item.device))
+            self._health_is_due = True
         elif isinstance(item, ClockReading):
             self._clocks[0].add(item)
         elif isinstance(item, _PolledClock):
             self._add_polled(item)
         else:
             raise InternalError(f"the acquisition process has no handler for {item!r}.")
+
+    def _obey(self, command: Grant | Arm | FireOne | Disarm | PermitBoard, now_s: float) -> None:
+        """Carry out a command of the station, or note that it is due."""
+        if isinstance(command, Grant):
+            self._session.grant(command)
+        elif isinstance(command, PermitBoard):
+            self._devices.controller.permit_board(command.permit)
+        elif isinstance(command, Disarm):
+            self._waiting = None
+            self._disarm_by_s = min(self._disarm_by_s, now_s + BOARD_GRACE_S)
+        else:
+            self._waiting = _WaitingCommand(command, now_s + CLOCK_TIMEOUT_S)
 
     def _add_polled(self, polled: _PolledClock) -> None:
         """Add a reading to the model of its clock; if the attempt to read failed, report the error."""
@@ -278,7 +301,8 @@ class _MainLoop:
 
     def _health(self, now_s: float) -> Health:
         cameras = tuple(camera.health() for camera in self._devices.cameras)
-        return Health(cameras, self._devices.controller.health(), now_s)
+        controller = self._devices.controller
+        return Health(cameras, controller.health(), now_s, controller.is_watching(), controller.line_output())
 
     def _receive_commands(self, woken: Connection) -> None:
         """Put commands from the pipe into the inbox. If the pipe has ended, put Shutdown."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from vaoi_station.acquisition.cameras.interface import CameraHealth
-from vaoi_station.acquisition.controller.interface import TriggerPlan
+from vaoi_station.acquisition.controller.interface import LineOutput, Permit, TriggerPlan
 from vaoi_station.acquisition.pairing.proof import TriggerProof
 from vaoi_station.acquisition.pairing.run_record import Interruption
 from vaoi_station.model import FrameRecord, Pulse, RecordingHead
@@ -42,6 +42,13 @@ class Disarm:
 
 
 @dataclass(frozen=True)
+class PermitBoard:
+    """Let the controller's output "line ready" permit one board; without a permit it holds boards back."""
+
+    permit: Permit | None
+
+
+@dataclass(frozen=True)
 class FireOne:
     """Fire one pulse now, independent of the barrier: a run of one row, in the next granted bay. Refused if armed."""
 
@@ -51,7 +58,7 @@ class Shutdown:
     """Close cameras and controller, and end the process."""
 
 
-Command = Grant | Arm | Disarm | FireOne | Shutdown
+Command = Grant | Arm | Disarm | PermitBoard | FireOne | Shutdown
 
 
 @dataclass(frozen=True)
@@ -154,6 +161,10 @@ class Health:
     cameras: tuple[CameraHealth, ...]
     controller: str
     host_time_s: float
+    controller_ready: bool = True
+    """Whether the controller replies, and fires for boards when armed."""
+    line_output: LineOutput | None = None
+    """The controller's output "line ready"; None if there is none, or it is not used."""
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from vaoi_station.acquisition.cameras.interface import DeviceFault
 from vaoi_station.acquisition.cameras.simulated import SimulatedCamera
-from vaoi_station.acquisition.controller.interface import EventQueue, PulseFired, TriggerPlan
+from vaoi_station.acquisition.controller.interface import EventQueue, LineOutput, Permit, PulseFired, TriggerPlan
 from vaoi_station.acquisition.controller.simulated import SimulatedController
 from vaoi_station.acquisition.device_clock import DeviceClock
 from vaoi_station.acquisition.simulated.board import SimulatedBoard, to_bytes
@@ -63,6 +63,7 @@ class SimulatedLine:
         clock: DeviceClock,
         boards: int,
         interval_s: float,
+        interlock: bool = False,
     ) -> None:
         """Start without boards.
 
@@ -73,9 +74,13 @@ class SimulatedLine:
             clock: the controller's clock.
             boards: count of boards; 0: without end.
             interval_s: shortest time from the start of one passage to the start of the next.
+            interlock: whether the conveyor holds boards back while the output "line ready" is low.
         """
         self._twin, self._plan, self._cameras, self._clock = twin, plan, cameras, clock
-        self._boards, self._interval_s = boards, interval_s
+        self._boards, self._interval_s, self._interlock = boards, interval_s, interlock
+        self._permit: Permit | None = None
+        self._spent: int | None = None
+        """Number of the permit that the last board has used up."""
         self._change = threading.Condition()
         self._ready: deque[SimulatedBoard] = deque()
         self._prepared = 0
@@ -107,6 +112,26 @@ class SimulatedLine:
         with self._change:
             self._passing = False
             self._change.notify()
+
+    def permit_board(self, permit: Permit | None) -> None:
+        """Let one board enter the belt while the permit is valid, if the conveyor obeys the interlock."""
+        with self._change:
+            self._permit = permit
+            self._change.notify()
+
+    def line_output(self) -> LineOutput | None:
+        """Return whether a board may enter now; None if the conveyor does not obey the interlock."""
+        if not self._interlock:
+            return None
+        if not self._armed or self._passing:
+            return LineOutput(False, "the controller is not armed, or a board is being filmed")
+        return LineOutput(True) if self._permitted() else LineOutput(False, "the station does not permit a board")
+
+    def _permitted(self) -> bool:
+        if not self._interlock:
+            return True
+        permit = self._permit
+        return permit is not None and permit.number != self._spent and time.monotonic() < permit.until_s
 
     def fire(self, event: PulseFired) -> None:
         """Expose all cameras, for a pulse that was fired during a passage."""
@@ -193,7 +218,8 @@ class SimulatedLine:
 
     def _may_pass(self) -> bool:
         ready = bool(self._ready) and self._ready[0].ready
-        return ready and self._armed and not self._passing and time.monotonic() >= self._next_host_s
+        may_enter = self._armed and not self._passing and self._permitted()
+        return ready and may_enter and time.monotonic() >= self._next_host_s
 
     def _to_prepare(self) -> bool:
         if self._still and not self._armed:
@@ -213,9 +239,10 @@ class SimulatedLine:
 
     def _let_pass(self) -> None:
         with self._change:
-            # Disarming may have come between the check in _may_pass and here.
-            if not self._armed:
+            # Disarming, or the end of the permit, may have come between the check in _may_pass and here.
+            if not self._armed or not self._permitted():
                 return
+            self._spent = self._permit.number if self._permit else None
             board, now_s = self._ready.popleft(), time.monotonic()
             self._start_s = self._clock.device_s(now_s + LEAD_S)
             self._board, self._passing = board, True
@@ -226,6 +253,6 @@ class SimulatedLine:
         with self._change:
             if self._closing or self._may_pass() or (not self._passing and self._to_prepare()):
                 return
-            waiting_for_time = self._armed and self._ready and not self._passing
+            waiting_for_time = self._armed and self._ready and not self._passing and self._permitted()
             with self._thread.waiting():
                 self._change.wait(max(self._next_host_s - time.monotonic(), 0.0) if waiting_for_time else None)

@@ -48,7 +48,8 @@ def open_simulated(config: StationConfig) -> Devices:
     cameras = tuple(SimulatedCamera(n, simulated_clock(n), c.exposure_us) for n, c in enumerate(config.cameras))
     plan = scenario_plan(twin)
     clock = simulated_clock(-1)
-    line = SimulatedLine(twin, plan, cameras, clock, config.simulation.boards, config.simulation.interval_s)
+    simulation, interlock = config.simulation, config.controller.interlock == "on"
+    line = SimulatedLine(twin, plan, cameras, clock, simulation.boards, simulation.interval_s, interlock)
     return Devices(cameras, _ControllerWithLine(clock, line))
 
 

@@ -9,8 +9,8 @@ import { texts } from "./texts.en.js";
 
 const $ = (id) => document.getElementById(id);
 const SOON_MS = 5000; // attempts that are due sooner are not shown
-const TONES = { blocked: "caution", lacking: "caution", faulted: "fault" };
-const OWN_ORDER = { blocked: 1, lacking: 1, filming: 1 }; // whatever the reason, first of all hold the board or let it pass
+const TONES = { blocked: "caution", lacking: "caution", held: "caution", faulted: "fault" };
+const OWN_ORDER = { blocked: 1, lacking: 1, held: 1, filming: 1 }; // whatever the reason, first of all hold the board or let it pass
 
 for (const element of document.querySelectorAll("[data-text]")) element.textContent = texts[element.dataset.text];
 
@@ -59,7 +59,8 @@ async function refresh() {
 
 function showStation(now) {
   shown = now;
-  const state = now.state === "armed" && !now.all_cameras_ready ? "lacking" : now.state;
+  const held = now.all_cameras_ready ? "held" : "lacking";
+  const state = now.state === "armed" && !now.line_ready ? held : now.state;
   const known = state in texts.states ? state : "unknown";
   const [word, sentence] = texts.states[known];
   const [first] = now.reasons;
@@ -70,7 +71,8 @@ function showStation(now) {
   setText($("state-word"), word);
   setText($("what-to-do"), (!(known in OWN_ORDER) && first?.action) || sentence);
   setText($("armed-with"), now.armed_with ? texts.armedWith(now.armed_with) : "");
-  const reasons = now.reasons.map((r) => (known in OWN_ORDER ? `${r.message} ${r.action}` : r.message));
+  const causes = known === "held" ? now.line_held : now.reasons;
+  const reasons = causes.map((r) => (known in OWN_ORDER ? `${r.message} ${r.action}` : r.message));
   showLines($("reasons"), [...reasons, ...nextTries(now)]);
   showLines($("warnings"), now.warnings.map((w) => `${w.message} ${w.action}`));
   $("warnings").hidden = now.warnings.length === 0;

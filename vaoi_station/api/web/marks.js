@@ -15,6 +15,7 @@ const marks = {
   filming: `<rect x="6" y="26" width="88" height="58" rx="8" fill="currentColor"/><path d="M34 26 41 12h18l7 14Z" fill="currentColor"/><circle cx="50" cy="55" r="18" fill="none" stroke="#fff" stroke-width="8"/>`,
   blocked: triangle,
   lacking: triangle,
+  held: triangle,
   faulted: octagon,
   stopping: `<rect x="14" y="14" width="72" height="72" rx="6" ${line}/>`,
   unknown: `${dashed}<path d="M50 72v1M38 38a12 12 0 1 1 18 12q-6 3-6 9" ${line}/>`,

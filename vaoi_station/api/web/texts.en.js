@@ -22,6 +22,7 @@ export const texts = {
     arming: ["Arming", "Hold the next board back for a moment."],
     armed: ["Ready", "Let the next board in."],
     lacking: ["Camera missing", "Hold the next board back. It would be filmed without one camera."],
+    held: ["Hold", "Hold the next board back. It would not be filmed or kept."],
     filming: ["Filming", "A board is passing. Do not touch it."],
     blocked: ["Memory full", "Hold the next board back until this page shows Ready."],
     faulted: ["Fault", "Hold the next board back and call the engineer."],

@@ -24,7 +24,8 @@ from vaoi_station.errors import StateError
 from vaoi_station.files import write_board_type, write_calibration
 from vaoi_station.model import RecordingHead
 from vaoi_station.runs.control.coordinator import StationCoordinator
-from vaoi_station.runs.states.schemas import RunDetail, Timeline
+from vaoi_station.runs.states.schemas import RunDetail
+from vaoi_station.runs.states.timeline_schemas import Timeline
 from vaoi_station.station import Station
 
 PAUSE_S = 1.0

@@ -28,8 +28,9 @@ from vaoi_station.runs.archive.stored_documents import in_state, state_of
 from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.run.run_views import detail_of, summary_of, timeline_of
 from vaoi_station.runs.states.run_ids import utc_of_host
-from vaoi_station.runs.states.schemas import RunDetail, RunSummary, Timeline
+from vaoi_station.runs.states.schemas import RunDetail, RunSummary
 from vaoi_station.runs.states.tables import RUN, RunState, RunStep
+from vaoi_station.runs.states.timeline_schemas import Timeline
 from vaoi_station.store import RunRow, Store
 
 CACHED_RUNS = 32

@@ -7,7 +7,8 @@ from bisect import bisect_left
 from collections import Counter
 from dataclasses import dataclass, field
 
-from vaoi_station.runs.states.schemas import RunDetail, Timeline
+from vaoi_station.runs.states.schemas import RunDetail
+from vaoi_station.runs.states.timeline_schemas import Timeline
 
 LATENCY_BOUNDS_S = (0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 60.0)
 """Upper bounds, s, of the classes into which the times from the last frame to the result are counted."""

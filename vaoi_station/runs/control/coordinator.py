@@ -27,7 +27,7 @@ from vaoi_station.runs.control.inbox import Inbox
 from vaoi_station.runs.control.inbox_events import InboxEvents
 from vaoi_station.runs.control.pictures import FrameAccess, PictureRequests, ViewRequest
 from vaoi_station.runs.control.station_events import StationEvents
-from vaoi_station.runs.control.status import snapshot_of, status_line
+from vaoi_station.runs.control.status import renew_permit, snapshot_of, status_line
 from vaoi_station.runs.control.teaching import BoardTypeService, ReferenceTeaching
 from vaoi_station.runs.host.gc_policy import GcPolicy
 from vaoi_station.runs.run.leases import OWN
@@ -48,8 +48,8 @@ from vaoi_station.runs.states.schemas import (
     RunSummary,
     StationSnapshot,
     StitchingMethod,
-    Timeline,
 )
+from vaoi_station.runs.states.timeline_schemas import Timeline
 from vaoi_station.store import BoardTypeDirectory
 
 ARM_LIMIT_S = 30.0
@@ -93,7 +93,7 @@ class StationCoordinator:
         self._parts, self._ring = parts, ring
         self._make_order, self._processes, self._show_status = make_order, processes, show_status
         self.faults = faults
-        self._inbox = Inbox(self._tick)
+        self._inbox = Inbox(self._tick, after=lambda: renew_permit(self._core, parts, processes, self.faults()))
         self.thread = self._inbox.thread
         """The coordinator's thread."""
         self._gc_policy = GcPolicy()

@@ -19,6 +19,7 @@ from vaoi_station.runs.control.reasons import sentence
 from vaoi_station.runs.control.station_state import StationStateMachine
 from vaoi_station.runs.run.board_account import UNWATCHED, BoardAccount
 from vaoi_station.runs.run.leases import Leases
+from vaoi_station.runs.run.line_permit import LinePermit
 from vaoi_station.runs.run.memory import BayRing, Memory
 from vaoi_station.runs.run.order import Order
 from vaoi_station.runs.run.progress import Progress
@@ -80,6 +81,8 @@ class Core:
         )
         self.health: messages.Health | None = None
         self.trigger = TriggerWatch([camera.label for camera in parts.config.cameras])
+        interlocked = parts.config.controller.interlock == "on"
+        self.permit = LinePermit(parts.acquisition.send if interlocked else None, parts.events.add)
         self._stopping: list[Completion] = []
 
     # --- requests of callers

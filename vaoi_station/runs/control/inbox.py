@@ -21,11 +21,11 @@ T = TypeVar("T")
 class Inbox:
     """A queue of functions, and the thread that calls them one after another.
 
-    The thread also calls `tick` every `tick_s` seconds.
+    The thread also calls `tick` every `tick_s` seconds, and `after` after each of these calls.
     """
 
-    def __init__(self, tick: Callable[[], None], tick_s: float = 0.5) -> None:
-        self._tick, self._tick_s = tick, tick_s
+    def __init__(self, tick: Callable[[], None], tick_s: float = 0.5, after: Callable[[], None] = lambda: None) -> None:
+        self._tick, self._tick_s, self._after = tick, tick_s, after
         self._messages: Queue[Callable[[], Any]] = Queue()
         self._closed = threading.Event()
         self.thread = SupervisedThread(self._run, "coordinator")
@@ -104,6 +104,7 @@ class Inbox:
                 work, next_tick = self._tick, time.monotonic() + self._tick_s
             try:
                 work()
+                self._after()
             except Exception:  # noqa: BLE001  a message that fails must not end the station; the log shows the fault
                 _log.exception("a message to the coordinator failed")
 

@@ -222,6 +222,11 @@ class LineControl:
         """Whether the cameras hold a bay for the next board."""
         return bool(self._granted)
 
+    @property
+    def expects_board(self) -> bool:
+        """Whether the cameras hold a bay for the next board, and the line is not being disarmed."""
+        return bool(self._granted) and not self._disarm_sent
+
     # --- memory for the next board
 
     def keep_memory_granted(self) -> None:

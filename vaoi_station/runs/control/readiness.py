@@ -1,4 +1,4 @@
-"""Readiness of the cameras: the reasons why cameras are not connected, and the refusal to arm the line without them.
+"""Readiness of line and cameras: why the next board must wait, and the refusal to arm the line without all cameras.
 
 A camera that is not connected is absent, in use by another program, or refuses its settings. Without its frames, no
 board is seen in the camera's view. The operator must know this before the batch starts.
@@ -7,15 +7,76 @@ board is seen in the camera's view. The operator must know this before the batch
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from vaoi_station.acquisition.process.messages import Health
 from vaoi_station.config import CameraConfig
 from vaoi_station.errors import DeviceError
 from vaoi_station.runs.control.reasons import sentence
 from vaoi_station.runs.states.schemas import Reason
+from vaoi_station.runs.states.tables import StationState
+from vaoi_station.store.storage_trouble import PASSING
 
 CODE = "camera-lost"
+NOT_READY = PASSING | {CODE, "workers-starting", "ring-full", "not-armed-again"}
+"""Codes of reasons and warnings with which the next board would not be filmed completely, or not kept on disk."""
+HEALTH_OLD_S = 2.0
+"""Age of the last heartbeat of the acquisition process after which its devices no longer count as ready, s."""
 _DEFAULT_ACTION = "Check its cable and power; the station reopens it automatically."
+
+
+@dataclass(frozen=True)
+class LineFacts:
+    """What decides whether the next board may come."""
+
+    state: StationState
+    expects_board: bool
+    """Whether memory is granted to the next board, and the line is not being disarmed."""
+    health: Health | None
+    without_cameras: bool
+    """Whether the order accepts boards that are filmed without lost cameras."""
+    reasons: tuple[Reason, ...]
+    """Reasons for the station's state, warnings, and faults of threads."""
+    now_s: float
+
+
+_BY_STATE = {
+    StationState.STARTING: Reason(code="line-not-armed", message="The station is starting.", action="Wait."),
+    StationState.IDLE: Reason(code="line-not-armed", message="The line is not armed.", action="Arm it."),
+    StationState.ARMING: Reason(code="line-not-armed", message="The line is being armed.", action="Wait a moment."),
+    StationState.FAULTED: Reason(code="line-not-armed", message="The acquisition process is lost.", action="Wait."),
+    StationState.STOPPING: Reason(code="line-not-armed", message="The station is stopping.", action="Start it."),
+    StationState.FILMING: Reason(code="line-filming", message="A board is being filmed.", action="Wait until it left."),
+    StationState.BLOCKED: Reason(code="ring-full", message="No memory is free.", action="Wait, or release a run."),
+}
+EXPECTED = frozenset({"line-not-armed", "line-filming"})
+"""Codes with which a board must wait although nothing is wrong."""
+
+
+def held_back(facts: LineFacts, cameras: Sequence[CameraConfig]) -> tuple[Reason, ...]:
+    """Return why the next board must wait; empty exactly if it may come.
+
+    The page, `/readyz`, `line_ready` of REST and the output "line ready" all follow this function.
+    """
+    found: list[Reason] = []
+    if facts.state is not StationState.ARMED:
+        found.append(_BY_STATE[facts.state])
+    elif not facts.expects_board:
+        found.append(Reason(code="line-not-armed", message="The line is being disarmed.", action="Arm again."))
+    elif facts.health is None:
+        message = "Cameras and controller have not reported yet."
+        found.append(Reason(code="line-not-armed", message=message, action="Wait a moment."))
+    elif facts.now_s - facts.health.host_time_s > HEALTH_OLD_S:
+        message = "Cameras and controller have not reported for some seconds."
+        found.append(Reason(code="devices-silent", message=message, action="Wait: the station restarts the process."))
+    elif not facts.health.controller_ready:
+        message = "The controller does not reply, or has switched its outputs off."
+        found.append(Reason(code="controller-not-ready", message=message, action="Check its power and its cable."))
+    if not facts.without_cameras:
+        found += reasons(facts.health, cameras)
+    others = NOT_READY - {CODE, "ring-full"} | {"thread-lost"}
+    found += [reason for reason in facts.reasons if reason.code in others]
+    return tuple(found)
 
 
 def disconnected(health: Health | None) -> tuple[int, ...]:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 from vaoi_station.config import StationConfig
 from vaoi_station.runs.control import readiness
-from vaoi_station.runs.control.core import Core
+from vaoi_station.runs.control.core import Core, Parts
 from vaoi_station.runs.host.addresses import is_present
 from vaoi_station.runs.run.run_views import versions
 from vaoi_station.runs.states.run_ids import utc_of_host
@@ -15,6 +17,7 @@ from vaoi_station.runs.states.schemas import (
     WAITING,
     CameraStatus,
     LeaseStatus,
+    LineOutputStatus,
     ProcessStatus,
     Reason,
     Retention,
@@ -49,6 +52,8 @@ def snapshot_of(
         last_event: number of the newest event.
     """
     filming, cameras = core.runs.filming, _cameras(core, config)
+    held = line_held(core, config, lambda: processes, faults)
+    output = core.health.line_output if core.health else None
     return StationSnapshot(
         name=config.name,
         state=core.machine.state,
@@ -65,6 +70,9 @@ def snapshot_of(
         armed_with=core.line.orders.shown(),
         cameras=cameras,
         all_cameras_ready=all(camera.connected for camera in cameras),
+        line_ready=not held,
+        line_held=held,
+        line_output=None if output is None else LineOutputStatus(high=output.high, why=output.why),
         controller=core.health.controller if core.health else "",
         processes=processes,
         ring=RingStatus(
@@ -84,6 +92,36 @@ def snapshot_of(
         boards_missed=core.boards.missed,
         times_blocked=core.line.times_blocked,
     )
+
+
+def line_held(
+    core: Core, config: StationConfig, processes: Callable[[], tuple[ProcessStatus, ...]], faults: tuple[Reason, ...]
+) -> tuple[Reason, ...]:
+    """Return why the next board must wait; empty if it may come. Call it in the coordinator's thread."""
+    state, order = core.machine.state, core.line.orders.order
+    # Only of an armed line is everything evaluated: this runs after every message while frames are being settled.
+    others = (*faults, *core.line.warnings())
+    if state is StationState.ARMED:
+        others += (*core.storage.warnings(), *worker_warnings(processes()))
+    facts = readiness.LineFacts(
+        state,
+        core.line.expects_board,
+        core.health,
+        order is not None and order.despite_lost_cameras,
+        others,
+        time.monotonic(),
+    )
+    return readiness.held_back(facts, config.cameras)
+
+
+def renew_permit(
+    core: Core, parts: Parts, processes: Callable[[], tuple[ProcessStatus, ...]], faults: tuple[Reason, ...]
+) -> None:
+    """Let the next board come, or hold it back. The coordinator's thread calls this after every message."""
+    held = line_held(core, parts.config, processes, faults)
+    core.permit.update(held, core.boards.reports, time.monotonic())
+    if core.machine.state is StationState.ARMED:
+        core.permit.publish([reason for reason in held if reason.code not in readiness.EXPECTED])
 
 
 def status_line(core: Core) -> str:

@@ -35,9 +35,12 @@ class BoardAccount:
         self._line, self._orders, self._publish = line, orders, publish
         self.missed = 0
         """Count of boards that passed and were not filmed as a run."""
+        self.reports = 0
+        """Count of reports of boards without a run: a permit that was given before may have been used by one."""
 
     def board_missed(self, report: BoardMissed, action: str, now_s: float) -> None:
         """Count a board that passed without a run; `action` is what the user can do."""
+        self.reports += 1
         message = f"A board passed and was not filmed: {report.reason}"
         self._miss(1, (report.host_time_s, now_s), Reason(code="board-missed", message=message, action=action))
 
@@ -60,6 +63,7 @@ class BoardAccount:
 
     def unwatched(self, now_s: float, why: str) -> None:
         """Record that boards may have passed without a report until now."""
+        self.reports += 1
         self._orders.doubt(now_s, now_s, why)
 
     def begin(self, progress: Progress, armed_s: float) -> None:

@@ -15,8 +15,9 @@ from vaoi_station.model import FrameRecord, Pulse, RecordingHead, Status, Stitch
 from vaoi_station.runs.run.memory import Bay
 from vaoi_station.runs.run.order import Order
 from vaoi_station.runs.states.run_ids import utc
-from vaoi_station.runs.states.schemas import Reason, TaskTiming
+from vaoi_station.runs.states.schemas import Reason
 from vaoi_station.runs.states.tables import FINISHED, RUN, RunState, RunStep
+from vaoi_station.runs.states.timeline_schemas import TaskTiming
 from vaoi_station.runs.workers.jobs import CheckJob, Concluded, ConcludeJob, Linked, LinkJob, OpenRun, Reply, RunContext
 from vaoi_station.stitching.matching.evidence import FrameKey, Task
 from vaoi_station.stitching.work import all_tasks, possible_tasks

@@ -25,13 +25,13 @@ from vaoi_station.runs.states.schemas import (
     Reason,
     RunDetail,
     RunSummary,
-    Timeline,
     Timings,
     Unseen,
     VerdictCounts,
     Versions,
 )
 from vaoi_station.runs.states.tables import FINISHED, IN_MEMORY
+from vaoi_station.runs.states.timeline_schemas import Timeline
 from vaoi_station.version import __version__
 
 

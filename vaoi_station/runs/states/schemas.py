@@ -155,6 +155,15 @@ class Versions(Schema):
     python: str
 
 
+class LineOutputStatus(Schema):
+    """The controller's output "line ready" at the last heartbeat of the acquisition process."""
+
+    high: bool
+    """Whether it lets a conveyor bring the next board."""
+    why: str = ""
+    """Why it is low."""
+
+
 class StationSnapshot(Schema):
     """State of the station at one moment."""
 
@@ -169,6 +178,12 @@ class StationSnapshot(Schema):
     cameras: tuple[CameraStatus, ...]
     all_cameras_ready: bool
     """Whether all cameras are connected. If False, the next board is filmed with gaps or not at all."""
+    line_ready: bool = False
+    """Whether the next board may come: it would be filmed by all cameras, and its result kept on disk."""
+    line_held: tuple[Reason, ...] = ()
+    """Why the next board must wait; empty exactly if `line_ready` is True."""
+    line_output: LineOutputStatus | None = None
+    """The controller's output "line ready", which a conveyor obeys; None if it is not used or there is none."""
     controller: str
     processes: tuple[ProcessStatus, ...]
     ring: RingStatus
@@ -339,30 +354,6 @@ class RunDetail(RunSummary):
     """Components that the good frames show too little of; the run is then not ok."""
 
 
-class TaskTiming(Schema):
-    """Times of one task of a run, in seconds since the board interrupted the barrier, by the host's clock."""
-
-    kind: str
-    camera: int
-    row: int
-    other_camera: int | None
-    other_row: int | None
-    ready_s: float
-    """Time at which the last of the task's frames was settled."""
-    done_s: float
-    worker_ms: float
-
-
-class Timeline(Schema):
-    """Times of the steps of a run, in seconds since the board interrupted the barrier, by the host's clock."""
-
-    frames_settled_s: tuple[tuple[int, int, float], ...]
-    """(camera, row, time) of every settled frame."""
-    tasks: tuple[TaskTiming, ...]
-    last_frame_s: float
-    ready_s: float | None
-
-
 class ComponentSummary(Schema):
     """One component of a run's board type, and its position."""
 
@@ -392,7 +383,7 @@ class EventRecord(Schema):
     number: int
     time: str
     kind: str
-    """Kind of the event: "station" or "run" (for a new `state`), "armed", "board-missed", "trouble", "process", …"""
+    """Kind of the event: "station" or "run" (for a new `state`), "armed", "board-missed", "line", "trouble", …"""
     state: str = ""
     run: str | None = None
     code: str = ""

@@ -29,6 +29,7 @@ static void reply_ident(const struct controller *c, struct reply *reply)
         .build = FIRMWARE_BUILD, .board = "m328p16",
         .tick_ns = 1000 / TICKS_PER_US, .led_shortest = LED_SHORTEST, .led_longest = LED_LONGEST,
         .led_bucket = LED_BUCKET, .led_duty_shift = LED_DUTY_SHIFT, .heartbeat_s = HEARTBEAT / MS(1000),
+        .ready_longest_ms = READY_LONGEST_MS,
     };
     put(reply, &ident, sizeof ident);
 }
@@ -43,6 +44,7 @@ static void reply_status(const struct controller *c, uint16_t bad, ticks_t now, 
         .position = (uint32_t)encoder_position(),
         .events_lost = c->events.lost, .bad_frames = bad, .unknown = c->unknown, .replies_lost = c->replies_lost,
         .bytes_lost = c->bytes_lost, .edges_lost = c->edges_lost,
+        .ready = c->interlock.high, .hold = c->interlock.hold, .permit = c->interlock.permit,
     };
     put(reply, &status, sizeof status);
 }
@@ -91,6 +93,7 @@ static int8_t payload_size(uint8_t type)
     case MSG_STEP: return sizeof(struct step_request);
     case MSG_ARM: return sizeof(struct arm_request);
     case MSG_FIRE_ONE: return sizeof(struct fire_request);
+    case MSG_READY: return sizeof(struct ready_request);
     default: return -1;
     }
 }
@@ -105,6 +108,7 @@ void handle_request(struct controller *c, const struct receiver *message, ticks_
         struct step_request step;
         struct arm_request arm;
         struct fire_request fire;
+        struct ready_request ready;
     } request;
     struct refusal why = {NAK_NONE, 0, 0};
 
@@ -138,6 +142,11 @@ void handle_request(struct controller *c, const struct receiver *message, ticks_
     case MSG_SAFE: controller_safe(c, FAULT_COMMANDED, now); break;
     case MSG_READ_EVENT: why = read_event(c, request.number, reply); break;
     case MSG_ACK_EVENTS: events_acknowledge(&c->events, request.number); break;
+    case MSG_READY:
+        why = interlock_state(c, &request.ready, now);
+        reply_status(c, message->bad, now, reply);
+        break;
     }
+    interlock_poll(c, now); /* DISARM and SAFE lower the output at once */
     if (why.reason) refuse(reply, type, why);
 }

@@ -1,4 +1,4 @@
-/* The messages of hw/protocol.md, version 1.1: little-endian, packed; sizes are part of the protocol. */
+/* The messages of hw/protocol.md, version 1.2: little-endian, packed; sizes are part of the protocol. */
 #ifndef PROTOCOL_H
 #define PROTOCOL_H
 
@@ -8,7 +8,7 @@
 #include "limits.h"
 
 #define PROTOCOL_MAJOR 1
-#define PROTOCOL_MINOR 1
+#define PROTOCOL_MINOR 2
 
 #define PAYLOAD_LONGEST 58
 #define CONTENT_LONGEST (2 + PAYLOAD_LONGEST + 2) /* type, sequence, payload, CRC-16 */
@@ -28,6 +28,7 @@ enum message {
     MSG_SAFE = 0x0B,
     MSG_READ_EVENT = 0x0C,
     MSG_ACK_EVENTS = 0x0D,
+    MSG_READY = 0x0E,
     MSG_REPLY = 0x80, /* added to the type of the request */
     MSG_EVENT = 0xC0,
     MSG_NAK = 0xFF,
@@ -71,6 +72,18 @@ enum suppressed {
 };
 
 enum run_end { END_CLEAR = 1, END_MAX_ROWS = 2, END_DISARMED = 3, END_SAFE = 4 };
+
+/* Why the output "line ready" is low. */
+enum hold {
+    HOLD_NONE = 0,    /* it is high */
+    HOLD_HOST = 1,    /* the host has not stated that a board may come, or its statement has run out */
+    HOLD_STATE = 2,   /* not armed, or a board is being filmed */
+    HOLD_BARRIER = 3, /* the barrier is blocked, or was until less than the debounce ago */
+    HOLD_GAP = 4,     /* the last board left less than min_gap ago */
+    HOLD_SPENT = 5,   /* a board has come since the host's statement */
+};
+
+#define PERMIT_TEST 0 /* of MSG_READY: sets the output without a board, in STATE_IDLE only */
 
 #define ROW_NONE 0xFFFFu /* the pulse of FIRE_ONE belongs to no row */
 
@@ -116,8 +129,9 @@ struct WIRE ident {
     uint16_t led_bucket;
     uint8_t led_duty_shift; /* lit at most 1 / 2^shift of the time */
     uint8_t heartbeat_s;
+    uint16_t ready_longest_ms; /* since 1.2: how long one READY keeps the output high at most */
 };
-static_assert(sizeof(struct ident) == 48, "part of the protocol");
+static_assert(sizeof(struct ident) == 50, "part of the protocol");
 
 struct WIRE status {
     uint8_t state;
@@ -138,8 +152,11 @@ struct WIRE status {
     uint16_t replies_lost;  /* no room in the transmit buffer */
     uint16_t bytes_lost;    /* arrived faster than they were read */
     uint16_t edges_lost;    /* the barrier changed faster than edges were read */
+    uint8_t ready;          /* since 1.2: level of the output "line ready" */
+    uint8_t hold;           /* enum hold */
+    uint16_t permit;        /* of the last READY */
 };
-static_assert(sizeof(struct status) == 44, "part of the protocol");
+static_assert(sizeof(struct status) == 48, "part of the protocol");
 
 struct WIRE event {
     uint32_t number;
@@ -159,6 +176,12 @@ static_assert(sizeof(struct arm_request) == 6, "part of the protocol");
 
 struct WIRE fire_request { uint16_t nonce; struct step step; uint16_t trigger_width; };
 static_assert(sizeof(struct fire_request) == 8, "part of the protocol");
+
+struct WIRE ready_request {
+    uint16_t permit;  /* number of the host's permission for one board; PERMIT_TEST */
+    uint16_t hold_ms; /* how long it is valid; 0 withdraws it */
+};
+static_assert(sizeof(struct ready_request) == 4, "part of the protocol");
 
 struct WIRE nak_reply { uint8_t request, reason, field, reserved; uint32_t limit; };
 static_assert(sizeof(struct nak_reply) == 8, "part of the protocol");

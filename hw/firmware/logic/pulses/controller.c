@@ -71,6 +71,7 @@ static void on_board_arrival(struct controller *c, const struct edge *edge)
         return;
     }
     if (c->state != STATE_ARMED) return;
+    interlock_spend(c);
     /* Without a board since the reset there is no gap to measure. */
     uint32_t gap = edge->tick - c->last_clear;
     if (c->clear_known && gap < timing(c)->min_gap) {
@@ -108,6 +109,7 @@ static void watch_barrier(struct controller *c, ticks_t now)
 
 void controller_edge(struct controller *c, const struct edge *edge)
 {
+    if (edge->blocked) c->interlock.high = ready_output(0);
     watch_barrier(c, edge->tick); /* first confirm the edge before, which may have lasted long enough by now */
     ticks_t began = c->barrier.edge.tick;
     uint32_t bounce = barrier_edge(&c->barrier, edge);
@@ -185,6 +187,7 @@ void controller_poll(struct controller *c, ticks_t now)
     uint8_t needs_host = c->state == STATE_ARMED || c->state == STATE_RUNNING;
     if (needs_host && ticks_since(now, c->last_beat) > (int32_t)HEARTBEAT) controller_safe(c, FAULT_HEARTBEAT, now);
     if (c->state == STATE_RUNNING && !c->pulse.under_way) continue_run(c, now);
+    interlock_poll(c, now);
 }
 
 void controller_start(struct controller *c, ticks_t now, uint8_t blocked, uint32_t boots, uint8_t reset_cause)
@@ -201,6 +204,7 @@ void controller_arm(struct controller *c, uint16_t run, ticks_t now)
 {
     c->run = run;
     c->last_beat = now;
+    c->interlock.lasting = 0; /* what was stated before belongs to another arming */
     c->state = STATE_ARMED;
 }
 

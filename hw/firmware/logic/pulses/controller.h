@@ -5,6 +5,7 @@
 #include "barrier.h"
 #include "config.h"
 #include "events.h"
+#include "interlock.h"
 
 struct passage {
     uint16_t row;       /* the next one */
@@ -28,6 +29,7 @@ struct controller {
     struct passage passage;
     struct pulse_under_way pulse;
     struct events events;
+    struct interlock interlock;
     ticks_t last_beat;   /* time of the last heartbeat of the host */
     ticks_t last_clear;  /* when the last board left; valid if clear_known */
     uint8_t clear_known;

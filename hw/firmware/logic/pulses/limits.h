@@ -36,4 +36,8 @@
 /* Longer than any stall of the host that must be survived. */
 #define HEARTBEAT MS(3000)
 
+/* Longest time for which one statement of the host keeps the output "line ready" high: the time after which a conveyor
+ * holds boards back when the host is gone. */
+#define READY_LONGEST_MS 1000
+
 #endif

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 
+from vaoi_station.acquisition.controller.interface import Permit
 from vaoi_station.acquisition.controller.protocol.framing import FrameReader, Message, encode
 from vaoi_station.acquisition.controller.protocol.link import (
     HEARTBEAT_S,
@@ -30,6 +31,7 @@ from vaoi_station.acquisition.controller.protocol.messages import (
     Status,
     Type,
     number_request,
+    ready,
 )
 
 STATUS = Status.unpack(bytes(44))
@@ -245,3 +247,65 @@ def test_damaged_bytes_are_counted() -> None:
     link = Link()
     link.receive(b"noise\0" + encode(Message(1, 1)), 0.0)
     assert (link.bad_frames, link.messages) == (1, 1)
+
+
+def permitting(until_s: float = 10.0) -> Link:
+    """A link to a controller with an interlock, with a permit that has not been sent."""
+    link = known()
+    link.ready_longest_ms, link.permit = 1000, Permit(5, until_s)
+    return link
+
+
+def stated(link: Link, now_s: float) -> bytes | None:
+    """The payload of the READY that the link sends now, replied to; None if it sends no READY."""
+    request = sent(link, now_s)
+    if request is None:
+        return None
+    assert request.type == Type.READY
+    link.receive(encode(Message(Type.READY | REPLY, request.sequence, replace(STATUS, boots=1).pack())), now_s)
+    return request.payload
+
+
+def test_a_permit_is_sent_at_once_renewed_and_withdrawn_at_once() -> None:
+    link = permitting()
+    assert stated(link, 0.0) == ready(5, 1000).payload
+    assert stated(link, 0.9 * HEARTBEAT_S) is None
+    assert stated(link, HEARTBEAT_S) == ready(5, 1000).payload
+    link.permit = None
+    assert stated(link, HEARTBEAT_S + 0.01) == ready(5, 0).payload
+    assert stated(link, 5.0) is None, "withdrawn once"
+
+
+def test_a_permit_is_never_stated_for_longer_than_it_is_valid() -> None:
+    link = permitting(until_s=0.6)
+    assert stated(link, 0.0) == ready(5, 600).payload
+    assert stated(link, HEARTBEAT_S) == ready(5, 350).payload
+    assert stated(link, 0.6) == ready(5, 0).payload
+    assert stated(link, 1.0) is None
+
+
+def test_a_repeated_ready_states_what_is_valid_when_it_is_repeated() -> None:
+    """A late reply to the first transmission does not confirm the second."""
+    link = permitting(until_s=0.5)
+    first = sent(link, 0.0)
+    link.permit = None
+    again = sent(link, RETRY_S)
+    assert first is not None
+    assert again is not None
+    assert (first.payload, again.payload) == (ready(5, 500).payload, ready(5, 0).payload)
+    link.receive(encode(Message(Type.READY | REPLY, first.sequence, replace(STATUS, boots=1).pack())), RETRY_S)
+    assert sent(link, 2 * RETRY_S) is not None, "still without a reply"
+
+
+def test_ready_is_not_sent_to_a_controller_without_an_interlock() -> None:
+    link = permitting()
+    link.ready_longest_ms = 0
+    assert sent(link, 0.0) is None
+
+
+def test_a_permit_is_stated_anew_after_a_reset_of_the_controller() -> None:
+    link = permitting()
+    stated(link, 0.0)
+    link.request(Request(Type.STATUS))
+    reply(link, replace(STATUS, boots=2).pack(), 0.01)
+    assert stated(link, 0.02) == ready(5, 1000).payload

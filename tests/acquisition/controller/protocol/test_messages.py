@@ -41,19 +41,26 @@ def test_timings_survive_packing(timing: Timing) -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "size"), [(Timing, 30), (Step, 4), (Ident, 48), (Status, 44), (Event, 16), (ClockReply, 8), (Nak, 8)]
+    ("kind", "size"), [(Timing, 30), (Step, 4), (Ident, 50), (Status, 48), (Event, 16), (ClockReply, 8), (Nak, 8)]
 )
 def test_sizes_are_those_of_the_protocol(kind: Any, size: int) -> None:
     """The firmware asserts the same numbers at compile time (protocol.h)."""
     assert len(kind.unpack(bytes(size)).pack()) == size
-    with pytest.raises(ValueError, match=f"has {size} bytes, not {size - 1}"):
-        kind.unpack(bytes(size - 1))
+    too_few = (kind.OLDEST_BYTES or size) - 1
+    with pytest.raises(ValueError, match=f"has {size} bytes, not {too_few}"):
+        kind.unpack(bytes(too_few))
 
 
 @pytest.mark.parametrize("kind", [Ident, Status])
 def test_a_higher_minor_version_may_append_fields(kind: Any) -> None:
     size = kind.LAYOUT.size
     assert kind.unpack(bytes(size) + b"more") == kind.unpack(bytes(size))
+
+
+@pytest.mark.parametrize(("kind", "size"), [(Ident, 48), (Status, 44)])
+def test_fields_that_firmware_1_1_does_not_send_are_zero(kind: Any, size: int) -> None:
+    old = kind.unpack(bytes(range(1, size + 1)))
+    assert old.pack() == bytes(range(1, size + 1)) + bytes(kind.LAYOUT.size - size)
 
 
 @pytest.mark.parametrize("kind", [Timing, Step, Event, ClockReply, Nak])

@@ -9,7 +9,7 @@ import pytest
 
 from tests.hw.emulated.vectors import IDENT
 from vaoi_station.acquisition.controller.protocol.messages import Nak, Reason, Type
-from vaoi_station.acquisition.controller.protocol.refusals import check_ident, describe
+from vaoi_station.acquisition.controller.protocol.refusals import check_ident, check_interlock, describe
 from vaoi_station.errors import DeviceError
 
 
@@ -19,7 +19,7 @@ def test_our_own_controller_is_accepted() -> None:
 
 
 def test_another_major_version_is_refused_with_the_remedy() -> None:
-    with pytest.raises(DeviceError, match=r"speaks protocol 2\.0, this station 1\.1") as caught:
+    with pytest.raises(DeviceError, match=r"speaks protocol 2\.0, this station 1\.2") as caught:
         check_ident(b"\2\0 and whatever that version says")
     assert caught.value.code == "protocol-version"
     assert "flash" in caught.value.action
@@ -31,10 +31,20 @@ def test_a_foreign_device_is_named() -> None:
 
 
 def test_old_firmware_is_refused_with_the_remedy() -> None:
-    with pytest.raises(DeviceError, match=r"has firmware 0\.9\.3 with protocol 1\.1, but needs 1\.1\.0") as caught:
+    with pytest.raises(DeviceError, match=r"has firmware 0\.9\.3 with protocol 1\.2, but needs 1\.1\.0") as caught:
         check_ident(replace(IDENT, firmware_major=0, firmware_minor=9, firmware_patch=3).pack())
     assert caught.value.code == "firmware-too-old"
     assert "flash" in caught.value.action
+
+
+def test_firmware_1_1_is_used_without_an_interlock() -> None:
+    old = check_ident(replace(IDENT, minor=1, firmware_minor=1).pack()[:48])
+    assert old.ready_longest_ms == 0
+    with pytest.raises(DeviceError, match=r"firmware 1\.1\.3, which has no output 'line ready'") as caught:
+        check_interlock(old)
+    assert caught.value.code == "interlock-missing"
+    assert "flash" in caught.value.action
+    check_interlock(check_ident(IDENT.pack()))
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ from vaoi_station.acquisition.controller.protocol.messages import (
     ROW_NONE,
     ClockReply,
     Event,
+    Hold,
     Kind,
     Nak,
     Reason,
@@ -40,6 +41,9 @@ class FakeFirmware:
         self.refuse: dict[Type, Nak] = {}
         """Requests that are refused, and how."""
         self.requests: list[Type] = []
+        self.permits: list[bytes] = []
+        """Payloads of READY."""
+        self.ident = IDENT
         self._events: list[Event] = []
         self._timing, self._steps = Timing.unpack(bytes(30)), [Step(0, 0)] * 16
         self._tick = 0
@@ -86,8 +90,9 @@ class FakeFirmware:
         reply = b""
         match kind:
             case Type.IDENT:
-                reply = replace(IDENT, boots=self.boots, reset_cause=self.cause).pack()
-            case Type.STATUS | Type.BEAT:
+                reply = replace(self.ident, boots=self.boots, reset_cause=self.cause).pack()
+            case Type.STATUS | Type.BEAT | Type.READY:
+                self.permits += [payload] if kind == Type.READY else []
                 reply = self._status()
             case Type.CLOCK:
                 reply = ClockReply(int.from_bytes(payload, "little"), self._tick).pack()
@@ -111,6 +116,8 @@ class FakeFirmware:
     def _status(self) -> bytes:
         return replace(
             Status.unpack(bytes(44)),
+            ready=self.state is State.ARMED and bool(self.permits) and any(self.permits[-1][2:]),
+            hold=Hold.STATE if self.state is not State.ARMED else Hold.HOST,
             state=self.state,
             run=self.run,
             boots=self.boots,

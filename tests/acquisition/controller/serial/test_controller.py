@@ -21,7 +21,14 @@ from tests.acquisition.controller.serial.fake_firmware import FakeFirmware
 from tests.hw.emulated.vectors import IDENT
 from vaoi_station.acquisition.cameras.interface import DeviceFault
 from vaoi_station.acquisition.clocks import ClockReading
-from vaoi_station.acquisition.controller.interface import EventQueue, PulseFired, RunEnded, TriggerPlan
+from vaoi_station.acquisition.controller.interface import (
+    EventQueue,
+    LineOutput,
+    Permit,
+    PulseFired,
+    RunEnded,
+    TriggerPlan,
+)
 from vaoi_station.acquisition.controller.protocol.framing import FrameReader, Message, encode
 from vaoi_station.acquisition.controller.protocol.messages import REPLY, Kind, Nak, Reason, State, Type
 from vaoi_station.acquisition.controller.serial import SerialController, exchange
@@ -84,8 +91,8 @@ def refusal(port: str) -> DeviceError:
 @pytest.mark.parametrize(
     ("ident", "code", "words"),
     [
-        (b"\2\0" + bytes(10), "protocol-version", r"speaks protocol 2\.0, this station 1\.1"),
-        (replace(IDENT, major=3).pack(), "protocol-version", r"speaks protocol 3\.1"),
+        (b"\2\0" + bytes(10), "protocol-version", r"speaks protocol 2\.0, this station 1\.2"),
+        (replace(IDENT, major=3).pack(), "protocol-version", r"speaks protocol 3\.2"),
         (replace(IDENT, firmware_major=0, firmware_minor=9).pack(), "firmware-too-old", r"has firmware 0\.9\.3"),
         (replace(IDENT, board=b"printer\0").pack(), "foreign-device", "calls itself b'printer'"),
     ],
@@ -244,3 +251,46 @@ def test_closing_disarms(device: tuple[str, FakeFirmware]) -> None:
     assert device[1].in_state(State.IDLE)
     with pytest.raises(DeviceError):
         controller.read_clock()
+
+
+def wait_output(controller: SerialController, *, high: bool) -> LineOutput:
+    deadline_s = time.monotonic() + 20
+    while (output := controller.line_output()) is None or output.high != high:
+        assert time.monotonic() < deadline_s
+    return output
+
+
+def test_a_permit_reaches_an_armed_controller(device: tuple[str, FakeFirmware]) -> None:
+    controller = SerialController(ControllerConfig(backend="serial", port=device[0], interlock="on"))
+    controller.start(SimpleQueue())
+    try:
+        controller.permit_board(Permit(1, time.monotonic() + 1e3))
+        assert wait_output(controller, high=False).why.startswith("the controller is not armed")
+        controller.arm(PLAN)
+        wait_output(controller, high=True)
+        assert ", line ready, firmware" in controller.health()
+        controller.permit_board(None)
+        assert wait_output(controller, high=False).why == "the station does not permit a board"
+        assert device[1].permits[-1] == bytes([1, 0, 0, 0])
+    finally:
+        controller.close()
+
+
+def test_without_an_interlock_no_permit_is_sent(
+    controller: SerialController, events: EventQueue, device: tuple[str, FakeFirmware]
+) -> None:
+    controller.permit_board(Permit(1, time.monotonic() + 1e3))
+    controller.arm(PLAN)
+    assert Type.READY not in device[1].requests
+    assert controller.line_output() is None
+    assert controller.is_watching()
+
+
+def test_firmware_without_the_output_is_used_unless_an_interlock_is_demanded(device: tuple[str, FakeFirmware]) -> None:
+    device[1].ident = replace(IDENT, minor=1, ready_longest_ms=0)
+    controller = SerialController(ControllerConfig(backend="serial", port=device[0]))
+    assert "no output 'line ready'" in controller.health()
+    controller.close()
+    with pytest.raises(DeviceError, match="which has no output 'line ready'") as refused:
+        SerialController(ControllerConfig(backend="serial", port=device[0], interlock="on"))
+    assert refused.value.code == "interlock-missing"

@@ -10,6 +10,7 @@ import itertools
 from collections import deque
 from dataclasses import dataclass
 
+from vaoi_station.acquisition.controller.interface import Permit
 from vaoi_station.acquisition.controller.protocol.event_order import EventOrder
 from vaoi_station.acquisition.controller.protocol.framing import FrameReader, Message, encode
 from vaoi_station.acquisition.controller.protocol.messages import (
@@ -23,6 +24,7 @@ from vaoi_station.acquisition.controller.protocol.messages import (
     Status,
     Type,
     number_request,
+    ready,
 )
 
 RETRY_S = 0.1
@@ -30,7 +32,7 @@ RETRY_S = 0.1
 MAX_TRIES = 10
 """Largest count of transmissions of one request."""
 HEARTBEAT_S = 0.25
-"""Interval of BEAT; the firmware makes itself safe after 3 s without one."""
+"""Interval of BEAT and of READY; the firmware makes itself safe after 3 s without BEAT."""
 
 
 @dataclass(frozen=True)
@@ -105,6 +107,10 @@ class Link:
     def __init__(self, *, heartbeat: bool = False, first_sequence: int = 0) -> None:
         self.heartbeat = heartbeat
         """Whether BEAT is sent; true while the controller is armed."""
+        self.permit: Permit | None = None
+        """Permission for the next board, renewed while it is valid; None: boards are held back."""
+        self.ready_longest_ms = 0
+        """How long one READY is valid at most; 0: the controller has no output "line ready", and READY is not sent."""
         self.retries = 0
         self.unmatched = 0
         """Count of messages that match no pending request."""
@@ -121,6 +127,11 @@ class Link:
         self._order = EventOrder()
         self._acknowledged = 0
         self._next_heartbeat_s = 0.0
+        self._next_ready_s = 0.0
+        self._permit_number = 0
+        """Number of the latest permit."""
+        self._stated: int | None = None
+        """Number of the permit that the controller has; None: none."""
         self._yielding = False
         """Whether the link's last own request was given up. A queued request is then sent before the link's next own
         one."""
@@ -167,6 +178,10 @@ class Link:
             return b""
         else:
             self.retries += 1
+            if self._pending.request.type == Type.READY:
+                # A repetition must not last longer than the permit. With another number, a late reply to the
+                # transmission before does not count as one to this.
+                self._pending.request, self._pending.sequence = self._ready_request(now_s), next(self._sequences)
         self._pending.last_s = now_s
         self._pending.tries += 1
         return encode(Message(self._pending.request.type, self._pending.sequence, self._pending.request.payload))
@@ -199,7 +214,11 @@ class Link:
 
     def _own_request(self, now_s: float) -> _Pending | None:
         """Make the most urgent internal request: a heartbeat (BEAT), STATUS, or READ_EVENT for a lost event."""
-        # The heartbeat goes first, because the controller switches everything off without it.
+        # First of all the permit: a board that must not come is held back at once.
+        if self._ready_is_due(now_s):
+            self._next_ready_s = now_s + HEARTBEAT_S
+            return _Pending(self._ready_request(now_s), internal=True)
+        # Then the heartbeat, because the controller switches everything off without it.
         if self.heartbeat and now_s >= self._next_heartbeat_s:
             self._next_heartbeat_s = now_s + HEARTBEAT_S
             return _Pending(Request(Type.BEAT), internal=True)
@@ -208,6 +227,25 @@ class Link:
         if (missing := self._order.missing()) is not None:
             return _Pending(number_request(Type.READ_EVENT, missing), internal=True)
         return None
+
+    def _hold_ms(self, now_s: float) -> int:
+        """Return for how long the permit is still valid, ms; 0 without one."""
+        left_s = 0.0 if self.permit is None else self.permit.until_s - now_s
+        return min(max(int(left_s * 1e3), 0), self.ready_longest_ms)
+
+    def _ready_request(self, now_s: float) -> Request:
+        """Make the request READY that states the present permit."""
+        if self.permit is not None:
+            self._permit_number = self.permit.number
+        return ready(self._permit_number, self._hold_ms(now_s))
+
+    def _ready_is_due(self, now_s: float) -> bool:
+        if not self.ready_longest_ms:
+            return False
+        valid = self.permit is not None and self._hold_ms(now_s) > 0
+        if (self.permit.number if self.permit is not None and valid else None) != self._stated:
+            return True
+        return valid and now_s >= self._next_ready_s
 
     def _on_message(self, message: Message, now_s: float) -> list[Notification]:
         self.messages += 1
@@ -256,11 +294,12 @@ class Link:
     def _on_reply(self, pending: _Pending, message: Message, now_s: float) -> list[Notification]:
         news: list[Notification] = []
         payload = message.payload
-        if pending.request.type in (Type.STATUS, Type.BEAT):
+        if pending.request.type in (Type.STATUS, Type.BEAT, Type.READY):
             self.status = Status.unpack(payload)
             self._out_of_sync = False
             news += self._on_boot_count(self.status.boots)
             self._order.announce(self.status.events_next)
+            self._note_stated(pending.request)
         elif pending.request.type == Type.IDENT and payload[:1] == bytes([VERSION[0]]):
             news += self._on_boot_count(Ident.unpack(payload).boots)
         elif pending.request.type == Type.READ_EVENT and pending.internal:
@@ -274,6 +313,7 @@ class Link:
     def _on_refusal(self, pending: _Pending, nak: Nak) -> list[Notification]:
         if not pending.internal:
             return [Refused(pending.request, nak)]
+        self._note_stated(pending.request)
         if (
             pending.request.type == Type.READ_EVENT
             and nak.reason == Reason.GONE
@@ -284,13 +324,19 @@ class Link:
         self._out_of_sync = True
         return []
 
+    def _note_stated(self, request: Request) -> None:
+        """Note what READY has stated. A refused one counts too: it is repeated at the interval of renewals only."""
+        if request.type == Type.READY:
+            number, hold_ms = request.payload[:2], request.payload[2:]
+            self._stated = int.from_bytes(number, "little") if any(hold_ms) else None
+
     def _on_boot_count(self, boots: int) -> list[Notification]:
         """Compare the boot counter with the last one. After a reset, return all queued requests as unanswered."""
         if self.boots == boots:
             return []
         # Queued requests were meant for the configuration before the reset. Their callers decide what to do.
         first, self.boots = self.boots is None, boots
-        self._order, self._acknowledged = EventOrder(), 0
+        self._order, self._acknowledged, self._stated = EventOrder(), 0, None
         if first:
             return []
         dropped = [a.request for a in self._queue if not a.internal]

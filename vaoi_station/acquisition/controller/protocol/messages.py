@@ -1,4 +1,4 @@
-"""The binary messages of the protocol, version 1.1: little-endian, without padding, in ticks of 0.5 µs.
+"""The binary messages of the protocol, version 1.2: little-endian, without padding, in ticks of 0.5 µs.
 
 `hw/firmware/logic/link/protocol.h` defines the same structs in C. `hw/protocol_vectors.json` has examples that both
 must encode to the same bytes.
@@ -13,10 +13,12 @@ from enum import IntEnum
 from struct import Struct
 from typing import Any, ClassVar, TypeVar
 
-VERSION = (1, 1)
+VERSION = (1, 2)
 TICK_S = 0.5e-6
 ROW_NONE = 0xFFFF
 """Index of a pulse that belongs to no row."""
+PERMIT_TEST = 0
+"""The permit of READY that sets the output "line ready" without a board, in the state IDLE only."""
 REPLY = 0x80
 """Number that is added to the type of a request to get the type of its reply."""
 
@@ -37,6 +39,7 @@ class Type(IntEnum):
     SAFE = 0x0B
     READ_EVENT = 0x0C
     ACK_EVENTS = 0x0D
+    READY = 0x0E
     EVENT = 0xC0
     NAK = 0xFF
 
@@ -111,6 +114,17 @@ class RunEnd(IntEnum):
     SAFE = 4
 
 
+class Hold(IntEnum):
+    """Why the output "line ready" is low."""
+
+    NONE = 0
+    HOST = 1
+    STATE = 2
+    BARRIER = 3
+    GAP = 4
+    SPENT = 5
+
+
 S = TypeVar("S", bound="_Wire")
 
 
@@ -121,6 +135,8 @@ class _Wire:
     LAYOUT: ClassVar[Struct]
     GROWS: ClassVar[bool] = False
     """Whether a later minor version of the protocol may append fields to this message."""
+    OLDEST_BYTES: ClassVar[int] = 0
+    """Size in the oldest minor version that is used, 1.1; fields that are absent there are 0."""
 
     def pack(self) -> bytes:
         """Return the message as the bytes that are sent."""
@@ -129,6 +145,8 @@ class _Wire:
     @classmethod
     def unpack(cls: type[S], payload: bytes) -> S:
         """Read the struct from a payload; ValueError if its size is wrong."""
+        if len(payload) >= (cls.OLDEST_BYTES or cls.LAYOUT.size):
+            payload = payload.ljust(cls.LAYOUT.size, b"\0")
         if len(payload) < cls.LAYOUT.size or (len(payload) > cls.LAYOUT.size and not cls.GROWS):
             raise ValueError(f"{cls.__name__} has {cls.LAYOUT.size} bytes, not {len(payload)}")
         values: tuple[Any, ...] = cls.LAYOUT.unpack_from(payload)
@@ -166,8 +184,9 @@ class Step(_Wire):
 class Ident(_Wire):
     """The identity of the controller, the versions of its hardware and firmware, and its limits."""
 
-    LAYOUT = Struct("<8BII8s8sHH4HHBB")
+    LAYOUT = Struct("<8BII8s8sHH4HHBBH")
     GROWS = True
+    OLDEST_BYTES = 48
     major: int
     minor: int
     firmware_major: int
@@ -189,14 +208,17 @@ class Ident(_Wire):
     led_bucket: int
     led_duty_shift: int
     heartbeat_s: int
+    ready_longest_ms: int = 0
+    """How long one READY keeps the output "line ready" high at most; 0 before 1.2, which has no such output."""
 
 
 @dataclass(frozen=True)
 class Status(_Wire):
     """The state of the controller, sent in reply to STATUS and BEAT."""
 
-    LAYOUT = Struct("<4BHH6I6H")
+    LAYOUT = Struct("<4BHH6I6HBBH")
     GROWS = True
+    OLDEST_BYTES = 44
     state: int
     fault: int
     reset_cause: int
@@ -215,6 +237,10 @@ class Status(_Wire):
     replies_lost: int
     bytes_lost: int
     edges_lost: int
+    ready: int = 0
+    """Level of the output "line ready"."""
+    hold: int = Hold.NONE
+    permit: int = 0
 
 
 @dataclass(frozen=True)
@@ -279,6 +305,11 @@ def fire_one(nonce: int, step: Step, trigger_width: int) -> Request:
     The controller fires once for each value of `nonce`, even if the request is repeated.
     """
     return Request(Type.FIRE_ONE, nonce.to_bytes(2, "little") + step.pack() + trigger_width.to_bytes(2, "little"))
+
+
+def ready(permit: int, hold_ms: int) -> Request:
+    """Return the request that permits one board for a time; `hold_ms` 0 withdraws the permit."""
+    return Request(Type.READY, permit.to_bytes(2, "little") + hold_ms.to_bytes(2, "little"))
 
 
 def config_crc(timing: Timing, steps: Sequence[Step]) -> int:

@@ -8,6 +8,7 @@ from vaoi_station.errors import DeviceError
 BOARD = b"m328p16"
 """Name of the board type that this station drives: an ATmega328P at 16 MHz."""
 OLDEST_FIRMWARE = (1, 1, 0)
+OLDEST_PROTOCOL = (1, 1)
 _FLASH = "Write the firmware that came with this station: make -C hw/firmware flash."
 _FIELDS = (
     "pacing",
@@ -43,14 +44,26 @@ def check_ident(payload: bytes) -> Ident:
             code="foreign-device",
         )
     firmware = (ident.firmware_major, ident.firmware_minor, ident.firmware_patch)
-    if firmware < OLDEST_FIRMWARE or ident.minor < VERSION[1]:
+    if firmware < OLDEST_FIRMWARE or ident.minor < OLDEST_PROTOCOL[1]:
         raise DeviceError(
             f"The controller has firmware {_dotted(firmware)} with protocol {ident.major}.{ident.minor}, but needs "
-            f"{_dotted(OLDEST_FIRMWARE)} with {VERSION[0]}.{VERSION[1]} at least.",
+            f"{_dotted(OLDEST_FIRMWARE)} with {_dotted(OLDEST_PROTOCOL)} at least.",
             action=_FLASH,
             code="firmware-too-old",
         )
     return ident
+
+
+def check_interlock(ident: Ident) -> None:
+    """Raise DeviceError if the firmware has no output "line ready"."""
+    if not ident.ready_longest_ms:
+        firmware = (ident.firmware_major, ident.firmware_minor, ident.firmware_patch)
+        raise DeviceError(
+            f"The controller has firmware {_dotted(firmware)}, which has no output 'line ready', but [controller] "
+            'interlock in station.toml is "on".',
+            action=f'{_FLASH} Or set interlock = "off", and hold boards back by another way.',
+            code="interlock-missing",
+        )
 
 
 def _dotted(version: tuple[int, ...]) -> str:
@@ -78,5 +91,5 @@ def _field(nak: Nak) -> str:
     if nak.request == Type.COMMIT:
         return f"step {nak.field - _FIRST_STEP}" if nak.field >= _FIRST_STEP else _FIELDS[nak.field % len(_FIELDS)]
     # Only COMMIT numbers its fields; other requests have one value that can be out of range.
-    names: dict[int, str] = {Type.STEP: "its index", Type.FIRE_ONE: "its pulse"}
+    names: dict[int, str] = {Type.STEP: "its index", Type.FIRE_ONE: "its pulse", Type.READY: "its time"}
     return names.get(nak.request, f"field {nak.field}")

@@ -9,8 +9,8 @@ from queue import Empty, SimpleQueue
 from typing import Any, TypeVar
 
 from vaoi_station.acquisition.clocks import ClockReading
-from vaoi_station.acquisition.controller.interface import EventQueue, TriggerPlan
-from vaoi_station.acquisition.controller.protocol.messages import Ident
+from vaoi_station.acquisition.controller.interface import EventQueue, LineOutput, Permit, TriggerPlan
+from vaoi_station.acquisition.controller.protocol.messages import Hold, Ident
 from vaoi_station.acquisition.controller.serial.exchange import RefusalError, ResetError
 from vaoi_station.acquisition.controller.serial.port import Waker
 from vaoi_station.acquisition.controller.serial.supervisor import Supervisor
@@ -23,6 +23,13 @@ T = TypeVar("T")
 
 PACE = BackoffPolicy(first_s=0.1, longest_s=1.0, proven_s=5.0)
 """Pauses between attempts to open the serial port again."""
+_WHY_LOW: dict[int, str] = {
+    Hold.HOST: "the station does not permit a board",
+    Hold.STATE: "the controller is not armed, or a board is being filmed",
+    Hold.BARRIER: "the light barrier is interrupted",
+    Hold.GAP: "the last board left less than min_gap_s ago",
+    Hold.SPENT: "a board has come since the station permitted one",
+}
 
 
 def open_serial_controller(config: StationConfig) -> SerialController:
@@ -85,15 +92,41 @@ class SerialController:
         """Compare the controller's clock with the host's."""
         return self._do(self._supervisor.read_clock)
 
+    def permit_board(self, permit: Permit | None) -> None:
+        """Permit the next board, or hold boards back."""
+        self._supervisor.permit_board(permit)
+
+    def line_output(self) -> LineOutput | None:
+        """Return the output "line ready" of the newest status; low while the controller cannot be reached."""
+        supervisor = self._supervisor
+        if not supervisor.link.ready_longest_ms:
+            return None
+        if supervisor.unavailable is not None:
+            return LineOutput(False, "the controller cannot be reached")
+        status = supervisor.link.status
+        high = status is not None and bool(status.ready)
+        hold = Hold.HOST if status is None else status.hold
+        return LineOutput(high, "" if high else _WHY_LOW.get(hold, "the controller holds boards back"))
+
+    def is_watching(self) -> bool:
+        """Return whether the controller replies, and its guard has not switched it off."""
+        return self._supervisor.unavailable is None and not self._supervisor.guard_tripped
+
     def health(self) -> str:
         """Return state, firmware, clock and quality of the connection in one sentence."""
         supervisor, link, ident = self._supervisor, self._supervisor.link, self.ident
         state = "not reachable" if supervisor.unavailable else "armed" if supervisor.arming else "idle"
+        output = self.line_output()
+        ready = ""
+        if output is not None:
+            ready = ", line ready" if output.high else f", line not ready: {output.why}"
+        elif not ident.ready_longest_ms:
+            ready = ", no output 'line ready'"
         barrier = ", barrier interrupted" if link.status is not None and link.status.blocked else ""
         firmware = f"{ident.firmware_major}.{ident.firmware_minor}.{ident.firmware_patch}"
         noise = f"{link.bad_frames} bad frames, {link.retries} repeats, {link.unmatched} unmatched"
         clock = f"clock ± {self.clock_bound_s * 1e3:.2f} ms, {supervisor.timebase.drift_ppm():+.1f} ppm"
-        return f"serial: {state}{barrier}, firmware {firmware}, start {link.boots}, {clock}, {noise}"
+        return f"serial: {state}{barrier}{ready}, firmware {firmware}, start {link.boots}, {clock}, {noise}"
 
     @property
     def ident(self) -> Ident:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from random import randrange
 
 from vaoi_station.acquisition.clocks import ClockReading
-from vaoi_station.acquisition.controller.interface import TriggerPlan
+from vaoi_station.acquisition.controller.interface import Permit, TriggerPlan
 from vaoi_station.acquisition.controller.protocol.link import EventReceived, EventsLost, Link
 from vaoi_station.acquisition.controller.protocol.messages import (
     ClockReply,
@@ -30,7 +30,7 @@ from vaoi_station.acquisition.controller.protocol.messages import (
     fire_one,
     number_request,
 )
-from vaoi_station.acquisition.controller.protocol.refusals import check_ident
+from vaoi_station.acquisition.controller.protocol.refusals import check_ident, check_interlock
 from vaoi_station.acquisition.controller.serial.device_program import (
     DARK,
     DeviceProgram,
@@ -107,8 +107,11 @@ class Supervisor:
             port = Port(self._config.port, self._config.baud, self._waker)
             self._exchange = Exchange(port, self.link, self._on_notification, self._config.port)
         # Nothing but IDENT is sent until the identity is known.
-        self.link.heartbeat = False
+        self.link.heartbeat, self.link.ready_longest_ms = False, 0
         self.ident = check_ident(self._exchange.identify())
+        if self._config.interlock == "on":
+            check_interlock(self.ident)
+            self.link.ready_longest_ms = self.ident.ready_longest_ms
         self._start_timebase(self._exchange)
         while True:
             arming = self.arming
@@ -242,6 +245,11 @@ class Supervisor:
             if why is None:
                 raise
             raise StateError(why, action="Fire again in a moment.") from refusal
+
+    def permit_board(self, permit: Permit | None) -> None:
+        """Set what the controller shows of the next board; see `Controller.permit_board`. Any thread may call it."""
+        self.link.permit = permit
+        self._waker.wake()
 
     def read_clock(self) -> ClockReading:
         """Compare the controller's clock with the host's; see `Controller.read_clock`."""
