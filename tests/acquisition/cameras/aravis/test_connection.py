@@ -146,6 +146,13 @@ def test_a_receive_buffer_that_is_too_small_is_warned_of(camera: StandInCamera, 
     assert gige.warning(PortShare(socket_bytes=500_000)) == ""
 
 
+def test_a_second_port_in_the_network_of_the_camera_is_warned_of(gige: Connection) -> None:
+    gige._route_trouble = "the ports eth0, eth1 of this computer are in the network of 10.0.0.1"
+    assert gige.warning(PortShare()) == (
+        "Its packets may get lost: the ports eth0, eth1 of this computer are in the network of 10.0.0.1."
+    )
+
+
 def test_packets_that_were_sent_again_are_warned_of(camera: StandInCamera, gige: Connection) -> None:
     gige.start(RESULTS.put, PortShare())
     camera.stream.counters |= {"n_received_packets": 1_000, "n_resent_packets": 12}

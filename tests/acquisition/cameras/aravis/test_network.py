@@ -55,9 +55,30 @@ def test_a_port_that_cannot_carry_a_row_is_refused_with_the_numbers() -> None:
         network.check_budget("eth1", [frame] * 12, 9000, 1000.0, 0.1238)
 
 
+def test_two_ports_in_one_network_are_told_apart_by_their_address_and_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    first, second, other = (int.from_bytes(socket.inet_aton(a), "big") for a in ("10.9.0.1", "10.9.0.2", "10.8.0.1"))
+    mask = 0xFFFFFF00
+    ports = [
+        network._Port("eth0", first, mask),
+        network._Port("eth1", second, mask),
+        network._Port("eth2", other, mask),
+    ]
+    monkeypatch.setattr(network, "_ports", lambda: ports)
+    assert [network.interface_of(f"10.9.0.{k}") for k in (1, 2, 7)] == ["eth0", "eth1", "eth0"]
+    assert network.interface_of("10.7.0.1") == "10.7.0.1"
+    assert network.route_trouble("10.9.0.7").startswith("the ports eth0, eth1 of this computer are in the network of")
+    assert network.route_trouble("10.8.0.7") == ""
+    assert network.route_trouble("10.7.0.7") == (
+        "no network port of this computer has an address in the network of 10.7.0.7"
+    )
+    assert network.route_trouble("Vendor-1234") == "", "a USB camera has no route"
+
+
 def test_loopback_takes_large_packets_and_has_no_speed() -> None:
     assert network.mtu_to("127.0.0.1") >= 1500
     assert network.interface_of("127.0.0.1") == "lo"
+    assert "127.0.0.1" in network.local_addresses()
+    assert network.route_trouble("127.0.0.9") == ""
     assert network.interface_of("127.3.4.5") == "lo"
     assert network.interface_of("203.0.113.9") == "203.0.113.9"
     assert network.link_mbit_s("lo") is None

@@ -79,6 +79,7 @@ class Connection:
         self._stream: SlotStream | None = None
         self.is_gige = bool(self._camera.is_gv_device())
         self.packet_bytes = 0
+        self._route_trouble = network.route_trouble(where) if self.is_gige else ""
         self.granted_bytes = 0
         """Size of the receive buffer that the kernel granted for the camera's packets."""
         with self._device_access("does not report its identity"):
@@ -172,6 +173,8 @@ class Connection:
         if not self.is_gige:
             found = version()
             return "" if found >= USB3_MIN_VERSION else f"Aravis {'.'.join(map(str, found))} is unreliable with USB3."
+        if trouble := self._route_trouble:
+            return f"Its packets may get lost: {trouble}."
         if self.granted_bytes >= share.socket_bytes:
             return _resend_warning(self.counters())
         return (

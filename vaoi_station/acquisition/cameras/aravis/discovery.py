@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from vaoi_station.acquisition.cameras.aravis import gvcp
+from vaoi_station.acquisition.cameras.aravis import gvcp, network
 from vaoi_station.acquisition.cameras.aravis.library import aravis, glib_error
 from vaoi_station.acquisition.cameras.aravis.settings import error_text
 from vaoi_station.config import CameraConfig
@@ -98,8 +98,9 @@ def require_reply(config: CameraConfig, address: str) -> None:
 
 def absence_error(config: CameraConfig, address: str, why: str) -> DeviceError:
     """Return the error for a camera that does not reply at its address. `why` is the cause, a text in brackets."""
+    trouble = network.route_trouble(address)
     return DeviceError(
         f"{config.label}: there is no camera at {address} ({why}).",
-        action="Check its cable, its power and its address in station.toml.",
+        action=f"Check its cable, its power and its address in station.toml{f'; {trouble}' if trouble else ''}.",
         code="camera-absent",
     )

@@ -8,14 +8,14 @@ or drop packets. The functions before `mtu_to` only compute. Those from `mtu_to`
 from __future__ import annotations
 
 import contextlib
-import fcntl
+import ctypes
 import math
 import os
 import socket
 import stat
-import struct
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from vaoi_station.errors import DeviceError, InputError
 
@@ -28,7 +28,6 @@ ETHERNET_OVERHEAD = 38
 CONTROL_PORT = 3956
 """UDP port of GVCP, the same for every camera."""
 _IP_MTU = 14
-_SIOCGIFADDR, _SIOCGIFNETMASK = 0x8915, 0x891B
 
 
 @dataclass(frozen=True)
@@ -38,6 +37,18 @@ class PacketLimits:
     smallest: int
     largest: int
     step: int
+
+
+class _Port(NamedTuple):
+    """A network interface of this computer with its IPv4 address and network mask."""
+
+    name: str
+    address: int
+    mask: int
+
+    def reaches(self, address: int) -> bool:
+        """Return whether an address is in the network of the interface."""
+        return self.address & self.mask == address & self.mask
 
 
 def packet_bytes(wanted: int | None, mtu: int, limits: PacketLimits) -> int:
@@ -121,26 +132,33 @@ def mtu_to(address: str) -> int:
 
 
 def local_addresses() -> tuple[str, ...]:
-    """Return one IPv4 address of each network interface of this computer that has an address."""
-    found = []
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        for _, name in socket.if_nameindex():
-            with contextlib.suppress(OSError):  # an interface without an address
-                found.append(socket.inet_ntoa(_interface_query(probe, _SIOCGIFADDR, name)))
-    return tuple(found)
+    """Return all IPv4 addresses of the network interfaces of this computer."""
+    return tuple(socket.inet_ntoa(port.address.to_bytes(4, "big")) for port in _ports())
 
 
 def interface_of(local_address: str) -> str:
-    """Return the name of the interface whose network contains an address; if there is none, return the address."""
-    wanted = _as_int(socket.inet_aton(local_address))
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        for _, name in socket.if_nameindex():
-            with contextlib.suppress(OSError):  # an interface without an address
-                own = _as_int(_interface_query(probe, _SIOCGIFADDR, name))
-                mask = _as_int(_interface_query(probe, _SIOCGIFNETMASK, name))
-                if wanted & mask == own & mask:
-                    return name
-    return local_address
+    """Return the name of the interface that has an address, else of one whose network contains it, else the address."""
+    wanted, ports = _as_int(socket.inet_aton(local_address)), _ports()
+    # Two interfaces may be in the same network, so the address itself decides.
+    own = (port.name for port in ports if port.address == wanted)
+    return next(own, next((port.name for port in ports if port.reaches(wanted)), local_address))
+
+
+def route_trouble(address: str) -> str:
+    """Return what is wrong with the way from this computer to an IP address; empty if nothing is, or for a USB id."""
+    try:
+        wanted = _as_int(socket.inet_aton(address))
+    except OSError:
+        return ""
+    names = sorted({port.name for port in _ports() if port.reaches(wanted)})
+    if not names:
+        return f"no network port of this computer has an address in the network of {address}"
+    if len(names) > 1:
+        return (
+            f"the ports {', '.join(names)} of this computer are in the network of {address}, so that its packets may "
+            "take the wrong one; give each port a network of its own"
+        )
+    return ""
 
 
 def link_mbit_s(interface: str) -> float | None:
@@ -173,9 +191,43 @@ def widen_receive_buffer(port: int, wanted_bytes: int) -> int:
     return 0
 
 
-def _interface_query(probe: socket.socket, request: int, interface: str) -> bytes:
-    answer: bytes = fcntl.ioctl(probe, request, struct.pack("256s", interface.encode()[:15]))
-    return answer[20:24]
+class _SocketAddress(ctypes.Structure):
+    """`struct sockaddr_in` of the C library."""
+
+    _fields_ = (("family", ctypes.c_uint16), ("port", ctypes.c_uint16), ("address", ctypes.c_ubyte * 4))
+
+
+class _InterfaceAddress(ctypes.Structure):
+    """The first members of `struct ifaddrs` of the C library."""
+
+
+_InterfaceAddress._fields_ = (
+    ("next", ctypes.POINTER(_InterfaceAddress)),
+    ("name", ctypes.c_char_p),
+    ("flags", ctypes.c_uint),
+    ("address", ctypes.POINTER(_SocketAddress)),
+    ("mask", ctypes.POINTER(_SocketAddress)),
+)
+
+
+def _ports() -> tuple[_Port, ...]:
+    """Return all IPv4 addresses of the interfaces of this computer; an interface may have several."""
+    library = ctypes.CDLL(None, use_errno=True)
+    first = ctypes.POINTER(_InterfaceAddress)()
+    if library.getifaddrs(ctypes.byref(first)):
+        raise OSError(ctypes.get_errno(), "the network interfaces cannot be listed")
+    found, entry = [], first
+    try:
+        while entry:
+            item = entry.contents
+            if item.address and item.mask and item.address.contents.family == socket.AF_INET:
+                address, mask = (_as_int(bytes(field.contents.address)) for field in (item.address, item.mask))
+                # An address may have a label: eth0:1.
+                found.append(_Port(item.name.decode().partition(":")[0], address, mask))
+            entry = item.next
+    finally:
+        library.freeifaddrs(first)
+    return tuple(found)
 
 
 def _as_int(address: bytes) -> int:
