@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -10,6 +11,13 @@ import pytest
 from vaoi_station.store import Database, RunRow, Store
 
 NOW = "2026-01-01T00:00:00Z"
+
+
+def noise(size: int) -> str:
+    """Return a text that takes `size` bytes in the database; it cannot be packed."""
+    return random.Random(0).randbytes(size).decode("latin-1")
+
+
 MakeRun = Callable[..., RunRow]
 
 

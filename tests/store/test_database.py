@@ -6,13 +6,16 @@ import sqlite3
 import threading
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from vaoi_station.errors import DeviceError, InputError, InternalError, StateError
 from vaoi_station.store import Database
 from vaoi_station.store import database as module
+from vaoi_station.store.database_file import open_database
 from vaoi_station.store.schema import VERSION
+from vaoi_station.store.storage_trouble import StorageTrouble
 
 
 def add_event(connection: sqlite3.Connection, number: int, document: str = "{}") -> int:
@@ -118,7 +121,13 @@ def test_a_database_with_damaged_pages_is_set_aside(path: Path) -> None:
     assert again.read("SELECT count(*) AS n FROM events")[0]["n"] == 0
     again.close()
     third = Database(path)
-    assert third.notices == ()
+    [earlier] = third.notices
+    assert (earlier.code, earlier.kept) == ("database-damaged", again.notices[0].kept), "the warning survives a start"
+    assert earlier.kept is not None
+    earlier.kept.unlink()
+    patience = threading.Event()
+    while third.notices:  # it ends while the station runs, too
+        assert not patience.wait(0.05)
     third.close()
 
 
@@ -303,3 +312,32 @@ def test_a_durable_write_waits_for_the_disk(database: Database, durable: bool, l
     database.write(lambda c: add_event(c, 1), durable=not durable).result(10)
     done = database.write(lambda c: c.execute("PRAGMA synchronous").fetchone()[0], durable=durable)
     assert done.result(10) == level
+
+
+def test_a_start_on_a_disk_that_takes_nothing_reads_and_writes_once_there_is_room(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A real full disk: `tests/system/test_storage_troubles.py`."""
+    first = Database(path)
+    first.write(lambda c: add_event(c, 1)).result(20)
+    first.close()
+    refused = threading.Event()
+    refused.set()
+
+    def refuse(there: Path) -> Any:
+        if refused.is_set():
+            raise StorageTrouble("storage-full", "database or disk is full", "").error()
+        return open_database(there)
+
+    monkeypatch.setattr(module, "open_database", refuse)
+    database = Database(path)
+    assert (database.trouble is not None, database.history_unread) == (True, False)
+    assert [row["number"] for row in database.read("SELECT number FROM events")] == [1]
+    waiting = database.write(lambda c: add_event(c, 2), patient=True)
+    with pytest.raises(DeviceError, match="full"):
+        database.write(lambda c: add_event(c, 3)).result(20)
+    assert not waiting.done()
+    refused.clear()
+    assert waiting.result(20) == 2
+    assert [row["number"] for row in database.read("SELECT number FROM events")] == [1, 2]
+    database.close()

@@ -9,7 +9,18 @@ from pathlib import Path
 import pytest
 
 from vaoi_station.errors import DeviceError, InputError
-from vaoi_station.store.database_file import connect, identity_of, open_database, roll_back, set_aside
+from vaoi_station.store import Database
+from vaoi_station.store.database_file import (
+    connect,
+    earlier_notices,
+    identity_of,
+    is_empty,
+    open_database,
+    roll_back,
+    set_aside,
+    stand_in,
+)
+from vaoi_station.store.storage_trouble import StorageTrouble
 
 
 def opened(path: Path) -> str | None:
@@ -30,6 +41,10 @@ def test_a_database_that_was_deleted_or_emptied_between_two_starts_is_reported(p
     path.write_bytes(b"x")
     assert opened(path) == "database-deleted"
     assert opened(path) is None
+    assert [notice.code for notice in earlier_notices(path)] == ["database-deleted"] * 2
+    for mark in path.parent.glob("station.db.deleted-*"):
+        mark.unlink()
+    assert earlier_notices(path) == ()
 
 
 @pytest.mark.parametrize("size", [100, 4096, 5000])
@@ -96,3 +111,61 @@ def test_the_identity_changes_with_the_file(tmp_path: Path) -> None:
     (tmp_path / "g").replace(path)
     assert first != identity_of(path) is not None
     connect(tmp_path / "h").close()
+
+
+FULL, READ_ONLY = StorageTrouble("storage-full", "full"), StorageTrouble("storage-read-only", "read-only")
+
+
+def events(connections: list[sqlite3.Connection] | None) -> list[list[int]]:
+    assert connections is not None
+    found = [[row["number"] for row in c.execute("SELECT number FROM events")] for c in connections]
+    for connection in connections:
+        connection.close()
+    return found
+
+
+def filled(path: Path) -> Database:
+    database = Database(path)
+    database.write(lambda c: c.execute("INSERT INTO events VALUES (7, '{}')")).result(20)
+    return database
+
+
+@pytest.mark.parametrize("trouble", [FULL, READ_ONLY])
+def test_a_database_is_read_and_nothing_is_written_beside_it(path: Path, trouble: StorageTrouble) -> None:
+    filled(path).close()
+    before = {p.name: p.read_bytes() for p in path.parent.iterdir()}
+    found = stand_in(path, trouble, 2)
+    assert found is not None
+    assert not is_empty(found[0])
+    assert events(found) == [[7], [7]]
+    assert {p.name: p.read_bytes() for p in path.parent.iterdir()} == before
+
+
+def test_what_a_killed_station_left_in_the_log_is_read(path: Path) -> None:
+    living = filled(path)
+    assert events(stand_in(path, FULL, 1)) == [[7]]
+    living.close()
+
+
+def test_a_full_disk_without_a_database_has_an_empty_history(path: Path) -> None:
+    path.parent.mkdir()
+    found = stand_in(path, FULL, 2)
+    assert found is not None
+    assert is_empty(found[0])
+    assert events(found) == [[], []]
+
+
+def test_a_directory_that_may_not_be_mounted_yet_is_waited_for(path: Path) -> None:
+    assert stand_in(path, FULL, 1) is None
+    path.parent.mkdir()
+    assert stand_in(path, READ_ONLY, 1) is None
+
+
+def test_a_damaged_or_older_database_is_waited_for(path: Path) -> None:
+    database = filled(path)
+    database.write(lambda c: c.execute("PRAGMA user_version = 1").fetchall()).result(20)
+    database.close()
+    assert stand_in(path, FULL, 1) is None
+    path.write_bytes(b"SQLite format 3\0" * 300)
+    assert stand_in(path, FULL, 1) is None
+    assert stand_in(path, StorageTrouble("database-newer", "newer"), 1) is None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,6 +28,28 @@ def test_a_run_is_saved_from_its_start_to_its_result(store: Store, make_run: Mak
     assert store.unfinished() == []
     assert store.run("r2") is None
     assert store.timeline("r2") is None
+
+
+def test_long_documents_are_packed_and_those_of_earlier_versions_are_read(
+    store: Store, database: Database, make_run: MakeRun
+) -> None:
+    detail, timeline, result = (json.dumps([{"name": name, "n": n} for n in range(99)]) for name in "dtr")
+    row = replace(make_run("r1", "ready", 1), detail=detail)
+    store.save_run(row, timeline, result).result(10)
+    [stored] = database.read("SELECT detail, timeline, document FROM runs JOIN results ON run = id")
+    assert tuple(stored) == ("packed",) * 3
+    assert (store.run("r1"), store.timeline("r1"), store.result("r1")) == (row, timeline, result)
+    assert store.runs(9, None)[0].detail, "only that of a forgotten run is empty"
+    database.write(
+        lambda c: c.execute(
+            "UPDATE runs SET detail = ?, packed_detail = NULL, timeline = ?, packed_timeline = NULL", (detail, timeline)
+        )
+    ).result(10)
+    assert (store.run("r1"), store.timeline("r1")) == (row, timeline)
+    database.write(lambda c: c.execute("UPDATE runs SET detail = 'packed', packed_detail = x'00'")).result(10)
+    damaged = store.run("r1")
+    assert damaged is not None
+    assert damaged.detail == "packed", "no JSON: it is shown as a record that cannot be read"
 
 
 def test_a_result_never_changes(store: Store, database: Database, make_run: MakeRun) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.store.conftest import NOW, MakeRun
+from tests.store.conftest import NOW, MakeRun, noise
 from vaoi_station.errors import StateError
 from vaoi_station.store import Database, Store, retention
 from vaoi_station.store.retention import RunRetention
@@ -96,7 +96,7 @@ def test_pinned_runs_are_never_forgotten(
 
 
 def test_space_of_forgotten_runs_is_used_again(store: Store, kept: RunRetention, make_run: MakeRun, path: Path) -> None:
-    big = '{"m": "' + "x" * 100_000 + '"}'
+    big = '{"m": "' + noise(100_000) + '"}'
     for n in range(20):
         store.save_run(make_run(f"r{n:02d}", "ready", n + 1), None, big).result(10)
     full = kept.used_bytes()

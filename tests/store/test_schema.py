@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sqlite3
 from collections.abc import Iterator
 from pathlib import Path
@@ -93,7 +94,7 @@ def test_a_newer_database_is_refused_and_left_unchanged(connection: sqlite3.Conn
 
 def test_results_cannot_be_changed(connection: sqlite3.Connection, path: Path) -> None:
     schema.migrate(connection, path)
-    connection.execute("INSERT INTO results VALUES ('r1', 'document')")
+    connection.execute("INSERT INTO results VALUES ('r1', 'document', NULL)")
     with pytest.raises(sqlite3.IntegrityError, match="a result never changes"):
         connection.execute("UPDATE results SET document = 'other'")
 
@@ -101,6 +102,21 @@ def test_results_cannot_be_changed(connection: sqlite3.Connection, path: Path) -
 def test_a_value_of_the_wrong_type_is_refused(connection: sqlite3.Connection, path: Path) -> None:
     schema.migrate(connection, path)
     with pytest.raises(sqlite3.IntegrityError, match="cannot store TEXT"):
-        connection.execute("INSERT INTO runs VALUES ('r1', 'ready', 'first', 'b', 'c', '{}', '{}', NULL, NULL)")
+        connection.execute(
+            "INSERT INTO runs VALUES ('r1', 'ready', 'first', 'b', 'c', '{}', '{}', NULL, NULL, NULL, NULL)"
+        )
     with pytest.raises(sqlite3.IntegrityError, match="CHECK"):
         connection.execute("INSERT INTO documents VALUES ('0000', 'recipe', 'now', '{}')")
+
+
+def test_a_packed_text_is_unpacked_exactly_and_a_short_one_stays_readable() -> None:
+    long = json.dumps([{"x": n, "unit": "µm"} for n in range(200)])
+    text, content = schema.packed(long)
+    assert content is not None
+    assert text == schema.PACKED
+    assert len(content) < len(long) / 4
+    assert schema.unpacked(text, content) == long
+    assert schema.packed("{}") == ("{}", None)
+    assert schema.unpacked(long, None) == long, "rows of earlier versions are not packed"
+    with pytest.raises(sqlite3.DatabaseError, match="damaged"):
+        schema.unpacked(text, content[:-1] + b"x")

@@ -8,7 +8,7 @@ import pytest
 
 from tests.store.conftest import MakeRun
 from vaoi_station.errors import DeviceError
-from vaoi_station.store import Database, EventRow, Store, soundness, start_check
+from vaoi_station.store import Database, EventRow, Store, database_file, soundness
 from vaoi_station.store.soundness import DatabaseCheck
 
 
@@ -56,12 +56,22 @@ def test_garbled_pages_are_found_after_the_start(
     content = bytearray(path.read_bytes())
     content[(root - 1) * 4096 : root * 4096] = b"\xa5" * 4096
     path.write_bytes(content)
-    monkeypatch.setattr(start_check, "LARGEST_AT_START", 1000)
+    monkeypatch.setattr(database_file, "LARGEST_AT_START", 1000)
     database = Database(path)
     assert any(
         fault.startswith("database-damaged") and f"table {table}" in fault for fault in a_round(DatabaseCheck(database))
     )
     database.close()
+
+
+@pytest.mark.parametrize("column", ["packed_detail", "packed_timeline"])
+def test_a_damaged_packed_document_is_found(filled: Store, column: str) -> None:
+    text = column.removeprefix("packed_")
+    filled.database.write(
+        lambda c: c.execute(f"UPDATE runs SET {text} = 'packed', {column} = x'78da00' WHERE id = 'r07'")
+    ).result(10)
+    (fault,) = a_round(DatabaseCheck(filled.database))
+    assert "table runs has damaged rows (r07)" in fault
 
 
 def test_a_damaged_document_is_found(filled: Store) -> None:

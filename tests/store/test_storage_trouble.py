@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import errno
+import os
 import sqlite3
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -86,3 +88,20 @@ def test_errors_that_were_translated_already_are_recognised() -> None:
     assert trouble.code == "storage-full"
     newer = trouble_of(InputError("newer", action="a", code="database-newer"), PATH)
     assert newer == StorageTrouble("database-newer", "newer", "a")
+
+
+@pytest.mark.parametrize(
+    ("flag", "free", "code"),
+    [(1, 9, "storage-read-only"), (0, 0, "storage-full"), (0, 9, "storage-unavailable")],
+)
+def test_a_vague_error_is_named_by_the_state_of_the_disk(
+    monkeypatch: pytest.MonkeyPatch, flag: int, free: int, code: str
+) -> None:
+    """Real disks in these states: `tests/system/test_storage_troubles.py`."""
+    state = SimpleNamespace(f_flag=flag, f_blocks=10, f_bavail=free)
+    monkeypatch.setattr(os, "statvfs", lambda _: state)
+    error = sqlite3.OperationalError("unable to open database file")
+    error.sqlite_errorcode = sqlite3.SQLITE_CANTOPEN
+    found = trouble_of(error, Path("data/station.db"))
+    assert found is not None
+    assert found.code == code

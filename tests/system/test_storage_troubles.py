@@ -21,12 +21,12 @@ SIZE = 3_000_000
 
 
 class SmallDisk:
-    """A file system of `SIZE` bytes over a directory, visible to commands with `prefix`."""
+    """A file system of `size` bytes over a directory, visible to commands with `prefix`."""
 
-    def __init__(self, directory: Path) -> None:
+    def __init__(self, directory: Path, size: int = SIZE) -> None:
         directory.mkdir(exist_ok=True)
         own = [] if os.geteuid() == 0 else ["--map-root-user"]
-        mount = f"mount -t tmpfs -o size={SIZE} tmpfs '{directory}' && echo mounted && exec cat"
+        mount = f"mount -t tmpfs -o size={size} tmpfs '{directory}' && echo mounted && exec cat"
         self._holder = subprocess.Popen(
             ["unshare", "--mount", *own, "sh", "-c", mount], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
         )
@@ -34,6 +34,7 @@ class SmallDisk:
         assert self._holder.stdout.readline() == "mounted\n"
         user = [] if os.geteuid() == 0 else ["--user", "--preserve-credentials"]
         self.prefix = ["nsenter", f"--target={self._holder.pid}", "--mount", *user, f"--wd={Path.cwd()}"]
+        self._mounted_at = directory
         self.directory = Path(f"/proc/{self._holder.pid}/root{directory}")
 
     def fill(self) -> None:
@@ -44,6 +45,11 @@ class SmallDisk:
 
     def make_room(self) -> None:
         (self.directory / "fill").unlink()
+
+    def remount(self, options: str) -> None:
+        user = [] if os.geteuid() == 0 else ["--user"]
+        mount = ["mount", "-o", f"remount,{options}", str(self._mounted_at)]
+        subprocess.run(["nsenter", f"--target={self._holder.pid}", "--mount", *user, *mount], check=True)
 
     def close(self) -> None:
         self._holder.communicate()
@@ -76,7 +82,7 @@ def serve(
 
 def until(service: Service, path: str, holds: Callable[[Any], bool]) -> Any:
     """Ask until a condition holds; a request at `runs/next` takes the time between two questions."""
-    deadline_s = time.monotonic() + TIMEOUT_S
+    deadline_s = time.monotonic() + 4 * TIMEOUT_S
     while True:
         answer = service.client.get(path)
         if holds(answer):
@@ -89,34 +95,74 @@ def health(service: Service) -> str:
     return str(service.client.base_url).replace("/api/v1", "/healthz").rstrip("/")
 
 
-def test_a_full_disk_is_waited_for_named_and_caught_up(serve: Callable[[], Service], disk: SmallDisk) -> None:
+def codes(service: Service) -> list[str]:
+    return [warning["code"] for warning in service.get("/station")["warnings"]]
+
+
+def is_up(*states: str) -> Callable[[Any], bool]:
+    return lambda answer: answer.status_code == 200 and answer.json()["state"] in states
+
+
+def unstored_after(run: str) -> Callable[[Any], bool]:
+    return lambda a: a.status_code == 200 and a.json()["stored"] is False and a.json()["id"] > run
+
+
+def test_a_full_disk_neither_hinders_a_start_nor_filming_and_is_caught_up(
+    serve: Callable[[], Service], disk: SmallDisk
+) -> None:
     disk.fill()
     service = serve()
-    waiting = service.client.get(health(service))
-    assert (waiting.status_code, waiting.json()["code"]) == (503, "storage-full"), waiting.text
-    disk.make_room()
-    until(service, "/station", lambda a: a.status_code == 200 and a.json()["state"] == "idle")
+    until(service, "/station", is_up("idle"))
+    assert "storage-full" in codes(service)
     assert service.client.post("/station/arm", json={"board_type": "small"}).status_code == 200
-    first = service.get("/runs/next", timeout=50)
-    assert first["stored"] is True
-
-    disk.fill()
-    unstored = until(service, "/runs/latest", lambda a: a.json()["stored"] is False)
-    assert service.get(f"/runs/{unstored['id']}/matrices")["status"] == "ok"
-    warnings = [warning["code"] for warning in service.get("/station")["warnings"]]
-    assert "storage-full" in warnings
+    first = until(service, "/runs/latest", unstored_after(""))
+    assert service.get(f"/runs/{first['id']}/matrices")["status"] == "ok"
     disk.make_room()
-    until(service, f"/runs/{unstored['id']}", lambda a: a.json()["stored"])
+    until(service, f"/runs/{first['id']}", lambda a: a.json()["stored"])
 
-    # It dies while the disk is full and a run is in memory only. The next start waits, and then accepts what it finds.
+    # It dies while the disk is full and a run is in memory only. The next start films on, while the disk is full.
     disk.fill()
-    lost = until(service, "/runs/latest", lambda a: a.json()["stored"] is False and a.json()["id"] > unstored["id"])
+    lost = until(service, "/runs/latest", unstored_after(first["id"]))
     service.stop(signal.SIGKILL)
     again = serve()
-    disk.make_room()
-    shown = until(again, "/station", lambda a: a.status_code == 200 and a.json()["state"] in ("armed", "filming"))
+    shown = until(again, "/station", is_up("armed", "filming"))
     assert shown["armed_with"]["resumed"] is True
+    assert "storage-full" in codes(again)
+    filmed = until(again, "/runs/latest", unstored_after(lost["id"]))
+    disk.make_room()
+    until(again, f"/runs/{filmed['id']}", lambda a: a.json()["stored"])
     listed = {run["id"]: run for run in again.get("/runs", limit=500)["runs"]}
-    assert {listed[run["id"]]["verdict"] for run in (first, unstored)} == {"ok"}
+    assert {listed[run["id"]]["verdict"] for run in (first, filmed)} == {"ok"}
     assert lost["id"] not in listed or listed[lost["id"]]["reasons"][-1]["code"] == "station-restarted"
     assert again.stop(signal.SIGTERM) == 0, "".join(again.log)
+
+    # A disk that was mounted read-only after a fault is read, and written when it is writable again.
+    disk.remount("ro")
+    third = serve()
+    until(third, "/station", is_up("armed", "filming"))
+    assert "storage-read-only" in codes(third)
+    assert third.get(f"/runs/{first['id']}")["state"] == "gone"
+    later = until(third, "/runs/latest", unstored_after(filmed["id"]))
+    disk.remount("rw")
+    until(third, f"/runs/{later['id']}", lambda a: a.json()["stored"])
+    assert third.stop(signal.SIGTERM) == 0, "".join(third.log)
+
+
+def test_shared_memory_that_is_too_small_is_named_until_it_is_larger(
+    replay_config: Callable[..., StationConfig], tmp_path: Path
+) -> None:
+    config = tmp_path / "station.toml"
+    config.write_text(as_toml(replay_config()))
+    memory = SmallDisk(tmp_path / "shm", 100_000)
+    service = Service(config, memory.prefix)
+    try:
+        waiting = service.client.get(health(service))
+        assert (waiting.status_code, waiting.json()["code"]) == (503, "ring-too-large"), waiting.text
+        memory.remount("size=500000000")
+        until(service, "/station", lambda answer: answer.status_code == 200)
+        assert service.stop(signal.SIGTERM) == 0, "".join(service.log)
+    finally:
+        if service.process.poll() is None:
+            service.process.kill()
+            service.process.communicate()
+        memory.close()

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import hashlib
+from contextlib import suppress
 
-from vaoi_station.errors import NotFoundError
+from vaoi_station.errors import DeviceError, NotFoundError
 from vaoi_station.store.database import Database
+
+_DAY = len("2026-01-31")
 
 
 class Configurations:
@@ -24,11 +27,23 @@ class Configurations:
         return digest
 
     def store_again(self, now: str) -> None:
-        """Store the configuration in force again if it is missing: the database may be new and empty."""
-        if self._database.read("SELECT 1 FROM configurations WHERE digest = ?", (self.present,)):
+        """Store the configuration in force, and once a day that it was used.
+
+        The database may have been replaced by an empty one since the last call.
+        """
+        rows = self._database.read("SELECT last_used FROM configurations WHERE digest = ?", (self.present,))
+        if rows and str(rows[0]["last_used"])[:_DAY] == now[:_DAY]:
             return
-        row = (self.present, now, self._document)
-        self._database.write(lambda c: c.execute("INSERT OR IGNORE INTO configurations VALUES (?, ?, ?)", row)).result()
+        row = (self.present, now, self._document, now)
+        # A disk that takes nothing does not keep the station from starting; the next call stores it.
+        with suppress(DeviceError):
+            self._database.write(
+                lambda c: c.execute(
+                    """INSERT INTO configurations VALUES (?, ?, ?, ?)
+                       ON CONFLICT (digest) DO UPDATE SET last_used = excluded.last_used""",
+                    row,
+                )
+            ).result()
 
     def document(self, digest: str) -> str:
         """Return a stored configuration as JSON text; raise NotFoundError if the digest is unknown."""

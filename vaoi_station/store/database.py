@@ -19,8 +19,16 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import Any, TypeVar
 
-from vaoi_station.errors import StateError
-from vaoi_station.store.database_file import connect, open_database, roll_back, set_aside
+from vaoi_station.errors import DeviceError, StateError
+from vaoi_station.store.database_file import (
+    connect,
+    earlier_notices,
+    is_empty,
+    open_database,
+    roll_back,
+    set_aside,
+    stand_in,
+)
 from vaoi_station.store.file_watch import FileWatch
 from vaoi_station.store.storage_trouble import (
     DAMAGED,
@@ -68,22 +76,39 @@ class Database:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._writer: sqlite3.Connection | None
-        self._writer, notice = open_database(path)
-        self.notices: tuple[StorageTrouble, ...] = () if notice is None else (notice,)
-        """Events since this start by which data were lost or moved: the database was damaged, deleted or replaced."""
+        self._trouble: StorageTrouble | None = None
+        earlier = earlier_notices(path)
+        readers, notice = self._open()
+        self.notices: tuple[StorageTrouble, ...] = earlier if notice is None else (*earlier, notice)
+        """What lost or moved data, and was not cleared away since: damaged, deleted, replaced."""
+        self.history_unread = is_empty(readers[0])
+        """Whether the station began without a database, because the disk was full: one may turn up later."""
         self._watch = FileWatch(path)
         self._readers: SimpleQueue[sqlite3.Connection | None] = SimpleQueue()
-        with translated_errors(path):
-            for _ in range(READERS):
-                self._readers.put(connect(path))
+        for reader in readers:
+            self._readers.put(reader)
         self._jobs: deque[_Job] = deque()
         self._waiting_bytes = 0
-        self._trouble: StorageTrouble | None = None
         self._began_s: float | None = None
         self._closed = False
         self._changed = threading.Condition()
         self.thread = SupervisedThread(self._run, "store", WRITE_LIMIT_S)
         self.thread.start()
+
+    def _open(self) -> tuple[list[sqlite3.Connection], StorageTrouble | None]:
+        """Open the file, or stand-ins that can only be read while the disk takes no writes. Return readers, notice."""
+        try:
+            self._writer, notice = open_database(self.path)
+            with translated_errors(self.path):
+                return [connect(self.path) for _ in range(READERS)], notice
+        except DeviceError as error:
+            trouble = trouble_of(error, self.path)
+            readers = None if trouble is None else stand_in(self.path, trouble, READERS)
+            if readers is None:
+                raise
+            _log.warning("%s: the station begins without writing (%s)", self.path, error.message)
+            self._writer, self._trouble = None, trouble
+            return readers, None
 
     @property
     def trouble(self) -> StorageTrouble | None:
@@ -199,6 +224,9 @@ class Database:
         self._began_s = time.monotonic()
         self._watch.measure()
         self._began_s = None
+        # A person who has recovered or given up what was set aside moves it away.
+        if any(n.kept is not None and not n.kept.exists() for n in self.notices):
+            self.notices = tuple(n for n in self.notices if n.kept is None or n.kept.exists())
         if self._trouble is not None or self._watch.changed:
             self._perform(_Job(_touch, Future(), patient=False, durable=True, size=0))
 

@@ -1,6 +1,7 @@
 """The file of the database: open, check and migrate it.
 
-Set it aside if it is damaged; copy it back if it was deleted.
+Set it aside if it is damaged; copy it back if it was deleted. While the disk takes no writes, a start reads the file as
+it is, or an empty history (`stand_in`).
 """
 
 from __future__ import annotations
@@ -13,11 +14,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 from vaoi_station.errors import InputError
-from vaoi_station.store.schema import migrate
-from vaoi_station.store.start_check import check_at_start
+from vaoi_station.store.schema import VERSION, migrate
 from vaoi_station.store.storage_trouble import (
     DAMAGED,
     DELETED,
+    FULL,
+    PASSING,
+    REPLACED,
     UNAVAILABLE,
     StorageTrouble,
     translated_errors,
@@ -25,8 +28,11 @@ from vaoi_station.store.storage_trouble import (
 )
 
 _COMPANIONS = ("", "-wal", "-shm")
-"""Endings of the three files that together are one database."""
-_HEADER_BYTES = 100
+"""Endings of the files that together are one database."""
+HEADER_BYTES = 100
+"""Size of the header of a database; SQLite takes a shorter file for a new one."""
+LARGEST_AT_START = 50_000_000
+"""Largest file in bytes that is checked completely at the start; measured, that takes a second from a cold disk."""
 MARK = ".begun"
 """Ending of an empty marker file. If it is absent, a start without a database is the first start."""
 
@@ -58,7 +64,8 @@ def open_database(path: Path) -> tuple[sqlite3.Connection, StorageTrouble | None
     """
     with translated_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        notice = _deleted(path)
+        gone = _is_gone(path)
+    notice = None
     try:
         connection = _open(path)
     except sqlite3.DatabaseError as error:
@@ -74,22 +81,42 @@ def open_database(path: Path) -> tuple[sqlite3.Connection, StorageTrouble | None
             raise
     with translated_errors(path):
         path.with_name(path.name + MARK).touch()
+        if gone and notice is None:
+            notice = _note_deleted(path)
     return connection, notice
 
 
 def set_aside(path: Path, why: str) -> StorageTrouble:
     """Rename a damaged database, so that the next one begins empty and the old one can still be recovered."""
-    # The time is only a part of a name here; a second set of files within the same second gets a number.
-    stem = f"{path.name}.damaged-{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}"
-    kept = next(p for n in range(1000) if not (p := path.with_name(stem if n == 0 else f"{stem}-{n}")).exists())
+    kept = unused_name(path, "damaged")
     for ending in _COMPANIONS:
         with contextlib.suppress(FileNotFoundError):
             path.with_name(path.name + ending).rename(kept.with_name(kept.name + ending))
     return StorageTrouble(
         DAMAGED,
         f"{path}: was damaged ({why}); it was set aside as {kept.name}, and the history begins anew.",
-        f"Recover {kept.name} with the command sqlite3 (.recover) or restore a backup; check the disk.",
+        f"Recover {kept.name} with the command sqlite3 (.recover) or restore a backup; check the disk. "
+        "The warning ends when the file is moved away or deleted.",
+        kept,
     )
+
+
+def unused_name(path: Path, what: str) -> Path:
+    """Return a path beside the database for what was set aside now; `what` is damaged, replaced or deleted."""
+    # The time is only a part of a name here; a second set of files within the same second gets a number.
+    stem = f"{path.name}.{what}-{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}"
+    return next(p for n in range(1000) if not (p := path.with_name(stem if n == 0 else f"{stem}-{n}")).exists())
+
+
+def earlier_notices(path: Path) -> tuple[StorageTrouble, ...]:
+    """Return a notice for every file that an earlier start set aside and that is still there."""
+    found = []
+    for what, code in (("damaged", DAMAGED), ("deleted", DELETED), ("replaced", REPLACED)):
+        for kept in sorted(path.parent.glob(f"{path.name}.{what}-*[0-9Z]")):
+            message = f"{kept}: at an earlier time the database was {what}; the present history may lack runs."
+            action = "Recover them or restore a backup if they are needed; then move the file away or delete it."
+            found.append(StorageTrouble(code, message, action, kept))
+    return tuple(found)
 
 
 def connect(path: Path) -> sqlite3.Connection:
@@ -101,6 +128,15 @@ def connect(path: Path) -> sqlite3.Connection:
     return connection
 
 
+def check_at_start(connection: sqlite3.Connection, path: Path) -> None:
+    """Check a small database completely; leave a large one to `DatabaseCheck`. Raise DatabaseError if it is damaged."""
+    if path.stat().st_size > LARGEST_AT_START:
+        return
+    fault = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
+    if fault != "ok":
+        raise sqlite3.DatabaseError(fault)
+
+
 def roll_back(connection: sqlite3.Connection) -> None:
     """End a transaction that has failed, if SQLite has not done so itself."""
     # After "disk full" and most I/O errors, SQLite has rolled back already. A second ROLLBACK would fail with "cannot
@@ -110,16 +146,22 @@ def roll_back(connection: sqlite3.Connection) -> None:
             connection.execute("ROLLBACK")
 
 
-def _deleted(path: Path) -> StorageTrouble | None:
-    """Return a trouble if there was a database at an earlier start, and now there is none or an empty file."""
-    # SQLite takes a file that is shorter than its header for a new database.
+def _is_gone(path: Path) -> bool:
+    """Return whether there was a database at an earlier start and now there is none, or an empty file."""
     size = path.stat().st_size if path.exists() else 0
-    if size >= _HEADER_BYTES or not path.with_name(path.name + MARK).exists():
-        return None
+    return size < HEADER_BYTES and path.with_name(path.name + MARK).exists()
+
+
+def _note_deleted(path: Path) -> StorageTrouble:
+    """Leave an empty file that later starts find, and return the notice about the deleted database."""
+    mark = unused_name(path, "deleted")
+    mark.touch()
     return StorageTrouble(
         DELETED,
         f"{path}: the database of earlier starts is not there any more; the history begins anew.",
-        "Restore it from a backup while the station is stopped, if it was not deleted on purpose.",
+        "Restore it from a backup while the station is stopped, if it was not deleted on purpose. "
+        f"The warning ends when {mark.name} is deleted.",
+        mark,
     )
 
 
@@ -156,3 +198,55 @@ def _refuse_foreign(connection: sqlite3.Connection, path: Path) -> None:
             action="Move it away, or give the station another data directory.",
             code="database-foreign",
         )
+
+
+def stand_in(path: Path, trouble: StorageTrouble, count: int) -> list[sqlite3.Connection] | None:
+    """Return connections for reading while `trouble` keeps the database from being opened for writing.
+
+    A sound database of this version is read as it is. If there is none because a full disk takes none, the connections
+    are to empty databases in memory. A disk that is read-only and has no database may be one that is not mounted yet.
+
+    Returns:
+        `count` connections; None if the start has to wait.
+    """
+    if trouble.code not in PASSING:
+        return None
+    made: list[sqlite3.Connection] = []
+    try:
+        if path.exists() and path.stat().st_size >= HEADER_BYTES:
+            made += [_unwritten(path) for _ in range(count)]
+            (version,) = made[0].execute("PRAGMA user_version").fetchone()
+            if version != VERSION:
+                raise sqlite3.DatabaseError(f"version {version} of the tables")
+            check_at_start(made[0], path)
+            return made
+        if trouble.code == FULL and path.parent.is_dir():
+            return [_empty(path) for _ in range(count)]
+    except (sqlite3.Error, OSError):
+        # Whatever else is wrong is found when the database can be opened, and named then.
+        for connection in made:
+            connection.close()
+    return None
+
+
+def is_empty(connection: sqlite3.Connection) -> bool:
+    """Return whether a connection is to an empty database in memory."""
+    return not connection.execute("PRAGMA database_list").fetchone()[2]
+
+
+def _unwritten(path: Path) -> sqlite3.Connection:
+    """Open a database without writing anything beside it."""
+    log = path.with_name(path.name + "-wal")
+    # `immutable` leaves out the write-ahead log, so it is right only where there is none. A log is read with the shared
+    # memory that its last user left.
+    option = "mode=ro" if log.exists() and log.stat().st_size else "immutable=1"
+    connection = sqlite3.connect(f"{path.as_uri()}?{option}", uri=True, isolation_level=None, check_same_thread=False)
+    connection.row_factory = sqlite3.Row
+    return connection
+
+
+def _empty(path: Path) -> sqlite3.Connection:
+    connection = sqlite3.connect(":memory:", isolation_level=None, check_same_thread=False)
+    connection.row_factory = sqlite3.Row
+    migrate(connection, path)
+    return connection

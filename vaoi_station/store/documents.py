@@ -20,8 +20,9 @@ from vaoi_station.store.calibration_checks import CalibrationChecks
 from vaoi_station.store.configurations import Configurations
 from vaoi_station.store.database import Database
 from vaoi_station.store.retention import RunRetention
+from vaoi_station.store.schema import PACKED, packed, unpacked
 from vaoi_station.store.standing import StandingDocuments
-from vaoi_station.store.storage_trouble import StorageTrouble
+from vaoi_station.store.storage_trouble import StorageTrouble, translated_errors
 
 Kind = Literal["board-type", "calibration"]
 EVENTS_KEPT = 100_000
@@ -82,6 +83,11 @@ class Store:
         return self._database.notices
 
     @property
+    def history_unread(self) -> bool:
+        """Whether the station began without a database, because the disk was full: one may turn up later."""
+        return self._database.history_unread
+
+    @property
     def free_bytes(self) -> int | None:
         """Free space for the database at the last check, bytes; None if it is not known."""
         return self._database.free_bytes
@@ -124,18 +130,20 @@ class Store:
                 if connection.execute("SELECT 1 FROM documents WHERE digest = ?", document[:1]).fetchone() is None:
                     connection.execute(_KEEP_DOCUMENT, document)
             # An update, not INSERT OR REPLACE, which would delete the row that results and checks refer to.
+            detail, times = packed(row.detail), (None, None) if timeline is None else packed(timeline)
             connection.execute(
-                """INSERT INTO runs VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)
+                """INSERT INTO runs VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)
                    ON CONFLICT (id) DO UPDATE SET state = excluded.state, finish_number = excluded.finish_number,
                    summary = excluded.summary, detail = excluded.detail, head = excluded.head,
-                   timeline = excluded.timeline""",
+                   timeline = excluded.timeline, packed_detail = excluded.packed_detail,
+                   packed_timeline = excluded.packed_timeline""",
                 (
                     row.id, row.state, row.finish_number, row.board_type_digest, row.calibration_digest,
-                    row.summary, row.detail, row.head, timeline,
+                    row.summary, detail[0], row.head, times[0], detail[1], times[1],
                 ),
             )  # fmt: skip
             if result is not None:
-                connection.execute("INSERT INTO results VALUES (?, ?)", (row.id, result))
+                connection.execute("INSERT INTO results VALUES (?, ?, ?)", (row.id, *packed(result)))
 
         size = len(row.summary) + len(row.detail) + len(row.head or "") + len(timeline or "") + len(result or "")
         # A run that begins need not survive a power failure: before its end there is nothing to announce.
@@ -157,9 +165,9 @@ class Store:
         return _row(rows[0]) if rows else None
 
     def runs(self, limit: int, before: str | None) -> list[RunRow]:
-        """Return at most `limit` runs with ids below `before` (None: all), newest first."""
+        """Return at most `limit` runs with ids below `before` (None: all), newest first. Details stay packed."""
         return [
-            _row(r)
+            _packed_row(r, r["detail"])
             for r in self._database.read(
                 f"SELECT {_COLUMNS} FROM runs WHERE ? IS NULL OR id < ? ORDER BY id DESC LIMIT ?",
                 (before, before, limit),
@@ -173,7 +181,10 @@ class Store:
         ]
 
     def mark_frames_gone(self, gone: str) -> Future[None]:
-        """Set the state of all finished runs with frames to `gone`, because their memory no longer exists."""
+        """Set the state of all finished runs with frames to `gone`, because their memory no longer exists.
+
+        The write waits for the end of a storage trouble.
+        """
 
         def write(connection: sqlite3.Connection) -> None:
             # The condition on the state is that of the index `runs_with_frames`.
@@ -183,7 +194,7 @@ class Store:
                 (gone,),
             )
 
-        return self._database.write(write)
+        return self._database.write(write, patient=True)
 
     def finished_after(self, finish_number: int) -> RunRow | None:
         """Return the run that finished next after `finish_number` (0: the first of all); None if there is none.
@@ -211,13 +222,17 @@ class Store:
 
     def result(self, run: str) -> str | None:
         """Return the result of a run; None if it has none."""
-        rows = self._database.read("SELECT document FROM results WHERE run = ?", (run,))
-        return str(rows[0]["document"]) if rows else None
+        return self._text("SELECT document, packed FROM results WHERE run = ?", run)
 
     def timeline(self, run: str) -> str | None:
         """Return the timeline of a run; None if it has none yet."""
-        rows = self._database.read("SELECT timeline FROM runs WHERE id = ?", (run,))
-        return None if not rows or rows[0]["timeline"] is None else str(rows[0]["timeline"])
+        return self._text("SELECT timeline, packed_timeline FROM runs WHERE id = ? AND timeline IS NOT NULL", run)
+
+    def _text(self, query: str, run: str) -> str | None:
+        """Return the text that a query selects as a column and its packed column; None if there is no row."""
+        with translated_errors(self._database.path):
+            rows = self._database.read(query, (run,))
+            return unpacked(*rows[0]) if rows else None
 
     def add_event(self, row: EventRow) -> Future[None]:
         """Append an event, and delete the oldest beyond `EVENTS_KEPT`."""
@@ -246,8 +261,19 @@ class Store:
 
 
 _KEEP_DOCUMENT = "INSERT OR IGNORE INTO documents VALUES (?, ?, ?, ?)"
-_COLUMNS = "id, state, finish_number, board_type_digest, calibration_digest, summary, detail, head"
+_COLUMNS = "id, state, finish_number, board_type_digest, calibration_digest, summary, detail, head, packed_detail"
 
 
 def _row(row: sqlite3.Row) -> RunRow:
-    return RunRow(*row)
+    try:
+        return _packed_row(row, unpacked(row["detail"], row["packed_detail"]))
+    except sqlite3.DatabaseError:
+        # Shown as a record that cannot be read: no single row may stop a start.
+        return _packed_row(row, PACKED)
+
+
+def _packed_row(row: sqlite3.Row, detail: str) -> RunRow:
+    return RunRow(
+        row["id"], row["state"], row["finish_number"], row["board_type_digest"], row["calibration_digest"],
+        row["summary"], detail, row["head"],
+    )  # fmt: skip

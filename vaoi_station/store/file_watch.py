@@ -5,10 +5,9 @@ from __future__ import annotations
 import contextlib
 import os
 import sqlite3
-import time
 from pathlib import Path
 
-from vaoi_station.store.database_file import identity_of
+from vaoi_station.store.database_file import identity_of, unused_name
 from vaoi_station.store.storage_trouble import DELETED, REPLACED, StorageTrouble
 
 
@@ -59,11 +58,13 @@ class FileWatch:
                 f"{self._path}: was deleted while the station ran; it was written back completely.",
                 "Find out who deletes files in the data directory.",
             )
-        kept = self._path.with_name(f"{self._path.name}.replaced-{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}")
+        kept = unused_name(self._path, "replaced")
         aside.rename(kept)
         return StorageTrouble(
             REPLACED,
             f"{self._path}: was replaced by another file while the station ran. The station goes on with that one; "
             f"its own was saved as {kept.name}.",
-            "Stop the station before a database is restored.",
+            "Stop the station before a database is restored. "
+            f"The warning ends when {kept.name} is moved away or deleted.",
+            kept,
         )

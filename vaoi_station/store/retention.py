@@ -15,6 +15,10 @@ from vaoi_station.store.database import Database
 
 MOST_PINS = 1000
 """Largest number of pinned runs. Pinned runs are never forgotten, so their number must be bounded."""
+_UNUSED = """NOT EXISTS (SELECT 1 FROM runs WHERE board_type_digest = documents.digest)
+    AND NOT EXISTS (SELECT 1 FROM runs WHERE calibration_digest = documents.digest)
+    AND NOT EXISTS (SELECT 1 FROM calibration_checks WHERE calibration_digest = documents.digest)"""
+"""SQL: no run and no calibration check refers to a row of `documents`."""
 NEVER_FORGOTTEN = 100
 """Number of the newest runs of each kind that are kept whole in spite of the limits."""
 
@@ -72,7 +76,11 @@ class RunRetention:
                 if connection.execute("SELECT 1 FROM pins WHERE run = ?", (run,)).fetchone():
                     continue
                 connection.execute("DELETE FROM results WHERE run = ?", (run,))
-                connection.execute("UPDATE runs SET detail = '', head = NULL, timeline = NULL WHERE id = ?", (run,))
+                connection.execute(
+                    """UPDATE runs SET detail = '', head = NULL, timeline = NULL, packed_detail = NULL,
+                       packed_timeline = NULL WHERE id = ?""",
+                    (run,),
+                )
                 connection.execute("DELETE FROM whole_runs WHERE run = ?", (run,))
 
         return self._database.write(write)
@@ -94,6 +102,39 @@ class RunRetention:
             connection.execute("INSERT INTO forgotten VALUES (?)", (max(known, *runs),))
 
         return self._database.write(write)
+
+    def unused_documents(self, before: str, limit: int) -> list[str]:
+        """Return the digests of calibrations and board types to which no run and no check refers; at most `limit`.
+
+        Args:
+            before: time (UTC) since which a document must be known; one that was armed lately may be used next.
+            limit: largest number of digests to return.
+        """
+        rows = self._database.read(
+            f"SELECT digest FROM documents WHERE first_seen < ? AND {_UNUSED} LIMIT ?", (before, limit)
+        )
+        return [str(row["digest"]) for row in rows]
+
+    def forget_documents(self, digests: Sequence[str]) -> Future[None]:
+        """Delete calibrations and board types, unless a run or a check refers to them by now."""
+
+        def write(connection: sqlite3.Connection) -> None:
+            connection.executemany(f"DELETE FROM documents WHERE digest = ? AND {_UNUSED}", ((d,) for d in digests))
+
+        return self._database.write(write)
+
+    def forget_configurations(self, used_before: str) -> Future[int]:
+        """Delete the configurations that were used last before a time (UTC); return their number."""
+
+        def write(connection: sqlite3.Connection) -> int:
+            return connection.execute("DELETE FROM configurations WHERE last_used < ?", (used_before,)).rowcount
+
+        return self._database.write(write)
+
+    def oldest_run(self) -> str | None:
+        """Return the lowest run id in use; None without runs."""
+        value = self._database.read("SELECT min(id) AS id FROM runs")[0]["id"]
+        return None if value is None else str(value)
 
     def forgotten(self, run: str) -> bool:
         """Return whether a run that is not in the database is so old that it may have been deleted from there."""

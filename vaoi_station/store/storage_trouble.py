@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import os
 import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -54,6 +55,8 @@ class StorageTrouble:
     code: str
     message: str
     action: str = ""
+    kept: Path | None = None
+    """File that holds what was set aside. While it exists, the warning about it stays, also after a restart."""
 
     def error(self) -> DeviceError:
         """Return the trouble as an error for a caller."""
@@ -63,7 +66,7 @@ class StorageTrouble:
 def trouble_of(error: BaseException, path: Path) -> StorageTrouble | None:
     """Return the trouble of the storage behind an error; None if the error has another cause."""
     if isinstance(error, OSError):
-        code = _OF_SYSTEM.get(error.errno or 0, UNAVAILABLE)
+        code = _refined(_OF_SYSTEM.get(error.errno or 0, UNAVAILABLE), path)
         return StorageTrouble(code, f"{path}: cannot be used ({error.strerror or error}).", _ACTIONS[code])
     # Opening the file again already reports its errors in the station's words.
     if isinstance(error, VaoiError) and error.code in CODES:
@@ -78,8 +81,24 @@ def trouble_of(error: BaseException, path: Path) -> StorageTrouble | None:
         found = DAMAGED
     if found is None:
         return None
+    found = _refined(found, path)
     what = "is not a sound database" if found == DAMAGED else "cannot be used"
     return StorageTrouble(found, f"{path}: {what} ({error}).", _ACTIONS[found])
+
+
+def _refined(code: str, path: Path) -> str:
+    """Return what keeps a file from being used, where the error itself does not show it."""
+    if code != UNAVAILABLE:
+        return code
+    # SQLite reports "disk I/O error" where a full disk has no page for its shared memory, and "unable to open database
+    # file" where it may not be made.
+    try:
+        disk = os.statvfs(path.parent)
+    except OSError:
+        return code
+    if disk.f_flag & os.ST_RDONLY:
+        return READ_ONLY
+    return FULL if disk.f_blocks and not disk.f_bavail else code
 
 
 def translated(error: Exception, path: Path) -> VaoiError:

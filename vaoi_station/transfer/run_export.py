@@ -14,6 +14,7 @@ from vaoi_station.runs.archive.recordings import DIRECTORY as RECORDINGS
 from vaoi_station.runs.archive.recordings import RESULT_FILE, RUN_FILE
 from vaoi_station.runs.states.run_ids import utc
 from vaoi_station.runs.states.schemas import RunDetail
+from vaoi_station.store.schema import unpacked
 from vaoi_station.transfer.backup import DATABASE
 from vaoi_station.transfer.database_copy import reading
 from vaoi_station.transfer.package import Entry, unpack_package, write_package
@@ -66,7 +67,7 @@ def import_run(package: Path, directory: Path) -> RunDetail:
 
 
 def _detail(database: sqlite3.Connection, run: str) -> RunDetail:
-    row = database.execute("SELECT detail, finish_number, state FROM runs WHERE id = ?", (run,)).fetchone()
+    row = database.execute("SELECT detail, packed_detail, finish_number FROM runs WHERE id = ?", (run,)).fetchone()
     if row is None:
         raise NotFoundError(f"There is no run {run!r}.", action="See the list of runs.", code="unknown-run")
     if row["finish_number"] is None:
@@ -77,22 +78,22 @@ def _detail(database: sqlite3.Connection, run: str) -> RunDetail:
             action="Pin runs that are needed for long, or raise the limits of [keep].",
             code="run-forgotten",
         )
-    return RunDetail.model_validate_json(row["detail"])
+    return RunDetail.model_validate_json(unpacked(row["detail"], row["packed_detail"]))
 
 
 def _documents(database: sqlite3.Connection, detail: RunDetail) -> Iterator[Entry]:
     yield RUN_FILE, detail.model_dump_json(indent=1).encode()
     for name, query in (
-        (RESULT_FILE, "SELECT document FROM results WHERE run = ?"),
-        (TIMELINE_FILE, "SELECT timeline FROM runs WHERE id = ? AND timeline IS NOT NULL"),
+        (RESULT_FILE, "SELECT document, packed FROM results WHERE run = ?"),
+        (TIMELINE_FILE, "SELECT timeline, packed_timeline FROM runs WHERE id = ? AND timeline IS NOT NULL"),
         (
             CALIBRATION_FILE,
-            "SELECT document FROM documents JOIN runs ON digest = calibration_digest WHERE id = ?",
+            "SELECT document, NULL FROM documents JOIN runs ON digest = calibration_digest WHERE id = ?",
         ),
-        (BOARD_FILE, "SELECT document FROM documents JOIN runs ON digest = board_type_digest WHERE id = ?"),
+        (BOARD_FILE, "SELECT document, NULL FROM documents JOIN runs ON digest = board_type_digest WHERE id = ?"),
     ):
         if (row := database.execute(query, (detail.id,)).fetchone()) is not None:
-            yield name, str(row[0]).encode()
+            yield name, unpacked(row[0], row[1]).encode()
     digest = detail.made_with.configuration if detail.made_with else ""
     if row := database.execute("SELECT document FROM configurations WHERE digest = ?", (digest,)).fetchone():
         yield CONFIGURATION_FILE, str(row[0]).encode()

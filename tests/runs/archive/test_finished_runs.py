@@ -16,7 +16,7 @@ from vaoi_station.model import Status
 from vaoi_station.runs.archive import finished_runs as module
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
-from vaoi_station.store import Database, Store
+from vaoi_station.store import Database, Store, schema
 
 
 def test_results_and_records_survive_a_restart_and_frames_do_not(
@@ -78,6 +78,12 @@ def test_frames_from_before_a_restart_are_gone(make_rig: Callable[..., Any]) -> 
         second.coordinator.hold(grant.run, "me", "late")
     assert second.coordinator.stitch(grant.run).status is Status.OK
     assert second.coordinator.release(grant.run).state == "gone"
+
+
+@pytest.fixture(autouse=True)
+def not_packed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The small documents of a test would fit into pages that the database has already."""
+    monkeypatch.setattr(schema, "_SMALLEST", 10**9)
 
 
 def fill(store: Store) -> None:
@@ -154,6 +160,21 @@ def test_a_start_accepts_a_run_that_is_gone_without_an_end(store: Store, progres
     store.database.write(lambda c: c.execute("UPDATE runs SET state = 'gone'")).result(20)
     archive = Archive(store, EventLog(store))
     assert (archive.get("r1").detail.state, store.unfinished()) == ("gone", [])
+
+
+def test_a_start_on_a_full_disk_closes_runs_in_memory_and_writes_them_later(store: Store, progress: Any) -> None:
+    Archive(store, EventLog(store)).begin(progress)
+    store.database.write(lambda c: c.execute("PRAGMA query_only = 1")).result(20)
+    archive = Archive(store, EventLog(store))
+    assert [(run.id, run.state) for run in archive.list(9, None)] == [("r1", "gone")]
+    detail = archive.get("r1").detail
+    assert (detail.state, detail.stored, detail.reasons[-1].code) == ("gone", False, "station-restarted")
+    assert [row.id for row in store.unfinished()] == ["r1"]
+    assert store.database._writer is not None
+    store.database._writer.execute("PRAGMA query_only = 0")
+    store.database.write(lambda _: None, patient=True).result(20)
+    assert store.unfinished() == []
+    assert archive.get("r1").detail.stored
 
 
 def test_a_run_that_will_never_be_written_is_named(rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from datetime import UTC, datetime
 from typing import Any
 
 import pytest
 
+from tests.store.conftest import noise
 from vaoi_station.config import KeepConfig
 from vaoi_station.errors import GoneError, NotFoundError
 from vaoi_station.runs.archive import retention as module
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.archive.retention import DAY_S, Retention
-from vaoi_station.runs.states.run_ids import RunIds, earliest_id
+from vaoi_station.runs.states.run_ids import RunIds, earliest_id, utc
 from vaoi_station.store import RunRow, Store
 from vaoi_station.store import retention as store_module
 
@@ -35,7 +37,7 @@ def add(store: Store) -> Callable[..., list[str]]:
             run = earliest_id(NOW_S - age * DAY_S) + "-abcdef"
             number = sum(store.retention.whole()) + 1
             row = RunRow(run, "gone", number, digest, digest, f'{{"verdict": "{verdict}"}}', "{}")
-            store.save_run(row, None, '"' + "x" * 1000 * kilobytes + '"').result(10)
+            store.save_run(row, None, '"' + noise(1000 * kilobytes) + '"').result(10)
             ids.append(run)
         return ids
 
@@ -141,3 +143,28 @@ def test_the_defaults_hold_a_year(store: Store) -> None:
     # 0.9 kB for a summary with its indexes and 90 kB for a run with 115 components: as measured.
     needed = boards * 900 + (config.results + config.doubtful_results * 0.1) * 90_000
     assert needed < config.database_gb * 1e9
+
+
+def test_documents_that_no_run_refers_to_are_forgotten_after_a_week(
+    store: Store, add: Callable[..., list[str]]
+) -> None:
+    def known() -> set[str]:
+        return {row["document"] for row in store.database.read("SELECT document FROM documents")}
+
+    day = [utc(datetime.fromtimestamp(NOW_S - age * DAY_S, UTC)) for age in range(10)]
+    add(20)
+    for document, since in (('"old"', day[8]), ('"new"', day[6])):
+        store.keep_document("calibration", document, since)
+    for document, used in (("1", day[9]), ("2", day[1])):
+        store.configurations.begin(document, used)
+    retention = Retention(keep(), store.retention)
+    retention.forget_unused(NOW_S)
+    assert known() == {"{}", '"new"'}, "a run refers to {}"
+    digests = [row["document"] for row in store.database.read("SELECT document FROM configurations")]
+    assert digests == ["1", "2"], "the run of twenty days ago may have been made with the first"
+    store.database.write(lambda c: c.execute("DELETE FROM whole_runs")).result(10)
+    store.database.write(lambda c: c.execute("DELETE FROM results")).result(10)
+    store.database.write(lambda c: c.execute("DELETE FROM runs")).result(10)
+    retention.forget_unused(NOW_S)
+    assert [row["document"] for row in store.database.read("SELECT document FROM configurations")] == ["2"]
+    assert known() == {'"new"'}

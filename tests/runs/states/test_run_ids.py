@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vaoi_station.runs.states.run_ids import RunIds, utc, utc_of_host
+from vaoi_station.runs.states.run_ids import RunIds, assigned_s, earliest_id, utc, utc_of_host
 
 
 def test_times_are_rfc_3339_in_utc() -> None:
@@ -39,3 +39,7 @@ def test_ids_continue_after_a_restart(monkeypatch: pytest.MonkeyPatch) -> None:
     last = RunIds().next()
     monkeypatch.setattr(time, "time_ns", lambda: 0)
     assert RunIds(last).next() > last
+
+
+def test_the_time_of_an_id_is_read_from_it() -> None:
+    assert assigned_s(earliest_id(1_700_000_000.0) + "-abcdef") == 1_700_000_000.0

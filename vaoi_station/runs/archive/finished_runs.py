@@ -7,15 +7,16 @@ written as soon as the disk accepts it.
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 from collections import OrderedDict
 from collections.abc import Callable
-from concurrent.futures import Future
+from concurrent.futures import Future, wait
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-from vaoi_station.errors import DeviceError, GoneError, NotFoundError, StateError
+from vaoi_station.errors import DeviceError, GoneError, NotFoundError, StateError, VaoiError
 from vaoi_station.files.results import without_components
 from vaoi_station.geometry import Camera
 from vaoi_station.model import BoardType, Calibration, RecordingHead, Stitch
@@ -29,7 +30,7 @@ from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.run.run_views import detail_of, summary_of, timeline_of
 from vaoi_station.runs.states.run_ids import utc_of_host
 from vaoi_station.runs.states.schemas import RunDetail, RunSummary
-from vaoi_station.runs.states.tables import RUN, RunState, RunStep
+from vaoi_station.runs.states.tables import IN_MEMORY, RUN, RunState, RunStep
 from vaoi_station.runs.states.timeline_schemas import Timeline
 from vaoi_station.store import RunRow, Store
 
@@ -106,8 +107,11 @@ class Archive:
         self._announcing = threading.Lock()
         """Held while runs are announced, so that runs are announced in their order, whichever thread does it."""
         last = store.last_finished()
-        self._finished = last.finish_number or 0 if last else 0
-        """Highest finish number given to a run so far. That run may not have been announced yet."""
+        # Without the history, numbers begin above all that it can have: it counts runs, this counts seconds.
+        self._finished = int(time.time()) if store.history_unread else last.finish_number or 0 if last else 0
+        """Highest finish number that was given to a run. That run may not have been announced yet."""
+        self._before = self._finished
+        """Highest finish number of earlier starts, whose frames are gone whatever the database says."""
         self._announced = self._finished
         self._closed = False
         self._close_unfinished()
@@ -178,7 +182,7 @@ class Archive:
         row = self._store.run(run)
         if row is None:
             if self._store.retention.forgotten(run):
-                raise _forgotten(run)
+                raise stored_documents.forgotten(run)
             raise NotFoundError(f"There is no run {run!r}.", action="See the list of runs.", code="unknown-run")
         # A row without a finish number was written when the run began, but not again when the run ended.
         if row.finish_number is None:
@@ -186,7 +190,7 @@ class Archive:
                 return known
             raise DeviceError(f"The end of run {run} could not be written.", action="Check space on the data disk.")
         if not row.detail:
-            raise _forgotten(run)
+            raise stored_documents.forgotten(run)
         finished = self._parsed(row)
         with self._changed:
             return self._in_memory(run) or self._cache(finished)
@@ -248,7 +252,7 @@ class Archive:
             unstored = {
                 run: summary_of(d.detail) for run, d in self._unstored.items() if before is None or run < before
             }
-        found = {row.id: stored_documents.summary(row) for row in rows} | unstored
+        found = {row.id: stored_documents.summary(replace(row, state=self._state_of(row))) for row in rows} | unstored
         return [found[run] for run in sorted(found, reverse=True)[:limit]]
 
     def close(self) -> None:
@@ -258,15 +262,34 @@ class Archive:
             self._changed.notify_all()
 
     def _close_unfinished(self) -> None:
-        """After a restart of the station, mark unfinished runs as failed and the frames of all earlier runs as gone."""
-        saved = []
+        """Update the runs from before a restart of the station: unfinished runs failed, and all frames are gone."""
+        saved: dict[Future[None], RunRow | None] = {}
         for row in self._store.unfinished():
             self._finished += 1
-            saved.append(self._store.save_run(stored_documents.cut_short(row, self._finished), patient=False))
-        saved.append(self._store.mark_frames_gone(RunState.GONE))
-        for future in saved:
-            future.result()
-        self._announced = self._finished
+            cut = stored_documents.cut_short(row, self._finished)
+            saved[self._store.save_run(cut)] = cut
+        saved[self._store.mark_frames_gone(RunState.GONE)] = None
+        self._before = self._announced = self._finished
+        # Awaited, so that later calls read what was written. A disk that takes nothing does not keep the station from
+        # filming: until it does, the runs are in memory as they are.
+        while wait(saved, timeout=0.05).not_done and self._store.trouble is None:
+            pass
+        for future, waiting in saved.items():
+            if future.done():
+                future.result()
+            elif waiting is not None:
+                self._keep_in_memory(waiting, future)
+
+    def _keep_in_memory(self, row: RunRow, saved: Future[None]) -> None:
+        """Keep the record of an earlier run in memory until the disk takes it, if it can be read."""
+        with contextlib.suppress(VaoiError, ValueError):
+            earlier = self._parsed(row)
+            self._unstored[row.id] = replace(earlier, detail=earlier.detail.model_copy(update={"stored": False}))
+            saved.add_done_callback(lambda _: self._forget_in_memory(row.id))
+
+    def _forget_in_memory(self, run: str) -> None:
+        with self._changed:
+            self._unstored.pop(run, None)
 
     def _written(self, finished: FinishedRun, saved: Future[None]) -> None:
         """Announce a run that is on disk, or that can never be written. `saved` is the completed write."""
@@ -310,7 +333,7 @@ class Archive:
                 latest = self._cache(replace(latest, detail=kept))
             self._announced = finished.finish_number
             self._changed.notify_all()
-        message = summary_line(latest.detail)
+        message = stored_documents.announcement(latest.detail)
         if not latest.detail.stored:
             message += " It is not on disk yet."
         self._events.add("run", message, state=finished.detail.state, run=run)
@@ -335,12 +358,18 @@ class Archive:
             self._recent.popitem(last=False)
         return finished
 
+    def _state_of(self, row: RunRow) -> RunState:
+        """Return the present state of a stored run; the disk may not have taken yet that its frames are gone."""
+        state = state_of(row)
+        earlier = row.finish_number is not None and row.finish_number <= self._before
+        return RunState.GONE if earlier and state in IN_MEMORY else state
+
     def _parsed(self, row: RunRow) -> FinishedRun:
         calibration = Calibration.model_validate_json(self._store.document(row.calibration_digest))
         result, timeline = self._store.result(row.id), self._store.timeline(row.id)
         head = RecordingHead.model_validate_json(row.head) if row.head else None
         return FinishedRun(
-            detail=in_state(stored_documents.detail(row), state_of(row)),
+            detail=in_state(stored_documents.detail(row), self._state_of(row)),
             finish_number=row.finish_number or 0,
             board_type=BoardType.model_validate_json(self._store.document(row.board_type_digest)),
             cameras=calibration.cameras(head.cameras) if head else (),
@@ -352,21 +381,6 @@ class Archive:
 
 
 _EMPTY = Timeline(frames_settled_s=(), tasks=(), last_frame_s=0.0, ready_s=None)
-
-
-def summary_line(detail: RunDetail) -> str:
-    """Return the message of the event that announces a finished run: its reasons and the time to the matrices."""
-    message = "; ".join(reason.message for reason in detail.reasons) or "The matrices are available."
-    ms = detail.timings.ready_after_last_frame_ms if detail.timings else None
-    return message if ms is None else f"{message} {ms:.0f} ms after the last frame."
-
-
-def _forgotten(run: str) -> GoneError:
-    return GoneError(
-        f"Result and record of run {run} were deleted because of their age, number or size.",
-        action="Fetch results sooner, pin runs that are needed for long, or raise the limits of [keep].",
-        code="run-forgotten",
-    )
 
 
 def _row(progress: Progress, detail: RunDetail, finish_number: int | None) -> RunRow:

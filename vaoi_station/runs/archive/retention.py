@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import time
+from datetime import UTC, datetime
 
 from vaoi_station.config import KeepConfig
-from vaoi_station.runs.states.run_ids import earliest_id
+from vaoi_station.runs.states.run_ids import assigned_s, earliest_id, utc
 from vaoi_station.store.retention import RunRetention
 
 BATCH = 10
@@ -17,6 +18,8 @@ SHORT_BYTES, SPARE_BYTES = 1_000_000_000, 100_000_000
 """Free disk space below which room is made within the database, and the room that is made: enough for some 1000
 runs."""
 DAY_S = 86_400.0
+KNOWN_DAYS = 7.0
+"""Time in days for which a document is kept although no run refers to it: the next order may."""
 
 
 class Retention:
@@ -37,6 +40,19 @@ class Retention:
                 break
             count += done
         return count
+
+    def forget_unused(self, now_s: float | None = None) -> None:
+        """Forget calibrations, board types and configurations to which no run that is kept refers any more."""
+        now_s, kept = time.time() if now_s is None else now_s, self._kept
+        known_s = now_s - KNOWN_DAYS * DAY_S
+        for _ in range(MOST_BATCHES):
+            if not (digests := kept.unused_documents(_utc(known_s), BATCH)):
+                break
+            kept.forget_documents(digests).result()
+        # A configuration is in force from its start on, and its last day is stored: older than all runs, it is unused.
+        oldest = kept.oldest_run()
+        first_s = now_s if oldest is None else assigned_s(oldest)
+        kept.forget_configurations(_utc(min(first_s, now_s) - KNOWN_DAYS * DAY_S)).result()
 
     def _step(self, now_s: float) -> int:
         """Delete one batch of runs, and return its number of runs; 0 if no limit is exceeded."""
@@ -69,6 +85,10 @@ class Retention:
         if runs := kept.old_summaries(2**40, _ALL, BATCH):
             kept.forget_runs(runs).result()
         return len(runs)
+
+
+def _utc(time_s: float) -> str:
+    return utc(datetime.fromtimestamp(max(time_s, 0.0), UTC))
 
 
 _ALL = "~"

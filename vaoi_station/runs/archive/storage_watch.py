@@ -19,7 +19,7 @@ class StorageWatch:
         """Begin to watch; `count_unstored` returns the number of finished runs that are in memory only."""
         self._store, self._events, self._count_unstored = store, events, count_unstored
         self._trouble: StorageTrouble | None = None
-        self._notices = 0
+        self._published: set[StorageTrouble] = set()
         self._low = False
 
     @property
@@ -35,10 +35,12 @@ class StorageWatch:
             self._events.add("trouble", now.message, code=now.code, action=now.action)
         elif now is None and before is not None:
             self._events.add("storage", "The database is written again.", code="storage-back")
+        # Notices come and go: one ends when the file that it names was cleared away.
         notices = self._store.notices
-        for notice in notices[self._notices :]:
-            self._events.add("trouble", notice.message, code=notice.code, action=notice.action)
-        self._notices = len(notices)
+        for notice in notices:
+            if notice not in self._published:
+                self._events.add("trouble", notice.message, code=notice.code, action=notice.action)
+        self._published = set(notices)
         low = self._low_space()
         if low is not None and not self._low:
             self._events.add("trouble", low.message, code=low.code, action=low.action)

@@ -7,7 +7,7 @@ from typing import TypeVar
 
 from pydantic import ValidationError
 
-from vaoi_station.errors import DeviceError
+from vaoi_station.errors import DeviceError, GoneError
 from vaoi_station.runs.run.run_views import summary_of
 from vaoi_station.runs.states.schemas import Reason, RunDetail, RunSummary, VerdictCounts
 from vaoi_station.runs.states.tables import IN_MEMORY, RunState
@@ -70,6 +70,22 @@ def summary(row: RunRow) -> RunSummary:
             timings=None,
             frames_available=False,
         )
+
+
+def announcement(detail: RunDetail) -> str:
+    """Return the message of the event that announces a finished run: its reasons and the time to the matrices."""
+    message = "; ".join(reason.message for reason in detail.reasons) or "The matrices are available."
+    ms = detail.timings.ready_after_last_frame_ms if detail.timings else None
+    return message if ms is None else f"{message} {ms:.0f} ms after the last frame."
+
+
+def forgotten(run: str) -> GoneError:
+    """Return the refusal of a run of which at most a summary is kept."""
+    return GoneError(
+        f"Result and record of run {run} were deleted because of their age, number or size.",
+        action="Fetch results sooner, pin runs that are needed for long, or raise the limits of [keep].",
+        code="run-forgotten",
+    )
 
 
 def cut_short(row: RunRow, finish_number: int) -> RunRow:

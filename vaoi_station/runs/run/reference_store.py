@@ -113,6 +113,9 @@ class ReferenceStore:
             # If the database was replaced by an empty one, no reference is assigned: without this file, the next sweep
             # would delete all of them.
             keep = self._directory / KEEP
+            # While the disk takes no writes, the database may be an empty one that stands in for it.
+            if self._store.trouble is not None or self._store.history_unread:
+                return
             if self._store.notices and self._directory.is_dir():
                 keep.touch()
             if keep.exists():

@@ -46,6 +46,11 @@ def earliest_id(time_s: float) -> str:
     return _text(max(int(time_s * 1000), 0), _TIME_DIGITS)
 
 
+def assigned_s(run: str) -> float:
+    """Return when a run id was assigned, in s since 1970."""
+    return _number(run.partition("-")[0]) / 1000
+
+
 def _text(number: int, digits: int) -> str:
     return "".join(_DIGITS[(number >> 5 * k) & 31] for k in reversed(range(digits)))
 
