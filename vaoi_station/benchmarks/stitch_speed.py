@@ -73,13 +73,13 @@ def measure_stitching(board: BenchmarkBoard, repetitions: int = 5) -> SpeedFigur
 
 def _measure(board: BenchmarkBoard, repetitions: int) -> SpeedFigures:
     # The first run also compiles functions, so it is not timed.
-    stitch = _stitch(board)
+    stitch = stitch_board(board)
     frames = len(board.frames)
     ours, theirs = [], []
     failed = ""
     for _ in range(repetitions):
-        ours.append(_cpu_ms(lambda: _stitch(board)) / frames)
-    # Only half the repetitions, because the paper's method takes many times longer.
+        ours.append(_cpu_ms(lambda: stitch_board(board)) / frames)
+    # Half the repetitions: the paper's method takes many times longer.
     for _ in range(max(repetitions // 2, 1)):
         theirs.append(_cpu_ms(lambda: _paper(board)) / frames)
     outcome = _paper(board)
@@ -108,7 +108,8 @@ def _measure(board: BenchmarkBoard, repetitions: int) -> SpeedFigures:
     )
 
 
-def _stitch(board: BenchmarkBoard) -> Stitch:
+def stitch_board(board: BenchmarkBoard) -> Stitch:
+    """Stitch a board, task by task, in this thread."""
     times_s = board.head.row_times_s()
     runner = TaskRunner(board.setup, lambda i, j: board.frames.get((i, j)))
     present = sorted(board.frames, key=lambda key: (key[1], key[0]))

@@ -36,6 +36,10 @@ def bench(
     growth: Annotated[
         bool, typer.Option("--growth", help="Measure time and memory over the length of the board.")
     ] = False,
+    storage: Annotated[
+        Path | None,
+        typer.Option(help="Measure what it costs to keep a run on the disk of this directory."),
+    ] = None,
     scenario: Annotated[
         str | None, typer.Option(help="With --station [paper] or --growth [small]: a shipped scenario, or a file.")
     ] = None,
@@ -50,14 +54,15 @@ def bench(
 ) -> None:
     """Measure stitching and rendering on frames in memory, in one thread, and compare with the paper's method.
 
-    With --marks, --links, --consistency, --station or --growth, measure marks, links, the predicted uncertainty, a
-    whole station, or the growth of time and memory instead.
+    With --marks, --links, --consistency, --station, --growth or --storage, measure marks, links, the predicted
+    uncertainty, a whole station, the growth of time and memory, or the cost of keeping runs instead.
     """
     from vaoi_station.files.documents import write_json
 
-    if marks + links + station + growth + (consistency is not None) > 1:
+    if marks + links + station + growth + (consistency is not None) + (storage is not None) > 1:
         raise InputError(
-            "--marks, --links, --consistency, --station and --growth exclude each other.", action="Give one of them."
+            "--marks, --links, --consistency, --station, --growth and --storage exclude each other.",
+            action="Give one of them.",
         )
     if plot is not None and not marks and not links and consistency is None:
         raise InputError("--plot needs --marks, --links or --consistency.", action="Add one of them, or omit --plot.")
@@ -71,6 +76,8 @@ def bench(
         document = _station(scenario or "paper", _numbers("--rates", rates), boards, workers, films, ring)
     elif growth:
         document = _growth(scenario or "small", tuple(int(n) for n in _numbers("--rows", rows)), films)
+    elif storage is not None:
+        document = _storage(case, storage)
     else:
         document = _stitching(case, repetitions)
     if json is not None:
@@ -82,6 +89,21 @@ def _stitching(case: Path | None, repetitions: int) -> dict[str, Any]:
     from vaoi_station.benchmarks.stitch_speed import measure_stitching
 
     figures = measure_stitching(board_from_recording(case) if case else board_from_twin(), repetitions)
+    for key, value in figures.document().items():
+        typer.echo(f"{key:28s} {value}")
+    return figures.document()
+
+
+def _storage(case: Path | None, directory: Path) -> dict[str, Any]:
+    from vaoi_station.benchmarks.benchmark_board import board_from_recording, board_from_twin
+    from vaoi_station.benchmarks.stitch_speed import stitch_board
+    from vaoi_station.benchmarks.storage_cost import measure_storage
+    from vaoi_station.files.results import stitch_text
+
+    if (directory / "bench.db").exists():
+        raise InputError(f"{directory / 'bench.db'}: exists.", action="Give an empty directory, or delete this file.")
+    board = board_from_recording(case) if case else board_from_twin()
+    figures = measure_storage(directory, stitch_text(stitch_board(board)), board.head.model_dump_json())
     for key, value in figures.document().items():
         typer.echo(f"{key:28s} {value}")
     return figures.document()
