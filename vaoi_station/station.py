@@ -32,6 +32,7 @@ from vaoi_station.runs.host.start_wait import StartWait
 from vaoi_station.runs.host.stop_request import StopRequest
 from vaoi_station.runs.host.supervisor import Supervisor
 from vaoi_station.runs.host.systemd import StatusNotice, notify, notify_watchdog
+from vaoi_station.runs.run.bay_grants import BayGrants
 from vaoi_station.runs.run.order import OrderFactory
 from vaoi_station.runs.run.reference_store import ReferenceStore
 from vaoi_station.runs.run.salvage import camera_heads
@@ -44,8 +45,8 @@ from vaoi_station.supervised_thread import SupervisedThread, ThreadFault
 
 _log = logging.getLogger(__name__)
 
-RETENTION_S, CHECK_S = 60.0, 0.2
-"""Periods of housekeeping, s: of the deletion of old runs, and of the check of a part of the database."""
+RETENTION_S, DOCUMENTS_S, CHECK_S = 60.0, 3600.0, 0.2
+"""Periods of housekeeping: deletion of old runs, of unused documents, and the check of a piece of the database."""
 GRACE_S = 10.0
 """Longest wait for unfinished runs to end when the station is stopped."""
 REPORT_S = 1.0
@@ -97,15 +98,13 @@ class Station:
             # Workers and the acquisition process open the ring by its path, so the ring must exist before they start.
             workers = WorkerPool(config.workers, ring.path)
             link = AcquisitionLink(self._launch or spawn_launcher(config, ring.path))
+            grants = BayGrants(ring, link)
             archive = Archive(store, events)
             watch = CalibrationWatch(store.checks, events, calibration, [c.name for c in config.cameras])
             cameras = calibration.cameras(camera_heads(config))
             shelf = ReferenceStore(config.data / REFERENCES, store, cameras)
             shelf.sweep()
-            housekeeping = Housekeeping(events)
-            housekeeping.add(Retention(config.keep, store.retention).sweep, RETENTION_S, code="retention")
-            housekeeping.add(lambda: store.configurations.store_again(utc()), RETENTION_S, code="retention")
-            housekeeping.add(DatabaseCheck(store.database).step, CHECK_S, code="database-damaged")
+            housekeeping = _housekeeping(config, store, events)
             board_types = BoardTypeDirectory(config.board_types)
             make_order = OrderFactory(
                 config.line, calibration, camera_heads(config), store, shelf, config.method, config.visibility
@@ -115,7 +114,7 @@ class Station:
             run_ids = RunIds(store.newest_run())
             supervisor = Supervisor(notify_watchdog, lambda faults: self._report(events, faults))
             coordinator = StationCoordinator(
-                Parts(config, ring, link, workers, archive, events, run_ids, watch, standing, resumed),
+                Parts(config, ring, grants, workers, archive, events, run_ids, watch, standing, resumed),
                 ring,
                 board_types,
                 make_order,
@@ -130,6 +129,9 @@ class Station:
             # thus receives the last reports of both.
             parts.callback(coordinator.close)
             coordinator.start()
+            # It blackens memory of the ring, which is closed last.
+            parts.callback(grants.stop)
+            grants.start()
             parts.callback(workers.stop)
             workers.start(coordinator.process_events)
             parts.callback(link.stop)
@@ -139,6 +141,7 @@ class Station:
             if ring.lock_note:
                 events.add("trouble", ring.lock_note, code="ring-not-locked")
             supervisor.watch(database.thread, coordinator.thread, workers.thread, link.thread, housekeeping.thread)
+            supervisor.watch(grants.thread)
             parts.callback(supervisor.stop)
             supervisor.start()
             self._supervisor = supervisor
@@ -180,6 +183,16 @@ class Station:
 
     def __exit__(self, *_: object) -> None:
         self.stop()
+
+
+def _housekeeping(config: StationConfig, store: Store, events: EventLog) -> Housekeeping:
+    """Return the thread that forgets old runs and documents, and checks the database."""
+    housekeeping, retention = Housekeeping(events), Retention(config.keep, store.retention)
+    housekeeping.add(retention.sweep, RETENTION_S, code="retention")
+    housekeeping.add(retention.forget_unused, DOCUMENTS_S, code="retention")
+    housekeeping.add(lambda: store.configurations.store_again(utc()), RETENTION_S, code="retention")
+    housekeeping.add(DatabaseCheck(store.database).step, CHECK_S, code="database-damaged")
+    return housekeeping
 
 
 def serve(config: StationConfig, port: int | None = None) -> None:

@@ -44,6 +44,7 @@ from vaoi_station.runs.control.acquisition_link import AcquisitionLink
 from vaoi_station.runs.control.calibration_watch import CalibrationWatch
 from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.runs.control.core import Parts
+from vaoi_station.runs.run.bay_grants import BayGrants
 from vaoi_station.runs.run.memory import Bay
 from vaoi_station.runs.run.order import OrderFactory
 from vaoi_station.runs.run.progress import Progress
@@ -368,9 +369,10 @@ def make_rig(tmp_path: Path, store: Store) -> Iterator[Callable[..., Rig]]:
         events = EventLog(store)
         archive, peer, workers = Archive(store, events), Peer(), ScriptedWorkers()
         link = AcquisitionLink(peer.launch)
+        grants = BayGrants(ring, link)
         watch = CalibrationWatch(store.checks, events, a_calibration(), [c.name for c in config.cameras])
         coordinator = StationCoordinator(
-            Parts(config, ring, link, workers, archive, events, RunIds(store.newest_run()), watch),
+            Parts(config, ring, grants, workers, archive, events, RunIds(store.newest_run()), watch),
             ring,
             BoardTypeDirectory(config.board_types),
             OrderFactory(config.line, a_calibration(), camera_heads(config), store, shelf),
@@ -379,6 +381,8 @@ def make_rig(tmp_path: Path, store: Store) -> Iterator[Callable[..., Rig]]:
         )
         ends.append(coordinator.close)
         coordinator.start()
+        ends.append(grants.stop)
+        grants.start()
         ends.append(lambda: end_link(link, peer))
         workers.start(coordinator.process_events)
         link.start(coordinator.process_events)

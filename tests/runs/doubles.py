@@ -17,6 +17,9 @@ class Acquisition:
     def send(self, command: messages.Command) -> None:
         self.commands.append(command)
 
+    def forget(self) -> None:
+        """Nothing waits here: commands are collected at once."""
+
     def taken(self) -> list[str]:
         """Return the kinds of the commands since the last call."""
         kinds = [type(command).__name__ for command in self.commands]
@@ -30,7 +33,7 @@ class CountingRing:
     def __init__(self) -> None:
         self.generation = 0
 
-    def claim(self, bay: int) -> int:
+    def renew(self, bay: int) -> int:
         self.generation += 1
         return self.generation
 

@@ -22,6 +22,9 @@ class Line:
     def send(self, command: messages.Command) -> None:
         self.sent.append(command)
 
+    def forget(self) -> None:
+        """Commands are taken at once, so none waits."""
+
 
 def restarted(rig: Any, resumed: Resumed | None) -> tuple[Core, Line]:
     parts, line = rig.coordinator._parts, Line()

@@ -24,7 +24,7 @@ class Claims:
     def __init__(self) -> None:
         self.generation = 0
 
-    def claim(self, bay: int) -> int:
+    def renew(self, bay: int) -> int:
         self.generation += 1
         return self.generation
 

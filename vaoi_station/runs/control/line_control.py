@@ -26,10 +26,13 @@ Completion = Future[None]
 
 
 class Acquisition(Protocol):
-    """The one method of the acquisition link that line control calls."""
+    """The methods by which line control commands the acquisition process."""
 
     def send(self, command: messages.Command) -> None:
         """Send a command to the acquisition process, without waiting for its effect."""
+
+    def forget(self) -> None:
+        """Give up the commands that were not sent yet, because the process has ended."""
 
 
 class LineControl:
@@ -197,7 +200,8 @@ class LineControl:
         self._send_disarm()
 
     def on_acquisition_ended(self, description: str) -> None:
-        """Take back all granted memory, since no process writes to it now, and refuse the waiting requests to arm."""
+        """Take back all granted memory, to which no process can write now, and refuse the waiting requests to arm."""
+        self._acquisition.forget()
         for run in self._granted:
             self._memory.free(run)
         self._granted.clear()

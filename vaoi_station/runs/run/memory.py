@@ -23,8 +23,8 @@ Use = Literal["free", "granted", "filming", "stitching", "finished"]
 class BayRing(Protocol):
     """The one method of the ring that is needed to assign bays."""
 
-    def claim(self, bay: int) -> int:
-        """Set all pixels of a bay to zero, and return the bay's new generation."""
+    def renew(self, bay: int) -> int:
+        """Raise the generation of a bay, and return it."""
 
 
 @dataclass(frozen=True)
@@ -68,9 +68,10 @@ class Memory:
                 action=self._remedy(),
                 code="ring-full",
             )
-        # The claim raises the bay's generation, by which readers of the evicted run detect that its pixels are gone.
+        # The generation is raised, by which readers of the evicted run detect that its pixels are gone. They are set to
+        # zero by `BayGrants`, not in this thread.
         evicted = bay.run
-        granted = Bay(bay.number, "granted", run, self._ring.claim(bay.number))
+        granted = Bay(bay.number, "granted", run, self._ring.renew(bay.number))
         self._bays[bay.number] = granted
         return GrantedBay(granted, evicted)
 
