@@ -278,7 +278,8 @@ class KeepConfig(Section):
     run_days: Positive = 400.0
     """Age in days beyond which no data of a run are kept."""
     database_gb: Annotated[Positive, Field(ge=0.05)] = 16.0
-    """Size of the database, in 10^9 bytes, above which the oldest runs are forgotten before their time."""
+    """Size of the database, in 10^9 bytes, above which the oldest runs are deleted although other limits still keep
+    them."""
     recordings_gb: NotNegative = 20.0
     """Size of the kept recordings of failed, degraded and pinned runs, in 10^9 bytes; 0 keeps none."""
     recordings_of_failed: bool = True

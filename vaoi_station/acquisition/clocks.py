@@ -46,9 +46,9 @@ class ClockJump:
     size_s: float
     """Size of the jump, s; positive if the device's clock shows more than it should."""
     since_s: float
-    """Earliest host time of the last reading before the jump."""
+    """Earliest possible host time of the last reading before the jump, s."""
     until_s: float
-    """Latest host time of the first reading after it."""
+    """Latest possible host time of the first reading after the jump, s."""
 
     def __str__(self) -> str:
         return f"its clock jumped by {self.size_s:+.2f} s"

@@ -31,7 +31,7 @@ _TILT_RAD = math.radians(2.0)
 SHAPE, RADIAL = slice(4, 8), 8
 """Positions of stretch and perspective, and of radial distortion, in the basis of `geometry.camera_error`."""
 _GRID = np.stack(np.meshgrid(np.linspace(-0.8, 0.8, 9), np.linspace(-0.6, 0.6, 7)), -1).reshape(-1, 2)
-"""Points of a frame of 4 : 3, normalised, at which displacement fields are compared with the basis."""
+"""Points of a frame of 4 : 3, normalised, at which the basis of `geometry.camera_error` is fitted to displacements."""
 _TO_BASIS = np.linalg.pinv(basis_fields(_GRID).reshape(-1, FIELDS))
 
 
@@ -64,7 +64,7 @@ class CameraPrior:
 
     @property
     def grid_px(self) -> Floats:
-        """Points (k, 2) of the frame at which displacement fields are compared with the basis."""
+        """Points (k, 2) of the frame at which the basis of `geometry.camera_error` is fitted to displacements."""
         return _GRID * self.radius_px + self.center_px
 
     def sigma_px(self, order: int) -> Floats:

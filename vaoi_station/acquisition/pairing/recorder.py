@@ -25,7 +25,7 @@ from vaoi_station.acquisition.pairing.run_record import ObservedFrame, ObservedP
 from vaoi_station.model import FrameRecord, Pulse, Verdict
 
 MAX_UNASSIGNED = 256
-"""Count of unassigned frames kept per camera; the proofs of runs near them in time use them."""
+"""Count of unassigned frames kept per camera. The proof of a run uses those from shortly before to shortly after it."""
 STAMP_JITTER_S = 5e-5
 """Largest error of a time stamp itself, s; real jitter is about 10 µs."""
 MAX_FINISHED = 4

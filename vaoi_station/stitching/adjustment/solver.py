@@ -186,7 +186,7 @@ class _Solver:
         self.steps = 0
 
     def _bare(self, of_kind: NDArray[np.bool_]) -> Ints:
-        """Return indices of the links of a kind that lie on the bare board; links near components only if needed."""
+        """Return indices of the links of a kind on the bare board; near components only if the others are too few."""
         bare = (self.problem.component < 0) & of_kind
         surely = np.flatnonzero(bare & ~self.raised)
         return surely if len(surely) >= _FLOOR_MIN_LINKS else np.flatnonzero(bare)

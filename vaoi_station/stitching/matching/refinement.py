@@ -366,7 +366,7 @@ def _sharp(
 ) -> tuple[float, float, float, float, float, float, float]:
     """Return the sums of s, s·t, s·gx, s·gy, s·s, s·t·x, s·t·y for the window s at (x, y) of a tile of image b.
 
-    As `_bilinear`, but the window is interpolated by the sinc of six points. `lines` is a buffer for its lines.
+    The window is interpolated by the sinc of six points. `lines` is a buffer for the lines of the window.
     """
     t, gx, gy, tx, ty = patch
     x0, y0, p = int(x), int(y), PITCH_PX

@@ -29,7 +29,9 @@ from vaoi_station.stitching.matching.scene import Scene
 from vaoi_station.stitching.matching.static_texture import STATIC_PX, shows_patches, static_corners
 
 _AGREE_MM = 0.5
-"""Largest distance from the median at which links of two rows agree. Turns, and components that lean, cause it."""
+"""Largest distance from the median at which links of two rows agree, mm.
+
+Turns of the board, and components that lean, displace correct links from the median."""
 _CERTAIN, _SHARE = 24, 0.4
 """Number of agreeing links, and their share of the tried corners, from which on a motion is certain."""
 _FEW, _MOST = 8, 0.6

@@ -125,9 +125,9 @@ class _Evidence(NamedTuple):
 
     @property
     def brighter(self) -> tuple[int, float]:
-        """The camera (0: left, 1: right) that shows the overlap brighter, and by which factor.
+        """Which camera (0: left, 1: right) shows the overlap brighter, and by which factor, at least 1.
 
-        The factor is the smaller of the ratio in the overlap and that in the whole frame, and at least 1.
+        If the ratio of the brightness of the whole frames is smaller than that in the overlap, it is the factor.
         """
         over, frame = np.array(self.mean.brightness) + 1, np.array(self.mean.frame_brightness) + 1
         k = int(over.argmax())

@@ -229,7 +229,7 @@ class PointArrays(NamedTuple):
     """n points of a board type, as arrays for the compiled function."""
 
     flat: Floats
-    """(n, 2) flat CAD coordinates of the points."""
+    """(n, 2) flat coordinates of the points: CAD coordinates, with y negated if C mirrors."""
     basis: Floats
     """(n, f) values of the surface's basis functions."""
 

@@ -44,7 +44,8 @@ class Timebase:
         return ClockReading(self._at(reading.device_s), reading.host_s, reading.bound_s)
 
     def time_s(self, tick: int, near_host_s: float) -> float:
-        """Return the time on the time axis, for a tick that occurred within 17 minutes of a host time."""
+        """Return the time, s, on the one time axis across all resets, for a tick that occurred within 17 minutes of a
+        host time."""
         return self._at(self._clock.device_s(tick, near_host_s))
 
     def drift_ppm(self) -> float:
