@@ -20,13 +20,17 @@ from vaoi_station.errors import InputError
 
 HW = SOURCE.parents[1]
 CIRCUIT = read_circuit()
-FIGURES = all_figures(CIRCUIT, Firmware.read())
-MADE = made(CIRCUIT)
 
 
-@pytest.mark.parametrize("path", MADE, ids=lambda path: path.name)
-def test_what_is_drawn_is_what_the_circuit_says(path: Path) -> None:
-    assert path.read_text(encoding="utf-8") == MADE[path], "run: python -m hw.wiring"
+@pytest.fixture(scope="module")
+def drawn() -> dict[Path, str]:
+    """Every generated file; not made when the module is imported, which every test process does."""
+    return made(CIRCUIT)
+
+
+def test_what_is_drawn_is_what_the_circuit_says(drawn: dict[Path, str]) -> None:
+    differing = [path.name for path, content in drawn.items() if path.read_text(encoding="utf-8") != content]
+    assert differing == [], "run: python -m hw.wiring"
 
 
 # ── pins ──
@@ -127,11 +131,10 @@ def test_the_bill_counts_every_copy() -> None:
 # ── figures ──
 
 
-@pytest.mark.parametrize(
-    "figure", [f for figures in FIGURES.values() for f in figures if f.relation], ids=lambda f: f.name
-)
-def test_every_figure_keeps_its_limit(figure: Figure) -> None:
-    assert figure.ok, figure
+def test_every_figure_keeps_its_limit() -> None:
+    limited = [f for figures in all_figures(CIRCUIT, Firmware.read()).values() for f in figures if f.relation]
+    assert len(limited) > 20
+    assert [f for f in limited if not f.ok] == []
 
 
 def figure(name: str, start: str, firmware: Firmware | None = None, circuit: Circuit = CIRCUIT) -> Figure:
@@ -187,13 +190,13 @@ def test_more_duty_in_the_firmware_breaks_over_driving() -> None:
     assert not figure("current", "duty", Firmware((1e-3, 1e-3, 5e-4, 5e-4), 0.125)).ok
 
 
-def test_another_value_in_the_source_changes_drawing_bill_and_figures(tmp_path: Path) -> None:
+def test_another_value_in_the_source_changes_drawing_bill_and_figures(tmp_path: Path, drawn: dict[Path, str]) -> None:
     source = tmp_path / "circuit.toml"
     text = SOURCE.read_text(encoding="utf-8")
     source.write_text(text.replace("value = 0.27", "value = 0.22").replace("0.27 Ω", "0.22 Ω"))
     changed = read_circuit(source)
     assert not figure("current", "pulse, most", circuit=changed).ok
-    differing = {path.name for path, content in made(changed).items() if content != MADE[path]}
+    differing = {path.name for path, content in made(changed).items() if content != drawn[path]}
     assert differing == {"sink.svg", "bill-of-materials.csv", "wiring.md"}
 
 
