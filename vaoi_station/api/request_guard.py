@@ -125,7 +125,7 @@ class RequestGuard:
             await self._with_body(scope, receive, send)
 
     async def _stream(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request for the event stream on. That its reader has gone is no fault of the station."""
+        """Pass a request for the event stream on. Ignore the error that is raised when its reader has gone."""
         try:
             await self._app(scope, receive, send)
         # FastAPI's stream ends so if messages waited for a reader that has disconnected.

@@ -16,7 +16,7 @@ from vaoi_station.files.documents import write_bytes
 Image = NDArray[Any]
 _PNG = b"\x89PNG\r\n\x1a\n"
 _DECODED = (_PNG, b"II*\0", b"MM\0*", b"\xff\xd8\xff")
-"""First bytes of PNG, TIFF and JPEG. OpenCV goes by content, not by the name of a file: without this list a file of
+"""First bytes of PNG, TIFF and JPEG. OpenCV selects a decoder by content, not by name: without this list a file of
 another origin could reach the decoders of all its other formats."""
 # For a damaged file, OpenCV writes a warning to stderr, in addition to the refusal by this module. The level of such
 # warnings applies to the whole process. It is set only once, because threads that change it would disturb one another.

@@ -80,9 +80,9 @@ class Database:
         earlier = earlier_notices(path)
         readers, notice = self._open()
         self.notices: tuple[StorageTrouble, ...] = earlier if notice is None else (*earlier, notice)
-        """What lost or moved data, and was not cleared away since: damaged, deleted, replaced."""
+        """Notices that the database was damaged, deleted or replaced; each stays until its file is cleared away."""
         self.history_unread = is_empty(readers[0])
-        """Whether the station began without a database, because the disk was full: one may turn up later."""
+        """Whether the station began without a database because the disk was full; an older one may appear later."""
         self._watch = FileWatch(path)
         self._readers: SimpleQueue[sqlite3.Connection | None] = SimpleQueue()
         for reader in readers:

@@ -102,7 +102,7 @@ def set_aside(path: Path, why: str) -> StorageTrouble:
 
 
 def unused_name(path: Path, what: str) -> Path:
-    """Return a path beside the database for what was set aside now; `what` is damaged, replaced or deleted."""
+    """Return an unused path beside the database for a file to set aside; `what` is damaged, replaced or deleted."""
     # The time is only a part of a name here; a second set of files within the same second gets a number.
     stem = f"{path.name}.{what}-{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}"
     return next(p for n in range(1000) if not (p := path.with_name(stem if n == 0 else f"{stem}-{n}")).exists())

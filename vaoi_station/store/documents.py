@@ -84,7 +84,7 @@ class Store:
 
     @property
     def history_unread(self) -> bool:
-        """Whether the station began without a database, because the disk was full: one may turn up later."""
+        """Whether the station began without a database because the disk was full; an older one may appear later."""
         return self._database.history_unread
 
     @property

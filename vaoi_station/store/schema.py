@@ -116,7 +116,7 @@ STEPS: tuple[tuple[str, ...], ...] = (
 )
 VERSION = len(STEPS)
 PACKED = "packed"
-"""In place of a text: the text is in the packed column beside it."""
+"""Value of a text column whose text is stored, compressed, in the column beside it."""
 _SMALLEST = 500
 """Shortest text that is packed, in characters."""
 _LEVEL = 6
@@ -124,12 +124,14 @@ _LEVEL = 6
 
 
 def packed(text: str) -> tuple[str, bytes | None]:
-    """Return a text as the values of its column and of its packed column."""
+    """Return the values with which a text is stored: that of its text column, and that of the column beside it.
+
+    A long text is compressed. Its text column then holds `PACKED`, and the other column the compressed text."""
     return (text, None) if len(text) < _SMALLEST else (PACKED, zlib.compress(text.encode(), _LEVEL))
 
 
 def unpacked(text: str, content: bytes | None) -> str:
-    """Return a text from the values of its two columns. Raise DatabaseError if it is damaged."""
+    """Return a text from the two values that `packed` returned for it. Raise DatabaseError if it is damaged."""
     if content is None:
         return text
     try:

@@ -56,7 +56,7 @@ class StorageTrouble:
     message: str
     action: str = ""
     kept: Path | None = None
-    """File that holds what was set aside. While it exists, the warning about it stays, also after a restart."""
+    """File with the data that were set aside. While it exists, the warning about it stays, also after a restart."""
 
     def error(self) -> DeviceError:
         """Return the trouble as an error for a caller."""
@@ -87,7 +87,7 @@ def trouble_of(error: BaseException, path: Path) -> StorageTrouble | None:
 
 
 def _refined(code: str, path: Path) -> str:
-    """Return what keeps a file from being used, where the error itself does not show it."""
+    """Return the code of the cause that prevents the use of a file, also where the error itself does not show it."""
     if code != UNAVAILABLE:
         return code
     # SQLite reports "disk I/O error" where a full disk has no page for its shared memory, and "unable to open database

@@ -73,7 +73,7 @@ class AccessControl:
         return None
 
     def _still_known(self, caller: Caller) -> bool:
-        """Return whether the key of a caller is the same as when its request began; answers may last for hours."""
+        """Return whether the key of a caller is the same as when its request began; a reply may last for hours."""
         try:
             return caller.access_key is None or caller.access_key in self.keys.entries()
         except VaoiError:

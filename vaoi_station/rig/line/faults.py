@@ -119,7 +119,7 @@ def with_belt_faults(scenario: Scenario, faults: Sequence[Fault]) -> Scenario:
 
 
 def followers(faults: Sequence[Fault]) -> int:
-    """Return how many boards directly follow others by a fault; for these, no frames are rendered."""
+    """Return the number of boards that directly follow another one because of a fault; they have no frames."""
     return sum(f.count for f in faults if f.kind == "follow")
 
 

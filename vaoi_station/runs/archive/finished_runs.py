@@ -111,7 +111,7 @@ class Archive:
         self._finished = int(time.time()) if store.history_unread else last.finish_number or 0 if last else 0
         """Highest finish number that was given to a run. That run may not have been announced yet."""
         self._before = self._finished
-        """Highest finish number of earlier starts, whose frames are gone whatever the database says."""
+        """Highest finish number before this start. Frames of runs up to it are gone, whatever the database states."""
         self._announced = self._finished
         self._closed = False
         self._close_unfinished()

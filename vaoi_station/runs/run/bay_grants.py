@@ -18,21 +18,21 @@ from vaoi_station.supervised_thread import SupervisedThread
 
 
 class Blackening(Protocol):
-    """The method of the ring that is needed here."""
+    """The one method of the ring that `BayGrants` calls."""
 
     def blacken(self, bay: int) -> None:
         """Set all pixels of a bay to zero."""
 
 
 class Commands(Protocol):
-    """The method of the link to the acquisition process that is needed here."""
+    """The one method of the link to the acquisition process that `BayGrants` calls."""
 
     def send(self, command: messages.Command) -> None:
         """Send a command to the acquisition process, without waiting for its effect."""
 
 
 class BayGrants:
-    """Passes commands to the acquisition process, and blackens each bay before its grant. For any thread."""
+    """Passes commands to the acquisition process, and blackens each bay before its grant. Usable from any thread."""
 
     def __init__(self, ring: Blackening, link: Commands) -> None:
         self._ring, self._link = ring, link

@@ -10,7 +10,7 @@ from vaoi_station.acquisition.process.messages import PermitBoard
 from vaoi_station.runs.states.schemas import Reason
 
 VALID_S = 1.0
-"""Time for which a permit is valid after the coordinator gave or renewed it, s: so late may the output fall at most."""
+"""Time for which a permit is valid after it was given or renewed, s. At the latest then, the output falls."""
 RENEW_S = 0.25
 """Shortest time between two renewals, s."""
 _LARGEST = 0xFFFF

@@ -159,9 +159,9 @@ class LineOutputStatus(Schema):
     """The controller's output "line ready" at the last heartbeat of the acquisition process."""
 
     high: bool
-    """Whether it lets a conveyor bring the next board."""
+    """Whether the output lets a conveyor bring the next board."""
     why: str = ""
-    """Why it is low."""
+    """Why the output is low; empty if it is high."""
 
 
 class StationSnapshot(Schema):

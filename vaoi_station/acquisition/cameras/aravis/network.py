@@ -145,7 +145,7 @@ def interface_of(local_address: str) -> str:
 
 
 def route_trouble(address: str) -> str:
-    """Return what is wrong with the way from this computer to an IP address; empty if nothing is, or for a USB id."""
+    """Return what is wrong with the route from here to an IP address; empty if it is sound, or for a USB id."""
     try:
         wanted = _as_int(socket.inet_aton(address))
     except OSError:

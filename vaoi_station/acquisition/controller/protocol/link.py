@@ -110,7 +110,7 @@ class Link:
         self.permit: Permit | None = None
         """Permission for the next board, renewed while it is valid; None: boards are held back."""
         self.ready_longest_ms = 0
-        """How long one READY is valid at most; 0: the controller has no output "line ready", and READY is not sent."""
+        """Longest time, ms, for which one READY is valid. 0 without an output "line ready": READY is not sent."""
         self.retries = 0
         self.unmatched = 0
         """Count of messages that match no pending request."""
@@ -131,7 +131,7 @@ class Link:
         self._permit_number = 0
         """Number of the latest permit."""
         self._stated: int | None = None
-        """Number of the permit that the controller has; None: none."""
+        """Number of the permit that the controller has; None if it has no permit."""
         self._yielding = False
         """Whether the link's last own request was given up. A queued request is then sent before the link's next own
         one."""
@@ -325,7 +325,7 @@ class Link:
         return []
 
     def _note_stated(self, request: Request) -> None:
-        """Note what READY has stated. A refused one counts too: it is repeated at the interval of renewals only."""
+        """Record the permit that READY has stated, even if READY was refused: it is then repeated only at renewals."""
         if request.type == Type.READY:
             number, hold_ms = request.payload[:2], request.payload[2:]
             self._stated = int.from_bytes(number, "little") if any(hold_ms) else None

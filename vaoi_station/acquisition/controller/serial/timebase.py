@@ -10,7 +10,7 @@ from vaoi_station.acquisition.clocks import ClockReading
 from vaoi_station.acquisition.controller.protocol.clock import TickClock
 
 BOOT_SPACING_S = 3600.0
-"""Time on the axis between the end of one boot and the beginning of the next."""
+"""Time, s, between the end of one boot and the beginning of the next, on the time axis that covers all boots."""
 BITS_PER_BYTE = 10
 """Bits on the serial line for one byte: one start bit, eight data bits, one stop bit."""
 REQUEST_BYTES = 10
