@@ -34,6 +34,9 @@ from vaoi_station.errors import DeviceError, StateError
 
 ROOT = Path(__file__).resolve().parents[2]
 
+PIN = "PC0"
+"""The output "line ready"."""
+
 
 @contextmanager
 def armed_process(chip: PacedChip) -> Iterator[tuple[subprocess.Popen[str], Iterator[str]]]:
@@ -298,3 +301,14 @@ def test_arming_and_disarming_again_and_again(host: Host) -> None:
     host.controller.arm(PLAN)
     assert len(host.run()) == 6
     assert not host.fault_codes()
+
+
+def test_a_host_that_is_killed_lowers_line_ready_within_a_second(paced: PacedChip) -> None:
+    """By the chip's clock: the last permit was sent before the kill, and is valid for one second at most."""
+    with armed_process(paced) as (process, _):
+        paced.wait(lambda: (PIN, 1) in [edge[1:] for edge in paced.edges])
+        process.kill()
+        process.wait()
+        killed = paced.do("pin PD2 0")
+        paced.wait(lambda: paced.edges[-1][1:] == (PIN, 0))
+    assert paced.edges[-1][0] - killed < 1.01 * HZ

@@ -130,6 +130,34 @@ def test_full_ring_loses_no_frame_that_was_taken(coordinator: StationCoordinator
         coordinator.end_hold(run, "tester")
 
 
+def test_a_full_memory_holds_boards_back_and_none_is_missed(
+    twin_config: StationConfig,
+    run_station: Callable[[StationConfig], StationCoordinator],
+    wait_state: Callable[[StationCoordinator, str], None],
+) -> None:
+    """Without the interlock a board is missed here, as above."""
+    controller = twin_config.controller.model_copy(update={"interlock": "on"})
+    coordinator = run_station(twin_config.model_copy(update={"controller": controller}))
+    coordinator.arm("small")
+    last, runs = None, []
+    while len(runs) < 3:
+        found = coordinator.next_run(last, TIMEOUT_S)
+        assert found is not None
+        last = found.id
+        coordinator.hold(last, "tester", "AOI")
+        runs.append(last)
+    wait_state(coordinator, "blocked")
+    snapshot = coordinator.snapshot()
+    assert [reason.code for reason in snapshot.line_held] == ["ring-full"]
+    # A board every 0.5 s, so more than one would have come by now.
+    assert coordinator.next_run(last, 1.5) is None
+    assert coordinator.snapshot().boards_missed == 0
+    coordinator.end_hold(runs[0], "tester")
+    following = coordinator.next_run(last, TIMEOUT_S)
+    assert following is not None
+    assert coordinator.snapshot().boards_missed == 0
+
+
 def test_no_process_or_ring_remains_after_the_stop(replay_config: Callable[..., StationConfig]) -> None:
     config = replay_config(pace="original", pause_s=0.1)
     with Station(config) as station:

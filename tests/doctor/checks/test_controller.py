@@ -112,3 +112,8 @@ def test_clock_bound_is_judged_by_the_trigger_period(bound_s: float, period_s: f
         assert_problem(finding, Level.FAULT, words)
     else:
         assert finding.level is Level.OK
+
+
+def test_an_interlock_needs_firmware_with_its_output() -> None:
+    assert controller.judge_interlock(replace(IDENT, ready_longest_ms=1000)).level is Level.OK
+    assert controller.judge_interlock(replace(IDENT, ready_longest_ms=0)).level is Level.FAULT

@@ -17,11 +17,20 @@ def doctor(
     key_file: KEY_FILE = None,
     ca: CA = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON document.")] = False,
+    toggle_line_ready: Annotated[
+        bool, typer.Option(help="Switch the output 'line ready' three times instead: stop the conveyor first.")
+    ] = False,
 ) -> None:
-    """Check machine, files and devices, and propose an action for each problem. Nothing is changed.
+    """Check machine, files and devices, and propose an action for each problem.
 
-    The exit code is 0 without problems, 1 with warnings, 2 with faults.
+    Nothing is changed, except by --toggle-line-ready. Exit code: 0 without problems, 1 with warnings, 2 with faults.
     """
+    if toggle_line_ready:
+        from vaoi_station.config import read_config
+        from vaoi_station.doctor.line_output import toggle_line_output
+
+        toggle_line_output(read_config(config).controller, typer.echo)
+        return
     from vaoi_station.doctor import run_checks
     from vaoi_station.doctor.text_report import as_text
 

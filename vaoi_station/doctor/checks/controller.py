@@ -29,7 +29,7 @@ from vaoi_station.acquisition.controller.protocol.messages import (
     Type,
     number_request,
 )
-from vaoi_station.acquisition.controller.protocol.refusals import check_ident
+from vaoi_station.acquisition.controller.protocol.refusals import check_ident, check_interlock
 from vaoi_station.acquisition.controller.serial.device_program import make_program
 from vaoi_station.acquisition.controller.serial.exchange import Exchange
 from vaoi_station.acquisition.controller.serial.port import Port, Waker
@@ -77,6 +77,8 @@ def controller(context: CheckContext) -> Iterator[Finding]:
         return
     yield judge_firmware(reply.ident)
     yield judge_limits(reply.ident, context.config)
+    if settings.interlock == "on":
+        yield judge_interlock(reply.ident)
     yield judge_status(reply.status)
     yield judge_clock(reply.readings, context.config.line.trigger_period_s)
 
@@ -171,6 +173,16 @@ def judge_limits(ident: Ident, config: StationConfig) -> Finding:
     message = f"longest pulses {shown} µs, lit at most 1/{1 << ident.led_duty_shift} of the time"
     lights = "the lights of station.toml respect them" if config.controller.lights else "no lights are configured"
     return ok(f"{message}; {lights}", subject="limits", figures=figures)
+
+
+def judge_interlock(ident: Ident) -> Finding:
+    """Check that the firmware has the output "line ready", which station.toml demands."""
+    try:
+        check_interlock(ident)
+    except DeviceError as error:
+        return fault(error.message, error.action, subject="interlock")
+    message = f"the output 'line ready' falls at most {ident.ready_longest_ms} ms after the station is gone"
+    return ok(message, subject="interlock", figures={"ready_longest_ms": ident.ready_longest_ms})
 
 
 def judge_status(status: Status) -> Finding:

@@ -113,10 +113,14 @@ class FakeFirmware:
                 reply = self._events[int.from_bytes(payload, "little")].pack()
         return reply
 
+    def _is_high(self) -> bool:
+        test, held = (not any(p) for p in (self.permits[-1][:2], self.permits[-1][2:])) if self.permits else (0, 1)
+        return not held and self.state is (State.IDLE if test else State.ARMED)
+
     def _status(self) -> bytes:
         return replace(
             Status.unpack(bytes(44)),
-            ready=self.state is State.ARMED and bool(self.permits) and any(self.permits[-1][2:]),
+            ready=self._is_high(),
             hold=Hold.STATE if self.state is not State.ARMED else Hold.HOST,
             state=self.state,
             run=self.run,
