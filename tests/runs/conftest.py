@@ -76,9 +76,7 @@ def a_calibration(cameras: int = 2) -> Calibration:
     )
 
 
-def a_config(
-    directory: Path, runs: int = 3, cameras: int = 2, keep_s: float = 0.0, interlock: str = "off"
-) -> StationConfig:
+def a_config(directory: Path, runs: int = 3, cameras: int = 2, keep_s: float = 0.0, lock: str = "off") -> StationConfig:
     (directory / "ring").mkdir(exist_ok=True)
     config = StationConfig(
         name="test",
@@ -94,14 +92,11 @@ def a_config(
             CameraConfig(name=f"c{i}", backend="replay", width=WIDTH, height=HEIGHT, exposure_us=100.0)
             for i in range(cameras)
         ),
-        controller={"backend": "replay"},
-        replay=ReplayConfig(recordings=(directory,)),
+        controller={"backend": "replay"}, replay=ReplayConfig(recordings=(directory,)),
         # 0 is shorter than station.toml allows: boards of a test follow one another within milliseconds.
         ring=RingConfig(directory=directory / "ring", runs=runs).model_copy(update={"keep_s": keep_s}),
     )  # fmt: skip
-    # A real replay has no outputs; here a test plays the acquisition process.
-    controller = config.controller.model_copy(update={"interlock": interlock})
-    return config.model_copy(update={"controller": controller})
+    return config.model_copy(update={"controller": config.controller.model_copy(update={"interlock": lock})})
 
 
 def a_head(rows: int, missing: tuple[tuple[int, int], ...] = ()) -> RecordingHead:

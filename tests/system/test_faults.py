@@ -139,7 +139,8 @@ def test_a_full_memory_holds_boards_back_and_none_is_missed(
     controller = twin_config.controller.model_copy(update={"interlock": "on"})
     coordinator = run_station(twin_config.model_copy(update={"controller": controller}))
     coordinator.arm("small")
-    last, runs = None, []
+    last: str | None = None
+    runs: list[str] = []
     while len(runs) < 3:
         found = coordinator.next_run(last, TIMEOUT_S)
         assert found is not None

@@ -1,4 +1,4 @@
-"""Switch the controller's output "line ready" high and low, for a look at the wiring during bring-up."""
+"""Switch the controller's output "line ready" high and low, so that its wiring can be measured during bring-up."""
 
 from __future__ import annotations
 

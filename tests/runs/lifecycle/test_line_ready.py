@@ -24,7 +24,7 @@ def devices(*cameras: CameraHealth, **more: Any) -> messages.Health:
 @pytest.fixture
 def line(make_rig: Callable[..., Any]) -> Any:
     """An armed station with an interlock; the process has reported its devices."""
-    rig = make_rig(interlock="on")
+    rig = make_rig(lock="on")
     rig.ready()
     rig.peer.report(devices())
     rig.wait_for(lambda: rig.coordinator.snapshot().all_cameras_ready, "the devices")
@@ -86,7 +86,7 @@ def test_a_lost_device_withdraws_the_permit_and_is_published(line: Any, report: 
 
 
 def test_an_order_that_accepts_lost_cameras_is_permitted(make_rig: Callable[..., Any]) -> None:
-    rig = make_rig(interlock="on")
+    rig = make_rig(lock="on")
     rig.ready()
     rig.peer.report(devices(FINE, CameraHealth(False, "cable pulled")))
     rig.wait_for(lambda: len(rig.coordinator.snapshot().reasons) == 1, "the lost camera")
