@@ -220,7 +220,9 @@ def serve(config: StationConfig, port: int | None = None) -> None:
         parts.callback(station.stop)
         if not keys.entries() and not (api.open_loopback and api.host in ("127.0.0.1", "::1", "localhost")):
             _log.warning("there is no key yet, so callers from outside are refused; make one with vaoi keys create")
-        access = AccessControl(keys, AuditLog(config.data / AUDIT_FILE), open_loopback=api.open_loopback)
+        audit = AuditLog(config.data / AUDIT_FILE)
+        parts.callback(audit.close)  # what was noted last is written before the process ends
+        access = AccessControl(keys, audit, open_loopback=api.open_loopback)
         web = WebServer(create_app(station.coordinator, names, access), socket_, stop.request, tls=tls)
         web.start()
         station.watch(web.thread)
@@ -231,6 +233,7 @@ def serve(config: StationConfig, port: int | None = None) -> None:
         station.wind_down()
         web.stop()
         web.check()
+    web.end_process_if_left()
 
 
 def _started(config: StationConfig) -> Station:

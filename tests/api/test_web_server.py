@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import socket
 import ssl
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import suppress
@@ -114,3 +116,36 @@ def _trusts(context: ssl.SSLContext, address: str) -> bool:
         return httpx2.get(address, verify=context, timeout=20).is_success
     except httpx2.ConnectError:
         return False
+
+
+LEFT = """
+import os, threading, time
+from fastapi import FastAPI
+import httpx2
+from vaoi_station.api import web_server
+from vaoi_station.api.web_server import WebServer, open_listener
+
+web_server.HTTP_GRACE_S = 0.1
+app, begun = FastAPI(), threading.Event()
+
+@app.get("/")
+def never_ends():
+    begun.set()
+    threading.Event().wait()
+
+listener = open_listener("127.0.0.1", 0, "test")
+server = WebServer(app, listener, lambda: None)
+server.start()
+threading.Thread(target=httpx2.get, args=(server.address,), daemon=True).start()
+begun.wait()
+server.stop()
+print("stopped", flush=True)
+server.end_process_if_left()
+os._exit(7)
+"""
+
+
+def test_a_request_that_does_not_end_does_not_abort_the_process_at_its_end() -> None:
+    done = subprocess.run([sys.executable, "-c", LEFT], capture_output=True, text=True, timeout=100, check=False)
+    assert (done.returncode, done.stdout) == (0, "stopped\n"), done.stderr
+    assert "did not end within 0.2 s" in done.stderr

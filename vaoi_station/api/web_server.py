@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import logging
+import os
 import socket
 from collections.abc import Callable
 
@@ -41,7 +42,7 @@ class WebServer:
         # Imported here: uvicorn takes long to load, and most commands do not serve.
         from vaoi_station.api.listener.server import LimitedServer
 
-        self._listener, self._ended = listener, ended
+        self._listener, self._ended, self._grace_s = listener, ended, 2 * HTTP_GRACE_S
         self._stop_requested = self._failed = False
         self.thread = SupervisedThread(self._run, "api", LOOP_LIMIT_S)
         limits = limits or ConnectionLimits.of_this_process()
@@ -64,7 +65,20 @@ class WebServer:
         self._stop_requested = True
         self.thread.expect_end()
         self._server.should_exit = True
-        self.thread.join(2 * HTTP_GRACE_S)
+        self.thread.join(self._grace_s)
+
+    def end_process_if_left(self) -> None:
+        """End this process with code 0 if requests did not end in time after `stop`; else return.
+
+        The last call of a process: at its end Python would end their threads within compiled code of a library, which
+        aborts the process (SIGABRT), so that systemd counts an orderly stop as a failure.
+        """
+        if self._stop_requested and self.thread.is_alive():
+            _log.warning(
+                "requests did not end within %g s after the stop; the process ends without them", self._grace_s
+            )
+            logging.shutdown()
+            os._exit(0)
 
     def check(self) -> None:
         """Raise InternalError if the server ended without a call of `stop`."""
