@@ -63,6 +63,7 @@ class Camera:
         """Makes from the packets that a client asks for again those that are sent."""
         self.resend_requests = 0
         self._sent: list[bytes] = []
+        self._sending = threading.Lock()
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.bind((address, CONTROL_PORT))
         self._data = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -126,8 +127,10 @@ class Camera:
         packets = self.stream.frame(
             pixels + bytes(CHUNK_BYTES * chunks), number, time_ns, IMAGE | CHUNKS if chunks else IMAGE
         )
-        self._sent = packets
-        self.send(script(packets))
+        # Packets are sent again only after the frame, as a camera does it between two frames.
+        with self._sending:
+            self._sent = packets
+            self.send(script(packets))
         return number
 
     def send(self, packets: Sequence[bytes]) -> None:
@@ -182,7 +185,8 @@ class Camera:
     def _send_again(self, content: bytes, extended: bool) -> None:
         first, last = (n & (0xFFFFFFFF if extended else 0xFFFFFF) for n in struct.unpack_from(">II", content, 4))
         self.resend_requests += last - first + 1
-        self.send(self.resend(self._sent[first : last + 1]))
+        with self._sending:
+            self.send(self.resend(self._sent[first : last + 1]))
 
     def _read(self, at: int, count: int) -> bytes:
         return bytes(self._memory[at : at + count]).ljust(count, b"\0")
