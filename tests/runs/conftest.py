@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -13,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.runs.peer import PATIENCE_S, Peer
+from tests.runs.peer import PATIENCE_S, Peer, end_link
 from vaoi_station.acquisition.pairing.doubts import doubts_of
 from vaoi_station.acquisition.pairing.proof import TriggerProof
 from vaoi_station.acquisition.pairing.run_record import Interruption
@@ -297,14 +296,6 @@ class Rig:
     def result_of(self, run: str) -> Any:
         self.wait_for(lambda: (latest := self.coordinator.latest()) is not None and latest.id >= run, f"{run} to end")
         return self.coordinator.run(run)
-
-
-def end_link(link: AcquisitionLink, peer: Peer) -> None:
-    """Stop a link whose scripted process does not read Shutdown: it ends when it is closed."""
-    ending = threading.Thread(target=link.stop, args=(PATIENCE_S,))
-    ending.start()
-    peer.close()
-    ending.join()
 
 
 @pytest.fixture(autouse=True)

@@ -8,7 +8,7 @@ from multiprocessing.connection import Connection
 from typing import Any, TypeVar
 
 from vaoi_station.acquisition.process import messages
-from vaoi_station.runs.control.acquisition_link import Process
+from vaoi_station.runs.control.acquisition_link import AcquisitionLink, Process
 
 R = TypeVar("R")
 PATIENCE_S = 20.0
@@ -87,3 +87,11 @@ class Peer:
         for process, connection in self.processes:
             connection.close()
             process.die(0)
+
+
+def end_link(link: AcquisitionLink, peer: Peer) -> None:
+    """Stop a link whose scripted process does not read Shutdown: it ends when it is closed."""
+    ending = threading.Thread(target=link.stop, args=(PATIENCE_S,))
+    ending.start()
+    peer.close()
+    ending.join()
