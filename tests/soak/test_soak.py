@@ -1,0 +1,125 @@
+"""The soak in short: a real station, a few faults, every run accounted for; and the arithmetic of its slopes."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.needs import LONG
+from tests.soak.accounts import account
+from tests.soak.faults import FAULTS
+from tests.soak.report import fault_table, plot, slope_table, summary
+from tests.soak.series import all_series
+from tests.soak.slopes import slope_of
+from tests.soak.soaking import Plan, Record, Soak
+
+SHORT = ("worker killed", "many event streams", "half-sent requests", "disk full")
+
+
+@pytest.fixture(scope="module")
+def soaked(tmp_path_factory: pytest.TempPathFactory) -> Record:
+    """What a short soak has measured. Boards come slowly enough for a busy machine."""
+    plan = (
+        Plan(2000, 0.2, tuple(FAULTS), lost_share=0.02)
+        if LONG
+        else Plan(20, 0.4, SHORT, every=1.0, duration=0.1, lost_share=0.1)
+    )
+    soak = Soak(tmp_path_factory.mktemp("soak"), plan)
+    record = soak.run()
+    assert record.exit_code == 0, soak.log()
+    assert "incident" not in soak.log()
+    return record
+
+
+def test_every_run_of_a_soak_is_accounted_for(soaked: Record) -> None:
+    assert soaked.accounts is not None
+    assert soaked.accounts.finds == ()
+    assert soaked.accounts.announced >= 20
+    assert soaked.injected
+    assert soaked.ends is not None
+    assert soaked.ends.own == []
+
+
+def test_every_board_was_filmed_or_counted_as_missed(soaked: Record) -> None:
+    if soaked.played is not None:
+        assert soaked.accounts is not None
+        assert soaked.played == soaked.accounts.announced + soaked.accounts.missed
+
+
+def test_a_soak_is_reported(soaked: Record) -> None:
+    raw: dict[str, Any] = json.loads(json.dumps(asdict(soaked)))
+    series = all_series(raw["samples"], warm_up=0)
+    assert "| station: descriptors |" in slope_table(series)
+    assert "worker 1: threads" in plot({"short": series})
+    assert f"| {soaked.injected[0].name} |" in fault_table(raw)
+    assert "| runs that are not accounted for | 0 |" in summary(raw)
+
+
+@pytest.mark.parametrize(("growth", "flat"), [(0.0, True), (0.02, False), (-0.02, False)])
+def test_a_slope_is_found_and_noise_is_none(growth: float, flat: bool) -> None:
+    g = np.random.default_rng(3)
+    x = np.arange(1500.0)
+    slope = slope_of([(x, 200 + growth * x + g.normal(0, 3, len(x)))])
+    assert slope is not None
+    assert slope.flat is flat
+    assert slope.low <= growth <= slope.high
+
+
+def test_slow_changes_that_return_are_no_growth() -> None:
+    """Neighbouring samples are alike; an interval for independent samples would be too narrow five times in six."""
+    x, flat = np.arange(1500.0), 0
+    for seed in range(20):
+        noise, y = np.random.default_rng(seed).normal(0, 1, 1500), np.zeros(1500)
+        for k in range(1, len(y)):
+            y[k] = 0.97 * y[k - 1] + noise[k]
+        slope = slope_of([(x, y)])
+        assert slope is not None
+        flat += slope.flat
+    assert flat >= 16
+
+
+def test_a_leak_is_found_although_every_life_begins_anew() -> None:
+    g = np.random.default_rng(5)
+    lives = [(np.arange(k, k + 150.0), 100 + 0.1 * np.arange(150) + g.normal(0, 1, 150)) for k in range(0, 900, 150)]
+    slope = slope_of(lives)
+    assert slope is not None
+    assert slope.low > 0
+    assert slope.per_board == pytest.approx(0.1, rel=0.2)
+
+
+def test_constant_and_short_series() -> None:
+    slope = slope_of([(np.arange(200.0), np.full(200, 12.0))])
+    assert slope is not None
+    assert (slope.per_board, slope.flat) == (0.0, True)
+    assert slope_of([(np.arange(20.0), np.arange(20.0))]) is None
+
+
+def shown(**changed: Any) -> dict[str, Any]:
+    run = {"state": "gone", "verdict": "ok", "finished": "2026-01-01T00:00:00Z", "reasons": [], "stored": True}
+    return run | changed
+
+
+@pytest.mark.parametrize(
+    ("announced", "listed", "find"),
+    [
+        ({"b": "ok", "c": "ok"}, {"b": shown()}, "c: announced as 'ok', not listed"),
+        ({}, {"b": shown()}, "never announced"),
+        ({"b": "failed"}, {"b": shown()}, "announced as 'failed', listed as 'ok'"),
+        ({"b": "ok"}, {"b": shown(state="stitching", finished=None)}, "has not ended"),
+        ({"b": ""}, {"b": shown(verdict=None)}, "without a reason"),
+        ({"b": "ok"}, {"b": shown(stored=False)}, "is not on disk"),
+    ],
+)
+def test_contradictions_are_found(announced: dict[str, str], listed: dict[str, Any], find: str) -> None:
+    found = account(announced, listed, []).finds
+    assert any(find in f for f in found), found
+
+
+def test_a_run_that_was_filmed_and_vanished_is_found() -> None:
+    events = [{"number": 1, "kind": "run", "state": "filming", "run": "x"}]
+    assert account({}, {}, events).finds == ("x: filmed, neither listed nor announced",)
+    assert account({}, {}, [{"number": n, "kind": "test"} for n in (1, 3)]).finds
