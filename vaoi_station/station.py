@@ -14,6 +14,7 @@ import threading
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 
+from vaoi_station.acquisition.process.backends import row_lights
 from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import StateError
@@ -107,7 +108,14 @@ class Station:
             housekeeping = _housekeeping(config, store, events)
             board_types = BoardTypeDirectory(config.board_types)
             make_order = OrderFactory(
-                config.line, calibration, camera_heads(config), store, shelf, config.method, config.visibility
+                config.line,
+                calibration,
+                camera_heads(config),
+                store,
+                shelf,
+                config.method,
+                config.visibility,
+                row_lights(config),
             )
             standing = StandingOrder(store.standing)
             resumed = standing.resume(board_types.get, make_order)

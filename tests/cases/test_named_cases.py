@@ -11,6 +11,7 @@ from vaoi_station.model import Status
 pytestmark = pytest.mark.cases
 
 SOUND = ("paper-1", "paper-2", "paper-3", "ulx3s-top", "sparse", "dark", "hdr", "distorted")
+LIGHT = ("lights", "hdr-wide", "hdr-rows")
 HARD = ("rough", "repetitive", "warped", "fixture", "ulx3s-top-again")
 
 
@@ -47,7 +48,18 @@ def test_hard_recordings_are_within_a_pixel_or_degraded_with_a_reason(cases: Any
     assert score["rigid"] <= 1e-6
 
 
-@pytest.mark.parametrize("name", SOUND + HARD)
+@pytest.mark.parametrize("name", LIGHT)
+def test_boards_under_changing_light_are_ok(cases: Any, name: str) -> None:
+    """Lamps at three sides in turn; neighbours, and rows in turn, with exposures of 17 : 1 over 2.5 decades."""
+    result = cases.stitched(name)
+    score = cases.score(name, result)
+    assert (result.status, result.reasons) == (Status.OK, ())
+    assert score["cad_px"]["rms"] <= 0.08
+    assert score["cad_px"]["max"] <= 0.25
+    assert score["cad_px"]["rms"] <= 0.04, "worse than before"
+
+
+@pytest.mark.parametrize("name", SOUND + HARD + LIGHT)
 def test_errors_of_ok_results_stay_within_their_sigma(cases: Any, name: str) -> None:
     result = cases.stitched(name)
     worst = cases.score(name, result)["cad_px"]["max"]

@@ -163,3 +163,20 @@ def test_a_missing_frame_of_the_reference_is_a_programming_error(filmed: Any) ->
     runner = TaskRunner(filmed.setup, filmed.frame)
     with pytest.raises(LookupError, match="camera 0, row 1 of the reference"):
         runner.perform(Task("reference", (0, 1), (0, 1)))
+
+
+def test_rows_of_one_light_are_linked_across_the_rows_of_others(workshop: Any) -> None:
+    """Of three lights in turn: the next row, and the next one of the same light, as soon as both frames are there."""
+    frames, times = [(0, j) for j in range(8)], {j: 0.1 * j for j in range(8)}
+    setup = replace(setup_of(workshop, 1), conveyor_mm_s=(0.0, 10.0), lights=("a", "b", "c"))
+    rows = {(t.a[1], t.b[1]) for t in all_tasks(frames, times, setup) if t.kind == "rows" and t.b}
+    assert rows == {(j, j + 1) for j in range(7)} | {(j, j + 3) for j in range(5)}
+    found = [t for n, f in enumerate(frames[::-1]) for t in possible_tasks(f, frames[::-1][:n], times, setup)]
+    assert {(t.a[1], t.b[1]) for t in found if t.kind == "rows" and t.b} == rows
+    assert len(set(found)) == len(found)
+    uneven = replace(setup, lights=("a", "a", "b"))
+    pairs = {(t.a[1], t.b[1]) for t in all_tasks(frames, times, uneven) if t.kind == "rows" and t.b}
+    assert {(0, 1), (1, 3), (3, 4), (4, 6)} <= pairs, "the next row of the same light is as near as it can be"
+    assert {(1, 2), (2, 3)} <= pairs, "rows of two lights are linked, too: they may be the only connection"
+    one = replace(setup, lights=("a", "a"))
+    assert all_tasks(frames, times, one) == all_tasks(frames, times, replace(one, lights=()))

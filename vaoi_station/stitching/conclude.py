@@ -56,6 +56,8 @@ class PriorKnowledge:
     """How much of every component the frames must show, unless the board type states something else."""
     reference_frame: Callable[[FrameKey], PreparedFrame] | None = None
     """A function that returns a prepared frame of the reference; None if its frames cannot be read."""
+    lights: tuple[str, ...] = ()
+    """Name of the light of every row; empty if all rows have one."""
 
     def reference_scene(self, cameras: tuple[Camera, ...]) -> Scene | None:
         """Return the frames of the reference, filmed by the same cameras.
@@ -146,7 +148,8 @@ def _links_problem(prior: PriorKnowledge, times_s: Floats, found: SortedEvidence
     All links count as links on the bare board (−1), because the components are not located before the CAD mapping.
     """
     links = link_store.observations(found.links)
-    return Problem(times_s, prior.velocity_mm_s, links, np.full(len(links), -1))
+    light = np.unique(prior.lights, return_inverse=True)[1] if prior.lights else np.zeros(len(times_s), np.int_)
+    return Problem(times_s, prior.velocity_mm_s, links, np.full(len(links), -1), light=light)
 
 
 def _relinked(

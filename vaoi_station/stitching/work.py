@@ -61,11 +61,23 @@ class StitchSetup:
     """A stitched run of the same board type, to which the frames are linked; None without one."""
     visibility: Visibility = VISIBILITY
     """How much of every component the frames must show, unless the board type states something else."""
+    lights: tuple[str, ...] = ()
+    """Names of the lights of the rows, in turn: row j has light j modulo their number. Empty if all rows have one."""
 
     @cached_property
     def plane(self) -> BoardPlane | None:
         """The board plane of the board type for the cameras of this set-up; None without a board type."""
         return None if self.board_type is None else board_plane(self.board_type, self.cameras[0])
+
+    def light(self, row: int) -> str:
+        """Return the name of the light of a row; an empty text if all rows have one light."""
+        return self.lights[row % len(self.lights)] if self.lights else ""
+
+    def next_alike(self, row: int, step: int) -> int:
+        """Return the next row of the same light in the direction `step`, 1 or −1; it may be before the first row."""
+        return next(
+            row + step * n for n in range(1, len(self.lights) + 1) if self.light(row + step * n) == self.light(row)
+        )
 
 
 def possible_tasks(
@@ -187,6 +199,7 @@ class TaskRunner:
                 s.reference,
                 s.visibility,
                 self._reference if self._reference_frame is not None else None,
+                tuple(s.light(row) for row in range(len(times_s))) if s.lights else (),
             ),
             np.asarray(times_s, dtype=np.float64),
             list(evidence),
@@ -232,7 +245,8 @@ def _tasks_of(
     camera, row = key
     method, tasks = METHODS[setup.method], []
     if method.links:
-        pairs = ((row, row + 1), (row, row + 2), (row - 1, row), (row - 2, row))[: 2 if only_ahead else 4]
+        ahead, back = _rows_to_link(row, 1, setup), () if only_ahead else _rows_to_link(row, -1, setup)
+        pairs = (*((row, q) for q in ahead), *((p, row) for p in back))
         tasks += [
             _link((camera, p), (camera, q), times_s)
             for p, q in pairs
@@ -247,6 +261,18 @@ def _tasks_of(
     if method.reference and setup.reference is not None and (task := setup.reference.task(key)):
         tasks.append(task)
     return tasks
+
+
+def _rows_to_link(row: int, step: int, setup: StitchSetup) -> tuple[int, ...]:
+    """Return the rows to which a row is linked in the direction `step`, 1 or −1: the next one, and the one after it.
+
+    If the light changes from row to row, the row after the next is replaced by the next row of the same light: what
+    metal looks like moves with the lamp, so that links between two lights have an error in common.
+    """
+    if len(set(setup.lights)) < 2:
+        return row + step, row + 2 * step
+    alike = setup.next_alike(row, step)
+    return (row + step,) if alike == row + step else (row + step, alike)
 
 
 @lru_cache(maxsize=_KEPT_STRIPS)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import pytest
 from vaoi_station.acquisition.cameras.replay import ReplayCamera
 from vaoi_station.acquisition.cameras.simulated import SimulatedCamera
 from vaoi_station.acquisition.controller.interface import TriggerPlan
-from vaoi_station.acquisition.process.backends import check_backends, open_devices
+from vaoi_station.acquisition.process.backends import check_backends, open_devices, row_lights
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import InputError
 from vaoi_station.files import write_recording
@@ -85,3 +86,23 @@ def test_a_scenario_with_another_plan_is_refused(make_config: Make, tmp_path: Pa
     assert TriggerPlan.of(config.line).start_delay_s == 0.12
     with pytest.raises(InputError, match=r"start_delay_s is 0\.12, but must be 0\.13, as in the scenario"):
         check_backends(config)
+
+
+def test_the_lights_of_rows_are_those_of_controller_recordings_or_scenario(
+    make_config: Make, make_replay: Callable[[int], StationConfig], tmp_path: Path
+) -> None:
+    assert row_lights(make_config()) == ("ring",)
+    assert row_lights(make_replay(2)) == ()
+    lit = json.loads((tmp_path / "recording" / "recording.json").read_text())
+    replay = make_replay(2)
+    (tmp_path / "recording" / "recording.json").write_text(json.dumps(lit | {"lights": ["left"]}))
+    assert row_lights(replay) == ("left",)
+    (tmp_path / "recording" / "recording.json").unlink()
+    assert row_lights(replay) == ()
+    lamp = {"channels": [1], "on_us": 100.0}
+    serial = make_config(
+        simulation=None,
+        cameras=[{**c.model_dump(), "backend": "aravis", "serial": c.name} for c in make_config().cameras],
+        controller={"backend": "serial", "lights": {"left": lamp, "right": lamp}, "order": ["right", "left"]},
+    )
+    assert row_lights(serial) == ("right", "left")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from vaoi_station.geometry import Lens
-from vaoi_station.stitching.adjustment.observations import LinkStore, to_observations
+from vaoi_station.stitching.adjustment.observations import LinkStore, linked_steps, to_observations
 from vaoi_station.stitching.matching.evidence import Links, Task
 
 
@@ -90,3 +90,13 @@ def test_a_selection_keeps_the_groups_of_its_links(workshop: Any) -> None:
     assert chosen.groups == o.groups
     assert [a.shape for a in chosen.arrays] == [(4, *a.shape[1:]) for a in o.arrays]
     np.testing.assert_array_equal(chosen.a_mm, o.a_mm[[1, 4, 7, 8]])
+
+
+def test_a_step_is_linked_if_any_link_spans_it(workshop: Any) -> None:
+    """Of six rows, 0 and 1 are linked, 2 and 4 are, and 3 only lies between them; a seam of row 5 links no step."""
+    px = np.full((2, 2), 50.0)
+    tasks = [((0, 0), (0, 1)), ((0, 2), (0, 4)), ((0, 5), (1, 5))]
+    found = [links(Task("rows" if a[0] == b[0] else "neighbours", a, b), px, px) for a, b in tasks]
+    o = to_observations(found, (workshop.camera(), workshop.camera((8.0, 0.0))))
+    assert linked_steps(o, 6).tolist() == [True, False, True, True, False]
+    assert linked_steps(o.select(np.zeros(0, np.int_)), 2).tolist() == [False]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -293,3 +294,29 @@ def test_a_lifted_and_bent_board_is_measured(bench: Any, surface: tuple[float, .
     assert np.hypot(*error[:, 1:].T).max() * PX_PER_MM < 0.25
     blind = adjust(replace(problem, surface=None), started(problem), np.array([1.0, 0.01, 0.2, -0.5]))
     assert np.abs(truth.errors(blind)).max() > np.abs(truth.errors(found)).max()
+
+
+def test_what_moves_with_the_lamp_does_not_move_the_rows(bench: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Links between rows of two lights are all displaced by 0.4 px; those of one light, and fiducials, are not."""
+    truth, slow = bench(12), VELOCITY / 2
+    truth.motion = replace(truth.motion, shift=truth.motion.shift / 2)  # rows j and j + 2 overlap
+    monkeypatch.setattr(sys.modules[__name__], "FIDUCIALS", np.array([[-10.0, -18.0], [9.0, 4.0], [10.0, -16.0]]))
+    light = np.arange(ROWS) % 2
+    frames = [((i, p), (i, p + n)) for i in (0, 1) for n in (1, 2) for p in range(ROWS - n)]
+    made = [truth.links(a, b)[0] for a, b in frames + [((0, j), (1, j)) for j in range(ROWS)]]
+    for links in made:
+        assert links.task.b is not None
+        links.b_px[:, 0] += 0.4 * (light[links.task.b[1]] - light[links.task.a[1]])
+    observed = to_observations(made, truth.cameras)
+    plain = truth.with_fiducials(Problem(TIMES, slow, observed, np.full(len(observed), -1)))
+    problem = replace(plain, light=light)
+    one_apart = [m for m in made if m.task.b and m.task.b[1] - m.task.a[1] == 1]
+    assert problem.of_two_lights.sum() == sum(len(m.b_px) for m in one_apart)
+    start = np.array([1.0, 0.01, 0.2, -0.5])
+    begin = chain_links(nominal_motion(TIMES, slow, np.zeros(2)), observed)
+    lit, blind = (adjust(p, begin, start) for p in (problem, plain))
+    off_px, blind_px = (np.hypot(*truth.errors(f).reshape(-1, 3)[:, 1:].T).max() * PX_PER_MM for f in (lit, blind))
+    assert off_px < 0.06
+    assert blind_px > 3 * off_px
+    error, sigma = truth.errors(lit).reshape(-1, 3), np.sqrt([np.diag(c)[:3] for c in lit.covariance[1:]])
+    assert (np.abs(error) < 4 * sigma).all()

@@ -11,13 +11,14 @@ import pytest
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.matching.evidence import Links, Task
-from vaoi_station.stitching.matching.frame_pair import FramePair, GridPair, in_one_grid, is_warped
+from vaoi_station.stitching.matching.frame_pair import FramePair, GridPair, in_one_exposure, in_one_grid, is_warped
 from vaoi_station.stitching.matching.link import link_in_place, link_neighbours
 from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
 
 SIZE, OTHER_SIZE = (480, 360), (420, 400)
 SCALE, OVERLAP_MM, NOISE = 10.0, 13.0, 1.5
 TASK = Task("neighbours", (0, 0), (1, 0))
+AT = np.zeros(2)
 UNLIKE = {
     "coarser": {"px_per_mm": 7.0},
     "finer": {"px_per_mm": 14.0},
@@ -138,3 +139,47 @@ def test_reduced_copies_of_both_frames_have_the_same_pixels(workshop: Any) -> No
     found = in_one_grid(pair(workshop, one, other))
     assert found.a.factor == found.b.factor
     assert replace(found, a=PreparedFrame(found.a.grey)).a.factor == 4
+
+
+def exposed(workshop: Any, camera: Camera, ratio: float, seed: int) -> PreparedFrame:
+    """A frame of a board with bright spots that saturate at ratio 1, by a camera with a black level of 2."""
+    waves = workshop.waves(11, finest=0.6, coarsest=12.0)
+    light = 2.2 * np.exp(waves.seen_by(camera, lambda at: at).astype(np.float64) / 36)
+    noise = np.random.default_rng(seed).normal(0, 1.0, light.shape)
+    return PreparedFrame(np.clip(np.rint(light * ratio + 2 + noise), 0, 255).astype(np.uint8))
+
+
+@pytest.mark.parametrize("darker", [0, 1])
+@pytest.mark.parametrize("ratio", [0.4, 0.06])
+def test_a_saturated_and_a_dark_frame_are_linked_where_both_show_the_board(
+    workshop: Any, ratio: float, darker: int
+) -> None:
+    one, other = cameras(workshop, {})
+    ratios = (ratio, 1.0) if darker == 0 else (1.0, ratio)
+    found = FramePair(*(exposed(workshop, c, r, 1) for c, r in zip((one, other), ratios, strict=True)), one, other, AT)
+    bright = found.b.grey if darker == 0 else found.a.grey
+    assert (bright == 255).mean() > 0.01, "the brighter frame is saturated in places"
+    links = link_neighbours(TASK, found)
+    assert len(links.a_px) >= 20
+    off = off_px(links, found)
+    assert np.hypot(*np.median(off, axis=0)) < 0.05
+    assert np.sqrt(np.mean(off**2)) < 0.15
+
+
+def test_frames_of_nearly_one_exposure_stay_as_they_are(workshop: Any) -> None:
+    one, other = cameras(workshop, {})
+    alike = FramePair(exposed(workshop, one, 1.0, 1), exposed(workshop, other, 0.8, 2), one, other, AT)
+    box = alike.overlap()
+    assert box is not None
+    assert in_one_exposure(alike, box, AT) is alike
+
+
+def test_a_covered_frame_has_no_exposure_ratio(workshop: Any) -> None:
+    one, other = cameras(workshop, {})
+    noise = np.random.default_rng(1).normal(2, 1, (SIZE[1], SIZE[0]))
+    covered = PreparedFrame(np.clip(noise, 0, 255).astype(np.uint8))
+    dark = FramePair(exposed(workshop, one, 1.0, 1), covered, one, other, AT)
+    box = dark.overlap()
+    assert box is not None
+    assert in_one_exposure(dark, box, AT) is dark
+    assert not len(link_neighbours(TASK, dark).a_px)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+
 from vaoi_station.acquisition.devices import Devices
 from vaoi_station.config import StationConfig
-from vaoi_station.errors import InputError
+from vaoi_station.errors import InputError, VaoiError
 
 
 def open_devices(config: StationConfig) -> Devices:
@@ -38,6 +40,27 @@ def _open_hardware(config: StationConfig) -> Devices:
     except BaseException:  # also KeyboardInterrupt: free the port for the next attempt, then raise it again
         controller.close()
         raise
+
+
+def row_lights(config: StationConfig) -> tuple[str, ...]:
+    """Return the names of the lights of rows 0, 1, …; after the last name the sequence begins again.
+
+    It is empty if the lights are not known: recordings that are replayed differ, or the scenario cannot be read.
+    """
+    if config.controller.backend == "serial":
+        return config.controller.light_sequence
+    # A file that cannot be read is reported by the process that opens the devices.
+    with contextlib.suppress(VaoiError):
+        if config.replay is not None:
+            from vaoi_station.files import open_recording
+
+            lights = {open_recording(directory).head.lights or () for directory in config.replay.recordings}
+            return lights.pop() if len(lights) == 1 else ()
+        if config.simulation is not None:
+            from vaoi_station.simulation import read_scenario
+
+            return read_scenario(config.simulation.scenario).line.lights
+    return ()
 
 
 def check_backends(config: StationConfig) -> None:

@@ -161,6 +161,7 @@ class OrderFactory:
         references: ReferenceStore,
         method: MethodName = "auto",
         visibility: Visibility = VISIBILITY,
+        lights: tuple[str, ...] = (),
     ) -> None:
         """Prepare the parts that all orders of a station share.
 
@@ -172,8 +173,9 @@ class OrderFactory:
             references: references and methods of the board types.
             method: the station's method, which applies to board types for which no method was set.
             visibility: how much of every component must be seen, unless the board type asks for something else.
+            lights: names of the lights of the rows, in turn; empty if they are not known.
         """
-        self._visibility = visibility
+        self._visibility, self._lights = visibility, lights
         self._line, self._store, self._references, self._method = line, store, references, method
         self._cameras = calibration.cameras(heads)
         self._calibration_digest = store.keep_document("calibration", calibration.model_dump_json(), utc())
@@ -198,6 +200,7 @@ class OrderFactory:
             method=method,
             reference=reference.reference if reference else None,
             visibility=self._visibility,
+            lights=self._lights,
         )
         # Runs refer to their documents by digest, so a later change of the board type does not affect old results.
         digest = self._store.keep_document("board-type", board_type.model_dump_json(), utc())

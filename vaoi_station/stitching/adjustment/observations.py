@@ -251,3 +251,9 @@ def _project_links(links: PixelLinks, cameras: CameraArrays) -> tuple[Floats, Fl
         covariance[k, 0, 1] = covariance[k, 1, 0] = -xy / det
         resolution[k] = np.sqrt(abs(slope))
     return points[0], points[1], leans[0], leans[1], covariance, resolution
+
+
+def linked_steps(links: Observations, rows: int) -> NDArray[np.bool_]:
+    """Return for each step from a row to the next (rows − 1,) whether a link connects rows across this step."""
+    change = np.bincount(links.p, minlength=rows) - np.bincount(links.q, minlength=rows)
+    return np.asarray(np.cumsum(change)[:-1] > 0)

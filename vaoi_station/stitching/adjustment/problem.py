@@ -83,6 +83,15 @@ class Problem:
     """(k,) whether the patch of each link may reach a component; empty if the components are not placed."""
     cameras: tuple[Camera, ...] = ()
     """The cameras whose displacements are estimated; none if the calibration is taken as exact."""
+    light: Ints = field(default_factory=lambda: np.zeros(0, np.int_))
+    """(m,) number of the light of each row; empty if all rows have one light."""
+
+    @property
+    def of_two_lights(self) -> NDArray[np.bool_]:
+        """(k,) whether each link joins two rows of different lights."""
+        if not len(self.light):
+            return np.zeros(len(self.links), np.bool_)
+        return np.asarray(self.light[self.links.p] != self.light[self.links.q])
 
 
 @dataclass(frozen=True, eq=False)

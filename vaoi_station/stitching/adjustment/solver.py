@@ -59,7 +59,7 @@ from vaoi_station.stitching.adjustment.motion import (
     let_irregular_steps_free,
 )
 from vaoi_station.stitching.adjustment.noise_floor import noise_floor
-from vaoi_station.stitching.adjustment.observations import Ints, Observations
+from vaoi_station.stitching.adjustment.observations import Ints, Observations, linked_steps
 from vaoi_station.stitching.adjustment.problem import AdjustmentResult, Problem
 
 _MAX_STEPS = 15
@@ -75,6 +75,8 @@ _PAIR_SIGMA_PX, _PAIR_SHARE = (0.002, 0.014), 0.25
 It is the larger of a constant and of the share `_PAIR_SHARE` of the noise floor. The constant is 0.002 px between rows
 of one camera (interpolation). Between two cameras it is 0.014 px, because of different light and of the different
 perspective of points slightly above the board."""
+_LIGHTS_SIGMA_PX = 0.3
+"""The same error between rows of different lights: the bright edges of metal move with the lamp."""
 _FLOOR_PX = (0.003, 5.0)
 """Smallest and largest noise floor of links, px."""
 _AT_LIMIT, _DISPLACED_FLOOR_PX = 0.99, 60.0
@@ -155,15 +157,19 @@ class _Solver:
         self.surface_mm = np.zeros(self.n_surface)
         between = (links.p == links.q).astype(np.int_)
         self.kind = between * (1 + links.pairs.a[links.group])
-        """(k,) kind of each link: 0 between rows, 1 + i between cameras i and i + 1 in one row."""
+        """(k,) kind of each link: 0 between rows, 1 + i between cameras i and i + 1 in one row, and the last one
+        between rows of different lights."""
+        self.seams = max(int(self.kind.max(initial=0)), 1)
+        """Number of kinds of links between cameras."""
+        self.kind[mixed := problem.of_two_lights] = 1 + self.seams
         # A component has two heights, one for each kind of link. Two cameras see its top, while links from row to row
         # may lie on its leads or on the board between them. With a single unknown, the difference would lift the whole
         # board.
         self.n_parts = int(problem.component.max(initial=-1)) + 1
-        component = np.where(problem.component < 0, -1, problem.component + self.n_parts * between)
+        component = np.where(mixed | (problem.component < 0), -1, problem.component + self.n_parts * between)
         self.heights_mm = np.zeros(2 * self.n_parts)
         # The first weights need a noise floor before one has been estimated: start near its usual value.
-        self.floor_px = np.full(1 + max(int(self.kind.max(initial=0)), 1), 0.05)
+        self.floor_px = np.full(1 + self.seams + 1, 0.05)
         shared = (4 if problem.fiducials else 0) + self.n_surface
         self.shared = np.arange(3 * self.rows, 3 * self.rows + shared)
         """Columns of the unknowns of C and of the surface, which stand after the rows."""
@@ -175,7 +181,7 @@ class _Solver:
         self.envelope = _envelope(links, self.coupling, self.rows, shared + self.cameras.unknowns)
         self.factor: NormalEquations | None = None
         self.state = LinkState.zeros(len(links))
-        self.linked_steps = _linked_steps(links, self.rows)
+        self.linked_steps = linked_steps(links, self.rows)
         self.raised = (problem.component < 0) & problem.near if len(problem.near) else np.zeros(len(links), np.bool_)
         """(k,) whether each link may lie above the board although no component is under it."""
         bare = [self._bare(self.kind == kind) for kind in range(len(self.floor_px))]
@@ -248,7 +254,7 @@ class _Solver:
         """Compute the robust weights of the links from their current residuals and the noise floor."""
         links = self.problem.links
         common_px = np.full(len(self.floor_px), _PAIR_SIGMA_PX[1])
-        common_px[0] = _PAIR_SIGMA_PX[0]
+        common_px[0], common_px[-1] = _PAIR_SIGMA_PX[0], _LIGHTS_SIGMA_PX
         shared_px = np.maximum(common_px, _PAIR_SHARE * self.floor_px)
         raised = self.raised if self.steps > _FREE_STEPS else np.zeros_like(self.raised)
         noise = NoiseModel(self.kind, self.floor_px, shared_px, _KNEE, _CUT, raised)
@@ -267,10 +273,11 @@ class _Solver:
         for kind, at in enumerate(self.floor_samples):
             if len(at) >= _FLOOR_MIN_LINKS:
                 scatter = noise_floor(self.state.residual, links.noise_mm2, links.px_per_mm, at, low, high)
-                if kind > 0 and self.cameras.unknowns and scatter > _AT_LIMIT * high:
+                seam = 0 < kind <= self.seams
+                if seam and self.cameras.unknowns and scatter > _AT_LIMIT * high:
                     limits = high, _DISPLACED_FLOOR_PX
                     scatter = noise_floor(self.state.residual, links.noise_mm2, links.px_per_mm, at, *limits)
-                if kind > 0 and self.problem.surface is not None:
+                if seam and self.problem.surface is not None:
                     scatter = max(min(scatter, _SEAM_PX), scatter / _NARROWING)
                 self.floor_px[kind] = scatter
 
@@ -391,9 +398,3 @@ def _index_in_group(group: Ints) -> Ints:
 def _begins(group: Ints) -> Ints:
     """Return the index of the first link of each pair of frames (`group`). Links of one pair are adjacent."""
     return np.flatnonzero(np.diff(group, prepend=-1))
-
-
-def _linked_steps(links: Observations, rows: int) -> NDArray[np.bool_]:
-    """Return for each step from a row to the next (rows − 1,) whether a link connects rows across this step."""
-    change = np.bincount(links.p, minlength=rows) - np.bincount(links.q, minlength=rows)
-    return np.asarray(np.cumsum(change)[:-1] > 0)

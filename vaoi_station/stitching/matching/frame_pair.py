@@ -1,9 +1,15 @@
-"""Two frames to be linked. Frames of different scale or rotation are brought into one grid of pixels first.
+"""Two frames to be linked. Frames of different scale or rotation are brought into one grid of pixels first, and frames
+of different exposure to the same grey levels.
 
 A match between two frames only shifts a patch; it does not scale or rotate it. This is enough for the small differences
 in scale and rotation of an ordinary array. If the camera matrices differ by more, part of the finer frame is resampled:
 the linear map that the camera matrices predict gives it the resolution and the direction of the coarser frame. Links
 are found in this grid and returned in pixels of the frames.
+
+Where a frame is saturated, a darker frame of the same place still shows texture; where the darker one has hardly any
+light, noise hides what the brighter one shows. Patches of the two would then match badly, or in the wrong place. The
+darker frame is brought to the grey levels of the brighter one, both are limited to the same level, and if the
+exposures differ much, both are smoothed.
 """
 
 from __future__ import annotations
@@ -11,6 +17,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -38,6 +45,19 @@ _DENSEST = 4.0
 """Largest factor by which the grid of corners is made denser where the overlap fills only part of its box."""
 _KEPT_MAPS = 256
 """Entries of the cache of linear maps, one for each pair of cameras."""
+_BLOCK_PX = 8
+"""Side of the blocks whose means are compared."""
+_HIGH, _LEAST_BLOCKS = 220, 50
+"""Largest grey level of the blocks of the brighter frame, and their least number, from which the ratio is estimated."""
+_CEILING = 240
+"""Grey level to which both frames are limited: below saturation, since they are then equally flat where one of them is
+saturated."""
+_EQUAL, _NOISY = 0.6, 0.25
+"""Ratio of the grey levels down to which frames are compared as they are, and below which they are smoothed."""
+_ALIKE = 0.7
+"""Least correlation of the block means of two frames that show the same."""
+_SMOOTH_PX = 1.5
+"""Standard deviation of the smoothing: it leaves a thirtieth of the variance of white noise."""
 _IDENTITY = np.eye(2, 3)
 
 
@@ -285,3 +305,82 @@ def _inverse(affine: Floats) -> Floats:
 def _shifted(affine: Floats, origin: Floats) -> Floats:
     """Return an affine map for points that are counted from `origin` (2,)."""
     return np.column_stack([affine[:, :2], _moved(affine, origin)])
+
+
+class _Levels(NamedTuple):
+    """Relation of the grey levels of two frames: dark = `offset` + `ratio` · bright."""
+
+    ratio: float
+    offset: float
+
+
+def in_one_exposure(pair: FramePair, box: Box, correction_px: Floats) -> FramePair:
+    """Return the pair with the darker frame brought to the grey levels of the brighter one, and both limited alike.
+
+    If the exposures are nearly equal, or if their ratio cannot be measured, the pair itself is returned.
+
+    Args:
+        pair: two frames, of the same resolution within a few per cent.
+        box: the part of frame a that frame b is predicted to show.
+        correction_px: (2,) difference to the prediction that a coarse search found.
+    """
+    parts = _overlaps(pair, box, correction_px)
+    if parts is None:
+        return pair
+    mean_a, mean_b = (float(part[::_BLOCK_PX, ::_BLOCK_PX].mean()) for part in parts)
+    if min(mean_a, mean_b) > _EQUAL * max(mean_a, mean_b):
+        return pair
+    first_is_dark = mean_a < mean_b
+    levels = _levels(*(parts if first_is_dark else parts[::-1]))
+    if levels is None:
+        return pair
+    if first_is_dark:
+        return replace(pair, a=_brightened(pair.a, levels), b=_limited(pair.b, levels))
+    return replace(pair, a=_limited(pair.a, levels), b=_brightened(pair.b, levels))
+
+
+def _overlaps(pair: FramePair, box: Box, correction_px: Floats) -> tuple[NDArray[np.uint8], NDArray[np.uint8]] | None:
+    """Return the same part of the board in both frames, as nearly as the prediction says; None if it is too small."""
+    a, b = pair.a.grey, pair.b.grey
+    by = np.rint(pair.offset_px(box) + correction_px).astype(int)
+    low = np.maximum(np.maximum(box[:2], 0), -by)
+    high = np.minimum(np.minimum(box[2:], a.shape[::-1]), b.shape[::-1] - by)
+    high -= np.maximum(high - low, 0) % _BLOCK_PX
+    if (high - low < 2 * _BLOCK_PX).any():
+        return None
+    (x0, y0), (x1, y1), (dx, dy) = low, high, by
+    return a[y0:y1, x0:x1], b[y0 + dy : y1 + dy, x0 + dx : x1 + dx]
+
+
+def _levels(dark: NDArray[np.uint8], bright: NDArray[np.uint8]) -> _Levels | None:
+    """Fit the grey levels of a dark frame to those of a bright one; None if they are nearly equal or unknown.
+
+    Means of blocks are compared, so that a displacement of some px does not matter, and only blocks of which no pixel
+    is near saturation.
+    """
+    blocks = (slice(None, None, _BLOCK_PX),) * 2
+    # The anchor puts the pixel of each block's first corner in the middle of its window.
+    usable = cv2.dilate(bright, np.ones((2 * _BLOCK_PX + 1,) * 2, np.uint8))[blocks] <= _HIGH
+    means = [cv2.boxFilter(grey, cv2.CV_32F, (_BLOCK_PX,) * 2)[blocks][usable] for grey in (bright, dark)]
+    if len(means[0]) < _LEAST_BLOCKS:
+        return None
+    x, y = (part.astype(np.float64) for part in means)
+    together = float(((x - x.mean()) * (y - y.mean())).mean())
+    # A frame that is black, or shows something else, has no ratio.
+    if together <= _ALIKE * float(x.std() * y.std()) or together <= 0:
+        return None
+    ratio = together / float(x.var())
+    return _Levels(ratio, float(y.mean() - ratio * x.mean())) if ratio < _EQUAL else None
+
+
+def _brightened(frame: PreparedFrame, levels: _Levels) -> PreparedFrame:
+    """Return the darker frame at the grey levels of the brighter one."""
+    grey = np.maximum(frame.grey.astype(np.float32) - levels.offset, 0)
+    return _limited(frame.with_grey(cv2.convertScaleAbs(grey, alpha=1 / levels.ratio)), levels)
+
+
+def _limited(frame: PreparedFrame, levels: _Levels) -> PreparedFrame:
+    """Return a frame that is limited to a grey level below saturation, and smoothed if the darker one is noisy."""
+    # In this order, since the sensor also limits the brighter frame before it can be smoothed.
+    grey = np.minimum(frame.grey, np.uint8(_CEILING))
+    return frame.with_grey(cv2.GaussianBlur(grey, (0, 0), _SMOOTH_PX) if levels.ratio < _NOISY else grey)

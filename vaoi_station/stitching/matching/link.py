@@ -13,7 +13,7 @@ from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.matching.coarse_search import NoMatch, find_shift
 from vaoi_station.stitching.matching.corner_selection import best_corners
 from vaoi_station.stitching.matching.evidence import Links, Task
-from vaoi_station.stitching.matching.frame_pair import FramePair, in_one_grid
+from vaoi_station.stitching.matching.frame_pair import FramePair, in_one_exposure, in_one_grid
 from vaoi_station.stitching.matching.overlap import Box
 from vaoi_station.stitching.matching.patches import match_patches, patch_centres
 from vaoi_station.stitching.matching.prepared_frame import PreparedFrame, downsampled
@@ -62,6 +62,7 @@ def link_rows(task: Task, pair: FramePair) -> Links:
     coarse = find_shift(pair.a, pair.b, box, offset, _PLAY_MM * pair.camera_a.px_per_mm + _SLIP_SHARE * np.abs(offset))
     if isinstance(coarse, Failure):
         return Links.empty(task, coarse.reason)
+    pair = in_one_exposure(pair, box, coarse.px)
     count = _CORNERS if task.b is not None and task.b[1] - task.a[1] == 1 else _CORNERS_APART
     links = _link_corners(task, pair, box, coarse.px, count)
     rival = coarse.rival_px
@@ -97,6 +98,7 @@ def link_neighbours(task: Task, pair: FramePair) -> Links:
     box = pair.overlap()
     if box is None:
         return Links.empty(task, "the frames do not overlap")
+    pair = in_one_exposure(pair, box, np.zeros(2))
     links = _link_corners(task, pair, box, np.zeros(2))
     found = len(links.a_px)
     if found >= _CERTAIN or found >= max(_ENOUGH, _CERTAIN_SHARE * links.tried):

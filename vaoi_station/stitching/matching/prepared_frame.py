@@ -72,6 +72,10 @@ class PreparedFrame:
         """The copy `coarse` reduced once more by 2."""
         return np.asarray(half_size(self.coarse))
 
+    def with_grey(self, grey: NDArray[np.uint8]) -> PreparedFrame:
+        """Return a frame of the same size with other grey levels."""
+        return PreparedFrame(grey)
+
 
 class MaskedFrame(PreparedFrame):
     """A frame of which coarse searches use only a part. Outside this part `coarse` is 0, which means no texture."""
@@ -80,6 +84,10 @@ class MaskedFrame(PreparedFrame):
         """Create it from a frame and the corners (k, 2) of a convex part."""
         super().__init__(frame.grey)
         self._frame, self._polygon_px = frame, polygon_px
+
+    def with_grey(self, grey: NDArray[np.uint8]) -> PreparedFrame:
+        """Return a frame of the same size and with the same part, with other grey levels."""
+        return MaskedFrame(PreparedFrame(grey), self._polygon_px)
 
     @cached_property
     def grey(self) -> NDArray[np.uint8]:

@@ -84,6 +84,7 @@ def open_run(
         board_type=board_type,
         expectation=turned_by(head.rotation_deg),
         method=method,
+        lights=head.lights or (),
     )
     stored = _open_reference(reference, setup)
     return OpenedRun(recording, known, calibration_path, board_path, stored, with_reference(setup, stored))

@@ -182,7 +182,9 @@ def with_reference(setup: StitchSetup, stored: StoredReference | None) -> Stitch
 def _setup(recording: Recording, cameras: tuple[Camera, ...], board_type: BoardType) -> StitchSetup:
     head = recording.head
     expected = turned_by(head.rotation_deg)
-    return StitchSetup(cameras, head.conveyor_mm_s, head.trigger_period_s, board_type, expected)
+    return StitchSetup(
+        cameras, head.conveyor_mm_s, head.trigger_period_s, board_type, expected, lights=head.lights or ()
+    )
 
 
 def _name(head: RecordingHead, stitch: Stitch) -> str:
