@@ -170,12 +170,8 @@ class ScriptedWorkers:
 
     def check(self, run: str) -> RunCheck:
         """Camera 0 as it was calibrated, camera 1 displaced."""
-        cameras = [
-            CameraCheck(
-                x_px=0.0, y_px=y, turn_px=0.0, sigma_px=(0.02,) * 3, rms_px=y, left_px=0.1, links=50, fiducials=2
-            )
-            for y in (0.0, self.displacement_px)
-        ]
+        rest: dict[str, Any] = {"sigma_px": (0.02,) * 3, "left_px": 0.1, "links": 50, "fiducials": 2}
+        cameras = [CameraCheck(x_px=0.0, y_px=y, turn_px=0.0, rms_px=y, **rest) for y in (0.0, self.displacement_px)]
         return RunCheck(
             run=run, time="2026-01-01T00:00:00Z", board_type="b", cameras=tuple(cameras), rivals=(),
             information=tuple(2500.0 * np.eye(6)[np.tril_indices(6)]),

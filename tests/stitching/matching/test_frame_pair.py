@@ -156,7 +156,8 @@ def test_a_saturated_and_a_dark_frame_are_linked_where_both_show_the_board(
 ) -> None:
     one, other = cameras(workshop, {})
     ratios = (ratio, 1.0) if darker == 0 else (1.0, ratio)
-    found = FramePair(*(exposed(workshop, c, r, 1) for c, r in zip((one, other), ratios, strict=True)), one, other, AT)
+    first, second = exposed(workshop, one, ratios[0], 1), exposed(workshop, other, ratios[1], 1)
+    found = FramePair(first, second, one, other, AT)
     bright = found.b.grey if darker == 0 else found.a.grey
     assert (bright == 255).mean() > 0.01, "the brighter frame is saturated in places"
     links = link_neighbours(TASK, found)
