@@ -86,8 +86,9 @@ def _kendall_variance(y: Array, x: Array, slope: float) -> float:
     power = float(ranks @ ranks)
     lags = np.arange(1, n - 2)
     correlation = np.array([float(ranks[k:] @ ranks[:-k]) / power for k in lags])
-    # Correlations that chance explains (95 %) would only add noise.
-    correlation[np.abs(correlation) < 1.96 / np.sqrt(n)] = 0.0
+    # Behind the first lag without correlation there is only noise.
+    if (ends := np.flatnonzero(correlation <= 0)).size:
+        correlation[ends[0] :] = 0.0
     weights = (n - lags) * (n - lags - 1.0) * (n - lags - 2.0)
     inflation = 1 + 2 / (n * (n - 1.0) * (n - 2.0)) * float(weights @ correlation)
     return n * (n - 1) * (2 * n + 5) / 18 * max(inflation, 1.0)
