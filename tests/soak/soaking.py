@@ -10,6 +10,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+import httpx2
+
 from tests.soak.accounts import Accounts, account, list_runs
 from tests.soak.faults import FAULTS, Target, draw
 from tests.soak.line_files import KEPT_RUNS, Pace, write_line_files
@@ -200,4 +202,14 @@ class Soak:
             )
             # The controller's count begins anew with its process.
             if not any("acquisition" in f.name or "station" in f.name for f in self.record.injected):
-                self.record.played = int("".join(c for c in station["controller"] if c.isdigit()) or 0)
+                counted = self.record.accounts.announced + self.record.accounts.missed
+                self.record.played = self._played(client, counted, deadline_s)
+
+    def _played(self, client: httpx2.Client, least: int, deadline_s: float) -> int:
+        """Return how many boards the replayed line has played; a heartbeat brings the number after the last run."""
+        while True:
+            station = ask(client, "/station") or {"controller": ""}
+            played = int("".join(c for c in station["controller"] if c.isdigit()) or 0)
+            if played >= least or time.monotonic() > deadline_s:
+                return played
+            self._done.wait(STEP_S)
