@@ -74,7 +74,13 @@ class Cases:
         head = recording.head
         calibration = calibration or read_calibration(directory / "calibration.json", len(head.cameras))
         board_type = board_type or read_board_type(directory / "board.json")
-        setup = StitchSetup(calibration.cameras(head.cameras), head.conveyor_mm_s, head.trigger_period_s, board_type)
+        setup = StitchSetup(
+            calibration.cameras(head.cameras),
+            head.conveyor_mm_s,
+            head.trigger_period_s,
+            board_type,
+            lights=head.lights or (),
+        )
         return stitch_frames(setup, head, recording.frame)
 
     def score(self, name: str, result: Stitch) -> dict[str, Any]:
