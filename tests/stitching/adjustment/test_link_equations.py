@@ -227,14 +227,6 @@ def test_only_a_point_above_the_modelled_height_loses_weight_along_its_lean(scen
         assert values[0] == pytest.approx(values[1])
 
 
-def test_a_raised_link_on_the_surface_says_little_about_the_height(scene: Scene) -> None:
-    """Such a link may lie on a part to which the surface was drawn: 0.1 mm of height are left open."""
-    plain, raised = (weights_of(scene, flags, np.zeros(2)) for flags in (NONE_RAISED, np.ones(LINKS, np.bool_)))
-    open_mm = 1 / np.sqrt(raised.weight[:, 0] * 0.1**2)
-    assert open_mm == pytest.approx(np.hypot(0.1, 1 / np.sqrt(plain.weight[:, 0] * 0.1**2)))
-    assert raised.weight[:, 2] == pytest.approx(plain.weight[:, 2])
-
-
 def test_the_weight_of_a_raised_link_falls_without_a_step(scene: Scene) -> None:
     every = np.ones(LINKS, np.bool_)
     heights = np.linspace(-0.05, 0.5, 400)

@@ -42,12 +42,6 @@ class MotionArrays(NamedTuple):
     """(2,) point about which the rows are rotated, mm."""
 
 
-_NEAR_MM = 0.1
-"""Least standard deviation of the height of a link near a part, mm.
-
-A single such link may lie on the board or on the part. Only several of them together show where the board is."""
-
-
 class LinkState(NamedTuple):
     """Values that each step of the adjustment computes for k links; the arrays are overwritten in place."""
 
@@ -110,9 +104,8 @@ def compute_residuals(links: LinkArrays, motion: MotionArrays, height_mm: Floats
 def compute_weights(links: LinkArrays, noise: NoiseModel, groups: int, state: LinkState) -> None:
     """Compute sigma, robust weight and weight matrix of every link from its residual.
 
-    A link may lie on something above the modelled height (`noise.raised`). The height of its point is then treated as
-    an unknown: the weight along the lean is reduced accordingly. The standard deviation of this height is what the
-    residual shows above the modelled height, or `_NEAR_MM` if it shows less. If the residual shows a point clearly
+    A link may lie on something above the modelled height (`noise.raised`). If its residual shows this, the height of
+    the point is treated as an unknown: the weight along the lean is reduced accordingly. If its residual shows a point
     below the modelled height, the link keeps its weight, since components stand above the board.
 
     The links of one pair of frames have an error in common. The sum of their weights is therefore limited to the
@@ -139,10 +132,9 @@ def compute_weights(links: LinkArrays, noise: NoiseModel, groups: int, state: Li
             wx, wy = xx * lx + xy * ly, xy * lx + yy * ly
             information = lx * wx + ly * wy
             height = -(wx * x + wy * y)
-            scale = math.sqrt(information)
-            # In standard deviations. Noise alone makes a point of the bare board look raised or sunk by one or two.
-            if height > -2 * scale:
-                own = max((height - scale) / information, _NEAR_MM * min(1 + height / scale / 2, 1.0))
+            # In standard deviations. Noise alone makes a point of the bare board look raised by one.
+            if height > math.sqrt(information):
+                own = (height - math.sqrt(information)) / information
                 k = 1 / (information + 1 / own**2)
                 xx, xy, yy = xx - k * wx * wx, xy - k * wx * wy, yy - k * wy * wy
         sigma[n] = math.sqrt(max(xx * x * x + 2 * xy * x * y + yy * y * y, 0.0) / 2)
