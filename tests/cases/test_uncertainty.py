@@ -9,7 +9,10 @@ import pytest
 
 pytestmark = pytest.mark.cases
 
-NAMES = ("paper-1", "paper-2", "paper-3", "ulx3s-top", "sparse", "dark", "hdr", "distorted", "fixture", "repetitive")
+NAMES = (
+    "paper-1", "paper-2", "paper-3", "ulx3s-top", "sparse", "dark", "hdr", "distorted", "fixture", "repetitive",
+    "hdr-wide", "hdr-rows", "lights",
+)  # fmt: skip
 
 
 def lengths(result: Any, truth: dict[str, Any]) -> np.ndarray:
