@@ -6,6 +6,7 @@ import errno
 import logging
 import os
 import socket
+import threading
 from collections.abc import Callable
 
 from fastapi import FastAPI
@@ -23,6 +24,8 @@ HTTP_GRACE_S = 5.0
 """Time, s, in which requests under way may finish when the server stops."""
 SEND_BYTES = 256 * 1024
 """Memory of the kernel for the unread reply of a connection, bytes; the kernel uses twice as much."""
+_REQUEST_THREAD, _LEFT_S = "AnyIO worker thread", 0.5
+"""Name of the threads in which AnyIO runs requests, and the time for each of them to end after the server."""
 LOOP_LIMIT_S = 60.0
 """Longest time, s, for which a request may block the event loop. After it, the server counts as hung."""
 
@@ -73,7 +76,11 @@ class WebServer:
         The last call of a process: at its end Python would end their threads within compiled code of a library, which
         aborts the process (SIGABRT), so that systemd counts an orderly stop as a failure.
         """
-        if self._stop_requested and self.thread.is_alive():
+        # The server may have ended, and have left the thread of a request that cannot be cancelled.
+        serving = [self.thread, *(t for t in threading.enumerate() if t.name == _REQUEST_THREAD)]
+        for thread in serving:
+            thread.join(_LEFT_S)
+        if self._stop_requested and any(thread.is_alive() for thread in serving):
             _log.warning(
                 "requests did not end within %g s after the stop; the process ends without them", self._grace_s
             )

@@ -24,6 +24,10 @@ class Blackening(Protocol):
         """Set all pixels of a bay to zero."""
 
 
+_CHECK_S = 1.0
+"""Longest time between two signs of life of the thread while there is nothing to do."""
+
+
 class Commands(Protocol):
     """The one method of the link to the acquisition process that `BayGrants` calls."""
 
@@ -83,7 +87,7 @@ class BayGrants:
         """Wait for a command and return it; None if the thread is to end."""
         with self._changed:
             while not self._waiting and not self._ended:
-                self.thread.rest()
-                self._changed.wait()
+                self.thread.beat()
+                self._changed.wait(_CHECK_S)
             self.thread.beat()
             return self._waiting[0] if self._waiting and not self._ended else None
