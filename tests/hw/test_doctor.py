@@ -68,7 +68,7 @@ def test_a_controller_that_is_fit_and_stays_as_it_is(paced: PacedChip) -> None:
     after = asked(paced.link, Type.STATUS)
     assert list(found) == ["port", "firmware", "limits", "state", "clock"]
     assert {finding.level for finding in found.values()} == {Level.OK}, found
-    assert found["firmware"].figures["firmware"] == "1.1.0"
+    assert found["firmware"].figures["firmware"] == "1.2.0"
     assert found["limits"].figures["channel_2_longest_us"] == 500.0
     for name in ("state", "boots", "config_crc", "events_first", "events_next", "run", "row", "events_lost"):
         assert getattr(after, name) == getattr(before, name), name

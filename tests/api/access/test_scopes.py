@@ -29,6 +29,7 @@ EXPECTED = {
         "DELETE /board-types/{name}",
         "PUT /board-types/{name}/reference",
         "DELETE /board-types/{name}/reference",
+        "POST /board-types/{name}/revisions/{revision}/restore",
         "PUT /board-types/{name}/method",
         "DELETE /board-types/{name}/method",
     },
