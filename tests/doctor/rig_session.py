@@ -42,7 +42,7 @@ def killed_on_error(process: subprocess.Popen[str]) -> Iterator[None]:
     """Kill a process if the block fails."""
     try:
         yield
-    except BaseException:
+    except BaseException:  # also KeyboardInterrupt: end the process, then raise it again
         process.kill()
         process.communicate()
         raise

@@ -18,6 +18,7 @@ from vaoi_station.acquisition.controller.interface import (
     TriggerPlan,
 )
 from vaoi_station.acquisition.device_clock import DeviceClock
+from vaoi_station.errors import StateError
 from vaoi_station.supervised_thread import SupervisedThread
 
 
@@ -38,7 +39,8 @@ class ScriptedController:
         """Do nothing: no board is under way when a test disarms."""
 
     def fire_one(self) -> None:
-        raise NotImplementedError
+        """Raise StateError: the only pulses are those of a board."""
+        raise StateError("this line fires only while a board passes.")
 
     def read_clock(self) -> ClockReading:
         return self._clock.read()

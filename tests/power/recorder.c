@@ -163,21 +163,16 @@ int rename(const char *from, const char *to) {
   return result;
 }
 
-int unlink(const char *path) {
-  pthread_mutex_lock(&lock);
-  int result = REAL(unlink)(path);
-  if (result == 0 && below(path)) entry(0, 0, "remove %s\n", path);
-  pthread_mutex_unlock(&lock);
-  return result;
-}
-
-int rmdir(const char *path) {
-  pthread_mutex_lock(&lock);
-  int result = REAL(rmdir)(path);
-  if (result == 0 && below(path)) entry(0, 0, "remove %s\n", path);
-  pthread_mutex_unlock(&lock);
-  return result;
-}
+#define REMOVE(name)                                                    \
+  int name(const char *path) {                                          \
+    pthread_mutex_lock(&lock);                                          \
+    int result = REAL(name)(path);                                      \
+    if (result == 0 && below(path)) entry(0, 0, "remove %s\n", path);   \
+    pthread_mutex_unlock(&lock);                                        \
+    return result;                                                      \
+  }
+REMOVE(unlink)
+REMOVE(rmdir)
 
 int mkdir(const char *path, mode_t mode) {
   pthread_mutex_lock(&lock);
