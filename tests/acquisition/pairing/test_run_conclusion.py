@@ -127,6 +127,20 @@ def test_frames_of_the_time_in_which_a_clock_jumped_are_not_used() -> None:
     assert {row for (_, row), frame in run.frames.items() if frame.usable} == {0, 1, 4, 5}
 
 
+def test_a_camera_whose_clock_jumped_by_one_period_does_not_run_freely() -> None:
+    """The frames of rows 2 and 3 took rows 3 and 4, so the next one, dated correctly again, found its row taken."""
+    run, outages = run_with_frames({0: 1, 1: 2, 3: 3, 4: 4, 5: 6, 6: 7, 7: 8}, rows=8), Outages()
+    for k, frame in enumerate(run.complete_frames[0]):
+        if frame.row in (3, 4):
+            run.complete_frames[0][k] = replace(frame, arrived_s=frame.arrived_s - PERIOD_S)
+    outages.add_jump(0, ClockJump(PERIOD_S, START_S - 0.1, START_S + 0.35))
+    displaced = ObservedFrame(None, 5, START_S + 0.4, START_S + 0.4, START_S + 0.42)
+    missing, proof = conclude_run(run, [[displaced]], outages, 1e-4)
+    assert {frame.row for frame in missing} == {2}
+    assert [(f.row, f.kind) for f in proof.findings] == [(row, "clock-jumped") for row in (0, 1, 3, 4)]
+    assert {row for (_, row), frame in run.frames.items() if frame.usable} == {5, 6, 7}
+
+
 def test_a_frame_that_a_jump_moved_to_another_run_is_no_extra_frame_there() -> None:
     run, outages = run_with_frames({row: row + 1 for row in range(6)}), Outages()
     outages.add_jump(0, ClockJump(37.0, START_S - 37.5, START_S - 36.5))

@@ -10,6 +10,7 @@ from dataclasses import replace
 from vaoi_station.acquisition.causes import NO_PACKET, Gap, explain_missing, find_gaps
 from vaoi_station.acquisition.clocks import ClockJump
 from vaoi_station.acquisition.outages import Outages
+from vaoi_station.acquisition.pairing.clock_fit import median
 from vaoi_station.acquisition.pairing.proof import TriggerFinding, TriggerProof, prove, questioned_rows
 from vaoi_station.acquisition.pairing.run_record import ObservedFrame, RunRecord
 from vaoi_station.model import FrameRecord, Verdict
@@ -47,7 +48,8 @@ def conclude_run(
     for camera, extra in enumerate(unassigned):
         jumped.append(_jumped_rows(run, camera, outages))
         dated = [f for f in run.complete_frames[camera] if f.row not in jumped[-1]]
-        observed = [*dated, *(f for f in _near_run(run, extra) if _jump_of(f, camera, outages) is None)]
+        certain = [f for f in _near_run(run, extra) if _jump_of(f, camera, outages) is None]
+        observed = [*dated, *_without_displaced(run, certain, dated, jumped[-1])]
         frames.append([_with_epoch(f, outages.count_ended(camera, f.host_s)) for f in observed])
         opening = _opening_gap(run, previous, camera, extra, outages, taken[camera])
         gaps.append([*opening, *_gaps(run, frames[-1], taken[camera])])
@@ -76,6 +78,26 @@ def _jumped_rows(run: RunRecord, camera: int, outages: Outages) -> dict[int, str
         for frame in run.complete_frames[camera]
         if frame.row is not None and (jump := _jump_of(frame, camera, outages)) is not None
     }
+
+
+def _without_displaced(
+    run: RunRecord,
+    unassigned: Sequence[ObservedFrame],
+    dated: Sequence[ObservedFrame],
+    jumped: Mapping[int, str],
+) -> list[ObservedFrame]:
+    """Return the unassigned frames except those whose row was taken by a frame with an unknown time.
+
+    Such a frame answered its pulse. As evidence against the trigger it would make the camera appear to run freely.
+    """
+    if not jumped or not run.pulses:
+        return list(unassigned)
+    latency_s = median([f.host_s - run.pulses[f.row].host_s for f in dated if f.row is not None] or [0.0])
+
+    def row_of(frame: ObservedFrame) -> int:
+        return min(run.pulses, key=lambda row: abs(frame.host_s - latency_s - run.pulses[row].host_s))
+
+    return [frame for frame in unassigned if row_of(frame) not in jumped]
 
 
 def _with_jumps(proof: TriggerProof, jumped: Sequence[Mapping[int, str]]) -> TriggerProof:
