@@ -51,6 +51,10 @@ scenario = "scenario.toml"
 [ring]
 directory = "shm"
 
+[keep]
+database_gb = 0.05
+recordings_gb = 0.0
+
 [api]
 port = {port}
 """

@@ -15,6 +15,7 @@ import pytest
 
 from tests.doctor.conftest import assert_problem, only, with_config, without_privileges
 from tests.needs import lacking
+from vaoi_station.config import KeepConfig
 from vaoi_station.doctor.check_context import CheckContext
 from vaoi_station.doctor.checks import storage
 from vaoi_station.doctor.finding import Level
@@ -63,6 +64,34 @@ def test_limits_of_the_free_space(free: float, level: Level) -> None:
 def test_file_system_without_free_inodes_is_a_fault() -> None:
     assert_problem(storage.judge_space(space(1e12, free_inodes=0), "/data"), Level.FAULT, "inodes")
     assert storage.judge_space(space(1e12, inodes=0, free_inodes=0), "/data").level is Level.OK
+
+
+def test_a_disk_that_cannot_hold_the_quotas_is_a_warning_with_the_numbers() -> None:
+    keep = KeepConfig(database_gb=16.0, recordings_gb=20.0)
+    short = storage.judge_quotas(space(12e9), int(3e9), keep, "/data")
+    assert_problem(
+        short,
+        Level.WARNING,
+        "12 GB free and 3 GB in use",
+        "23 GB less",
+        "16 GB for the database, 20 GB for recordings and 2 GB as a reserve",
+    )
+    assert short.figures == {"free_bytes": 12e9, "used_bytes": 3e9, "quota_bytes": 38e9}
+    # What the station has written already counts as space for it.
+    assert storage.judge_quotas(space(12e9), int(26e9), keep, "/data").level is Level.OK
+    without = KeepConfig(database_gb=16.0, recordings_gb=0.0)
+    assert storage.judge_quotas(space(16.1e9), 0, without, "/data").level is Level.OK
+    assert "recordings and" not in storage.judge_quotas(space(15e9), 0, without, "/data").message
+
+
+def test_database_and_recordings_are_what_the_station_uses(context: CheckContext) -> None:
+    data = context.config.data
+    (data / "recordings" / "r1" / "frames").mkdir(parents=True)
+    (data / "recordings" / "r1" / "frames" / "c00_r000.tiff").write_bytes(bytes(3000))
+    (data / "station.db-wal").write_bytes(bytes(500))
+    (data / "audit.log").write_bytes(bytes(70))
+    (data / "station.db").symlink_to("station.db-wal")
+    assert storage.bytes_in_use(data) == 3500
 
 
 def mount_prefix() -> list[str]:

@@ -5,11 +5,16 @@ from __future__ import annotations
 import os
 import sqlite3
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
+from stat import S_ISREG
 
+from vaoi_station.config import KeepConfig
 from vaoi_station.doctor.check_context import CheckContext
-from vaoi_station.doctor.finding import Figures, Finding, fault, ok, warning
+from vaoi_station.doctor.finding import Figures, Finding, Level, fault, ok, warning
 from vaoi_station.doctor.machine import format_bytes, nearest, writable
+from vaoi_station.runs.archive.recordings import DIRECTORY as RECORDINGS
+from vaoi_station.runs.archive.recordings import DISK_RESERVE
 from vaoi_station.station import DATABASE
 from vaoi_station.store.schema import VERSION
 
@@ -18,7 +23,7 @@ SCANT_BYTES, LITTLE_BYTES = 200e6, 2e9
 
 
 def data(context: CheckContext) -> Iterator[Finding]:
-    """Check that the data directory can be written to and has free space."""
+    """Check that the data directory can be written to, and has space for all data that [keep] allows."""
     directory = context.config.data
     there = nearest(directory)
     if not there.is_dir():
@@ -30,7 +35,11 @@ def data(context: CheckContext) -> Iterator[Finding]:
             f"chown vaoi {there}, or run vaoi doctor as the user of the service: runuser -u vaoi -- vaoi doctor …",
         )
         return
-    yield judge_space(os.statvfs(there), str(directory))
+    space = os.statvfs(there)
+    finding = judge_space(space, str(directory))
+    if finding.level is Level.OK:
+        finding = judge_quotas(space, bytes_in_use(directory), context.config.keep, str(directory))
+    yield finding
     yield from database(directory / DATABASE)
 
 
@@ -98,3 +107,45 @@ def judge_space(space: os.statvfs_result, where: str) -> Finding:
             figures=figures,
         )
     return ok(message, figures=figures)
+
+
+def bytes_in_use(directory: Path) -> int:
+    """Return the size of the database, with its log, and of the recordings in a data directory, in bytes."""
+    files = (directory / DATABASE, directory / f"{DATABASE}-wal", *(directory / RECORDINGS).rglob("*"))
+    sizes = []
+    for path in files:
+        # Files of a running station may be deleted meanwhile.
+        with suppress(OSError):
+            status = path.lstat()
+            sizes.append(status.st_size if S_ISREG(status.st_mode) else 0)
+    return sum(sizes)
+
+
+def judge_quotas(space: os.statvfs_result, used_bytes: int, keep: KeepConfig, where: str) -> Finding:
+    """Judge whether a disk holds what the quotas of [keep] allow: database and recordings with their reserve.
+
+    Args:
+        space: figures of the file system.
+        used_bytes: size of the database and recordings that are there already.
+        keep: the quotas.
+        where: name of the directory in the message.
+    """
+    free = space.f_bavail * space.f_frsize
+    recordings = keep.recordings_gb * 1e9
+    needed = keep.database_gb * 1e9 + (recordings + DISK_RESERVE if recordings else 0)
+    figures: Figures = {"free_bytes": free, "used_bytes": used_bytes, "quota_bytes": needed}
+    if free + used_bytes >= needed:
+        return ok(f"{where}: {format_bytes(free)} free", figures=figures)
+    allowed = f"{keep.database_gb:g} GB for the database" + (
+        f", {keep.recordings_gb:g} GB for recordings and {format_bytes(DISK_RESERVE)} as a reserve"
+        if recordings
+        else ""
+    )
+    short = needed - free - used_bytes
+    return warning(
+        f"{where}: {format_bytes(free)} free and {format_bytes(used_bytes)} in use by the station are "
+        f"{format_bytes(short)} less than [keep] allows ({allowed}): recordings, then old runs, will be deleted "
+        "before their time.",
+        "Lower [keep] database_gb or recordings_gb in station.toml, or move `data` to a larger disk.",
+        figures=figures,
+    )
