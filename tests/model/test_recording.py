@@ -41,6 +41,12 @@ def test_exposures_are_those_of_the_camera_unless_given_per_frame() -> None:
     assert hdr.exposure_us(0, 2) == 50
 
 
+def test_gains_are_1_and_rows_have_no_light_unless_given() -> None:
+    assert (head().gain(1, 2), head().light(2)) == (1.0, None)
+    given = head(gains=[[1.0, 2], [4, 1], [1, 1]], lights=["left", "right", "left"])
+    assert (given.gain(0, 1), given.light(1)) == (4.0, "right")
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -51,6 +57,9 @@ def test_exposures_are_those_of_the_camera_unless_given_per_frame() -> None:
         ({"trigger_times_s": [0, 2, 2]}, "must increase from row to row"),
         ({"exposures_us": [[1.0, 2.0]]}, "exposures_us has 1 entries"),
         ({"exposures_us": [[1.0, 2.0], [1.0], [1.0, 2.0]]}, "exposures_us must have 2 entries in every row"),
+        ({"gains": [[1.0, 2.0]]}, "gains has 1 entries"),
+        ({"gains": [[1.0, 2.0], [1.0], [1.0, 2.0]]}, "gains must have 2 entries in every row"),
+        ({"gains": [[1.0, 0.0]] * 3}, "gains"),
         ({"lights": ["a"]}, "lights has 1 entries"),
         ({"rows": 0}, "rows"),
         ({"cameras": []}, "cameras"),

@@ -12,6 +12,8 @@ from vaoi_station.model.frozen_model import Finite, FrozenModel, PointMm, Positi
 
 Microseconds = Annotated[Positive, Field(le=3.6e9)]
 """An exposure time in µs; at most an hour."""
+Gain = Annotated[Positive, Field(ge=1e-3, le=1e4)]
+"""A linear gain of a camera: 2 makes grey levels twice as large as 1."""
 MillimetresPerSecond = Annotated[Finite, Field(ge=-1e5, le=1e5)]
 
 
@@ -41,6 +43,7 @@ class RecordingHead(FrozenModel):
     missing: tuple[tuple[Whole, Whole], ...] = ()
     trigger_times_s: tuple[Finite, ...] | None = None
     exposures_us: tuple[tuple[Microseconds, ...], ...] | None = None
+    gains: tuple[tuple[Gain, ...], ...] | None = None
     lights: tuple[str, ...] | None = None
     rotation_deg: Literal[0, 90, 180, 270] | None = None
     """Expected rotation of the board on the belt, counter-clockwise from CAD-upright as the camera sees it."""
@@ -54,12 +57,13 @@ class RecordingHead(FrozenModel):
         for camera, row in self.missing:
             if not (0 <= camera < n and 0 <= row < m):
                 raise ValueError(f"missing names [{camera}, {row}], but there are {n} cameras and {m} rows (from 0)")
-        for key in ("trigger_times_s", "exposures_us", "lights"):
+        for key in ("trigger_times_s", "exposures_us", "gains", "lights"):
             value = getattr(self, key)
             if value is not None and len(value) != m:
                 raise ValueError(f"{key} has {len(value)} entries, must have one per row: {m}")
-        if self.exposures_us and any(len(row) != n for row in self.exposures_us):
-            raise ValueError(f"exposures_us must have {n} entries in every row, one per camera")
+        for key in ("exposures_us", "gains"):
+            if any(len(row) != n for row in getattr(self, key) or ()):
+                raise ValueError(f"{key} must have {n} entries in every row, one per camera")
         if self.trigger_times_s and (np.diff(self.trigger_times_s) <= 0).any():
             raise ValueError("trigger_times_s must increase from row to row")
         return self
@@ -74,3 +78,11 @@ class RecordingHead(FrozenModel):
     def exposure_us(self, camera: int, row: int) -> float:
         """Return the exposure time of one frame in µs."""
         return self.exposures_us[row][camera] if self.exposures_us else self.cameras[camera].exposure_us
+
+    def gain(self, camera: int, row: int) -> float:
+        """Return the linear gain of one frame; 1 if the recording states none."""
+        return self.gains[row][camera] if self.gains else 1.0
+
+    def light(self, row: int) -> str | None:
+        """Return the name of the light pattern of one row; None if the recording states none."""
+        return self.lights[row] if self.lights else None

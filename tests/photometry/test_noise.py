@@ -1,0 +1,51 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from vaoi_station.photometry.noise import NoiseModel, fit_line, grey_levels, noise_from_frames
+
+
+def noisy(level: NDArray[np.float64], read: float, shot: float, seed: int) -> NDArray[np.uint8]:
+    noise = np.random.default_rng(seed).standard_normal(level.shape) * np.sqrt(read**2 + shot * level)
+    return np.clip(np.round(level + noise), 0, 255).astype(np.uint8)
+
+
+def board(seed: int, bright: float) -> NDArray[np.float64]:
+    """Smooth places of all brightnesses, and busy ones in half of the frame."""
+    rng = np.random.default_rng(seed)
+    level = np.kron(rng.uniform(10, 230, (10, 12)), np.ones((48, 48)))
+    level[:, :288] *= np.kron(rng.uniform(0.6, 1, (120, 72)), np.ones((4, 4)))
+    return np.asarray(level * bright, dtype=np.float64)
+
+
+def test_noise_is_estimated_from_the_smooth_places_of_frames() -> None:
+    frames = [noisy(board(k, bright), 1.5, 0.03, k) for k, bright in enumerate((1.0, 0.5, 0.2))]
+    found = noise_from_frames(frames)
+    assert found.read == pytest.approx(1.5, abs=0.25)
+    assert found.shot == pytest.approx(0.03, rel=0.25)
+
+
+def test_frames_of_16_bits_have_the_same_unit() -> None:
+    frame = noisy(board(1, 1.0), 1.5, 0.03, 1)
+    wide = frame.astype(np.uint16) * 257
+    np.testing.assert_allclose(grey_levels(wide), frame, atol=1e-3)
+    assert noise_from_frames([wide]).shot == pytest.approx(noise_from_frames([frame]).shot, rel=1e-3)
+
+
+def test_frames_without_smooth_places_leave_typical_values() -> None:
+    assert noise_from_frames([np.full((8, 8), 90, np.uint8)]) == NoiseModel()
+    assert noise_from_frames([np.full((200, 200), 255, np.uint8)]) == NoiseModel()
+
+
+def test_one_brightness_keeps_the_typical_ratio() -> None:
+    typical = NoiseModel()
+    found = fit_line(np.array([100.0]), np.array([4 * (typical.read**2 + 100 * typical.shot)]), np.array([9.0]))
+    assert (found.read, found.shot) == pytest.approx((2 * typical.read, 4 * typical.shot))
+
+
+def test_a_line_without_read_noise_is_one_of_shot_noise() -> None:
+    found = fit_line(np.array([50.0, 100, 200]), np.array([0.5, 2.5, 6.5]), np.ones(3))
+    assert found.read == pytest.approx(0.3)
+    assert found.shot > 0

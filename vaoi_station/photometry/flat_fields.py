@@ -1,0 +1,231 @@
+"""Flat fields of a camera array: one per camera and light, read from the directory that `vaoi flatfield` writes.
+
+A directory holds `flatfield.json` and pictures of 32-bit floats, TIFF, in `fields/`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+import cv2
+import numpy as np
+from pydantic import Field, model_validator
+
+from vaoi_station.errors import InputError
+from vaoi_station.files.documents import check_format, parse, read_json, write_bytes, write_json
+from vaoi_station.files.images import decode, encode_tiff
+from vaoi_station.model import CameraHead, Finite, FrozenModel, Positive, RecordingHead, Whole
+from vaoi_station.photometry.noise import Floats32, NoiseModel
+
+DOCUMENT = "flatfield.json"
+_MAKE = "Make flat fields of this array with 'vaoi flatfield'."
+_LARGEST = 1e3
+"""Largest value of a flat field; one of a real lens is below 3."""
+
+Side = Annotated[Whole, Field(ge=16, le=65536)]
+FileName = Annotated[str, Field(pattern=r"^fields/[A-Za-z0-9._-]+\.tiff$", max_length=200)]
+
+
+class CameraFields(FrozenModel):
+    """Size, dark level and noise of one camera, in 8-bit grey levels."""
+
+    width: Side
+    height: Side
+    dark: Annotated[Finite, Field(ge=0, le=255)] = 0.0
+    """Grey level of darkness, mean over the frame."""
+    dark_file: FileName | None = None
+    """Picture of the dark level, where it differs from pixel to pixel."""
+    read: Annotated[Positive, Field(le=255)]
+    shot: Annotated[Positive, Field(le=255)]
+
+
+class FieldHead(FrozenModel):
+    """One flat field: its camera, light and file."""
+
+    camera: Annotated[Whole, Field(ge=0)]
+    light: Annotated[str, Field(max_length=100)] | None = None
+    file: FileName
+    level: Positive
+    """Mean of the white target over the frame, grey levels per µs at gain 1."""
+    rows: Annotated[Whole, Field(ge=1)]
+    """Number of rows from which it was made."""
+
+
+class FlatFieldDocument(FrozenModel):
+    """The content of flatfield.json."""
+
+    format: Literal["vaoi-flatfield"]
+    version: Literal[1]
+    created: str | None = None
+    """Time at which the white target was measured, ISO 8601."""
+    cameras: Annotated[tuple[CameraFields, ...], Field(min_length=1)]
+    fields: Annotated[tuple[FieldHead, ...], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _one_field_for_each(self) -> Self:
+        keys = [(f.camera, f.light) for f in self.fields]
+        lights = sorted({light for _, light in keys}, key=str)
+        wanted = {(camera, light) for camera in range(len(self.cameras)) for light in lights}
+        if len(set(keys)) != len(keys) or set(keys) != wanted:
+            raise ValueError(
+                f"fields has {len(keys)} entries, must have one for each of {len(self.cameras)} cameras and "
+                f"{len(lights)} lights"
+            )
+        return self
+
+
+@dataclass(frozen=True, eq=False)
+class FieldMaps:
+    """What turns grey levels of one camera under one light into radiance."""
+
+    flat: Floats32 | None
+    """(h, w), mean 1 over all cameras and lights of the array; None without a flat field."""
+    dark: Floats32 | float
+    """Grey level of darkness: (h, w), or one value for all pixels."""
+    noise: NoiseModel
+
+    def part(self, rows: slice, columns: slice) -> FieldMaps:
+        """Return the maps of a part of the frame."""
+        flat = None if self.flat is None else self.flat[rows, columns]
+        dark = self.dark if isinstance(self.dark, float) else self.dark[rows, columns]
+        return FieldMaps(flat, dark, self.noise)
+
+
+@dataclass(frozen=True, eq=False)
+class FlatFields:
+    """The flat fields of an array, or none at all."""
+
+    document: FlatFieldDocument | None = None
+    flats: Mapping[tuple[int, str | None], Floats32] = field(default_factory=dict)
+    """Flat fields (h, w) by camera and light."""
+    darks: Mapping[int, Floats32] = field(default_factory=dict)
+    """Dark levels (h, w) by camera, where they differ from pixel to pixel."""
+    source: str = "the flat fields"
+    """Where they come from, for messages."""
+    noise: NoiseModel = field(default_factory=NoiseModel)
+    """Noise of all cameras without flat fields."""
+    dark: float = 0.0
+    """Dark level of all cameras without flat fields."""
+
+    @classmethod
+    def none(cls, noise: NoiseModel | None = None, dark: float = 0.0) -> FlatFields:
+        """Return the absence of flat fields: flat 1, one dark level and one noise for all cameras."""
+        return cls(noise=noise or NoiseModel(), dark=dark)
+
+    @classmethod
+    def open(cls, directory: Path) -> FlatFields:
+        """Read a directory that `vaoi flatfield` has written.
+
+        Raises:
+            InputError: a file is absent or not what it must be; the message names it.
+        """
+        path = directory / DOCUMENT
+        data = read_json(path)
+        check_format(data, path, "vaoi-flatfield", 1)
+        document = parse(FlatFieldDocument, data, path)
+        flats = {(f.camera, f.light): _read(directory / f.file, document.cameras[f.camera]) for f in document.fields}
+        darks = {
+            i: _read(directory / c.dark_file, c, least=-1.0)
+            for i, c in enumerate(document.cameras)
+            if c.dark_file is not None
+        }
+        return cls(document, flats, darks, str(directory))
+
+    def __bool__(self) -> bool:
+        return self.document is not None
+
+    @property
+    def lights(self) -> tuple[str | None, ...]:
+        """The lights for which there is a flat field; (None,) where the white target had no named light."""
+        return tuple(dict.fromkeys(f.light for f in self.document.fields)) if self.document else ()
+
+    def maps(self, camera: int, light: str | None) -> FieldMaps:
+        """Return the maps of one camera under one light.
+
+        Raises:
+            InputError: there are flat fields, but none of this camera or light.
+        """
+        if self.document is None:
+            return FieldMaps(None, self.dark, self.noise)
+        if not 0 <= camera < len(self.document.cameras):
+            raise InputError(
+                f"{self.source}: have {len(self.document.cameras)} cameras, but camera {camera} is asked for (from 0).",
+                action=_MAKE,
+            )
+        flat = self.flats.get((camera, light))
+        if flat is None:
+            raise self._other_light(light)
+        found = self.document.cameras[camera]
+        return FieldMaps(flat, self.darks.get(camera, float(found.dark)), NoiseModel(found.read, found.shot))
+
+    def check(self, cameras: Sequence[CameraHead], lights: Sequence[str] | None) -> None:
+        """Refuse an array whose number of cameras, frame sizes or lights differ from those of the flat fields.
+
+        Raises:
+            InputError: they differ; the message has both numbers.
+        """
+        if self.document is None:
+            return
+        found = self.document.cameras
+        if len(found) != len(cameras):
+            raise InputError(
+                f"{self.source}: are of an array of {len(found)} cameras, but {len(cameras)} cameras were filming.",
+                action=_MAKE,
+            )
+        for i, (mine, head) in enumerate(zip(found, cameras, strict=True)):
+            if (mine.width, mine.height) != (head.width, head.height):
+                raise InputError(
+                    f"{self.source}: the field of camera {i} has {mine.width}×{mine.height} px, but its frames have "
+                    f"{head.width}×{head.height} px.",
+                    action=_MAKE,
+                )
+        for light in dict.fromkeys(lights or (None,)):
+            if light not in self.lights:
+                raise self._other_light(light)
+
+    def check_head(self, head: RecordingHead) -> None:
+        """Refuse a recording of another array, resolution or light; see `check`."""
+        self.check(head.cameras, head.lights)
+
+    def _other_light(self, light: str | None) -> InputError:
+        names = ", ".join(repr(name) if name is not None else "an unnamed light" for name in self.lights)
+        wanted = "frames without a named light" if light is None else f"the light {light!r}"
+        return InputError(
+            f"{self.source}: have no field for {wanted}; there are {len(self.lights)}: {names}.",
+            action="Film the white target under every light of the program, and run 'vaoi flatfield' again.",
+        )
+
+
+def write_flat_fields(directory: Path, fields: FlatFields) -> None:
+    """Write flat fields into a directory that exists (a draft of `files.atomic_directory.new_directory`)."""
+    document = fields.document
+    assert document is not None, "only measured fields are written"
+    for head in document.fields:
+        write_bytes(directory / head.file, encode_tiff(fields.flats[head.camera, head.light]), durable=False)
+    for i, camera in enumerate(document.cameras):
+        if camera.dark_file is not None:
+            write_bytes(directory / camera.dark_file, encode_tiff(fields.darks[i]), durable=False)
+    write_json(directory / DOCUMENT, document.model_dump(mode="json", exclude_none=True))
+
+
+def _read(path: Path, camera: CameraFields, least: float = 0.0) -> Floats32:
+    """Read one picture of 32-bit floats and check it against its camera."""
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}).", action=_MAKE) from error
+    image = decode(content)
+    if image is None or image.dtype != np.float32 or image.ndim != 2:
+        raise InputError(f"{path}: is not a grey TIFF of 32-bit floats.", action=_MAKE)
+    if image.shape != (camera.height, camera.width):
+        raise InputError(
+            f"{path}: is {image.shape[1]}×{image.shape[0]} px, but {DOCUMENT} says {camera.width}×{camera.height} px."
+        )
+    low, high, *_ = cv2.minMaxLoc(image)
+    if not np.isfinite(image).all() or low < least or high > _LARGEST:
+        raise InputError.field(path, "range", f"{low:g} to {high:g}", f"{least:g} to {_LARGEST:g}", _MAKE)
+    image.setflags(write=False)
+    return image
