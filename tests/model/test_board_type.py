@@ -37,6 +37,16 @@ def test_units(unit: str, mm: float) -> None:
     assert board(unit=unit).mm_per_unit == MM_PER_UNIT[unit] == pytest.approx(mm)
 
 
+def test_the_origin_of_the_cad_system_is_kept_and_changes_nothing_else() -> None:
+    with_origin, without = (board(components=[component(**change)]) for change in ({"origin": [9, 20]}, {}))
+    assert with_origin.model_dump(exclude_none=True)["components"][0]["origin"] == (9, 20)
+    np.testing.assert_array_equal(
+        with_origin.footprint(with_origin.components[0]), without.footprint(without.components[0])
+    )
+    with pytest.raises(ValidationError, match=r"the origin of component 'U1' is at \(20000, 0\) mm, must be within"):
+        board(components=[component(origin=[20_000, 0])])
+
+
 @pytest.mark.parametrize("y_axis", ["up", "down"])
 @pytest.mark.parametrize("side", ["top", "bottom"])
 def test_rotation_is_counter_clockwise_with_cad_up_shown_up(y_axis: str, side: str) -> None:

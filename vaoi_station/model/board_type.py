@@ -67,6 +67,8 @@ class Component(FrozenModel):
     rotation: Annotated[Finite, Field(ge=-36_000, le=36_000)] = 0.0
     body_height: Annotated[Finite, Field(ge=0)] | None = None
     panel: str | int | None = None
+    origin: Point | None = None
+    """Point of the component in its CAD system, where it is not the centre of the body; the station does not use it."""
     visibility: Visibility | None = None
 
     @property
@@ -205,6 +207,7 @@ def _coordinates(board: BoardType) -> Iterator[tuple[str, float, float]]:
     yield from ((f"outline.{n}", x, y) for n, (x, y) in enumerate(board.outline or ()))
     yield from ((f"fiducial {f.name!r}", f.x, f.y) for f in board.fiducials)
     yield from ((f"component {c.address!r}", *c.center) for c in board.components)
+    yield from ((f"the origin of component {c.address!r}", *c.origin) for c in board.components if c.origin)
     yield from ((f"fixture_marks.{n}", m.x, m.y) for n, m in enumerate(board.fixture_marks))
 
 
