@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from vaoi_station.errors import InputError, NotFoundError
-from vaoi_station.files.images import decode, encode, encode_jpeg, encode_png, read_image, write_image
+from vaoi_station.errors import DeviceError, GoneError, InputError, NotFoundError
+from vaoi_station.files.images import decode, encode, encode_jpeg, encode_png, read_image, read_kept_image, write_image
 
 g = np.random.default_rng(1)
 
@@ -106,3 +106,14 @@ def test_other_formats_are_refused_whatever_their_name_is(tmp_path: Path, suffix
     (tmp_path / "frame.png").write_bytes(cv2.imencode(suffix, grey)[1].tobytes())
     with pytest.raises(InputError, match="not a picture"):
         read_image(tmp_path / "frame.png")
+
+
+def test_a_kept_frame_that_is_gone_or_damaged_is_not_the_callers_fault(tmp_path: Path) -> None:
+    path = tmp_path / "frame.tiff"
+    with pytest.raises(GoneError, match="the recording was deleted"):
+        read_kept_image(path)
+    path.write_bytes(b"II*\0")
+    with pytest.raises(DeviceError, match="is not a picture"):
+        read_kept_image(path)
+    write_image(path, np.full((3, 4), 7, np.uint8))
+    assert read_kept_image(path).shape == (3, 4)

@@ -75,7 +75,7 @@ KINDS: dict[str, tuple[int, str, str]] = {
     "gone": (
         410,
         "Frames no longer in memory",
-        "Fetch images sooner, hold the run, or increase [ring] runs in station.toml.",
+        "Fetch images sooner, hold or pin the run, or increase [ring] runs in station.toml.",
     ),
     "too-large": (413, "Request too large", "Send a smaller body; the detail names the limit."),
     "internal": (

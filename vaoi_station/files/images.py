@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vaoi_station.errors import InputError, NotFoundError
+from vaoi_station.errors import DeviceError, GoneError, InputError, NotFoundError
 from vaoi_station.files.documents import write_bytes
 
 Image = NDArray[Any]
@@ -43,6 +43,25 @@ def read_image(path: Path) -> Image:
             path, "number of channels", image.shape[2], "1 (grey) or 3 (colour), without transparency"
         )
     return np.asarray(image)
+
+
+def read_kept_image(path: Path) -> Image:
+    """Read a frame that this station has kept on disk.
+
+    Raises:
+        GoneError: the file was deleted; the quota may do so at any time.
+        DeviceError: the file is damaged.
+    """
+    try:
+        return read_image(path)
+    except NotFoundError as error:
+        raise GoneError(
+            f"{path}: the recording was deleted, because its space was needed.",
+            action="Pin runs whose frames are needed for long, or raise [keep] recordings_gb.",
+            code="frames-gone",
+        ) from error
+    except InputError as error:
+        raise DeviceError(error.message, action="Check the disk: a kept recording is damaged.") from error
 
 
 def decode(content: bytes | NDArray[np.uint8]) -> Image | None:

@@ -33,11 +33,9 @@ class Recording:
         """Return the file of one frame; None if the frame is missing."""
         if (camera, row) in self.head.missing:
             return None
-        stem = self.directory / "frames" / f"c{camera:02d}_r{row:03d}"
-        for suffix in SUFFIXES:
-            path = stem.with_suffix(suffix)
-            if path.is_file():
-                return path
+        if (path := frame_file(self.directory, camera, row)) is not None:
+            return path
+        stem = self.directory / "frames" / _name(camera, row)
         raise InputError(
             f"{stem}.png: the frame is absent and not listed under 'missing' in recording.json.",
             action=f"Restore the file, or add [{camera}, {row}] to 'missing'.",
@@ -114,6 +112,12 @@ class Recording:
                 self.frame_path(camera, row)
 
 
+def frame_file(directory: Path, camera: int, row: int) -> Path | None:
+    """Return the file of one frame in the directory of a recording; None if there is no such file."""
+    paths = (directory / "frames" / f"{_name(camera, row)}{suffix}" for suffix in SUFFIXES)
+    return next((path for path in paths if path.is_file()), None)
+
+
 def open_recording(directory: Path) -> Recording:
     """Open a recording, and check that all its frame files exist."""
     path = directory / "recording.json"
@@ -134,6 +138,10 @@ def write_recording(
     # The head of an older recording is removed first: new frames under an old head would count as complete.
     (directory / "recording.json").unlink(missing_ok=True)
     for camera, row, image in frames:
-        write_image(directory / "frames" / f"c{camera:02d}_r{row:03d}{suffix}", image)
+        write_image(directory / "frames" / f"{_name(camera, row)}{suffix}", image)
     write_json(directory / "recording.json", head.model_dump(mode="json", exclude_none=True))
     return open_recording(directory)
+
+
+def _name(camera: int, row: int) -> str:
+    return f"c{camera:02d}_r{row:03d}"

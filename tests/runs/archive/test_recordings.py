@@ -15,7 +15,7 @@ from vaoi_station.config import KeepConfig
 from vaoi_station.errors import GoneError
 from vaoi_station.files import open_recording, read_board_type, read_calibration, read_stitch
 from vaoi_station.files.atomic_directory import new_directory
-from vaoi_station.model import Status
+from vaoi_station.model import Status, Verdict
 from vaoi_station.runs.archive import recordings as module
 from vaoi_station.runs.archive.recordings import Recordings
 from vaoi_station.runs.states.schemas import RunDetail
@@ -73,6 +73,34 @@ def test_the_frames_of_a_degraded_run_are_a_complete_recording(rig: Any) -> None
     retention = rig.coordinator.snapshot().retention
     assert retention.recordings == 1
     assert retention.recordings_bytes > expected.nbytes
+
+
+def test_pictures_of_a_run_that_left_the_memory_come_from_its_recording(rig: Any) -> None:
+    rig.workers.result = lambda head: a_stitch(head, Status.DEGRADED, ("weak",))
+    grant = rig.arm()
+    rig.board(grant, verdicts={1: Verdict.INCOMPLETE})
+    run = rig.result_of(grant.run)
+    expected = pixels(rig, run, 1, 2)
+    wait_event(rig, run.id, "recording")
+    [view, *_] = rig.coordinator.views(run.id, "U1")
+    rig.coordinator.release(run.id)
+    assert rig.coordinator.run(run.id).frames_available is False
+    found, record = rig.coordinator.frame(run.id, 1, 2)
+    assert np.array_equal(found, expected)
+    assert found.dtype == expected.dtype
+    assert (record.camera, record.row) == (1, 2)
+    assert rig.coordinator.image(run.id, "U1", 0) == b"picture"
+    recordings = rig.coordinator.kept.recordings
+    assert rig.workers.done[-1].file == recordings.frame_file(run.id, view.camera, view.row)
+    # Only complete frames are kept; what the recording has is named.
+    with pytest.raises(GoneError, match=r"its recording .* does not have it") as refusal:
+        rig.coordinator.frame(run.id, 1, 1, allow_incomplete=True)
+    assert f"vaoi cut {recordings.path_of(run.id)}" in refusal.value.action
+    recordings._delete(run.id)
+    with pytest.raises(GoneError, match="are no longer in memory"):
+        rig.coordinator.frame(run.id, 1, 2)
+    with pytest.raises(GoneError, match="are no longer in memory"):
+        rig.coordinator.image(run.id, "U1", 0)
 
 
 def test_frames_of_a_sound_run_are_kept_when_it_is_pinned(rig: Any) -> None:

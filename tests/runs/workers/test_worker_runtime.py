@@ -18,6 +18,7 @@ from tests.runs.workers.conftest import CHECK, RingBoard
 from vaoi_station.drift.check_run import check_run
 from vaoi_station.drift.checks import RunCheck
 from vaoi_station.errors import GoneError, InternalError
+from vaoi_station.files.images import write_image
 from vaoi_station.model import Status
 from vaoi_station.rendering import compute_views
 from vaoi_station.runs.states.schemas import ImageFormat
@@ -177,6 +178,22 @@ def test_a_picture_is_rendered_from_its_slot(
     assert decoded(only(runtime, job).value).shape[:2] == (view.height, view.width)
     stale = dataclasses.replace(job, generation=job.generation + 1)
     assert isinstance(only(runtime, stale).error, GoneError)
+
+
+def test_a_picture_from_a_recording_equals_that_from_the_ring(
+    runtime: WorkerRuntime, ring_board: RingBoard, linked: dict[Task, Linked], tmp_path: Path
+) -> None:
+    stitch = only(runtime, ring_board.conclusion(linked)).value.without_components
+    board_type = ring_board.setup.board_type
+    assert board_type is not None
+    view = compute_views(board_type.components[0], board_type, stitch, ring_board.setup.cameras)[0]
+    slot = ring_board.slots[view.camera, view.row]
+    job = RenderJob("r1", 0, ring_board.context.generation, slot, view, "png")
+    write_image(tmp_path / "frame.tiff", runtime._ring.frame(slot))
+    kept = dataclasses.replace(job, generation=0, slot=0, file=tmp_path / "frame.tiff")
+    assert only(runtime, kept).value == only(runtime, job).value
+    (tmp_path / "frame.tiff").unlink()
+    assert isinstance(only(runtime, kept).error, GoneError)
 
 
 def decoded(content: bytes) -> NDArray[Any]:

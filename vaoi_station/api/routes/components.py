@@ -68,7 +68,7 @@ def router(services: Services) -> APIRouter:
         """Return temporary image k of a component: cut from one frame, upright, aligned with the CAD axes.
 
         Pass the same `px_per_mm` and `min_coverage` as for the list of views, to which index k refers. 410: the frames
-        are no longer in memory.
+        are no longer in memory, and no recording of the run is kept.
         """
         image_format = choose_format(format, accept)
 

@@ -45,7 +45,8 @@ def router(services: Services) -> APIRouter:
         """Return one frame as PNG, TIFF, npy or raw, all without loss. An incomplete frame needs `incomplete=show`.
 
         So does a frame that is not proven to belong to its row (409 `frame-unproven`). The header X-Frame-Verdict is
-        `ok`, `incomplete` or `unproven`. 410: the frame is no longer in memory.
+        `ok`, `incomplete` or `unproven`. 410: the frame is no longer in memory,
+        and not in a recording that is kept of the run.
         """
         image_format = choose_format(format, accept)
 

@@ -46,7 +46,7 @@ export class Board {
 
   async show(id) {
     const run = await rest.run(id);
-    const seen = `${run.id} ${run.state} ${run.frames_available}`;
+    const seen = `${run.id} ${run.state} ${run.frames_available} ${run.recording}`;
     if (seen === this.#seen) return;
     this.#run = run;
     this.#showFacts();
@@ -116,7 +116,7 @@ export class Board {
 
   async #showPictures() {
     const [run, ref] = [this.#run, this.#chosen];
-    if (!run.frames_available) {
+    if (!run.frames_available && !run.recording) {
       $("views").textContent = "";
       $("pictures").replaceChildren(note(texts.picturesGone));
       return;

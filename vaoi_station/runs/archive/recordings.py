@@ -24,6 +24,7 @@ from vaoi_station.files import write_board_type, write_calibration, write_record
 from vaoi_station.files.atomic_directory import new_directory
 from vaoi_station.files.documents import write_bytes
 from vaoi_station.files.images import Image
+from vaoi_station.files.recordings import frame_file
 from vaoi_station.model import RecordingHead, Status
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive, FinishedRun
@@ -110,6 +111,22 @@ class Recordings:
     def path_of(self, run: str) -> Path | None:
         """Return the recording of a run; None if none is kept."""
         return self.directory / run if run in self._sizes else None
+
+    def frame_file(self, run: str, camera: int, row: int) -> Path | None:
+        """Return the file of a frame in the recording of a run; None if no recording of the run is kept.
+
+        Raises GoneError if the recording does not have this frame.
+        """
+        if (directory := self.path_of(run)) is None:
+            return None
+        if (path := frame_file(directory, camera, row)) is None:
+            raise GoneError(
+                f"Camera {camera}, row {row} of run {run} is no longer in memory, and its recording {directory} does "
+                "not have it: only frames that are complete and proven were kept.",
+                action=f"Use the other frames of the run, here or by vaoi cut {directory}.",
+                code="frames-gone",
+            )
+        return path
 
     @property
     def runs(self) -> int:

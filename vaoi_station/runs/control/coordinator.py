@@ -102,6 +102,7 @@ class StationCoordinator:
         requests = PictureRequests(parts.workers)
         self._frames = FrameAccess(self._inbox, self._core, ring, parts.archive, requests)
         self.kept = KeptRuns(parts.config, parts.archive, parts.events, self._frames)
+        self._frames.recorded = self.kept.recordings.frame_file
         teaching = ReferenceTeaching(references, parts.config.method)
         self._board_types = BoardTypeService(
             board_types, teaching, parts.archive, parts.events, self._core, self._inbox, self._frames
@@ -333,7 +334,7 @@ class StationCoordinator:
         """Return a copy of one frame's pixels, (h, w) uint8 or uint16, and its record.
 
         Raises:
-            GoneError: the memory of the frame was given to a later board.
+            GoneError: the memory of the frame was given to a later board, and it is in no recording of the run.
             NotFoundError: the run has no such frame, or the frame never arrived.
             StateError: the frame may still arrive, or it is incomplete or not proven and `allow_incomplete` is
                 False.

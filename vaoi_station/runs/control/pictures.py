@@ -1,7 +1,7 @@
 """Pixels of a run, for callers in any thread: copies of frames, and temporary images that a worker renders.
 
 The memory of the ring may be given to the next board at any time. Therefore every access holds a lease while it reads
-pixels.
+pixels. Of a run that is no longer in memory, frames are read from its recording, if one is kept.
 """
 
 from __future__ import annotations
@@ -12,12 +12,14 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 
 from vaoi_station.acquisition.ring.ring import Ring
-from vaoi_station.errors import DeviceError, NotFoundError, StateError
+from vaoi_station.errors import DeviceError, GoneError, NotFoundError, StateError
+from vaoi_station.files.images import read_kept_image
 from vaoi_station.model import FrameRecord
 from vaoi_station.rendering import View
 from vaoi_station.runs.archive import component_views
@@ -105,18 +107,26 @@ class FrameAccess:
     def __init__(self, inbox: Inbox, core: Core, ring: Ring, archive: Archive, requests: PictureRequests) -> None:
         self._inbox, self._core, self._ring = inbox, core, ring
         self._archive, self._requests = archive, requests
+        self.recorded: Callable[[str, int, int], Path | None] = lambda _run, _camera, _row: None
+        """Function that returns the file of a frame (run, camera, row) in the run's recording; None if no recording of
+        the run is kept. It raises GoneError if the recording does not have the frame."""
         self._uses = itertools.count(1)
 
     def frame(
         self, detail: RunDetail, camera: int, row: int, allow_incomplete: bool
     ) -> tuple[NDArray[Any], FrameRecord]:
-        """Copy one frame out of the ring, and return its pixels and its record; see `StationCoordinator.frame`."""
+        """Copy one frame out of the ring or the recording, with its record; see `StationCoordinator.frame`."""
         record = frame_record(detail, camera, row)
         where = f"Frame (camera {camera}, row {row}) of run {detail.id}"
         component_views.refuse_unusable(record, where, allow_incomplete)
         assert record.slot is not None, "only missing frames have no slot"
-        with self.lease(detail.id, f"frame {camera}/{row}") as bay:
-            return self._ring.snapshot(record.slot, bay.generation), record
+        try:
+            with self.lease(detail.id, f"frame {camera}/{row}") as bay:
+                return self._ring.snapshot(record.slot, bay.generation), record
+        except GoneError:
+            if (file := self.recorded(detail.id, camera, row)) is None:
+                raise
+        return read_kept_image(file), record
 
     def image(self, detail: RunDetail, wanted: ViewRequest, format: ImageFormat) -> bytes:
         """Have a worker render one temporary image, and return it as an encoded file."""
@@ -127,9 +137,14 @@ class FrameAccess:
         record = frame_record(detail, view.camera, view.row)
         assert record.slot is not None, "views are of whole frames"
         name = f"{wanted.ref}/{wanted.k}"
-        with self.lease(detail.id, f"image {name}") as bay:
-            job = RenderJob(detail.id, bay.number, bay.generation, record.slot, view, format)
-            return self._requests.render(job, name)
+        try:
+            with self.lease(detail.id, f"image {name}") as bay:
+                job = RenderJob(detail.id, bay.number, bay.generation, record.slot, view, format)
+                return self._requests.render(job, name)
+        except GoneError:
+            if (file := self.recorded(detail.id, view.camera, view.row)) is None:
+                raise
+        return self._requests.render(RenderJob(detail.id, 0, 0, 0, view, format, file=file), name)
 
     def bay_of(self, run: str) -> Bay:
         """Return the bay of a run, without a lease. Raise GoneError if the frames are no longer in memory."""

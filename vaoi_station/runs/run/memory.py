@@ -114,7 +114,7 @@ class Memory:
                 return bay
         raise GoneError(
             f"The frames of run {run} are no longer in memory.",
-            action="Fetch pictures while the run is in memory, hold the run, or increase [ring] runs.",
+            action="Fetch pictures while the run is in memory, hold or pin the run, or increase [ring] runs.",
             code="frames-gone",
         )
 

@@ -130,7 +130,10 @@ class ConcludeJob:
 
 @dataclass(frozen=True)
 class RenderJob:
-    """Render one temporary image; the reply's value is the encoded file."""
+    """Render one temporary image; the reply's value is the encoded file.
+
+    `bay`, `generation` and `slot` are the place of the frame in the ring. They have no meaning if `file` is given.
+    """
 
     run: str
     bay: int
@@ -140,6 +143,9 @@ class RenderJob:
     format: ImageFormat
     request: int = 0
     """Number of the caller's request, by which the reply is passed to this caller."""
+    file: Path | None = None
+    """File of the frame in the run's recording, if its memory was given to a later board; None for a frame in the
+    ring."""
 
     priority = Priority.RENDER
     affinity: int | None = None

@@ -21,7 +21,7 @@ from vaoi_station.drift.check_run import check_run
 from vaoi_station.drift.checks import RunCheck
 from vaoi_station.errors import InternalError, VaoiError
 from vaoi_station.files import Recording, open_recording
-from vaoi_station.files.images import encode_jpeg, encode_png, encode_tiff
+from vaoi_station.files.images import encode_jpeg, encode_png, encode_tiff, read_kept_image
 from vaoi_station.files.results import stitch_text, without_components
 from vaoi_station.rendering import render
 from vaoi_station.runs.states.schemas import ImageFormat
@@ -180,6 +180,8 @@ class WorkerRuntime:
         return [found for task, found in self._runs[job.run].evidence.items() if task not in job.excluded]
 
     def _render(self, job: RenderJob) -> bytes:
+        if job.file is not None:
+            return encode(render(job.view, read_kept_image(job.file)), job.format)
         frame = self._ring.frame(job.slot)
         crop = self._guarded(job.bay, job.generation, lambda: render(job.view, frame))
         return encode(crop, job.format)
