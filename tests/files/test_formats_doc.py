@@ -15,6 +15,7 @@ from vaoi_station.files import read_board_type, read_calibration, read_stitch
 from vaoi_station.files.documents import check_format, parse, read_json
 from vaoi_station.files.layouts import Layout, read_layout
 from vaoi_station.model import BoardType, Calibration, CameraHead, Component, Fiducial, RecordingHead, Stitch
+from vaoi_station.photometry.flat_fields import CameraFields, FieldHead, FlatFieldDocument
 
 TEXT = (Path(__file__).resolve().parents[2] / "docs" / "formats.md").read_text(encoding="utf-8")
 SECTIONS = {part.split("\n", 1)[0]: part for part in re.split(r"^## ", TEXT, flags=re.MULTILINE)[1:]}
@@ -27,12 +28,19 @@ def read_head(path: Path) -> RecordingHead:
     return parse(RecordingHead, data, path)
 
 
+def read_flat_fields(path: Path) -> FlatFieldDocument:
+    data = read_json(path)
+    check_format(data, path, "vaoi-flatfield", 1)
+    return parse(FlatFieldDocument, data, path)
+
+
 READERS: list[tuple[Callable[[Path], BaseModel], type[BaseModel]]] = [
     (read_head, RecordingHead),
     (read_calibration, Calibration),
     (read_layout, Layout),
     (read_board_type, BoardType),
     (read_stitch, Stitch),
+    (read_flat_fields, FlatFieldDocument),
 ]
 
 
@@ -59,6 +67,9 @@ def test_examples_are_read_and_show_every_key(tmp_path: Path, k: int) -> None:
         ("A board type", BoardType, ""),
         ("A board type", Component, "components[]."),
         ("A result", Stitch, ""),
+        ("Flat fields", FlatFieldDocument, ""),
+        ("Flat fields", CameraFields, "cameras[]."),
+        ("Flat fields", FieldHead, "fields[]."),
     ],
 )
 def test_tables_name_every_key_and_whether_it_is_required(section: str, model: type[BaseModel], prefix: str) -> None:

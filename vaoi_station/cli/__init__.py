@@ -14,6 +14,7 @@ import typer
 
 from vaoi_station.cli.recordings.calibrate import calibrate
 from vaoi_station.cli.recordings.cut import cut
+from vaoi_station.cli.recordings.flatfield import flatfield
 from vaoi_station.cli.recordings.recalibrate import recalibrate
 from vaoi_station.cli.recordings.report import report
 from vaoi_station.cli.recordings.simulate import simulate
@@ -84,6 +85,7 @@ app.command()(record)
 app.command()(calibrate)
 app.command("calibration-board")(calibration_board)
 app.command()(recalibrate)
+app.command()(flatfield)
 app.command()(stitch)
 app.command()(report)
 app.command()(teach)
