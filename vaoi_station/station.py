@@ -132,7 +132,7 @@ class Station:
                 StatusNotice(),
             )
             housekeeping.add(coordinator.sweep_references, RETENTION_S, code="retention")
-            housekeeping.add(coordinator.kept.recordings.trim, RETENTION_S, code="retention")
+            housekeeping.add(coordinator.kept.recordings.tend, RETENTION_S, code="retention")
             # The exit stack calls in reverse order: the link stops first, then the workers, then the coordinator, which
             # thus receives the last reports of both.
             parts.callback(coordinator.close)

@@ -209,9 +209,10 @@ class Store:
         return _row(rows[0]) if rows else None
 
     def last_finished(self) -> RunRow | None:
-        """Return the run that finished last; None before the first."""
+        """Return the run of this station that finished last; None before the first."""
+        # Runs that were imported have numbers below 0.
         rows = self._database.read(
-            f"SELECT {_COLUMNS} FROM runs WHERE finish_number IS NOT NULL ORDER BY finish_number DESC LIMIT 1"
+            f"SELECT {_COLUMNS} FROM runs WHERE finish_number > 0 ORDER BY finish_number DESC LIMIT 1"
         )
         return _row(rows[0]) if rows else None
 

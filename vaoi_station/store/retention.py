@@ -7,6 +7,7 @@ summary is kept. A run that is forgotten completely has no row. Pinned runs are 
 from __future__ import annotations
 
 import sqlite3
+import threading
 from collections.abc import Sequence
 from concurrent.futures import Future
 
@@ -29,6 +30,8 @@ class RunRetention:
     def __init__(self, database: Database) -> None:
         self._database = database
         self._pins: frozenset[str] | None = None
+        self._pinning = threading.Lock()
+        """Held while pins are changed or read anew, so that neither overwrites the other."""
 
     def surplus(self, doubtful: bool, keep: int, before: str, limit: int) -> list[str]:
         """Return the oldest whole runs beyond the newest `keep`, or with ids below `before`; at most `limit` ids.
@@ -185,8 +188,9 @@ class RunRetention:
                 )
             connection.execute("INSERT INTO pins VALUES (?, ?)", (run, now))
 
-        self._database.write(write).result()
-        self._pins = self.pins() | {run}
+        with self._pinning:
+            self._database.write(write).result()
+            self._pins = self.pins() | {run}
 
     def unpin(self, run: str) -> None:
         """Remove the pin of a run, and wait until this is written; no effect if it is not pinned."""
@@ -194,16 +198,23 @@ class RunRetention:
         def write(connection: sqlite3.Connection) -> None:
             connection.execute("DELETE FROM pins WHERE run = ?", (run,))
 
-        self._database.write(write).result()
-        self._pins = self.pins() - {run}
+        with self._pinning:
+            self._database.write(write).result()
+            self._pins = self.pins() - {run}
 
     def pinned(self, run: str) -> bool:
         """Return whether a run is pinned."""
         return run in self.pins()
 
     def pins(self) -> frozenset[str]:
-        """Return the ids of all pinned runs. They are read only once, so that later calls succeed even if the disk
-        fails."""
-        if self._pins is None:
-            self._pins = frozenset(str(row["run"]) for row in self._database.read("SELECT run FROM pins"))
+        """Return the ids of all pinned runs, from memory, so that calls succeed even if the disk fails."""
+        return self._read_pins() if self._pins is None else self._pins
+
+    def refresh_pins(self) -> None:
+        """Read the pins anew: `vaoi import` pins runs in a process of its own."""
+        with self._pinning:
+            self._read_pins()
+
+    def _read_pins(self) -> frozenset[str]:
+        self._pins = frozenset(str(row["run"]) for row in self._database.read("SELECT run FROM pins"))
         return self._pins

@@ -21,8 +21,9 @@ from vaoi_station.transfer.package import Entry, unpack_package, write_package
 from vaoi_station.version import __version__
 
 KIND = "vaoi-run"
-TIMELINE_FILE, CONFIGURATION_FILE, CALIBRATION_FILE, BOARD_FILE = (
+TIMELINE_FILE, HEAD_FILE, CONFIGURATION_FILE, CALIBRATION_FILE, BOARD_FILE = (
     "timeline.json",
+    "head.json",
     "configuration.json",
     "calibration.json",
     "board.json",
@@ -86,6 +87,7 @@ def _documents(database: sqlite3.Connection, detail: RunDetail) -> Iterator[Entr
     for name, query in (
         (RESULT_FILE, "SELECT document, packed FROM results WHERE run = ?"),
         (TIMELINE_FILE, "SELECT timeline, packed_timeline FROM runs WHERE id = ? AND timeline IS NOT NULL"),
+        (HEAD_FILE, "SELECT head, NULL FROM runs WHERE id = ? AND head IS NOT NULL"),
         (
             CALIBRATION_FILE,
             "SELECT document, NULL FROM documents JOIN runs ON digest = calibration_digest WHERE id = ?",

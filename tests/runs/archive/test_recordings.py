@@ -224,8 +224,8 @@ def test_recordings_make_room_on_a_disk_that_is_nearly_full(
         (tmp_path / "kept" / name).mkdir(parents=True)
     keeper = a_keeper(rig, tmp_path, rig.coordinator._frames)
     monkeypatch.setattr(module, "DISK_RESERVE", 0)
-    keeper.trim()
+    keeper.tend()
     assert keeper.runs == 2
     monkeypatch.setattr(module, "DISK_RESERVE", 10**18)
-    keeper.trim()
+    keeper.tend()
     assert [path.name for path in (tmp_path / "kept").iterdir()] == [run.id], "a pinned one stays"

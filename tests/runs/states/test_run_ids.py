@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vaoi_station.runs.states.run_ids import RunIds, assigned_s, earliest_id, utc, utc_of_host
+from vaoi_station.runs.states.run_ids import RunIds, assigned_s, earliest_id, is_run_id, utc, utc_of_host
 
 
 def test_times_are_rfc_3339_in_utc() -> None:
@@ -43,3 +43,9 @@ def test_ids_continue_after_a_restart(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_the_time_of_an_id_is_read_from_it() -> None:
     assert assigned_s(earliest_id(1_700_000_000.0) + "-abcdef") == 1_700_000_000.0
+
+
+def test_the_form_of_a_run_id_is_recognised() -> None:
+    assert is_run_id(RunIds().next())
+    for text in ("", "../x", "01m7ykwxtb-52y1h", "01m7ykwxtb_52y1hr", "01M7YKWXTB-52Y1HR", "01m7ykwxtu-52y1hr"):
+        assert not is_run_id(text)

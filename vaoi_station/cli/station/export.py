@@ -22,10 +22,24 @@ def export(
 
 def import_(
     file: Annotated[Path, typer.Argument(help="A run that vaoi export has written.")],
-    out: Annotated[Path, typer.Option(help="Write it to this directory, which must not exist.")],
+    out: Annotated[Path | None, typer.Option(help="Write it to this directory, which must not exist.")] = None,
+    config: Annotated[
+        Path | None, typer.Option(help="Put it into the history of the station of this station.toml.")
+    ] = None,
 ) -> None:
-    """Unpack an exported run; with frames it is a recording for vaoi stitch, vaoi report and vaoi cut."""
+    """Unpack an exported run, or put it into a station's history. With frames it is a recording for vaoi stitch."""
+    from vaoi_station.errors import InputError
     from vaoi_station.transfer.run_export import import_run
+    from vaoi_station.transfer.run_import import import_into_history
 
+    if (out is None) == (config is None):
+        raise InputError("import needs either --out or --config.", action="Give exactly one of them.")
+    if config is not None:
+        imported = import_into_history(file, config)
+        frames = "with frames" if imported.with_frames else "without frames"
+        origin = imported.detail.origin
+        typer.echo(f"{config}: run {imported.detail.id} of {origin.station if origin else ''!r}, {frames}, pinned")
+        return
+    assert out is not None, "one of the two is given"
     detail = import_run(file, out)
     typer.echo(f"{out}: run {detail.id} of board type {detail.board_type!r}, {detail.verdict}")

@@ -339,15 +339,18 @@ class Archive:
         self._events.add("run", message, state=finished.detail.state, run=run)
 
     def _number_of(self, run: str) -> int:
-        """Return the finish number of a run. For a run that has not ended, return that of the latest announced run."""
+        """Return the finish number of a run; 0 for an imported one, which is older than all runs of this station.
+
+        For a run that has not ended, return that of the latest announced run.
+        """
         try:
-            return self.get(run).finish_number
+            return max(self.get(run).finish_number, 0)
         except StateError:
             return self._announced
         except GoneError:
             # A caller that was away for long continues with the oldest run that is still kept.
             row = self._store.run(run)
-            return (row.finish_number or 0) if row else 0
+            return max(row.finish_number or 0, 0) if row else 0
 
     def _cache(self, finished: FinishedRun) -> FinishedRun:
         if finished.detail.id in self._unstored:

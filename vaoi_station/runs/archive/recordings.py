@@ -39,7 +39,7 @@ MOST_WAITING = 16
 """Largest number of runs that wait to be written; the ring holds fewer in most stations."""
 DISK_RESERVE = 2_000_000_000
 """Free space in bytes that recordings leave on the disk for the database."""
-RUN_FILE, RESULT_FILE = "run.json", "result.json"
+RUN_FILE, RESULT_FILE, HEAD_FILE = "run.json", "result.json", "recording.json"
 
 
 class FrameSource(Protocol):
@@ -138,7 +138,16 @@ class Recordings:
         """Size of all kept recordings."""
         return sum(self._sizes.copy().values())
 
-    def trim(self) -> None:
+    def tend(self) -> None:
+        """Take in what `vaoi import` has added, and delete recordings while the disk is short of space."""
+        self._archive.retention.refresh_pins()
+        with self._lock:
+            for path in self.directory.glob("[!.]*"):
+                if path.name not in self._sizes and (path / HEAD_FILE).is_file():
+                    self._sizes[path.name] = _size_of(path)
+        self._trim()
+
+    def _trim(self) -> None:
         """Delete the oldest recordings that are not pinned while the disk is short of space for the database."""
         while self._sizes and shutil.disk_usage(self.directory).free < DISK_RESERVE // 2:
             with self._lock:
@@ -180,7 +189,8 @@ class Recordings:
             write_bytes(draft / RUN_FILE, finished.detail.model_dump_json().encode())
             if finished.document is not None:
                 write_bytes(draft / RESULT_FILE, finished.document.encode())
-        self._sizes[run] = _size_of(target)
+        with self._lock:
+            self._sizes[run] = _size_of(target)
         self.counts.kept += 1
         self._events.add("recording", "The frames are kept as a recording.", run=run)
 

@@ -1,4 +1,4 @@
-"""What a run was made with: documents by their digests, and the state of the clock."""
+"""What a run was made with: documents by their digests, the state of the clock, and the station of an imported run."""
 
 from __future__ import annotations
 
@@ -27,3 +27,16 @@ class MadeWith(BaseModel):
     time_zone: str = ""
     utc_offset_s: int = 0
     """Local time of the station minus UTC, s."""
+
+
+class Origin(BaseModel):
+    """Where an imported run was filmed. Such a run is not announced: it is no board of this line."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    station: str
+    """Name of the station that filmed it."""
+    exported: str
+    """Time of the export, UTC."""
+    imported: str
+    """Time of the import into this station's history, UTC."""

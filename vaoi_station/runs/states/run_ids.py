@@ -41,6 +41,13 @@ class RunIds:
         return f"{_text(self._last_ms, _TIME_DIGITS)}-{chance}"
 
 
+def is_run_id(text: str) -> bool:
+    """Return whether a text has the form of a run id."""
+    first, dash, last = text.partition("-")
+    lengths = (len(first), dash, len(last)) == (_TIME_DIGITS, "-", _RANDOM_DIGITS)
+    return lengths and set(first + last) <= set(_DIGITS)
+
+
 def earliest_id(time_s: float) -> str:
     """Return a text that sorts before all run ids assigned from a time (s since 1970) on, and after all earlier ids."""
     return _text(max(int(time_s * 1000), 0), _TIME_DIGITS)

@@ -14,7 +14,7 @@ from vaoi_station.acquisition.pairing.proof import TriggerProof
 from vaoi_station.config import MethodName
 from vaoi_station.errors import VaoiError
 from vaoi_station.model import FrameRecord, Status
-from vaoi_station.runs.states.made_with import MadeWith
+from vaoi_station.runs.states.made_with import MadeWith, Origin
 from vaoi_station.runs.states.tables import RunState, StationState
 from vaoi_station.stitching.quality.unseen import Cause as UnseenCause
 
@@ -309,6 +309,8 @@ class RunSummary(Schema):
     """Whether the run is kept until a caller unpins it."""
     recording: bool = False
     """Whether its frames are kept on disk as a recording."""
+    origin: Origin | None = None
+    """The station that filmed an imported run; None for runs of this station."""
 
 
 class Interruption(Schema):

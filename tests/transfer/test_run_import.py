@@ -1,0 +1,179 @@
+"""An exported run in the history of another station, and back in its own."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import json
+import os
+import tarfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.transfer.conftest import Site
+from vaoi_station.config import StationConfig, read_config
+from vaoi_station.demo.station_files import to_toml
+from vaoi_station.errors import DeviceError, InputError
+from vaoi_station.runs.archive.event_log import EventLog
+from vaoi_station.runs.archive.finished_runs import Archive
+from vaoi_station.runs.archive.recordings import Recordings
+from vaoi_station.runs.states import run_ids
+from vaoi_station.store import Database, Store
+from vaoi_station.store.retention import MOST_PINS
+from vaoi_station.transfer.package import write_package
+from vaoi_station.transfer.run_export import HEAD_FILE, KIND, export_run
+from vaoi_station.transfer.run_import import import_into_history
+
+
+@dataclass(frozen=True)
+class Other:
+    """Another station, which has filmed nothing yet."""
+
+    config_path: Path
+    config: StationConfig
+    store: Store
+
+    def keep(self, **quotas: float) -> None:
+        """Write other quotas into its station.toml."""
+        keep = self.config.keep.model_copy(update=quotas)
+        self.config_path.write_text(to_toml(self.config.model_copy(update={"keep": keep})))
+
+    def recordings(self, archive: Archive) -> Recordings:
+        """Return its recordings, as a running station has them."""
+        away: Any = None
+        return Recordings(self.config.data / "recordings", self.config.keep, archive, EventLog(self.store), away)
+
+
+@pytest.fixture
+def other(site: Site, tmp_path: Path) -> Iterator[Other]:
+    folder = tmp_path / "other"
+    folder.mkdir()
+    path = folder / "station.toml"
+    path.write_text(site.config.read_text().replace('name = "test"', 'name = "other"'))
+    config = read_config(path)
+    store = Store(Database(config.data / "station.db"))
+    yield Other(path, config, store)
+    store.close()
+
+
+@pytest.fixture
+def exported(site: Site, tmp_path: Path) -> Callable[[str], Path]:
+    def export(run: str) -> Path:
+        export_run(site.config, run, tmp_path / f"{run}.vaoi")
+        return tmp_path / f"{run}.vaoi"
+
+    return export
+
+
+def rewritten(package: Path, leave_out: tuple[str, ...] = (), **changed: Any) -> Path:
+    """Write a package again without some files, and with other content of files (named without .json)."""
+    entries = {}
+    with tarfile.open(fileobj=io.BytesIO(gzip.decompress(package.read_bytes()))) as tar:
+        for member in tar:
+            content = tar.extractfile(member)
+            assert content is not None
+            entries[member.name] = content.read()
+    manifest = json.loads(entries.pop("manifest.json"))
+    for name, update in changed.items():
+        entries[f"{name}.json"] = json.dumps(json.loads(entries[f"{name}.json"]) | update).encode()
+    out = package.with_suffix(".changed")
+    kept = [(name, content) for name, content in entries.items() if name not in leave_out]
+    write_package(out, KIND, kept, {"station": manifest["station"], "made": manifest["made"]})
+    return out
+
+
+def test_a_run_with_frames_is_part_of_the_history_of_another_station(
+    site: Site, other: Other, exported: Callable[[str], Path]
+) -> None:
+    # A station that runs: its archive was built before the import.
+    archive = Archive(other.store, EventLog(other.store))
+    recordings = other.recordings(archive)
+    imported = import_into_history(exported(site.degraded), other.config_path)
+    assert imported.with_frames
+    finished, there = archive.get(site.degraded), site.rig.coordinator.run(site.degraded)
+    assert finished.detail.frames == there.frames
+    assert finished.detail.reasons == there.reasons
+    assert finished.text == site.rig.coordinator.stitch_text(site.degraded)
+    assert len(finished.cameras) == 2
+    assert finished.timeline == site.rig.archive.get(site.degraded).timeline
+    [listed] = archive.list(10, None)
+    assert listed.origin is not None
+    assert (listed.origin.station, listed.state, listed.frames_available) == ("test", "gone", False)
+    # The station takes in what a process of another kind has added.
+    assert recordings.path_of(site.degraded) is None
+    assert not other.store.retention.pinned(site.degraded)
+    recordings.tend()
+    assert recordings.frame_file(site.degraded, 1, 2) is not None
+    assert other.store.retention.pinned(site.degraded)
+    assert [path.name for path in other.config.data.glob(".*")] == []
+
+
+def test_an_imported_run_is_no_board_of_this_line(site: Site, other: Other, exported: Callable[[str], Path]) -> None:
+    for run in (site.sound, site.degraded):
+        import_into_history(exported(run), other.config_path)
+    archive = Archive(other.store, EventLog(other.store))
+    assert archive.latest() is None
+    assert archive.next(None, 0) is None
+    assert archive.next(site.degraded, 0) is None
+    assert [run.id for run in archive.list(10, None)] == [site.degraded, site.sound]
+    assert archive._finished == 0
+
+
+def test_a_run_that_was_forgotten_comes_back(site: Site, exported: Callable[[str], Path]) -> None:
+    package, archive = exported(site.sound), site.rig.archive
+    with pytest.raises(InputError, match="is in the history of this station already"):
+        import_into_history(package, site.config)
+    before, number = site.rig.coordinator.stitch_text(site.sound), archive.get(site.sound).finish_number
+    archive.retention.forget_details([site.sound]).result(10)
+    again = Archive(site.rig.store, EventLog(site.rig.store))
+    assert again.list(10, None)[-1].forgotten
+    assert not import_into_history(package, site.config).with_frames
+    assert (again.get(site.sound).text, again.get(site.sound).finish_number) == (before, number)
+    assert not again.list(10, None)[-1].forgotten
+    assert site.rig.store.retention.whole() == (1, 1)
+
+
+def test_frames_need_the_quota_and_nothing_stays_of_a_refusal(
+    site: Site, other: Other, exported: Callable[[str], Path]
+) -> None:
+    package = exported(site.degraded)
+    other.keep(recordings_gb=0.0)
+    with pytest.raises(DeviceError, match=r"exceed \[keep\] recordings_gb \(0\)"):
+        import_into_history(package, other.config_path)
+    assert Archive(other.store, EventLog(other.store)).list(10, None) == []
+    assert not (other.config.data / "recordings").exists()
+    assert [path.name for path in other.config.data.glob(".*")] == []
+
+
+def test_runs_that_do_not_fit_the_history_are_refused(
+    site: Site, other: Other, exported: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    package = exported(site.sound)
+    future = f"{run_ids._text(2**45, 10)}-000000"
+    for leave_out, changes, message in (
+        ((HEAD_FILE,), {}, "has no head.json, because an earlier version"),
+        (("board.json",), {}, "has no board.json"),
+        ((), {"run": {"id": future}}, "later than this machine's clock"),
+        ((), {"run": {"id": "../x"}}, r"run.json: id is '../x'"),
+        ((), {"calibration": {"unit": "inch"}}, r"calibration.json"),
+        ((), {"board": {"name": "another"}}, r"board.json has the digest \w+, but the run was made with"),
+        ((), {"result": {"method": 7}}, r"result.json"),
+    ):
+        changed = rewritten(package, leave_out, **changes)
+        with pytest.raises(InputError, match=message):
+            import_into_history(changed, other.config_path)
+        changed.unlink()
+    owner = os.geteuid()
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "geteuid", lambda: owner + 1)
+        with pytest.raises(InputError, match=f"belongs to the user with uid {owner}"):
+            import_into_history(package, other.config_path)
+    assert Archive(other.store, EventLog(other.store)).list(10, None) == []
+    monkeypatch.setattr("vaoi_station.transfer.run_import.MOST_PINS", 0)
+    assert MOST_PINS > 0
+    with pytest.raises(InputError, match="0 runs are pinned, which is the limit"):
+        import_into_history(package, other.config_path)

@@ -1,0 +1,271 @@
+"""An exported run, put into the history of a station that may be running."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import sqlite3
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from vaoi_station.config import KeepConfig, read_config
+from vaoi_station.errors import DeviceError, InputError
+from vaoi_station.files.atomic_directory import new_directory
+from vaoi_station.files.documents import parse, read_json
+from vaoi_station.model import BoardType, Calibration, RecordingHead, Status, Stitch
+from vaoi_station.runs.archive.recordings import DIRECTORY as RECORDINGS
+from vaoi_station.runs.archive.recordings import DISK_RESERVE, RESULT_FILE, RUN_FILE
+from vaoi_station.runs.archive.recordings import HEAD_FILE as RECORDING_FILE
+from vaoi_station.runs.archive.stored_documents import in_state
+from vaoi_station.runs.run.run_views import summary_of
+from vaoi_station.runs.states.made_with import Origin
+from vaoi_station.runs.states.run_ids import assigned_s, is_run_id, utc
+from vaoi_station.runs.states.schemas import RunDetail
+from vaoi_station.runs.states.tables import RunState
+from vaoi_station.runs.states.timeline_schemas import Timeline
+from vaoi_station.store.documents import digest_of
+from vaoi_station.store.retention import MOST_PINS
+from vaoi_station.store.schema import packed
+from vaoi_station.transfer.backup import DATABASE
+from vaoi_station.transfer.database_copy import BUSY_S, reading
+from vaoi_station.transfer.package import unpack_package
+from vaoi_station.transfer.run_export import (
+    BOARD_FILE,
+    CALIBRATION_FILE,
+    CONFIGURATION_FILE,
+    HEAD_FILE,
+    KIND,
+    TIMELINE_FILE,
+)
+
+_AHEAD_S = 60.0
+"""Time by which a run may be newer than this machine's clock says. Ids of later boards must sort after it."""
+
+
+@dataclass(frozen=True)
+class ImportedRun:
+    """A run that was put into a history, and whether its frames are there as a recording."""
+
+    detail: RunDetail
+    with_frames: bool
+
+
+@dataclass(frozen=True)
+class _Package:
+    """The checked content of an exported run."""
+
+    detail: RunDetail
+    calibration: str
+    board_type: str
+    head: str
+    result: str | None
+    timeline: str | None
+    configuration: str | None
+    frames_bytes: int
+    """Size of the recording; 0 if the package has no frames."""
+
+
+def import_into_history(package: Path, config_path: Path) -> ImportedRun:
+    """Put an exported run into the history of a station, pinned and with its origin marked.
+
+    The run is not announced: `runs/next` and `runs/latest` never return it. Its frames, if the package has them, become
+    a recording of the station.
+
+    Raises:
+        InputError: the package is damaged or of another kind, the history has the run already, or no station was
+            started there.
+        DeviceError: the disk has no room for the frames, or refuses the run.
+    """
+    config = read_config(config_path)
+    database, recordings = config.data / DATABASE, config.data / RECORDINGS
+    with reading(database):
+        _refuse_other_user(database)
+    with tempfile.TemporaryDirectory(dir=config.data, prefix=".import.") as scratch:
+        folder = Path(scratch)
+        manifest = unpack_package(package, KIND, folder)
+        content = _read(package, folder, manifest)
+        target = recordings / content.detail.id
+        with_frames = content.frames_bytes > 0 and not target.exists()
+        if with_frames:
+            _refuse_without_room(config.keep, config.data, content.frames_bytes)
+        with _writing(database) as connection:
+            _insert(connection, content)
+            if with_frames:
+                with new_directory(target) as draft:
+                    for path in sorted(folder.iterdir()):
+                        shutil.move(path, draft / path.name)
+            try:
+                connection.execute("COMMIT")
+            except BaseException:  # the run is not in the history, whatever the reason: raise it again
+                if with_frames:
+                    shutil.rmtree(target, ignore_errors=True)
+                raise
+    return ImportedRun(content.detail, target.exists())
+
+
+def _read(package: Path, folder: Path, manifest: dict[str, Any]) -> _Package:
+    """Return the content of an unpacked run; InputError, which names the file, if a part is absent or wrong."""
+    detail = parse(RunDetail, read_json(folder / RUN_FILE), f"{package}: {RUN_FILE}")
+    if not is_run_id(detail.id):
+        raise InputError.field(f"{package}: {RUN_FILE}", "id", detail.id, "a run id, as 01m7ykwxtb-52y1hr")
+    if assigned_s(detail.id) > time.time() + _AHEAD_S:
+        raise InputError(
+            f"{package}: run {detail.id} is of {utc_of(detail.id)}, which is later than this machine's clock "
+            f"({utc()}).",
+            action="Set the clock of this machine (timedatectl); ids of later runs must sort after this one.",
+        )
+    origin = Origin(station=str(manifest.get("station", "")), exported=str(manifest.get("made", "")), imported=utc())
+    gone = in_state(detail, RunState.GONE)
+    marked = gone.model_copy(update={"origin": origin, "stored": True, "pinned": False, "recording": False})
+    calibration, board_type = _text(package, folder, CALIBRATION_FILE), _text(package, folder, BOARD_FILE)
+    parse(Calibration, json.loads(calibration), f"{package}: {CALIBRATION_FILE}")
+    parse(BoardType, json.loads(board_type), f"{package}: {BOARD_FILE}")
+    _refuse_other_digest(package, CALIBRATION_FILE, calibration, detail.calibration)
+    if detail.made_with is not None:
+        _refuse_other_digest(package, BOARD_FILE, board_type, detail.made_with.board_type)
+    recorded = (folder / RECORDING_FILE).is_file()
+    head = _head(package, folder, recorded)
+    result = _optional(package, folder, RESULT_FILE)
+    if result is not None:
+        parse(Stitch, json.loads(result), f"{package}: {RESULT_FILE}")
+    timeline = _optional(package, folder, TIMELINE_FILE)
+    if timeline is not None:
+        parse(Timeline, json.loads(timeline), f"{package}: {TIMELINE_FILE}")
+    size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()) if recorded else 0
+    configuration = _optional(package, folder, CONFIGURATION_FILE)
+    return _Package(marked, calibration, board_type, head, result, timeline, configuration, size)
+
+
+def _head(package: Path, folder: Path, recorded: bool) -> str:
+    """Return the head of the run's recording as JSON; packages of earlier versions have it only with frames."""
+    name = HEAD_FILE if (folder / HEAD_FILE).is_file() else RECORDING_FILE
+    if name == RECORDING_FILE and not recorded:
+        raise InputError(
+            f"{package}: has no {HEAD_FILE}, because an earlier version has written it.",
+            action="Export the run again with this version, or unpack it with --out.",
+        )
+    head = parse(RecordingHead, read_json(folder / name), f"{package}: {name}")
+    return head.model_dump_json()
+
+
+def _optional(package: Path, folder: Path, name: str) -> str | None:
+    return _text(package, folder, name) if (folder / name).is_file() else None
+
+
+def _text(package: Path, folder: Path, name: str) -> str:
+    # It is read as JSON first, for messages with the place of a fault. The text itself has the digest.
+    if not (folder / name).is_file():
+        raise InputError(f"{package}: has no {name}.", action="Export the run again.")
+    read_json(folder / name)
+    return (folder / name).read_text()
+
+
+def _refuse_other_digest(package: Path, name: str, document: str, expected: str) -> None:
+    if digest_of(document) != expected:
+        raise InputError(
+            f"{package}: {name} has the digest {digest_of(document)}, but the run was made with {expected}.",
+            action="Export the run again.",
+        )
+
+
+def _refuse_other_user(database: Path) -> None:
+    """Refuse another user than the service's: files that it made could not be used or deleted by the station."""
+    owner = database.stat().st_uid
+    if owner != os.geteuid():
+        raise InputError(
+            f"{database}: belongs to the user with uid {owner}, but this is uid {os.geteuid()}.",
+            action="Run the command as the user of the service: runuser -u vaoi -- vaoi import …",
+        )
+
+
+def _refuse_without_room(keep: KeepConfig, data: Path, needed: int) -> None:
+    """Refuse frames that exceed the quota for recordings, or the free space of the disk."""
+    free = shutil.disk_usage(data).free - DISK_RESERVE
+    if needed > keep.recordings_gb * 1e9 or free < 0:
+        # The frames are unpacked already, so that the free space is what they leave.
+        raise DeviceError(
+            f"{data}: the frames of {needed / 1e6:.0f} MB exceed [keep] recordings_gb ({keep.recordings_gb:g}), or "
+            f"leave less than {DISK_RESERVE / 1e9:g} GB of the disk free.",
+            action="Raise [keep] recordings_gb, free disk space, or unpack the run with --out.",
+        )
+
+
+@contextmanager
+def _writing(path: Path) -> Iterator[sqlite3.Connection]:
+    """Open the database for one transaction, which the caller commits; a running station waits for it shortly.
+
+    Raises:
+        DeviceError: the disk refuses it, or another program writes for longer than `BUSY_S`.
+    """
+    try:
+        with closing(sqlite3.connect(path, isolation_level=None, timeout=BUSY_S)) as connection:
+            connection.row_factory = sqlite3.Row
+            connection.execute("PRAGMA foreign_keys = ON")
+            connection.execute("PRAGMA synchronous = FULL")
+            connection.execute("BEGIN IMMEDIATE")
+            yield connection
+    except sqlite3.Error as error:
+        raise DeviceError(
+            f"{path}: the run cannot be written ({error}).", action="Check space, permissions and state of the disk."
+        ) from error
+
+
+def _insert(connection: sqlite3.Connection, content: _Package) -> None:
+    """Write a run and the documents that it refers to, and pin it; InputError if the history has it already."""
+    detail, now = content.detail, utc()
+    known = connection.execute("SELECT detail FROM runs WHERE id = ?", (detail.id,)).fetchone()
+    if known is not None and known["detail"]:
+        raise InputError(f"Run {detail.id} is in the history of this station already.", action="Nothing needs doing.")
+    (pins,) = connection.execute("SELECT count(*) FROM pins").fetchone()
+    if pins >= MOST_PINS:
+        raise InputError(
+            f"{pins} runs are pinned, which is the limit; an imported run is pinned too.",
+            action="Unpin runs that are no longer needed (DELETE runs/{id}/pin).",
+        )
+    digests = []
+    for kind, document in (("board-type", content.board_type), ("calibration", content.calibration)):
+        digests.append(digest_of(document))
+        connection.execute("INSERT OR IGNORE INTO documents VALUES (?, ?, ?, ?)", (digests[-1], kind, now, document))
+    if content.configuration is not None:
+        connection.execute(
+            "INSERT OR IGNORE INTO configurations (digest, first_seen, document, last_used) VALUES (?, ?, ?, ?)",
+            (digest_of(content.configuration), now, content.configuration, now),
+        )
+    record = packed(detail.model_dump_json())
+    times = (None, None) if content.timeline is None else packed(content.timeline)
+    summary = summary_of(detail).model_dump_json()
+    if known is None:
+        # Finish numbers of the station's own runs are above 0. Those of imported runs are below, so that no caller
+        # that waits for the next run, and no later start, takes one for a board of this line.
+        (lowest,) = connection.execute("SELECT min(0, coalesce(min(finish_number), 0)) FROM runs").fetchone()
+        connection.execute(
+            "INSERT INTO runs VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+            (
+                detail.id, RunState.GONE, lowest - 1, *digests,
+                summary, record[0], content.head, times[0], record[1], times[1],
+            ),
+        )  # fmt: skip
+    else:
+        connection.execute(
+            """UPDATE runs SET state = ?, summary = ?, detail = ?, head = ?, timeline = ?, packed_detail = ?,
+               packed_timeline = ? WHERE id = ?""",
+            (RunState.GONE, summary, record[0], content.head, times[0], record[1], times[1], detail.id),
+        )
+        connection.execute(
+            "INSERT INTO whole_runs SELECT id, finish_number, ? FROM runs WHERE id = ?",
+            (int(detail.verdict is not Status.OK), detail.id),
+        )
+    if content.result is not None:
+        connection.execute("INSERT INTO results VALUES (?, ?, ?)", (detail.id, *packed(content.result)))
+    connection.execute("INSERT INTO pins VALUES (?, ?)", (detail.id, now))
+
+
+def utc_of(run: str) -> str:
+    """Return the time at which a run id was assigned, in UTC."""
+    return time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(assigned_s(run)))
