@@ -26,7 +26,7 @@ from vaoi_station.library.replies import (
 )
 from vaoi_station.library.stitched_run import component_height
 from vaoi_station.model import Status, Stitch
-from vaoi_station.rendering.views import require_coverage, require_resolution
+from vaoi_station.rendering.framing import RESOLUTION_LIMITS, check_number
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,8 +70,8 @@ class StationRun:
             GoneError: at access to pixels, if the station no longer keeps the frames of the run.
         """
         require_text("component", "ref", ref)
-        require_resolution(px_per_mm)
-        require_coverage(min_coverage)
+        check_number("px_per_mm", px_per_mm, *RESOLUTION_LIMITS, optional=True)
+        check_number("min_coverage", min_coverage, 0.0, 1.0)
         # On a panel, `ref` is `panel/ref`; `quote` keeps the slash, which the path of the component contains as well.
         path = f"/runs/{quote(self.id)}/components/{quote(ref)}"
         reply = self._client.get(path, px_per_mm=px_per_mm, min_coverage=min_coverage)

@@ -1,24 +1,64 @@
 """Sizes of component pictures and their transforms from CAD, independent of any frame.
 
 A pixel is an area. The edges of a component's bounding box are the outer edges of the border pixels of its picture, so
-the centre of pixel (0, 0) lies half a pixel inside the box.
+the centre of pixel (0, 0) lies half a pixel inside the box. With a margin, the box is larger on all sides. A picture
+that is turned to the component's own orientation shows its footprint, and not the bounding box in CAD.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vaoi_station.errors import InputError
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import BoardType, Component
+from vaoi_station.rendering.framing import Framing
 
 MOST_PIXELS = 16_000_000
 """Largest number of pixels of a temporary image. A caller who exceeds it must ask for fewer pixels per mm."""
 _FITTING = 0.999
 """Share of the largest resolution that is used, because the sides of a picture are rounded to whole pixels."""
+_UNFRAMED = Framing()
+
+
+class Footprints(NamedTuple):
+    """The footprints of k components as arrays, in CAD units."""
+
+    components: Sequence[Component]
+    board_type: BoardType
+    center: Floats
+    """(k, 2) centres."""
+    half: Floats
+    """(k, 2) half the width and half the height before rotation."""
+    along: Floats
+    """(k, 2, 2) half the width (`[:, :, 0]`) and half the height (`[:, :, 1]`) as vectors in CAD."""
+
+    @staticmethod
+    def of(components: Sequence[Component], board_type: BoardType) -> Footprints:
+        """Collect the footprints of components of a board type."""
+        rows = [(*c.center, c.width, c.height, c.rotation) for c in components]
+        x, y, width, height, degrees = np.array(rows, dtype=np.float64).T
+        # Rotations count counter-clockwise as seen on the top of the board, wherever the y axis points.
+        angle = np.radians(degrees) * (1.0 if board_type.y_axis == "up" else -1.0)
+        c, s, w, h = np.cos(angle), np.sin(angle), width / 2, height / 2
+        along = np.stack([c * w, -s * h, s * w, c * h], -1).reshape(-1, 2, 2)
+        return Footprints(components, board_type, np.stack([x, y], -1), np.stack([w, h], -1), along)
+
+    @property
+    def box(self) -> Floats:
+        """Half of the width and height (k, 2) of the bounding boxes."""
+        return np.asarray(np.abs(self.along).sum(-1))
+
+    def fitting(self, px_per_mm: float) -> Floats:
+        """Return the resolutions (k,) of k pictures, px/mm: `px_per_mm`, or less where a picture would be too large."""
+        area = np.prod(2 * self.box * self.board_type.mm_per_unit, axis=-1)
+        return np.asarray(np.minimum(px_per_mm, _FITTING * np.sqrt(MOST_PIXELS / area)), dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,51 +68,63 @@ class Crops:
     size: Floats
     """(k, 2) width and height of each picture in px, whole numbers."""
     crop_from_cad: Floats
-    """(k, 3, 3) matrices from CAD coordinates to the pixels of each picture; scale and shift only."""
+    """(k, 3, 3) matrices from CAD coordinates to the pixels of each picture: scale and shift, and a turn if the
+    pictures are turned to the components' own orientation."""
     cad_from_crop: Floats
     """(k, 3, 3) inverse matrices, from pixels to CAD coordinates."""
+    px_per_mm: Floats
+    """(k,) resolution of each picture."""
+    bare: NDArray[np.bool_]
+    """(k,) whether a picture shows the footprint and nothing else."""
+    footprints: Footprints
 
 
-def fitting_resolutions(components: Sequence[Component], board_type: BoardType, px_per_mm: float) -> Floats:
-    """Return the resolutions (k,) in px/mm of k pictures: `px_per_mm`, or less where a picture would be too large."""
-    area = np.prod(2 * _reach(components) * board_type.mm_per_unit, axis=-1)
-    return np.asarray(np.minimum(px_per_mm, _FITTING * np.sqrt(MOST_PIXELS / area)), dtype=np.float64)
-
-
-def compute_crops(components: Sequence[Component], board_type: BoardType, px_per_mm: float | Floats) -> Crops:
+def compute_crops(footprints: Footprints, px_per_mm: float | Floats, framing: Framing = _UNFRAMED) -> Crops:
     """Compute the size and the transform of each component's picture, which shows the component upright.
 
-    `px_per_mm` is one resolution for all pictures, or one for each. CAD "up" points up in the picture. The board's side
-    is shown as the cameras see it, never mirrored.
+    `px_per_mm` is one resolution for all pictures, or one for each. CAD "up" points up in the picture, or what the CAD
+    library draws as "up". The board's side is shown as the cameras see it, never mirrored.
 
     Raises:
         InputError: a picture would have more than `MOST_PIXELS`.
     """
-    center = np.array([c.center for c in components], dtype=np.float64)
-    reach = _reach(components)
-    resolution = np.broadcast_to(np.asarray(px_per_mm, dtype=np.float64), (len(components),))
-    size = np.maximum(np.round(2 * reach * resolution[:, None] * board_type.mm_per_unit), 1)
-    for component, (width, height), wanted in zip(components, size, resolution.tolist(), strict=True):
-        if width * height > MOST_PIXELS:
-            limit = f"small enough for {MOST_PIXELS / 1e6:.0f} megapixels (this would be {width:.0f}×{height:.0f})"
-            raise InputError.field(component.address, "px_per_mm", wanted, limit)
+    components, board_type, center, half, along = footprints
+    turned, mm, count = framing.align == "part", board_type.mm_per_unit, len(components)
+    half = half if turned else footprints.box
+    resolution = np.array(np.broadcast_to(np.asarray(px_per_mm, dtype=np.float64), (count,)))
+    reach = half + framing.margin_mm / mm
+    size = np.maximum(np.round(2 * reach * resolution[:, None] * mm), 1)
+    for k in np.flatnonzero(size.prod(-1) > MOST_PIXELS).tolist():
+        raise _too_large(components[k], (2 * half[k] * mm).tolist(), float(resolution[k]), framing, size[k].tolist())
     # Pictures show the board as the camera sees it, never mirrored (docs/conventions.md). On the bottom side, CAD x
     # runs to the left.
     way = np.array([1.0 if board_type.side == "top" else -1.0, 1.0 if board_type.y_axis == "down" else -1.0])
     # The scale uses the rounded size, so that the box fills the picture exactly. The sides change by less than a pixel.
     scale = way * size / (2 * reach)
-    origin = center - way * reach
-    there, back = np.zeros((len(components), 3, 3)), np.zeros((len(components), 3, 3))
-    for axis in (0, 1):
-        there[:, axis, axis], there[:, axis, 2] = scale[:, axis], -scale[:, axis] * origin[:, axis] - 0.5
-        back[:, axis, axis], back[:, axis, 2] = 1 / scale[:, axis], origin[:, axis] + 0.5 / scale[:, axis]
+    there, back = np.zeros((count, 3, 3)), np.zeros((count, 3, 3))
+    # Rows of `axes` are the directions in CAD that run along x and along y of the picture.
+    axes = along.swapaxes(1, 2) / half[:, :, None] if turned else np.broadcast_to(np.eye(2), (count, 2, 2))
+    there[:, :2, :2] = scale[:, :, None] * axes
+    back[:, :2, :2] = axes.swapaxes(1, 2) / scale[:, None]
+    middle = (size - 1) / 2
+    there[:, :2, 2] = middle - (there[:, :2, :2] @ center[:, :, None])[..., 0]
+    back[:, :2, 2] = center - (back[:, :2, :2] @ middle[:, :, None])[..., 0]
     there[:, 2, 2] = back[:, 2, 2] = 1
-    return Crops(size, there, back)
+    # At whole quarter turns the bounding box is the footprint.
+    quarter = np.abs(along).min((1, 2)) <= 1e-9 * half.max(1)
+    bare = (quarter | turned) & (framing.margin_mm == 0)
+    return Crops(size, there, back, resolution, bare, footprints)
 
 
-def _reach(components: Sequence[Component]) -> Floats:
-    """Return half of the width and height (k, 2) of the bounding boxes of k components, in CAD units."""
-    half = np.array([(c.width, c.height) for c in components]) / 2
-    angle = np.radians([c.rotation for c in components])
-    c, s = np.abs(np.cos(angle)), np.abs(np.sin(angle))
-    return np.stack([c * half[:, 0] + s * half[:, 1], s * half[:, 0] + c * half[:, 1]], -1)
+def _too_large(
+    component: Component, sides_mm: list[float], px_per_mm: float, framing: Framing, size: list[float]
+) -> InputError:
+    """Return the refusal of a picture that is too large: its margin or its resolution."""
+    (a, b), most = sides_mm, MOST_PIXELS / px_per_mm**2
+    what = f"small enough for {MOST_PIXELS / 1e6:.0f} megapixels (this would be {size[0]:.0f}×{size[1]:.0f})"
+    if not framing.margin_mm or a * b > most:
+        return InputError.field(component.address, "px_per_mm", px_per_mm, what)
+    # The margin m at which (a + 2 m)(b + 2 m) is as large as a picture may be.
+    margin = (math.sqrt((a - b) ** 2 + 4 * most) - (a + b)) / 4
+    limit = f"at most {math.floor(100 * margin) / 100:g} at {px_per_mm:g} px/mm, {what}"
+    return InputError.field(component.address, "margin_mm", framing.margin_mm, limit)
