@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tests.api.held.history import HeldHistory, HeldTypes
-from tests.api.held.pins import HeldPins
+from tests.api.held.pins import HeldPins, HeldStorage
 from vaoi_station.api.encoders import ImageFormat, encode_image
 from vaoi_station.config import MethodName
 from vaoi_station.errors import DeviceError, GoneError, InternalError, NotFoundError, StateError
@@ -80,7 +80,7 @@ class HeldStation(StationCoordinator):
         self.pixels: dict[tuple[str, int, int], NDArray[np.uint8]] = {}
         self.holders: dict[tuple[str, str], LeaseStatus] = {}
         self.references, self.methods = dict[str, ReferenceStatus](), dict[str, MethodName]()
-        self.kept = HeldPins(self)  # type: ignore[assignment]
+        self.kept, self.storage = HeldPins(self), HeldStorage(self)  # type: ignore[assignment]
         self.broken = self.closed = False
         matrix = np.array([[PX_PER_MM, 0, 0], [0, -PX_PER_MM, 320], [0, 0, 1]])
         n = Projective(matrix, System.IMAGE, System.ROW)
@@ -157,13 +157,13 @@ class HeldStation(StationCoordinator):
             name="acquisition", pid=None, alive=False, restarts=1, heartbeat_age_s=None, next_try=self.next_try
         )
         return StationSnapshot(
-            name="test", state=self.state, since=NOW, reasons=self.reasons, warnings=self.warnings,
+            name="test", state=self.state, since=NOW, reasons=self.reasons,
+            warnings=self.warnings, set_aside=self.storage.set_aside(),
             armed_with=self.armed, cameras=tuple(camera), all_cameras_ready=not self.lost,
             line_ready=self.state == "armed" and not self.lost, controller="ok",
             processes=(acquisition, worker), ring=ring, versions=VERSIONS,
             retention=Retention(runs_in_memory=3, lease_s=600, frames="a while", results="always", events="always"),
-            last_run=done[-1].id if done else None, filming=None, last_event=len(self.log),
-            boards_missed=0,
+            last_run=done[-1].id if done else None, filming=None, last_event=len(self.log), boards_missed=0,
         )  # fmt: skip
 
     def lose(self, *cameras: int) -> None:

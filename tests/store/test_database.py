@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from vaoi_station.errors import DeviceError, InputError, InternalError, StateError
+from vaoi_station.errors import DeviceError, InputError, InternalError, NotFoundError, StateError
 from vaoi_station.store import Database
 from vaoi_station.store import database as module
 from vaoi_station.store.database_file import open_database
@@ -341,3 +341,24 @@ def test_a_start_on_a_disk_that_takes_nothing_reads_and_writes_once_there_is_roo
     assert waiting.result(20) == 2
     assert [row["number"] for row in database.read("SELECT number FROM events")] == [1, 2]
     database.close()
+
+
+def test_an_acknowledgement_holds_over_starts_and_ends_with_its_file(path: Path) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(b"garbage " * 1000)
+    first = Database(path)
+    [notice] = first.notices
+    assert notice.kept is not None
+    with pytest.raises(NotFoundError, match="is no database that was set aside"):
+        first.acknowledge(path.name)
+    assert first.acknowledged == frozenset()
+    first.acknowledge(notice.kept.name)
+    assert first.acknowledged == {notice.kept}
+    assert first.notices == (notice,), "references are kept as long as the file is there"
+    first.close()
+    again = Database(path)
+    assert again.acknowledged == {notice.kept}
+    again.close()
+    notice.kept.unlink()
+    Database(path).close()
+    assert [p.name for p in path.parent.iterdir() if "damaged" in p.name] == []

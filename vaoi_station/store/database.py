@@ -19,11 +19,13 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import Any, TypeVar
 
-from vaoi_station.errors import DeviceError, StateError
+from vaoi_station.errors import DeviceError, NotFoundError, StateError
 from vaoi_station.store.database_file import (
+    acknowledged_files,
     connect,
     earlier_notices,
     is_empty,
+    mark_acknowledged,
     open_database,
     roll_back,
     set_aside,
@@ -81,6 +83,8 @@ class Database:
         readers, notice = self._open()
         self.notices: tuple[StorageTrouble, ...] = earlier if notice is None else (*earlier, notice)
         """Notices that the database was damaged, deleted or replaced; each stays until its file is cleared away."""
+        self.acknowledged = acknowledged_files(path)
+        """Files that were set aside and of which a person knows; their notices stay, but are no warnings."""
         self.history_unread = is_empty(readers[0])
         """Whether the station began without a database because the disk was full; an older one may appear later."""
         self._watch = FileWatch(path)
@@ -218,6 +222,24 @@ class Database:
                 if self._closed:
                     return None
             self._check_file()
+
+    def acknowledge(self, name: str) -> None:
+        """Record that a person knows of the file with this name that was set aside.
+
+        Raises:
+            NotFoundError: no such file was set aside.
+            DeviceError: the disk refuses the record.
+        """
+        kept = next((n.kept for n in self.notices if n.kept is not None and n.kept.name == name), None)
+        if kept is None:
+            raise NotFoundError(
+                f"{name!r} is no database that was set aside.",
+                action="See set_aside of GET station.",
+                code="not-set-aside",
+            )
+        mark_acknowledged(kept)
+        with self._changed:
+            self.acknowledged |= {kept}
 
     def _check_file(self) -> None:
         """Notice a deleted file without waiting for a write, and check whether a past trouble is over."""

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from vaoi_station.errors import InputError
+from vaoi_station.files.durability import sync_directory
 from vaoi_station.store.schema import VERSION, migrate
 from vaoi_station.store.storage_trouble import (
     DAMAGED,
@@ -33,6 +34,8 @@ HEADER_BYTES = 100
 """Size of the header of a database; SQLite takes a shorter file for a new one."""
 LARGEST_AT_START = 50_000_000
 """Largest file in bytes that is checked completely at the start; measured, that takes a second from a cold disk."""
+ACKNOWLEDGED = ".acknowledged"
+"""Ending of an empty marker file beside a file that was set aside: a person knows of it, and the warning has ended."""
 MARK = ".begun"
 """Ending of an empty marker file. If it is absent, a start without a database is the first start."""
 
@@ -80,6 +83,9 @@ def open_database(path: Path) -> tuple[sqlite3.Connection, StorageTrouble | None
         with translated_errors(path):
             raise
     with translated_errors(path):
+        for known in acknowledged_files(path):
+            if not known.exists():  # It was moved away or deleted, so that its marker says nothing any more.
+                known.with_name(known.name + ACKNOWLEDGED).unlink(missing_ok=True)
         path.with_name(path.name + MARK).touch()
         if gone and notice is None:
             notice = _note_deleted(path)
@@ -96,7 +102,7 @@ def set_aside(path: Path, why: str) -> StorageTrouble:
         DAMAGED,
         f"{path}: was damaged ({why}); it was set aside as {kept.name}, and the history begins anew.",
         f"Recover {kept.name} with the command sqlite3 (.recover) or restore a backup; check the disk. "
-        "The warning ends when the file is moved away or deleted.",
+        "The warning ends when the file is moved away or deleted, or when an administrator acknowledges it.",
         kept,
     )
 
@@ -114,9 +120,22 @@ def earlier_notices(path: Path) -> tuple[StorageTrouble, ...]:
     for what, code in (("damaged", DAMAGED), ("deleted", DELETED), ("replaced", REPLACED)):
         for kept in sorted(path.parent.glob(f"{path.name}.{what}-*[0-9Z]")):
             message = f"{kept}: at an earlier time the database was {what}; the present history may lack runs."
-            action = "Recover them or restore a backup if they are needed; then move the file away or delete it."
+            action = "Recover them or restore a backup if they are needed; then move the file away, or acknowledge it."
             found.append(StorageTrouble(code, message, action, kept))
     return tuple(found)
+
+
+def acknowledged_files(path: Path) -> frozenset[Path]:
+    """Return the files beside a database that were set aside and acknowledged."""
+    markers = path.parent.glob(f"{path.name}.*{ACKNOWLEDGED}")
+    return frozenset(marker.with_name(marker.name.removesuffix(ACKNOWLEDGED)) for marker in markers)
+
+
+def mark_acknowledged(kept: Path) -> None:
+    """Record durably that a person knows of a file that was set aside; DeviceError if the disk refuses it."""
+    with translated_errors(kept):
+        kept.with_name(kept.name + ACKNOWLEDGED).touch()
+        sync_directory(kept.parent)
 
 
 def connect(path: Path) -> sqlite3.Connection:

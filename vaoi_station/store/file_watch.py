@@ -65,6 +65,6 @@ class FileWatch:
             f"{self._path}: was replaced by another file while the station ran. The station goes on with that one; "
             f"its own was saved as {kept.name}.",
             "Stop the station before a database is restored. "
-            f"The warning ends when {kept.name} is moved away or deleted.",
+            f"The warning ends when {kept.name} is moved away or deleted, or when an administrator acknowledges it.",
             kept,
         )

@@ -14,7 +14,12 @@ from vaoi_station.api.access.scopes import scope_needed
 from vaoi_station.files.access_keys import KeyFile
 
 EXPECTED = {
-    "admin": {"POST /keys", "POST /keys/{name}/rotate", "DELETE /keys/{name}"},
+    "admin": {
+        "POST /keys",
+        "POST /keys/{name}/rotate",
+        "DELETE /keys/{name}",
+        "POST /station/set-aside/{file}/acknowledge",
+    },
     "operate": {
         "POST /station/arm",
         "POST /station/disarm",

@@ -108,3 +108,14 @@ def test_readiness_is_about_the_next_board(
     assert (answer.status_code, answer.json()["status"]) == (ready, status)
     assert answer.json().get("codes", []) == [reason.code for reason in warnings]
     assert client.get("/healthz").status_code == (503 if state == "faulted" else 200)
+
+
+def test_a_database_that_was_set_aside_is_acknowledged(client: Any, station: Any) -> None:
+    name = "station.db.damaged-20260101T000000Z"
+    station.storage.files[name] = False
+    listed = {"file": name, "code": "database-damaged", "acknowledged": False}
+    assert client.get(STATION).json()["set_aside"] == [listed]
+    answer = client.post(f"{STATION}/set-aside/{name}/acknowledge")
+    assert (answer.status_code, answer.json()["set_aside"]) == (200, [listed | {"acknowledged": True}])
+    unknown = client.post(f"{STATION}/set-aside/station.db/acknowledge")
+    assert (unknown.status_code, unknown.json()["code"]) == (404, "not-set-aside")

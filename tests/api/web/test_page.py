@@ -76,6 +76,17 @@ def test_a_drift_is_shown_while_boards_are_filmed(page: Page, served: Any) -> No
     expect(page.locator("#warnings")).to_be_hidden()
 
 
+def test_a_database_that_was_set_aside_is_acknowledged_by_a_button(page: Page, served: Any) -> None:
+    name = "station.db.damaged-20260101T000000Z"
+    served.station.storage.files[name] = False
+    page.goto(served.url)
+    button = page.get_by_role("button", name=f"Acknowledge {name}")
+    button.click()
+    expect(page.locator("#answer")).to_have_text(f"The warning about {name} was acknowledged.")
+    expect(button).to_have_count(0)
+    expect(page.locator("#set-aside")).to_be_hidden()
+
+
 def test_arming_without_a_lost_camera_takes_a_second_press(page: Page, served: Any) -> None:
     page.goto(served.url)
     expect(page.locator("#board-type")).to_have_value("demo-board")
@@ -241,7 +252,7 @@ def test_texts_have_enough_contrast(page: Page, served: Any) -> None:
 
 def test_the_api_documentation_needs_no_network(page: Page, served: Any) -> None:
     page.goto(f"{served.url}/docs")
-    expect(page.locator(".opblock")).to_have_count(34)
+    expect(page.locator(".opblock")).to_have_count(35)
 
 
 def refuse_its_settings(station: Any) -> None:

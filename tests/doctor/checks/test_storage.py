@@ -20,6 +20,7 @@ from vaoi_station.doctor.check_context import CheckContext
 from vaoi_station.doctor.checks import storage
 from vaoi_station.doctor.finding import Level
 from vaoi_station.store import Database
+from vaoi_station.store.database_file import mark_acknowledged
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -161,3 +162,6 @@ def test_a_database_that_was_set_aside_stays_a_warning(tmp_path: Path) -> None:
     path.write_bytes(b"garbage " * 1000)
     Database(path).close()
     assert_problem(only(storage.database(path)), Level.WARNING, "was set aside because it was damaged")
+    (kept,) = tmp_path.glob("station.db.damaged-*")
+    mark_acknowledged(kept)
+    assert list(storage.database(path)) == []

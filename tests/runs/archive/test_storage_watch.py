@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, cast
 
 import pytest
@@ -14,7 +15,16 @@ from vaoi_station.store import StorageTrouble, Store
 
 
 @dataclass
+class Acknowledgements:
+    acknowledged: frozenset[Path] = frozenset()
+
+    def acknowledge(self, name: str) -> None:
+        self.acknowledged |= {Path(name)}
+
+
+@dataclass
 class Storage:
+    database: Acknowledgements = field(default_factory=Acknowledgements)
     trouble: StorageTrouble | None = None
     notices: tuple[StorageTrouble, ...] = ()
     free_bytes: int | None = None
@@ -77,3 +87,17 @@ def test_little_space_is_a_warning(watch: StorageWatch, storage: Storage, events
     storage.free_bytes = module.LOW_BYTES
     watch.tick()
     assert watch.warnings() == ()
+
+
+def test_the_warning_about_a_file_ends_when_it_is_acknowledged(
+    watch: StorageWatch, storage: Storage, events: Events
+) -> None:
+    files = [Path("station.db.damaged-1Z"), Path("station.db.deleted-2Z")]
+    storage.notices = tuple(StorageTrouble("database-damaged", f"{file}: was set aside.", kept=file) for file in files)
+    watch.tick()
+    assert len(watch.warnings()) == 2
+    watch.acknowledge(files[0].name)
+    watch.tick()
+    assert [warning.message for warning in watch.warnings()] == ["station.db.deleted-2Z: was set aside."]
+    assert [(s.file, s.acknowledged) for s in watch.set_aside()] == [(files[0].name, True), (files[1].name, False)]
+    assert events.codes == ["database-damaged", "database-damaged", "acknowledged"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Body, Query, Response
+from fastapi import APIRouter, Body, Path, Query, Response
 
 from vaoi_station.api.http_caching import LIVE
 from vaoi_station.api.rest_models import ArmRequest
@@ -60,6 +60,18 @@ def router(services: Services) -> APIRouter:
         """Disarm the station: ignore the light barrier. A run under way is still finished. No effect when idle."""
         response.headers["Cache-Control"] = LIVE
         return await ask(coordinator.disarm)
+
+    @routes.post("/set-aside/{file}/acknowledge", response_model_exclude_none=True)
+    async def acknowledge_database(
+        response: Response, file: Annotated[str, Path(description="Name of a file of `set_aside`.", max_length=200)]
+    ) -> StationSnapshot:
+        """End the warning about a database that was set aside, also for later starts; the file stays.
+
+        Needs the scope admin. 404: no such file was set aside.
+        """
+        await ask(coordinator.storage.acknowledge, file)
+        response.headers["Cache-Control"] = LIVE
+        return await ask(coordinator.snapshot)
 
     return routes
 

@@ -76,6 +76,7 @@ function showStation(now) {
   showLines($("reasons"), [...reasons, ...nextTries(now)]);
   showLines($("warnings"), now.warnings.map((w) => `${w.message} ${w.action}`));
   $("warnings").hidden = now.warnings.length === 0;
+  controls.showSetAside(now.set_aside ?? []);
   setText($("name"), now.name);
   setText($("version"), `VAOI station ${now.versions.station}`);
   controls.show(now);

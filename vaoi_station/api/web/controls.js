@@ -45,6 +45,22 @@ export class Controls {
     if (now.all_cameras_ready) this.#offer(false);
   }
 
+  // A button for each database that was set aside, until an administrator has acknowledged it.
+  showSetAside(files) {
+    const open = files.filter((f) => !f.acknowledged).map((f) => f.file);
+    const list = $("set-aside");
+    if (open.join("\n") === list.dataset.shown) return;
+    list.dataset.shown = open.join("\n");
+    list.hidden = open.length === 0;
+    list.replaceChildren(
+      ...open.map((file) => {
+        const button = Object.assign(document.createElement("button"), { type: "button", textContent: texts.acknowledge(file) });
+        button.addEventListener("click", () => this.#command(() => rest.acknowledge(file), texts.acknowledged(file)));
+        return button;
+      }),
+    );
+  }
+
   enable(on) {
     for (const id of ["arm", "disarm", "board-type", "board-id", "component"]) $(id).disabled = !on;
   }

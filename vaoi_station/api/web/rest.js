@@ -36,6 +36,7 @@ export const components = async (id) => (await call("GET", `/runs/${encodeURICom
 export const component = (id, ref) => call("GET", `/runs/${encodeURIComponent(id)}/components/${part(ref)}`);
 export const arm = (request) => call("POST", "/station/arm", request);
 export const disarm = () => call("POST", "/station/disarm");
+export const acknowledge = (file) => call("POST", `/station/set-aside/${part(file)}/acknowledge`);
 export const session = () => call("GET", "/session");
 export const logIn = (key) => call("POST", "/session", { key });
 export const logOut = () => call("DELETE", "/session");

@@ -12,6 +12,8 @@ export const texts = {
   arm: "Arm",
   armAnyway: "Arm anyway",
   disarm: "Disarm",
+  acknowledge: (file) => `Acknowledge ${file}`,
+  acknowledged: (file) => `The warning about ${file} was acknowledged.`,
   lastBoard: "Last board",
   component: "Component",
   unusable: "unusable",

@@ -16,6 +16,7 @@ from vaoi_station.doctor.machine import format_bytes, nearest, writable
 from vaoi_station.runs.archive.recordings import DIRECTORY as RECORDINGS
 from vaoi_station.runs.archive.recordings import DISK_RESERVE
 from vaoi_station.station import DATABASE
+from vaoi_station.store.database_file import acknowledged_files
 from vaoi_station.store.schema import VERSION
 
 SCANT_BYTES, LITTLE_BYTES = 200e6, 2e9
@@ -55,7 +56,8 @@ def database(path: Path) -> Iterator[Finding]:
             )
     elif path.with_name(f"{path.name}.begun").exists():
         yield warning(f"{path}: there was a database, and it is gone.", "Restore a backup, if there is one.")
-    for kept in sorted(path.parent.glob(f"{path.name}.damaged-*[0-9Z]")):
+    known = acknowledged_files(path)
+    for kept in sorted({*path.parent.glob(f"{path.name}.damaged-*[0-9Z]")} - known):
         yield warning(
             f"{kept}: was set aside because it was damaged.",
             f"Recover it (sqlite3 {kept.name} .recover), check the disk, then delete it.",

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.states.schemas import Reason
+from vaoi_station.runs.states.storage_schemas import SetAsideFile
 from vaoi_station.store import StorageTrouble, Store
 
 LOW_BYTES = 500_000_000
@@ -55,8 +56,27 @@ class StorageWatch:
             found.append(Reason(code=trouble.code, message=trouble.message + waiting, action=trouble.action))
         elif (low := self._low_space()) is not None:
             found.append(low)
-        found += [Reason(code=n.code, message=n.message, action=n.action) for n in self._store.notices]
+        known = self._store.database.acknowledged
+        found += [
+            Reason(code=n.code, message=n.message, action=n.action) for n in self._store.notices if n.kept not in known
+        ]
         return tuple(found)
+
+    def set_aside(self) -> tuple[SetAsideFile, ...]:
+        """Return the files of databases that were set aside and are still there."""
+        known = self._store.database.acknowledged
+        kept = ((n.kept, n.code) for n in self._store.notices)
+        return tuple(SetAsideFile(file=k.name, code=code, acknowledged=k in known) for k, code in kept if k is not None)
+
+    def acknowledge(self, file: str) -> None:
+        """End the warning about a file that was set aside, also for later starts. Callable from any thread.
+
+        Raises:
+            NotFoundError: no such file was set aside.
+            DeviceError: the disk refuses the record.
+        """
+        self._store.database.acknowledge(file)
+        self._events.add("storage", f"The warning about {file} was acknowledged.", code="acknowledged")
 
     def _low_space(self) -> Reason | None:
         free = self._store.free_bytes

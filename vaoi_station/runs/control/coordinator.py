@@ -97,7 +97,7 @@ class StationCoordinator:
         self.thread = self._inbox.thread
         """The coordinator's thread."""
         self._gc_policy = GcPolicy()
-        self._core = Core(parts)
+        self._core, self.storage = Core(parts), parts.archive.storage
         parts.archive.on_announced = lambda run, until_s: self._inbox.post(self._core.announced, run, until_s)
         requests = PictureRequests(parts.workers)
         self._frames = FrameAccess(self._inbox, self._core, ring, parts.archive, requests)

@@ -67,6 +67,7 @@ def snapshot_of(
             *address_warnings(config),
             *worker_warnings(processes),
         ),
+        set_aside=core.storage.set_aside(),
         armed_with=core.line.orders.shown(),
         cameras=cameras,
         all_cameras_ready=all(camera.connected for camera in cameras),

@@ -15,6 +15,7 @@ from vaoi_station.config import MethodName
 from vaoi_station.errors import VaoiError
 from vaoi_station.model import FrameRecord, Status
 from vaoi_station.runs.states.made_with import MadeWith, Origin
+from vaoi_station.runs.states.storage_schemas import SetAsideFile
 from vaoi_station.runs.states.tables import RunState, StationState
 from vaoi_station.stitching.quality.unseen import Cause as UnseenCause
 
@@ -174,6 +175,8 @@ class StationSnapshot(Schema):
     """Reasons for the present state."""
     warnings: tuple[Reason, ...] = ()
     """Conditions that do not prevent filming but need attention."""
+    set_aside: tuple[SetAsideFile, ...] = ()
+    """Databases that were set aside; an administrator acknowledges the warning about each."""
     armed_with: ArmedWith | None
     cameras: tuple[CameraStatus, ...]
     all_cameras_ready: bool
