@@ -7,8 +7,9 @@ import pytest
 from pydantic import ValidationError
 
 from vaoi_station import config
-from vaoi_station.config import Line, Section, read_config
+from vaoi_station.config import read_config
 from vaoi_station.errors import InputError, NotFoundError
+from vaoi_station.line_config import Line, Section
 
 VALID = """
 name = "line 3"

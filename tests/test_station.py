@@ -11,9 +11,10 @@ from pathlib import Path
 import pytest
 
 from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
-from vaoi_station.config import CameraConfig, Line, ReplayConfig, RingConfig, StationConfig
+from vaoi_station.config import CameraConfig, ReplayConfig, RingConfig, StationConfig
 from vaoi_station.errors import DeviceError, InputError, StateError
 from vaoi_station.files import write_calibration
+from vaoi_station.line_config import Line
 from vaoi_station.model import Calibration
 from vaoi_station.runs.host.start_wait import PASSING
 from vaoi_station.runs.states.schemas import StationSnapshot

@@ -6,20 +6,19 @@ coordinates (mm in the conveyor's plane, axes and origin of the calibration boar
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence, Set
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, Field, model_validator
 
 from vaoi_station.files.documents import parse, read_toml
-from vaoi_station.model import CameraHead, Finite, Positive, Visibility, Whole
+from vaoi_station.line_config import Line, NotNegative, Section
+from vaoi_station.model import CameraHead, Finite, Positive, Program, Visibility, Whole
 from vaoi_station.pixel_formats import PIXEL_FORMATS, PixelFormatName
 
 MethodName = Literal["auto", "fiducials", "features", "reference"]
 """Names of the stitching methods. The module `stitching.method` describes the evidence that each method uses."""
-NotNegative = Annotated[Finite, Field(ge=0)]
 Pixels = Annotated[Whole, Field(ge=0)]
 Word = Annotated[str, Field(min_length=1)]
 
@@ -30,82 +29,6 @@ TABLE_OF = {"simulated": "simulation", "replay": "replay"}
 
 LONGEST_GAP_S = 2147.0
 """Longest gap, in whole seconds, of the protocol: 32 bits of ticks of 0.5 µs (hw/protocol.md)."""
-
-
-class Section(BaseModel):
-    """Base class of the tables in the file: immutable; unknown keys are refused."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class ExpectedBoard(Section):
-    """Position of the board when the first row is filmed, with tolerances.
-
-    The leading edge follows from barrier, delay and speed. Across the line, a fixed rail or the middle of the
-    conveyor guides the board.
-    """
-
-    rail_mm: Finite | None = None
-    """Tester coordinate, across the motion, of the board's lower edge at the fixed rail."""
-    center_mm: Finite | None = None
-    """Tester coordinate of the board's middle, on lines that centre boards."""
-    rotation_deg: Literal[0, 90, 180, 270] = 0
-    """Rotation of the board on the belt, counter-clockwise from CAD-upright as the camera sees it."""
-    tolerance_mm: Positive = 4.0
-    rotation_tolerance_deg: Annotated[Positive, Field(le=30)] = 3.0
-
-    @model_validator(mode="after")
-    def _one_guide(self) -> Self:
-        if self.rail_mm is not None and self.center_mm is not None:
-            raise ValueError("rail_mm and center_mm exclude each other; give the one that guides the board")
-        return self
-
-
-class Line(Section):
-    """The geometry and the timing of the line: speed, barrier, distances."""
-
-    conveyor_mm_s: tuple[Finite, Finite]
-    """Nominal velocity of the board in tester coordinates."""
-    barrier_mm: Finite
-    """Tester coordinate, along the motion, of the light barrier."""
-    start_delay_s: NotNegative
-    """Time from the interruption of the barrier to the first pulse."""
-    trigger_period_s: Positive
-    tail_s: NotNegative
-    """Time for which pulses continue after the board has left the barrier."""
-    longest_board_mm: Positive
-    carrier_mm: Positive | None = None
-    """Length along the motion of the carrier in which boards ride; None if the barrier sees the boards themselves."""
-    debounce_s: NotNegative = 0.005
-    """Shorter interruptions of the barrier are ignored as bounces."""
-    expected_board: ExpectedBoard = ExpectedBoard()
-
-    @model_validator(mode="after")
-    def _moves(self) -> Self:
-        if self.speed_mm_s == 0:
-            raise ValueError("conveyor_mm_s is [0, 0], but must not be zero")
-        # The controller would end such a run before its first pulse.
-        if self.start_delay_s > self.passing_s:
-            raise ValueError(
-                f"start_delay_s is {self.start_delay_s}, but the longest board has passed the barrier and "
-                f"the tail is over after {self.passing_s:.3f} s"
-            )
-        return self
-
-    @property
-    def speed_mm_s(self) -> float:
-        """The speed of the belt (the paper's v)."""
-        return math.hypot(*self.conveyor_mm_s)
-
-    @property
-    def passing_s(self) -> float:
-        """The time from the moment the longest board interrupts the barrier to the end of the tail time, in s."""
-        return self.longest_board_mm / self.speed_mm_s + self.tail_s
-
-    @property
-    def rows_of_longest_board(self) -> int:
-        """Number of pulses for the longest board, from start delay to end of tail (the paper's m)."""
-        return 1 + math.ceil((self.passing_s - self.start_delay_s) / self.trigger_period_s)
 
 
 class CameraConfig(Section):
@@ -136,7 +59,7 @@ class CameraConfig(Section):
     """Largest packet in bytes; None for the MTU of the interface, at most 9000."""
     link_mbit_s: Positive | None = None
     """Speed of the port, which its cameras share; None for the speed that the interface reports."""
-    features: dict[str, bool | Whole | Finite | str] = {}
+    features: dict[str, bool | Whole | Finite | str] = Field(default={})
     """Further settings by their GenICam names, written in this order before the trigger settings."""
     nominal_center_mm: tuple[Finite, Finite] | None = None
     """Nominal centre of the camera's view, in tester coordinates, mm; calibration needs it to within a few mm."""
@@ -201,7 +124,7 @@ class ControllerConfig(Section):
     """A board that arrives sooner after the end of the previous run is not filmed."""
     interlock: Literal["off", "on"] = "off"
     """Whether the output "line ready" lets the conveyor hold boards back while they would not be filmed well."""
-    lights: dict[str, LightConfig] = {}
+    lights: dict[str, LightConfig] = Field(default={})
     order: tuple[str, ...] = ()
     """Lights of consecutive rows; empty for all in the order of the file. Without lights only cameras are triggered."""
 
@@ -327,6 +250,8 @@ class StationConfig(Section):
     ring: RingConfig = RingConfig()
     api: ApiConfig = ApiConfig()
     keep: KeepConfig = KeepConfig()
+    program: Program = ()
+    """Light, exposure and gain of the rows, in turn, unless the board type has a program."""
     visibility: Visibility = Visibility()
     """How much of every component the good frames of a run must show, unless its board type asks for something else."""
 

@@ -107,16 +107,7 @@ class Station:
             shelf.sweep()
             housekeeping = _housekeeping(config, store, events)
             board_types = BoardTypeDirectory(config.board_types)
-            make_order = OrderFactory(
-                config.line,
-                calibration,
-                camera_heads(config),
-                store,
-                shelf,
-                config.method,
-                config.visibility,
-                row_lights(config),
-            )
+            make_order = OrderFactory(config, calibration, store, shelf, row_lights(config))
             standing = StandingOrder(store.standing)
             resumed = standing.resume(board_types.get, make_order)
             run_ids = RunIds(store.newest_run())

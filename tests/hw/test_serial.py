@@ -29,8 +29,9 @@ from vaoi_station.acquisition.controller.interface import (
 )
 from vaoi_station.acquisition.controller.serial import SerialController
 from vaoi_station.acquisition.process.backends import open_devices
-from vaoi_station.config import ControllerConfig, Line, StationConfig
+from vaoi_station.config import ControllerConfig, StationConfig
 from vaoi_station.errors import DeviceError, StateError
+from vaoi_station.line_config import Line
 
 ROOT = Path(__file__).resolve().parents[2]
 

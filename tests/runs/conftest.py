@@ -18,11 +18,12 @@ from vaoi_station.acquisition.pairing.proof import TriggerProof
 from vaoi_station.acquisition.pairing.run_record import Interruption
 from vaoi_station.acquisition.process import messages
 from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
-from vaoi_station.config import CameraConfig, Line, ReplayConfig, RingConfig, StationConfig
+from vaoi_station.config import CameraConfig, ReplayConfig, RingConfig, StationConfig
 from vaoi_station.drift.checks import CameraCheck, RunCheck
 from vaoi_station.errors import NotFoundError
 from vaoi_station.files import write_board_type
 from vaoi_station.files.results import stitch_text, without_components
+from vaoi_station.line_config import Line
 from vaoi_station.model import (
     BoardType,
     Calibration,
@@ -357,7 +358,7 @@ def make_rig(tmp_path: Path, store: Store) -> Iterator[Callable[..., Rig]]:
             Parts(config, ring, grants, workers, archive, events, RunIds(store.newest_run()), watch),
             ring,
             BoardTypeDirectory(config.board_types),
-            OrderFactory(config.line, a_calibration(), camera_heads(config), store, shelf),
+            OrderFactory(config, a_calibration(), store, shelf),
             shelf,
             lambda: (link.status(),),
         )
@@ -387,5 +388,5 @@ def progress(config: StationConfig, calibration: Calibration, store: Store, boar
     """Return a run r1 in bay 1 whose board has just interrupted the barrier, at 50 s."""
     heads = camera_heads(config)
     references = ReferenceStore(config.data / "references", store, calibration.cameras(heads))
-    order = OrderFactory(config.line, calibration, heads, store, references)(board_type, None, None)
+    order = OrderFactory(config, calibration, store, references)(board_type, None, None)
     return Progress.begin(messages.RunStarted("r1", 1, 50.0), Bay(1, "filming", "r1", 7), order)

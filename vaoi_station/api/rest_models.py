@@ -111,6 +111,7 @@ class ViewEntry(Strict):
         "absent if the centre is outside the frame.",
     )
     exposure_us: float | None = Field(default=None, description="Exposure time of the frame, if known.")
+    gain: float | None = Field(default=None, description="Linear gain of the frame, if known.")
     light: str | None = Field(default=None, description="Light pattern of the row, if one is configured.")
     crop_from_cad: Matrix3 = Field(description="CAD coordinates (unit of the board type) to pixels of this image.")
     cad_from_crop: Matrix3

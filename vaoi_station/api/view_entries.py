@@ -39,6 +39,7 @@ def view_entry(k: int, view: View, frame: FrameRecord, url: str, covariance: Cov
         px_per_mm=view.px_per_mm,
         covariance_px2=covariance,
         exposure_us=frame.exposure_us,
+        gain=frame.gain,
         light=frame.light or None,
         crop_from_cad=view.crop_from_cad.matrix.tolist(),
         cad_from_crop=view.cad_from_crop.matrix.tolist(),

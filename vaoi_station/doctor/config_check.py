@@ -11,21 +11,14 @@ from typing import Any, TypeVar, cast
 
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
-from vaoi_station.config import (
-    TABLE_OF,
-    CameraConfig,
-    ControllerConfig,
-    Line,
-    StationConfig,
-    absolute_paths,
-    conflicts,
-)
+from vaoi_station.config import TABLE_OF, CameraConfig, ControllerConfig, StationConfig, absolute_paths, conflicts
 from vaoi_station.doctor.check_context import CheckContext
 from vaoi_station.doctor.checks import configured_files, memory, running_station, storage
 from vaoi_station.doctor.finding import Finding, fault
 from vaoi_station.doctor.machine import Machine
 from vaoi_station.errors import VaoiError
 from vaoi_station.files.documents import Place, faults_of, key_at, read_toml
+from vaoi_station.line_config import Line
 
 T = TypeVar("T", bound=BaseModel)
 REMEDY = "Correct the file; docs/configuration.md describes every key."

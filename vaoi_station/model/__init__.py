@@ -7,6 +7,7 @@ are free for the user: the software keeps them and does not interpret them. Came
 from vaoi_station.model.board_type import (
     MM_PER_UNIT,
     VISIBILITY,
+    BoardLine,
     BoardType,
     Component,
     Fiducial,
@@ -17,6 +18,7 @@ from vaoi_station.model.board_type import (
 from vaoi_station.model.calibration import Calibration, Distortion
 from vaoi_station.model.frame_record import FrameRecord, Pulse, Verdict
 from vaoi_station.model.frozen_model import Finite, FrozenModel, Positive, Strict, Whole
+from vaoi_station.model.light_program import Program, ProgramRow, ProgramStep
 from vaoi_station.model.reason_code import Reason, ReasonCode
 from vaoi_station.model.recording import CameraHead, RecordingHead
 from vaoi_station.model.stitch_result import Status, Stitch, Surface
@@ -24,6 +26,7 @@ from vaoi_station.model.stitch_result import Status, Stitch, Surface
 __all__ = [
     "MM_PER_UNIT",
     "VISIBILITY",
+    "BoardLine",
     "BoardType",
     "Calibration",
     "CameraHead",
@@ -36,6 +39,9 @@ __all__ = [
     "FrozenModel",
     "Place",
     "Positive",
+    "Program",
+    "ProgramRow",
+    "ProgramStep",
     "Pulse",
     "Reason",
     "ReasonCode",

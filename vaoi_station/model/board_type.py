@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from vaoi_station.geometry.polygon import encloses, find_crossing_edges
-from vaoi_station.model.frozen_model import MOST_MM, Finite, FrozenModel, Point, Positive, Whole
+from vaoi_station.model.frozen_model import MOST_MM, Finite, FrozenModel, Millimetres, Point, Positive, Whole
+from vaoi_station.model.light_program import Program
 
 _MAX_ENTRIES = {"components": 20_000, "fiducials": 1_000, "outline": 10_000, "fixture_marks": 10_000}
 """Largest number of entries in each list of a board type."""
@@ -93,6 +94,19 @@ class Place(FrozenModel):
     y: Finite
 
 
+class BoardLine(FrozenModel):
+    """How boards of this type run through the line, where that differs from station.toml."""
+
+    speed_mm_s: Annotated[Positive, Field(le=1e5)] | None = None
+    """Speed of the belt."""
+    rail_mm: Millimetres | None = None
+    """Tester coordinate of the fixed rail, across the motion."""
+    tail_s: Annotated[Finite, Field(ge=0, le=3600)] | None = None
+    """Time for which pulses continue after the board has left the barrier."""
+    longest_board_mm: Annotated[Positive, Field(le=MOST_MM)] | None = None
+    """Longest board of this type, along the motion, with its carrier."""
+
+
 class BoardType(FrozenModel):
     """The content of board.json: one side of a product, in its CAD unit and axes."""
 
@@ -106,6 +120,10 @@ class BoardType(FrozenModel):
     fixture_mark: FixtureMarkShape | None = None
     fixture_marks: tuple[Place, ...] = ()
     visibility: Visibility | None = None
+    program: Program = ()
+    """Light, exposure and gain of the rows, in turn; empty: as station.toml states."""
+    line: BoardLine | None = None
+    """Belt speed, rail, tail and longest board, where they differ from station.toml."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

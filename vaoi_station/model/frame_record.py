@@ -29,7 +29,10 @@ class FrameRecord(FrozenModel):
     pulse_error_us: float | None = None
     """Time stamp of the frame minus time of its pulse, both converted to the host's clock."""
     exposure_us: float | None = None
-    """Exposure time of the frame; None if unknown."""
+    """Time for which the frame was exposed, or for which LEDs of a light program lit it if that is shorter; None if
+    unknown."""
+    gain: float | None = None
+    """Linear gain of the frame; None if unknown."""
     light: str = ""
     """Name of the light pattern of the frame's row."""
     proven: bool = True

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from vaoi_station.errors import InputError
 from vaoi_station.geometry.transforms import Floats, apply
-from vaoi_station.model import RecordingHead
+from vaoi_station.model import ProgramRow, RecordingHead
+from vaoi_station.model.light_program import row_of
 from vaoi_station.simulation.imaging.pinholes import Pinhole
 from vaoi_station.simulation.imaging.scene import Placement
 from vaoi_station.simulation.imaging.sensor import expose, generator
@@ -78,7 +79,7 @@ class Passage:
     @property
     def lights(self) -> tuple[str, ...]:
         """Name of the light pattern of each row."""
-        names = self.twin.scenario.line.lights
+        names = [row.light for row in self.twin.program] or self.twin.scenario.line.lights
         return tuple(names[row % len(names)] for row in range(self.rows))
 
     @cached_property
@@ -115,9 +116,12 @@ class Passage:
 
     def frame(self, camera: int, row: int) -> NDArray[Any]:
         """Render the complete frame (h, w) of a camera and row, even if a fault prevents its arrival."""
-        return self.frame_at(camera, self.pulse_times_s[row], self.lights[row], row)
+        filmed = row_of(self.twin.program, row)
+        return self.frame_at(camera, self.pulse_times_s[row], self.lights[row], row, filmed)
 
-    def frame_at(self, camera: int, t_s: float, light_name: str, noise_key: int) -> NDArray[Any]:
+    def frame_at(
+        self, camera: int, t_s: float, light_name: str, noise_key: int, filmed: ProgramRow | None = None
+    ) -> NDArray[Any]:
         """Render the frame (h, w) of a camera at any time.
 
         Args:
@@ -125,6 +129,7 @@ class Passage:
             t_s: middle of the exposure.
             light_name: name of the light pattern.
             noise_key: selects the random numbers for noise and flicker; the row for a frame of a pulse.
+            filmed: exposure, on-time and gain; None: those of the scenario's cameras.
         """
         twin, array = self.twin, self.twin.scenario.array
         light = twin.scenario.lights[light_name]
@@ -136,13 +141,15 @@ class Passage:
             placements=self.placements,
             belt_pose=self._times.motion.belt_pose(t_s, self.twin.scenario.texture.follows),
         )
-        relative = array.exposure_us(camera) / array.reference_exposure_us
-        brightness = relative * array.gain * light.camera_gain(camera) * self._flicker(noise_key)
+        exposure_us = array.exposure_us(camera) if filmed is None else filmed.lit_us[camera]
+        gain = 1.0 if filmed is None else filmed.gains[camera]
+        relative = exposure_us / array.reference_exposure_us
+        brightness = relative * array.gain * gain * light.camera_gain(camera) * self._flicker(noise_key)
         noise = generator(array.seed, 7005, self.board_number, noise_key, camera)
         return expose(
             samples,
             array,
-            motion_px=self._motion_px(camera, t_s),
+            motion_px=self._motion_px(camera, t_s, exposure_us),
             brightness=brightness,
             shade=twin.shade(camera, light_name),
             noise=noise,
@@ -163,6 +170,7 @@ class Passage:
         """Return the content of recording.json. Frames that do not arrive completely are listed as missing."""
         cells = [(c, r) for c in range(len(self.twin.pinholes)) for r in range(self.rows)]
         line = self.twin.line
+        filmed = [row for n in range(self.rows) if (row := row_of(self.twin.program, n)) is not None]
         return RecordingHead(
             format="vaoi-recording",
             version=1,
@@ -173,6 +181,8 @@ class Passage:
             missing=tuple(cell for cell in cells if self.faults.received_share(*cell) < 1),
             trigger_times_s=tuple(round(t - self.pulse_times_s[0], 9) for t in self.pulse_times_s),
             lights=self.lights,
+            exposures_us=tuple(row.lit_us for row in filmed) or None,
+            gains=tuple(row.gains for row in filmed) or None,
         )
 
     def truth(self) -> dict[str, Any]:
@@ -192,11 +202,11 @@ class Passage:
         array = self.twin.scenario.array
         return 1 + array.flicker * float(generator(array.seed, 7006, self.board_number, row).standard_normal())
 
-    def _motion_px(self, camera: int, t_s: float) -> Floats:
+    def _motion_px(self, camera: int, t_s: float, exposure_us: float) -> Floats:
         """Return the motion (2,), px, of the board's image at the centre of a frame during one exposure."""
         if t_s >= self._times.motion.stop_s:
             return np.zeros(2)
-        pinhole, seconds = self.pinholes[camera], self.twin.scenario.array.exposure_us(camera) * 1e-6
+        pinhole, seconds = self.pinholes[camera], exposure_us * 1e-6
         middle = np.array([[(pinhole.width_px - 1) / 2, (pinhole.height_px - 1) / 2]])
         place = apply(np.linalg.inv(self.pose(t_s)), pinhole.ground(middle, 0.0))
         # The speed is a central difference over 0.2 ms: it hardly varies in this time, and rounding is negligible.

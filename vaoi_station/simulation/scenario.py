@@ -15,6 +15,7 @@ from pydantic import Field, model_validator
 
 from vaoi_station.errors import NotFoundError
 from vaoi_station.files.documents import parse, read_toml
+from vaoi_station.model import Program
 from vaoi_station.simulation.camera_array import (
     ArraySection,
     Finite,
@@ -278,6 +279,8 @@ class Scenario(Section):
     board: BoardSection = BoardSection()
     line: LineSection = LineSection()
     lights: dict[str, LightSection] = Field(default_factory=lambda: {"ring": LightSection()})
+    program: Program = ()
+    """Light, exposure and gain of the rows, in turn, instead of `line.lights` and the exposures of `[array]`."""
     faults: FaultSection = FaultSection()
     calibration_board: CalibrationBoardSection = CalibrationBoardSection()
 
@@ -286,10 +289,15 @@ class Scenario(Section):
         unknown = [name for name in self.line.lights if name not in self.lights]
         if unknown:
             raise ValueError(f"line.lights names {unknown}, but [lights] has only {sorted(self.lights)}")
+        if unlit := [step.light for step in self.program if step.light not in self.lights]:
+            raise ValueError(f"program names the lights {unlit}, but [lights] has only {sorted(self.lights)}")
         # An exposure longer than the trigger period would overlap the next pulse.
         longest_us = max(self.array.exposures_us)
         if longest_us * 1e-6 >= self.line.period_s:
             raise ValueError(f"array.exposures_us has {longest_us} us, but pulses follow every {self.line.period_s} s")
+        longest_us = max((e for step in self.program for e in step.exposure_us or ()), default=0.0)
+        if longest_us * 1e-6 >= self.line.period_s:
+            raise ValueError(f"program has {longest_us} us, but pulses follow every {self.line.period_s} s")
         self._check_faults()
         return self
 

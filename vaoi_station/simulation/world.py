@@ -6,9 +6,9 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from vaoi_station.config import Line
 from vaoi_station.geometry import Camera
-from vaoi_station.model import BoardType, Calibration, CameraHead, Distortion
+from vaoi_station.line_config import Line
+from vaoi_station.model import BoardType, Calibration, CameraHead, Distortion, ProgramRow
 from vaoi_station.simulation.board.artwork import Artwork, draw
 from vaoi_station.simulation.board.canvas import Plane
 from vaoi_station.simulation.board.layout import Part, board_type
@@ -37,6 +37,21 @@ class World:
         self.pinholes: tuple[Pinhole, ...] = mount_cameras(scenario.array)
         self._paints: dict[str, LitTextures] = {}
         self._shades: dict[tuple[int, str], Plane] = {}
+
+    @cached_property
+    def program(self) -> tuple[ProgramRow, ...]:
+        """The light program of the scenario with all its values; empty without one."""
+        array = self.scenario.array
+        count = array.cameras
+        return tuple(
+            ProgramRow(
+                light=step.light,
+                exposures_us=_of_cameras(step.exposure_us or tuple(map(array.exposure_us, range(count))), count),
+                gains_db=_of_cameras(step.gain_db or (0.0,), count),
+                on_us=step.on_us,
+            )
+            for step in self.scenario.program
+        )
 
     @cached_property
     def calibration(self) -> Calibration:
@@ -133,3 +148,8 @@ class World:
 @lru_cache(maxsize=4)
 def _artwork(section: BoardSection, px_per_mm: float, belt_grey: float) -> Artwork:
     return draw(section, px_per_mm, belt_grey)
+
+
+def _of_cameras(values: tuple[float, ...], count: int) -> tuple[float, ...]:
+    """Return one value per camera; a list with fewer entries than cameras is repeated, as elsewhere in a scenario."""
+    return tuple(values[n % len(values)] for n in range(count))

@@ -14,7 +14,7 @@ from vaoi_station.acquisition.controller.interface import (
     TriggerPlan,
 )
 from vaoi_station.acquisition.controller.trigger_rule import check_plan
-from vaoi_station.config import Line
+from vaoi_station.line_config import Line
 
 LINE = Line(
     conveyor_mm_s=(0.0, 100.0),

@@ -11,7 +11,7 @@ from vaoi_station.acquisition.clocks import ClockJump
 from vaoi_station.acquisition.outages import Outages
 from vaoi_station.acquisition.pairing.run_conclusion import conclude_run
 from vaoi_station.acquisition.pairing.run_record import ObservedFrame, ObservedPulse, RunRecord
-from vaoi_station.model import FrameRecord, Pulse, Verdict
+from vaoi_station.model import FrameRecord, ProgramRow, Pulse, Verdict
 
 PERIOD_S = 0.1
 START_S = 100.0
@@ -153,3 +153,13 @@ def test_a_camera_that_answers_and_never_sent_a_packet_is_named() -> None:
     run = run_with_frames({}, rows=2)
     run.silent = frozenset({0})
     assert causes(run) == dict.fromkeys(range(2), NO_PACKET)
+
+
+def test_a_frame_of_another_light_than_the_program_has_is_not_proven() -> None:
+    run = run_with_frames({0: 1, 1: 2, 2: 3}, rows=3)
+    run.program = (ProgramRow("", (100.0,), (0.0,)), ProgramRow("left", (100.0,), (0.0,)))
+    _, proof = conclude_run(run, [[]], Outages(), 1e-4)
+    assert [(f.kind, f.row) for f in proof.findings] == [("other-light", 1)]
+    assert not proof.proven
+    assert [run.frames[0, row].proven for row in range(3)] == [True, False, True]
+    assert "the light program has 'left'" in run.frames[0, 1].cause

@@ -184,3 +184,22 @@ def test_a_refused_first_pulse_raises(make_config: Make) -> None:
         theirs.send(Trouble("led-limit", "the on-time is too long.", "Shorten it."))
         with pytest.raises(DeviceError, match=r"the on-time is too long\. Shorten it\."):
             fire_steadily(FilmingProcess(ring, ours, IGNORE), 1, 0.01)
+
+
+def test_a_board_filmed_with_a_program_has_it_in_its_recording(make_config: Make, tiny: str, tmp_path: Path) -> None:
+    steps = [{"light": "ring"}, {"light": "low", "exposure_us": [50.0, 100.0], "gain_db": 6.0}]
+    config = make_config(tiny + "[lights.ring]\n[lights.low]\nazimuth_deg = 90.0\n", program=steps)
+
+    def keep(finished: RunFinished, ring: Ring, generation: int) -> None:
+        export_run(tmp_path / "kept", finished, ring, generation)
+
+    film(config, 1, FilmingHandlers(keep, lambda _: None))
+    recording = open_recording(tmp_path / "kept")
+    head = recording.head
+    assert head.doubts == ()
+    assert head.lights is not None
+    assert head.lights[:3] == ("ring", "low", "ring")
+    assert [(head.exposure_us(n, 1), head.gain(n, 1)) for n in (0, 1)] == [(50.0, 1.995262), (100.0, 1.995262)]
+    assert (head.exposure_us(0, 2), head.gain(0, 2)) == (250.0, 1.0)
+    dim, bright = (np.asarray(recording.frame(n, 3)).mean() for n in (0, 1))
+    assert dim < 0.8 * bright

@@ -32,7 +32,7 @@ from vaoi_station.acquisition.process.session import Session
 from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import DeviceError, InputError, StateError
-from vaoi_station.model import Verdict
+from vaoi_station.model import ProgramRow, Verdict
 
 
 @dataclass
@@ -43,6 +43,10 @@ class ScriptedDevice:
     plans: list[TriggerPlan | None] = field(default_factory=list)
     refuses: bool = False
     fired: int = 0
+    exposures: list[tuple[float, float]] = field(default_factory=list)
+
+    def set_exposure(self, exposure_us: float, gain_db: float) -> None:
+        self.exposures.append((exposure_us, gain_db))
 
     def queue(self, slot: Slot) -> None:
         self.slots.append(slot)
@@ -354,3 +358,38 @@ def test_single_pulses_and_boards_do_not_mix(bench: SessionBench) -> None:
     bench.session.grant(Grant("b", 0))
     bench.session.fire_one(1.2)
     assert bench.controller.fired == 1
+
+
+def test_a_program_sets_the_cameras_and_is_in_every_record(bench: SessionBench) -> None:
+    bench.session.grant(Grant("a", 0))
+    row = ProgramRow("left", (200.0, 300.0), (0.0, 6.0), 80.0)
+    bench.session.arm(replace(bench.plan, program=(row,), lights=("left",)))
+    assert [camera.exposures for camera in bench.cameras] == [[(200.0, 0.0)], [(300.0, 6.0)]]
+    bench.session.handle_event(BarrierBlocked(0, 1.0), 1.0)
+    bench.session.handle_event(PulseFired(1, 1.1, 0, "left", on_us=80.0), 1.1)
+    bench.frames(1.1, 0)
+    bench.session.handle_event(RunEnded(2, 1.2, 1, "clear"), 1.2)
+    [finished] = bench.of(RunFinished)
+    assert (finished.head.lights, finished.head.exposures_us) == (("left",), ((80.0, 80.0),))
+    assert finished.head.gains == ((1.0, 1.995262),)
+    assert [(f.light, f.exposure_us, f.gain) for f in finished.frames] == [
+        ("left", 80.0, 1.0),
+        ("left", 80.0, 1.995262),
+    ]
+    assert finished.proof.proven
+    bench.session.arm(bench.plan)
+    assert bench.cameras[0].exposures[-1] == (250.0, 0.0)
+
+
+def test_frames_of_another_light_are_not_used(bench: SessionBench) -> None:
+    bench.session.grant(Grant("a", 0))
+    row = ProgramRow("left", (200.0, 300.0), (0.0, 0.0), 80.0)
+    bench.session.arm(replace(bench.plan, program=(row,), lights=("left",)))
+    bench.session.handle_event(BarrierBlocked(0, 1.0), 1.0)
+    bench.session.handle_event(PulseFired(1, 1.1, 0, "right", on_us=80.0), 1.1)
+    bench.frames(1.1, 0)
+    bench.session.handle_event(RunEnded(2, 1.2, 1, "clear"), 1.2)
+    [finished] = bench.of(RunFinished)
+    assert [frame.proven for frame in finished.frames] == [False, False]
+    assert finished.head.missing == ((0, 0), (1, 0))
+    assert "light 'right', but the light program has 'left'" in finished.head.doubts[0]

@@ -15,10 +15,11 @@ import pytest
 from vaoi_station.acquisition.cameras.interface import DeviceFault
 from vaoi_station.acquisition.controller.interface import Permit, PulseFired, TriggerPlan
 from vaoi_station.acquisition.device_clock import DeviceClock
-from vaoi_station.acquisition.simulated.board import to_bytes
+from vaoi_station.acquisition.simulated.board import barrier_edges, predict_pulses, to_bytes
 from vaoi_station.acquisition.simulated.line import SimulatedLine, accept_plan
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import InputError
+from vaoi_station.model import ProgramRow
 from vaoi_station.simulation import Twin, calibration_board, read_scenario
 
 PLAN = TriggerPlan(start_delay_s=0.1, period_s=0.05, tail_s=0.2, max_rows=6, debounce_s=0.001, lights=("ring", "dome"))
@@ -195,3 +196,24 @@ def test_a_single_pulse_shows_the_calibration_board(make_line: Callable[..., Lin
         [(host_s, pixels, faults)] = camera.exposures
         assert (host_s, faults) == (17.0, {})
         assert np.array_equal(pixels, to_bytes(frames[n]))
+
+
+def test_a_program_is_taken_if_the_scenario_has_its_lights() -> None:
+    rows = (ProgramRow("low", (100.0,), (0.0,)),)
+    asked = replace(PLAN, lights=("low",), program=rows)
+    assert accept_plan(asked, PLAN, ("ring", "low")) == asked
+    with pytest.raises(InputError, match=r"program\.0\.light is 'low', but must be a light of the scenario"):
+        accept_plan(asked, PLAN, ("ring",))
+
+
+def test_boards_are_rendered_for_the_program(make_line: Callable[..., LineBench]) -> None:
+    bench = make_line()
+    dim = ProgramRow("ring", (25.0, 250.0), (0.0, 0.0))
+    bench.line.accept(replace(bench.plan, lights=("ring",), program=(dim,)))
+    bench.line.set_armed(True)
+    assert bench.controller.came.acquire(timeout=TIMEOUT_S)
+    pulses = predict_pulses(barrier_edges(bench.twin.passage(0)), bench.plan)
+    start_s = bench.controller.passages[0][0][0]
+    bench.line.fire(replace(pulses[3], time_s=pulses[3].time_s + start_s))
+    frames = [camera.exposures[-1][1] for camera in bench.cameras]
+    assert frames[0].mean() < 0.3 * frames[1].mean()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -172,3 +173,18 @@ def test_an_impossible_order_names_the_state(line: Line, config: Any) -> None:
     line.control.on_acquisition_ended("the acquisition process ended")
     with pytest.raises(StateError, match="The station is faulted"):
         line.arm().result(0)
+
+
+def test_an_order_with_another_plan_is_armed_after_a_disarm(line: Line) -> None:
+    line.armed()
+    line.acquisition.taken()
+    assert line.order.plan is not None
+    line.order = replace(line.order, plan=replace(line.order.plan, period_s=0.2))
+    changed = line.arm()
+    assert line.acquisition.taken() == ["Disarm"]
+    assert not changed.done()
+    line.control.on_disarmed(messages.Disarmed(()), None)
+    assert line.acquisition.taken()[-1] == "Arm"
+    line.control.on_armed()
+    changed.result(0)
+    assert line.state == "armed"

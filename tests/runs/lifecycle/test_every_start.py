@@ -57,7 +57,7 @@ class EveryStart(RuleBasedStateMachine):
         calibration, heads = a_calibration(), camera_heads(self.config)
         references = ReferenceStore(self.config.data / "references", self.store, calibration.cameras(heads))
         references.sweep()
-        factory = OrderFactory(self.config.line, calibration, heads, self.store, references)
+        factory = OrderFactory(self.config, calibration, self.store, references)
         self.order = factory(a_board_type(), None, None)
         self.active: list[Progress] = []
         self.finished: list[str] = []

@@ -47,7 +47,7 @@ class Books:
 def books(config: StationConfig, progress: Progress, make_head: Callable[[int], RecordingHead]) -> Books:
     """Return the account of a run that met the barrier at 50 s with the id SN-1, which was armed at 40 s."""
     line = config.line.model_copy(update={"tail_s": 0.3})
-    progress.order = replace(progress.order, board_id="SN-1")
+    progress.order = replace(progress.order, board_id="SN-1", line=line)
     orders, published = Orders(), []
 
     def publish(kind: str, message: str, **more: Any) -> None:

@@ -20,7 +20,7 @@ def order_of(desk: OrderFactory, board_type: BoardType, board_id: str) -> Order:
 def make_desk(config: StationConfig, calibration: Calibration, store: Store) -> OrderFactory:
     heads = camera_heads(config)
     shelf = ReferenceStore(config.data / "references", store, calibration.cameras(heads))
-    return OrderFactory(config.line, calibration, heads, store, shelf)
+    return OrderFactory(config, calibration, store, shelf)
 
 
 def test_a_board_that_was_there_first_belongs_to_the_order_before(
@@ -88,5 +88,28 @@ def test_an_order_asks_for_what_the_station_asks_for(
     heads = camera_heads(config)
     shelf = ReferenceStore(config.data / "references", store, calibration.cameras(heads))
     asked = Visibility(in_one_frame=True)
-    desk = OrderFactory(config.line, calibration, heads, store, shelf, visibility=asked)
+    desk = OrderFactory(config.model_copy(update={"visibility": asked}), calibration, store, shelf)
     assert desk(board_type, None, None).setup.visibility == asked
+
+
+def test_a_board_type_brings_its_lights_and_its_speed(
+    config: StationConfig, calibration: Calibration, store: Store, board_type: BoardType
+) -> None:
+    limits = config.line.model_copy(update={"speed_limits_mm_s": (50.0, 200.0)})
+    desk = make_desk(config.model_copy(update={"line": limits}), calibration, store)
+    steps = [{"light": "left"}, {"light": "right"}]
+    changed = BoardType.model_validate({**board_type.model_dump(), "program": steps, "line": {"speed_mm_s": 50.0}})
+    order = desk(changed, None, None)
+    assert order.plan is not None
+    assert order.line is not None
+    assert (order.setup.lights, order.plan.lights) == (("left", "right"),) * 2
+    assert order.setup.conveyor_mm_s == order.line.conveyor_mm_s == (0.0, 50.0)
+    assert order.setup.trigger_period_s == order.plan.period_s == 2 * config.line.trigger_period_s
+
+
+def test_a_board_type_outside_the_limits_is_not_armed(
+    config: StationConfig, calibration: Calibration, store: Store, board_type: BoardType
+) -> None:
+    fast = BoardType.model_validate({**board_type.model_dump(), "line": {"speed_mm_s": 500.0}})
+    with pytest.raises(InputError, match=r"line\.speed_mm_s is 500\.0, but must be"):
+        make_desk(config, calibration, store)(fast, None, None)

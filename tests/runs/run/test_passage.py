@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vaoi_station.config import ExpectedBoard, Line
+from vaoi_station.line_config import ExpectedBoard, Line
 from vaoi_station.model import BoardType, Status, Stitch
 from vaoi_station.runs.run.passage import limit_of, measure_passage, way_of
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from vaoi_station.config import Line
+from vaoi_station.line_config import Line
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.board.expectation import Expectation, expectation_of
 

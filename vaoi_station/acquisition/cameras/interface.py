@@ -110,6 +110,13 @@ class CameraDevice(Protocol):
     def start(self, events: SimpleQueue[CameraEvent]) -> None:
         """Begin to deliver frames; put every delivered slot and every change of state into the queue `events`."""
 
+    def set_exposure(self, exposure_us: float, gain_db: float) -> None:
+        """Expose with these values from now on. Called while no pulse is fired.
+
+        Raises:
+            DeviceError: the camera refuses or ignores a value. A camera that is lost takes the values when it is back.
+        """
+
     def queue(self, slot: Slot) -> None:
         """Queue memory for a coming frame; slots are filled in the order in which they were queued."""
 

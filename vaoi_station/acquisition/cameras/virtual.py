@@ -67,6 +67,9 @@ class VirtualCamera:
             heapq.heappush(self._coming, (exposure.begin_s, next(self._order), exposure))
             self._change.notify()
 
+    def set_exposure(self, exposure_us: float, gain_db: float) -> None:
+        """Do nothing: the frames that callers pass to `expose` have their exposure already."""
+
     def queue(self, slot: Slot) -> None:
         """Queue memory for a frame that is to come."""
         with self._change:

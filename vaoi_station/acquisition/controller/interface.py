@@ -13,7 +13,8 @@ from typing import Protocol
 
 from vaoi_station.acquisition.cameras.interface import DeviceFault
 from vaoi_station.acquisition.clocks import ClockReading
-from vaoi_station.config import Line
+from vaoi_station.line_config import Line
+from vaoi_station.model import ProgramRow
 from vaoi_station.supervised_thread import SupervisedThread
 
 
@@ -33,17 +34,27 @@ class TriggerPlan:
     """Time for which the barrier must keep its new state before the change counts."""
     lights: Sequence[str] = ()
     """Names of the light patterns, which the rows use in turn. Empty: every row has the same light."""
+    program: tuple[ProgramRow, ...] = ()
+    """What the rows are filmed with, in turn. Empty: as station.toml states for lights and cameras."""
+
+    conveyor_mm_s: tuple[float, float] | None = None
+    """Velocity of the belt that the plan expects, tester coordinates; None: that of station.toml."""
 
     @classmethod
-    def of(cls, line: Line, lights: Sequence[str] = ()) -> TriggerPlan:
-        """Return the plan that follows from the mechanics of a line: speed, lengths and distances."""
+    def of(cls, line: Line, lights: Sequence[str] = (), program: tuple[ProgramRow, ...] = ()) -> TriggerPlan:
+        """Return the plan that follows from the mechanics of a line: speed, lengths and distances.
+
+        A program gives the lights.
+        """
         return cls(
             start_delay_s=line.start_delay_s,
             period_s=line.trigger_period_s,
             tail_s=line.tail_s,
             max_rows=line.rows_of_longest_board,
             debounce_s=line.debounce_s,
-            lights=lights,
+            lights=tuple(row.light for row in program) or lights,
+            program=program,
+            conveyor_mm_s=line.conveyor_mm_s,
         )
 
 
@@ -118,7 +129,11 @@ class PulseFired(ControllerEvent):
     index: int
     light: str = ""
     exposures_us: tuple[float, ...] = ()
-    """Exposure time of each camera, where it varies from row to row."""
+    """Exposure time of each camera, if the backend reports it: a replay does."""
+    gains: tuple[float, ...] = ()
+    """Linear gain of each camera, if the backend reports it."""
+    on_us: float | None = None
+    """On-time of the LEDs, µs, as the controller reports it; None if it does not."""
 
 
 @dataclass(frozen=True)

@@ -44,6 +44,7 @@ class RecordedRow:
     exposures_us: tuple[float, ...]
     deliver: Callable[[float], int]
     """Deliver the row's frames with this device time; return the number of frames that will arrive."""
+    gains: tuple[float, ...] = ()
 
 
 class Pace(Protocol):
@@ -205,7 +206,7 @@ class ReplayController:
             self._pulses += 1
             self._last_end_s = device_s
             # The pulse is reported before its frames, so that the recorder can assign them at once.
-            self._put(PulseFired(next(self._numbers), device_s, index, row.light, row.exposures_us))
+            self._put(PulseFired(next(self._numbers), device_s, index, row.light, row.exposures_us, row.gains))
             frames = row.deliver(device_s)
             if self._pace is not None:
                 self._pace.frames_coming(frames)

@@ -24,6 +24,7 @@ from vaoi_station.acquisition.controller.interface import (
     TriggerPlan,
 )
 from vaoi_station.errors import InputError
+from vaoi_station.model.light_program import row_of
 
 
 @dataclass
@@ -126,8 +127,10 @@ class TriggerRule:
         assert self._passage is not None
         index, lights = self._passage.fired, self.plan.lights
         light = lights[index % len(lights)] if lights else ""
+        row = row_of(self.plan.program, index)
+        taken = () if row is None else (row.lit_us, row.gains, row.on_us)
         self._passage.fired += 1
-        return [PulseFired(next(self._numbers), time_s, index, light), *self._end_if_over(time_s)]
+        return [PulseFired(next(self._numbers), time_s, index, light, *taken), *self._end_if_over(time_s)]
 
     def _end_if_over(self, now_s: float) -> list[ControllerEvent]:
         assert self._passage is not None

@@ -27,6 +27,10 @@ ACTIONS: Mapping[Kind, str] = {
     "exchanged": "Film the board again; report it with the proof of the run if it returns.",
     "early": "Film the board again; report it with the proof of the run if it returns.",
     "miscounted": "Check the camera's setting of the frame id, then film the board again.",
+    "other-light": (
+        "Film the board again. If it returns, check the wiring of the LED channels; with a replay, use a program that "
+        "fits the recording."
+    ),
     "extra-frame": "Check the trigger line for bounces and crosstalk.",
 }
 """For each kind of finding that makes a run doubtful, the action. Kinds without an entry only explain missing

@@ -23,12 +23,12 @@ CLOCK_SLACK_S = 1e-3
 """Error of both clocks between two readings, s, in addition to the bound at the newest reading."""
 Kind = Literal[
     "runs-freely", "extra-frame", "ignored-trigger", "exchanged", "off-beat", "early", "miscounted",
-    "latency-changed", "latency-ambiguous", "clock-jumped",
+    "latency-changed", "latency-ambiguous", "clock-jumped", "other-light",
 ]  # fmt: skip
 QUESTIONING_KINDS: frozenset[Kind] = frozenset(
-    {"runs-freely", "exchanged", "off-beat", "early", "miscounted", "latency-changed", "clock-jumped"}
+    {"runs-freely", "exchanged", "off-beat", "early", "miscounted", "latency-changed", "clock-jumped", "other-light"}
 )
-"""Kinds of findings that make it doubtful whether a frame was exposed by the pulse of its row."""
+"""Kinds of findings that make it doubtful whether a frame was exposed by the pulse, and with the light, of its row."""
 
 
 class TriggerFinding(FrozenModel):

@@ -92,6 +92,7 @@ class Recorder:
         move_to_bay: MoveToBay = lambda slot, _bay, _camera: slot,
         exposures_us: Sequence[float] = (),
         latencies: Sequence[LatencySettings] = (),
+        gains: Sequence[float] = (),
     ) -> None:
         """Create a recorder without runs.
 
@@ -102,6 +103,7 @@ class Recorder:
             move_to_bay: moves a frame into the bay of its run.
             exposures_us: exposure time of every camera; used if the controller does not report it with each pulse.
             latencies: configuration of every camera's latency; by default all are learnt.
+            gains: linear gain of every camera; used like `exposures_us`.
         """
         self.limits = limits or Limits()
         self.outages = Outages()
@@ -109,7 +111,7 @@ class Recorder:
         self._controller_clock = controller_clock
         self._camera_clocks = camera_clocks
         self._move_to_bay = move_to_bay
-        self._exposures_us = exposures_us
+        self._exposures_us, self._gains = exposures_us, gains
         self._latencies = Latencies(latencies or [LatencySettings() for _ in camera_clocks], self._bound_s)
         self._runs: list[RunRecord] = []
         self._waiting: list[tuple[Arrival, float]] = []
@@ -141,7 +143,8 @@ class Recorder:
         self.note_controller_time(event.time_s)
         pulse = Pulse(index=event.index, time_s=event.time_s, light=event.light)
         host_s = self._controller_clock.host_s(event.time_s)
-        self._runs[-1].pulses[event.index] = ObservedPulse(pulse, host_s, event.exposures_us, now_s)
+        reported = (event.exposures_us, now_s, event.gains, event.on_us)
+        self._runs[-1].pulses[event.index] = ObservedPulse(pulse, host_s, *reported)
         return pulse, self.settle(now_s)
 
     def end_pulses(self, record: RunRecord, pulses: int, reason: str, now_s: float) -> Iterator[Outcome]:
@@ -268,18 +271,14 @@ class Recorder:
             frame_id=arrival.frame_id,
             camera_time_s=arrival.time_s,
             pulse_error_us=None if error_s is None else error_s * 1e6,
-            exposure_us=self._exposure_us(record, arrival.camera, row),
+            exposure_us=_of_camera(record.taken_with(row)[0] or self._exposures_us, arrival.camera),
+            gain=_of_camera(record.taken_with(row)[1] or self._gains, arrival.camera),
             light=record.pulses[row].pulse.light if row in record.pulses else "",
         )
         return Settled(record.run, record.frames[key])
 
     def _keep_unassigned(self, arrival: Arrival, host_s: float) -> None:
         self._unassigned[arrival.camera].append(_observed(arrival, None, host_s))
-
-    def _exposure_us(self, record: RunRecord, camera: int, row: int) -> float | None:
-        reported = record.pulses[row].exposures_us if row in record.pulses else ()
-        known = reported or self._exposures_us
-        return known[camera] if known else None
 
     def _refuse(self, arrival: Arrival, reason: str, record: RunRecord | None = None) -> Unassigned:
         """Return the outcome of a refused frame. Count the frame in `record`, or else in the newest open run."""
@@ -374,3 +373,7 @@ class Recorder:
 def _observed(arrival: Arrival, row: int | None, host_s: float) -> ObservedFrame:
     assert arrival.time_s is not None
     return ObservedFrame(row, arrival.frame_id, arrival.time_s, host_s, arrival.host_time_s)
+
+
+def _of_camera(values: Sequence[float], camera: int) -> float | None:
+    return values[camera] if values else None

@@ -11,6 +11,7 @@ from vaoi_station.acquisition.causes import NO_PACKET, Gap, explain_missing, fin
 from vaoi_station.acquisition.clocks import ClockJump
 from vaoi_station.acquisition.outages import Outages
 from vaoi_station.acquisition.pairing.clock_fit import median
+from vaoi_station.acquisition.pairing.light_check import contradicted_rows
 from vaoi_station.acquisition.pairing.proof import TriggerFinding, TriggerProof, prove, questioned_rows
 from vaoi_station.acquisition.pairing.run_record import ObservedFrame, RunRecord
 from vaoi_station.model import FrameRecord, Verdict
@@ -57,6 +58,7 @@ def conclude_run(
     # The proof comes before the missing frames are recorded, because its findings are added to frames that did arrive.
     unconfirmed = {camera for camera, confirmed in run.latency_known.items() if not confirmed}
     proof = _with_jumps(prove(run.pulses, pulse_bound_s, frames, gaps, unconfirmed), jumped)
+    proof = _with_lights(proof, contradicted_rows(run.pulses, run.program))
     for record in missing:
         run.frames[record.camera, record.row] = record
     for camera in {finding.camera for finding in proof.findings}:
@@ -110,6 +112,19 @@ def _with_jumps(proof: TriggerProof, jumped: Sequence[Mapping[int, str]]) -> Tri
     if not found:
         return proof
     cameras = tuple(c.model_copy(update={"proven": c.proven and not jumped[c.camera]}) for c in proof.cameras)
+    return TriggerProof(proven=False, cameras=cameras, findings=(*proof.findings, *found))
+
+
+def _with_lights(proof: TriggerProof, contradicted: Mapping[int, str]) -> TriggerProof:
+    """Return the proof with a finding for every camera and row that was not filmed as the light program states."""
+    found = tuple(
+        TriggerFinding(camera=c.camera, row=row, kind="other-light", text=text)
+        for c in proof.cameras
+        for row, text in contradicted.items()
+    )
+    if not found:
+        return proof
+    cameras = tuple(c.model_copy(update={"proven": False}) for c in proof.cameras)
     return TriggerProof(proven=False, cameras=cameras, findings=(*proof.findings, *found))
 
 

@@ -6,7 +6,8 @@ from collections import defaultdict
 from dataclasses import dataclass, field
 from itertools import pairwise
 
-from vaoi_station.model import FrameRecord, Pulse
+from vaoi_station.model import FrameRecord, ProgramRow, Pulse
+from vaoi_station.model.light_program import row_of
 
 
 @dataclass(frozen=True)
@@ -20,6 +21,10 @@ class ObservedPulse:
     """Exposure time of every camera, µs; empty if the controller does not report it."""
     reported_s: float = float("inf")
     """Host time at which the controller's report of the pulse was received."""
+    gains: tuple[float, ...] = ()
+    """Linear gain of every camera; empty if the controller does not report it."""
+    on_us: float | None = None
+    """On-time of the LEDs that the controller reported, µs."""
 
 
 @dataclass(frozen=True)
@@ -84,6 +89,10 @@ class RunRecord:
     """Cameras of which not one packet had arrived when the pulses ended, although they answer requests."""
     interruptions: list[Interruption] = field(default_factory=list)
     """Interruptions of the barrier during the run, by the controller's clock."""
+    program: tuple[ProgramRow, ...] = ()
+    """What the rows should be filmed with, in turn; empty without a light program."""
+    conveyor_mm_s: tuple[float, float] | None = None
+    """Velocity of the belt that the plan of the run expects; None: that of station.toml."""
 
     @property
     def first_s(self) -> float:
@@ -129,13 +138,35 @@ class RunRecord:
 
     def lights(self) -> tuple[str, ...] | None:
         """Return the name of each row's light pattern; None if no pattern has a name."""
-        names = tuple(self.pulses[r].pulse.light if r in self.pulses else "" for r in range(self.rows))
+        names = tuple(self.pulses[r].pulse.light if r in self.pulses else self._planned(r) for r in range(self.rows))
         return names if any(names) else None
+
+    def _planned(self, row: int) -> str:
+        """Return the light that the program has for a row whose pulse was not reported."""
+        expected = row_of(self.program, row)
+        return "" if expected is None else expected.light
 
     def exposures_us(self) -> tuple[tuple[float, ...], ...] | None:
         """Return the exposure times in µs of every row, one per camera; None unless all rows have a report of them."""
-        rows = [self.pulses[r].exposures_us if r in self.pulses else () for r in range(self.rows)]
+        rows = [self.taken_with(r)[0] for r in range(self.rows)]
         return tuple(rows) if all(rows) else None
+
+    def gains(self) -> tuple[tuple[float, ...], ...] | None:
+        """Return the linear gains of every row, one per camera; None unless all rows have a report of them."""
+        rows = [self.taken_with(r)[1] for r in range(self.rows)]
+        return tuple(rows) if all(rows) else None
+
+    def taken_with(self, row: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Return exposures (µs) and linear gains of all cameras in a row: as reported, else as the program states.
+
+        Both are empty if neither states them.
+        """
+        expected, pulse = row_of(self.program, row), self.pulses.get(row)
+        exposures_us = pulse.exposures_us if pulse is not None else ()
+        gains = pulse.gains if pulse is not None else ()
+        if expected is not None:
+            return exposures_us or expected.lit_us, gains or expected.gains
+        return exposures_us, gains
 
     def times_s(self) -> tuple[float, ...]:
         """Return every row's pulse time by the controller's clock, relative to row 0 and rounded to ns.

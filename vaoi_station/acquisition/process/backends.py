@@ -59,7 +59,8 @@ def row_lights(config: StationConfig) -> tuple[str, ...]:
         if config.simulation is not None:
             from vaoi_station.simulation import read_scenario
 
-            return read_scenario(config.simulation.scenario).line.lights
+            scenario = read_scenario(config.simulation.scenario)
+            return tuple(step.light for step in scenario.program) or scenario.line.lights
     return ()
 
 

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 
-from vaoi_station.acquisition.controller.interface import TriggerPlan
+from vaoi_station.acquisition.controller.filming_plan import filming_plan
 from vaoi_station.acquisition.process.main_loop import run_acquisition
 from vaoi_station.acquisition.process.messages import (
     Arm,
@@ -125,7 +125,7 @@ def _film_boards(config: StationConfig, process: FilmingProcess, runs: int) -> N
         if isinstance(report, Ready):
             for bay in range(min(runs, process.ring.layout.bays)):
                 process.grant(bay)
-            process.connection.send(Arm(TriggerPlan.of(config.line)))
+            process.connection.send(Arm(filming_plan(config)))
         elif isinstance(report, Armed):
             armed = True
             process.handlers.notice("Armed: waiting for a board.")

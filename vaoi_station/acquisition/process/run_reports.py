@@ -5,10 +5,12 @@ from __future__ import annotations
 from vaoi_station.acquisition.clocks import ClockJump
 from vaoi_station.acquisition.pairing.doubts import doubts_of
 from vaoi_station.acquisition.pairing.recorder import Finished
+from vaoi_station.acquisition.pairing.run_record import RunRecord
 from vaoi_station.acquisition.process.messages import RunFinished, Trouble
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import DeviceError, VaoiError
 from vaoi_station.model import RecordingHead
+from vaoi_station.model.light_program import linear_gain
 
 
 def finished_report(config: StationConfig, finished: Finished, now_s: float) -> RunFinished:
@@ -22,11 +24,12 @@ def finished_report(config: StationConfig, finished: Finished, now_s: float) -> 
         cameras=tuple(c.head for c in config.cameras),
         rows=record.rows,
         trigger_period_s=record.period_s,
-        conveyor_mm_s=config.line.conveyor_mm_s,
+        conveyor_mm_s=record.conveyor_mm_s or config.line.conveyor_mm_s,
         rotation_deg=config.line.expected_board.rotation_deg or None,
         missing=tuple((f.camera, f.row) for f in finished.frames if not f.usable),
         trigger_times_s=record.times_s(),
         exposures_us=record.exposures_us(),
+        gains=_gains(config, record),
         lights=record.lights(),
         doubts=doubts_of(finished.proof),
     )
@@ -43,6 +46,13 @@ def finished_report(config: StationConfig, finished: Finished, now_s: float) -> 
         proof=finished.proof,
         interruptions=record.interruptions_s(),
     )
+
+
+def _gains(config: StationConfig, record: RunRecord) -> tuple[tuple[float, ...], ...] | None:
+    """Return the linear gains of every row; None if all are 1, which is what a recording without the key means."""
+    of_station = tuple(linear_gain(camera.gain_db) for camera in config.cameras)
+    gains = record.gains() or (of_station,) * record.rows
+    return gains if any(gain != 1 for row in gains for gain in row) else None
 
 
 def clock_jump_error(camera: str, jump: ClockJump) -> DeviceError:

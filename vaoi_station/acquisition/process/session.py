@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable
 
 from vaoi_station.acquisition.cameras.interface import Arrival, is_silent
 from vaoi_station.acquisition.clocks import ClockModel
+from vaoi_station.acquisition.controller.filming_plan import exposures_of, require_time
 from vaoi_station.acquisition.controller.interface import (
     BarrierBlocked,
     BarrierBlockedAgain,
@@ -47,7 +48,7 @@ from vaoi_station.acquisition.ring.ring_layout import INCOMPLETE, OK
 from vaoi_station.config import CameraConfig, StationConfig
 from vaoi_station.errors import DeviceError, InputError, StateError, VaoiError
 from vaoi_station.model import Verdict
-from vaoi_station.optics.pulse_timing import spare_time_us
+from vaoi_station.model.light_program import linear_gain
 
 CLOCK_LIMIT_S = 2e-3
 """Arming requires that the error bound of every clock is at most this (s), and at most `CLOCK_SHARE` of the period."""
@@ -91,6 +92,7 @@ class Session:
             move_to_bay=self._slot_queue.move_to_bay,
             exposures_us=exposures_us,
             latencies=[_latency_settings(camera) for camera in config.cameras],
+            gains=[linear_gain(camera.gain_db) for camera in config.cameras],
         )
         self._grants: deque[Grant] = deque()
         self._next: Grant | None = None
@@ -150,7 +152,7 @@ class Session:
         if plan.max_rows > self._ring.layout.slots_per_camera:
             limit = f"at most the {self._ring.layout.slots_per_camera} slots per camera and run of the ring"
             raise InputError.field("trigger plan", "max_rows", plan.max_rows, limit)
-        _require_time(plan, self._config)
+        require_time(plan, self._config)
         self._require_clocks(min(CLOCK_LIMIT_S, CLOCK_SHARE * plan.period_s))
         if plan != self._plan:
             if self._run is not None:
@@ -162,6 +164,8 @@ class Session:
                 # Slots are queued only with a plan set, and before the controller may fire.
                 self._plan = plan
                 self._load_next()
+                for camera, values in zip(self._devices.cameras, exposures_of(plan, self._config), strict=True):
+                    camera.set_exposure(*values)
                 self._devices.controller.arm(plan)
             except BaseException as error:  # after any failure the station is not armed; raised again
                 # The controller has already given up its previous plan. If it stayed here, it would count as armed.
@@ -306,6 +310,8 @@ class Session:
         self._run.skipped, self._skipped = self._skipped, {}
         if self._barrier.over:
             self._barrier = BarrierLog()  # the report of this board's edge was lost
+        if plan is not None:
+            self._run.program, self._run.conveyor_mm_s = plan.program, plan.conveyor_mm_s
         # This is the same list, not a copy: it grows until the end of the run.
         self._run.interruptions = self._barrier.interruptions
 
@@ -385,15 +391,3 @@ def _latency_settings(camera: CameraConfig) -> LatencySettings:
     # The time stamps of a replayed recording are the times of its pulses.
     given_us = 0.0 if camera.latency_us is None and camera.backend == "replay" else camera.latency_us
     return LatencySettings(None if given_us is None else given_us * 1e-6, camera.latency_gate_us * 1e-6)
-
-
-def _require_time(plan: TriggerPlan, config: StationConfig) -> None:
-    """Raise InputError if the period of a plan is too short for a camera's exposure and read-out."""
-    for camera in config.cameras:
-        if spare_time_us(plan.period_s * 1e6, camera.exposure_us, camera.readout_us) < 0:
-            needed_s = (camera.exposure_us + camera.readout_us) * 1e-6
-            limit = (
-                f"at least {needed_s:g}: camera {camera.name!r} exposes for {camera.exposure_us:g} µs "
-                f"and is read out in {camera.readout_us:g} µs"
-            )
-            raise InputError.field("trigger plan", "period_s", plan.period_s, limit)

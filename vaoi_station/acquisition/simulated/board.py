@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from vaoi_station.acquisition.controller.interface import ControllerEvent, PulseFired, TriggerPlan
 from vaoi_station.acquisition.controller.trigger_rule import TriggerRule
+from vaoi_station.model.light_program import row_of
 from vaoi_station.simulation import Passage
 
 FAR_S = 1e4
@@ -28,6 +29,7 @@ class SimulatedBoard:
         self.passage = passage
         self.edges = barrier_edges(passage)
         self.pulses = predict_pulses(self.edges, plan)
+        self._program = plan.program
         self._to_render = [(c, r) for r in range(len(self.pulses)) for c in range(cameras)]
         self._frames: dict[tuple[int, int], NDArray[np.uint8]] = {}
 
@@ -40,7 +42,8 @@ class SimulatedBoard:
         """Render the next frame of the board that is not rendered yet."""
         camera, row = self._to_render.pop(0)
         pulse = self.pulses[row]
-        image = self.passage.frame_at(camera, pulse.time_s, pulse.light, row)
+        filmed = row_of(self._program, row)
+        image = self.passage.frame_at(camera, pulse.time_s, pulse.light, row, filmed)
         self._frames[camera, row] = to_bytes(image)
 
     def pixels(self, camera: int, row: int) -> NDArray[np.uint8]:

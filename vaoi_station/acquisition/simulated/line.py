@@ -11,6 +11,7 @@ import math
 import threading
 import time
 from collections import deque
+from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
@@ -36,20 +37,26 @@ SAME_TIME_S = 1e-6
 """Largest accepted difference between the times of a fired and a predicted pulse, s."""
 
 
-def accept_plan(asked: TriggerPlan, expected: TriggerPlan) -> TriggerPlan:
-    """Return the requested plan with the scenario's lights.
+def accept_plan(asked: TriggerPlan, expected: TriggerPlan, lights: Collection[str] = ()) -> TriggerPlan:
+    """Return the requested plan, without a light program with the lights and the program of the scenario.
 
     Raises:
-        InputError: the requested plan differs from the scenario's plan, for which the frames are rendered.
+        InputError: the requested plan has other times than the scenario's plan, or lights that the scenario lacks.
     """
     for key in ("start_delay_s", "period_s", "tail_s", "debounce_s"):
         value, must = getattr(asked, key), getattr(expected, key)
         if not math.isclose(value, must, rel_tol=1e-9, abs_tol=1e-12):
             raise InputError.field("trigger plan", key, value, f"{must}, as in the scenario", "Adapt [line].")
+    for n, row in enumerate(asked.program):
+        if row.light not in lights:
+            limit = f"a light of the scenario, which has {', '.join(map(repr, lights))}"
+            raise InputError.field("trigger plan", f"program.{n}.light", row.light, limit)
+    if asked.program:
+        return asked
     if asked.lights and tuple(asked.lights) != tuple(expected.lights):
         limit = f"{tuple(expected.lights)}, as in the scenario"
         raise InputError.field("trigger plan", "lights", tuple(asked.lights), limit)
-    return replace(asked, lights=tuple(expected.lights))
+    return replace(asked, lights=tuple(expected.lights), program=expected.program)
 
 
 class SimulatedLine:
@@ -76,7 +83,8 @@ class SimulatedLine:
             interval_s: shortest time from the start of one passage to the start of the next.
             interlock: whether the conveyor holds boards back while the output "line ready" is low.
         """
-        self._twin, self._plan, self._cameras, self._clock = twin, plan, cameras, clock
+        self._twin, self._cameras, self._clock = twin, cameras, clock
+        self._scenario_plan = self._plan = plan
         self._boards, self._interval_s, self._interlock = boards, interval_s, interlock
         self._permit: Permit | None = None
         self._spent: int | None = None
@@ -98,8 +106,18 @@ class SimulatedLine:
         self._thread.start()
 
     def accept(self, plan: TriggerPlan) -> TriggerPlan:
-        """Return the plan with the scenario's lights. Raise InputError if it differs from the scenario's plan."""
-        return accept_plan(plan, self._plan)
+        """Return the plan that is simulated; `accept_plan` states which plans are refused.
+
+        Boards that were rendered for another light program are rendered again.
+        """
+        accepted = accept_plan(plan, self._scenario_plan, self._twin.scenario.lights)
+        with self._change:
+            if accepted.program != self._plan.program:
+                self._prepared -= len(self._ready)
+                self._ready.clear()
+                self._change.notify()
+            self._plan = accepted
+        return accepted
 
     def set_armed(self, armed: bool) -> None:
         """Let boards enter the belt if `armed`; otherwise hold them back."""
@@ -217,30 +235,33 @@ class SimulatedLine:
             self._faults.put(DeviceFault("simulated line", error))
 
     def _may_pass(self) -> bool:
-        ready = bool(self._ready) and self._ready[0].ready
+        # The list may be emptied at any time, by a new plan.
+        ready = any(board.ready for board in [*self._ready][:1])
         may_enter = self._armed and not self._passing and self._permitted()
         return ready and may_enter and time.monotonic() >= self._next_host_s
 
     def _to_prepare(self) -> bool:
         if self._still and not self._armed:
             return False  # single pulses show the calibration board: rendering would delay their frames
-        if self._ready and not self._ready[-1].ready:
+        if any(not board.ready for board in [*self._ready][-1:]):
             return True
         return len(self._ready) < AHEAD and (self._boards == 0 or self._prepared < self._boards)
 
     def _prepare(self) -> None:
         """Render one frame; if all frames of the board are rendered, begin with the next board."""
-        if not self._ready or self._ready[-1].ready:
-            passage = self._twin.passage(self._prepared)
-            self._ready.append(SimulatedBoard(passage, self._plan, len(self._cameras)))
-            self._prepared += 1
-        elif not self._ready[-1].ready:
-            self._ready[-1].render_one()
+        with self._change:
+            newest = self._ready[-1] if self._ready else None
+            if newest is None or newest.ready:
+                passage = self._twin.passage(self._prepared)
+                self._ready.append(SimulatedBoard(passage, self._plan, len(self._cameras)))
+                self._prepared += 1
+                return
+        newest.render_one()
 
     def _let_pass(self) -> None:
         with self._change:
             # Disarming, or the end of the permit, may have come between the check in _may_pass and here.
-            if not self._armed or not self._permitted():
+            if not self._armed or not self._permitted() or not self._ready or not self._ready[0].ready:
                 return
             self._spent = self._permit.number if self._permit else None
             board, now_s = self._ready.popleft(), time.monotonic()

@@ -89,6 +89,7 @@ def _rows(recording: Recording, cameras: tuple[ReplayCamera, ...], pixels: Pixel
             head.lights[row] if head.lights else "",
             head.exposures_us[row] if head.exposures_us else (),
             partial(show, row),
+            head.gains[row] if head.gains else (),
         )
         for row in range(head.rows)
     ]

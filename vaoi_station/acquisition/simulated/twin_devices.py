@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from vaoi_station.acquisition.cameras.simulated import SimulatedCamera
+from vaoi_station.acquisition.controller.filming_plan import filming_plan
 from vaoi_station.acquisition.controller.interface import EventQueue, TriggerPlan
 from vaoi_station.acquisition.controller.simulated import SimulatedController
 from vaoi_station.acquisition.device_clock import DeviceClock, simulated_clock
@@ -55,7 +56,7 @@ def open_simulated(config: StationConfig) -> Devices:
 
 def scenario_plan(twin: Twin) -> TriggerPlan:
     """Return the trigger plan of a scenario."""
-    return TriggerPlan.of(twin.line, twin.scenario.line.lights)
+    return TriggerPlan.of(twin.line, twin.scenario.line.lights, twin.program)
 
 
 def check_scenario(config: StationConfig) -> None:
@@ -63,7 +64,7 @@ def check_scenario(config: StationConfig) -> None:
     assert config.simulation is not None
     scenario = read_scenario(config.simulation.scenario)
     _check(scenario, config)
-    accept_plan(TriggerPlan.of(config.line), scenario_plan(Twin(scenario)))
+    accept_plan(filming_plan(config), scenario_plan(Twin(scenario)), scenario.lights)
 
 
 def _check(scenario: Scenario, config: StationConfig) -> None:

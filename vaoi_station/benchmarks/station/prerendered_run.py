@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vaoi_station.config import Line
 from vaoi_station.files import read_board_type, read_calibration, write_board_type, write_calibration
 from vaoi_station.files.documents import parse, read_json, write_json
+from vaoi_station.line_config import Line
 from vaoi_station.model import BoardType, Calibration, RecordingHead
 from vaoi_station.simulation import Passage, Scenario, Twin
 

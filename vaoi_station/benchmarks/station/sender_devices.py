@@ -112,6 +112,9 @@ class SenderCamera:
         self._delivered += 1
         self._sender.request(FillRequest(self.number, row, slot.number), frame_id, time_s)
 
+    def set_exposure(self, exposure_us: float, gain_db: float) -> None:
+        """Do nothing: the frames were rendered before."""
+
     def queue(self, slot: Slot) -> None:
         """Queue memory for a frame that is to come."""
         self._slots.append(slot)

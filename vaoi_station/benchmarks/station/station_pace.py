@@ -19,9 +19,10 @@ from vaoi_station.benchmarks.station.frame_sender import run_frame_sender
 from vaoi_station.benchmarks.station.prerendered_run import PrerenderedRun
 from vaoi_station.benchmarks.station.process_usage import CpuMeter, private_memory_bytes
 from vaoi_station.benchmarks.station.sender_devices import Playback, acquisition_launcher
-from vaoi_station.config import CameraConfig, Line, ReplayConfig, RingConfig, StationConfig
+from vaoi_station.config import CameraConfig, ReplayConfig, RingConfig, StationConfig
 from vaoi_station.errors import StateError
 from vaoi_station.files import write_board_type, write_calibration
+from vaoi_station.line_config import Line
 from vaoi_station.model import RecordingHead
 from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.runs.states.schemas import RunDetail

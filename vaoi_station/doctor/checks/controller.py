@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from vaoi_station.acquisition.clocks import ClockModel, ClockReading
-from vaoi_station.acquisition.controller.interface import TriggerPlan
+from vaoi_station.acquisition.controller.filming_plan import filming_plan
 from vaoi_station.acquisition.controller.protocol.link import Link
 from vaoi_station.acquisition.controller.protocol.messages import (
     TICK_S,
@@ -165,7 +165,7 @@ def judge_limits(ident: Ident, config: StationConfig) -> Finding:
     longest = (ident.led_longest_0, ident.led_longest_1, ident.led_longest_2, ident.led_longest_3)
     figures: Figures = {f"channel_{k}_longest_us": ticks * TICK_S * 1e6 for k, ticks in enumerate(longest)}
     try:
-        make_program(TriggerPlan.of(config.line), config.controller, ident)
+        make_program(filming_plan(config), config.controller, ident)
     except InputError as error:
         action = error.action or "Correct [controller] in station.toml, or the firmware's logic/pulses/limits.h."
         return fault(error.message, action, subject="limits", figures=figures)

@@ -66,6 +66,8 @@ class LineControl:
         self._after_disarm: list[tuple[Order, int | None, Completion]] = []
         """Requests to arm (order, number of runs, completion) that came while the line was being disarmed."""
         self._disarm_sent = False
+        self._plan: TriggerPlan | None = None
+        """The trigger plan of the newest Arm command."""
         self.times_blocked = 0
         """Number of times that the armed line had no memory for the next board."""
 
@@ -98,6 +100,12 @@ class LineControl:
         # While a Disarm is not confirmed, a new request to arm waits, because that Disarm would undo it.
         if self._disarm_sent and self._machine.state in _ARMED_STATES - {StationState.FILMING}:
             self._after_disarm.append((order, runs, completion))
+            return
+        if self._machine.state in _WITH_PLAN and self._plan_of(order) != self._plan:
+            # Cameras and controller take another plan only when they are disarmed.
+            self._after_disarm.append((order, runs, completion))
+            self.orders.cancel(time.monotonic())
+            self._send_disarm()
             return
         try:
             self._unblock()
@@ -313,7 +321,11 @@ class LineControl:
         self._send_arm()
 
     def _send_arm(self) -> None:
-        self._acquisition.send(messages.Arm(TriggerPlan.of(self._config.line)))
+        self._plan = self._plan_of(self.orders.order)
+        self._acquisition.send(messages.Arm(self._plan))
+
+    def _plan_of(self, order: Order | None) -> TriggerPlan:
+        return order.plan if order is not None and order.plan is not None else TriggerPlan.of(self._config.line)
 
     def _send_disarm(self) -> None:
         if not self._disarm_sent:
@@ -340,5 +352,7 @@ class LineControl:
 _S = StationState
 _ARMED_STATES = frozenset({_S.ARMING, _S.ARMED, _S.FILMING, _S.BLOCKED})
 """States in which the acquisition process has an Arm command in force."""
+_WITH_PLAN = frozenset({_S.ARMED, _S.BLOCKED})
+"""States in which the controller waits for a board with the plan that was armed."""
 _TAKING_BOARDS = frozenset({_S.ARMED, _S.FILMING, _S.BLOCKED})
 """States in which the next board is filmed if memory is free for it."""

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import Any
 
 from vaoi_station.acquisition.process.messages import BoardMissed, MissedPassage, RunFinished
-from vaoi_station.config import Line
+from vaoi_station.line_config import Line
 from vaoi_station.runs.run.order import Order, Orders
 from vaoi_station.runs.run.passage import Passage, limit_of, measure_passage, way_of
 from vaoi_station.runs.run.progress import Progress
@@ -52,13 +52,14 @@ class BoardAccount:
         order = self._orders.order
         if order is None or len(report.interruptions) == 0:
             return
-        limit_mm = limit_of(order.board_type, self._line, None)
+        line = order.line or self._line
+        limit_mm = limit_of(order.board_type, line, None)
         end_s = max(c if c is not None else b for b, c in report.interruptions)
-        passage = measure_passage(report.interruptions, end_s, lambda s: self._line.speed_mm_s * s, limit_mm)
+        passage = measure_passage(report.interruptions, end_s, lambda s: line.speed_mm_s * s, limit_mm)
         if passage.boards > 1:
             message = f"{_boards(passage.boards - 1)} followed a missed board too closely and passed as well."
             edge_s = report.host_time_s + passage.leading_s[-1]
-            reason = Reason(code="boards-too-close", message=message, action=self._keep_apart())
+            reason = Reason(code="boards-too-close", message=message, action=_keep_apart(line))
             self._miss(passage.boards - 1, (edge_s, now_s), reason)
 
     def unwatched(self, now_s: float, why: str) -> None:
@@ -89,7 +90,7 @@ class BoardAccount:
             edge_s = _host_s(progress, recorded, passage.leading_s[-1])
             self._miss(passage.boards - 1, (edge_s, now_s), reason, progress.run)
         if recorded.reason == "max-rows":
-            progress.add_fault(self._too_long(recorded))
+            progress.add_fault(self._too_long(progress.order, recorded))
             if recorded.interruptions and recorded.interruptions[-1][1] is None:
                 # What is still in the barrier may be another board that touches the first one.
                 edge_s = _host_s(progress, recorded, recorded.interruptions[-1][0])
@@ -102,9 +103,10 @@ class BoardAccount:
             return None
         times_s = recorded.head.row_times_s()
         stitch = progress.stitch
-        limit_mm = limit_of(progress.order.board_type, self._line, stitch)
+        line = progress.order.line or self._line
+        limit_mm = limit_of(progress.order.board_type, line, stitch)
         end_s = float(times_s[-1])
-        return measure_passage(tuple(known), end_s, way_of(self._line, stitch, times_s), limit_mm)
+        return measure_passage(tuple(known), end_s, way_of(line, stitch, times_s), limit_mm)
 
     def _check_id(self, progress: Progress) -> None:
         if (why := self._orders.doubt_of(progress.armed_s, progress.barrier_s)) is not None:
@@ -117,13 +119,6 @@ class BoardAccount:
         # This is published now: an order that comes later was given by a caller who could know of it.
         self._orders.doubt(*times_s, "a board had passed without a run of its own before")
 
-    def _keep_apart(self) -> str:
-        line = self._line
-        return (
-            f"Keep boards more than {line.tail_s * line.speed_mm_s:.0f} mm apart, the way of the belt in line.tail_s, "
-            "and film the boards again."
-        )
-
     def _too_close(self, order: Order, passage: Passage) -> Reason:
         lengths = ", ".join(f"{length:.0f}" for length in passage.lengths_mm)
         gaps = f" with {', '.join(f'{gap:.0f}' for gap in passage.gaps_mm)} mm between" if passage.gaps_mm else ""
@@ -133,17 +128,17 @@ class BoardAccount:
                 f"{_boards(passage.boards)} passed in this run: the barrier was interrupted over {lengths} mm{gaps}, "
                 f"but a board of type {order.board_type.name!r} is at most {passage.limit_mm:.0f} mm long there."
             ),
-            action=self._keep_apart(),
+            action=_keep_apart(order.line or self._line),
         )
 
-    def _too_long(self, recorded: RunFinished) -> Reason:
+    def _too_long(self, order: Order, recorded: RunFinished) -> Reason:
         open_ = bool(recorded.interruptions) and recorded.interruptions[-1][1] is None
         what = "the barrier was still interrupted" if open_ else "its tail was not over"
         return Reason(
             code="run-too-long",
             message=(
                 f"The run ended after {recorded.head.rows} rows, the most that line.longest_board_mm = "
-                f"{self._line.longest_board_mm:g} allows, while {what}: the rest was not filmed."
+                f"{(order.line or self._line).longest_board_mm:g} allows, while {what}: the rest was not filmed."
             ),
             action=(
                 "Check whether the board or the belt was stuck, another board followed, or the barrier is dirty; "
@@ -155,6 +150,13 @@ class BoardAccount:
 def _host_s(progress: Progress, recorded: RunFinished, time_s: float) -> float:
     """Return the host time of an edge whose time is relative to row 0."""
     return progress.barrier_s + time_s - recorded.interruptions[0][0]
+
+
+def _keep_apart(line: Line) -> str:
+    return (
+        f"Keep boards more than {line.tail_s * line.speed_mm_s:.0f} mm apart, the way of the belt in line.tail_s, "
+        "and film the boards again."
+    )
 
 
 def _boards(count: int) -> str:

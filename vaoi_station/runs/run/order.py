@@ -6,9 +6,12 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from vaoi_station.config import Line, MethodName
+from vaoi_station.acquisition.controller.filming_plan import filming_plan, line_of_board
+from vaoi_station.acquisition.controller.interface import TriggerPlan
+from vaoi_station.config import MethodName, StationConfig
 from vaoi_station.errors import StateError, VaoiError
-from vaoi_station.model import VISIBILITY, BoardType, Calibration, CameraHead, Visibility
+from vaoi_station.line_config import Line
+from vaoi_station.model import BoardType, Calibration
 from vaoi_station.runs.run.reference_store import ReferenceStore, StoredReference
 from vaoi_station.runs.states.run_ids import utc
 from vaoi_station.runs.states.schemas import ArmedWith, Reason
@@ -36,6 +39,10 @@ class Order:
     configuration_digest: str = ""
     despite_lost_cameras: bool = False
     """Whether to film boards although a camera is not connected, as the caller allowed."""
+    plan: TriggerPlan | None = None
+    """The trigger plan of the board type; None: that of the station."""
+    line: Line | None = None
+    """The line as the board type needs it; None: as in station.toml."""
 
     def shown(self, runs_left: int | None) -> ArmedWith:
         """Return the part of the order that `GET station` and the page show."""
@@ -154,58 +161,67 @@ class OrderFactory:
 
     def __init__(
         self,
-        line: Line,
+        config: StationConfig,
         calibration: Calibration,
-        heads: tuple[CameraHead, ...],
         store: Store,
         references: ReferenceStore,
-        method: MethodName = "auto",
-        visibility: Visibility = VISIBILITY,
         lights: tuple[str, ...] = (),
     ) -> None:
         """Prepare the parts that all orders of a station share.
 
         Args:
-            line: geometry and speed of the line.
+            config: the station.
             calibration: the calibration in force.
-            heads: image format of every camera.
             store: keeps the documents that runs refer to.
             references: references and methods of the board types.
-            method: the station's method, which applies to board types for which no method was set.
-            visibility: how much of every component must be seen, unless the board type asks for something else.
-            lights: names of the lights of the rows, in turn; empty if they are not known.
+            lights: names of the lights of the rows without a light program, in turn; empty if they are not known.
         """
-        self._visibility, self._lights = visibility, lights
-        self._line, self._store, self._references, self._method = line, store, references, method
-        self._cameras = calibration.cameras(heads)
+        self._config, self._lights = config, lights
+        self._store, self._references = store, references
+        self._cameras = calibration.cameras(tuple(camera.head for camera in config.cameras))
         self._calibration_digest = store.keep_document("calibration", calibration.model_dump_json(), utc())
 
     def __call__(self, board_type: BoardType, board_id: str | None, job_id: str | None) -> Order:
         """Make the order for a board type.
 
         Raises:
-            InputError: the board type has too few fiducials to be placed.
+            InputError: the board type has too few fiducials to be placed, or its light program, speed or lengths do not
+                fit the station.
             StateError: the method needs a reference that is missing or unusable.
         """
         # Files in the directory may be older than this rule, or written by hand.
         refuse_unplaceable(board_type, "board type")
-        method = self._references.method(board_type.name) or self._method
+        line = line_of_board(self._config, board_type)
+        plan = filming_plan(self._config, board_type, [camera.px_per_mm for camera in self._cameras])
+        method = self._references.method(board_type.name) or self._config.method
         reference, notes = self._reference(board_type, method)
         setup = StitchSetup(
             cameras=self._cameras,
-            conveyor_mm_s=self._line.conveyor_mm_s,
-            trigger_period_s=self._line.trigger_period_s,
+            conveyor_mm_s=line.conveyor_mm_s,
+            trigger_period_s=line.trigger_period_s,
             board_type=board_type,
-            expectation=expectation_of(self._line, board_type),
+            expectation=expectation_of(line, board_type),
             method=method,
             reference=reference.reference if reference else None,
-            visibility=self._visibility,
-            lights=self._lights,
+            visibility=self._config.visibility,
+            lights=tuple(plan.lights) or self._lights,
         )
         # Runs refer to their documents by digest, so a later change of the board type does not affect old results.
         digest = self._store.keep_document("board-type", board_type.model_dump_json(), utc())
         present = self._store.configurations.present
-        return Order(board_type, board_id, job_id, setup, digest, self._calibration_digest, reference, notes, present)
+        return Order(
+            board_type=board_type,
+            board_id=board_id,
+            job_id=job_id,
+            setup=setup,
+            board_type_digest=digest,
+            calibration_digest=self._calibration_digest,
+            reference=reference,
+            notes=notes,
+            configuration_digest=present,
+            plan=plan,
+            line=line,
+        )
 
     def _reference(
         self, board_type: BoardType, method: MethodName

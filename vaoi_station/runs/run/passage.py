@@ -14,9 +14,9 @@ from typing import NamedTuple
 import numpy as np
 
 from vaoi_station.acquisition.pairing.run_record import Interruption
-from vaoi_station.config import Line
 from vaoi_station.geometry import apply
 from vaoi_station.geometry.transforms import Floats
+from vaoi_station.line_config import Line
 from vaoi_station.model import BoardType, Stitch
 
 LENGTH_SHARE, LENGTH_MM = 0.1, 5.0

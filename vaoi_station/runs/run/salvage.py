@@ -5,6 +5,7 @@ from __future__ import annotations
 from vaoi_station.acquisition.process.messages import RunFinished
 from vaoi_station.config import StationConfig
 from vaoi_station.model import CameraHead, FrameRecord, RecordingHead, Verdict
+from vaoi_station.model.light_program import row_of
 from vaoi_station.runs.run.progress import WHOLE, Progress
 from vaoi_station.runs.states.schemas import Reason
 
@@ -48,16 +49,23 @@ def salvage_recording(progress: Progress, config: StationConfig) -> RunFinished 
     # Times are relative to the first pulse and rounded to 1 ns, as the acquisition process does it. So the tasks that
     # were requested while filming remain valid.
     first_s = progress.pulses[0].time_s
+    line, plan = progress.order.line or config.line, progress.order.plan
+    lights = tuple(progress.pulses[row].light for row in range(rows))
+    program = plan.program if plan is not None else ()
+    filmed = [expected for row in range(rows) if (expected := row_of(program, row)) is not None]
     head = RecordingHead(
         format="vaoi-recording",
         version=1,
         cameras=camera_heads(config),
         rows=rows,
-        trigger_period_s=config.line.trigger_period_s,
-        conveyor_mm_s=config.line.conveyor_mm_s,
+        trigger_period_s=line.trigger_period_s,
+        conveyor_mm_s=line.conveyor_mm_s,
         rotation_deg=config.line.expected_board.rotation_deg or None,
         missing=tuple((f.camera, f.row) for f in frames if f.verdict is Verdict.MISSING),
         trigger_times_s=tuple(round(progress.pulses[row].time_s - first_s, 9) for row in range(rows)),
+        exposures_us=tuple(row.lit_us for row in filmed) or None,
+        gains=tuple(row.gains for row in filmed) or None,
+        lights=lights if any(lights) else None,
     )
     last_s = max((at for key, at in progress.settled_s.items() if key in progress.present), default=progress.barrier_s)
     return RunFinished(progress.run, progress.context.bay, head, frames, last_s, "acquisition lost")

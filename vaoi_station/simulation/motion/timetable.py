@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from vaoi_station.config import ExpectedBoard, Line
+from vaoi_station.line_config import ExpectedBoard, Line
 from vaoi_station.simulation.motion.belt import BoardMotion, board_motion
 from vaoi_station.simulation.motion.faults import extra_turn_deg, stuck_row
 from vaoi_station.simulation.scenario import Scenario

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from vaoi_station.config import Line
+from vaoi_station.line_config import Line
 from vaoi_station.model import BoardType
 
 

@@ -75,6 +75,13 @@ class StandInConnection:
             raise self.error
         return ClockReading(EPOCH_S - epoch_ns * 1e-9, time.monotonic(), 0.0)
 
+    exposure_refusal: DeviceError | None = None
+
+    def set_exposure(self, wanted: CameraConfig) -> None:
+        if self.exposure_refusal is not None:
+            raise self.exposure_refusal
+        self.config = wanted
+
     def temperature_c(self) -> float:
         return 41.5
 
@@ -245,3 +252,21 @@ def test_closing_releases_the_connection(bench: Bench) -> None:
     bench.camera.close()
     assert bench.connection.closed == [False]
     assert not bench.camera.health().connected
+
+
+def test_exposure_is_set_now_or_when_the_camera_is_back(bench: Bench) -> None:
+    bench.camera.set_exposure(80.0, 6.0)
+    assert (bench.connection.config.exposure_us, bench.connection.config.gain_db) == (80.0, 6.0)
+    bench.camera.start(bench.events)
+    bench.lose()
+    bench.camera.set_exposure(120.0, 0.0)
+    bench.next(CameraBack)
+    bench.wait(lambda: bench.connection.config.exposure_us == 120.0)
+
+
+def test_a_refused_exposure_leaves_the_one_before(bench: Bench) -> None:
+    bench.connection.exposure_refusal = DeviceError("camera c0: ignores a setting.")
+    before = bench.camera.config
+    with pytest.raises(DeviceError, match="ignores"):
+        bench.camera.set_exposure(1.0, 0.0)
+    assert bench.camera.config == before

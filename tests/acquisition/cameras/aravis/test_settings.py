@@ -162,3 +162,14 @@ def test_a_setting_that_cannot_be_read_back() -> None:
 def test_the_domain_of_an_error_is_left_out() -> None:
     assert settings.error_text(StandInError("no reply.")) == "no reply"
     assert settings.error_text(OSError("unreachable")) == "unreachable"
+
+
+def test_exposure_and_gain_alone_are_written_and_compared() -> None:
+    camera = StandInCamera()
+    settings.apply(camera, camera_config())
+    before = len(camera.device.written)
+    settings.apply_exposure(camera, camera_config(exposure_us=80.0, gain_db=6.0))
+    assert camera.device.written[before:] == [("ExposureTime", 80.0), ("Gain", 6.0)]
+    camera.device.ignored.add("Gain")
+    with pytest.raises(DeviceError, match="camera c0: ignores a setting: Gain was set to"):
+        settings.apply_exposure(camera, camera_config(gain_db=20.0))

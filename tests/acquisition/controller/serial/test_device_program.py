@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -11,9 +13,13 @@ from vaoi_station.acquisition.controller.interface import TriggerPlan
 from vaoi_station.acquisition.controller.protocol.messages import Nak, Reason, Step, Type
 from vaoi_station.acquisition.controller.serial.device_program import DARK, explain_refusal, make_program
 from vaoi_station.config import ControllerConfig, LightConfig
+from vaoi_station.errors import InputError
+from vaoi_station.model import ProgramRow
 
 PLAN = TriggerPlan(start_delay_s=0.3, period_s=0.12, tail_s=0.4, max_rows=40, debounce_s=0.005)
 LIGHTS = {"top": LightConfig(channels=(0, 1), on_us=300.0), "low": LightConfig(channels=(3,), on_us=61.5)}
+
+SERIAL = ControllerConfig(backend="serial", lights=LIGHTS)
 
 
 def test_times_are_ticks_and_lights_are_steps_in_turn() -> None:
@@ -69,3 +75,26 @@ def test_a_refusal_in_the_terms_of_the_file(nak: Nak, words: str) -> None:
 )  # fmt: skip
 def test_other_refusals_are_not_translated(nak: Nak) -> None:
     assert explain_refusal(nak, make_program(PLAN, ControllerConfig(backend="serial"), IDENT)) is None
+
+
+def test_a_program_gives_each_step_its_on_time() -> None:
+    rows = (ProgramRow("low", (200.0,), (0.0,), 100.0), ProgramRow("top", (200.0,), (0.0,), 300.0))
+    program = make_program(replace(PLAN, program=rows, lights=("low", "top")), SERIAL, IDENT)
+    assert program.steps == (Step(0b1000, 200), Step(0b0011, 600))
+
+
+def test_a_program_beyond_the_firmware_is_refused_with_its_numbers() -> None:
+    row = ProgramRow("low", (200.0,), (0.0,), 100.0)
+    many = replace(PLAN, program=(row,) * 17, lights=("low",) * 17)
+    with pytest.raises(InputError, match="steps of the light program is 17, but must be at most 16, the steps"):
+        make_program(many, SERIAL, IDENT)
+    long = replace(PLAN, program=(replace(row, on_us=9000.0),), lights=("low",))
+    with pytest.raises(InputError, match=r"on_us of light 'low' is 9000\.0, but must be .* … .* \(the longest pulse"):
+        make_program(long, SERIAL, IDENT)
+
+
+def test_what_was_lit_is_named() -> None:
+    program = make_program(PLAN, SERIAL, IDENT)
+    assert [program.lit(row, bits) for row, bits in ((0, 0b0011), (0, 0b1000), (0, 0b0101), (0, 0))] == [
+        "top", "low", "LED channels 0+2", "",
+    ]  # fmt: skip

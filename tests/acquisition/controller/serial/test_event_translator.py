@@ -24,7 +24,7 @@ class Recorder:
         self.translator = EventTranslator()
         self.events: list[ControllerEvent | DeviceFault] = []
         self.translator.start(self.events.append)
-        self.translator.set_lights(lambda row: f"light {row}", "single light")
+        self.translator.set_lights(lambda row, _channels: f"light {row}", "single light")
 
     def receive(self, *events: tuple[Kind, int, int, int]) -> list[ControllerEvent | DeviceFault]:
         """(kind, detail, index, value) each, a second apart."""
@@ -102,3 +102,11 @@ def test_whatever_is_lost_runs_do_not_overlap_and_numbers_have_no_gaps(
             open_runs = 0
     assert open_runs == 0
     assert not recorder.translator.running
+
+
+def test_a_pulse_has_the_light_and_the_on_time_that_were_reported() -> None:
+    recorder = Recorder()
+    recorder.translator.set_lights(lambda row, channels: f"{row}:{channels:b}", "")
+    pulse = recorder.receive((Kind.PULSE, 0b101, 4, 600))[0]
+    assert isinstance(pulse, PulseFired)
+    assert (pulse.light, pulse.on_us) == ("4:101", 300.0)

@@ -102,6 +102,19 @@ class AravisCamera:
         self._arrivals = arrivals
         self._thread.start()
 
+    def set_exposure(self, exposure_us: float, gain_db: float) -> None:
+        """Write exposure and gain, read them back and compare. A lost camera gets them when it is opened again."""
+        before = self.config
+        # A connection that is opened later writes the settings of this configuration.
+        self.config = before.model_copy(update={"exposure_us": exposure_us, "gain_db": gain_db})
+        connection = self._connection
+        try:
+            if connection is not None and connection.config != self.config:
+                connection.set_exposure(self.config)
+        except DeviceError:
+            self.config = before
+            raise
+
     def queue(self, slot: Slot) -> None:
         """Give a slot to the stream. While the camera is lost, keep the slot until the camera is back."""
         with self._lock:
@@ -191,6 +204,9 @@ class AravisCamera:
                 continue
             try:
                 self._check(self._connection)
+                # Exposure or gain may have been set while the camera was being opened with the values of before.
+                if self._connection.config != self.config:
+                    self._connection.set_exposure(self.config)
                 if time.monotonic() >= temperature_due_s:
                     self._counts.temperature_c = self._connection.temperature_c()
                     temperature_due_s = time.monotonic() + TEMPERATURE_S

@@ -110,6 +110,16 @@ class Connection:
                 code="frame-size",
             )
 
+    def set_exposure(self, wanted: CameraConfig) -> None:
+        """Write exposure and gain to the running camera, read them back and compare.
+
+        Raises:
+            DeviceError: the camera refuses or ignores a value.
+        """
+        with self._device_access("does not take its exposure"):
+            settings.apply_exposure(self._camera, wanted)
+        self.config = wanted
+
     def start(self, on_slot: Callable[[SlotResult], None], share: PortShare) -> None:
         """Create the stream and start the acquisition. The stream calls `on_slot` when a frame has ended in a slot.
 

@@ -67,6 +67,16 @@ def apply(camera: Any, config: CameraConfig) -> None:
                 compare(config.label, setting)
 
 
+def apply_exposure(camera: Any, config: CameraConfig) -> None:
+    """Write exposure and gain to a camera whose other settings are in force, read them back and compare.
+
+    Raises:
+        DeviceError: the camera refuses or ignores one of them.
+    """
+    for setting in list(_with_device_errors(config.label, _exposure(camera, config))):
+        write_and_compare(config.label, setting)
+
+
 def write_and_compare(name: str, setting: Setting) -> None:
     """Write a setting, read it back at once, and raise DeviceError if the camera refuses or ignores it."""
     try:
@@ -133,6 +143,11 @@ def _picture(camera: Any, config: CameraConfig) -> Iterator[Setting]:
     for feature in ("ExposureAuto", "GainAuto", "BlackLevelAuto", "GammaEnable"):
         if device.is_feature_available(feature):
             yield feature_setting(device, feature, False if feature == "GammaEnable" else "Off")
+    yield from _exposure(camera, config)
+
+
+def _exposure(camera: Any, config: CameraConfig) -> Iterator[Setting]:
+    """Yield the settings of exposure and gain."""
     yield Setting(
         "ExposureTime",
         config.exposure_us,

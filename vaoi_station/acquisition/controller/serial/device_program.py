@@ -1,4 +1,4 @@
-"""Translate a trigger plan, and the lights of station.toml, into the firmware's configuration.
+"""Translate a trigger plan, with its light program or the lights of station.toml, into the firmware's configuration.
 
 Values beyond the firmware's limits are refused here, in the units of `station.toml`. A refusal by the firmware itself
 is translated back into these units.
@@ -52,6 +52,8 @@ class DeviceProgram:
     timing: Timing
     steps: tuple[Step, ...]
     lights: tuple[str, ...]
+    known: tuple[tuple[str, int], ...] = ()
+    """Names of all lights of station.toml, with their LED channels as bits."""
 
     @property
     def crc(self) -> int:
@@ -62,6 +64,19 @@ class DeviceProgram:
         """Return the name of a row's light; an empty text if the lights have no names."""
         return self.lights[row % len(self.lights)] if self.lights else ""
 
+    def lit(self, row: int, channels: int) -> str:
+        """Return the name of the light of these LED channels (bits), which the controller lit for a row.
+
+        Channels that are no light have their numbers in place of a name.
+        """
+        if not channels:
+            return ""
+        # Several lights may have the same channels. The one that the program has for the row comes first.
+        candidates = ((self.light(row), self.steps[row % len(self.steps)].channels), *self.known)
+        found = next((name for name, bits in candidates if bits == channels and name), None)
+        numbers = "+".join(str(k) for k in range(channels.bit_length()) if channels >> k & 1)
+        return f"LED channels {numbers}" if found is None else found
+
 
 def make_program(plan: TriggerPlan, config: ControllerConfig, ident: Ident) -> DeviceProgram:
     """Translate a plan.
@@ -71,9 +86,15 @@ def make_program(plan: TriggerPlan, config: ControllerConfig, ident: Ident) -> D
     """
     lights = tuple(plan.lights) or config.light_sequence
     if len(lights) > ident.program_steps:
+        if plan.program:
+            limit = f"at most {ident.program_steps}, the steps that the controller's firmware holds"
+            raise InputError.field(_PLAN, "number of steps of the light program", len(lights), limit)
         limit = f"at most {ident.program_steps} lights, the steps of the firmware's program"
         raise InputError.field(_WHERE, "controller.order", lights, limit)
-    steps = tuple(light_step(name, config, ident, plan.period_s) for name in lights) or (DARK,)
+    steps = tuple(
+        light_step(name, config, ident, plan.period_s, plan.program[n].on_us if plan.program else None)
+        for n, name in enumerate(lights)
+    ) or (DARK,)
     values = (
         Pacing.TIME,
         len(steps),
@@ -87,13 +108,17 @@ def make_program(plan: TriggerPlan, config: ControllerConfig, ident: Ident) -> D
         _ticks(config.trigger_us * 1e-6),
     )
     # Values that do not fit are sent as the largest number. The firmware then refuses them with its own limit.
-    return DeviceProgram(Timing(*(min(v, _LARGEST.get(k, 0xFFFFFFFF)) for k, v in enumerate(values))), steps, lights)
+    timing = Timing(*(min(v, _LARGEST.get(k, 0xFFFFFFFF)) for k, v in enumerate(values)))
+    known = tuple((name, _mask(light.channels)) for name, light in config.lights.items())
+    return DeviceProgram(timing, steps, lights, known)
 
 
-def light_step(name: str, config: ControllerConfig, ident: Ident, period_s: float | None = None) -> Step:
+def light_step(
+    name: str, config: ControllerConfig, ident: Ident, period_s: float | None = None, on_us: float | None = None
+) -> Step:
     """Translate a light into a step of the firmware.
 
-    The limit of the duty cycle is checked only if `period_s` is given.
+    The limit of the duty cycle is checked only if `period_s` is given. `on_us` replaces the on-time of station.toml.
 
     Raises:
         InputError: a value is beyond the firmware's limits.
@@ -112,12 +137,15 @@ def light_step(name: str, config: ControllerConfig, ident: Ident, period_s: floa
         share = 1 << ident.led_duty_shift
         limits[_ticks(period_s) >> ident.led_duty_shift] = f"1/{share} of the period of {period_s} s"
     # The firmware checks this too, but its refusal names only a limit in ticks, not the channel or the period.
-    width, most = _ticks(light.on_us * 1e-6), min(limits)
+    asked_us = light.on_us if on_us is None else on_us
+    width, most = _ticks(asked_us * 1e-6), min(limits)
     if not ident.led_shortest <= width <= most:
         why = limits[most] if width > most else "the shortest pulse of its firmware"
         low, high = ident.led_shortest * TICK_S * 1e6, most * TICK_S * 1e6
-        raise InputError.field(_WHERE, f"{key}.on_us", light.on_us, f"{low:g} … {high:g} ({why})")
-    return Step(sum({1 << c for c in light.channels}), width)
+        # A step that does not state an on-time has that of its light, so a different one is the step's own.
+        where, wrong = (_WHERE, f"{key}.on_us") if asked_us == light.on_us else (_PLAN, f"on_us of light {name!r}")
+        raise InputError.field(where, wrong, asked_us, f"{low:g} … {high:g} ({why})")
+    return Step(_mask(light.channels), width)
 
 
 def explain_refusal(nak: Nak, program: DeviceProgram) -> InputError | None:
@@ -140,6 +168,10 @@ def explain_refusal(nak: Nak, program: DeviceProgram) -> InputError | None:
 
 def _longest(ident: Ident) -> Sequence[int]:
     return (ident.led_longest_0, ident.led_longest_1, ident.led_longest_2, ident.led_longest_3)
+
+
+def _mask(channels: Sequence[int]) -> int:
+    return sum({1 << channel for channel in channels})
 
 
 def _ticks(time_s: float) -> int:

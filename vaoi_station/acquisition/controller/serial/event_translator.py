@@ -60,7 +60,7 @@ class EventTranslator:
     def __init__(self) -> None:
         self._put: Callable[[ControllerEvent | DeviceFault], None] | None = None
         self._numbers = count()
-        self._light: Callable[[int], str] = lambda _row: ""
+        self._light: Callable[[int, int], str] = lambda _row, _channels: ""
         self._single_light = ""
         self._running = False
         self._rows = 0
@@ -75,8 +75,13 @@ class EventTranslator:
         """Pass events to `put` from now on. Events before this call are dropped."""
         self._put = put
 
-    def set_lights(self, light: Callable[[int], str], single: str) -> None:
-        """Set the names of the lights: `light` returns the name for a row, `single` is the name for single pulses."""
+    def set_lights(self, light: Callable[[int, int], str], single: str) -> None:
+        """Set the names of the lights.
+
+        Args:
+            light: returns the name for a row and the LED channels (bits) that the controller lit.
+            single: the name for single pulses.
+        """
         self._light, self._single_light = light, single
 
     def translate(self, event: Event, time_s: float) -> None:
@@ -136,7 +141,9 @@ class EventTranslator:
             return
         # If the barrier event of a run was lost, its first pulse begins it.
         self._running, self._rows = True, event.index + 1
-        self._emit(PulseFired(next(self._numbers), time_s, event.index, self._light(event.index)))
+        light = self._light(event.index, event.detail)
+        on_us = event.value * TICK_S * 1e6
+        self._emit(PulseFired(next(self._numbers), time_s, event.index, light, on_us=on_us))
 
     def _suppressed(self, event: Event, time_s: float) -> None:
         if event.detail == Suppressed.BOUNCE:

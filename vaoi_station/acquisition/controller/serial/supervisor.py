@@ -216,7 +216,7 @@ class Supervisor:
             raise explain_refusal(refusal.nak, program) or refusal from refusal
         with self.lock:
             self.arming, self.guard_tripped = arming, False
-            self.translator.set_lights(program.light, program.light(0))
+            self.translator.set_lights(program.lit, program.light(0))
         self.link.heartbeat = True
         self._checked_status = exchange.read_status()
 
@@ -235,7 +235,7 @@ class Supervisor:
             raise StateError("the controller is armed: its pulses belong to boards.", action="Disarm, then fire.")
         name = next(iter(self._config.light_sequence), "")
         step = light_step(name, self._config, self.ident) if name else DARK
-        self.translator.set_lights(lambda _row: "", name)
+        self.translator.set_lights(lambda _row, _channels: "", name)
         self._number = (self._number + 1) % 0x10000
         width = min(round(self._config.trigger_us * 2), 0xFFFF)
         try:

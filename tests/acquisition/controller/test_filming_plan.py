@@ -1,0 +1,142 @@
+"""Tests of the plan of a board type: its values, and every refusal with its numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from vaoi_station.acquisition.controller.filming_plan import exposures_of, filming_plan, line_of_board, require_time
+from vaoi_station.acquisition.controller.interface import TriggerPlan
+from vaoi_station.config import StationConfig
+from vaoi_station.errors import InputError
+from vaoi_station.model import BoardType, ProgramRow
+
+Make = Callable[..., StationConfig]
+LIGHTS = {"ring": {"channels": [0], "on_us": 100.0}, "left": {"channels": [1], "on_us": 60.0}}
+RESOLUTION = (4.0, 4.0)
+
+
+def board(**keys: Any) -> BoardType:
+    return BoardType.model_validate({"name": "b", **keys})
+
+
+@pytest.fixture
+def serial(make_config: Make) -> StationConfig:
+    """A station with real cameras and two lights, on a belt of 100 mm/s with a period of 50 ms."""
+    cameras = [{**c.model_dump(), "backend": "aravis", "serial": c.name} for c in make_config().cameras]
+    return make_config(simulation=None, cameras=cameras, controller={"backend": "serial", "lights": LIGHTS})
+
+
+def test_a_program_is_completed_from_the_station(serial: StationConfig) -> None:
+    plan = filming_plan(serial, board(program=[{"light": "left"}, {"light": "ring", "on_us": 50.0}]))
+    shutters_us = tuple(camera.exposure_us for camera in serial.cameras)
+    assert plan.lights == ("left", "ring")
+    assert plan.program == (
+        ProgramRow("left", shutters_us, (0.0, 0.0), 60.0),
+        ProgramRow("ring", shutters_us, (0.0, 0.0), 50.0),
+    )
+
+
+def test_the_program_of_the_board_type_goes_before_that_of_the_station(serial: StationConfig) -> None:
+    config = serial.model_copy(update={"program": board(program=[{"light": "ring"}]).program})
+    assert filming_plan(config).lights == ("ring",)
+    assert filming_plan(config, board(program=[{"light": "left"}])).lights == ("left",)
+    assert filming_plan(serial, board()) == TriggerPlan.of(serial.line)
+
+
+def test_each_camera_has_its_exposure_and_gain(serial: StationConfig) -> None:
+    plan = filming_plan(serial, board(program=[{"light": "left", "exposure_us": [200.0, 300.0], "gain_db": 6.0}]))
+    assert exposures_of(plan, serial) == [(200.0, 6.0), (300.0, 6.0)]
+    assert exposures_of(filming_plan(serial), serial) == [(c.exposure_us, c.gain_db) for c in serial.cameras]
+
+
+@pytest.mark.parametrize(
+    ("program", "words"),
+    [
+        ([{"light": "blue"}], r"program\.0\.light is 'blue', but must be a light of .* which has 'ring', 'left'"),
+        ([{"light": "left", "exposure_us": 51000.0}], r"program\.0\.exposure_us is 51000\.0, but must be at most 5"),
+        (
+            [{"light": "left", "exposure_us": 9000.0, "on_us": 8000.0}],
+            r"program\.0\.on_us is 8000\.0, but must be at most 7500\.0 for camera c0: at 100 mm/s and 4 px/mm the "
+            r"picture moves 3 px",
+        ),
+        (
+            [{"light": "left", "exposure_us": [1.0, 2.0, 3.0]}],
+            r"number of entries of program\.0\.exposure_us is 3, but must be one for all cameras, or 2",
+        ),
+        (
+            [{"light": "left", "exposure_us": 200.0}, {"light": "left", "exposure_us": 12.0}],
+            r"program\.1\.exposure_us is 12\.0, but must be 200 µs as in program\.0: camera c0 has one exposure_us for",
+        ),
+        (
+            [{"light": "left"}, {"light": "left", "gain_db": 3.0}],
+            r"program\.1\.gain_db is 3\.0, but must be 0 dB as in program\.0",
+        ),
+    ],
+)  # fmt: skip
+def test_what_does_not_fit_is_refused_with_the_numbers(
+    serial: StationConfig, program: list[dict[str, Any]], words: str
+) -> None:
+    with pytest.raises(InputError, match=f"board type 'b': {words}"):
+        filming_plan(serial, board(program=program), RESOLUTION)
+
+
+def test_simulated_cameras_change_their_exposure_from_row_to_row(make_config: Make) -> None:
+    steps = [{"light": "ring", "exposure_us": 200.0}, {"light": "ring", "exposure_us": 12.0, "gain_db": 3.0}]
+    assert [row.lit_us[1] for row in filming_plan(make_config(), board(program=steps)).program] == [200.0, 12.0]
+
+
+def test_a_period_too_short_for_the_longest_exposure_is_refused(serial: StationConfig) -> None:
+    plan = filming_plan(serial, board(program=[{"light": "left", "exposure_us": 4000.0, "on_us": 50.0}]))
+    require_time(plan, serial)
+    late = TriggerPlan(0.1, 0.003, 0.1, 5, 0.001, program=plan.program)
+    with pytest.raises(InputError, match=r"period_s is 0\.003, but must be at least 0\.004: camera 'c0' exposes"):
+        require_time(late, serial)
+
+
+def test_rows_lie_at_the_same_places_at_another_speed(serial: StationConfig) -> None:
+    config = _with_line(serial, speed_limits_mm_s=(50.0, 150.0))
+    line = line_of_board(config, board(line={"speed_mm_s": 50.0}))
+    assert line.conveyor_mm_s == (0.0, 50.0)
+    for key in ("start_delay_s", "trigger_period_s", "tail_s"):
+        assert getattr(line, key) == pytest.approx(2 * getattr(config.line, key))
+    assert line.rows_of_longest_board == config.line.rows_of_longest_board
+    plan = filming_plan(config, board(line={"speed_mm_s": 50.0}))
+    assert (plan.period_s, plan.conveyor_mm_s) == (line.trigger_period_s, (0.0, 50.0))
+
+
+def test_rail_tail_and_longest_board_are_those_of_the_board_type(serial: StationConfig) -> None:
+    config = _with_line(serial, expected_board={"rail_mm": -10.0}, rail_limits_mm=(-20.0, 0.0))
+    line = line_of_board(config, board(line={"rail_mm": -15.0, "tail_s": 0.15, "longest_board_mm": 20.0}))
+    assert (line.expected_board.rail_mm, line.tail_s, line.longest_board_mm) == (-15.0, 0.15, 20.0)
+    assert line_of_board(config, board()) is config.line
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ({"speed_mm_s": 90.0}, r"line\.speed_mm_s is 90\.0, but must be 100 as in station.toml, which states no "),
+        ({"rail_mm": 3.0}, r"line\.rail_mm is 3\.0, but must be -20 … 0, line\.rail_limits_mm in station\.toml"),
+        ({"longest_board_mm": 30.0}, r"line\.longest_board_mm is 30\.0, but must be at most 22, line\.longest"),
+        ({"tail_s": 9.0}, r"line\.tail_s is 9\.0, but must be shorter: it gives \d+ rows, but the ring has \d+ slots"),
+        ({"tail_s": 0.0, "longest_board_mm": 5.0}, r"line\.tail_s is 0\.0, but must be at least 0\.070, else no pulse"),
+    ],
+)  # fmt: skip
+def test_what_the_line_cannot_do_is_refused_with_the_numbers(
+    serial: StationConfig, line: dict[str, float], words: str
+) -> None:
+    config = _with_line(serial, expected_board={"rail_mm": -10.0}, rail_limits_mm=(-20.0, 0.0))
+    with pytest.raises(InputError, match=f"board type 'b': {words}"):
+        line_of_board(config, board(line=line))
+
+
+def test_a_rail_needs_a_line_with_a_rail(serial: StationConfig) -> None:
+    with pytest.raises(InputError, match=r"line\.rail_mm is 3\.0, but must be absent"):
+        line_of_board(serial, board(line={"rail_mm": 3.0}))
+
+
+def _with_line(config: StationConfig, **keys: Any) -> StationConfig:
+    line = type(config.line).model_validate({**config.line.model_dump(), **keys})
+    return config.model_copy(update={"line": line})

@@ -1,0 +1,44 @@
+"""Tests of the comparison of reported pulses with the light program."""
+
+from __future__ import annotations
+
+import pytest
+
+from vaoi_station.acquisition.pairing.light_check import contradicted_rows, contradiction
+from vaoi_station.acquisition.pairing.run_record import ObservedPulse
+from vaoi_station.model import ProgramRow, Pulse
+
+LEFT = ProgramRow("left", (200.0, 200.0), (0.0, 6.0), 80.0)
+RIGHT = ProgramRow("right", (200.0, 200.0), (0.0, 0.0), 80.0)
+
+
+def pulse(
+    light: str,
+    row: int = 0,
+    on_us: float | None = None,
+    exposures_us: tuple[float, ...] = (),
+    gains: tuple[float, ...] = (),
+) -> ObservedPulse:
+    return ObservedPulse(Pulse(index=row, time_s=float(row), light=light), float(row), exposures_us, 0.0, gains, on_us)
+
+
+@pytest.mark.parametrize(
+    ("reported", "words"),
+    [
+        (pulse("left"), ""),
+        (pulse("left", on_us=80.5, exposures_us=(80.0, 80.0), gains=(1.0, 1.9953)), ""),
+        (pulse("right"), "its pulse was fired with light 'right', but the light program has 'left'"),
+        (pulse(""), "its pulse was fired with no light, but the light program has 'left'"),
+        (pulse("left", on_us=60.0), "light 'left' was on for 60 µs, but the light program has 80 µs"),
+        (pulse("left", exposures_us=(80.0, 40.0)), "camera 1 had exposure 40 µs, but the light program has 80 µs"),
+        (pulse("left", gains=(1.0, 1.0)), "camera 1 had gain 1, but the light program has 1.99526"),
+    ],
+)
+def test_a_pulse_agrees_with_its_step_or_the_difference_is_stated(reported: ObservedPulse, words: str) -> None:
+    assert contradiction(reported, LEFT) == words
+
+
+def test_rows_are_compared_with_the_step_of_their_turn() -> None:
+    pulses = {0: pulse("left", 0), 1: pulse("left", 1), 3: pulse("right", 3)}
+    assert list(contradicted_rows(pulses, (LEFT, RIGHT))) == [1]
+    assert contradicted_rows(pulses, ()) == {}

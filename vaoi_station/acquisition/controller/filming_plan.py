@@ -1,0 +1,191 @@
+"""Make the trigger plan of a board type: speed and lengths of the line, and the light program with all its values.
+
+A value beyond a limit that this computer knows is refused here, with the limit. The controller's firmware and the
+cameras have further limits, which they state when the line is armed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from vaoi_station.acquisition.controller.interface import TriggerPlan
+from vaoi_station.config import CameraConfig, StationConfig
+from vaoi_station.errors import InputError
+from vaoi_station.line_config import Line
+from vaoi_station.model import BoardType, ProgramRow, ProgramStep
+from vaoi_station.optics.motion_equations import longest_exposure_us
+from vaoi_station.optics.pulse_timing import spare_time_us
+
+
+def filming_plan(
+    config: StationConfig, board_type: BoardType | None = None, px_per_mm: Sequence[float] = ()
+) -> TriggerPlan:
+    """Return the plan by which boards of a type are filmed. Without a board type, that of the station.
+
+    Args:
+        config: the station.
+        board_type: gives light program, speed and lengths, as far as it states them.
+        px_per_mm: resolution of every camera by its calibration; without it, `nominal_px_per_mm` counts.
+
+    Raises:
+        InputError: the program does not fit the station.
+    """
+    where, steps = "station.toml", config.program
+    if board_type is not None and board_type.program:
+        where, steps = _named(board_type), board_type.program
+    line = config.line if board_type is None else line_of_board(config, board_type)
+    rows = tuple(_row(where, n, step, config) for n, step in enumerate(steps))
+    for camera in range(len(config.cameras)):
+        _check_camera(where, rows, config, line, camera, px_per_mm)
+    return TriggerPlan.of(line, program=rows)
+
+
+def line_of_board(config: StationConfig, board_type: BoardType) -> Line:
+    """Return the line as it is for a board type: with the speed, rail, tail and longest board that the type states.
+
+    Rows are filmed at the same places at any speed: delay, period and tail change with it.
+
+    Raises:
+        InputError: a value is outside the station's limits.
+    """
+    line, asked, where = config.line, board_type.line, _named(board_type)
+    if asked is None:
+        return line
+    speed_mm_s = line.speed_mm_s if asked.speed_mm_s is None else asked.speed_mm_s
+    _check_range(where, "line.speed_mm_s", speed_mm_s, line.speed_limits_mm_s, line.speed_mm_s)
+    expected = line.expected_board
+    if asked.rail_mm is not None:
+        if expected.rail_mm is None:
+            limit = "absent: in station.toml no rail guides the boards (line.expected_board.rail_mm)"
+            raise InputError.field(where, "line.rail_mm", asked.rail_mm, limit)
+        _check_range(where, "line.rail_mm", asked.rail_mm, line.rail_limits_mm, expected.rail_mm)
+        expected = expected.model_copy(update={"rail_mm": asked.rail_mm})
+    longest_mm = line.longest_board_mm if asked.longest_board_mm is None else asked.longest_board_mm
+    if longest_mm > line.longest_board_mm:
+        limit = f"at most {line.longest_board_mm:g}, line.longest_board_mm in station.toml"
+        raise InputError.field(where, "line.longest_board_mm", longest_mm, limit)
+    slower = line.speed_mm_s / speed_mm_s
+    changed = {
+        "conveyor_mm_s": tuple(v / slower for v in line.conveyor_mm_s),
+        "start_delay_s": line.start_delay_s * slower,
+        "trigger_period_s": line.trigger_period_s * slower,
+        "tail_s": line.tail_s * slower if asked.tail_s is None else asked.tail_s,
+        "longest_board_mm": longest_mm,
+        "expected_board": expected,
+    }
+    changed_line = line.model_copy(update=changed)
+    _check_rows(where, changed_line, config)
+    return changed_line
+
+
+def _check_range(where: str, key: str, value: float, limits: tuple[float, float] | None, only: float) -> None:
+    name = {"line.speed_mm_s": "line.speed_limits_mm_s", "line.rail_mm": "line.rail_limits_mm"}[key]
+    if limits is None and value != only:
+        limit = f"{only:g} as in station.toml, which states no {name}"
+        raise InputError.field(where, key, value, limit)
+    if limits is not None and not limits[0] <= value <= limits[1]:
+        raise InputError.field(where, key, value, f"{limits[0]:g} … {limits[1]:g}, {name} in station.toml")
+
+
+def _check_rows(where: str, line: Line, config: StationConfig) -> None:
+    """Raise InputError for a tail that leaves no pulse, or needs more rows than the ring has slots."""
+    if line.passing_s < line.start_delay_s:
+        limit = f"at least {line.start_delay_s - line.longest_board_mm / line.speed_mm_s:.3f}, else no pulse is fired"
+        raise InputError.field(where, "line.tail_s", line.tail_s, limit)
+    if line.rows_of_longest_board > config.rows_per_run:
+        slots = f"the ring has {config.rows_per_run} slots per camera"
+        limit = f"shorter: it gives {line.rows_of_longest_board} rows, but {slots}"
+        raise InputError.field(where, "line.tail_s", line.tail_s, limit, "Or raise ring.spare_rows in station.toml.")
+
+
+def _named(board_type: BoardType) -> str:
+    return f"board type {board_type.name!r}"
+
+
+def exposures_of(plan: TriggerPlan, config: StationConfig) -> list[tuple[float, float]]:
+    """Return exposure (µs) and gain (dB) of every camera: of the first row of the program, else of station.toml."""
+    if plan.program:
+        return list(zip(plan.program[0].exposures_us, plan.program[0].gains_db, strict=True))
+    return [(camera.exposure_us, camera.gain_db) for camera in config.cameras]
+
+
+def require_time(plan: TriggerPlan, config: StationConfig) -> None:
+    """Raise InputError if the period of a plan is too short for a camera's longest exposure and read-out."""
+    for n, camera in enumerate(config.cameras):
+        exposure_us = max((row.exposures_us[n] for row in plan.program), default=camera.exposure_us)
+        if spare_time_us(plan.period_s * 1e6, exposure_us, camera.readout_us) < 0:
+            needed_s = (exposure_us + camera.readout_us) * 1e-6
+            limit = (
+                f"at least {needed_s:g}: camera {camera.name!r} exposes for {exposure_us:g} µs "
+                f"and is read out in {camera.readout_us:g} µs"
+            )
+            raise InputError.field("trigger plan", "period_s", plan.period_s, limit)
+
+
+def _row(where: str, number: int, step: ProgramStep, config: StationConfig) -> ProgramRow:
+    """Return a step with all its values; what it does not state is taken from station.toml."""
+    light = config.controller.lights.get(step.light)
+    if config.controller.backend == "serial" and light is None:
+        known = ", ".join(map(repr, config.controller.lights)) or "none"
+        limit = f"a light of [controller.lights] in station.toml, which has {known}"
+        raise InputError.field(where, f"program.{number}.light", step.light, limit)
+    cameras = config.cameras
+    exposures_us = _per_camera(where, number, "exposure_us", step.exposure_us, [c.exposure_us for c in cameras])
+    gains_db = _per_camera(where, number, "gain_db", step.gain_db, [c.gain_db for c in cameras])
+    on_us = step.on_us if step.on_us is not None else light.on_us if light is not None else None
+    return ProgramRow(light=step.light, exposures_us=exposures_us, gains_db=gains_db, on_us=on_us)
+
+
+def _per_camera(
+    where: str, number: int, key: str, given: tuple[float, ...] | None, default: Sequence[float]
+) -> tuple[float, ...]:
+    if given is None:
+        return tuple(default)
+    if len(given) not in (1, len(default)):
+        limit = f"one for all cameras, or {len(default)}, one per camera"
+        raise InputError.field(where, f"number of entries of program.{number}.{key}", len(given), limit)
+    return given * len(default) if len(given) == 1 else given
+
+
+def _check_camera(
+    where: str, rows: Sequence[ProgramRow], config: StationConfig, line: Line, number: int, px_per_mm: Sequence[float]
+) -> None:
+    """Raise InputError if a camera cannot follow the program, or if its pictures would be blurred by the motion."""
+    camera = config.cameras[number]
+    resolution = px_per_mm[number] if px_per_mm else camera.nominal_px_per_mm
+    longest_us = None if resolution is None else longest_exposure_us(line.max_blur_px, line.speed_mm_s, resolution)
+    for n, row in enumerate(rows):
+        exposure_us, lit_us = row.exposures_us[number], row.lit_us[number]
+        if spare_time_us(line.trigger_period_s * 1e6, exposure_us, camera.readout_us) < 0:
+            readout = f" minus {camera.readout_us:g} µs of read-out" if camera.readout_us else ""
+            most_us = line.trigger_period_s * 1e6 - camera.readout_us
+            limit = f"at most {most_us:g} for {camera.label}: pulses follow every {line.trigger_period_s:g} s{readout}"
+            raise InputError.field(where, f"program.{n}.exposure_us", exposure_us, limit)
+        if longest_us is not None and lit_us > longest_us * (1 + 1e-9):
+            key = "exposure_us" if lit_us == exposure_us else "on_us"
+            limit = (
+                f"at most {longest_us:.1f} for {camera.label}: at {line.speed_mm_s:g} mm/s and {resolution:.4g} px/mm "
+                f"the picture moves {line.max_blur_px:g} px in that time (line.max_blur_px)"
+            )
+            raise InputError.field(where, f"program.{n}.{key}", lit_us, limit, "Shorten it, or raise the gain.")
+    _check_register(where, rows, camera, number)
+
+
+def _check_register(where: str, rows: Sequence[ProgramRow], camera: CameraConfig, number: int) -> None:
+    """Raise InputError if a real camera would have to change its exposure or its gain from row to row."""
+    if camera.backend != "aravis":
+        return
+    # A value that is written to the camera between two rows may take effect before or after the next pulse.
+    for key, unit, values in (
+        ("exposure_us", "µs", [row.exposures_us[number] for row in rows]),
+        ("gain_db", "dB", [row.gains_db[number] for row in rows]),
+    ):
+        other = next((n for n, value in enumerate(values) if value != values[0]), None)
+        if other is not None:
+            raise InputError.field(
+                where,
+                f"program.{other}.{key}",
+                values[other],
+                f"{values[0]:g} {unit} as in program.0: {camera.label} has one {key} for all rows of a program",
+                "Let the on-time of the LEDs (on_us) make the difference between rows.",
+            )
