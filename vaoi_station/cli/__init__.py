@@ -15,6 +15,7 @@ import typer
 from vaoi_station.cli.recordings.calibrate import calibrate
 from vaoi_station.cli.recordings.cut import cut
 from vaoi_station.cli.recordings.flatfield import flatfield
+from vaoi_station.cli.recordings.mosaic import mosaic
 from vaoi_station.cli.recordings.recalibrate import recalibrate
 from vaoi_station.cli.recordings.report import report
 from vaoi_station.cli.recordings.simulate import simulate
@@ -90,6 +91,7 @@ app.command()(stitch)
 app.command()(report)
 app.command()(teach)
 app.command()(cut)
+app.command()(mosaic)
 app.command()(bench)
 app.command()(demo)
 app.command()(view)

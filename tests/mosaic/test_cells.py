@@ -1,0 +1,85 @@
+"""What frames show of each cell, and which frame a body is taken from."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.mosaic.conftest import PX_PER_MM, Filmed
+from vaoi_station.geometry import apply
+from vaoi_station.mosaic.cells import (
+    CELL_PX,
+    cell_shape,
+    crossing_cost,
+    disagreement,
+    fill_rest,
+    frame_cells,
+    lock_bodies,
+    sight_of,
+)
+from vaoi_station.mosaic.gains import Gains
+from vaoi_station.mosaic.seams import NO_FRAME
+from vaoi_station.mosaic.survey import FieldCache, survey
+from vaoi_station.photometry import FlatFields
+
+
+def test_sight_of_a_frame(board: Filmed) -> None:
+    sight = sight_of(board.taken[0], board.projector, board.base)
+    cad = apply(board.base.cad_from_mosaic, np.array([2.0, 3.0]) * CELL_PX + (CELL_PX - 1) / 2)
+    x, y = board.projector.raw_px(0, 0, cad)
+    v, u = 3 - sight.y0, 2 - sight.x0
+    assert sight.inside_px[v, u] == pytest.approx(min(x, y, 319 - x, 239 - y), abs=1e-3)
+
+
+def test_fronts_start_where_frames_look_straight_down(board: Filmed) -> None:
+    sights = [sight_of(f, board.projector, board.base) for f in board.taken]
+    cells = frame_cells(sights, CELL_PX / PX_PER_MM)
+    foot = board.cameras[0].foot_mm - (0.5, 1.0)
+    at = apply(board.base.mosaic_from_cad, foot) / CELL_PX
+    assert np.abs(cells.seed[0] + 0.5 - at).max() <= 1
+    assert cells.shown.sum() > 0
+    assert frame_cells([], 1.0).shown.size == 0
+
+
+def test_rest_is_filled_with_frames_that_show_the_middle_of_a_cell(board: Filmed) -> None:
+    sights = [sight_of(f, board.projector, board.base) for f in board.taken]
+    labels = np.full(cell_shape(board.base), NO_FRAME, np.int32)
+    fill_rest(labels, sights)
+    assert (labels != NO_FRAME).all()
+
+
+def test_body_is_taken_from_the_frame_that_sees_it_most_vertically(board: Filmed) -> None:
+    sights = [sight_of(f, board.projector, board.base) for f in board.taken]
+    cost = np.ones(cell_shape(board.base), np.float32)
+    labels = lock_bodies(board.board_type, board.stitch, sights, board.base, cost)
+    x, y = (apply(board.base.mosaic_from_cad, (15, 14)) // CELL_PX).astype(int)
+    patch = labels[y - 1 : y + 2, x - 1 : x + 2]
+    assert len(np.unique(patch)) == 1
+    assert cost[y, x] < 0.1
+    slants = [float(board.projector.slant_mm(f.camera, f.row, np.array((15.0, 14.0)))) for f in board.taken]
+    assert patch[1, 1] >= 0
+    assert slants[patch[1, 1]] < min(slants) + 0.5
+
+
+def test_flat_bodies_are_not_locked(board: Filmed) -> None:
+    sights = [sight_of(f, board.projector, board.base) for f in board.taken]
+    stitch = board.stitch.model_copy(update={"quality": {"heights_mm": {"U1": 0.05, "U2": 0.1}}})
+    cost = np.ones(cell_shape(board.base), np.float32)
+    assert (lock_bodies(board.board_type, stitch, sights, board.base, cost) == NO_FRAME).all()
+    assert (cost == 1).all()
+
+
+def test_disagreement_shows_what_one_frame_alone_sees(board: Filmed) -> None:
+    frames = dict(board.frames)
+    frames[0, 2] = frames[0, 2].copy()
+    frames[0, 2][100:140, 100:140] = 20
+    found = list(
+        survey(board.taken, lambda i, j: frames[i, j], board.projector, board.base, FieldCache(FlatFields.none()))
+    )
+    gains = Gains({}, {}, 0.0)
+    differ = disagreement(found, gains, board.projector, cell_shape(board.base))
+    cad = np.linalg.inv(board.stitch.image_matrices[0][2] @ board.stitch.cad_matrix)  # type: ignore[operator]
+    x, y = (apply(board.base.mosaic_from_cad, apply(cad, (120.0, 120.0))) // CELL_PX).astype(int)
+    assert differ[y, x] > 0.4
+    assert np.median(differ) < 0.15
+    assert crossing_cost(differ)[y, x] < 0.4

@@ -1,0 +1,88 @@
+"""Tiles: brightness and place of what they show, seams, what no frame shows, colour, 16 bits and HDR."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.mosaic.conftest import BOARD_MM, DARK, Film, Filmed, radiance
+from tests.mosaic.test_plan import plan_of
+from vaoi_station.geometry import apply
+from vaoi_station.model import BoardType
+from vaoi_station.mosaic import MosaicGrid
+from vaoi_station.mosaic.tiles import TileRenderer, render_tile
+from vaoi_station.photometry import FlatFields
+
+
+def picture_of(board: Filmed, *, hdr: bool = False, reduced: int = 1, box: Any = None) -> Any:
+    plan = plan_of(board, hdr=hdr, fields=FlatFields.none(dark=DARK))
+    grid = board.base.reduced(reduced)
+    spec = TileRenderer(plan, board.projector, grid).spec(box or (0, 0, grid.width, grid.height))
+    return render_tile(spec, board.read), grid
+
+
+def expected(grid: MosaicGrid) -> Any:
+    y, x = np.mgrid[: grid.height, : grid.width].astype(float)
+    return radiance(apply(grid.cad_from_mosaic, np.stack([x, y], -1)))
+
+
+@pytest.mark.parametrize("reduced", [1, 4])
+def test_whole_board_has_no_step(film: Film, reduced: int) -> None:
+    picture, grid = picture_of(film(), reduced=reduced)
+    ratio = picture.astype(float) / expected(grid)
+    n = 16 // reduced
+    h, w = (k // n * n for k in ratio.shape)
+    means = ratio[:h, :w].reshape(h // n, n, w // n, n).mean((1, 3))
+    steps = np.concatenate([np.abs(np.diff(means, axis=k)).ravel() for k in (0, 1)])
+    assert np.percentile(steps, 95) < 0.015 * reduced**0.5
+    assert steps.max() < 0.05
+
+
+def test_tiles_join_without_a_gap(board: Filmed) -> None:
+    whole, _ = picture_of(board)
+    part, _ = picture_of(board, box=(100, 130, 356, 386))
+    assert np.abs(whole[130:386, 100:356].astype(int) - part).max() <= 2
+
+
+def test_places_without_a_frame_are_zero_and_all_others_are_not(film: Film) -> None:
+    board = film()
+    half = replace(board, frames={key: p * 0 if key == (0, 0) else p for key, p in board.frames.items() if key[0] == 0})
+    picture, _ = picture_of(half)
+    assert (picture[:, -100:] == 0).all()
+    assert (picture[:, :200] > 0).all()
+
+
+def test_tile_that_no_frame_shows_is_none(board: Filmed) -> None:
+    picture, _ = picture_of(replace(board, frames={}))
+    assert picture is None
+
+
+@pytest.mark.parametrize(("dtype", "channels"), [(np.uint16, 1), (np.uint8, 3), (np.uint16, 3)])
+def test_pixel_types_and_colour(film: Film, dtype: Any, channels: int) -> None:
+    picture, grid = picture_of(film(dtype=dtype, channels=channels))
+    assert picture.dtype == dtype
+    grey = picture if channels == 1 else picture[..., 1]
+    ratio = grey / (257.0 if dtype == np.uint16 else 1.0) / expected(grid)
+    assert ratio.std() < 0.03
+    assert ratio.mean() == pytest.approx(0.95, abs=0.08)
+
+
+def test_hdr_is_radiance_where_the_long_exposure_saturates(film: Film) -> None:
+    board = film(exposures=(480.0, 100.0), step_mm=6.0, flicker=0.0, vignette=0.0)
+    assert max(int(p.max()) for p in board.frames.values()) == 255
+    picture, grid = picture_of(board, hdr=True)
+    assert picture.dtype == np.float32
+    ratio = picture * 250 / expected(grid)
+    assert np.isfinite(ratio).mean() > 0.95
+    assert np.nanstd(ratio) < 0.03
+    assert np.nanmedian(ratio) == pytest.approx(1.0, abs=0.05)
+
+
+def test_bottom_side_is_not_mirrored(board: Filmed) -> None:
+    """The region of a board in other axes has the same pixels, turned."""
+    keys = board.board_type.model_dump() | {"y_axis": "down", "side": "bottom"}
+    grid = MosaicGrid.of_board(BoardType.model_validate(keys), 10.0)
+    assert apply(grid.mosaic_from_cad, (BOARD_MM[0], 0)) == pytest.approx((-0.5, -0.5))

@@ -1,0 +1,216 @@
+"""The cells of a mosaic: which frames show each, how well frames agree there, and where bodies stand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.geometry import apply
+from vaoi_station.geometry.transforms import Floats
+from vaoi_station.model import BoardType, Stitch
+from vaoi_station.mosaic.frames import TakenFrame
+from vaoi_station.mosaic.gains import Gains
+from vaoi_station.mosaic.grid import MosaicGrid
+from vaoi_station.mosaic.projection import FrameProjector
+from vaoi_station.mosaic.seams import NO_FRAME, FrameCells, Labels
+from vaoi_station.mosaic.survey import COARSE_PX, Floats32, SurveyedFrame
+
+CELL_PX = 16
+"""Side of a cell in pixels of the mosaic at the resolution of the cameras; seams are blended over this width."""
+_WHOLE_PX = 24.0
+"""Distance of a cell's centre from the frame's border with which the cell and its blending lie in the frame."""
+_AROUND_MM = 0.4
+"""Width of the ground around a body that is taken from the same frame."""
+_FLAT_MM = 0.25
+"""A body with a smaller height may be cut by a seam."""
+_OUTSIDE = 1e3
+"""Price in mm for each px by which the centre of a cell lies beside a frame."""
+_BODY_COST, _LEAST_COST = 0.05, 0.15
+_NOISE = 0.02
+"""Relative difference of frames at which ground still counts as equal."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """The cells that one frame shows."""
+
+    x0: int
+    y0: int
+    inside_px: Floats32
+    """(h, w) distance of each cell's centre from the frame's border in px; negative outside."""
+    slant_mm: Floats32
+    """(h, w) distance of each cell's centre from the foot of the camera, in mm."""
+
+    @property
+    def area(self) -> tuple[slice, slice]:
+        """The box of cells, as index into the grid of cells."""
+        h, w = self.inside_px.shape
+        return np.s_[self.y0 : self.y0 + h, self.x0 : self.x0 + w]
+
+
+def cell_shape(grid: MosaicGrid) -> tuple[int, int]:
+    """Return the numbers of rows and columns of cells."""
+    return -(-grid.height // CELL_PX), -(-grid.width // CELL_PX)
+
+
+def sight_of(frame: TakenFrame, projector: FrameProjector, grid: MosaicGrid) -> Sight:
+    """Compute which cells a frame shows, and from which side."""
+    x0, y0, x1, y1 = projector.seen_box(frame.camera, frame.row, grid)
+    x0, y0 = x0 // CELL_PX, y0 // CELL_PX
+    w, h = max(-(-x1 // CELL_PX) - x0, 0), max(-(-y1 // CELL_PX) - y0, 0)
+    y, x = np.mgrid[y0 : y0 + h, x0 : x0 + w]
+    cad = apply(grid.cad_from_mosaic, np.stack([x, y], -1) * float(CELL_PX) + (CELL_PX - 1) / 2)
+    raw = projector.raw_px(frame.camera, frame.row, cad)
+    eye = projector.cameras[frame.camera]
+    room = np.minimum(raw, (eye.width_px - 1.0, eye.height_px - 1.0) - raw).min(-1)
+    slant = projector.slant_mm(frame.camera, frame.row, cad)
+    return Sight(x0, y0, room.astype(np.float32), slant.astype(np.float32))
+
+
+def frame_cells(sights: Sequence[Sight], cell_mm: float) -> FrameCells:
+    """Collect what all frames show, as the growth of seams takes it."""
+    box = np.array([(s.x0, s.y0, *s.inside_px.shape[::-1]) for s in sights], np.int32).reshape(-1, 4)
+    sizes = box[:, 2].astype(np.int64) * box[:, 3]
+    start = np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(np.int64)[: len(sights)]
+    shown = np.concatenate([s.inside_px.ravel() >= _WHOLE_PX for s in sights] or [np.zeros(0, bool)])
+    seed, delay = np.full((len(sights), 2), -1, np.int32), np.zeros(len(sights))
+    for n, s in enumerate(sights):
+        slant = np.where(s.inside_px >= _WHOLE_PX, s.slant_mm, np.inf)
+        if slant.size and np.isfinite(slant).any():
+            v, u = np.unravel_index(int(slant.argmin()), slant.shape)
+            seed[n], delay[n] = (s.x0 + u, s.y0 + v), slant[v, u] / cell_mm
+    return FrameCells(box, start, shown, seed, delay)
+
+
+def fill_rest(labels: Labels, sights: Sequence[Sight]) -> None:
+    """Assign cells that no frame shows wholly to the frame that shows most of them; in place."""
+    best = np.full(labels.shape, np.inf, np.float32)
+    chosen = np.full(labels.shape, NO_FRAME, np.int32)
+    for n, s in enumerate(sights):
+        # Half a cell beside the frame: the rest of the cell is in the frame, and the renderer masks what is not.
+        price = s.slant_mm + _OUTSIDE * np.maximum(-s.inside_px, 0)
+        better = (s.inside_px >= -CELL_PX / 2) & (price < best[s.area])
+        best[s.area][better], chosen[s.area][better] = price[better], n
+    rest = labels == NO_FRAME
+    labels[rest] = chosen[rest]
+
+
+def disagreement(
+    surveyed: Sequence[SurveyedFrame], gains: Gains, projector: FrameProjector, shape: tuple[int, int]
+) -> Floats32:
+    """Return how much frames differ in each cell (h, w), as a share of the brightness beyond what noise explains."""
+    size = tuple(n * (CELL_PX // COARSE_PX) for n in shape)
+    low, high = np.full(size, np.inf, np.float32), np.full(size, -np.inf, np.float32)
+    for s in surveyed:
+        h, w = s.values.shape
+        v, u = np.mgrid[:h, :w]
+        raw = apply(s.raw_from_coarse, np.stack([u + s.x0, v + s.y0], -1))
+        key = s.taken.camera, s.taken.row
+        log = gains.log_field(key[0], projector.cameras[key[0]], raw) + gains.frame.get(key, 0.0)
+        corrected = (s.values - gains.dark / s.taken.sensitivity) * np.exp(-log).astype(np.float32)
+        area = np.s_[s.y0 : min(s.y0 + h, size[0]), s.x0 : min(s.x0 + w, size[1])]
+        corrected = corrected[: area[0].stop - s.y0, : area[1].stop - s.x0]
+        low[area] = np.fmin(low[area], corrected)
+        high[area] = np.fmax(high[area], corrected)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        differ = (high - low) / np.maximum(high + low, 1e-9) - np.float32(_NOISE)
+    differ = np.nan_to_num(np.clip(differ, 0, 1), nan=0.0)
+    ch, cw = shape
+    step = CELL_PX // COARSE_PX
+    return np.asarray(differ.reshape(ch, step, cw, step).max((1, 3)), np.float32)
+
+
+def crossing_cost(differ: Floats32) -> Floats32:
+    """Return the time (h, w) in which a front crosses each cell: short where frames disagree."""
+    return np.asarray(np.maximum(1 / (1 + 8 * differ), _LEAST_COST), np.float32)
+
+
+def lock_bodies(
+    board_type: BoardType, stitch: Stitch, sights: Sequence[Sight], grid: MosaicGrid, cost: Floats32
+) -> Labels:
+    """Assign the cells of each body to the frame that shows all of it most vertically: (h, w) labels.
+
+    A body that no frame shows wholly is not assigned; fronts cross it quickly, so that seams avoid it (`cost`, changed
+    in place).
+    """
+    labels = np.full(cost.shape, NO_FRAME, np.int32)
+    heights = stitch.quality.get("heights_mm", {})
+    heights = heights if isinstance(heights, dict) else {}
+    near = np.full(cost.shape, np.inf, np.float32)
+    boxes = np.array([(s.x0, s.y0, s.x0 + s.inside_px.shape[1], s.y0 + s.inside_px.shape[0]) for s in sights])
+    for component in board_type.components:
+        height = component.body_height * board_type.mm_per_unit if component.body_height is not None else None
+        measured = heights.get(component.address)
+        if isinstance(measured, int | float):
+            height = float(measured)
+        if height is not None and height < _FLAT_MM:
+            continue
+        corners = apply(grid.mosaic_from_cad, board_type.footprint(component))
+        patch = _patch(corners, _AROUND_MM * grid.px_per_mm, cost.shape)
+        if patch is None:
+            continue
+        (x0, y0), mask = patch
+        area = np.s_[y0 : y0 + mask.shape[0], x0 : x0 + mask.shape[1]]
+        cost[area][mask] = _BODY_COST
+        end = x0 + mask.shape[1], y0 + mask.shape[0]
+        around = np.flatnonzero((boxes[:, :2] <= (x0, y0)).all(1) & (boxes[:, 2:] >= end).all(1))
+        best = _best_frame(sights, around.tolist(), (x0, y0), mask)
+        if best is not None:
+            # Where bodies are close together, the ground between them goes to the nearer one.
+            distance = _distance(corners, (x0, y0), mask.shape)
+            mine = mask & (distance < near[area])
+            labels[area][mine] = best
+            near[area][mine] = distance[mine]
+    return labels
+
+
+def _patch(
+    corners: Floats, around_px: float, shape: tuple[int, int]
+) -> tuple[tuple[int, int], NDArray[np.bool_]] | None:
+    """Return the cells of a footprint with the ground around it: first column and row, and a mask (h, w)."""
+    low = np.floor((corners.min(0) - around_px) / CELL_PX).astype(int)
+    high = np.ceil((corners.max(0) + around_px) / CELL_PX).astype(int)
+    x0, y0 = np.clip(low, 0, shape[::-1])
+    x1, y1 = np.clip(high, 0, shape[::-1])
+    if x1 <= x0 or y1 <= y0:
+        return None
+    distance = _distance(corners, (int(x0), int(y0)), (int(y1 - y0), int(x1 - x0)))
+    mask = distance <= around_px + CELL_PX / 2
+    return ((int(x0), int(y0)), mask) if mask.any() else None
+
+
+def _distance(corners: Floats, first: tuple[int, int], shape: tuple[int, ...]) -> Floats32:
+    """Return the distances (h, w) of cell centres from a convex footprint in px; 0 and below inside."""
+    y, x = np.mgrid[: shape[0], : shape[1]]
+    at = np.stack([x + first[0], y + first[1]], -1) * float(CELL_PX) + (CELL_PX - 1) / 2
+    a, b = corners, np.roll(corners, -1, 0)
+    along = b - a
+    length = np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-9)
+    normal = np.stack([along[:, 1], -along[:, 0]], -1) / length[:, None]
+    outward = np.sign(((a - corners.mean(0)) * normal).sum(-1))
+    beyond = ((at[:, :, None] - a) * normal * outward[:, None]).sum(-1).max(-1)
+    return np.asarray(beyond, np.float32)
+
+
+def _best_frame(
+    sights: Sequence[Sight], candidates: Sequence[int], first: tuple[int, int], mask: NDArray[np.bool_]
+) -> int | None:
+    """Return the frame that shows all cells of a patch and sees them most vertically; None if no frame shows all.
+
+    `candidates` are the frames whose boxes contain the patch.
+    """
+    h, w = mask.shape
+    best, least = None, np.inf
+    for n in candidates:
+        s = sights[n]
+        x, y = first[0] - s.x0, first[1] - s.y0
+        part = np.s_[y : y + h, x : x + w]
+        if s.inside_px[part][mask].min() < _WHOLE_PX:
+            continue
+        slant = float(s.slant_mm[part][mask].mean())
+        if slant < least:
+            best, least = n, slant
+    return best
