@@ -16,7 +16,8 @@ import pytest
 from fastapi import FastAPI
 
 from tests.certificates import Certificate, make_certificate
-from vaoi_station.api.listener import acceptor
+from vaoi_station.api import web_server as module
+from vaoi_station.api.listener import acceptor, http_connection
 from vaoi_station.api.listener.certificate import CertificateFiles
 from vaoi_station.api.listener.connections import ConnectionLimits
 from vaoi_station.api.web_server import WebServer, open_listener
@@ -108,6 +109,34 @@ def test_a_renewed_certificate_is_used_for_new_connections_without_a_restart(
             renewed.private_key.replace(certificate.private_key)
             while not _trusts(trusted, server.address):
                 assert kept.get(server.address).json() == "served"  # also keeps the files from being read for nothing
+        server.stop()
+
+
+def test_an_idle_tls_connection_does_not_delay_the_stop(
+    ended: threading.Event, certificate: Certificate, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Every time limit that could end the connection is longer than this test.
+    monkeypatch.setattr(module, "HTTP_GRACE_S", 600.0)
+    monkeypatch.setattr(http_connection, "_LINGER_S", -1.0)
+    app = FastAPI()
+    app.get("/")(lambda: "served")
+    trusted = ssl.create_default_context(cafile=str(certificate[0]))
+    limits = ConnectionLimits(head_s=600.0, closing_s=600.0)
+    with open_listener("127.0.0.1", 0, "[api]") as listener:
+        server = WebServer(app, listener, ended.set, limits, CertificateFiles(*certificate))
+        server.start()
+        # The caller keeps the connection for its next request, and reads nothing until then.
+        plain = socket.create_connection(listener.getsockname(), 20)
+        with trusted.wrap_socket(plain, server_hostname="127.0.0.1") as kept:
+            kept.sendall(b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
+            received = b""
+            while b'"served"' not in received:
+                received += kept.recv(4096)
+            server._server.should_exit = True
+            server._stop_requested = True
+            server.thread.expect_end()
+            assert ended.wait(20)
+            assert kept.recv(1) == b"", "the end of TLS was sent"
         server.stop()
 
 

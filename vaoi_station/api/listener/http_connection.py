@@ -18,6 +18,8 @@ STREAMS = frozenset({"/api/v1/events"})
 """Paths whose replies have no end, so that only the time without progress is limited."""
 _SLOW_READER_S = 2.0
 """A caller that has not read for this time, s, may lose its connection to a new one."""
+_LINGER_S = 1.0
+"""Time for which a TLS connection stays after its last reply, s, so that the caller receives all of it."""
 _QUIET_S = 10.0
 
 
@@ -98,6 +100,12 @@ class LimitedHttp(H11Protocol):
         self._table.discard(self._accepted)
         super().connection_lost(exc)
 
+    def shutdown(self) -> None:
+        """End the connection because the server stops: at once if it is idle, else after the reply under way."""
+        super().shutdown()
+        if self.overdue():
+            self.transport.abort()
+
     def data_received(self, data: bytes) -> None:
         """Process received bytes, and record when they complete the head of a request."""
         before = self.cycle
@@ -147,6 +155,8 @@ class LimitedHttp(H11Protocol):
         now = self.loop.time()
         if self.transport.is_closing():
             self._closing = now if self._closing is None else self._closing
+            if now - self._since > _LINGER_S and self._awaits_end_of_tls():
+                return True
             return now - self._closing > self._limits.closing_s
         if self._paused is not None:
             paused_s = now - self._paused
@@ -154,6 +164,15 @@ class LimitedHttp(H11Protocol):
             too_long = self._waited_s + paused_s > self._limits.answer_s and not stream
             return paused_s > self._limits.stall_s or too_long
         return self._answered() and now - self._since > self._limits.head_s
+
+    def _awaits_end_of_tls(self) -> bool:
+        """Return whether a closed TLS connection has sent everything, and waits only for the caller's end of TLS.
+
+        A program that keeps an idle connection for its next request does not read, so that it never sends that.
+        """
+        # asyncio has no public access to the transport below TLS. If its names change, the time limit applies.
+        below = getattr(getattr(self.transport, "_ssl_protocol", None), "_transport", None)
+        return below is not None and not below.get_write_buffer_size() and not self.transport.get_write_buffer_size()
 
     def _answered(self) -> bool:
         return self.cycle is None or self.cycle.response_complete
