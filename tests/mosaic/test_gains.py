@@ -21,8 +21,10 @@ def test_flicker_field_and_dark_level_are_estimated(film: Film) -> None:
     for _ in range(5):
         expected.append(1 + lamps.normal(0, 0.03))
         lamps.normal(0, 0.5, (2, SIZE[1], SIZE[0]))
-    estimated = np.exp([gains.frame[0, j] for j in range(5)])
-    np.testing.assert_allclose(estimated / estimated.mean(), np.array(expected) / np.mean(expected), atol=0.01)
+    # A gain that grows from row to row looks like a field with a slope: the overlaps cannot tell them apart.
+    rows = np.arange(5)
+    difference = np.array([gains.frame[0, j] for j in range(5)]) - np.log(expected)
+    assert np.abs(difference - np.polyval(np.polyfit(rows, difference, 1), rows)).max() < 0.006
     middle, edge = (float(np.exp(gains.log_field(0, board.cameras[0], np.array([159.5, y])))) for y in (119.5, 10.0))
     # the lamp falls off by 0.5 · 2 · 0.458² across the frame
     assert edge / middle == pytest.approx(1 - 0.21, abs=0.05)
