@@ -120,8 +120,8 @@ class BoardType(FrozenModel):
     fixture_mark: FixtureMarkShape | None = None
     fixture_marks: tuple[Place, ...] = ()
     visibility: Visibility | None = None
-    program: Program = ()
-    """Light, exposure and gain of the rows, in turn; empty: as station.toml states."""
+    program: Program | None = None
+    """Light, exposure and gain of the rows, in turn; None: as station.toml states."""
     line: BoardLine | None = None
     """Belt speed, rail, tail and longest board, where they differ from station.toml."""
 
