@@ -48,7 +48,7 @@ def test_frames_come_until_it_is_stopped(make_config: Make, layout: Path, tmp_pa
     config = make_config(nominal_px_per_mm=10.0, nominal_center_mm=(0.0, 0.0))
     with (
         viewing(config, tmp_path, "--boards", "--layout", str(layout)) as (address, _),
-        httpx2.Client(base_url=address) as client,
+        httpx2.Client(base_url=address, timeout=60) as client,
     ):
         number, runs = 0, set[str]()
         while len(runs) < 3:
@@ -78,7 +78,10 @@ def test_the_last_frames_stay_after_the_last_board(make_config: Make, tmp_path: 
     config = make_config()
     assert config.replay is not None
     few = config.model_copy(update={"replay": config.replay.model_copy(update={"runs": 1})})
-    with viewing(few, tmp_path, "--boards") as (address, process), httpx2.Client(base_url=address) as client:
+    with (
+        viewing(few, tmp_path, "--boards") as (address, process),
+        httpx2.Client(base_url=address, timeout=60) as client,
+    ):
         assert process.stdout is not None
         said = [process.stdout.readline() for _ in range(2)]
         assert "No more boards" in said[-1], said
