@@ -24,7 +24,9 @@ from tests.api.held_station import HeldStation
 from vaoi_station.acquisition.controller.protocol.framing import PAYLOAD_LONGEST, FrameReader, Message, encode
 from vaoi_station.acquisition.controller.protocol.link import Link
 from vaoi_station.api import create_app
+from vaoi_station.board_data import read_design, to_board_type
 from vaoi_station.config import read_config
+from vaoi_station.errors import VaoiError
 from vaoi_station.files import read_board_type, read_calibration
 from vaoi_station.files.access_keys import KeyFile
 from vaoi_station.files.images import encode_png
@@ -51,6 +53,24 @@ def controller(data: bytes, folder: Path) -> None:
         link.receive(piece, now_s)
         FrameReader().feed(piece + framed)
         link.outgoing(now_s)
+
+
+def board_data(data: bytes, folder: Path) -> None:
+    """Read the bytes as board data of a CAD system: as they are, and as the component layer of an ODB++ design."""
+    path = folder / "b.txt"
+    path.write_bytes(data)
+    layer = folder / "job" / "steps" / "s" / "layers" / "comp_+_top" / "components"
+    for name, content in ((folder / "job" / "matrix" / "matrix", b""), (layer, data)):
+        name.parent.mkdir(parents=True)
+        name.write_bytes(content)
+    errors = []
+    for file in (path, folder / "job"):
+        try:
+            to_board_type(read_design(file), "top")
+        except VaoiError as error:
+            errors.append(error)
+    if errors:
+        raise errors[0]
 
 
 @cache
@@ -138,6 +158,7 @@ TARGETS: dict[str, Target] = {
     "station": _file("station.toml", read_config),
     "scenario": _file("scenario.toml", read_scenario),
     "board": _file("board.json", read_board_type),
+    "board-data": board_data,
     "calibration": _file("calibration.json", read_calibration),
     "layout": _file("layout.json", read_layout),
     "result": _file("result.json", read_stitch),

@@ -27,13 +27,14 @@ from vaoi_station.cli.station.bundle import bundle
 from vaoi_station.cli.station.check_config import check_config
 from vaoi_station.cli.station.demo import demo
 from vaoi_station.cli.station.doctor import doctor
-from vaoi_station.cli.station.export import export, import_
+from vaoi_station.cli.station.export import export
 from vaoi_station.cli.station.keys import keys
 from vaoi_station.cli.station.record import record
 from vaoi_station.cli.station.serve import serve
 from vaoi_station.cli.station.view import view
 from vaoi_station.cli.tools.bench import bench
 from vaoi_station.cli.tools.calibration_board import calibration_board
+from vaoi_station.cli.tools.import_file import import_file
 from vaoi_station.cli.tools.plan import plan
 from vaoi_station.cli.tools.rig import rig
 from vaoi_station.errors import InputError, InternalError, NotFoundError, VaoiError
@@ -99,7 +100,7 @@ app.command()(doctor)
 app.command()(backup)
 app.command()(restore)
 app.command()(export)
-app.command("import")(import_)
+app.command("import")(import_file)
 app.add_typer(rig, name="rig")
 app.add_typer(keys, name="keys")
 app.add_typer(board_types, name="board-types")

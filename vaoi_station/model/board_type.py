@@ -70,6 +70,11 @@ class Component(FrozenModel):
     panel: str | int | None = None
     origin: Point | None = None
     """Point of the component in its CAD system, where it is not the centre of the body; the station does not use it."""
+    package: str | None = None
+    size_from: Literal["file", "table", "guess"] | None = None
+    """Whether the imported file states the size, or it is from a table of packages, or guessed."""
+    fitted: bool | None = None
+    """False if this variant of the product is made without the part."""
     visibility: Visibility | None = None
 
     @property

@@ -1,4 +1,4 @@
-"""`vaoi export` and `vaoi import`: one run as one file, and back."""
+"""`vaoi export`, and `vaoi import` of such a file: one run as one file, and back."""
 
 from __future__ import annotations
 
@@ -20,14 +20,8 @@ def export(
     typer.echo(f"{out}: run {run} {'with' if recorded else 'without'} frames")
 
 
-def import_(
-    file: Annotated[Path, typer.Argument(help="A run that vaoi export has written.")],
-    out: Annotated[Path | None, typer.Option(help="Write it to this directory, which must not exist.")] = None,
-    config: Annotated[
-        Path | None, typer.Option(help="Put it into the history of the station of this station.toml.")
-    ] = None,
-) -> None:
-    """Unpack an exported run, or put it into a station's history. With frames it is a recording for vaoi stitch."""
+def import_exported_run(file: Path, out: Path | None, config: Path | None) -> None:
+    """Unpack an exported run into a directory, or put it into the history of a station."""
     from vaoi_station.errors import InputError
     from vaoi_station.transfer.run_export import import_run
     from vaoi_station.transfer.run_import import import_into_history

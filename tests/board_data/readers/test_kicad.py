@@ -1,0 +1,50 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.board_data.readers import samples
+from vaoi_station.board_data.readers.kicad import is_kicad, read_kicad
+from vaoi_station.errors import InputError
+
+PATH = Path("b.kicad_pcb")
+
+
+def test_texts_values_and_footprints_that_are_not_placed() -> None:
+    design = read_kicad(samples.KICAD.encode(), PATH)
+    assert design.name == "sample"
+    assert {p.ref: p.value for p in design.parts}["R1"] == '10k "1%"'
+    assert design.notes == ("1 footprints are not for placement, or have no designator; they were left out.",)
+
+
+def test_the_courtyard_without_its_margin_and_the_pads_replace_a_missing_drawing() -> None:
+    parts = {p.ref: p for p in read_kicad(samples.KICAD.encode(), PATH).parts}
+    boxes = {ref: parts[ref].box for ref in ("J1", "C1")}
+    assert boxes["J1"] is not None
+    assert boxes["C1"] is not None
+    assert boxes["J1"].size == pytest.approx((7.5, 3.5))
+    assert boxes["C1"].size == pytest.approx((1.5, 0.6))
+
+
+def test_version_5_has_modules_texts_and_arcs_by_angle() -> None:
+    old = """(kicad_pcb (version 20171130)
+      (module L:R (layer B.Cu) (at 10 20 180) (fp_text reference R9 (at 0 0)) (fp_text value 1k (at 0 0))
+        (fp_circle (center 0 0) (end 2 0) (layer B.Fab)))
+      (gr_arc (start 0 0) (end 10 0) (angle 90) (layer Edge.Cuts))
+      (gr_line (start 0 10) (end 0 0) (layer Edge.Cuts)) (gr_line (start 0 0) (end 10 0) (layer Edge.Cuts)))"""
+    design = read_kicad(old.encode(), PATH)
+    (part,) = design.parts
+    assert (part.ref, part.side, part.rotation, part.value, part.origin) == ("R9", "bottom", 180, "1k", (10, -20))
+    assert part.box is not None
+    assert part.box.size == pytest.approx((4, 4), rel=0.01)
+    # on the screen the arc runs clockwise from (10, 0) down to (0, 10)
+    assert min(y for _, y in design.outline) == pytest.approx(-10)
+    assert all(x >= -1e-9 for x, _ in design.outline)
+
+
+def test_another_file_is_refused() -> None:
+    assert is_kicad(samples.KICAD.encode())
+    assert not is_kicad(b"(kicad_sch (version 1))")
+    with pytest.raises(InputError, match=r"begins with \(kicad_sch"):
+        read_kicad(b"(kicad_sch (version 1))", PATH)

@@ -1,0 +1,83 @@
+from __future__ import annotations
+
+import gzip
+import io
+import tarfile
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from tests.board_data.readers import samples
+from vaoi_station.board_data.readers.odb import is_odb, read_odb
+from vaoi_station.errors import InputError
+
+TOP = "job/steps/pcb/layers/comp_+_top/components"
+
+
+def write(folder: Path, **members: str) -> Path:
+    path = folder / "b.zip"
+    path.write_bytes(samples.odb_zip(samples.ODB | members))
+    return path
+
+
+def test_folder_tar_and_compressed_members(tmp_path: Path) -> None:
+    expected = [(p.ref, p.origin) for p in read_odb(write(tmp_path)).parts]
+    folder = tmp_path / "folder"
+    for name, text in samples.ODB.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(text)
+    assert is_odb(folder)
+    assert [(p.ref, p.origin) for p in read_odb(folder).parts] == expected
+    with tarfile.open(tmp_path / "b.tgz", "w:gz") as tar:
+        for name, text in samples.ODB.items():
+            packed = gzip.compress(text.encode()) if "components" in name else text.encode()
+            info = tarfile.TarInfo(name + (".Z" if "components" in name else ""))
+            info.size = len(packed)
+            tar.addfile(info, io.BytesIO(packed))
+    assert [(p.ref, p.origin) for p in read_odb(tmp_path / "b.tgz").parts] == expected
+
+
+def test_every_file_has_its_own_unit(tmp_path: Path) -> None:
+    parts = {p.ref: p for p in read_odb(write(tmp_path)).parts}
+    assert parts["C1"].origin == pytest.approx((15, 25), abs=1e-4)
+    assert parts["C1"].rotation == 270
+
+
+def test_the_step_with_most_components_or_the_chosen_one(tmp_path: Path) -> None:
+    panel = {"job/steps/panel/layers/comp_+_top/components": "UNITS=MM\nCMP 0 1 1 0 N P1 x ;\n"}
+    path = write(tmp_path, **panel)
+    assert read_odb(path).name == "pcb"
+    assert any("panel; pcb was read. Choose by --step" in note for note in read_odb(path).notes)
+    assert [p.ref for p in read_odb(path, "PANEL").parts] == ["P1"]
+    with pytest.raises(InputError, match="--step is 'x', but must be a step with components: panel, pcb"):
+        read_odb(path, "x")
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        (TOP, "UNITS=MM\nCMP 0 1 1\n", "line 2: 'CMP 0 1 1' must be CMP package x y rotation mirror name part"),
+        (TOP, "UNITS=MM\nCMP 0 a 1 0 N R1 x ;\n", "line 2: .* must have 4 numbers"),
+        (TOP, "UNITS=CUBIT\n", "UNITS is 'CUBIT', but must be MM or INCH"),
+        (TOP, "\x1f\x9dabc", "compressed by Unix compress"),
+    ],
+)
+def test_wrong_files_are_refused(name: str, text: str, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "b.zip"
+    content = samples.ODB | {name: text}
+    with zipfile.ZipFile(path, "w") as zipped:
+        for member, value in content.items():
+            zipped.writestr(member, value.encode("latin-1") if member == name else value)
+    with pytest.raises(InputError, match=message):
+        read_odb(path)
+
+
+def test_a_design_without_components_and_an_archive_that_is_none(tmp_path: Path) -> None:
+    (tmp_path / "b.zip").write_bytes(samples.odb_zip({"job/matrix/matrix": "", "job/steps/pcb/profile": ""}))
+    with pytest.raises(InputError, match=r"no step has components \(steps: pcb\)"):
+        read_odb(tmp_path / "b.zip")
+    (tmp_path / "c.zip").write_bytes(samples.odb_zip({"readme": ""}))
+    assert not is_odb(tmp_path / "c.zip")
+    with pytest.raises(InputError, match="has no file matrix/matrix"):
+        read_odb(tmp_path / "c.zip")

@@ -1,0 +1,81 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from vaoi_station.board_data.conversion import to_board_type
+from vaoi_station.board_data.design import Box, Design, Part
+from vaoi_station.errors import InputError
+
+BODY = Box((-1.0, -0.5), (1.0, 0.5))
+OUTLINE = ((0.0, 0.0), (50.0, 0.0), (50.0, 40.0), (0.0, 40.0))
+
+
+def part(ref: str, **change: object) -> Part:
+    return replace(Part(ref, "top", (10.0, 10.0), 0.0, box=BODY), **change)  # type: ignore[arg-type]
+
+
+def design(*parts: Part, **change: object) -> Design:
+    return replace(Design("d", "kicad", parts, OUTLINE), **change)  # type: ignore[arg-type]
+
+
+def test_the_body_is_the_centre_and_the_origin_is_kept_where_it_differs() -> None:
+    board, _ = to_board_type(design(part("R1"), part("J1", box=Box((0, 0), (6, 2)), rotation=90.0)), "top")
+    r1, j1 = board.components
+    assert (r1.center, r1.origin, (r1.width, r1.height)) == ((10, 10), None, (2, 1))
+    assert (j1.center, j1.origin, j1.rotation) == ((9, 13), (10, 10), 90)
+
+
+def test_only_the_chosen_side_is_taken_and_an_empty_one_is_refused() -> None:
+    both = design(part("R1"), part("R2", side="bottom"))
+    assert [c.ref for c in to_board_type(both, "bottom")[0].components] == ["R2"]
+    with pytest.raises(InputError, match="has no part on the bottom; parts: 1 on the top"):
+        to_board_type(design(part("R1")), "bottom")
+
+
+def test_repeated_designators_are_left_out_and_named() -> None:
+    board, notes = to_board_type(design(part("R1"), part("G***"), part("G***")), "top")
+    assert [c.ref for c in board.components] == ["R1"]
+    assert any("occur more than once were left out: G***" in note for note in notes)
+
+
+def test_fiducials_by_file_by_name_and_explicit_ones() -> None:
+    by_file = design(part("H1", is_mark=True, mark_diameter=0.75), part("FID9"))
+    assert [(f.name, f.diameter) for f in to_board_type(by_file, "top")[0].fiducials] == [("H1", 0.75)]
+    by_name = design(part("FID1", package="Fiducial_1.5mm"), part("FD2", origin=(40.0, 30.0)), part("R1"))
+    board, notes = to_board_type(by_name, "top")
+    assert [(f.name, f.diameter) for f in board.fiducials] == [("FID1", 1.5), ("FD2", 1.0)]
+    assert any("no diameter of FD2; 1 mm is assumed" in note for note in notes)
+    marks = (("G1", "top", (1.0, 1.0), 2.0), ("B1", "bottom", (2.0, 2.0), 2.0), ("A1", None, (3.0, 3.0), 2.0))
+    explicit, _ = to_board_type(design(part("FID1"), marks=marks), "top")
+    assert [f.name for f in explicit.fiducials] == ["G1", "A1"]
+
+
+def test_missing_fiducials_and_outline_are_said() -> None:
+    without = design(part("R1"), outline=())
+    board, notes = to_board_type(without, "top")
+    assert not board.outline
+    assert any("0 fiducials found on the top; two are needed" in note for note in notes)
+    assert any("has no outline" in note for note in notes)
+
+
+def test_an_outline_that_crosses_itself_becomes_a_rectangle() -> None:
+    board, notes = to_board_type(design(part("R1"), outline=((0, 0), (50, 40), (50, 0), (0, 40))), "top")
+    assert list(board.outline or ()) == [(0.0, 0.0), (50.0, 40.0)]
+    assert any("its bounding rectangle is used" in note for note in notes)
+
+
+def test_parts_outside_fiducials_outside_and_unfitted_parts() -> None:
+    parts = (part("R1", origin=(90.0, 10.0)), part("C1", fitted=False), part("C2", size_from="guess"))
+    board, notes = to_board_type(design(*parts), "top")
+    assert [c.fitted for c in board.components] == [None, False, None]
+    assert [c.size_from for c in board.components] == ["file", "file", "guess"]
+    assert any("1 parts lie outside the outline: R1" in note for note in notes)
+    assert any("is a guess for C2" in note for note in notes)
+
+
+def test_fiducials_outside_the_outline_drop_it() -> None:
+    board, notes = to_board_type(design(part("FID1", origin=(90.0, 10.0))), "top")
+    assert board.outline is None
+    assert any("fiducials lie outside the outline" in note for note in notes)

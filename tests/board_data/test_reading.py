@@ -1,0 +1,106 @@
+from __future__ import annotations
+
+import json
+import math
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.board_data.readers import samples
+from tests.needs import FILMS, need_films
+from vaoi_station.board_data import Options, is_exported_run, read_design, to_board_type
+from vaoi_station.board_data.design import Design, Part, Side
+from vaoi_station.errors import InputError
+
+BOARDS = FILMS / "boards"
+KINDS = ("cad", "ipc2581.xml", "odb.zip", "pos", "pos.csv")
+
+
+@pytest.fixture(scope="module")
+def boards() -> Path:
+    need_films()
+    return BOARDS
+
+
+@cache
+def read(path: Path) -> Design:
+    return read_design(path)
+
+
+def placed(path: Path, side: Side) -> dict[str, Part]:
+    design = read(path)
+    board, _ = to_board_type(design, side)
+    kept = {c.ref for c in board.components}
+    return {p.ref: p for p in design.parts if p.side == side and p.ref in kept}
+
+
+@pytest.mark.cases
+@pytest.mark.parametrize("board", ["orangecrab", "esp32poe"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_exports_of_a_real_board_agree_with_its_file(boards: Path, board: str, kind: str) -> None:
+    real = boards / board / f"{board}.kicad_pcb"
+    for side in ("top", "bottom"):
+        expected, found = (placed(path, side) for path in (real, boards / board / f"{board}.{kind}"))
+        assert expected.keys() <= found.keys()
+        shift = [
+            sorted(found[ref].origin[axis] - part.origin[axis] for ref, part in expected.items())[len(expected) // 2]
+            for axis in (0, 1)
+        ]
+        for ref, part in expected.items():
+            x, y = (found[ref].origin[axis] - shift[axis] for axis in (0, 1))
+            assert math.dist((x, y), part.origin) <= 0.0101, ref
+            assert abs((found[ref].rotation - part.rotation + 180) % 360 - 180) < 0.02, ref
+
+
+@pytest.mark.cases
+def test_production_data_of_a_real_board(boards: Path) -> None:
+    odb = {p.ref: p for p in read_design(boards / "breakout" / "odbjob.tgz").parts}
+    origins, bodies = (
+        {p.ref: p for p in read_design(boards / "breakout" / f"{name}.txt").parts}
+        for name in ("SYMBOL_ORIGIN", "BODY_CENTER")
+    )
+    assert odb.keys() == origins.keys() == bodies.keys()
+    assert max(math.dist(part.origin, origins[ref].origin) for ref, part in odb.items()) < 0.001
+    assert all((part.rotation, part.side) == (origins[ref].rotation, origins[ref].side) for ref, part in odb.items())
+    # Four reported centres of R0402 and C0402 differ by 0.05 to 0.08 mm from the package, which is symmetrical.
+    off = {ref for ref, part in odb.items() if math.dist(part.center, bodies[ref].origin) > 0.0101}
+    assert off == {"R17", "C20", "C2132", "C2133"}
+    assert sum(part.body_height is not None for part in odb.values()) == 57
+
+
+def test_the_format_is_recognised_or_given(tmp_path: Path) -> None:
+    (tmp_path / "b.txt").write_text(samples.KICAD)
+    assert read_design(tmp_path / "b.txt").format == "kicad"
+    with pytest.raises(InputError, match="has no section"):
+        read_design(tmp_path / "b.txt", Options(format="gencad"))
+    with pytest.raises(InputError, match="the format is 'dxf', but must be one of kicad, gencad"):
+        read_design(tmp_path / "b.txt", Options(format="dxf"))
+
+
+def test_exported_runs_are_told_from_board_data(tmp_path: Path) -> None:
+    (tmp_path / "run").write_bytes(b"\x1f\x8b rest")
+    (tmp_path / "b.zip").write_bytes(samples.odb_zip())
+    (tmp_path / "b.txt").write_text(samples.KICAD)
+    assert [is_exported_run(tmp_path / name) for name in ("run", "b.zip", "b.txt")] == [True, False, False]
+    with pytest.raises(InputError, match="cannot be read: No such file"):
+        read_design(tmp_path / "none")
+    with pytest.raises(InputError, match="is a folder without matrix/matrix"):
+        read_design(tmp_path)
+
+
+def test_sizes_of_the_user_come_first(tmp_path: Path) -> None:
+    (tmp_path / "b.csv").write_text("ref,x,y,package\nR1,0mm,0mm,R0805\n")
+    (tmp_path / "t.toml").write_text("[[package]]\npattern = 'r0805'\nsize = [3, 4]\n")
+    (part,) = read_design(tmp_path / "b.csv", Options(sizes=tmp_path / "t.toml")).parts
+    assert part.box is not None
+    assert part.box.size == (3, 4)
+
+
+def test_a_board_type_of_every_sample_can_be_stored(tmp_path: Path) -> None:
+    content: dict[str, Any] = {"b.kicad_pcb": samples.KICAD, "b.cad": samples.GENCAD, "b.json": samples.HTML_BOM}
+    for name, text in content.items():
+        (tmp_path / name).write_text(text)
+        board, _ = to_board_type(read_design(tmp_path / name), "top")
+        assert json.loads(board.model_dump_json())["name"]

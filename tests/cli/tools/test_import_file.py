@@ -1,0 +1,52 @@
+"""`vaoi import` with board data; with exported runs: tests/cli/station/test_export.py."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from tests.board_data.readers import samples
+from tests.cli.conftest import Result
+
+Vaoi = Callable[..., Result]
+
+
+@pytest.fixture
+def board(tmp_path: Path) -> Path:
+    path = tmp_path / "b.kicad_pcb"
+    path.write_text(samples.KICAD)
+    return path
+
+
+def test_a_board_type_is_written_and_what_to_check_is_printed(vaoi: Vaoi, board: Path, tmp_path: Path) -> None:
+    out = tmp_path / "board.json"
+    done = vaoi("import", str(board), "--out", str(out), "--name", "p-1")
+    assert done.code == 0
+    assert "top of 'p-1' (kicad): 3 components, 3 sizes from the file; 1 fiducials" in done.out
+    assert "check: 1 fiducials found on the top; two are needed to stitch." in done.out
+    document = json.loads(out.read_text())
+    assert [c["ref"] for c in document["components"]] == ["R1", "J1", "FID1"]
+    again = vaoi("import", str(board), "--out", str(out))
+    assert (again.code, "exists" in again.err) == (2, True)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--side", "left"], "the side is 'left', but must be top or bottom"),
+        (["--units", "cm"], "the unit is 'cm'"),
+        (["--format", "odb++"], "is no readable folder, zip or tar file"),
+    ],
+)
+def test_wrong_options_are_refused(vaoi: Vaoi, board: Path, tmp_path: Path, options: list[str], message: str) -> None:
+    done = vaoi("import", str(board), "--out", str(tmp_path / "x.json"), *options)
+    assert (done.code, message in done.err) == (2, True), done.err
+    assert not (tmp_path / "x.json").exists()
+
+
+def test_without_out_it_is_refused(vaoi: Vaoi, board: Path) -> None:
+    done = vaoi("import", str(board))
+    assert (done.code, "Give it by --out board.json." in done.err) == (2, True)

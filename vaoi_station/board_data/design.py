@@ -1,0 +1,130 @@
+"""The neutral model of a design: what all formats of board data have in common.
+
+Lengths are in mm. x points right and y points up as seen from the top of the board. Rotations are in degrees,
+counter-clockwise as seen from the top, also for parts on the bottom.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Literal
+
+Side = Literal["top", "bottom"]
+XY = tuple[float, float]
+LEAST_DRAWING = 0.5
+"""A drawing of a body is at least this share of its pins, along both axes."""
+SizeFrom = Literal["file", "table", "guess"]
+
+
+@dataclass(frozen=True)
+class Box:
+    """An axis-parallel rectangle in the frame of a part: relative to its origin, before its rotation, mm."""
+
+    low: XY
+    high: XY
+
+    @property
+    def center(self) -> XY:
+        """Centre of the box."""
+        return (self.low[0] + self.high[0]) / 2, (self.low[1] + self.high[1]) / 2
+
+    @property
+    def size(self) -> XY:
+        """Extent along x and y."""
+        return self.high[0] - self.low[0], self.high[1] - self.low[1]
+
+    def mirrored(self) -> Box:
+        """Return the box with x reversed, as it is seen from the other side."""
+        return Box((-self.high[0], self.low[1]), (-self.low[0], self.high[1]))
+
+    def shrunk(self, margin: float) -> Box:
+        """Return the box without a margin on every side; at least a tenth of each side remains."""
+        (x, y), (w, h) = self.center, self.size
+        half = (max(w / 2 - margin, w / 20), max(h / 2 - margin, h / 20))
+        return Box((x - half[0], y - half[1]), (x + half[0], y + half[1]))
+
+
+def box_around(points: Iterable[XY]) -> Box | None:
+    """Return the smallest box around points; None if they enclose no area."""
+    xs, ys = zip(*points, strict=True) if (points := list(points)) else ((), ())
+    if not xs or max(xs) - min(xs) < 1e-6 or max(ys) - min(ys) < 1e-6:
+        return None
+    return Box((min(xs), min(ys)), (max(xs), max(ys)))
+
+
+def body_of(drawing: Box | None, pins: Box | None) -> Box | None:
+    """Return the body from the drawing of a package and the box of its pins.
+
+    A drawing that is much smaller than the pins is a mark of pin 1 or a part of a silkscreen: then both together count.
+    """
+    if drawing is None or pins is None:
+        return drawing or pins
+    if all(d >= LEAST_DRAWING * p for d, p in zip(drawing.size, pins.size, strict=True)):
+        return drawing
+    return box_around([drawing.low, drawing.high, pins.low, pins.high])
+
+
+@dataclass(frozen=True)
+class Part:
+    """One placed part of a design."""
+
+    ref: str
+    side: Side
+    origin: XY
+    """Where the CAD system places the part."""
+    rotation: float
+    package: str = ""
+    value: str = ""
+    box: Box | None = None
+    """The body; for a part on the bottom as it is seen from the top. None if the file does not state it."""
+    size_from: SizeFrom = "file"
+    body_height: float | None = None
+    fitted: bool = True
+    mark_diameter: float | None = None
+    """Diameter of the mark if the part is a fiducial and the file states it."""
+    is_mark: bool = False
+    """Whether the file itself says that the part is a fiducial."""
+
+    @property
+    def center(self) -> XY:
+        """Centre of the body; the origin if no body is known."""
+        if self.box is None:
+            return self.origin
+        a, (x, y) = math.radians(self.rotation), self.box.center
+        c, s = math.cos(a), math.sin(a)
+        return self.origin[0] + c * x - s * y, self.origin[1] + s * x + c * y
+
+
+@dataclass(frozen=True)
+class Design:
+    """The parts and the outline of a board, from one file."""
+
+    name: str
+    format: str
+    parts: tuple[Part, ...]
+    outline: tuple[XY, ...] = ()
+    """The outer contour; empty if the file has none."""
+    cut_outs: tuple[tuple[XY, ...], ...] = ()
+    marks: tuple[tuple[str, Side | None, XY, float | None], ...] = ()
+    """Fiducials that are no parts: name, side (None: both), centre, diameter."""
+    notes: tuple[str, ...] = ()
+    """What the user must know about this import, a sentence each."""
+
+    def with_notes(self, *notes: str) -> Design:
+        """Return the design with further notes."""
+        return replace(self, notes=(*self.notes, *notes))
+
+
+def rotated(point: XY, degrees: float) -> XY:
+    """Return a point rotated counter-clockwise about the origin."""
+    a = math.radians(degrees)
+    c, s = math.cos(a), math.sin(a)
+    return c * point[0] - s * point[1], s * point[0] + c * point[1]
+
+
+def normalised(degrees: float) -> float:
+    """Return an angle in [0, 360), with rounding errors of 10⁻⁶° removed."""
+    found = round(degrees % 360, 6)
+    return 0.0 if found == 360 else found

@@ -1,0 +1,86 @@
+"""Body sizes from the names of packages, for formats that do not state them."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from vaoi_station.board_data.design import Box, Design, Part
+from vaoi_station.errors import InputError
+from vaoi_station.files.documents import read_toml
+
+Size = tuple[float, float]
+Table = tuple[tuple[re.Pattern[str], Size], ...]
+GUESS_MM: Size = (2.0, 2.0)
+"""Size of a part of which nothing is known."""
+LIMITS_MM = (0.1, 300.0)
+
+_IN_MM = re.compile(r"(\d+(?:\.\d+)?)x(\d+(?:\.\d+)?)(?:x\d+(?:\.\d+)?)?mm", re.IGNORECASE)
+"""KiCad: `SOIC-8_3.9x4.9mm_P1.27mm`."""
+_METRIC = re.compile(r"(\d{2})(\d{2})metric", re.IGNORECASE)
+"""KiCad: `R_0603_1608Metric`."""
+_IPC_7351 = re.compile(r"(?:^|[^A-Z])(?:[A-Z]{2,5}\d{2,3}P)(\d{2,4})X(\d{2,4})X(\d{2,4})", re.IGNORECASE)
+"""IPC-7351: `SOIC127P600X175`, `QFN50P700X700X80`: pitch, span, (length,) height in hundredths of a millimetre."""
+_IPC_CHIP = re.compile(r"(?:CAP|RES|IND|LED|DIO|FUS)[CM](\d{2})(\d{2})X", re.IGNORECASE)
+"""IPC-7351: `CAPC1608X87`: length and width in tenths of a millimetre."""
+
+
+def size_of(package: str, table: Table) -> Size | None:
+    """Return the size of a body by the name of its package, at rotation 0, mm; None if the name says nothing."""
+    if found := _IN_MM.search(package):
+        return _plausible(float(found[1]), float(found[2]))
+    for pattern, unit in ((_METRIC, 0.1), (_IPC_CHIP, 0.1), (_IPC_7351, 0.01)):
+        if found := pattern.search(package):
+            return _plausible(float(found[1]) * unit, float(found[2]) * unit)
+    return next((size for pattern, size in table if pattern.search(package)), None)
+
+
+def _plausible(width: float, height: float) -> Size | None:
+    low, high = LIMITS_MM
+    return (width, height) if low <= min(width, height) <= max(width, height) <= high else None
+
+
+@cache
+def shipped_table() -> Table:
+    """Return the table that comes with the package."""
+    with resources.as_file(resources.files(__package__) / "package_sizes.toml") as path:
+        return read_table(path)
+
+
+def read_table(path: Path) -> Table:
+    """Read a table of sizes; refuse wrong patterns and sizes."""
+    rows: Any = read_toml(path).get("package")
+    if not isinstance(rows, list) or not rows:
+        raise InputError(f"{path}: has no [[package]] with pattern and size.")
+    return tuple(_row(path, n, row) for n, row in enumerate(rows))
+
+
+def _row(path: Path, n: int, row: Any) -> tuple[re.Pattern[str], Size]:
+    where = f"package.{n}"
+    if not isinstance(row, dict) or set(row) != {"pattern", "size"}:
+        raise InputError.field(path, where, row, "a table with pattern and size")
+    size = row["size"]
+    if not (
+        isinstance(size, list) and len(size) == 2 and all(type(v) in (int, float) for v in size) and _plausible(*size)
+    ):
+        raise InputError.field(path, f"{where}.size", size, f"[x, y] from {LIMITS_MM[0]} to {LIMITS_MM[1]} mm")
+    try:
+        return re.compile(str(row["pattern"]), re.IGNORECASE), (float(size[0]), float(size[1]))
+    except re.error as error:
+        raise InputError.field(path, f"{where}.pattern", row["pattern"], f"a regular expression ({error})") from error
+
+
+def with_sizes(design: Design, table: Table) -> Design:
+    """Give every part without a body one from the table, or a guess, and mark it as such."""
+    return replace(design, parts=tuple(part if part.box is not None else _sized(part, table) for part in design.parts))
+
+
+def _sized(part: Part, table: Table) -> Part:
+    size = size_of(part.package, table)
+    width, height = size or GUESS_MM
+    box = Box((-width / 2, -height / 2), (width / 2, height / 2))
+    return replace(part, box=box, size_from="table" if size else "guess")

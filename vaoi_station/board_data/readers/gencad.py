@@ -1,0 +1,248 @@
+"""Read GenCAD 1.4 files.
+
+Shapes are drawn as seen from their own side. A component on the bottom names its shape with MIRRORX and FLIP, or with
+MIRRORY. Rotations are counter-clockwise as seen from the top. Source: GenCAD specification 1.4, Mitron 1997.
+"""
+
+from __future__ import annotations
+
+import shlex
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from vaoi_station.board_data.contours import arc_points, circle_points, join
+from vaoi_station.board_data.design import XY, Box, Design, Part, Side, body_of, box_around, normalised, rotated
+from vaoi_station.board_data.source_text import decode
+from vaoi_station.errors import InputError
+
+_UNITS = {"INCH": 25.4, "THOU": 0.0254, "MM": 1.0, "MM100": 0.01}
+Line = tuple[int, list[str]]
+"""Number of a line of the file, and its words."""
+
+
+def is_gencad(head: bytes) -> bool:
+    """Return whether a file begins like a GenCAD file."""
+    return b"$HEADER" in head and b"GENCAD" in head
+
+
+@dataclass
+class _Shape:
+    drawing: list[list[XY]] = field(default_factory=list)
+    pins: list[tuple[str, XY, float]] = field(default_factory=list)
+    """Pad stack, place and rotation of every pin."""
+    height: float | None = None
+
+    def body(self, pads: dict[str, Box]) -> Box | None:
+        """Return the box of the body from drawing and pads."""
+        drawn = box_around(p for piece in self.drawing for p in piece)
+        return body_of(drawn, box_around(p for pin in self.pins for p in _pad_corners(pin, pads)))
+
+
+def read_gencad(data: bytes, path: Path) -> Design:
+    """Read a GenCAD file."""
+    sections = _sections(decode(data, path), path)
+    mm, name = 1.0, path.stem
+    for number, words in sections["HEADER"]:
+        if words[0] == "UNITS":
+            mm = _unit(words, path, number)
+        elif words[0] == "DRAWING" and len(words) > 1:
+            name = words[1].removesuffix(".kicad_pcb")
+    reader = _Reader(path, mm)
+    pads = reader.pads(sections["PADS"], sections["PADSTACKS"])
+    shapes = reader.shapes(sections["SHAPES"])
+    contours, stray = join(_without_art(reader, sections["BOARD"]))
+    parts, unknown = [], set()
+    for component in _components(sections["COMPONENTS"]):
+        part = reader.part(component, shapes, pads)
+        if part is None:
+            unknown.add(component["COMPONENT"][1][1])
+        else:
+            parts.append(part)
+    notes = [f"{stray} lines of $BOARD close no contour; they were left out."] if stray else []
+    if unknown:
+        notes.append(f"{len(unknown)} components are not placed; they were left out: {', '.join(sorted(unknown)[:8])}.")
+    outline, *cut_outs = contours or [[]]
+    return Design(name, "gencad", tuple(parts), tuple(outline), tuple(map(tuple, cut_outs)), notes=tuple(notes))
+
+
+def _sections(text: str, path: Path) -> dict[str, list[Line]]:
+    """Return the lines of every section `$NAME … $ENDNAME` as words."""
+    found: defaultdict[str, list[Line]] = defaultdict(list)
+    current = ""
+    for number, raw in enumerate(text.splitlines(), 1):
+        line = raw.strip()
+        if line.startswith("$END"):
+            current = ""
+        elif line.startswith("$"):
+            current = line[1:].split()[0].upper() if len(line) > 1 else ""
+        elif line and current in ("HEADER", "BOARD", "PADS", "PADSTACKS", "SHAPES", "COMPONENTS"):
+            found[current].append((number, _words(line)))
+    if not found["HEADER"] or not found["COMPONENTS"]:
+        missing = "$HEADER" if not found["HEADER"] else "$COMPONENTS"
+        raise InputError(f"{path}: has no section {missing}; it is no complete GenCAD file.")
+    return found
+
+
+def _words(line: str) -> list[str]:
+    if '"' not in line:
+        return line.split()
+    try:
+        return shlex.split(line, posix=True)
+    except ValueError:  # a quotation mark within a name
+        return line.replace('"', " ").split()
+
+
+def _unit(words: list[str], path: Path, number: int) -> float:
+    kind = words[1].upper() if len(words) > 1 else ""
+    if kind in _UNITS:
+        return _UNITS[kind]
+    # USER n: n units are one inch. USERCM, USERMM: n units are one centimetre, one millimetre.
+    per = {"USER": 25.4, "USERCM": 10.0, "USERMM": 1.0}.get(kind)
+    if per is None or len(words) < 3 or not words[2].replace(".", "", 1).isdigit() or float(words[2]) == 0:
+        raise InputError.field(f"{path}, line {number}", "UNITS", " ".join(words[1:]), f"{', '.join(_UNITS)} or USER n")
+    return per / float(words[2])
+
+
+class _Reader:
+    """Reads the lines of one file, in its unit."""
+
+    def __init__(self, path: Path, mm: float) -> None:
+        self._path, self._mm = path, mm
+
+    def numbers(self, line: Line, first: int, count: int) -> list[float]:
+        """Return `count` numbers of a line in mm, from word `first` on."""
+        number, words = line
+        try:
+            values = [float(w) * self._mm for w in words[first : first + count]]
+        except ValueError:
+            values = []
+        if len(values) != count:
+            raise InputError(
+                f"{self._path}, line {number}: {' '.join(words)!r} must have {count} numbers after word {first}."
+            )
+        return values
+
+    def piece(self, line: Line) -> list[XY] | None:
+        """Return a line of a drawing as points; None if it is no drawing."""
+        kind = line[1][0]
+        if kind == "LINE":
+            x0, y0, x1, y1 = self.numbers(line, 1, 4)
+            return [(x0, y0), (x1, y1)]
+        if kind == "ARC":
+            x0, y0, x1, y1, cx, cy = self.numbers(line, 1, 6)
+            return arc_points((x0, y0), (x1, y1), (cx, cy), clockwise=False)
+        if kind == "CIRCLE":
+            x, y, r = self.numbers(line, 1, 3)
+            return circle_points((x, y), abs(r))
+        if kind == "RECTANGLE":
+            x, y, w, h = self.numbers(line, 1, 4)
+            return [(x, y), (x + w, y), (x + w, y + h), (x, y + h), (x, y)]
+        return None
+
+    def pads(self, pads: list[Line], stacks: list[Line]) -> dict[str, Box]:
+        """Return pad stack → its box at rotation 0."""
+        boxes: dict[str, Box] = {}
+        name, points = "", list[XY]()
+        for line in [*pads, (0, ["PAD", ""])]:
+            if line[1][0] == "PAD":
+                if (box := box_around(points)) is not None:
+                    boxes[name] = box
+                name, points = line[1][1] if len(line[1]) > 1 else "", []
+            else:
+                points += self.piece(line) or []
+        found: dict[str, Box] = {}
+        for _, words in stacks:
+            if words[0] == "PADSTACK" and len(words) > 1:
+                name = words[1]
+            elif words[0] == "PAD" and len(words) > 1 and words[1] in boxes:
+                found.setdefault(name, boxes[words[1]])
+        return found
+
+    def shapes(self, lines: list[Line]) -> dict[str, _Shape]:
+        found: dict[str, _Shape] = {}
+        shape = _Shape()
+        for line in lines:
+            words = line[1]
+            if words[0] == "SHAPE" and len(words) > 1:
+                shape = found[words[1]] = _Shape()
+            elif words[0] == "PIN" and len(words) > 5:
+                x, y = self.numbers(line, 3, 2)
+                turn = float(words[6]) if len(words) > 6 and _is_number(words[6]) else 0.0
+                shape.pins.append((words[2], (x, y), turn))
+            elif words[0] == "HEIGHT":
+                shape.height = self.numbers(line, 1, 1)[0]
+            elif (piece := self.piece(line)) is not None:
+                shape.drawing.append(piece)
+        return found
+
+    def part(self, found: dict[str, Line], shapes: dict[str, _Shape], pads: dict[str, Box]) -> Part | None:
+        """Return a component; None if it is not placed."""
+        if "PLACE" not in found:
+            return None
+        x, y = self.numbers(found["PLACE"], 1, 2)
+        side: Side = "bottom" if "BOTTOM" in [w.upper() for w in found.get("LAYER", (0, []))[1]] else "top"
+        rotation = self.numbers(found["ROTATION"], 1, 1)[0] / self._mm if "ROTATION" in found else 0.0
+        words = found.get("SHAPE", (0, ["SHAPE", ""]))[1]
+        name = words[1] if len(words) > 1 else ""
+        shape = shapes.get(name, _Shape())
+        box = shape.body(pads)
+        # MIRRORY is about the y axis: x changes its sign. MIRRORX with FLIP is the same, rotated by 180°.
+        mirrored = any(w.upper() in ("MIRRORX", "MIRRORY") for w in words[2:])
+        if box is not None and mirrored:
+            box = box.mirrored()
+        if box is not None and "MIRRORX" in [w.upper() for w in words[2:]]:
+            box = Box((-box.high[0], -box.high[1]), (-box.low[0], -box.low[1]))
+        package = name.rpartition(":")[2]
+        is_mark = "fiducial" in package.lower()
+        sizes = [max(pads[stack].size) for stack, _, _ in shape.pins if stack in pads]
+        height = self.numbers(found["HEIGHT"], 1, 1)[0] if "HEIGHT" in found else shape.height
+        ref = found["COMPONENT"][1][1]
+        return Part(
+            ref, side, (x, y), normalised(rotation), package, box=box, body_height=height or None, is_mark=is_mark,
+            mark_diameter=max(sizes) if is_mark and sizes else None,
+        )  # fmt: skip
+
+
+def _components(lines: list[Line]) -> Iterator[dict[str, Line]]:
+    """Yield the lines of every component by their first word."""
+    found: dict[str, Line] = {}
+    for line in lines:
+        if line[1][0] == "COMPONENT":
+            if found:
+                yield found
+            found = {}
+            if len(line[1]) < 2:
+                continue
+        if found or line[1][0] == "COMPONENT":
+            found.setdefault(line[1][0], line)
+    if found:
+        yield found
+
+
+def _without_art(reader: _Reader, lines: list[Line]) -> Iterator[list[XY]]:
+    """Yield the pieces of the outline; what follows ARTWORK or a named cut-out of the section is not part of it."""
+    for line in lines:
+        if line[1][0] in ("ARTWORK", "TEXT"):
+            return
+        piece = reader.piece(line)
+        if piece is not None:
+            yield piece
+
+
+def _pad_corners(pin: tuple[str, XY, float], pads: dict[str, Box]) -> list[XY]:
+    stack, (x, y), turn = pin
+    box = pads.get(stack)
+    if box is None:
+        return [(x, y)]
+    corners = [rotated((cx, cy), turn) for cx in (box.low[0], box.high[0]) for cy in (box.low[1], box.high[1])]
+    return [(x + cx, y + cy) for cx, cy in corners]
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True

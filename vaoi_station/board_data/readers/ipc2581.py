@@ -1,0 +1,269 @@
+"""Read IPC-2581 files, revisions A to C.
+
+Packages are drawn as seen from the side of the part. Programs differ in how they rotate and mirror parts of the bottom;
+the pads in the file show it (`_bottom_rule`). Source: IPC-2581C and its schema.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree.ElementTree import Element
+
+from vaoi_station.board_data.contours import arc_points, circle_points
+from vaoi_station.board_data.design import XY, Box, Design, Part, Side, body_of, box_around, normalised, rotated
+from vaoi_station.board_data.source_text import parse_xml
+from vaoi_station.errors import InputError
+
+_BOTTOM_RULES: dict[str, Callable[[float], float]] = {
+    "rotated, then mirrored": lambda r: -r,
+    "mirrored, then rotated": lambda r: r,
+    "rotated, then mirrored at x": lambda r: 180 - r,
+    "mirrored at x, then rotated": lambda r: 180 + r,
+}
+"""Rotation in the file → rotation of the part after it was mirrored in x, counter-clockwise as seen from the top.
+
+The first is the standard's; KiCad 9 follows the third."""
+_ENOUGH_PADS = 400
+_LEAST_OFFSET_MM = 0.2
+_UNITS = {"MILLIMETER": 1.0, "MICRON": 0.001, "INCH": 25.4}
+
+
+def is_ipc2581(head: bytes) -> bool:
+    """Return whether a file begins like an IPC-2581 file."""
+    return b"<IPC-2581" in head
+
+
+def read_ipc2581(data: bytes, path: Path) -> Design:
+    """Read an IPC-2581 file."""
+    root = parse_xml(data, path)
+    if root.tag != "IPC-2581":
+        raise InputError(f"{path}: its first element is <{root.tag}>, that of an IPC-2581 file is <IPC-2581>.")
+    header = next(root.iter("CadHeader"), None)
+    unit = "" if header is None else header.get("units", "")
+    if unit not in _UNITS:
+        raise InputError.field(path, "CadHeader units", unit, ", ".join(_UNITS))
+    steps = [step for step in root.iter("Step") if step.find("Component") is not None]
+    if not steps:
+        raise InputError(f"{path}: no step has a component; the file is no assembly data. Export it with components.")
+    reader = _Reader(path, root, _UNITS[unit])
+    return reader.design(steps[0], [step.get("name", "") for step in steps])
+
+
+@dataclass
+class _Package:
+    box: Box | None
+    height: float | None
+    name: str
+    pad: float | None
+    """Largest extent of its first pad."""
+    pins: dict[str, XY]
+    """Number of a pin → its place."""
+
+
+class _Reader:
+    def __init__(self, path: Path, root: Element, mm: float) -> None:
+        self._path, self._root, self._mm = path, root, mm
+        self._sides, self._primitives, self._not_fitted = _sides(root), _primitives(root), _not_fitted(root)
+
+    def design(self, step: Element, names: list[str]) -> Design:
+        packages = {p.get("name", ""): self._package(p) for p in step.iter("Package")}
+        rule = self._bottom_rule(step, packages)
+        notes = []
+        if len(names) > 1:
+            notes.append(f"the file has {len(names)} steps with components ({', '.join(names)}); {names[0]} was read.")
+        parts, absent = [], set()
+        for component in step.findall("Component"):
+            package = packages.get(component.get("packageRef", ""))
+            if package is None:
+                absent.add(component.get("packageRef", ""))
+            parts.append(self._part(component, package, rule))
+        if absent:
+            notes.append(f"{len(absent)} packages are not described: {', '.join(sorted(absent)[:8])}.")
+        profile = step.find("Profile")
+        outline = self._polygon(profile.find("Polygon")) if profile is not None else []
+        cut_outs = [self._polygon(c) for c in profile.iter("Cutout")] if profile is not None else []
+        marks = tuple(self._marks(step))
+        name = names[0].rpartition(":")[2] or self._path.stem
+        return Design(
+            name, "ipc2581", tuple(parts), tuple(outline), tuple(map(tuple, cut_outs)), marks=marks, notes=tuple(notes)
+        )
+
+    def _part(self, component: Element, package: _Package | None, rule: str) -> Part:
+        ref = _plain(component.get("refDes", ""))
+        transform, location = component.find("Xform"), component.find("Location")
+        if not ref or location is None:
+            raise InputError(f"{self._path}: a Component has no refDes or no Location (refDes {ref!r}).")
+        side = self._sides.get(component.get("layerRef", ""), "top")
+        rotation = self._number(transform, "rotation", 0.0)
+        mirror = transform is not None and transform.get("mirror", "false").lower() in ("true", "1")
+        box = package.box if package else None
+        if mirror or side == "bottom":
+            box = box.mirrored() if box else None
+            rotation = _BOTTOM_RULES[rule](rotation)
+        name = package.name if package else _plain(component.get("packageRef", ""))
+        is_mark = "fiducial" in name.lower()
+        return Part(
+            ref=ref,
+            side=side,
+            origin=(self._number(location, "x") * self._mm, self._number(location, "y") * self._mm),
+            rotation=normalised(rotation),
+            package=name,
+            value=_plain(component.get("part", "")),
+            box=box,
+            body_height=package.height if package else None,
+            fitted=ref not in self._not_fitted,
+            is_mark=is_mark,
+            mark_diameter=package.pad if package and is_mark else None,
+        )
+
+    def _package(self, element: Element) -> _Package:
+        outline = element.find("Outline")
+        points = [p for shape in (outline if outline is not None else ()) for p in self._points(shape)]
+        drawing = element.find("AssemblyDrawing")
+        drawn = [p for shape in (drawing.iter() if drawing is not None else ()) for p in self._points(shape)]
+        pads = [self._pad(pin) for pin in element.findall("Pin")]
+        pins = box_around(p for pad in pads for p in pad)
+        box = body_of(box_around(drawn) or box_around(points), pins)
+        first = box_around(pads[0]) if pads else None
+        height = self._number(element, "height", 0.0) * self._mm
+        places = dict(self._pin_places(element))
+        return _Package(
+            box, height or None, _plain(element.get("name", "")), max(first.size) if first else None, places
+        )
+
+    def _pin_places(self, package: Element) -> Iterator[tuple[str, XY]]:
+        for pin in package.findall("Pin"):
+            if (location := pin.find("Location")) is not None:
+                yield pin.get("number", ""), self._place(location)
+
+    def _place(self, location: Element) -> XY:
+        return self._number(location, "x") * self._mm, self._number(location, "y") * self._mm
+
+    def _bottom_rule(self, step: Element, packages: dict[str, _Package]) -> str:
+        """Return the rule for rotations of parts on the bottom that explains where their pads are.
+
+        Programs differ in it. The file itself shows which rule its program follows: pads name component and pin.
+        """
+        # KiCad 9 writes pins of packages on the bottom as seen from the top, but not their outlines: its pads mislead.
+        if any("kicad" in (e.get("name") or "").lower() for e in self._root.iter("SoftwarePackage")):
+            return "rotated, then mirrored at x"
+        placed = {
+            component.get("refDes", ""): component
+            for component in step.findall("Component")
+            if self._sides.get(component.get("layerRef", "")) == "bottom"
+        }
+        errors = dict.fromkeys(_BOTTOM_RULES, 0.0)
+        count = 0
+        for pad in step.iter("Pad"):
+            pin, location = pad.find("PinRef"), pad.find("Location")
+            component = placed.get(pin.get("componentRef", "")) if pin is not None else None
+            if component is None or pin is None or location is None or count >= _ENOUGH_PADS:
+                continue
+            package, origin = packages.get(component.get("packageRef", "")), component.find("Location")
+            at = package.pins.get(pin.get("pin", "")) if package else None
+            if at is None or origin is None or math.hypot(*at) < _LEAST_OFFSET_MM:
+                continue
+            count += 1
+            (x0, y0), (x, y) = self._place(origin), self._place(location)
+            turn = self._number(component.find("Xform"), "rotation", 0.0)
+            for name, rule in _BOTTOM_RULES.items():
+                dx, dy = rotated((-at[0], at[1]), rule(turn))
+                errors[name] += min(math.hypot(x0 + dx - x, y0 + dy - y), 1.0)
+        return min(errors, key=lambda name: errors[name])
+
+    def _pad(self, pin: Element) -> list[XY]:
+        location, transform = pin.find("Location"), pin.find("Xform")
+        shapes = [child for child in pin if child.tag not in ("Location", "Xform")]
+        if location is None:
+            return []
+        turn = self._number(transform, "rotation", 0.0)
+        at = (self._number(location, "x") * self._mm, self._number(location, "y") * self._mm)
+        turned = [rotated(p, turn) for shape in shapes for p in self._points(shape)]
+        return [(at[0] + x, at[1] + y) for x, y in turned] or [at]
+
+    def _points(self, shape: Element) -> list[XY]:
+        """Return the corners of a shape; of a reference, those of the primitive that it names."""
+        if shape.tag in ("Polygon", "Polyline", "Contour", "Cutout"):
+            return self._polygon(shape)
+        if shape.tag in ("StandardPrimitiveRef", "UserPrimitiveRef"):
+            entry = self._primitives.get(shape.get("id", ""))
+            return [p for child in (entry if entry is not None else ()) for p in self._points(child)]
+        if shape.tag == "Circle":
+            return circle_points((0.0, 0.0), self._number(shape, "diameter") * self._mm / 2)
+        if shape.tag == "Line":
+            keys = (("startX", "startY"), ("endX", "endY"))
+            return [(self._number(shape, x) * self._mm, self._number(shape, y) * self._mm) for x, y in keys]
+        if shape.get("width") and shape.get("height"):
+            w, h = (self._number(shape, key) * self._mm / 2 for key in ("width", "height"))
+            return [(-w, -h), (w, -h), (w, h), (-w, h)]
+        return []
+
+    def _polygon(self, element: Element | None) -> list[XY]:
+        """Return the corners of a polygon, arcs as lines."""
+        points: list[XY] = []
+        for step in element if element is not None else ():
+            if step.tag == "Polygon":
+                points += self._polygon(step)
+            elif step.tag in ("PolyBegin", "PolyStepSegment", "PolyStepCurve"):
+                at = (self._number(step, "x") * self._mm, self._number(step, "y") * self._mm)
+                if step.tag == "PolyStepCurve" and points:
+                    center = (self._number(step, "centerX") * self._mm, self._number(step, "centerY") * self._mm)
+                    points += arc_points(points[-1], at, center, step.get("clockwise", "false") == "true")[1:]
+                else:
+                    points.append(at)
+        return points[:-1] if len(points) > 1 and math.dist(points[0], points[-1]) < 1e-6 else points
+
+    def _marks(self, step: Element) -> Iterator[tuple[str, Side | None, XY, float | None]]:
+        """Yield the explicit fiducials of a step."""
+        for layer in step.findall("LayerFeature"):
+            side = self._sides.get(layer.get("layerRef", ""))
+            for kind in ("GlobalFiducial", "LocalFiducial"):
+                for n, mark in enumerate(layer.iter(kind)):
+                    location = mark.find("Location")
+                    if location is not None:
+                        at = (self._number(location, "x") * self._mm, self._number(location, "y") * self._mm)
+                        box = box_around(p for shape in mark for p in self._points(shape))
+                        yield f"{kind}{n + 1}", side, at, max(box.size) if box else None
+
+    def _number(self, element: Element | None, key: str, default: float | None = None) -> float:
+        text = None if element is None else element.get(key)
+        if text is None and default is not None:
+            return default
+        try:
+            found = float(text or "")
+        except ValueError:
+            found = math.nan
+        if not math.isfinite(found):
+            tag = "" if element is None else element.tag
+            raise InputError.field(self._path, f"{tag} {key}", text, "a number")
+        return found
+
+
+def _sides(root: Element) -> dict[str, Side]:
+    """Return layer → its side, for outer layers."""
+    found: dict[str, Side] = {}
+    for layer in root.iter("Layer"):
+        side = layer.get("side", "").upper()
+        if side in ("TOP", "BOTTOM"):
+            found[layer.get("name", "")] = "top" if side == "TOP" else "bottom"
+    return found
+
+
+def _primitives(root: Element) -> dict[str, Element]:
+    """Return id → entry of the dictionaries of shapes."""
+    return {entry.get("id", ""): entry for tag in ("EntryStandard", "EntryUser") for entry in root.iter(tag)}
+
+
+def _not_fitted(root: Element) -> set[str]:
+    """Return the designators that the bill of materials marks as not populated."""
+    return {
+        _plain(ref.get("name", "")) for ref in root.iter("RefDes") if ref.get("populate", "true").lower() == "false"
+    }
+
+
+def _plain(name: str) -> str:
+    """Return a name without the prefix of its kind, which KiCad puts before a colon."""
+    return name.partition(":")[2] if name.partition(":")[0] in ("CMP", "KI", "REF", "BOARD", "LAYER") else name

@@ -1,0 +1,171 @@
+"""Read KiCad boards (`.kicad_pcb`, versions 5 to 9).
+
+KiCad's y points down, its rotations are counter-clockwise as seen on the screen from the top. A footprint on the bottom
+is stored as it is seen from the top. Description of the format: dev-docs.kicad.org, "PCB file format".
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+from vaoi_station.board_data.contours import arc_points, arc_through, circle_points, join
+from vaoi_station.board_data.design import XY, Box, Design, Part, Side, box_around, normalised, rotated
+from vaoi_station.board_data.readers.sexpr import Node, every, first, numbers, parse_sexpr, text_of
+from vaoi_station.board_data.source_text import decode
+from vaoi_station.errors import InputError
+
+COURTYARD_MARGIN_MM = 0.25
+"""Usual distance of a courtyard from body and pads (KiCad library convention F5.3)."""
+
+
+def is_kicad(head: bytes) -> bool:
+    """Return whether a file begins like a KiCad board."""
+    return head.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"(kicad_pcb")
+
+
+def read_kicad(data: bytes, path: Path) -> Design:
+    """Read a KiCad board file."""
+    root = parse_sexpr(decode(data, path), path)
+    if not root or root[0] != "kicad_pcb":
+        raise InputError(f"{path}: begins with ({root[0] if root else ''} …, a KiCad board begins with (kicad_pcb …).")
+    parts, unplaced = [], 0
+    for footprint in every(root, "footprint", "module"):
+        part = _part(footprint)
+        if part is None:
+            unplaced += 1
+        else:
+            parts.append(part)
+    contours, stray = join(_edges(root))
+    notes = (
+        [f"{unplaced} footprints are not for placement, or have no designator; they were left out."] if unplaced else []
+    )
+    if stray:
+        notes.append(f"{stray} lines on Edge.Cuts close no contour; they were left out.")
+    return Design(
+        name=text_of(first(root, "title_block") or [], "title") or path.stem,
+        format="kicad",
+        parts=tuple(parts),
+        outline=tuple(contours[0]) if contours else (),
+        cut_outs=tuple(tuple(c) for c in contours[1:]),
+        notes=tuple(notes),
+    )
+
+
+def _part(footprint: Node) -> Part | None:
+    """Return the part of a footprint; None if it is none that is placed."""
+    attributes = {str(a) for node in every(footprint, "attr") for a in node[1:]}
+    ref = _text(footprint, "reference")
+    at = numbers(first(footprint, "at"))
+    if not ref or ref.startswith("#") or len(at) < 2 or attributes & {"virtual", "exclude_from_pos_files"}:
+        return None
+    rotation = at[2] if len(at) > 2 else 0.0
+    name = str(footprint[1]) if len(footprint) > 1 and not isinstance(footprint[1], list) else ""
+    side: Side = "bottom" if text_of(footprint, "layer").startswith("B.") else "top"
+    is_mark = "fiducial" in f"{name} {text_of(footprint, 'tags')}".lower()
+    return Part(
+        ref=ref,
+        side=side,
+        origin=(at[0], -at[1]),
+        rotation=normalised(rotation),
+        package=name.rpartition(":")[2],
+        value=_text(footprint, "value"),
+        box=_body(footprint, rotation, side),
+        fitted="dnp" not in attributes,
+        is_mark=is_mark,
+        mark_diameter=_pad_diameter(footprint) if is_mark else None,
+    )
+
+
+def _text(footprint: Node, kind: str) -> str:
+    """Return the reference or the value of a footprint: a property since version 8, a text before."""
+    for node in every(footprint, "property"):
+        if len(node) > 2 and str(node[1]).lower() == kind:
+            return str(node[2])
+    return next((str(n[2]) for n in every(footprint, "fp_text") if len(n) > 2 and n[1] == kind), "")
+
+
+def _body(footprint: Node, rotation: float, side: Side) -> Box | None:
+    """Return the body: the drawing of the fabrication layer, else the courtyard without its margin, else the pads."""
+    layer = "B" if side == "bottom" else "F"
+    drawn = box_around(p for piece in _drawing(footprint, "fp_", f"{layer}.Fab") for p in piece)
+    if drawn is not None:
+        return drawn
+    courtyard = box_around(p for piece in _drawing(footprint, "fp_", f"{layer}.CrtYd") for p in piece)
+    if courtyard is not None:
+        return courtyard.shrunk(COURTYARD_MARGIN_MM)
+    return box_around(p for pad in every(footprint, "pad") for p in _pad_corners(pad, rotation))
+
+
+def _pad_corners(pad: Node, rotation: float) -> list[XY]:
+    """Return the corners of a pad in the frame of its footprint. Its own angle includes that of the footprint."""
+    at, size = numbers(first(pad, "at")), numbers(first(pad, "size"))
+    if len(at) < 2 or len(size) < 2:
+        return []
+    turn = (at[2] if len(at) > 2 else 0.0) - rotation
+    corners = [rotated((sx * size[0] / 2, sy * size[1] / 2), turn) for sx in (-1, 1) for sy in (-1, 1)]
+    return [(at[0] + x, -at[1] + y) for x, y in corners]
+
+
+def _pad_diameter(footprint: Node) -> float | None:
+    """Return the diameter of the copper of a fiducial."""
+    sizes = [size for pad in every(footprint, "pad") if (size := numbers(first(pad, "size"))) and max(size) > 0]
+    return max(sizes[0]) if sizes else None
+
+
+def _drawing(node: Node, prefix: str, layer: str) -> Iterator[list[XY]]:
+    """Yield lines and arcs of a drawing on a layer as points, y up. In a footprint they are relative to its origin."""
+    kinds = ("line", "arc", "circle", "rect", "poly", "curve")
+    for shape in every(node, *(prefix + kind for kind in kinds)):
+        if text_of(shape, "layer") != layer:
+            continue
+        kind = str(shape[0]).removeprefix(prefix)
+        point = {key: _xy(shape, key) for key in ("start", "end", "mid", "center")}
+        if kind == "line" and point["start"] and point["end"]:
+            yield [point["start"], point["end"]]
+        elif kind == "rect" and point["start"] and point["end"]:
+            (x0, y0), (x1, y1) = point["start"], point["end"]
+            yield [(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)]
+        elif kind == "circle" and point["center"] and point["end"]:
+            yield circle_points(point["center"], math.dist(point["center"], point["end"]))
+        elif kind == "arc" and point["start"] and point["end"]:
+            yield _arc(shape, point["start"], point["mid"], point["end"])
+        elif kind in ("poly", "curve"):
+            corners = [(xy[0], -xy[1]) for n in every(first(shape, "pts") or [], "xy") if len(xy := numbers(n)) == 2]
+            if corners:
+                yield [*corners, corners[0]] if kind == "poly" else _bezier(corners)
+
+
+def _arc(shape: Node, start: XY, middle: XY | None, end: XY) -> list[XY]:
+    if middle is not None:
+        return arc_through(start, middle, end)
+    # Until version 5 "start" is the centre, "end" the begin of the arc, and "angle" its clockwise sweep on the screen.
+    sweep = (numbers(first(shape, "angle")) or [0.0])[0]
+    offset = rotated((end[0] - start[0], end[1] - start[1]), -sweep)
+    return arc_points(end, (start[0] + offset[0], start[1] + offset[1]), start, clockwise=sweep > 0)
+
+
+def _bezier(control: list[XY]) -> list[XY]:
+    """Return 16 steps along a cubic Bézier curve."""
+    if len(control) != 4:
+        return control
+    steps = [k / 16 for k in range(17)]
+    weights = [((1 - t) ** 3, 3 * t * (1 - t) ** 2, 3 * t * t * (1 - t), t**3) for t in steps]
+    return [(sum(w * p[0] for w, p in zip(ws, control, strict=True)),
+             sum(w * p[1] for w, p in zip(ws, control, strict=True))) for ws in weights]  # fmt: skip
+
+
+def _xy(shape: Node, key: str) -> XY | None:
+    found = numbers(first(shape, key))
+    return (found[0], -found[1]) if len(found) >= 2 else None
+
+
+def _edges(root: Node) -> Iterator[list[XY]]:
+    """Yield the pieces of the outline: drawings of the board, and of footprints with an outline of their own."""
+    yield from _drawing(root, "gr_", "Edge.Cuts")
+    for footprint in every(root, "footprint", "module"):
+        at = numbers(first(footprint, "at"))
+        for piece in _drawing(footprint, "fp_", "Edge.Cuts"):
+            turned = [rotated(p, at[2] if len(at) > 2 else 0.0) for p in piece]
+            yield [(x + at[0], y - at[1]) for x, y in turned]

@@ -1,0 +1,72 @@
+"""S-expressions, as KiCad writes its files."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from vaoi_station.errors import InputError
+
+MOST_DEPTH = 200
+_TOKEN = re.compile(r'"((?:[^"\\]|\\.)*)"|([^\s()"]+)|([()])')
+_ESCAPE = re.compile(r"\\(.)")
+_PLAIN = {"n": "\n", "t": "\t", "r": "\r"}
+
+Node = list[Any]
+"""A list of texts and of further nodes."""
+
+
+def parse_sexpr(text: str, where: str | Path) -> Node:
+    """Return the first list of a text as nested lists of texts."""
+    stack: list[Node] = [[]]
+    for token in _TOKEN.finditer(text):
+        quoted, atom, parenthesis = token.groups()
+        if parenthesis == "(":
+            if len(stack) > MOST_DEPTH:
+                raise InputError(f"{where}: is nested deeper than {MOST_DEPTH} levels{_at(text, token.start())}.")
+            stack.append([])
+        elif parenthesis == ")":
+            if len(stack) == 1:
+                raise InputError(f"{where}: has a ')' without '('{_at(text, token.start())}.")
+            done = stack.pop()
+            stack[-1].append(done)
+            if len(stack) == 1:
+                return done
+        elif atom is not None:
+            stack[-1].append(atom)
+        else:
+            stack[-1].append(_ESCAPE.sub(lambda m: _PLAIN.get(m[1], m[1]), quoted) if "\\" in quoted else quoted)
+    raise InputError(f"{where}: ends within a list: {len(stack) - 1} ')' are missing. The file is not complete.")
+
+
+def every(node: Node, *names: str) -> Iterator[Node]:
+    """Yield the lists in a node that begin with one of the names."""
+    return (n for n in node if isinstance(n, list) and n and n[0] in names)
+
+
+def first(node: Node, name: str) -> Node | None:
+    """Return the first list in a node that begins with a name."""
+    return next(every(node, name), None)
+
+
+def text_of(node: Node, name: str, default: str = "") -> str:
+    """Return the text after a name: of `(layer F.Cu)` it is `F.Cu`."""
+    found = first(node, name)
+    return str(found[1]) if found and len(found) > 1 and not isinstance(found[1], list) else default
+
+
+def numbers(node: Node | None) -> list[float]:
+    """Return the numbers of a list, without its name and without other texts."""
+    found: list[float] = []
+    for item in (node or [])[1:]:
+        try:
+            found.append(float(item))
+        except (TypeError, ValueError):
+            continue
+    return found
+
+
+def _at(text: str, position: int) -> str:
+    return f", line {text.count(chr(10), 0, position) + 1}"

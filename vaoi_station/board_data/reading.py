@@ -1,0 +1,89 @@
+"""Recognise the format of a file with board data and read it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from vaoi_station.board_data import package_sizes
+from vaoi_station.board_data.design import Design
+from vaoi_station.board_data.readers.eagle import is_eagle, read_eagle
+from vaoi_station.board_data.readers.gencad import is_gencad, read_gencad
+from vaoi_station.board_data.readers.html_bom import is_html_bom, read_html_bom
+from vaoi_station.board_data.readers.ipc2581 import is_ipc2581, read_ipc2581
+from vaoi_station.board_data.readers.kicad import is_kicad, read_kicad
+from vaoi_station.board_data.readers.odb import is_odb, read_odb
+from vaoi_station.board_data.readers.placement_table import TableOptions, read_placement_table
+from vaoi_station.board_data.source_text import read_bytes
+from vaoi_station.errors import InputError
+
+FORMATS = ("kicad", "gencad", "ipc2581", "odb++", "eagle", "html-bom", "centroid")
+_HEAD_BYTES = 4096
+_BY_HEAD: tuple[tuple[str, Callable[[bytes], bool]], ...] = (
+    ("kicad", is_kicad),
+    ("gencad", is_gencad),
+    ("ipc2581", is_ipc2581),
+    ("eagle", is_eagle),
+    ("html-bom", is_html_bom),
+)
+_READERS: dict[str, Callable[[bytes, Path], Design]] = {
+    "kicad": read_kicad,
+    "gencad": read_gencad,
+    "ipc2581": read_ipc2581,
+    "eagle": read_eagle,
+    "html-bom": read_html_bom,
+}
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the user says about a file; None: recognise it."""
+
+    format: str | None = None
+    table: TableOptions = field(default_factory=TableOptions)
+    step: str | None = None
+    """Step of an ODB++ design."""
+    sizes: Path | None = None
+    """Table of body sizes that comes before the shipped one."""
+
+
+def is_exported_run(path: Path) -> bool:
+    """Return whether a file may be a run that `vaoi export` has written: a compressed tar file, but no ODB++ design."""
+    return path.is_file() and _head(path)[:2] == b"\x1f\x8b" and not is_odb(path)
+
+
+def read_design(path: Path, options: Options | None = None) -> Design:
+    """Read a file or folder with board data; bodies that it does not state get sizes from a table."""
+    options = options or Options()
+    if options.format is not None and options.format not in FORMATS:
+        raise InputError.field("--format", "the format", options.format, f"one of {', '.join(FORMATS)}")
+    table = (*(package_sizes.read_table(options.sizes) if options.sizes else ()), *package_sizes.shipped_table())
+    return package_sizes.with_sizes(_read(path, options), table)
+
+
+def _read(path: Path, options: Options) -> Design:
+    if options.format == "odb++" or (options.format is None and _may_be_archive(path) and is_odb(path)):
+        return read_odb(path, options.step)
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder without matrix/matrix. Of folders, only ODB++ designs can be read.")
+    data = read_bytes(path)
+    chosen = options.format or next((name for name, is_it in _BY_HEAD if is_it(data[:_HEAD_BYTES])), "centroid")
+    if chosen in _READERS:
+        return _READERS[chosen](data, path)
+    return read_placement_table(data, path, options.table)
+
+
+def _may_be_archive(path: Path) -> bool:
+    if path.is_dir():
+        return True
+    head = _head(path)
+    return head[:2] in (b"PK", b"\x1f\x8b", b"BZ") or head[:6] == b"\xfd7zXZ\x00" or head[257:262] == b"ustar"
+
+
+def _head(path: Path) -> bytes:
+    try:
+        with path.open("rb") as file:
+            return file.read(512)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}.") from error

@@ -1,0 +1,176 @@
+"""Read files of unknown origin within limits: bytes, encodings, archives, XML."""
+
+from __future__ import annotations
+
+import tarfile
+import zipfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path, PurePosixPath
+from xml.etree.ElementTree import Element, TreeBuilder
+from xml.parsers import expat
+
+from vaoi_station.errors import InputError
+
+MOST_BYTES = 512 * 1024 * 1024
+"""Largest file and largest member of an archive that is read. The largest known file, IPC-2581 case 10, has 59 MB."""
+MOST_MEMBERS = 100_000
+MOST_DEPTH = 200
+_BYTE_ORDER_MARKS = ((b"\xef\xbb\xbf", "utf-8-sig"), (b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"))
+
+
+def read_bytes(path: Path) -> bytes:
+    """Return the content of a file; refuse a file that is too large or cannot be read."""
+    try:
+        if not path.is_file():
+            raise InputError(f"{path}: is no file." if path.exists() else f"{path}: does not exist.")
+        size = path.stat().st_size
+        if size > MOST_BYTES:
+            raise InputError.field(path, "its size", f"{size} bytes", f"at most {MOST_BYTES} bytes")
+        return path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}.") from error
+
+
+def decode(data: bytes, where: str | Path) -> str:
+    """Return text in UTF-8, UTF-16 with a byte order mark, or Latin-1, which old CAD systems write."""
+    for mark, encoding in _BYTE_ORDER_MARKS:
+        if data.startswith(mark):
+            try:
+                return data.decode(encoding)
+            except UnicodeDecodeError as error:
+                raise InputError(f"{where}: is no valid {encoding} text at byte {error.start}.") from error
+    if b"\x00" in data[:4096]:
+        raise InputError(f"{where}: is a binary file, not a text.")
+    try:
+        return data.decode("utf-8")
+    except UnicodeDecodeError:
+        return data.decode("latin-1")
+
+
+def parse_xml(data: bytes, where: str | Path) -> Element:
+    """Parse elements and attributes of an XML file; text between the elements is left out.
+
+    Names are without their namespace, which differs from revision to revision. A document type is refused: its entities
+    could make a small file fill the memory.
+    """
+    builder, parser = TreeBuilder(), expat.ParserCreate()
+    depth = 0
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        nonlocal depth
+        depth += 1
+        if depth > MOST_DEPTH:
+            raise InputError(f"{where}: is nested deeper than {MOST_DEPTH} levels, line {parser.CurrentLineNumber}.")
+        builder.start(tag.rpartition(":")[2], attributes)
+
+    def end(tag: str) -> None:
+        nonlocal depth
+        depth -= 1
+        builder.end(tag.rpartition(":")[2])
+
+    def refuse(*_: object) -> None:
+        raise InputError(f"{where}: declares a document type (<!DOCTYPE …>), which is refused. Remove the declaration.")
+
+    parser.StartElementHandler, parser.EndElementHandler = start, end
+    parser.StartDoctypeDeclHandler = refuse
+    try:
+        parser.Parse(data, True)
+    except expat.ExpatError as error:
+        why = expat.errors.messages[error.code]
+        raise InputError(f"{where}: not valid XML at line {error.lineno}, column {error.offset}: {why}.") from error
+    except (LookupError, ValueError) as error:  # an encoding that Python does not have
+        raise InputError(f"{where}: not readable as XML: {error}.") from error
+    return builder.close()
+
+
+class Archive:
+    """A folder, a zip file or a tar file, read member by member. Names are relative, with `/`, in lower case."""
+
+    def __init__(self, where: Path, members: dict[str, Callable[[], bytes]]) -> None:
+        self.where = where
+        self._members = members
+
+    def names(self) -> Iterator[str]:
+        """Return the names of all members."""
+        return iter(self._members)
+
+    def read(self, name: str) -> bytes:
+        """Return the content of a member."""
+        return self._members[name.lower()]()
+
+    def text(self, name: str) -> str:
+        """Return the content of a member as text."""
+        return decode(self.read(name), f"{self.where}: {name}")
+
+    def __contains__(self, name: str) -> bool:
+        return name.lower() in self._members
+
+
+@contextmanager
+def open_archive(path: Path) -> Iterator[Archive]:
+    """Open a folder, zip or tar file; refuse one with too many members, or with paths that lead out of it."""
+    try:
+        if path.is_dir():
+            yield _folder(path)
+        elif zipfile.is_zipfile(path):
+            with zipfile.ZipFile(path) as zipped:
+                yield _zip(path, zipped)
+        else:
+            with tarfile.open(path) as tar:
+                yield _tar(path, tar)
+    except (zipfile.BadZipFile, tarfile.TarError, EOFError, OSError, RuntimeError, NotImplementedError) as error:
+        # RuntimeError: an encrypted zip; NotImplementedError: a compression that zipfile does not have.
+        raise InputError(f"{path}: is no readable folder, zip or tar file: {error}.") from error
+
+
+def _checked(path: Path, count: int, name: str) -> str:
+    if count > MOST_MEMBERS:
+        raise InputError.field(path, "its number of members", count, f"at most {MOST_MEMBERS}")
+    parts = PurePosixPath(name.replace("\\", "/")).parts
+    if ".." in parts or name.startswith("/"):
+        raise InputError(f"{path}: member {name!r} leads out of the archive; the file is refused.")
+    return "/".join(parts).lower()
+
+
+def _limited(path: Path, name: str, size: int) -> None:
+    if size > MOST_BYTES:
+        raise InputError.field(f"{path}: {name}", "its size", f"{size} bytes", f"at most {MOST_BYTES} bytes")
+
+
+def _folder(path: Path) -> Archive:
+    found: dict[str, Callable[[], bytes]] = {}
+    for n, file in enumerate(path.rglob("*")):
+        if file.is_file() and not file.is_symlink():
+            found[_checked(path, n, file.relative_to(path).as_posix())] = lambda file=file: read_bytes(file)  # type: ignore[misc]
+    return Archive(path, found)
+
+
+def _zip(path: Path, zipped: zipfile.ZipFile) -> Archive:
+    def read(info: zipfile.ZipInfo) -> bytes:
+        _limited(path, info.filename, info.file_size)
+        with zipped.open(info) as stream:
+            data = stream.read(MOST_BYTES + 1)  # the size in the head may be false
+        _limited(path, info.filename, len(data))
+        return data
+
+    infos = [info for info in zipped.infolist() if not info.is_dir()]
+    names = [_checked(path, len(infos), info.filename) for info in infos]
+    return Archive(path, {n: (lambda info=i: read(info)) for n, i in zip(names, infos, strict=True)})  # type: ignore[misc]
+
+
+def _tar(path: Path, tar: tarfile.TarFile) -> Archive:
+    found: dict[str, Callable[[], bytes]] = {}
+    total = 0
+
+    def read(member: tarfile.TarInfo) -> bytes:
+        _limited(path, member.name, member.size)
+        stream = tar.extractfile(member)
+        return b"" if stream is None else stream.read()
+
+    for n, member in enumerate(tar):
+        total += member.size
+        _limited(path, "its content", total)
+        if member.isfile():
+            found[_checked(path, n, member.name)] = lambda member=member: read(member)  # type: ignore[misc]
+    return Archive(path, found)
