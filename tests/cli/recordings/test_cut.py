@@ -124,3 +124,28 @@ def test_result_of_another_board_of_the_same_array_is_refused(
 def test_version_is_printed(vaoi: Any) -> None:
     said = vaoi("--version")
     assert (said.code, said.out, said.err) == (0, f"vaoi_station {__version__}\n", "")
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ((), "0 of --component, --all and --region were given, but it must be one"),
+        (("--component", "U1", "--all"), "2 of --component, --all and --region"),
+        (("--component", "U1", "--sigma"), "--sigma was given without --hdr"),
+        (("--region", 1, 1, 5, 5), "--region was given without --hdr"),
+        (("--component", "U1", "--format", "npy"), "--format was given without --hdr"),
+    ],
+)
+def test_options_that_exclude_each_other(
+    vaoi: Any, small_recording: Path, result: Path, tmp_path: Path, options: Any, words: str
+) -> None:
+    said = vaoi("cut", small_recording, "--result", result, *options, "--out", tmp_path)
+    assert said.code == 2
+    assert words in said.err
+
+
+def test_all_components_at_once(vaoi: Any, small_recording: Path, result: Path, tmp_path: Path) -> None:
+    options = ("--all", "--px-per-mm", 2)
+    assert vaoi("cut", small_recording, "--result", result, *options, "--out", tmp_path).code == 0
+    listed = {path.stem for path in tmp_path.glob("*.json")}
+    assert listed == {c.address.replace("/", "_") for c in read_board_type(small_recording / "board.json").components}

@@ -2,75 +2,111 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
+
+if TYPE_CHECKING:
+    from vaoi_station.cli.recordings.cut_hdr import Case
+    from vaoi_station.model import BoardType, Component
 
 
 def cut(
     case: Annotated[Path, typer.Argument(help="Recording (a directory).")],
     result: Annotated[Path, typer.Option(help="Read the result of `vaoi stitch` from this file.")],
-    component: Annotated[
-        list[str], typer.Option(help="Cut this component (reference designator); repeat the option for several.")
-    ],
     out: Annotated[Path, typer.Option(help="Write the images to this directory.")],
+    component: Annotated[
+        list[str] | None,
+        typer.Option(help="Cut this component (reference designator); repeat the option for several."),
+    ] = None,
+    all_components: Annotated[bool, typer.Option("--all", help="Cut all components.")] = False,
+    region: Annotated[
+        tuple[float, float, float, float] | None,
+        typer.Option(metavar="X0 Y0 X1 Y1", help="With --hdr: a part of the board, in CAD coordinates."),
+    ] = None,
     calibration: Annotated[Path | None, typer.Option(help="Use this calibration [CASE/calibration.json].")] = None,
     board: Annotated[Path | None, typer.Option(help="Use this board type [CASE/board.json].")] = None,
     px_per_mm: Annotated[
         float | None, typer.Option(min=0.1, max=1000, help="Resolution of the images [that of the cameras].")
     ] = None,
     min_coverage: Annotated[
-        float, typer.Option(min=0, max=1, help="Skip frames that show a smaller share of it.")
-    ] = 0.5,
+        float | None,
+        typer.Option(min=0, max=1, help="Skip frames that show a smaller share of it [0.5; with --hdr 0.02]."),
+    ] = None,
+    hdr: Annotated[bool, typer.Option("--hdr", help="Merge frames of several exposures to linear radiance.")] = False,
+    flatfield: Annotated[
+        Path | None, typer.Option(help="With --hdr: use these flat fields (of `vaoi flatfield`).")
+    ] = None,
+    format: Annotated[
+        Literal["npy", "tiff", "png", "jpeg"] | None,
+        typer.Option(help="With --hdr: linear radiance (npy, tiff) or tone-mapped 8 bit (png, jpeg) [tiff]."),
+    ] = None,
+    sigma: Annotated[
+        bool, typer.Option("--sigma", help="With --hdr: also write the standard deviation of every pixel.")
+    ] = False,
 ) -> None:
-    """Cut upright, CAD-aligned images of components from every frame that shows them."""
-    from vaoi_station.errors import NotFoundError
-    from vaoi_station.files import open_recording, read_board_type, read_calibration, read_stitch
-    from vaoi_station.files.documents import write_json
-    from vaoi_station.files.images import write_image
-    from vaoi_station.library.stitched_run import check_result
-    from vaoi_station.rendering import compute_views, render
-    from vaoi_station.stitching.recordings.origin import check_origin
+    """Cut upright, CAD-aligned images of components from every frame that shows them, or merge their exposures."""
+    from vaoi_station.cli.recordings.cut_hdr import Case, cut_merged
+    from vaoi_station.errors import InputError
 
-    recording = open_recording(case)
-    head = recording.head
-    known = read_calibration(calibration or case / "calibration.json", head.cameras)
-    cameras = known.cameras(head.cameras)
-    board_type = read_board_type(board or case / "board.json")
-    stitch = read_stitch(result)
-    check_result(stitch, head.rows, cameras, result)
-    check_origin(stitch, recording, known, board_type, result)
-    for address in component:
+    chosen = [bool(component), all_components, region is not None]
+    if sum(chosen) != 1:
+        raise InputError(
+            f"vaoi cut: {sum(chosen)} of --component, --all and --region were given, but it must be one.",
+            action="Name components, or all of them, or a region.",
+        )
+    only_merged = {"--region": region, "--flatfield": flatfield, "--format": format, "--sigma": sigma or None}
+    for name, value in only_merged.items():
+        if value is not None and not hdr:
+            raise InputError(f"vaoi cut: {name} was given without --hdr.", action=f"Add --hdr, or leave {name} out.")
+    opened = Case.open(case, result, calibration, board)
+    parts = opened.board_type.components if all_components else _named(opened.board_type, component or ())
+    if hdr:
+        cut_merged(
+            opened, parts, out, region=region, px_per_mm=px_per_mm, min_coverage=min_coverage, flatfield=flatfield,
+            form=(format or "tiff", sigma),
+        )  # fmt: skip
+        return
+    for part in parts:
+        _cut_plain(opened, part, out, px_per_mm, 0.5 if min_coverage is None else min_coverage)
+
+
+def _named(board_type: BoardType, addresses: Sequence[str]) -> Iterator[Component]:
+    """Yield the components with these addresses; raise NotFoundError for one that the board type does not have."""
+    from vaoi_station.errors import NotFoundError
+
+    for address in addresses:
         part = board_type.component(address)
         if part is None:
             raise NotFoundError(
                 f"board type {board_type.name!r} has no component {address!r}.",
                 action=f"It has {', '.join(c.address for c in board_type.components[:8])} …",
             )
-        views = compute_views(part, board_type, stitch, cameras, px_per_mm=px_per_mm, min_coverage=min_coverage)
-        listing = []
-        for k, view in enumerate(views):
-            # The result may place a frame that is missing: the other frames of its row determine its matrix.
-            frame = recording.frame(view.camera, view.row)
-            if frame is None:
-                continue
-            # On a panel the address is panel/ref. In a file name the slash would create a directory.
-            stem = address.replace("/", "_")
-            name = f"{stem}_{k:02d}_c{view.camera:02d}_r{view.row:03d}.png"
-            write_image(out / name, render(view, frame))
-            listing.append(
-                {
-                    "file": name,
-                    "camera": view.camera,
-                    "row": view.row,
-                    "coverage": round(view.coverage, 4),
-                    "px_per_mm": view.px_per_mm,
-                    "crop_from_cad": view.crop_from_cad.matrix.tolist(),
-                    "cad_from_crop": view.cad_from_crop.matrix.tolist(),
-                    "image_from_crop": view.image_from_crop.matrix.tolist(),
-                    "image_from_crop_is": "undistorted pixels" if view.distorted else "raw pixels",
-                }
-            )
-        write_json(out / f"{address.replace('/', '_')}.json", listing)
-        typer.echo(f"{address}: {len(listing)} image(s) → {out}")
+        yield part
+
+
+def _cut_plain(case: Case, part: Component, out: Path, px_per_mm: float | None, min_coverage: float) -> None:
+    """Write one image for each frame that shows a component."""
+    from vaoi_station.cli.recordings.cut_hdr import describe_view
+    from vaoi_station.files.documents import write_json
+    from vaoi_station.files.images import write_image
+    from vaoi_station.rendering import compute_views, render
+
+    views = compute_views(
+        part, case.board_type, case.stitch, case.cameras, px_per_mm=px_per_mm, min_coverage=min_coverage
+    )
+    listing = []
+    # On a panel the address is panel/ref. In a file name the slash would create a directory.
+    stem = part.address.replace("/", "_")
+    for k, view in enumerate(views):
+        # The result may place a frame that is missing: the other frames of its row determine its matrix.
+        frame = case.frame(view.camera, view.row)
+        if frame is None:
+            continue
+        name = f"{stem}_{k:02d}_c{view.camera:02d}_r{view.row:03d}.png"
+        write_image(out / name, render(view, frame))
+        listing.append({"file": name, **describe_view(view)})
+    write_json(out / f"{stem}.json", listing)
+    typer.echo(f"{part.address}: {len(listing)} image(s) → {out}")

@@ -1,0 +1,105 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.hdr.exposed_views import FRAME, SIZE, exposed, scene, view, wanted
+from vaoi_station.hdr.merging import Exposed, exposure_groups, merge_views
+from vaoi_station.photometry import FieldMaps, NoiseModel, Taken
+from vaoi_station.rendering.view import Tile
+
+
+def keys(groups: list[list[Exposed]]) -> list[list[tuple[int, int]]]:
+    return [[(v.view.camera, v.view.row) for v in group] for group in groups]
+
+
+@pytest.mark.parametrize("wide", [False, True])
+def test_radiance_over_two_decades_has_an_honest_sigma(wide: bool) -> None:
+    views = [exposed(c, r, 250.0 if c % 2 else 15.0, wide=wide) for r in (0, 1) for c in (0, 1)]
+    *_, whole = merge_views(views)
+    assert whole.exposures == 2
+    assert whole.holes == 0
+    assert [(v.camera, v.row) for v in whole.views] == [(0, 0), (1, 0), (0, 1), (1, 1)]
+    z = (whole.value - wanted()) / whole.sigma
+    # Sharpening and interpolation leave neighbouring pixels correlated; at whole shifts the noise is amplified.
+    assert 0.8 < float(np.sqrt((z**2).mean())) < 1.8
+    blocks = (whole.value / wanted() - 1).reshape(6, 8, -1).mean((0, 1))
+    assert float(np.sqrt((blocks**2).mean())) < 0.02
+    assert whole.radiance.valid.all()
+
+
+def test_saturated_pixels_and_their_neighbours_come_from_the_short_exposure() -> None:
+    radiance = np.full_like(scene(), 0.3)
+    radiance[40, 50] = 5.0
+    long, short = exposed(0, 0, 250.0, radiance=radiance), exposed(1, 0, 15.0, radiance=radiance)
+    alone = merge_views([long])[-1]
+    hole = np.argwhere(np.isnan(alone.value))
+    assert (hole.min(0) <= (19, 29)).all()
+    assert (hole.max(0) >= (21, 31)).all()
+    assert 9 <= len(hole) <= 25
+    assert np.isinf(alone.sigma[20, 30])
+    assert alone.exposures == 1
+    both = merge_views([long, short])[-1]
+    assert both.holes == 0
+    assert both.value[20, 30] > 4
+    assert both.value[19, 29] == pytest.approx(0.3, abs=0.25)
+
+
+def test_neighbouring_cameras_of_two_exposures_give_one_picture_per_row() -> None:
+    views = [exposed(c, r, 250.0 if c % 2 else 15.0) for r in range(2) for c in range(4)]
+    assert keys(exposure_groups(views)) == [[(c, r) for c in range(4)] for r in range(2)]
+    assert [len(p.views) for p in merge_views(views)] == [4, 4, 8]
+    assert [len(p.views) for p in merge_views(views, groups=False)] == [8]
+
+
+def test_exposures_in_turn_give_one_picture_for_each_run_of_rows_with_all_exposures() -> None:
+    views = [exposed(0, r, 15.0 if r % 2 else 250.0) for r in range(5)]
+    # A group has the longest exposure twice, where it can.
+    assert keys(exposure_groups(views)) == [[(0, 0), (0, 1), (0, 2)], [(0, 1), (0, 2), (0, 3), (0, 4)], [
+        (0, 2), (0, 3), (0, 4)
+    ]]  # fmt: skip
+
+
+def test_a_row_that_shows_a_part_is_completed_by_the_next() -> None:
+    low = [exposed(c, 0, e, shift=(12.0, 45.0)) for c, e in enumerate((250.0, 15.0))]
+    whole = [exposed(c, r, e) for r in (1, 2) for c, e in enumerate((250.0, 15.0))]
+    assert keys(exposure_groups([*whole, *low])) == [
+        [(0, 0), (1, 0), (0, 1), (1, 1), (0, 2), (1, 2)],
+        [(0, 1), (1, 1), (0, 2), (1, 2)],
+    ]
+
+
+def test_weights_of_all_frames_count_once_although_groups_share_them() -> None:
+    views = [exposed(0, r, 15.0 if r % 2 else 250.0) for r in range(5)]
+    everything, alone = merge_views(views)[-1], merge_views(views, groups=False)[-1]
+    np.testing.assert_array_equal(everything.weight, alone.weight)
+    np.testing.assert_array_equal(everything.value, alone.value)
+
+
+def test_places_outside_the_frames_have_no_value() -> None:
+    found = merge_views([exposed(0, 0, 50.0, shift=(50.0, 9.0))])[-1]
+    seen = FRAME[0] - 50
+    assert np.isnan(found.value[:, seen:]).all()
+    assert np.isfinite(found.value[:, : seen - 2]).all()
+    beside = merge_views([exposed(0, 0, 50.0, shift=(200.0, 9.0))])[-1]
+    assert beside.holes == 1
+
+
+def test_colour_and_tiles_of_a_distorted_view() -> None:
+    plain = exposed(0, 0, 50.0)
+    colour = np.repeat(plain.pixels()[:, :, None], 3, 2)
+    w, h = SIZE
+    split = view(0, 0, (12.0, 9.0))
+    split.tiles = tuple(
+        Tile(x0, 0, x1, h, np.array([[1, 0, 12.0 + x0], [0, 1, 9.0], [0, 0, 1]])) for x0, x1 in ((0, 25), (25, w))
+    )
+    found = merge_views([Exposed(split, plain.taken, plain.maps, FRAME, lambda: colour)])[-1]
+    np.testing.assert_allclose(found.value, merge_views([plain])[-1].value, rtol=1e-4, atol=1e-4)
+
+
+def test_without_flat_fields_the_flat_is_one() -> None:
+    maps = FieldMaps(None, 2.0, NoiseModel(1.5, 0.03))
+    grey = np.full((FRAME[1], FRAME[0]), 102, np.uint8)
+    found = merge_views([Exposed(view(0, 0, (12.0, 9.0)), Taken(50.0, 2.0), maps, FRAME, lambda: grey)])[-1]
+    np.testing.assert_allclose(found.value, 1.0, rtol=1e-5)
+    np.testing.assert_allclose(found.sigma, np.sqrt(1.5**2 + 0.06 * 100) / 100, rtol=1e-5)

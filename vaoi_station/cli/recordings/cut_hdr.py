@@ -1,0 +1,191 @@
+"""`vaoi cut --hdr`: merge the frames of several exposures that show a component or a region."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import typer
+from numpy.typing import NDArray
+
+from vaoi_station.errors import InputError
+from vaoi_station.files import Recording, open_recording, read_board_type, read_calibration, read_stitch
+from vaoi_station.files.documents import write_bytes, write_json
+from vaoi_station.files.images import encode_jpeg, encode_png, encode_tiff
+from vaoi_station.geometry import Camera
+from vaoi_station.hdr import Exposed, MergedPicture, merge_views, tone_map
+from vaoi_station.hdr.parts import known_height_mm, region_component, views_on_top
+from vaoi_station.hdr.row_levels import row_levels
+from vaoi_station.hdr.tone_mapping import ToneCurve
+from vaoi_station.library.stitched_run import check_result
+from vaoi_station.model import BoardType, Component, Stitch
+from vaoi_station.photometry import FlatFields, NoiseModel, Taken, noise_from_frames
+from vaoi_station.rendering import View, ViewCalculator
+from vaoi_station.stitching.recordings.origin import check_origin
+
+_KEPT_FRAMES = 96
+"""Number of frames that are kept in memory, so that frames that show many components are read once."""
+_NOISE_FRAMES = 4
+"""Number of frames from which the noise is estimated without flat fields."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A recording with its board type, its cameras and the result of stitching."""
+
+    recording: Recording
+    board_type: BoardType
+    cameras: Sequence[Camera]
+    stitch: Stitch
+
+    @classmethod
+    def open(cls, case: Path, result: Path, calibration: Path | None, board: Path | None) -> Case:
+        """Open a recording; refuse a result that belongs to another one."""
+        recording = open_recording(case)
+        head = recording.head
+        known = read_calibration(calibration or case / "calibration.json", head.cameras)
+        cameras = known.cameras(head.cameras)
+        board_type = read_board_type(board or case / "board.json")
+        stitch = read_stitch(result)
+        check_result(stitch, head.rows, cameras, result)
+        check_origin(stitch, recording, known, board_type, result)
+        return cls(recording, board_type, cameras, stitch)
+
+    @cached_property
+    def frame(self) -> Callable[[int, int], NDArray[Any] | None]:
+        """Function that reads a frame (camera, row), None if it is missing; it keeps those that were used last."""
+        return lru_cache(_KEPT_FRAMES)(self.recording.frame)
+
+    @cached_property
+    def px_per_mm(self) -> float:
+        """Mean resolution of the cameras."""
+        return float(np.mean([c.px_per_mm for c in self.cameras]))
+
+
+def cut_merged(
+    case: Case,
+    parts: Iterable[Component],
+    out: Path,
+    *,
+    region: tuple[float, float, float, float] | None,
+    px_per_mm: float | None,
+    min_coverage: float | None,
+    flatfield: Path | None,
+    form: tuple[str, bool],
+) -> None:
+    """Write the merged pictures of components, or of a region, and a listing of each.
+
+    `form` is the format of the pictures, and whether their standard deviation is written as well.
+    """
+    if region is not None:
+        parts = [region_component(region, case.board_type, px_per_mm or case.px_per_mm)]
+    if form[1] and form[0] not in ("npy", "tiff"):
+        raise InputError(
+            f"vaoi cut: --sigma was given with --format {form[0]}, but only npy and tiff hold a standard deviation.",
+            action="Use --format npy or tiff.",
+        )
+    head = case.recording.head
+    fields = FlatFields.open(flatfield) if flatfield else FlatFields.none(_noise(case.recording))
+    fields.check_head(head)
+
+    def pixels(camera: int, row: int) -> NDArray[Any]:
+        found = case.frame(camera, row)
+        assert found is not None, "views of missing frames are left out"
+        return found
+
+    levels = row_levels(head, case.board_type, case.stitch, case.cameras, fields, case.frame)
+    calculator = ViewCalculator(case.board_type, case.stitch, case.cameras)
+    for part in parts:
+        height = known_height_mm(part, case.board_type, case.stitch)
+        views = views_on_top(calculator, part, height, px_per_mm=px_per_mm, min_coverage=min_coverage)
+        exposed = [
+            Exposed(
+                v,
+                Taken(head.exposure_us(v.camera, v.row) * levels[v.row], head.gain(v.camera, v.row), head.light(v.row)),
+                fields.maps(v.camera, head.light(v.row)),
+                (head.cameras[v.camera].width, head.cameras[v.camera].height),
+                partial(pixels, v.camera, v.row),
+            )
+            for v in views
+            if (v.camera, v.row) not in head.missing
+        ]
+        _write(part, exposed, out, form, height)
+
+
+def _write(part: Component, exposed: Sequence[Exposed], out: Path, form: tuple[str, bool], height_mm: float) -> None:
+    stem = part.address.replace("/", "_")
+    pictures = merge_views(exposed) if exposed else []
+    curve = ToneCurve.of(pictures[-1].value) if pictures else None
+    suffix = {"jpeg": "jpg"}.get(form[0], form[0])
+    listing = []
+    for k, picture in enumerate(pictures):
+        name = f"{stem}_hdr.{suffix}" if k == len(pictures) - 1 else f"{stem}_hdr_{k:02d}.{suffix}"
+        write_bytes(out / name, encode_merged(picture.value, form[0], curve), durable=False)
+        entry: dict[str, Any] = {"file": name, **_describe(picture), "plane_height_mm": round(height_mm, 4)}
+        if form[1]:
+            entry["sigma_file"] = name.replace("_hdr", "_hdr_sigma", 1)
+            write_bytes(out / entry["sigma_file"], encode_merged(picture.sigma, form[0], None), durable=False)
+        listing.append(entry)
+    write_json(out / f"{stem}.json", listing)
+    if not pictures:
+        typer.echo(f"{part.address}: no frame shows it; no picture was written")
+        return
+    last = pictures[-1]
+    note = "" if last.exposures > 1 else "; only one exposure shows it, so bright places may have no value"
+    typer.echo(
+        f"{part.address}: {len(pictures)} merged picture(s) of {len(last.views)} frames and {last.exposures} "
+        f"exposure(s), {last.holes:.2%} without a value{note} → {out}"
+    )
+
+
+def _describe(picture: MergedPicture) -> dict[str, Any]:
+    return {
+        **describe_view(picture.views[0]),
+        "merged": [[v.camera, v.row] for v in picture.views],
+        "exposures": picture.exposures,
+        "holes": round(picture.holes, 6),
+    }
+
+
+def describe_view(view: View) -> dict[str, Any]:
+    """Return frame, coverage, resolution and matrices of a view, as the listings of `vaoi cut` have them."""
+    return {
+        "camera": view.camera,
+        "row": view.row,
+        "coverage": round(view.coverage, 4),
+        "px_per_mm": view.px_per_mm,
+        "crop_from_cad": view.crop_from_cad.matrix.tolist(),
+        "cad_from_crop": view.cad_from_crop.matrix.tolist(),
+        "image_from_crop": view.image_from_crop.matrix.tolist(),
+        "image_from_crop_is": "undistorted pixels" if view.distorted else "raw pixels",
+    }
+
+
+def encode_merged(value: NDArray[np.float32], form: str, curve: ToneCurve | None) -> bytes:
+    """Encode radiance (h, w), or its standard deviation: linear as npy or tiff, tone-mapped as png or jpeg."""
+    if form == "npy":
+        import io
+
+        buffer = io.BytesIO()
+        np.save(buffer, value, allow_pickle=False)
+        return buffer.getvalue()
+    if form == "tiff":
+        return encode_tiff(value)
+    shown = tone_map(value, curve)
+    return encode_png(shown, 3) if form == "png" else encode_jpeg(shown)
+
+
+def _noise(recording: Recording) -> NoiseModel:
+    """Estimate the noise from some frames of a recording, of all its exposures."""
+    head = recording.head
+    keys = [(i, j) for j in range(head.rows) for i in range(len(head.cameras)) if (i, j) not in head.missing]
+    keys.sort(key=lambda k: head.exposure_us(*k) * head.gain(*k))
+    chosen = (
+        {keys[int(n)] for n in np.linspace(0, len(keys) - 1, min(len(keys), _NOISE_FRAMES)).round()} if keys else ()
+    )
+    found = (recording.frame(*key) for key in chosen)
+    return noise_from_frames(frame for frame in found if frame is not None)
