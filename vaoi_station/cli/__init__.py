@@ -15,6 +15,7 @@ import typer
 from vaoi_station.cli.recordings.calibrate import calibrate
 from vaoi_station.cli.recordings.cut import cut
 from vaoi_station.cli.recordings.flatfield import flatfield
+from vaoi_station.cli.recordings.heights import heights
 from vaoi_station.cli.recordings.mosaic import mosaic
 from vaoi_station.cli.recordings.recalibrate import recalibrate
 from vaoi_station.cli.recordings.report import report
@@ -93,6 +94,7 @@ app.command()(report)
 app.command()(teach)
 app.command()(cut)
 app.command()(mosaic)
+app.command()(heights)
 app.command()(bench)
 app.command()(demo)
 app.command()(view)

@@ -1,0 +1,59 @@
+"""`vaoi heights` from the outside: heights of the twin's bodies, and refusals."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+
+@pytest.fixture(scope="module")
+def case(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A recording with its truth, and its result."""
+    from typer.testing import CliRunner
+
+    from vaoi_station.cli import app
+
+    folder = tmp_path_factory.mktemp("heights")
+    for command in (
+        ["simulate", "small", "--out", str(folder / "run")],
+        ["stitch", str(folder / "run"), "--out", str(folder / "result.json")],
+    ):
+        assert CliRunner().invoke(app, command).exit_code == 0
+    return folder / "run", folder / "result.json"
+
+
+def test_heights_agree_with_the_truth_of_the_twin(vaoi: Any, case: tuple[Path, Path], tmp_path: Path) -> None:
+    run, result = case
+    out = tmp_path / "heights.json"
+    said = vaoi("heights", run, "--result", result, "--out", out)
+    assert (said.code, said.err) == (0, "")
+    found = json.loads(out.read_text())
+    truth = json.loads((run / "truth.json").read_text())["heights"]
+    assert f"{len(found)} component(s): " in said.out
+    tall = {ref: entry for ref, entry in found.items() if truth[ref] >= 0.5 and entry["views"] >= 2}
+    sure = {ref: e for ref, e in tall.items() if e["height_mm"] is not None and e["sigma_mm"] <= 0.15}
+    assert len(sure) >= 0.75 * len(tall)
+    error = np.array([entry["height_mm"] - truth[ref] for ref, entry in sure.items()])
+    assert np.median(np.abs(error)) < 0.05
+    assert np.percentile(np.abs(error), 90) < 0.15
+    assert set(found["U1"]) >= {"height_mm", "sigma_mm", "views"}
+
+
+def test_a_result_of_another_recording_and_an_overwritten_input_are_refused(
+    vaoi: Any, case: tuple[Path, Path], tmp_path: Path
+) -> None:
+    run, result = case
+    document = json.loads(result.read_text())
+    document["row_motion"] = document["row_motion"][:-1]
+    document["image_matrices"] = [rows[:-1] for rows in document["image_matrices"]]
+    (tmp_path / "other.json").write_text(json.dumps(document))
+    said = vaoi("heights", run, "--result", tmp_path / "other.json", "--out", tmp_path / "heights.json")
+    assert said.code == 2
+    assert "5 rows, the recording has 2 cameras and 6 rows" in said.err
+    said = vaoi("heights", run, "--result", result, "--out", result)
+    assert said.code == 2
+    assert "is read by this command" in said.err

@@ -1,0 +1,71 @@
+"""Heights of bodies with known height: error and standard deviation, light, missing frames, refusals."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vaoi_station.errors import StateError
+from vaoi_station.heights.estimates import measure_heights
+
+
+def test_every_body_is_measured_within_its_standard_deviation(filmed: Any) -> None:
+    found = measure_heights(filmed.board_type, filmed.stitch, filmed.cameras, filmed.frame)
+    for component in filmed.board_type.components:
+        height = found[component.ref]
+        assert height.height_mm is not None
+        assert height.sigma_mm is not None
+        assert abs(height.height_mm - component.body_height) < 3 * height.sigma_mm, component.ref
+        assert 0.005 < height.sigma_mm < 0.1
+        assert height.views >= 2
+        assert (height.low_mm, height.high_mm) == (None, None)
+
+
+def test_gains_of_rows_do_not_matter(film: Any) -> None:
+    filmed = film({"U1": ((0.0, 0.0, 3.0, 2.5), 1.0, 1.5)}, gain=lambda row: (1.0, 0.3)[row % 2])
+    height = measure_heights(filmed.board_type, filmed.stitch, filmed.cameras, filmed.frame)["U1"]
+    assert height.height_mm == pytest.approx(1.5, abs=0.06)
+
+
+def test_only_rows_of_one_light_are_compared(film: Any) -> None:
+    """Under another light the body looks different: those pictures have nothing in common."""
+    filmed = film({"U1": ((0.0, 0.0, 3.0, 2.5), 1.0, 1.5)}, rows=6, step_mm=1.5, top=lambda row, ref: row % 2)
+    lights = ["left", "right"] * 3
+    height = measure_heights(filmed.board_type, filmed.stitch, filmed.cameras, filmed.frame, lights)["U1"]
+    assert height.height_mm == pytest.approx(1.5, abs=0.06)
+
+
+def test_a_body_without_texture_has_no_narrow_height(film: Any) -> None:
+    filmed = film({"U1": ((0.0, 0.0, 3.0, 2.5), 1.0, 1.5)}, contrast=0.0)
+    height = measure_heights(filmed.board_type, filmed.stitch, filmed.cameras, filmed.frame)["U1"]
+    assert height.height_mm is None or (height.sigma_mm or 0.0) > 0.2
+    if height.low_mm is not None and height.high_mm is not None:
+        assert height.low_mm <= 1.5 <= height.high_mm
+
+
+def test_one_view_gives_no_height(filmed: Any) -> None:
+    found = measure_heights(
+        filmed.board_type, filmed.stitch, filmed.cameras, lambda i, j: filmed.frame(i, j) if j == 1 else None
+    )
+    assert found["U1"].views == 1
+    assert all(height.height_mm is None and height.low_mm is None for height in found.values())
+
+
+def test_a_run_without_cad_mapping_and_a_calibration_without_working_distance_are_refused(filmed: Any) -> None:
+    lost = filmed.stitch.model_copy(update={"cad_matrix": None, "reasons": ("no fiducial was found",)})
+    with pytest.raises(StateError, match=r"no CAD mapping.*no fiducial was found"):
+        measure_heights(filmed.board_type, lost, filmed.cameras, filmed.frame)
+    flat = [replace(camera, working_distance_mm=None) for camera in filmed.cameras]
+    with pytest.raises(StateError, match=r"no working_distance_mm.*state it in the calibration"):
+        measure_heights(filmed.board_type, filmed.stitch, flat, filmed.frame)
+
+
+def test_saturated_bodies_are_not_given_with_a_false_certainty(film: Any) -> None:
+    filmed = film({"U1": ((0.0, 0.0, 3.0, 2.5), 1.0, 1.5)}, gain=lambda row: 4.0)
+    height = measure_heights(filmed.board_type, filmed.stitch, filmed.cameras, filmed.frame)["U1"]
+    if height.height_mm is not None and height.sigma_mm is not None:
+        assert abs(height.height_mm - 1.5) < 3 * height.sigma_mm
+    assert all((np.asarray(frame) >= 252).mean() > 0.5 for frame in filmed.frames.values())

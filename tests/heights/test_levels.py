@@ -1,0 +1,39 @@
+"""Which tiles lie on the body, and the probability of its height."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from vaoi_station.geometry.transforms import Floats
+from vaoi_station.heights.levels import find_levels
+
+HEIGHTS = np.asarray(np.arange(-2, 30) * 0.1, np.float64)
+SIZE = np.array([80, 80])
+TILES = np.array([(x, y, 10, 10) for y in range(0, 80, 10) for x in range(0, 80, 10)])
+
+
+def likelihoods(seen_mm: np.ndarray, sigma: float) -> tuple[Floats, Floats]:
+    each = np.exp(-(((HEIGHTS[None] - seen_mm[:, None]) / sigma) ** 2) / 2)
+    return each, np.exp(-((seen_mm / sigma) ** 2) / 2)
+
+
+def test_a_body_between_leads_is_separated_from_the_board() -> None:
+    middle = np.abs(TILES[:, :2] + 5 - 40).max(1)
+    seen = np.where(middle < 25, 1.5, 0.0)
+    found = find_levels(*likelihoods(seen, 0.1), HEIGHTS, TILES, SIZE, np.zeros(len(HEIGHTS)))
+    assert HEIGHTS[found.probability.argmax()] == pytest.approx(1.5)
+    assert found.probability[np.abs(HEIGHTS - 1.5) < 0.15].sum() > 0.99
+    assert ((found.on_body > 0.5) == (middle < 25)).mean() > 0.9
+
+
+def test_an_empty_footprint_has_the_level_of_the_board() -> None:
+    found = find_levels(*likelihoods(np.zeros(64), 0.1), HEIGHTS, TILES, SIZE, np.zeros(len(HEIGHTS)))
+    assert HEIGHTS[found.probability.argmax()] == pytest.approx(0)
+
+
+def test_tiles_without_texture_leave_every_height_possible() -> None:
+    one, board = np.ones((64, len(HEIGHTS))), np.ones(64)
+    found = find_levels(one, board, HEIGHTS, TILES, SIZE, np.zeros(len(HEIGHTS)))
+    assert found.probability.sum() == pytest.approx(1)
+    assert found.probability.max() < 0.2

@@ -1,0 +1,36 @@
+"""Resampling on a mesh against values that are known."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vaoi_station.heights.resampling import sample
+
+
+def mesh(x0: float, y0: float, scale: float) -> np.ndarray:
+    x, y = np.meshgrid(x0 + scale * 6 * np.arange(4), y0 + scale * 6 * np.arange(4))
+    return np.stack([x, y], -1)
+
+
+def test_whole_pixels_are_copied() -> None:
+    image = np.random.default_rng(1).integers(0, 255, (40, 40), dtype=np.uint8)
+    out = np.empty((18, 18), np.float32)
+    sample(image, mesh(5, 7, 1.0), 6, out)
+    np.testing.assert_allclose(out, image[7:25, 5:23], atol=1e-3)
+
+
+def test_a_slope_is_interpolated_between_pixels() -> None:
+    y, x = np.mgrid[:40, :40]
+    image = (100 + 2 * x + y).astype(np.uint8)
+    out = np.empty((18, 18), np.float32)
+    sample(image, mesh(5.3, 7.6, 0.7), 6, out)
+    rows, columns = np.mgrid[:18, :18]
+    np.testing.assert_allclose(out, 100 + 2 * (5.3 + 0.7 * columns) + 7.6 + 0.7 * rows, atol=0.1)
+
+
+def test_there_is_no_value_outside_the_image() -> None:
+    out = np.empty((18, 18), np.float32)
+    sample(np.full((40, 40), 9, np.uint8), mesh(-3, 30, 1.0), 6, out)
+    assert np.isnan(out[:, :4]).all()
+    assert np.isnan(out[9:]).all()
+    np.testing.assert_allclose(out[:6, 6:], 9, atol=1e-4)

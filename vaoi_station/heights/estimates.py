@@ -1,0 +1,328 @@
+"""Estimate the height of the body of every component of a run from its frames."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.errors import StateError
+from vaoi_station.geometry import Camera
+from vaoi_station.geometry.transforms import Floats
+from vaoi_station.heights.levels import find_levels
+from vaoi_station.heights.matrix_errors import BodyEquations, combine
+from vaoi_station.heights.part_grids import Frames, PartGrid, Places
+from vaoi_station.heights.refinement import normal_equations
+from vaoi_station.heights.sweep import sweep
+from vaoi_station.model import BoardType, Stitch
+
+HIGHEST_MM = 12.0
+"""Largest height that is searched; components that are expected to be higher extend it."""
+_BLUR_PX = 1.1
+"""Blur of the pictures before they are compared.
+
+Interpolation between pixels removes noise, most of all half-way between two pixels. Without blur, heights at which the
+pictures lie half-way would seem to fit best."""
+_NOISE_AREA = 12.0
+"""Number of pixels that share one independent value of noise after the blur."""
+_MISFIT_AREA = 30.0
+"""The same for differences beyond noise, such as glare: they have the size of the texture."""
+_TILE_PX = (8, 12)
+_INSET_PX = 3
+"""Width of the footprint's border that is left out: the blur mixes what is beside a body into it."""
+_SATURATED = 252.0
+_STEP_PX = 0.2
+"""Step of the sweep: largest displacement between two pictures from one height to the next."""
+_MOST_STEPS = 240
+_BOARD_PX = 0.12
+"""A tile that fits within this displacement of the board's level fits the board."""
+_BELOW_BOARD = 2.0
+"""Heights below the board are less probable by this, as a logarithm: only errors of the surface make them."""
+_LOWEST_NOISE = 0.15
+"""Least variance of noise after the blur in frames of full size, grey levels squared."""
+_SURE = 0.99
+"""Least probability of a height that is given as a number; else there is an interval of this probability."""
+_ROUNDS, _CONVERGED_PX = 5, 0.005
+_INFORMED = 0.1
+"""Least share of the squared gradients that is texture; with less, it is noise."""
+_TIGHT = 4.0
+"""Tiles whose height differs by more than this many standard deviations are left out."""
+_UNEVEN_MM = 0.02
+"""Standard deviation of the heights of places on a body, beside noise."""
+
+
+@dataclass(frozen=True)
+class PartHeight:
+    """How far a component stands above the board, as far as the frames show it."""
+
+    height_mm: float | None
+    """None if several heights are probable."""
+    sigma_mm: float | None
+    low_mm: float | None
+    """With `high_mm`, the interval that contains the height; None if it is known, or if nothing can be said."""
+    high_mm: float | None
+    views: int
+    """Number of frames that show it."""
+
+
+NOTHING = PartHeight(None, None, None, None, 0)
+
+
+class _Pictures(NamedTuple):
+    """What a component's frames have in common, for k frames."""
+
+    grid: PartGrid
+    feet_px: Floats
+    """(k, 2)."""
+    distance_mm: Floats
+    """(k,)."""
+    group: NDArray[np.int_]
+    """(k,) number of the light."""
+    spread: float
+    """Largest displacement between two pictures, px of the grid per mm of height."""
+    images: tuple[NDArray[np.uint8], ...]
+
+
+class _Swept(NamedTuple):
+    heights_mm: Floats
+    probability: Floats
+    tiles: NDArray[np.int_]
+    """(t, 4) tiles on the body."""
+    used: NDArray[np.bool_]
+    """(t, k) pictures that show them."""
+
+
+def measure_heights(
+    board_type: BoardType,
+    stitch: Stitch,
+    cameras: Sequence[Camera],
+    frame: Callable[[int, int], NDArray[Any] | None],
+    lights: Sequence[str] = (),
+) -> dict[str, PartHeight]:
+    """Measure the heights of all components of a run, by address.
+
+    Args:
+        board_type: board type of the run.
+        stitch: result of the run; its matrices, surface and their standard deviations are used.
+        cameras: cameras of the calibration with which the run was stitched.
+        frame: function that returns the pixels of a camera and row; None for a missing frame.
+        lights: name of the light of every row; empty if all rows have one. Only rows of one light are compared.
+
+    Raises:
+        StateError: the run has no CAD mapping, or the calibration no working distance.
+    """
+    places = open_places(board_type, stitch, cameras)
+    frames = Frames(frame)
+    numbers = {name: n for n, name in enumerate(sorted(set(lights)))}
+    swept: dict[str, tuple[int, _Swept | None]] = {}
+    bodies: dict[str, BodyEquations] = {}
+    for component in board_type.components:
+        grid = places.grid(component.address, board_type.footprint(component))
+        highest = max(HIGHEST_MM, 1.5 * (component.body_height or 0.0) * board_type.mm_per_unit)
+        pictures = None if grid is None else _pictures(grid, frames, lambda row: numbers[lights[row]] if lights else 0)
+        if pictures is None:
+            swept[component.address] = 0 if grid is None else _count(grid, frames), None
+            continue
+        found = _sweep(places, pictures, highest)
+        swept[component.address] = len(pictures.images), found
+        if found is not None:
+            body = _refine(places, pictures, found)
+            if body is not None:
+                bodies[component.address] = body
+    estimates = combine(bodies, _row_sigma_px(stitch))
+    out = {}
+    for address, (views, found) in swept.items():
+        mm, sigma = estimates.get(address, (None, None))
+        out[address] = PartHeight(mm, sigma, None, None, views)
+        if mm is None:
+            low, high = _interval(found) if found is not None else (None, None)
+            out[address] = PartHeight(None, None, low, high, views)
+    return out
+
+
+def open_places(board_type: BoardType, stitch: Stitch, cameras: Sequence[Camera]) -> Places:
+    """Return where the components of a run lie in its frames; raise StateError if heights cannot be computed."""
+    if stitch.tester_from_cad is None:
+        raise StateError(
+            "this run has no CAD mapping, so heights of components cannot be measured.",
+            action="; ".join(stitch.reasons),
+            code="no-cad-mapping",
+        )
+    if all(camera.working_distance_mm is None for camera in cameras):
+        raise StateError(
+            "the calibration has no working_distance_mm, so heights of components cannot be measured.",
+            action="Measure the height of the cameras above the calibrated plane and state it in the calibration.",
+            code="no-working-distance",
+        )
+    return Places(board_type, stitch, cameras)
+
+
+def blurred(picture: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return a picture with the blur that comparisons need."""
+    return np.asarray(cv2.GaussianBlur(picture, (0, 0), _BLUR_PX), np.float32)
+
+
+def _count(grid: PartGrid, frames: Frames) -> int:
+    return sum(frames.get(view.key, grid.level) is not None for view in grid.views)
+
+
+def _pictures(grid: PartGrid, frames: Frames, light: Callable[[int], int]) -> _Pictures | None:
+    """Collect the frames that show a component; None if there are fewer than two."""
+    images = [(view, frames.get(view.key, grid.level)) for view in grid.views]
+    there = [(view, image) for view, image in images if image is not None]
+    if len(there) < 2:
+        return None
+    views = tuple(view for view, _ in there)
+    feet = np.array([view.foot_px for view in views])
+    distance = np.array([view.distance_mm for view in views])
+    group = np.array([light(view.key[1]) for view in views])
+    spread = float(np.hypot(*(feet[:, None] - feet[None]).reshape(-1, 2).T).max() / distance.mean())
+    if spread <= 0:
+        return None
+    return _Pictures(grid._replace(views=views), feet, distance, group, spread, tuple(i for _, i in there))
+
+
+def _stack(places: Places, pictures: _Pictures, margin: int, height_mm: float) -> NDArray[np.float32]:
+    grid = pictures.grid
+    return np.array(
+        [
+            blurred(places.rectified(grid, view, image, margin, height_mm))
+            for view, image in zip(grid.views, pictures.images, strict=True)
+        ]
+    )
+
+
+def _sweep(places: Places, pictures: _Pictures, highest_mm: float) -> _Swept | None:
+    """Compute the probability of every height of the body, and the tiles that show it."""
+    grid, feet, distance = pictures.grid, pictures.feet_px, pictures.distance_mm
+    step = max(_STEP_PX / pictures.spread, highest_mm / _MOST_STEPS)
+    heights = np.asarray(np.arange(-2, math.ceil(highest_mm / step) + 1) * step, np.float64)
+    away = np.hypot(*(feet - (grid.width / 2, grid.height / 2)).T).max() + max(grid.width, grid.height)
+    margin = math.ceil(away * heights[-1] / float(distance.min())) + 3
+    stack = _stack(places, pictures, margin, 0.0)
+    tiles = _tiles(grid)
+    for saturated in (_SATURATED, math.inf):
+        sums, freedom, used = sweep(stack, margin, feet, heights[:, None] / distance, tiles, pictures.group, saturated)
+        shown = freedom > 0
+        if shown.any():
+            break
+    else:
+        return None
+    sums, freedom, used, tiles = sums[shown], freedom[shown], used[shown], tiles[shown]
+    least = sums.min(1)
+    noise = least / freedom
+    # A tile without texture fits at every height, and at one of them by chance better than its noise.
+    noise = np.maximum(np.maximum(noise, np.median(noise)), 1e-3)
+    likelihood = np.exp((least - sums.T) / (2 * noise * _NOISE_AREA)).T
+    board = likelihood[:, np.abs(heights) * pictures.spread <= _BOARD_PX].max(1)
+    prior = np.where(heights < -1e-9, -_BELOW_BOARD, 0.0)
+    size = np.array([grid.width, grid.height])
+    levels = find_levels(np.ascontiguousarray(likelihood), board, heights, tiles, size, prior)
+    mine = levels.on_body > 0.5
+    return _Swept(heights, levels.probability, tiles[mine], used[mine])
+
+
+def _refine(places: Places, pictures: _Pictures, swept: _Swept) -> BodyEquations | None:
+    """Compute the equations of the most probable height; None if it is not probable enough, or without texture."""
+    heights, probability, tiles, used = swept
+    best = int(probability.argmax())
+    near = np.abs(heights - heights[best]) * pictures.spread <= 3.1 * _STEP_PX
+    if probability[near].sum() < _SURE or not len(tiles):
+        return None
+    h, feet, distance = float(heights[best]), pictures.feet_px, pictures.distance_mm
+    centre = tiles[:, :2] + tiles[:, 2:] / 2 - 0.5
+    lowest = _LOWEST_NOISE / 4**pictures.grid.level
+    body: BodyEquations | None = None
+    for _ in range(_ROUNDS):
+        stack = _stack(places, pictures, 2, h)
+        lean = (centre[:, None] - feet[None]) / (distance - h)[None, :, None]
+        found = normal_equations(stack, lean, tiles + (2, 2, 0, 0), used, pictures.group)
+        some = found.variance > 0
+        if not some.any():
+            return None
+        floor = max(float(np.percentile(found.variance[some], 10)), lowest)
+        variance = np.maximum(found.variance, floor) * _NOISE_AREA
+        variance += np.maximum(found.variance - 3 * floor, 0) * _MISFIT_AREA
+        body = _united(
+            h, found.matrix / variance[:, None, None], found.vector / variance[:, None], found.noisy / variance
+        )
+        if body is None:
+            return None
+        limit = 0.7 / pictures.spread
+        moved = min(max(body.step_mm, -limit), limit)
+        h += moved
+        if abs(moved) * pictures.spread < _CONVERGED_PX:
+            break
+    if body is None or abs(h - heights[best]) * pictures.spread > 5 * _STEP_PX:
+        return None
+    return body._replace(scale=2.0**pictures.grid.level)
+
+
+def _united(h: float, matrix: Floats, vector: Floats, noisy: Floats) -> BodyEquations | None:
+    """Add up the equations of all tiles, with less weight for tiles that differ; None without texture."""
+    each = np.maximum(matrix[:, 0, 0], 1e-3 * noisy + 1e-12)
+    mm, spread = vector[:, 0] / each, np.hypot(np.sqrt(noisy) / each, _UNEVEN_MM)
+    # A few tiles may show a lead, a fillet of solder or a neighbour, most often lower than the body.
+    centre = _weighted_median(mm, 1 / spread**2)
+    prior = np.diag([1e-9] + [1 / 0.05**2] * (matrix.shape[1] - 1))
+    for _ in range(4):
+        weight = np.clip(1 - ((mm - centre) / (_TIGHT * spread)) ** 2, 0, None) ** 2
+        n, b = np.tensordot(weight, matrix, 1), weight @ vector
+        if n[0, 0] <= _INFORMED * (weight @ noisy) or n[0, 0] <= 0:
+            return None
+        theta = np.linalg.solve(n + prior, b)
+        centre = float(b[0] / n[0, 0])
+    off = (vector - matrix @ theta)[:, 0]
+    scatter = float(weight @ (off**2 / (noisy + 1e-12))) / max(float(weight.sum()) - 1, 1)
+    inflation = float(weight @ noisy / n[0, 0]) * max(1.0, scatter)
+    # The sum of the tiles' own deviations is the variance of the sum, however unlike the tiles are (sandwich).
+    count = float(weight.sum() ** 2 / (weight**2).sum())
+    own = float(((weight * off) ** 2).sum()) / n[0, 0] * count / max(count - 1, 1)
+    inflation = max(inflation, own)
+    return BodyEquations(h, float(theta[0]), n / inflation, b / inflation, 1.0)
+
+
+def _weighted_median(values: Floats, weights: Floats) -> float:
+    order = np.argsort(values)
+    share = np.cumsum(weights[order])
+    return float(values[order[int(np.searchsorted(share, share[-1] / 2))]])
+
+
+def _tiles(grid: PartGrid) -> NDArray[np.int_]:
+    """Return the tiles (t, 4) of a footprint: first column, first row, width, height."""
+    xs, w = _cut(grid.width)
+    ys, h = _cut(grid.height)
+    return np.array([(x, y, w, h) for y in ys for x in xs])
+
+
+def _cut(length: int) -> tuple[list[int], int]:
+    """Cut a side without its border pixels into pieces of one size; return their first pixels and this size."""
+    inset = max(1, min(_INSET_PX, length // 10))
+    inner = length - 2 * inset
+    size = min(max(_TILE_PX[0], min(_TILE_PX[1], inner // 4)), inner)
+    count = max(1, inner // size)
+    if count == 1:
+        return [inset + (inner - size) // 2], size
+    return [inset + round(n * (inner - size) / (count - 1)) for n in range(count)], size
+
+
+def _interval(swept: _Swept) -> tuple[float | None, float | None]:
+    """Return the interval that contains the height with the probability `_SURE`; None if it is the whole range."""
+    heights, below = swept.heights_mm, np.cumsum(swept.probability)
+    step, tail = float(heights[1] - heights[0]), (1 - _SURE) / 2
+    low = float(heights[int(np.searchsorted(below, tail))]) - step
+    high = float(heights[min(int(np.searchsorted(below, 1 - tail)), len(heights) - 1)]) + step
+    if high - low > 0.95 * float(heights[-1] - heights[0]):
+        return None, None
+    return max(low, 0.0), max(high, 0.0)
+
+
+def _row_sigma_px(stitch: Stitch) -> float:
+    """Return the typical standard deviation of a row's position, px; 0 in results that do not state it."""
+    values = stitch.quality.get("row_sigma_px") or [0.0]
+    return float(np.median(np.asarray(values, np.float64)))

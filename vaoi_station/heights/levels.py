@@ -1,0 +1,143 @@
+"""Which tiles of a footprint lie on the body, and how probable each height of the body is.
+
+How much of the footprint the body covers is not in the CAD data: leads, pads and bare board may surround it. Therefore
+extents are compared: rectangles in the footprint, each with a prior probability. Tiles inside the extent see the body's
+height, tiles outside see the board, tiles across an edge see either or a mixture. The probability of a height is the
+sum over all extents (as `stitching.quality.body_heights` does it with links).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.compiled import compiled, inlined
+from vaoi_station.geometry.transforms import Floats
+
+Ints = NDArray[np.int_]
+_REACHES = (0.4, 0.52, 0.64, 0.76, 0.88, 1.0)
+"""Possible distances from the footprint's centre to an edge of the body, as shares of half the footprint."""
+_REACH_PRIORS = (0.3, 0.6, 1.0, 1.0, 1.0, 1.5)
+_INSIDE, _BELOW, _STRAY = 0.84, 0.08, 0.08
+"""Probabilities that a tile inside the extent sees the body's height, a lower place, or anything."""
+_OUTSIDE, _LEAD, _ASTRAY = 0.82, 0.1, 0.08
+"""Probabilities that a tile outside the extent sees the board, a lead, or anything."""
+_EDGE_PX = 1.0
+"""A tile that reaches over an edge by less than this counts as on one side."""
+_ACROSS = 0.5
+"""Weight of a tile across an edge of the extent, which sees any height from 0 to that of the body."""
+
+
+def _edges() -> Floats:
+    number = range(len(_REACHES))
+    table = [
+        (_REACHES[i], _REACHES[j], math.sqrt(_REACH_PRIORS[i] * _REACH_PRIORS[j]) * (1.0 if i == j else 0.5))
+        for i in number
+        for j in number
+        if abs(i - j) <= 1
+    ]
+    return np.array(table) / (1.0, 1.0, sum(prior for *_, prior in table))
+
+
+_EDGES = _edges()
+
+
+class Levels(NamedTuple):
+    """The probability of each height and, for the most probable one, of each tile to lie on the body."""
+
+    probability: Floats
+    """(n,) probabilities of n heights; their sum is 1."""
+    on_body: Floats
+    """(t,) probability of each tile to see the body at the most probable height."""
+
+
+@compiled
+def find_levels(
+    likelihood: Floats, board: Floats, heights_mm: Floats, tiles: Ints, size: Ints, log_prior: Floats
+) -> Levels:
+    """Compute the probability of each height of the body.
+
+    Args:
+        likelihood: (t, n) likelihood of n heights by each of t tiles; the largest of each tile is 1.
+        board: (t,) likelihood of the board's level by each tile.
+        heights_mm: (n,) the heights, ascending.
+        tiles: (t, 4) first column, first row, width and height of the tiles.
+        size: (2,) width and height of the footprint, px.
+        log_prior: (n,) logarithm of the prior probability of each height.
+    """
+    t, n, k = likelihood.shape[0], likelihood.shape[1], len(_EDGES)
+    side, log, inside = np.empty((2, k, t), np.int64), np.empty((n, 3, t)), np.empty((n, t))
+    _sort_tiles(tiles, size, side)
+    _tile_likelihoods(likelihood, board, heights_mm, log, inside)
+    evidence, highest = np.empty((n, k, k)), -np.inf
+    for m in range(n):
+        for a in range(k):
+            for b in range(k):
+                total = math.log(_EDGES[a, 2] * _EDGES[b, 2]) + log_prior[m]
+                for i in range(t):
+                    # A tile is outside if it is outside along one axis, and inside if it is inside along both.
+                    total += log[m, min(side[0, a, i], side[1, b, i]), i]
+                evidence[m, a, b] = total
+                highest = max(highest, total)
+    probability, everything, best = np.zeros(n), 0.0, 0
+    for m in range(n):
+        for a in range(k):
+            for b in range(k):
+                probability[m] += math.exp(evidence[m, a, b] - highest)
+        everything += probability[m]
+        best = m if probability[m] > probability[best] else best
+    on_body = np.zeros(t)
+    for a in range(k):
+        for b in range(k):
+            share = math.exp(evidence[best, a, b] - highest) / probability[best]
+            for i in range(t):
+                on_body[i] += share * inside[best, i] * (min(side[0, a, i], side[1, b, i]) == 2)
+    for m in range(n):
+        probability[m] /= everything
+    return Levels(probability, on_body)
+
+
+@inlined
+def _sort_tiles(tiles: Ints, size: Ints, side: Ints) -> None:
+    """Write to `side` (2, k, t) whether tiles lie outside (0), across (1) or inside (2) each extent along each axis."""
+    for axis in range(2):
+        half = size[axis] / 2
+        for e in range(len(_EDGES)):
+            low, high = half - 0.5 - _EDGES[e, 0] * half, half - 0.5 + _EDGES[e, 1] * half
+            for i in range(len(tiles)):
+                first, count = tiles[i, axis], tiles[i, 2 + axis]
+                a, b = first - 0.5 + _EDGE_PX, first + count - 0.5 - _EDGE_PX
+                side[axis, e, i] = 2 if a >= low and b <= high else 0 if b <= low or a >= high else 1
+
+
+@inlined
+def _tile_likelihoods(likelihood: Floats, board: Floats, heights_mm: Floats, log: Floats, inside: Floats) -> None:
+    """Compute the likelihood of each tile at each height of the body.
+
+    Args:
+        likelihood: (t, n) likelihood of the heights.
+        board: (t,) likelihood of the board's level.
+        heights_mm: (n,) the heights.
+        log: (n, 3, t) output: logarithm of the likelihood of a tile outside, across an edge, or inside.
+        inside: (n, t) output: probability that a tile inside sees the body's height.
+    """
+    t, n = likelihood.shape
+    for i in range(t):
+        everywhere = 0.0
+        for m in range(n):
+            everywhere += likelihood[i, m] / n
+        between, count = board[i], 1
+        for m in range(n):
+            if heights_mm[m] > 0:
+                between += likelihood[i, m]
+                count += 1
+            mean = between / count
+            match = _INSIDE * likelihood[i, m]
+            total = match + _BELOW * mean + _STRAY * everywhere
+            inside[m, i] = match / (total + 1e-300)
+            log[m, 2, i] = math.log(total + 1e-12)
+            log[m, 1, i] = math.log(_ACROSS * mean + _STRAY * everywhere + 1e-12)
+            log[m, 0, i] = math.log(_OUTSIDE * board[i] + _LEAD * mean + _ASTRAY * everywhere + 1e-12)

@@ -1,0 +1,164 @@
+"""Grids of pixels on the footprints of components, and the frames that show them.
+
+A grid is aligned with the footprint and lies on the board's surface. Its pixels are about as large as those of the
+frames, or a power of two larger on large components. Coordinates of a grid: column and row, whose centres are integers;
+the origin is the centre of the top-left pixel of the footprint's part without margin.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.geometry import Camera
+from vaoi_station.geometry.transforms import Floats, apply
+from vaoi_station.heights.resampling import sample
+from vaoi_station.model import BoardType, Stitch
+from vaoi_station.pixel_formats import eight_bit_grey
+
+FrameKey = tuple[int, int]
+_LONGEST_PX = 160
+"""Longest side of a grid; larger footprints get larger pixels."""
+_MOST_LEVEL = 4
+_MESH_PX = 12
+"""Distance of the nodes at which positions in a frame are computed exactly. Between them they are interpolated."""
+_LEAST_SIDE_PX = 6
+"""Least side of a grid. Smaller footprints have no height."""
+
+
+class Frames:
+    """The frames of one run in reduced copies, each computed when it is first used."""
+
+    def __init__(self, frame: Callable[[int, int], NDArray[Any] | None]) -> None:
+        """Create it from a function that returns the pixels of a camera and row; None for a missing frame."""
+        self._frame = frame
+        self._copies: dict[tuple[int, int, int], NDArray[np.uint8] | None] = {}
+
+    def get(self, key: FrameKey, level: int) -> NDArray[np.uint8] | None:
+        """Return the grey frame reduced by 2 to the power of `level`; None if it is missing."""
+        at = (*key, level)
+        if at not in self._copies:
+            self._copies[at] = self._reduced(key, level)
+        return self._copies[at]
+
+    def _reduced(self, key: FrameKey, level: int) -> NDArray[np.uint8] | None:
+        if level == 0:
+            pixels = self._frame(*key)
+            return None if pixels is None else np.ascontiguousarray(eight_bit_grey(pixels))
+        finer = self.get(key, level - 1)
+        if finer is None:
+            return None
+        h, w = finer.shape[0] // 2 * 2, finer.shape[1] // 2 * 2
+        return np.asarray(cv2.resize(finer[:h, :w], (w // 2, h // 2), interpolation=cv2.INTER_AREA))
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """One frame that shows a component."""
+
+    key: FrameKey
+    foot_px: Floats
+    """(2,) foot of the camera in grid coordinates: the point of the surface's plane below the camera centre."""
+    distance_mm: float
+    """Height of the camera above the board's surface at the component."""
+
+
+class PartGrid(NamedTuple):
+    """The grid of one component."""
+
+    address: str
+    width: int
+    height: int
+    """Columns and rows of the footprint's part without margin."""
+    level: int
+    """Frames are reduced by 2 to the power of this."""
+    mm_per_px: float
+    surface_mm: float
+    """Height of the board's surface above the calibrated plane."""
+    tester_from_grid: Floats
+    """(2, 3) affine map."""
+    views: tuple[View, ...]
+
+
+class Places:
+    """Where the components of one run lie in its frames."""
+
+    def __init__(self, board_type: BoardType, stitch: Stitch, cameras: Sequence[Camera]) -> None:
+        """Store the matrices of a run; `cameras` are those of its calibration."""
+        assert stitch.tester_from_cad is not None
+        self.board_type, self.stitch = board_type, stitch
+        self.cameras = stitch.cameras(cameras)
+        self._tester_from_cad = stitch.tester_from_cad.matrix
+        self._keys = [
+            (i, j) for i, rows in enumerate(stitch.image_matrices) for j, m in enumerate(rows) if m is not None
+        ]
+        self._px_per_mm = float(np.mean([c.px_per_mm for c in self.cameras]))
+        motion = np.array(stitch.row_motion)
+        back = np.linalg.inv(motion)
+        self._row_from_tester = motion
+        self._feet = np.array([apply(back[j], self.cameras[i].foot_mm) for i, j in self._keys])
+        self._matrices = np.array([np.asarray(stitch.image_matrices[i][j]) for i, j in self._keys])
+        self._frame_px = np.array([(self.cameras[i].width_px, self.cameras[i].height_px) for i, _ in self._keys])
+
+    def grid(self, address: str, corners_cad: Floats) -> PartGrid | None:
+        """Return the grid of a component with these corners (4, 2), or None if it is too small for one."""
+        corners = apply(self._tester_from_cad, corners_cad)
+        side = corners[1] - corners[0], corners[3] - corners[0]
+        length = [float(np.hypot(*s)) for s in side]
+        longest = max(length) * self._px_per_mm
+        level = min(max(0, math.ceil(math.log2(longest / _LONGEST_PX))), _MOST_LEVEL) if longest > 0 else 0
+        pitch = 2**level / self._px_per_mm
+        size = [int(v / pitch + 1e-6) for v in length]
+        if min(size) < _LEAST_SIDE_PX:
+            return None
+        along = [s / v * pitch for s, v in zip(side, length, strict=True)]
+        middle = corners.mean(0)
+        origin = middle - along[0] * (size[0] - 1) / 2 - along[1] * (size[1] - 1) / 2
+        affine = np.column_stack([along[0], along[1], origin])
+        surface = self.stitch.surface
+        z = 0.0 if surface is None else float(surface.height_mm(np.mean(corners_cad, 0)))
+        views = self._views(affine, corners, z)
+        return PartGrid(address, size[0], size[1], level, pitch, z, affine, views)
+
+    def _views(self, affine: Floats, corners: Floats, z: float) -> tuple[View, ...]:
+        """Return the frames in which at least a part of the footprint lies."""
+        points = np.concatenate([corners, corners.mean(0)[None]])
+        q = np.column_stack([points, np.ones(5)]) @ self._matrices.swapaxes(1, 2)
+        px = q[..., :2] / q[..., 2:]
+        inside = (px.max(1) > 0).all(1) & (px.min(1) < self._frame_px).all(1)
+        grid_from_tester = np.linalg.inv(affine[:, :2])
+        out = []
+        for n in np.flatnonzero(inside).tolist():
+            i, j = self._keys[n]
+            d = self.cameras[i].working_distance_mm
+            if d is None:
+                continue
+            out.append(View((i, j), grid_from_tester @ (self._feet[n] - affine[:, 2]), d - z))
+        return tuple(out)
+
+    def rectified(
+        self, grid: PartGrid, view: View, image: NDArray[np.uint8], margin: int, height_mm: float = 0.0
+    ) -> NDArray[np.float32]:
+        """Return a frame's pixels on the plane at a height above the surface, with a margin around the footprint.
+
+        NaN where the frame does not show the place.
+        """
+        w, h = grid.width + 2 * margin, grid.height + 2 * margin
+        nx, ny = math.ceil((w - 1) / _MESH_PX) + 1, math.ceil((h - 1) / _MESH_PX) + 1
+        x, y = np.arange(nx) * float(_MESH_PX) - margin, np.arange(ny) * float(_MESH_PX) - margin
+        nodes = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
+        tester = nodes @ grid.tester_from_grid[:, :2].T + grid.tester_from_grid[:, 2]
+        i, j = view.key
+        m = self._row_from_tester[j]
+        raw = self.cameras[i].project(tester @ m[:2, :2].T + m[:2, 2], grid.surface_mm + height_mm)
+        scale = 0.5**grid.level
+        raw = (raw + 0.5) * scale - 0.5
+        out = np.empty((h, w), np.float32)
+        sample(image, raw.reshape(ny, nx, 2), _MESH_PX, out)
+        return out
