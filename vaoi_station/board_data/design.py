@@ -83,7 +83,7 @@ class Part:
     body_height: float | None = None
     fitted: bool = True
     mark_diameter: float | None = None
-    """Diameter of the mark if the part is a fiducial and the file states it."""
+    """Extent of the first pad, which is the diameter of the mark if the part is a fiducial; None if it is not known."""
     is_mark: bool = False
     """Whether the file itself says that the part is a fiducial."""
 

@@ -74,7 +74,7 @@ class _Reader:
             box=box.mirrored() if box is not None and mirrored else box,
             fitted=not any(v.lower() in ("no", "false", "0", "dnp") for v in populate),
             is_mark=is_mark,
-            mark_diameter=max(sizes) if is_mark and sizes else None,
+            mark_diameter=sizes[0] if sizes else None,
         )
 
     def _body(self, package: Element) -> Box | None:

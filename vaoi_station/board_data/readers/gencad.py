@@ -201,7 +201,7 @@ class _Reader:
         ref = found["COMPONENT"][1][1]
         return Part(
             ref, side, (x, y), normalised(rotation), package, box=box, body_height=height or None, is_mark=is_mark,
-            mark_diameter=max(sizes) if is_mark and sizes else None,
+            mark_diameter=sizes[0] if sizes else None,
         )  # fmt: skip
 
 

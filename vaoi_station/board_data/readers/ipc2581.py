@@ -116,7 +116,7 @@ class _Reader:
             body_height=package.height if package else None,
             fitted=ref not in self._not_fitted,
             is_mark=is_mark,
-            mark_diameter=package.pad if package and is_mark else None,
+            mark_diameter=package.pad if package else None,
         )
 
     def _package(self, element: Element) -> _Package:

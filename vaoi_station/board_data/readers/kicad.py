@@ -74,7 +74,7 @@ def _part(footprint: Node) -> Part | None:
         box=_body(footprint, rotation, side),
         fitted="dnp" not in attributes,
         is_mark=is_mark,
-        mark_diameter=_pad_diameter(footprint) if is_mark else None,
+        mark_diameter=_pad_diameter(footprint),
     )
 
 

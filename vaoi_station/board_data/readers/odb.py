@@ -225,7 +225,7 @@ def _components(file: _File, side: Side, packages: list[_Package]) -> Iterator[P
             body_height=height or None,
             fitted=".no_pop" not in attributes and ".comp_ignore" not in attributes,
             is_mark=is_mark,
-            mark_diameter=package.pad if is_mark else None,
+            mark_diameter=package.pad,
         )
 
 

@@ -64,7 +64,7 @@ _UNIT_WORDS = (
     (re.compile(r"\b(inch(es)?|in)\b", re.IGNORECASE), "inch"),
 )
 _NUMBER = re.compile(r"^([+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?)\s*(mm|mils?|inch|in|\"|°|deg)?$")
-_REF = re.compile(r"^[A-Za-z*_][\w*.\-/+]*$")
+_REF = re.compile(r"^[A-Za-z*_][\w*.\-/+$]*$")
 _SIDES: dict[str, Side] = {
     "top": "top", "t": "top", "f": "top", "front": "top", "toplayer": "top", "fcu": "top", "component": "top",
     "no": "top", "n": "top", "bottom": "bottom", "bot": "bottom", "b": "bottom", "back": "bottom",
