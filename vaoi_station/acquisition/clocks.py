@@ -117,6 +117,11 @@ class ClockModel:
         )
 
     @property
+    def read_s(self) -> float:
+        """Earliest possible host time of the newest reading, s; minus infinity before the first."""
+        return self._readings[-1].host_s - self._readings[-1].bound_s if self._readings else -math.inf
+
+    @property
     def drift_ppm(self) -> float:
         """Drift s, ppm: by how much a second of the device is longer than a second of the host."""
         return self._slope * 1e6

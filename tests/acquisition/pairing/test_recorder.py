@@ -7,8 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.acquisition.recorder_script import PERIOD_S, RecorderScript
+from vaoi_station.acquisition.clocks import ClockModel, ClockReading
 from vaoi_station.acquisition.controller.interface import PulseFired
-from vaoi_station.acquisition.pairing.recorder import Finished
+from vaoi_station.acquisition.pairing.recorder import Finished, Outcome
 from vaoi_station.model import Verdict
 
 fates = st.sampled_from(["ok"] * 6 + ["lost", "incomplete", "late", "twice"])
@@ -206,3 +207,64 @@ def test_slots_of_a_missed_board_are_returned() -> None:
     script.check()
     assert script.finished == {}
     assert all("missed" in s.reason for s in script.unassigned)
+
+
+def jumped_at_the_end(reading_s: float) -> RecorderScript:
+    """A camera's clock jumps by 2 ms before the last frame; it is read at a host time. The other camera is sound."""
+    script = RecorderScript(2)
+    # The readings of the model end before the run, as in a station that reads every half second.
+    script.recorder._camera_clocks = [ClockModel(f"camera {n}") for n in range(2)]
+    for clock, true in zip(script.recorder._camera_clocks, script.camera_clocks, strict=True):
+        for at_s in (999.0, 999.5, 1000.0):
+            clock.add(ClockReading(true.device_s(at_s), at_s, 1e-5))
+    script.run("a", 1000.1, 5, 0.001)
+    for camera in range(2):
+        for row in range(5):
+            exposed_s = 1000.1 + row * PERIOD_S
+            late_s = 0.002 if (camera, row) == (1, 4) else 0.0
+            script.frame(("a", camera, row), exposed_s, 0.02, dated_s=exposed_s + late_s)
+
+    def read(_now_s: float) -> tuple[Outcome, ...]:
+        jump = script.recorder._camera_clocks[1].add(
+            ClockReading(script.camera_clocks[1].device_s(reading_s) + 0.002, reading_s, 1e-5)
+        )
+        assert jump is not None
+        script.recorder.outages.add_jump(1, jump)
+        return tuple(script.recorder.settle(reading_s))
+
+    script.at(reading_s, read)
+    return script
+
+
+def test_a_jump_at_the_end_of_a_run_is_named_as_soon_as_the_clock_is_read() -> None:
+    script = jumped_at_the_end(1000.6)
+    script.play()
+    script.check()
+    assert {(f.camera, f.kind) for f in script.proofs["a"].findings} == {(1, "clock-jumped")}
+    assert {f.row for f in script.finished["a"] if f.usable and f.camera == 0} == set(range(5))
+    assert script.recorder.open_runs == []
+
+
+def test_a_run_waits_for_a_reading_no_longer_than_for_its_frames() -> None:
+    script = jumped_at_the_end(1003.0)
+    script.play()
+    script.check()
+    assert {f.camera for f in script.proofs["a"].findings} == {1}
+    assert "clock-jumped" not in {f.kind for f in script.proofs["a"].findings}
+
+
+def test_clocks_are_wanted_from_the_last_pulse_to_the_end_of_the_run() -> None:
+    script = RecorderScript(1)
+    script.run("a", 1000.0, 2, 0.0)
+    script.frame(("a", 0, 0), 1000.0, 0.02)
+    script.frame(("a", 0, 1), 1000.1, 0.02)
+    wanted = {}
+
+    def look(now_s: float) -> tuple[Outcome, ...]:
+        wanted[now_s] = script.recorder.awaits_clocks
+        return ()
+
+    for at_s in (1000.05, 1000.11, 1000.2):
+        script.at(at_s, look)
+    script.play()
+    assert wanted == {1000.05: False, 1000.11: True, 1000.2: False}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import pytest
@@ -9,7 +10,8 @@ import pytest
 from vaoi_station.acquisition.causes import NO_PACKET
 from vaoi_station.acquisition.clocks import ClockJump
 from vaoi_station.acquisition.outages import Outages
-from vaoi_station.acquisition.pairing.run_conclusion import conclude_run
+from vaoi_station.acquisition.pairing.proof import TriggerProof
+from vaoi_station.acquisition.pairing.run_conclusion import conclude_run, judge_run
 from vaoi_station.acquisition.pairing.run_record import ObservedFrame, ObservedPulse, RunRecord
 from vaoi_station.model import FrameRecord, ProgramRow, Pulse, Verdict
 
@@ -31,14 +33,26 @@ def run_with_frames(ids: dict[int, int], rows: int = 6, name: str = "a", start_s
     return run
 
 
+def concluded(
+    run: RunRecord,
+    unassigned: Sequence[Sequence[ObservedFrame]],
+    outages: Outages,
+    bound_s: float,
+    previous: RunRecord | None = None,
+) -> tuple[list[FrameRecord], TriggerProof]:
+    missing, proof = judge_run(run, unassigned, outages, bound_s, previous)
+    conclude_run(run, missing, proof)
+    return missing, proof
+
+
 def causes(run: RunRecord, outages: Outages | None = None, previous: RunRecord | None = None) -> dict[int, str]:
-    missing, _ = conclude_run(run, [[]], outages or Outages(), 1e-4, previous)
+    missing, _ = concluded(run, [[]], outages or Outages(), 1e-4, previous)
     return {frame.row: frame.cause for frame in missing}
 
 
 def test_every_row_has_a_record_afterwards() -> None:
     run = run_with_frames({0: 1, 2: 3, 5: 6})
-    missing, proof = conclude_run(run, [[]], Outages(), 1e-4)
+    missing, proof = concluded(run, [[]], Outages(), 1e-4)
     assert {key for key, frame in run.frames.items() if frame.verdict is Verdict.MISSING} == {(0, 1), (0, 3), (0, 4)}
     assert [frame.row for frame in missing] == [1, 3, 4]
     assert all(run.frames[0, frame.row] is frame for frame in missing)
@@ -51,7 +65,7 @@ def test_frames_whose_stamps_fit_no_pulse_were_sent() -> None:
     unassigned = [
         ObservedFrame(None, n, at, at, at + 0.02) for n, at in enumerate(START_S + 0.05 + 0.1 * k for k in (0, 1))
     ]
-    missing, _ = conclude_run(run, [unassigned], Outages(), 1e-4)
+    missing, _ = concluded(run, [unassigned], Outages(), 1e-4)
     assert {m.cause for m in missing} == {"the camera sent 2 frame(s) in this run, but no time stamp fits a pulse"}
     assert set(causes(run_with_frames({}, rows=1)).values()) == {
         "the camera sent no frame in this run; check its cable, its power and its trigger line"
@@ -87,7 +101,7 @@ def test_ids_before_and_after_an_outage_are_not_compared() -> None:
     run, outages = run_with_frames({0: 4711, 1: 4712, 4: 1, 5: 2}), Outages()
     outages.begin(0, START_S + 0.15, "its cable")
     outages.end(0, START_S + 0.35)
-    _, proof = conclude_run(run, [[]], outages, 1e-4)
+    _, proof = concluded(run, [[]], outages, 1e-4)
     assert proof.proven
     assert proof.findings == ()
 
@@ -107,7 +121,7 @@ def test_a_count_that_does_not_fit_the_run_before_is_ignored() -> None:
 
 def test_a_finding_is_the_cause_of_its_complete_frame() -> None:
     run = run_with_frames({0: 1, 1: 3, 2: 2, 3: 4}, rows=4)
-    _, proof = conclude_run(run, [[]], Outages(), 1e-4)
+    _, proof = concluded(run, [[]], Outages(), 1e-4)
     assert not proof.proven
     assert {row for (_, row), frame in run.frames.items() if frame.cause} == {1, 2}
     assert all(frame.verdict is Verdict.OK for frame in run.frames.values())
@@ -120,7 +134,7 @@ def test_frames_of_the_time_in_which_a_clock_jumped_are_not_used() -> None:
         if frame.row in (4, 5):
             run.complete_frames[0][k] = replace(frame, time_s=frame.time_s - 1.0)
     outages.add_jump(0, ClockJump(-1.0, START_S + 0.15, START_S + 0.35))
-    missing, proof = conclude_run(run, [[]], outages, 1e-4)
+    missing, proof = concluded(run, [[]], outages, 1e-4)
     assert [(frame.row, "its clock jumped by -1.00 s" in frame.cause) for frame in missing] == [(2, True)]
     assert [(f.row, f.kind) for f in proof.findings] == [(3, "clock-jumped")]
     assert (proof.proven, proof.cameras[0].proven) == (False, False)
@@ -135,7 +149,7 @@ def test_a_camera_whose_clock_jumped_by_one_period_does_not_run_freely() -> None
             run.complete_frames[0][k] = replace(frame, arrived_s=frame.arrived_s - PERIOD_S)
     outages.add_jump(0, ClockJump(PERIOD_S, START_S - 0.1, START_S + 0.35))
     displaced = ObservedFrame(None, 5, START_S + 0.4, START_S + 0.4, START_S + 0.42)
-    missing, proof = conclude_run(run, [[displaced]], outages, 1e-4)
+    missing, proof = concluded(run, [[displaced]], outages, 1e-4)
     assert {frame.row for frame in missing} == {2}
     assert [(f.row, f.kind) for f in proof.findings] == [(row, "clock-jumped") for row in (0, 1, 3, 4)]
     assert {row for (_, row), frame in run.frames.items() if frame.usable} == {5, 6, 7}
@@ -145,7 +159,7 @@ def test_a_frame_that_a_jump_moved_to_another_run_is_no_extra_frame_there() -> N
     run, outages = run_with_frames({row: row + 1 for row in range(6)}), Outages()
     outages.add_jump(0, ClockJump(37.0, START_S - 37.5, START_S - 36.5))
     moved = ObservedFrame(None, 7, START_S + 0.23, START_S + 0.23, START_S - 36.8)
-    _, proof = conclude_run(run, [[moved]], outages, 1e-4)
+    _, proof = concluded(run, [[moved]], outages, 1e-4)
     assert proof.findings == ()
 
 
@@ -158,7 +172,7 @@ def test_a_camera_that_answers_and_never_sent_a_packet_is_named() -> None:
 def test_a_frame_of_another_light_than_the_program_has_is_not_proven() -> None:
     run = run_with_frames({0: 1, 1: 2, 2: 3}, rows=3)
     run.program = (ProgramRow("", (100.0,), (0.0,)), ProgramRow("left", (100.0,), (0.0,)))
-    _, proof = conclude_run(run, [[]], Outages(), 1e-4)
+    _, proof = concluded(run, [[]], Outages(), 1e-4)
     assert [(f.kind, f.row) for f in proof.findings] == [("other-light", 1)]
     assert not proof.proven
     assert [run.frames[0, row].proven for row in range(3)] == [True, False, True]

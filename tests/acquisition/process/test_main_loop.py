@@ -96,6 +96,21 @@ class LooseCamera:
         return getattr(self.camera, name)
 
 
+@dataclass
+class SteppedCamera:
+    """A camera whose clock is set by another program."""
+
+    camera: Any
+    step_s: float = 0.0
+
+    def read_clock(self) -> ClockReading:
+        reading: ClockReading = self.camera.read_clock()
+        return replace(reading, device_s=reading.device_s + self.step_s)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.camera, name)
+
+
 def test_arming_waits_until_the_clocks_are_known(start: Start, make_config: Make) -> None:
     """Neither the readings before the process is ready nor three more suffice."""
     bench = start(make_config(), open_backend=busy(main_loop.FIRST_READINGS + 3))
@@ -249,6 +264,26 @@ def test_the_clock_of_a_lost_camera_is_not_reported_again(start: Start, make_con
     assert len(bench.of(Trouble)) == reported
     camera.report_back()
     assert bench.until(Trouble).message == "camera c1: its clock cannot be read."
+
+
+def test_the_clocks_are_read_at_the_end_of_a_run(
+    start: Start, make_config: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No periodic reading comes within this test: only that at the end of the run can show the jump."""
+    monkeypatch.setattr(main_loop, "HEALTH_PERIOD_S", 600.0)
+    cameras = list[SteppedCamera]()
+
+    def open_devices_with_a_jump(config: StationConfig) -> Devices:
+        devices = open_devices(config)
+        cameras.append(SteppedCamera(devices.cameras[1]))
+        return replace(devices, cameras=(devices.cameras[0], cameras[0]))
+
+    bench = start(make_config(), open_backend=open_devices_with_a_jump)
+    bench.grant("one", 0)
+    bench.arm()
+    bench.until(PulseReported)
+    cameras[0].step_s = 37.0
+    assert bench.until(Trouble).code == "clock-jumped"
 
 
 def test_a_ring_of_another_configuration_is_refused(make_config: Make) -> None:

@@ -20,7 +20,7 @@ from vaoi_station.acquisition.pairing.forced_assignment import assign_forced
 from vaoi_station.acquisition.pairing.latency import LatencySettings
 from vaoi_station.acquisition.pairing.latency_learning import Latencies, WaitingFrame
 from vaoi_station.acquisition.pairing.proof import TriggerProof
-from vaoi_station.acquisition.pairing.run_conclusion import conclude_run
+from vaoi_station.acquisition.pairing.run_conclusion import cameras_in_doubt, conclude_run, judge_run
 from vaoi_station.acquisition.pairing.run_record import ObservedFrame, ObservedPulse, RunRecord
 from vaoi_station.model import FrameRecord, Pulse, Verdict
 
@@ -127,6 +127,11 @@ class Recorder:
     def open_runs(self) -> list[RunRecord]:
         """The runs that are not finished yet, oldest first."""
         return [r for r in self._runs if not r.finished]
+
+    @property
+    def awaits_clocks(self) -> bool:
+        """Whether a run without further pulses is not finished, so that readings of the clocks should be taken now."""
+        return any(r.pulse_count is not None for r in self.open_runs)
 
     def begin_run(self, run: str | None, bay: int | None, period_s: float) -> RunRecord:
         """Begin the run of a board. `run` and `bay` are None if there is no memory for its frames."""
@@ -307,7 +312,7 @@ class Recorder:
                     self._undated.remove(arrival)
                     out.append(self._take(record, row, arrival, Verdict.INCOMPLETE))
         if overdue or len(record.frames) == record.rows * len(self._camera_clocks):
-            out += self._finish(record, now_s)
+            out += self._finish(record, now_s, overdue)
         return out
 
     def _assign_undated(self, camera: int, now_s: float) -> dict[Arrival, tuple[RunRecord, int]]:
@@ -352,10 +357,19 @@ class Recorder:
                 out.append(self._refuse(arrival, f"incomplete, and {reason}"))
         return out
 
-    def _finish(self, record: RunRecord, now_s: float) -> list[Outcome]:
-        """Finish a run; return the outcomes of its missing frames and its end, with the proof."""
+    def _awaits_reading(self, record: RunRecord) -> bool:
+        """Return whether the clock of a doubted camera was not read since the camera's last frame of a run arrived."""
+        cameras = (n for n in record.doubted if not self.outages.is_away(n))
+        return any(self._camera_clocks[n].read_s < record.last_arrival_s(n) for n in cameras)
+
+    def _finish(self, record: RunRecord, now_s: float, overdue: bool) -> list[Outcome]:
+        """Finish a run; return the outcomes of its missing frames and its end, with the proof.
+
+        A run in doubt waits, at most until it is overdue, for readings of the clocks: a jump is noticed only by them.
+        """
         assert record.run is not None
-        record.finished = True
+        if not overdue and self._awaits_reading(record):
+            return []
         place = next(n for n, r in enumerate(self._runs) if r is record)
         previous = self._runs[place - 1] if place and self._runs[place - 1].run is not None else None
         bound_s = self._controller_clock.bound_s()
@@ -364,7 +378,12 @@ class Recorder:
             # A frame after the last pulse waits for a later event of the controller, which may come with another board.
             if host_s + self._latencies[arrival.camera].gate_s + self.limits.report_delay_s < now_s:
                 unassigned[arrival.camera].append(_observed(arrival, None, host_s))
-        missing, proof = conclude_run(record, unassigned, self.outages, bound_s, previous)
+        missing, proof = judge_run(record, unassigned, self.outages, bound_s, previous)
+        record.doubted = cameras_in_doubt(proof)
+        if not overdue and self._awaits_reading(record):
+            return []
+        record.finished = True
+        conclude_run(record, missing, proof)
         self._latencies.revise(proof)
         ordered = tuple(record.frames[key] for key in sorted(record.frames))
         return [*(Settled(record.run, frame) for frame in missing), Finished(record, ordered, proof)]

@@ -23,14 +23,14 @@ PREVIOUS_RUN = -1
 """Row number that means "the last row of the previous run"."""
 
 
-def conclude_run(
+def judge_run(
     run: RunRecord,
     unassigned: Sequence[Sequence[ObservedFrame]],
     outages: Outages,
     pulse_bound_s: float,
     previous: RunRecord | None = None,
 ) -> tuple[list[FrameRecord], TriggerProof]:
-    """Add the missing frames of a run to `run.frames`; return their records, and the proof of the run.
+    """Return the records of the missing frames of a run, and the proof of the run; `run` does not change.
 
     Args:
         run: a run whose frames have all arrived, or are no longer awaited.
@@ -55,15 +55,23 @@ def conclude_run(
         opening = _opening_gap(run, previous, camera, extra, outages, taken[camera])
         gaps.append([*opening, *_gaps(run, frames[-1], taken[camera])])
         missing += _missing(run, camera, gaps[-1], outages, sum(f.row is None for f in observed))
-    # The proof comes before the missing frames are recorded, because its findings are added to frames that did arrive.
     unconfirmed = {camera for camera, confirmed in run.latency_known.items() if not confirmed}
     proof = _with_jumps(prove(run.pulses, pulse_bound_s, frames, gaps, unconfirmed), jumped)
     proof = _with_lights(proof, contradicted_rows(run.pulses, run.program))
+    return missing, proof
+
+
+def cameras_in_doubt(proof: TriggerProof) -> frozenset[int]:
+    """Return the cameras with findings that a jump of their clock may explain."""
+    return frozenset(f.camera for f in proof.findings if f.kind not in ("other-light", "clock-jumped"))
+
+
+def conclude_run(run: RunRecord, missing: Sequence[FrameRecord], proof: TriggerProof) -> None:
+    """Add to `run.frames` what `judge_run` returned: the missing frames, and the doubts about frames that arrived."""
     for record in missing:
         run.frames[record.camera, record.row] = record
     for camera in {finding.camera for finding in proof.findings}:
         _annotate(run, camera, proof)
-    return missing, proof
 
 
 def _jump_of(frame: ObservedFrame, camera: int, outages: Outages) -> ClockJump | None:

@@ -82,6 +82,8 @@ class RunRecord:
     deadline_s: float = float("inf")
     """Host time until which late frames are awaited."""
     finished: bool = False
+    doubted: frozenset[int] = frozenset()
+    """Cameras whose frames are in doubt; a reading of their clocks may show that a jump of the clock is the cause."""
     latency_known: dict[int, bool] = field(default_factory=dict)
     """For each camera whose latency was learnt from this run: whether the beginning of the run confirms the latency."""
 
@@ -131,6 +133,10 @@ class RunRecord:
         """Return the time from the pulse of an assigned frame's row to its time stamp."""
         assert frame.row is not None
         return frame.host_s - self.pulses[frame.row].host_s
+
+    def last_arrival_s(self, camera: int) -> float:
+        """Return the host time at which the last complete frame of a camera arrived; minus infinity without one."""
+        return max((frame.arrived_s for frame in self.complete_frames[camera]), default=float("-inf"))
 
     def open_rows(self, camera: int) -> list[int]:
         """Return the rows of which no frame of this camera has arrived. Rows without a pulse are left out."""

@@ -24,7 +24,7 @@ from typing import Any
 
 from vaoi_station.acquisition.cameras.interface import Arrival, CameraBack, CameraDevice, CameraLost, DeviceFault
 from vaoi_station.acquisition.clocks import ClockError, ClockModel, ClockReading
-from vaoi_station.acquisition.controller.interface import Controller, ControllerEvent
+from vaoi_station.acquisition.controller.interface import Controller, ControllerEvent, RunEnded
 from vaoi_station.acquisition.devices import Devices
 from vaoi_station.acquisition.process.backends import open_devices
 from vaoi_station.acquisition.process.messages import (
@@ -60,7 +60,7 @@ END_S = 3.0
 FIRST_READINGS = 8
 """Count of clock readings taken from every device before the process is ready."""
 URGENT_READING_PERIOD_S = 0.05
-"""Time between two readings of all clocks while a command waits for accurate clocks, s."""
+"""Shortest time between two readings of all clocks, while a command or the end of a run waits for them, s."""
 CLOCK_TIMEOUT_S = 10.0
 """Longest time, s, for which arming or a single pulse waits until the clocks are known accurately enough.
 
@@ -135,7 +135,7 @@ class _MainLoop:
         self._clocks = [ClockModel("controller"), *(ClockModel(c.label) for c in config.cameras)]
         self._session = Session(config, ring, devices, self._clocks[0], self._clocks[1:], connection.send)
         self._sources: list[Controller | CameraDevice] = [devices.controller, *devices.cameras]
-        self._closing = threading.Event()
+        self._closing, self._clocks_wanted = threading.Event(), threading.Event()
         self._disarm_by_s = math.inf
         """Time by which a requested Disarm is carried out at the latest; infinite without a request."""
         self._threads: tuple[SupervisedThread, ...] = ()
@@ -169,6 +169,7 @@ class _MainLoop:
             self._process_inbox()
         finally:
             self._closing.set()
+            self._clocks_wanted.set()
             # Closing the pipe wakes the thread that waits for commands: a blocked recv cannot be interrupted.
             waker.close()
             for thread in self._threads:
@@ -198,6 +199,8 @@ class _MainLoop:
             # This is tried after every item, because the item may be the clock reading that the command waits for.
             self._try(self._retry_waiting)
             self._try(self._disarm_when_due)
+            if isinstance(item, RunEnded) or self._session.awaits_clocks:
+                self._clocks_wanted.set()
 
     def _check_threads(self) -> None:
         """Raise InternalError if a thread has ended or hangs. This ends the process, and the station restarts it."""
@@ -243,6 +246,8 @@ class _MainLoop:
             self._clocks[0].add(item)
         elif isinstance(item, _PolledClock):
             self._add_polled(item)
+            if self._session.awaits_clocks:
+                self._session.tick(now_s)
         else:
             raise InternalError(f"the acquisition process has no handler for {item!r}.")
 
@@ -320,9 +325,12 @@ class _MainLoop:
         self._threads[0].expect_end()
 
     def _poll_clocks(self) -> None:
-        """Read all clocks twice a second, and more often while a command waits for them."""
+        """Read all clocks twice a second, and more often while a command or the end of a run waits for them."""
         # This runs in a separate thread: the control channel of a dead Aravis camera blocks for about 2.6 s.
-        while not self._closing.wait(URGENT_READING_PERIOD_S if self._waiting else HEALTH_PERIOD_S):
+        while not self._closing.wait(URGENT_READING_PERIOD_S):
+            if not self._waiting:
+                self._clocks_wanted.wait(HEALTH_PERIOD_S - URGENT_READING_PERIOD_S)
+            self._clocks_wanted.clear()
             for number, source in enumerate(self._sources):
                 self._clock_thread.beat()
                 try:

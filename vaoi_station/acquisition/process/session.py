@@ -286,6 +286,11 @@ class Session:
         """The outages of the cameras and the jumps of their clocks, which are the causes of missing frames."""
         return self._recorder.outages
 
+    @property
+    def awaits_clocks(self) -> bool:
+        """Whether a run waits for its end, so that all clocks should be read at once."""
+        return self._recorder.awaits_clocks
+
     def is_away(self, number: int) -> bool:
         """Whether a device was lost and is not back; cameras count from 1, the controller (0) is never away."""
         return number > 0 and self._recorder.outages.is_away(number - 1)
