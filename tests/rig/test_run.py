@@ -105,12 +105,16 @@ class Devices:
         self.cameras = [SimpleNamespace(pid=None)] * CAMERAS
         self.chip = SimpleNamespace(pid=None, send=station.commands.append)
         self.line, self.unexpected_pulses = self, list[Pulse]()
-        self.boards = 0
+        self.boards = self.permitted = 0
 
     def __enter__(self) -> Devices:
         return self
 
     def __exit__(self, *_: object) -> None: ...
+
+    def wait_permitted(self, timeout_s: float) -> bool:
+        self.permitted += 1
+        return True
 
     def start_passage(self, rendered: RenderedBoard) -> BoardPassage:
         passage = passage_of(rendered)

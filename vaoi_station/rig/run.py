@@ -112,7 +112,14 @@ def run_rig(plan: Plan, progress: Callable[[str], None]) -> RigReport:
             port = devices.terminal
             name = f"rig-{os.getpid()}"
             config = build_site(
-                scenario, rendered[0], folder, name=name, addresses=devices.addresses, port=port, workers=plan.workers
+                scenario,
+                rendered[0],
+                folder,
+                name=name,
+                addresses=devices.addresses,
+                port=port,
+                workers=plan.workers,
+                interlock=True,
             )
             progress("Starting the service.")
             with Service(config) as service, injector:
@@ -152,7 +159,7 @@ def _run_boards(
         watch.wait_ready(READY_TIMEOUT_S)
         meter = CpuLoadMeter(_measured_processes(service, watch.last, devices))
         interval_s = min_interval_s(plan.scenario, rendered)
-        with BoardFeeder(devices.line, rendered, interval_s, ids.arm_next) as feeder:
+        with BoardFeeder(devices.line, rendered, interval_s, ids.arm_next, devices.line.wait_permitted) as feeder:
             _collect_runs(plan, client, feeder, record, progress)
         record.load = meter.read(sum(run["counts"]["ok"] for run in record.runs))
         injector.finish()

@@ -25,6 +25,7 @@ def build_site(
     addresses: Sequence[str],
     port: Path,
     workers: int,
+    interlock: bool = False,
 ) -> Path:
     """Write calibration, board type and station.toml into an empty folder; return the path of station.toml.
 
@@ -36,6 +37,7 @@ def build_site(
         addresses: address of each camera.
         port: path of the controller's serial port.
         workers: number of worker processes.
+        interlock: whether the conveyor holds boards back while the output "line ready" is off.
     """
     write_calibration(folder / "calibration.json", rendered.calibration)
     write_board_type(folder / "board-types" / f"{rendered.board_type.name}.json", rendered.board_type)
@@ -57,6 +59,7 @@ def build_site(
                 for light, channels in lighting.channels.items()
             },
             order=scenario.line.lights,
+            interlock="on" if interlock else "off",
         ),
     )
     directory = ring_directory(RingLayout.of(config).file_bytes, folder)

@@ -48,8 +48,9 @@ def feeder_of(
     boards: list[RenderedBoard],
     interval_s: float = 0.0,
     wait_ready: Callable[[float], bool] = lambda _: True,
+    wait_permitted: Callable[[float], bool] = lambda _: True,
 ) -> BoardFeeder:
-    return BoardFeeder(cast("VirtualLine", line), boards, interval_s, wait_ready)
+    return BoardFeeder(cast("VirtualLine", line), boards, interval_s, wait_ready, wait_permitted)
 
 
 def test_all_boards_pass_in_order(short_boards: list[RenderedBoard]) -> None:
@@ -71,6 +72,21 @@ def test_every_board_waits_until_the_station_is_ready(short_boards: list[Rendere
     with feeder_of(line, short_boards, wait_ready=wait_ready) as feeder:
         assert feeder.finished.wait(TIMEOUT_S)
     assert waits == [(READY_TIMEOUT_S, 0), (READY_TIMEOUT_S, 1), (READY_TIMEOUT_S, 2)]
+
+
+def test_a_board_is_held_back_until_the_line_is_ready(short_boards: list[RenderedBoard]) -> None:
+    line = ScriptedLine()
+    permits, passed = iter((True, False, True)), list[int]()
+
+    def wait_permitted(timeout_s: float) -> bool:
+        assert timeout_s == READY_TIMEOUT_S
+        passed.append(len(line.started))
+        return next(permits)
+
+    with feeder_of(line, short_boards, wait_permitted=wait_permitted) as feeder:
+        assert feeder.finished.wait(TIMEOUT_S)
+    assert passed == [0, 1, 2], "each board waits before it starts"
+    assert [passage.held_s is None for passage in feeder.passages] == [False, True, False]
 
 
 def test_the_end_of_the_context_stops_the_feeding(short_boards: list[RenderedBoard]) -> None:

@@ -8,6 +8,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
 import pytest
 
@@ -15,12 +16,12 @@ from tests.rig.host import Host
 from vaoi_station.acquisition.controller.protocol.messages import Step
 from vaoi_station.errors import DeviceError
 from vaoi_station.rig.devices.camera_process import CameraProcess
-from vaoi_station.rig.devices.chip import HZ, Chip
+from vaoi_station.rig.devices.chip import HZ, Chip, Edge
 from vaoi_station.rig.line.extra_frames import FrameRequest
 from vaoi_station.rig.line.feeder import BoardFeeder
 from vaoi_station.rig.line.rendered_boards import RenderedBoard
 from vaoi_station.rig.line.scenarios import lighting_of
-from vaoi_station.rig.line.virtual_line import FrameFaults, VirtualLine, wall_clock_ns
+from vaoi_station.rig.line.virtual_line import LINE_READY, FrameFaults, VirtualLine, wall_clock_ns
 from vaoi_station.simulation import Scenario
 
 RING_LIGHT = Step(0b0001, 500)
@@ -145,3 +146,16 @@ def test_stamps_come_late_from_a_board_on() -> None:
     faults = FrameFaults(late_stamps=((1, 0, 0.02), (2, 0, 0.001), (0, 1, 0.1)))
     assert [faults.stamp_delay_ns(board, 0) for board in range(3)] == [0, 20_000_000, 21_000_000]
     assert faults.stamp_delay_ns(0, 1) == 100_000_000
+
+
+def test_the_conveyor_is_permitted_by_the_output_of_the_chip(small: Scenario) -> None:
+    stage = VirtualLine([], lighting_of(small))
+    assert not stage.wait_permitted(0.0)
+    stage.on_edge(Edge(10, LINE_READY, True, 625))
+    assert stage.wait_permitted(0.0)
+    stage.on_edge(Edge(20, LINE_READY, False, 1250))
+    assert not stage.wait_permitted(0.0)
+    stage.on_edge(Edge(30, LINE_READY, True, 1875))
+    stage._chip = cast("Chip", object())
+    stage.on_chip_reset()
+    assert not stage.wait_permitted(0.0), "a reset lowers all outputs"

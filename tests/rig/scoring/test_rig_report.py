@@ -25,13 +25,13 @@ def test_the_document_survives_json(known: RenderedBoard) -> None:
 
 def test_the_names_of_the_document_are_stable() -> None:
     """Programs read them: a new name is a new version of the format."""
-    assert (RigReport.model_fields["format"].default, RigReport.model_fields["version"].default) == ("vaoi-rig", 2)
+    assert (RigReport.model_fields["format"].default, RigReport.model_fields["version"].default) == ("vaoi-rig", 3)
     assert set(AffectedFrame.model_fields) == {"camera", "row", "verdict", "cause", "done"}
     assert set(Recovery.model_fields) == {"fault", "back_s", "ready_after_s"}
     assert set(BoardScore.model_fields) == {
         "board", "run", "state", "status", "reasons", "cameras", "rows", "rows_due", "ok", "incomplete", "missing",
         "proven", "wrong", "affected", "innocent", "unnamed", "unfilmed", "pulse_off_us", "sent_late_ms", "notes",
-        "deviation", "ready_after_last_frame_ms", "links_open", "armed_id", "board_id",
+        "deviation", "ready_after_last_frame_ms", "links_open", "armed_id", "board_id", "held_s",
     }  # fmt: skip
 
 

@@ -25,6 +25,8 @@ from vaoi_station.rig.devices.pulses import Pulse, PulseDecoder
 from vaoi_station.rig.line.extra_frames import FrameRequest
 from vaoi_station.rig.line.rendered_boards import RenderedBoard
 
+LINE_READY = "PC0"
+"""Pin of the output "line ready", which the conveyor obeys."""
 LEAD_S = 0.05
 """Time from `start_passage` to the start of the passage. The emulator must receive the planned edges in this time."""
 PULSE_TOLERANCE_S = 5e-6
@@ -100,6 +102,8 @@ class BoardPassage:
     blocked_ns: int
     """Time at which the board interrupts the barrier, ns of CLOCK_MONOTONIC."""
     fired: list[FiredPulse] = field(default_factory=list)
+    held_s: float | None = 0.0
+    """Time for which the conveyor held the board back, s; None: it came although the output "line ready" was off."""
 
 
 @dataclass(frozen=True)
@@ -148,6 +152,7 @@ class VirtualLine:
         self._change = threading.Lock()
         self._passage: BoardPassage | None = None
         self._chip: Chip | None = None
+        self._permitted = threading.Event()
         self._boards = 0
         self._end_ns = 0
         self.unexpected_pulses: list[Pulse] = []
@@ -159,10 +164,22 @@ class VirtualLine:
 
     def on_edge(self, edge: Edge) -> None:
         """Handle an edge of one of the chip's outputs: if it completes a pulse, trigger the cameras."""
+        if edge.pin == LINE_READY:
+            self._permit(edge.level)
         pulse = self._decoder.process(edge)
         if pulse is not None:
             with self._change:
                 self._handle_pulse(pulse)
+
+    def wait_permitted(self, timeout_s: float) -> bool:
+        """Wait until the output "line ready" is on, as a conveyor does with a board; return False after the timeout."""
+        return self._permitted.wait(timeout_s)
+
+    def _permit(self, level: bool) -> None:
+        if level:
+            self._permitted.set()
+        else:
+            self._permitted.clear()
 
     def on_camera_report(self, camera: int, word: str, picture: int) -> None:
         """Record a camera's report: a frame was sent, or a trigger was ignored because no client had armed it.
@@ -198,6 +215,7 @@ class VirtualLine:
         """Handle a reset of the chip: outputs are low and planned edges are lost, so plan the later edges again."""
         assert self._chip is not None
         self._decoder = PulseDecoder()
+        self._permit(False)
         if self._passage is not None:
             self._plan_edges(self._passage, self._chip.cycle_at(time.monotonic_ns()))
 

@@ -70,6 +70,10 @@ class BoardScore(Strict):
     links_open: int | None
     """Number of stitching tasks not done when the last frame arrived. Tasks of the last row can only begin then."""
 
+    held_s: float | None = 0.0
+    """Time, s, for which the conveyor held the board back until the output "line ready" was on; None: it did not come
+    on, and the board passed nevertheless."""
+
     @property
     def sound(self) -> bool:
         """Whether no frame is in a wrong row, no frame is lost without a fault, and every loss has a cause."""
@@ -110,7 +114,7 @@ class RigReport(Strict):
     """The document that `vaoi rig run --json` writes."""
 
     format: str = "vaoi-rig"
-    version: int = 2
+    version: int = 3
     ok: bool
     scenario: str
     cameras: int

@@ -99,6 +99,7 @@ def score(evidence: BoardEvidence, outages: Sequence[Outage]) -> BoardScore:
         notes=tuple(dict.fromkeys(f.note for f in passage.fired if f.note)),
         deviation=found,
         ready_after_last_frame_ms=timings.get("ready_after_last_frame_ms"),
+        held_s=None if passage.held_s is None else round(passage.held_s, 3),
         links_open=timings["links"] - timings["links_while_filming"] if timings else None,
     )
 
