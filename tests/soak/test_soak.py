@@ -16,6 +16,13 @@ from tests.soak.report import fault_table, plot, slope_table, summary
 from tests.soak.series import all_series
 from tests.soak.slopes import slope_of
 from tests.soak.soaking import Plan, Record, Soak
+from tests.soak.year import Extent, make_history
+from tests.transfer.conftest import Site, _silent_peer, make_rig, site, store
+from vaoi_station.runs.archive.event_log import EventLog
+from vaoi_station.runs.archive.finished_runs import Archive
+from vaoi_station.store import Database, Store
+
+__all__ = ["_silent_peer", "make_rig", "site", "store"]
 
 SHORT = ("worker killed", "many event streams", "half-sent requests", "disk full")
 
@@ -124,3 +131,22 @@ def test_a_run_that_was_filmed_and_vanished_is_found() -> None:
     events = [{"number": 1, "kind": "run", "state": "filming", "run": "x"}]
     assert account({}, {}, events).finds == ("x: filmed, neither listed nor announced",)
     assert account({}, {}, [{"number": n, "kind": "test"} for n in (1, 3)]).finds
+
+
+def test_one_run_is_multiplied_into_a_history(site: Site) -> None:
+    site.rig.store.close()
+    database = site.rig.config.data / "station.db"
+    extent = Extent(runs=400, whole=30, doubtful=20, result_kb=3.0, events=50)
+    now_s = 1.8e9
+    make_history(database, extent, now_s)
+    store = Store(Database(database))
+    archive = Archive(store, EventLog(store))
+    assert store.retention.whole() == (29, 20), "the newest runs are ok, but for one in twenty"
+    latest = archive.latest()
+    assert latest is not None
+    assert (latest.finish_number, latest.detail.id) == (400, archive.list(1, None)[0].id)
+    assert store.last_event() == 50
+    (size,) = store.database.read("SELECT avg(length(packed)) FROM results")[0]
+    assert 2800 < size < 3600
+    assert store.retention.surplus(False, 29, "", 10) == []
+    store.close()
