@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tests.api.held.history import HeldHistory, HeldTypes
+from tests.api.held.mosaics import HeldMosaics
 from tests.api.held.pins import HeldPins, HeldStorage
 from vaoi_station.api.encoders import ImageFormat, encode_image
 from vaoi_station.config import MethodName
@@ -69,8 +70,7 @@ class HeldStation(StationCoordinator):
         self._news = threading.Condition()
         self.state = StationState.IDLE
         self.armed: ArmedWith | None = None
-        self.reasons: tuple[Reason, ...] = ()
-        self.warnings: tuple[Reason, ...] = ()
+        self.reasons, self.warnings = tuple[Reason, ...](), tuple[Reason, ...]()
         self.lost: tuple[int, ...] = ()
         self.next_try: str | None = None
         self.types = HeldTypes({"demo-board": BoardType.model_validate(BOARD)})
@@ -82,6 +82,7 @@ class HeldStation(StationCoordinator):
         self.references, self.methods = dict[str, ReferenceStatus](), dict[str, MethodName]()
         self.kept, self.storage = HeldPins(self), HeldStorage(self)  # type: ignore[assignment]
         self.broken = self.closed = False
+        self.mosaics = HeldMosaics(self)
         matrix = np.array([[PX_PER_MM, 0, 0], [0, -PX_PER_MM, 320], [0, 0, 1]])
         n = Projective(matrix, System.IMAGE, System.ROW)
         self.cameras = tuple(Camera(WIDTH, HEIGHT, n, Lens((0.0, 0.0), 1.0)) for _ in range(CAMERAS))
@@ -143,7 +144,6 @@ class HeldStation(StationCoordinator):
             self._news.notify_all()
 
     # what callers ask of it
-
     faults = staticmethod(tuple)
 
     def snapshot(self) -> StationSnapshot:

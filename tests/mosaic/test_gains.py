@@ -21,7 +21,7 @@ def test_flicker_field_and_dark_level_are_estimated(film: Film) -> None:
     for _ in range(5):
         expected.append(1 + lamps.normal(0, 0.03))
         lamps.normal(0, 0.5, (2, SIZE[1], SIZE[0]))
-    # A gain that grows from row to row looks like a field with a slope: the overlaps cannot tell them apart.
+    # A gain that grows from row to row looks like a field with a slope: overlaps cannot distinguish them.
     rows = np.arange(5)
     difference = np.array([gains.frame[0, j] for j in range(5)]) - np.log(expected)
     assert np.abs(difference - np.polyval(np.polyfit(rows, difference, 1), rows)).max() < 0.006

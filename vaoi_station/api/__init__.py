@@ -23,6 +23,7 @@ from vaoi_station.api.routes import (
     frames,
     keys,
     metrics,
+    mosaics,
     runs,
     station,
     stitching,
@@ -71,7 +72,7 @@ def create_app(
     )
     app.state.hub = services.hub
     problems.install(app)
-    for module in (station, calibration, board_types, stitching, runs, frames, components, events):
+    for module in (station, calibration, board_types, stitching, runs, frames, components, mosaics, events):
         app.include_router(module.router(services), prefix=PREFIX)
     if access is not None:
         app.include_router(keys.router(services, access), prefix=PREFIX)

@@ -89,6 +89,29 @@ class ComponentList(Strict):
     components: list[ComponentEntry]
 
 
+class MosaicEntry(Strict):
+    """One mosaic of a run: the whole board as one picture."""
+
+    name: str
+    light: str | None = Field(description="Light whose rows it shows; absent: the light of most rows.")
+    exposure_us: float | None = Field(description="Exposure of its frames; absent: each camera's most frequent one.")
+    hdr: bool = Field(description="Whether all exposures are merged. Tiles are then tone-mapped, the file is radiance.")
+    width_px: int
+    height_px: int
+    px_per_mm: float
+    levels: int = Field(description="Number of reductions by 2 until the picture fits into one tile.")
+    image_from_cad: list[list[float]] = Field(description="CAD → pixels of the largest picture; centres are integers.")
+    dzi: str = Field(description="Deep Zoom Image.")
+    iiif: str = Field(description="IIIF Image API 3, level 0.")
+    tiff: str = Field(description="Pyramidal TIFF.")
+
+
+class MosaicList(Strict):
+    """The mosaics of a run."""
+
+    mosaics: list[MosaicEntry]
+
+
 class ViewEntry(Strict):
     """A view: one frame that shows a component, and the temporary image cut from it.
 

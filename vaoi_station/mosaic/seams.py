@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vaoi_station.compiled import compiled
+from vaoi_station.compiled import compiled, inlined
 
 Labels = NDArray[np.int32]
 NO_FRAME = -1
@@ -91,7 +91,7 @@ def _grow(frames: FrameCells, cost: NDArray[np.float32], locked: Labels, labels:
                 count = _push(heap, count, time + step * 0.5 * (cost[y, x] + cost[v, u]), v * width + u, f)
 
 
-@compiled
+@inlined
 def _push(heap: _Heap, count: int, time: float, cell: int, label: int) -> int:
     n = count
     while n > 0:
@@ -104,7 +104,7 @@ def _push(heap: _Heap, count: int, time: float, cell: int, label: int) -> int:
     return count + 1
 
 
-@compiled
+@inlined
 def _pop(heap: _Heap, count: int) -> int:
     count -= 1
     time, cell, label = heap.time[count], heap.cell[count], heap.label[count]

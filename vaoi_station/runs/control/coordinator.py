@@ -30,6 +30,7 @@ from vaoi_station.runs.control.station_events import StationEvents
 from vaoi_station.runs.control.status import renew_permit, snapshot_of, status_line
 from vaoi_station.runs.control.teaching import BoardTypeService, ReferenceTeaching
 from vaoi_station.runs.host.gc_policy import GcPolicy
+from vaoi_station.runs.mosaics.mosaics import Mosaics
 from vaoi_station.runs.run.leases import OWN
 from vaoi_station.runs.run.order import Order
 from vaoi_station.runs.run.reference_store import ReferenceStore
@@ -101,6 +102,7 @@ class StationCoordinator:
         parts.archive.on_announced = lambda run, until_s: self._inbox.post(self._core.announced, run, until_s)
         requests = PictureRequests(parts.workers)
         self._frames = FrameAccess(self._inbox, self._core, ring, parts.archive, requests)
+        self.mosaics = Mosaics(parts.archive, self._frames.lease, requests.render)
         self.kept = KeptRuns(parts.config, parts.archive, parts.events, self._frames)
         self._frames.recorded = self.kept.recordings.frame_file
         teaching = ReferenceTeaching(references, parts.config.method)

@@ -8,7 +8,7 @@ from vaoi_station.acquisition.process.messages import Report
 from vaoi_station.runs.control.core import Core
 from vaoi_station.runs.control.inbox import Inbox
 from vaoi_station.runs.control.pictures import PictureRequests
-from vaoi_station.runs.workers.jobs import Job, RenderJob, Reply
+from vaoi_station.runs.workers.jobs import Job, PictureJob, Reply
 
 
 class InboxEvents:
@@ -30,7 +30,7 @@ class InboxEvents:
 
     def worker_reply(self, job: Job, reply: Reply) -> None:
         """Pass a worker's reply, with the time of its arrival, to the coordinator."""
-        if isinstance(job, RenderJob):
+        if isinstance(job, PictureJob):
             # A picture changes no state, and its caller waits in another thread. So the reply need not wait in the
             # inbox behind messages about frames.
             self._pictures.complete(job, reply)

@@ -31,7 +31,7 @@ from vaoi_station.runs.run.leases import OWN, Lease
 from vaoi_station.runs.run.memory import Bay
 from vaoi_station.runs.states.schemas import ImageFormat, RunDetail
 from vaoi_station.runs.states.tables import FINISHED
-from vaoi_station.runs.workers.jobs import RenderJob, Reply
+from vaoi_station.runs.workers.jobs import PictureJob, RenderJob, Reply
 
 RENDER_LIMIT_S = 60.0
 """Longest wait of a caller for a rendered picture."""
@@ -61,8 +61,8 @@ class PictureRequests:
         self._lock = threading.Lock()
         self._pending: dict[int, Future[Reply]] = {}
 
-    def render(self, job: RenderJob, name: str) -> bytes:
-        """Submit a render job, wait for its reply, and return the encoded picture.
+    def render(self, job: PictureJob, name: str) -> Any:
+        """Submit a picture job, wait for its reply, and return its value: of a render job the encoded picture.
 
         Args:
             job: the job; this method sets its request number.
@@ -73,7 +73,7 @@ class PictureRequests:
             VaoiError: the worker refused the job.
         """
         # Two callers may request the same picture at the same time: only the number distinguishes their jobs.
-        numbered = replace(job, request=next(self._numbers))
+        numbered = replace(job, request=next(self._numbers))  # type: ignore[type-var]  # all of them are dataclasses
         pending: Future[Reply] = Future()
         with self._lock:
             self._pending[numbered.request] = pending
@@ -90,10 +90,9 @@ class PictureRequests:
                 del self._pending[numbered.request]
         if reply.error is not None:
             raise reply.error
-        content: bytes = reply.value
-        return content
+        return reply.value
 
-    def complete(self, job: RenderJob, reply: Reply) -> None:
+    def complete(self, job: PictureJob, reply: Reply) -> None:
         """Pass a worker's reply to the caller that waits for it. If the caller no longer waits, drop the reply."""
         with self._lock:
             pending = self._pending.get(job.request)
@@ -140,11 +139,13 @@ class FrameAccess:
         try:
             with self.lease(detail.id, f"image {name}") as bay:
                 job = RenderJob(detail.id, bay.number, bay.generation, record.slot, view, format)
-                return self._requests.render(job, name)
+                picture: bytes = self._requests.render(job, name)
+                return picture
         except GoneError:
             if (file := self.recorded(detail.id, view.camera, view.row)) is None:
                 raise
-        return self._requests.render(RenderJob(detail.id, 0, 0, 0, view, format, file=file), name)
+        recorded: bytes = self._requests.render(RenderJob(detail.id, 0, 0, 0, view, format, file=file), name)
+        return recorded
 
     def bay_of(self, run: str) -> Bay:
         """Return the bay of a run, without a lease. Raise GoneError if the frames are no longer in memory."""

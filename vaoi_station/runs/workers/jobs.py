@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Collection, Mapping, Set
+from collections.abc import Callable, Collection, Mapping, Set
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from pathlib import Path
 from typing import Any
+
+from numpy.typing import NDArray
 
 from vaoi_station.errors import VaoiError
 from vaoi_station.model import RecordingHead, Status, Stitch
@@ -128,8 +130,29 @@ class ConcludeJob:
         return f"the conclusion of run {self.run}"
 
 
+class PictureJob:
+    """A job for a caller who waits for a picture: its reply goes to this caller."""
+
+    run: str
+    bay: int
+    generation: int
+    request: int
+    """Number of the caller's request, by which the reply is passed to this caller."""
+
+    priority = Priority.RENDER
+    affinity: int | None = None
+
+
+class FramesJob(PictureJob):
+    """A picture job that reads several frames of one bay."""
+
+    def perform(self, frame: Callable[[int], NDArray[Any]]) -> Any:
+        """Return the reply's value. `frame` returns the pixels of a slot, which may change until this returns."""
+        raise NotImplementedError
+
+
 @dataclass(frozen=True)
-class RenderJob:
+class RenderJob(PictureJob):
     """Render one temporary image; the reply's value is the encoded file.
 
     `bay`, `generation` and `slot` are the place of the frame in the ring. They have no meaning if `file` is given.
@@ -176,7 +199,7 @@ class CheckJob:
         return f"the calibration check of run {self.run}"
 
 
-Job = LinkJob | GatherJob | ConcludeJob | RenderJob | CheckJob
+Job = LinkJob | GatherJob | ConcludeJob | PictureJob | CheckJob
 
 
 @dataclass(frozen=True)

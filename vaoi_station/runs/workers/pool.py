@@ -30,9 +30,9 @@ from vaoi_station.runs.workers.jobs import (
     Job,
     LinkJob,
     OpenRun,
+    PictureJob,
     Ping,
     Priority,
-    RenderJob,
     Reply,
     WorkerReady,
     WorkerStarting,
@@ -112,7 +112,7 @@ class WorkerPool:
     def _refusal(self, job: Job) -> VaoiError | None:
         if self._stopping:
             return StateError("The station is stopping; its workers take no more jobs.")
-        if isinstance(job, RenderJob) and self._queues.waiting(Priority.RENDER) >= MAX_PICTURES:
+        if isinstance(job, PictureJob) and self._queues.waiting(Priority.RENDER) >= MAX_PICTURES:
             return BusyError(
                 f"{MAX_PICTURES} pictures wait for a worker already, which is the limit.",
                 action="Request fewer pictures at a time, or request this one again in a moment.",
@@ -351,7 +351,7 @@ class WorkerPool:
             for worker in self._workers
             if worker.overdue
             for q in worker.jobs
-            if q.repeatable and (render or not isinstance(q.job, RenderJob))
+            if q.repeatable and (render or not isinstance(q.job, PictureJob))
         )
         return next((q for q in candidates if sum(q in w.jobs for w in self._workers) == 1), None)
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from vaoi_station.geometry import Camera, Lens, Projective, System
 from vaoi_station.marks.subpixel_localisation import locate_mark
 from vaoi_station.model import BoardType, Stitch
+from vaoi_station.mosaic.seams import NO_FRAME, FrameCells, assign_cells
 from vaoi_station.stitching.matching.prepared_frame import resample
 from vaoi_station.stitching.work import StitchSetup, TaskRunner, all_tasks
 
@@ -35,6 +36,7 @@ def warm_up() -> Stitch:
     # Only frames of cameras that differ are resampled, and the cameras of the synthetic board do not differ.
     resample(picture, np.eye(2, 3), (_RESAMPLED_PX, _RESAMPLED_PX), 1.0)
     _locate_other_marks(picture)
+    _assign_cells()
     lens = setup.cameras[0].lens
     lens.undistort(lens.distort(np.zeros((1, 2))))
     runner = TaskRunner(setup, partial(_frame, picture))
@@ -45,6 +47,13 @@ def warm_up() -> Stitch:
 def _locate_other_marks(picture: NDArray[np.uint8]) -> None:
     """Call the functions that are compiled for marks of other shapes; the marks of the synthetic board are round."""
     locate_mark(picture, np.array(picture.shape[::-1]) / 2.0, "square", _MARK_MM * _PX_PER_MM)
+
+
+def _assign_cells() -> None:
+    """Call the functions that are compiled for the seams of mosaics."""
+    box, start, seed = np.array([(0, 0, 2, 2)], np.int32), np.zeros(1, np.int64), np.zeros((1, 2), np.int32)
+    frames = FrameCells(box, start, np.ones(4, np.bool_), seed, np.zeros(1))
+    assign_cells(frames, np.ones((2, 2), np.float32), np.full((2, 2), NO_FRAME, np.int32))
 
 
 def _setup() -> StitchSetup:

@@ -16,7 +16,7 @@ from vaoi_station.runs.host.message_pipe import MessagePipe
 from vaoi_station.runs.host.process_setup import keep_freed_memory
 from vaoi_station.runs.states.run_ids import utc_of_host
 from vaoi_station.runs.states.schemas import STARTING, ProcessStatus
-from vaoi_station.runs.workers.jobs import ConcludeJob, Job, LinkJob, Priority, RenderJob
+from vaoi_station.runs.workers.jobs import ConcludeJob, Job, LinkJob, PictureJob, Priority
 from vaoi_station.runs.workers.worker_process import run_worker
 from vaoi_station.stitching.matching.evidence import Task
 
@@ -62,7 +62,7 @@ class Queued:
         Gathered evidence is useful only to the worker that gathers it. The evidence of a check exists only in its
         worker.
         """
-        return not self.done and isinstance(self.job, LinkJob | ConcludeJob | RenderJob)
+        return not self.done and isinstance(self.job, LinkJob | ConcludeJob | PictureJob)
 
 
 @dataclass

@@ -30,6 +30,7 @@ from vaoi_station.runs.workers.jobs import (
     CloseRun,
     Concluded,
     ConcludeJob,
+    FramesJob,
     GatherJob,
     Job,
     Linked,
@@ -137,6 +138,8 @@ class WorkerRuntime:
                 return self._conclude(job)
             case RenderJob():
                 return self._render(job)
+            case FramesJob():
+                return self._guarded(job.bay, job.generation, partial(job.perform, self._ring.frame))
             case CheckJob():
                 raise InternalError(f"{job} came without the conclusion it belongs to.")
 

@@ -1,0 +1,50 @@
+"""Mosaics of the held station's runs: jobs are performed at once, in the caller's thread."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.errors import GoneError
+from vaoi_station.runs.mosaics.mosaics import Mosaics
+
+
+class HeldMosaics(Mosaics):
+    """The real mosaics, with an archive, a lease and a worker that are stood in for."""
+
+    def __init__(self, station: Any) -> None:
+        self._station = station
+        self.jobs: list[str] = []
+        super().__init__(SimpleNamespace(get=self._finished), self._held, self._perform)  # type: ignore[arg-type]
+
+    def _finished(self, run: str) -> Any:
+        detail = self._station.run(run)
+        numbered = tuple(f.model_copy(update={"slot": n}) for n, f in enumerate(detail.frames))
+        return SimpleNamespace(
+            detail=detail.model_copy(update={"frames": numbered}),
+            board_type=self._station.types["demo-board"],
+            cameras=self._station.cameras,
+            stitch=self._station.stitch(run),
+            head=None,
+        )
+
+    @contextmanager
+    def _held(self, run: str, purpose: str) -> Iterator[Any]:
+        if not self._station.run(run).frames_available:
+            raise GoneError(f"The frames of run {run} are no longer in memory.", code="frames-gone")
+        yield SimpleNamespace(number=0, generation=1)
+
+    def _perform(self, job: Any, name: str) -> Any:
+        self.jobs.append(name)
+        frames = self._station.run(job.run).frames
+
+        def frame(slot: int) -> NDArray[np.uint8]:
+            pixels: NDArray[np.uint8] = self._station.pixels[job.run, frames[slot].camera, frames[slot].row]
+            return pixels
+
+        return job.perform(frame)

@@ -1,0 +1,106 @@
+"""Mosaics over REST: Deep Zoom, IIIF and the file; what viewers ask for and what is refused."""
+
+from __future__ import annotations
+
+import io
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+import tifffile
+
+from tests.api.routes.pictures import RUNS, picture
+
+
+@pytest.fixture
+def board(client: Any, station: Any) -> Any:
+    """The entry of a run's mosaic."""
+    run = station.film()
+    [entry] = client.get(f"{RUNS}/{run}/mosaics").json()["mosaics"]
+    return entry
+
+
+def test_list_leads_to_all_forms_of_a_mosaic(client: Any, board: Any) -> None:
+    assert (board["name"], board["hdr"], board["width_px"], board["height_px"]) == ("board", False, 480, 320)
+    assert board["image_from_cad"][0] == [8.0, 0.0, -0.5]
+    for form, media in (("dzi", "application/xml"), ("iiif", "application/json"), ("tiff", "image/tiff")):
+        answer = client.get(board[form])
+        assert answer.status_code == 200
+        assert answer.headers["content-type"].startswith(media)
+        assert "immutable" in answer.headers["cache-control"]
+
+
+def test_deep_zoom_tiles_join_to_the_board(client: Any, board: Any) -> None:
+    text = client.get(board["dzi"]).text
+    assert 'TileSize="256"' in text
+    assert '<Size Width="480" Height="320"/>' in text
+    tiles = board["dzi"].removesuffix(".dzi") + "_files"
+    rows = [np.hstack([picture(client.get(f"{tiles}/9/{x}_{y}.png")) for x in range(2)]) for y in range(2)]
+    whole = np.vstack(rows)
+    assert whole.shape == (320, 480)
+    half = picture(client.get(f"{tiles}/8/0_0.png"))
+    assert half.shape == (160, 240)
+    means = whole.reshape(160, 2, 240, 2).mean((1, 3))
+    shown = half > 0
+    assert shown.mean() > 0.5
+    assert np.median(np.abs(half.astype(float) - means)[shown]) < 6
+    assert client.get(f"{tiles}/0/0_0.jpg").headers["content-type"] == "image/jpeg"
+
+
+def test_iiif_tiles_are_those_of_its_description(client: Any, board: Any) -> None:
+    info = client.get(board["iiif"]).json()
+    assert (info["profile"], info["width"], info["height"]) == ("level0", 480, 320)
+    assert info["id"].endswith(board["iiif"].removesuffix("/info.json"))
+    base = board["iiif"].removesuffix("/info.json")
+    for region, size, shape in [
+        ("0,0,256,256", "256,256", (256, 256)),
+        ("256,256,224,64", "224,64", (64, 224)),
+        ("full", "240,160", (160, 240)),
+        ("0,0,480,320", "240,", (160, 240)),
+    ]:
+        assert picture(client.get(f"{base}/{region}/{size}/0/default.png")).shape == shape
+
+
+@pytest.mark.parametrize(
+    ("address", "status", "words"),
+    [
+        ("board/1,2,3,4/3,4/0/default.jpg", 422, "region/size is '1,2,3,4/3,4', but must be one of the tiles"),
+        ("board/square/max/0/default.jpg", 422, "region is 'square', but must be one of the tiles"),
+        ("board_files/9/2_0.jpg", 404, "2×2 tiles, counted from 0; there is no tile 2_0"),
+        ("board_files/12/0_0.jpg", 404, "levels 0 to 9; there is no level 12"),
+        ("board,light=left.dzi", 422, "light is 'left', but must be one of the 1 lights of the run"),
+        ("board,exposure=7.dzi", 422, "exposure_us is 7.0, but must be one of the exposures of the run"),
+        ("board,blue.dzi", 404, "there is no mosaic 'board,blue'"),
+        ("board.tif?x0=1&y0=2", 422, "2 of x0, y0, x1, y1"),
+        ("board.tif?x0=900&y0=900&x1=910&y1=910", 422, "on the board, (0, 0) to (60, 40) mm"),
+        ("board.tif?px_per_mm=400", 422, "64 megapixels (this would be 24000×16000)"),
+    ],
+)
+def test_what_cannot_be_shown_is_refused_with_numbers(
+    client: Any, station: Any, address: str, status: int, words: str
+) -> None:
+    answer = client.get(f"{RUNS}/{station.film()}/mosaics/{address}")
+    assert (answer.status_code, words in answer.json()["detail"]) == (status, True), answer.text
+
+
+def test_region_as_a_file(client: Any, board: Any) -> None:
+    answer = client.get(board["tiff"], params={"x0": 10, "y0": 10, "x1": 30, "y1": 20, "px_per_mm": 4})
+    assert re.search(r'filename=".*board\.tif"', answer.headers["content-disposition"])
+    assert tifffile.imread(io.BytesIO(answer.content)).shape == (40, 80)
+
+
+def test_plan_is_made_once_and_tiles_are_validated(client: Any, station: Any, board: Any) -> None:
+    address = board["dzi"].removesuffix(".dzi") + "_files/9/0_0.jpg"
+    answer = client.get(address)
+    again = client.get(address, headers={"if-none-match": answer.headers["etag"]})
+    assert again.status_code == 304
+    assert station.mosaics.jobs.count("plan of the mosaic") == 1
+
+
+def test_tiles_of_frames_that_are_gone_are_refused(client: Any, station: Any) -> None:
+    run = station.film()
+    station.release(run)
+    answer = client.get(f"{RUNS}/{run}/mosaics/board_files/9/0_0.jpg")
+    assert (answer.status_code, answer.json()["code"]) == (410, "frames-gone")
+    assert client.get(f"{RUNS}/{run}/mosaics").status_code == 200

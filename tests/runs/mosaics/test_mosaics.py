@@ -1,0 +1,121 @@
+"""The mosaics of a run: which there are, and plans that are made once though many callers ask."""
+
+from __future__ import annotations
+
+import threading
+from contextlib import nullcontext
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import tifffile
+
+from tests.mosaic.conftest import Film, Filmed, board, film
+from vaoi_station.errors import InputError
+from vaoi_station.model import FrameRecord, Verdict
+from vaoi_station.runs.mosaics.mosaics import MOST_PLANS, Download, Mosaics
+from vaoi_station.runs.mosaics.picture_names import PictureName
+from vaoi_station.runs.workers.mosaic_jobs import PlanJob
+
+__all__ = ["board", "film"]
+
+
+def mosaics_of(board: Filmed, jobs: list[Any], started: threading.Event | None = None) -> Mosaics:
+    """Mosaics of the run "r1", whose jobs are performed at once and are noted in `jobs`."""
+    keys = [(f.camera, f.row) for f in board.taken]
+    frames = tuple(
+        FrameRecord(
+            camera=f.camera, row=f.row, verdict=Verdict.OK, slot=n, exposure_us=f.exposure_us, light=f.light or ""
+        )
+        for n, f in enumerate(board.taken)
+    )
+    finished = SimpleNamespace(
+        detail=SimpleNamespace(id="r1", frames=frames),
+        board_type=board.board_type,
+        cameras=board.cameras,
+        stitch=board.stitch,
+        head=None,
+    )
+
+    def render(job: Any, name: str) -> Any:
+        jobs.append(job)
+        if started is not None:
+            assert started.wait(30)
+        return job.perform(lambda slot: board.frames[keys[slot]])
+
+    archive = SimpleNamespace(get=lambda run: finished)
+    return Mosaics(archive, lambda run, purpose: nullcontext(SimpleNamespace(number=0, generation=1)), render)  # type: ignore[arg-type]
+
+
+def test_run_with_one_light_and_one_exposure_has_one_mosaic(board: Filmed) -> None:
+    assert mosaics_of(board, []).names("r1") == (PictureName(),)
+
+
+def test_lights_and_exposures_have_mosaics(film: Film) -> None:
+    run = film(exposures=(250.0, 50.0), lights=("even", "even", "left", "left"))
+    assert list(map(str, mosaics_of(run, []).names("r1"))) == [
+        "board",
+        "board,light=even",
+        "board,light=even,exposure=250",
+        "board,light=even,exposure=50",
+        "board,light=even,hdr",
+        "board,light=left",
+        "board,light=left,exposure=250",
+        "board,light=left,exposure=50",
+        "board,light=left,hdr",
+    ]
+
+
+def test_plan_is_made_once_though_several_callers_ask(board: Filmed) -> None:
+    jobs: list[Any] = []
+    may_go = threading.Event()
+    mosaics = mosaics_of(board, jobs, may_go)
+    contents: list[bytes] = []
+    callers = [
+        threading.Thread(target=lambda: contents.append(mosaics.tile("r1", PictureName(), 1, (0, 0, 64, 64), "png")))
+        for _ in range(3)
+    ]
+    for caller in callers:
+        caller.start()
+    may_go.set()
+    for caller in callers:
+        caller.join(60)
+    assert len(set(contents)) == 1
+    assert sum(isinstance(job, PlanJob) for job in jobs) == 1
+
+
+def test_plans_are_kept_up_to_a_number(board: Filmed) -> None:
+    mosaics = mosaics_of(board, [])
+    for n in range(MOST_PLANS + 3):
+        mosaics._plans[f"old{n}", PictureName()] = SimpleNamespace()  # type: ignore[assignment]
+    mosaics.tile("r1", PictureName(), 4, (0, 0, 32, 32), "jpg")
+    assert len(mosaics._plans) == MOST_PLANS
+
+
+def test_file_has_the_region_in_the_colours_of_the_frames(film: Film, tmp_path: Path) -> None:
+    mosaics = mosaics_of(film(channels=3), [])
+    mosaics.write("r1", PictureName(), Download((5.0, 5.0, 25.0, 15.0), 10.0), tmp_path / "m.tif")
+    assert tifffile.imread(tmp_path / "m.tif").shape == (100, 200, 3)
+
+
+def test_region_that_no_frame_shows_is_refused(board: Filmed, tmp_path: Path) -> None:
+    nothing = Filmed(board.board_type, board.stitch, board.cameras, {}, board.taken)
+    mosaics = mosaics_of(nothing, [])
+    mosaics._render = lambda job, name: None if not isinstance(job, PlanJob) else _plan(board)
+    with pytest.raises(InputError, match="no frame of run r1 shows any of this region"):
+        mosaics.write("r1", PictureName(), Download(None, 2.0), tmp_path / "m.tif")
+    assert list(tmp_path.iterdir()) == []
+
+
+def _plan(board: Filmed) -> Any:
+    from tests.mosaic.test_plan import plan_of
+
+    return plan_of(board)
+
+
+def test_too_large_a_file_is_refused_with_its_size(board: Filmed) -> None:
+    with pytest.raises(InputError, match="64 megapixels"):
+        mosaics_of(board, []).grid("r1", PictureName(), Download(None, 900.0))
+    assert np.prod([mosaics_of(board, []).grid("r1", PictureName()).width]) == 520

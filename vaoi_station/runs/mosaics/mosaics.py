@@ -1,0 +1,209 @@
+"""The mosaics of finished runs: plans that workers make once, and tiles that workers render."""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.errors import InputError
+from vaoi_station.files.pyramids import TILE_PX, PyramidLayout, write_pyramid
+from vaoi_station.mosaic import MosaicGrid, MosaicPlan, TakenFrame, TileRenderer, choose_frames
+from vaoi_station.mosaic.deep_zoom import Box
+from vaoi_station.mosaic.grid import Region
+from vaoi_station.mosaic.projection import FrameProjector
+from vaoi_station.mosaic.tiles import NODATA
+from vaoi_station.runs.archive.finished_runs import Archive, FinishedRun
+from vaoi_station.runs.mosaics.picture_names import PictureName
+from vaoi_station.runs.run.memory import Bay
+from vaoi_station.runs.workers.jobs import PictureJob
+from vaoi_station.runs.workers.mosaic_jobs import PlanJob, Slots, TileJob
+
+MOST_PLANS = 8
+"""Number of plans that are kept; one of a board of 400 × 410 mm takes 2 MB per layer."""
+MOST_DOWNLOAD_PX = 64_000_000
+"""Largest number of pixels of a mosaic that is sent as one file."""
+
+Lease = Callable[[str, str], AbstractContextManager[Bay]]
+"""Keeps the frames of a run in memory in a `with` block; arguments are the run and the purpose."""
+Render = Callable[[PictureJob, str], Any]
+"""Has a worker perform a job with this name in messages, and returns the reply's value."""
+
+
+class Download(NamedTuple):
+    """What is sent as one file."""
+
+    region: Region | None
+    """Two opposite corners in CAD coordinates; None for the whole board."""
+    px_per_mm: float | None
+    """Resolution; None for that of the cameras."""
+
+
+@dataclass
+class _Planned:
+    """The plan of one mosaic, or the right to make it."""
+
+    lock: threading.Lock = field(default_factory=threading.Lock)
+    plan: MosaicPlan | None = None
+
+
+class Mosaics:
+    """Renders mosaics of runs. Methods may be called from any thread."""
+
+    def __init__(self, archive: Archive, lease: Lease, render: Render) -> None:
+        self._archive, self._lease, self._render = archive, lease, render
+        self._lock = threading.Lock()
+        self._plans: OrderedDict[tuple[str, PictureName], _Planned] = OrderedDict()
+
+    def names(self, run: str) -> tuple[PictureName, ...]:
+        """Return the mosaics of a run: of every light, and of every exposure and HDR where exposures differ."""
+        frames = _taken(self._archive.get(run))
+        found = [PictureName()]
+        lights: tuple[str | None, ...] = tuple(dict.fromkeys(f.light for f in frames))
+        for light in lights if len(lights) > 1 else (None,):
+            lit = [f for f in frames if light is None or f.light == light]
+            found += [PictureName(light)] if light is not None else []
+            exposures = sorted({f.exposure_us for f in lit}, reverse=True)
+            if len(exposures) > 1:
+                found += [PictureName(light, exposure) for exposure in exposures] + [PictureName(light, hdr=True)]
+        return tuple(found)
+
+    def grid(self, run: str, name: PictureName, download: Download | None = None) -> MosaicGrid:
+        """Return the largest grid of a mosaic; it is computed without frames.
+
+        Raises:
+            InputError: the run has no such light or exposure, or what is to be sent is too large or off the board.
+            StateError: the run has no CAD mapping.
+            NotFoundError: the run is unknown, or ended without a result.
+        """
+        finished = self._archive.get(run)
+        choose_frames(_taken(finished), light=name.light, exposure_us=name.exposure_us, hdr=name.hdr)
+        resolution = self._projector(finished).px_per_mm
+        if download is None:
+            return MosaicGrid.of_board(finished.board_type, resolution)
+        return MosaicGrid.of_board(
+            finished.board_type, download.px_per_mm or resolution, download.region, MOST_DOWNLOAD_PX
+        )
+
+    def tile(self, run: str, name: PictureName, reduction: int, box: Box, format: str) -> bytes:
+        """Have a worker render a part of a mosaic that is reduced by a factor; return it as `jpg` or `png`.
+
+        Raises:
+            GoneError: the frames of the run are no longer in memory.
+        """
+        plan = self._plan(run, name)
+        finished = self._archive.get(run)
+        grid = self.grid(run, name).reduced(reduction)
+        renderer = TileRenderer(plan, self._projector(finished), grid)
+        content: bytes = self._tile(finished, renderer, box, plan.tone, format)
+        return content
+
+    def write(self, run: str, name: PictureName, download: Download, path: Path) -> None:
+        """Write a mosaic as a pyramidal TIFF, as `vaoi mosaic` does."""
+        plan = self._plan(run, name)
+        finished = self._archive.get(run)
+        grid = self.grid(run, name, download)
+        renderer = TileRenderer(plan, self._projector(finished), grid)
+        sample: NDArray[Any] | None = None
+        # The first tile with pixels says which type and how many colours the frames have.
+        for x, y in np.ndindex(-(-grid.width // TILE_PX), -(-grid.height // TILE_PX)):
+            sample = self._tile(finished, renderer, _box(grid, x, y), plan.tone, None)
+            if sample is not None:
+                break
+        if sample is None:
+            raise InputError(
+                f"no frame of run {run} shows any of this region.", action="Choose another region.", code="not-covered"
+            )
+        colour = sample.ndim == 3
+        nodata = "nan" if plan.hdr else str(NODATA)
+        layout = PyramidLayout(
+            grid.width, grid.height, sample.dtype, 3 if colour else 1, nodata, grid.px_per_mm, f"run {run}, {name}"
+        )
+
+        def tile(x: int, y: int) -> NDArray[Any]:
+            whole = np.full(layout.tile_shape, np.nan if plan.hdr else NODATA, layout.dtype)
+            part = self._tile(finished, renderer, _box(grid, x, y), plan.tone, None)
+            if part is not None:
+                whole[: part.shape[0], : part.shape[1]] = cv2.cvtColor(part, cv2.COLOR_BGR2RGB) if colour else part
+            return whole
+
+        write_pyramid(path, layout, tile)
+
+    def _tile(
+        self, finished: FinishedRun, renderer: TileRenderer, box: Box, tone: tuple[float, float], format: str | None
+    ) -> Any:
+        spec = renderer.spec(box)
+        slots = _slots(finished)
+        needed = {(p.camera, p.row): slots[p.camera, p.row] for p in spec.parts}
+        run = finished.detail.id
+        with self._lease(run, "tile of a mosaic") as bay:
+            job = TileJob(run, bay.number, bay.generation, needed, spec, tone, format)
+            return self._render(job, f"tile {box} of the mosaic")
+
+    def _plan(self, run: str, name: PictureName) -> MosaicPlan:
+        """Return the plan of a mosaic; a worker makes it if there is none. Other callers wait meanwhile."""
+        key = run, name
+        with self._lock:
+            planned = self._plans.setdefault(key, _Planned())
+            self._plans.move_to_end(key)
+            while len(self._plans) > MOST_PLANS:
+                self._plans.popitem(last=False)
+        with planned.lock:
+            if planned.plan is None:
+                planned.plan = self._made(self._archive.get(run), name)
+            return planned.plan
+
+    def _made(self, finished: FinishedRun, name: PictureName) -> MosaicPlan:
+        choice = choose_frames(_taken(finished), light=name.light, exposure_us=name.exposure_us, hdr=name.hdr)
+        projector = self._projector(finished)
+        base = MosaicGrid.of_board(finished.board_type, projector.px_per_mm, most_px=float("inf"))
+        run, stitch = finished.detail.id, finished.stitch or finished.result
+        with self._lease(run, "plan of a mosaic") as bay:
+            job = PlanJob(
+                run,
+                bay.number,
+                bay.generation,
+                _slots(finished),
+                choice,
+                finished.cameras,
+                stitch,
+                finished.board_type,
+                base,
+            )
+            plan: MosaicPlan = self._render(job, "plan of the mosaic")
+        return plan
+
+    def _projector(self, finished: FinishedRun) -> FrameProjector:
+        return FrameProjector(finished.stitch or finished.result, finished.cameras)
+
+
+def _box(grid: MosaicGrid, x: int, y: int) -> Box:
+    return x * TILE_PX, y * TILE_PX, min((x + 1) * TILE_PX, grid.width), min((y + 1) * TILE_PX, grid.height)
+
+
+def _slots(finished: FinishedRun) -> Slots:
+    return {(f.camera, f.row): f.slot for f in finished.detail.frames if f.usable and f.slot is not None}
+
+
+def _taken(finished: FinishedRun) -> tuple[TakenFrame, ...]:
+    """Return the usable frames of a run with what they were taken with."""
+    head = finished.head
+
+    def exposure(camera: int, row: int, measured: float | None) -> float:
+        if measured is not None:
+            return measured
+        return head.exposure_us(camera, row) if head is not None and row < head.rows else 1.0
+
+    return tuple(
+        TakenFrame(f.camera, f.row, exposure(f.camera, f.row, f.exposure_us), f.gain or 1.0, f.light or None)
+        for f in finished.detail.frames
+        if f.usable
+    )
