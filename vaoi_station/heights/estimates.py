@@ -28,15 +28,15 @@ _BLUR_PX = 1.1
 
 Interpolation between pixels removes noise, most of all half-way between two pixels. Without blur, heights at which the
 pictures lie half-way would seem to fit best."""
-_NOISE_AREA = 12.0
+NOISE_AREA = 12.0
 """Number of pixels that share one independent value of noise after the blur."""
 _MISFIT_AREA = 30.0
 """The same for differences beyond noise, such as glare: they have the size of the texture."""
 _TILE_PX = (8, 12)
 _INSET_PX = 3
 """Width of the footprint's border that is left out: the blur mixes what is beside a body into it."""
-_SATURATED = 252.0
-_STEP_PX = 0.2
+SATURATED = 252.0
+STEP_PX = 0.2
 """Step of the sweep: largest displacement between two pictures from one height to the next."""
 _MOST_STEPS = 240
 _BOARD_PX = 0.12
@@ -73,7 +73,7 @@ class PartHeight:
 NOTHING = PartHeight(None, None, None, None, 0)
 
 
-class _Pictures(NamedTuple):
+class Pictures(NamedTuple):
     """What a component's frames have in common, for k frames."""
 
     grid: PartGrid
@@ -85,7 +85,7 @@ class _Pictures(NamedTuple):
     """(k,) number of the light."""
     spread: float
     """Largest displacement between two pictures, px of the grid per mm of height."""
-    images: tuple[NDArray[np.uint8], ...]
+    images: tuple[NDArray[Any], ...]
 
 
 class _Swept(NamedTuple):
@@ -124,7 +124,9 @@ def measure_heights(
     for component in board_type.components:
         grid = places.grid(component.address, board_type.footprint(component))
         highest = max(HIGHEST_MM, 1.5 * (component.body_height or 0.0) * board_type.mm_per_unit)
-        pictures = None if grid is None else _pictures(grid, frames, lambda row: numbers[lights[row]] if lights else 0)
+        pictures = (
+            None if grid is None else collect_pictures(grid, frames, lambda row: numbers[lights[row]] if lights else 0)
+        )
         if pictures is None:
             swept[component.address] = 0 if grid is None else _count(grid, frames), None
             continue
@@ -171,8 +173,11 @@ def _count(grid: PartGrid, frames: Frames) -> int:
     return sum(frames.get(view.key, grid.level) is not None for view in grid.views)
 
 
-def _pictures(grid: PartGrid, frames: Frames, light: Callable[[int], int]) -> _Pictures | None:
-    """Collect the frames that show a component; None if there are fewer than two."""
+def collect_pictures(grid: PartGrid, frames: Frames, light: Callable[[int], int]) -> Pictures | None:
+    """Collect the frames that show a grid; None if there are fewer than two.
+
+    `light` gives the number of the light of a row.
+    """
     images = [(view, frames.get(view.key, grid.level)) for view in grid.views]
     there = [(view, image) for view, image in images if image is not None]
     if len(there) < 2:
@@ -184,10 +189,11 @@ def _pictures(grid: PartGrid, frames: Frames, light: Callable[[int], int]) -> _P
     spread = float(np.hypot(*(feet[:, None] - feet[None]).reshape(-1, 2).T).max() / distance.mean())
     if spread <= 0:
         return None
-    return _Pictures(grid._replace(views=views), feet, distance, group, spread, tuple(i for _, i in there))
+    return Pictures(grid._replace(views=views), feet, distance, group, spread, tuple(i for _, i in there))
 
 
-def _stack(places: Places, pictures: _Pictures, margin: int, height_mm: float) -> NDArray[np.float32]:
+def picture_stack(places: Places, pictures: Pictures, margin: int, height_mm: float) -> NDArray[np.float32]:
+    """Return the blurred pictures (k, h, w) of a grid on the plane at a height above the board, with a margin."""
     grid = pictures.grid
     return np.array(
         [
@@ -197,16 +203,16 @@ def _stack(places: Places, pictures: _Pictures, margin: int, height_mm: float) -
     )
 
 
-def _sweep(places: Places, pictures: _Pictures, highest_mm: float) -> _Swept | None:
+def _sweep(places: Places, pictures: Pictures, highest_mm: float) -> _Swept | None:
     """Compute the probability of every height of the body, and the tiles that show it."""
     grid, feet, distance = pictures.grid, pictures.feet_px, pictures.distance_mm
-    step = max(_STEP_PX / pictures.spread, highest_mm / _MOST_STEPS)
+    step = max(STEP_PX / pictures.spread, highest_mm / _MOST_STEPS)
     heights = np.asarray(np.arange(-2, math.ceil(highest_mm / step) + 1) * step, np.float64)
     away = np.hypot(*(feet - (grid.width / 2, grid.height / 2)).T).max() + max(grid.width, grid.height)
     margin = math.ceil(away * heights[-1] / float(distance.min())) + 3
-    stack = _stack(places, pictures, margin, 0.0)
+    stack = picture_stack(places, pictures, margin, 0.0)
     tiles = _tiles(grid)
-    for saturated in (_SATURATED, math.inf):
+    for saturated in (SATURATED, math.inf):
         sums, freedom, used = sweep(stack, margin, feet, heights[:, None] / distance, tiles, pictures.group, saturated)
         shown = freedom > 0
         if shown.any():
@@ -218,7 +224,7 @@ def _sweep(places: Places, pictures: _Pictures, highest_mm: float) -> _Swept | N
     noise = least / freedom
     # A tile without texture fits at every height, and at one of them by chance better than its noise.
     noise = np.maximum(np.maximum(noise, np.median(noise)), 1e-3)
-    likelihood = np.exp((least - sums.T) / (2 * noise * _NOISE_AREA)).T
+    likelihood = np.exp((least - sums.T) / (2 * noise * NOISE_AREA)).T
     board = likelihood[:, np.abs(heights) * pictures.spread <= _BOARD_PX].max(1)
     prior = np.where(heights < -1e-9, -_BELOW_BOARD, 0.0)
     size = np.array([grid.width, grid.height])
@@ -227,11 +233,11 @@ def _sweep(places: Places, pictures: _Pictures, highest_mm: float) -> _Swept | N
     return _Swept(heights, levels.probability, tiles[mine], used[mine])
 
 
-def _refine(places: Places, pictures: _Pictures, swept: _Swept) -> BodyEquations | None:
+def _refine(places: Places, pictures: Pictures, swept: _Swept) -> BodyEquations | None:
     """Compute the equations of the most probable height; None if it is not probable enough, or without texture."""
     heights, probability, tiles, used = swept
     best = int(probability.argmax())
-    near = np.abs(heights - heights[best]) * pictures.spread <= 3.1 * _STEP_PX
+    near = np.abs(heights - heights[best]) * pictures.spread <= 3.1 * STEP_PX
     if probability[near].sum() < _SURE or not len(tiles):
         return None
     h, feet, distance = float(heights[best]), pictures.feet_px, pictures.distance_mm
@@ -239,14 +245,14 @@ def _refine(places: Places, pictures: _Pictures, swept: _Swept) -> BodyEquations
     lowest = _LOWEST_NOISE / 4**pictures.grid.level
     body: BodyEquations | None = None
     for _ in range(_ROUNDS):
-        stack = _stack(places, pictures, 2, h)
+        stack = picture_stack(places, pictures, 2, h)
         lean = (centre[:, None] - feet[None]) / (distance - h)[None, :, None]
         found = normal_equations(stack, lean, tiles + (2, 2, 0, 0), used, pictures.group)
         some = found.variance > 0
         if not some.any():
             return None
         floor = max(float(np.percentile(found.variance[some], 10)), lowest)
-        variance = np.maximum(found.variance, floor) * _NOISE_AREA
+        variance = np.maximum(found.variance, floor) * NOISE_AREA
         variance += np.maximum(found.variance - 3 * floor, 0) * _MISFIT_AREA
         body = _united(
             h, found.matrix / variance[:, None, None], found.vector / variance[:, None], found.noisy / variance
@@ -258,7 +264,7 @@ def _refine(places: Places, pictures: _Pictures, swept: _Swept) -> BodyEquations
         h += moved
         if abs(moved) * pictures.spread < _CONVERGED_PX:
             break
-    if body is None or abs(h - heights[best]) * pictures.spread > 5 * _STEP_PX:
+    if body is None or abs(h - heights[best]) * pictures.spread > 5 * STEP_PX:
         return None
     return body._replace(scale=2.0**pictures.grid.level)
 

@@ -23,7 +23,7 @@ from vaoi_station.model import BoardType, Stitch
 from vaoi_station.pixel_formats import eight_bit_grey
 
 FrameKey = tuple[int, int]
-_LONGEST_PX = 160
+LONGEST_PX = 160
 """Longest side of a grid; larger footprints get larger pixels."""
 _MOST_LEVEL = 4
 _MESH_PX = 12
@@ -38,19 +38,22 @@ class Frames:
     def __init__(self, frame: Callable[[int, int], NDArray[Any] | None]) -> None:
         """Create it from a function that returns the pixels of a camera and row; None for a missing frame."""
         self._frame = frame
-        self._copies: dict[tuple[int, int, int], NDArray[np.uint8] | None] = {}
+        self._copies: dict[tuple[int, int, int], NDArray[Any] | None] = {}
 
-    def get(self, key: FrameKey, level: int) -> NDArray[np.uint8] | None:
+    def get(self, key: FrameKey, level: int) -> NDArray[Any] | None:
         """Return the grey frame reduced by 2 to the power of `level`; None if it is missing."""
         at = (*key, level)
         if at not in self._copies:
             self._copies[at] = self._reduced(key, level)
         return self._copies[at]
 
-    def _reduced(self, key: FrameKey, level: int) -> NDArray[np.uint8] | None:
+    def _reduced(self, key: FrameKey, level: int) -> NDArray[Any] | None:
         if level == 0:
             pixels = self._frame(*key)
-            return None if pixels is None else np.ascontiguousarray(eight_bit_grey(pixels))
+            if pixels is None:
+                return None
+            # 32-bit floats are grey levels that were divided by a flat field.
+            return np.ascontiguousarray(pixels if pixels.dtype == np.float32 else eight_bit_grey(pixels))
         finer = self.get(key, level - 1)
         if finer is None:
             return None
@@ -94,7 +97,8 @@ class Places:
         assert stitch.tester_from_cad is not None
         self.board_type, self.stitch = board_type, stitch
         self.cameras = stitch.cameras(cameras)
-        self._tester_from_cad = stitch.tester_from_cad.matrix
+        self.tester_from_cad = stitch.tester_from_cad.matrix
+        """C (3, 3)."""
         self._keys = [
             (i, j) for i, rows in enumerate(stitch.image_matrices) for j, m in enumerate(rows) if m is not None
         ]
@@ -106,13 +110,16 @@ class Places:
         self._matrices = np.array([np.asarray(stitch.image_matrices[i][j]) for i, j in self._keys])
         self._frame_px = np.array([(self.cameras[i].width_px, self.cameras[i].height_px) for i, _ in self._keys])
 
-    def grid(self, address: str, corners_cad: Floats) -> PartGrid | None:
-        """Return the grid of a component with these corners (4, 2), or None if it is too small for one."""
-        corners = apply(self._tester_from_cad, corners_cad)
+    def grid(self, address: str, corners_cad: Floats, longest_px: int = LONGEST_PX) -> PartGrid | None:
+        """Return the grid of a component with these corners (4, 2), or None if it is too small for one.
+
+        Its longest side is at most `longest_px`.
+        """
+        corners = apply(self.tester_from_cad, corners_cad)
         side = corners[1] - corners[0], corners[3] - corners[0]
         length = [float(np.hypot(*s)) for s in side]
         longest = max(length) * self._px_per_mm
-        level = min(max(0, math.ceil(math.log2(longest / _LONGEST_PX))), _MOST_LEVEL) if longest > 0 else 0
+        level = min(max(0, math.ceil(math.log2(longest / longest_px))), _MOST_LEVEL) if longest > 0 else 0
         pitch = 2**level / self._px_per_mm
         size = [int(v / pitch + 1e-6) for v in length]
         if min(size) < _LEAST_SIDE_PX:
@@ -143,7 +150,7 @@ class Places:
         return tuple(out)
 
     def rectified(
-        self, grid: PartGrid, view: View, image: NDArray[np.uint8], margin: int, height_mm: float = 0.0
+        self, grid: PartGrid, view: View, image: NDArray[Any], margin: int, height_mm: float = 0.0
     ) -> NDArray[np.float32]:
         """Return a frame's pixels on the plane at a height above the surface, with a margin around the footprint.
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,7 +24,7 @@ _TABLE = _table()
 
 
 @compiled
-def sample(image: NDArray[np.uint8], nodes: Floats, step: int, out: NDArray[np.float32]) -> None:
+def sample(image: NDArray[Any], nodes: Floats, step: int, out: NDArray[np.float32]) -> None:
     """Sample an image with a windowed sinc of 6×6 pixels and write the values to `out` (h, w); NaN outside the image.
 
     A narrower kernel displaces fine texture, by up to 0.02 px for waves of 5 px, and alike in a whole small part.

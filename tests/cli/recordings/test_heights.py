@@ -6,8 +6,11 @@ import json
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
+
+from vaoi_station.files.images import read_image
 
 
 @pytest.fixture(scope="module")
@@ -57,3 +60,36 @@ def test_a_result_of_another_recording_and_an_overwritten_input_are_refused(
     said = vaoi("heights", run, "--result", result, "--out", result)
     assert said.code == 2
     assert "is read by this command" in said.err
+
+
+def test_a_map_is_written_beside_the_heights_and_a_region_off_the_board_is_refused(
+    vaoi: Any, case: tuple[Path, Path], tmp_path: Path
+) -> None:
+    run, result = case
+    part = next(c for c in json.loads((run / "board.json").read_text())["components"] if c["ref"] == "U2")
+    (x, y), w, h = part["center"], part["width"] / 2, part["height"] / 2
+    out, region = tmp_path / "heights.json", (x - w, y - h, x + w, y + h)
+    said = vaoi("heights", run, "--result", result, "--out", out, "--map", *region)
+    assert (said.code, said.err) == (0, "")
+    heights, sigma = (cv2.imread(str(tmp_path / f"heights.map{name}.tiff"), -1) for name in ("", "-sigma"))
+    assert heights is not None
+    assert sigma is not None
+    assert heights.dtype == np.float32
+    assert heights.shape == sigma.shape
+    middle = heights[heights.shape[0] // 3 : -(heights.shape[0] // 3), heights.shape[1] // 3 : -(heights.shape[1] // 3)]
+    truth = json.loads((run / "truth.json").read_text())["heights"]["U2"]
+    assert np.nanmedian(middle) == pytest.approx(truth, abs=0.15)
+    assert read_image(tmp_path / "heights.map.png").ndim == 3
+    assert "image_from_cad" in json.loads((tmp_path / "heights.map.json").read_text())
+    said = vaoi("heights", run, "--result", result, "--out", tmp_path / "no.json", "--map", 900, 900, 910, 910)
+    assert said.code == 2
+    assert "region is [900.0, 900.0, 910.0, 910.0]" in said.err
+    assert "must be on the board" in said.err
+    assert not (tmp_path / "no.json").exists()
+
+
+def test_flat_fields_of_another_array_are_refused(vaoi: Any, case: tuple[Path, Path], tmp_path: Path) -> None:
+    run, result = case
+    said = vaoi("heights", run, "--result", result, "--out", tmp_path / "h.json", "--flatfield", tmp_path / "none")
+    assert said.code == 2
+    assert "flatfield.json" in said.err
