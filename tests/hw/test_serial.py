@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -32,6 +33,7 @@ from vaoi_station.acquisition.process.backends import open_devices
 from vaoi_station.config import ControllerConfig, StationConfig
 from vaoi_station.errors import DeviceError, StateError
 from vaoi_station.line_config import Line
+from vaoi_station.model import ProgramRow
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -313,3 +315,10 @@ def test_a_host_that_is_killed_lowers_line_ready_within_a_second(paced: PacedChi
         killed = paced.do("pin PD2 0")
         paced.wait(lambda: paced.edges[-1][1:] == (PIN, 0))
     assert paced.edges[-1][0] - killed < 1.01 * HZ
+
+
+def test_a_light_program_on_the_firmware(host: Host) -> None:
+    """What the firmware reports of every pulse is what the program has for its row."""
+    rows = (ProgramRow("low", (250.0,), (0.0,), 60.0), ProgramRow("top", (250.0,), (0.0,), 120.5))
+    host.controller.arm(replace(PLAN, program=rows, lights=("low", "top")))
+    assert [(p.light, p.on_us) for p in host.run()] == [("low", 60.0), ("top", 120.5)] * 3

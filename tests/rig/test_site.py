@@ -73,3 +73,11 @@ def test_leds_are_on_for_the_longest_exposure(
     assert {name: light.channels for name, light in controller.lights.items()} == {"ring": (0,), "low": (1,)}
     assert {light.on_us for light in controller.lights.values()} == {400.0}
     assert controller.order == ("ring", "low")
+
+
+def test_the_station_films_with_the_program_of_the_scenario(
+    small: Scenario, boards: tuple[RenderedBoard, ...], tmp_path: Path
+) -> None:
+    scenario = Scenario.model_validate({**small.model_dump(), "program": [{"light": "ring", "on_us": 80.0}]})
+    config = site_of(scenario, boards[0], tmp_path)
+    assert (config.program, config.controller.order) == (scenario.program, ())

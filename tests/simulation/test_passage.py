@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from vaoi_station.simulation import Twin
+from vaoi_station.simulation import Scenario, Twin
 from vaoi_station.simulation.imaging.scene import Scene
 
 Make = Callable[..., Twin]
@@ -155,3 +155,22 @@ def test_poses_are_rigid_and_follow_the_pulses(small: Twin) -> None:
         assert pose[2].tolist() == [0.0, 0.0, 1.0]
     steps = np.diff([passage.pose(t)[:2, 2] for t in passage.pulse_times_s], axis=0)
     assert np.allclose(steps[:, 1], small.scenario.belt.speed_mm_s * small.scenario.line.period_s, rtol=0.05)
+
+
+def test_a_program_sets_light_exposure_and_gain_of_each_row(make: Make) -> None:
+    lit: dict[str, dict[str, float]] = {"ring": {}, "low": {}}
+    bright = {"light": "low", "exposure_us": 125.0, "gain_db": 6.0206}
+    steps = [{"light": "ring"}, {"light": "low", "on_us": 50.0}, bright]
+    array = {"exposures_us": [250.0], "reference_exposure_us": 250.0}
+    plain = make(array=array, lights=lit, line={"lights": ["ring"]}).scenario
+    twin = Twin(Scenario.model_validate({**plain.model_dump(), "program": steps}))
+    passage = twin.passage(0)
+    head = passage.head()
+    assert head.lights is not None
+    assert head.lights[:4] == ("ring", "low", "low", "ring")
+    assert [head.exposure_us(0, row) for row in range(3)] == [250.0, 50.0, 125.0]
+    assert [head.gain(0, row) for row in range(3)] == [1.0, 1.0, pytest.approx(2.0, abs=1e-5)]
+    time_s = passage.pulse_times_s[2]
+    means = [passage.frame_at(0, time_s, "ring", 2, row).mean() for row in twin.program]
+    assert means[1] / means[0] == pytest.approx(0.2, abs=0.01)
+    assert means[2] / means[0] == pytest.approx(1.0, abs=0.01)

@@ -18,13 +18,13 @@ def test_an_empty_file_is_a_scenario(tmp_path: Path) -> None:
     assert read_scenario(path) == Scenario()
 
 
-@pytest.mark.parametrize("name", ["demo", "paper", "small"])
+@pytest.mark.parametrize("name", ["demo", "light", "paper", "small"])
 def test_shipped_scenarios_read(name: str) -> None:
     assert read_scenario(scenario_path(name)).board.name == name
 
 
 def test_an_unknown_name_lists_the_known_ones() -> None:
-    with pytest.raises(NotFoundError, match="demo, paper, small"):
+    with pytest.raises(NotFoundError, match="demo, light, paper, small"):
         scenario_path("nothing")
 
 

@@ -54,7 +54,7 @@ def test_twins_of_one_board_share_its_artwork(make: Make) -> None:
 
 
 def test_textures_and_shades_are_computed_once(small: Twin) -> None:
-    assert small.paint("ring") is small.paint("ring")
+    assert small.paint("ring", np.eye(3)) is small.paint("ring", np.eye(3))
     assert small.shade(0, "ring") is small.shade(0, "ring")
     assert small.shade(0, "ring") is not small.shade(1, "ring")
 
@@ -71,7 +71,7 @@ def test_a_light_from_one_side_brightens_that_side(make: Make) -> None:
 
 def test_an_unknown_light_is_an_error(small: Twin) -> None:
     with pytest.raises(KeyError, match="dome"):
-        small.paint("dome")
+        small.paint("dome", np.eye(3))
 
 
 def test_the_line_is_that_of_the_scenario(small: Twin) -> None:

@@ -58,9 +58,10 @@ def build_site(
                 light: LightConfig(channels=channels, on_us=max(lighting.exposures_us))
                 for light, channels in lighting.channels.items()
             },
-            order=scenario.line.lights,
+            order=() if scenario.program else scenario.line.lights,
             interlock="on" if interlock else "off",
         ),
+        program=scenario.program,
     )
     directory = ring_directory(RingLayout.of(config).file_bytes, folder)
     config = config.model_copy(update={"ring": RingConfig(directory=directory)})

@@ -133,10 +133,11 @@ class Passage:
         """
         twin, array = self.twin, self.twin.scenario.array
         light = twin.scenario.lights[light_name]
+        pose = self.pose(t_s)
         samples = twin.scene.view(
             self.pinholes[camera],
-            self.pose(t_s),
-            paint=twin.paint(light_name),
+            pose,
+            paint=twin.paint(light_name, pose),
             light=light,
             placements=self.placements,
             belt_pose=self._times.motion.belt_pose(t_s, self.twin.scenario.texture.follows),

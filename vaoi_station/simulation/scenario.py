@@ -141,6 +141,7 @@ class LightSection(Section):
     shading: Share = 0.0
     shadow: Share = 0.0
     elevation_deg: Annotated[float, Field(gt=5, lt=90)] = 45.0
+    relief: Share = 0.0
 
     def camera_gain(self, camera: int) -> float:
         """Return the brightness factor for one camera. A list with fewer entries than cameras is repeated."""
@@ -350,7 +351,7 @@ def shipped_scenarios() -> tuple[str, ...]:
 
 
 def scenario_path(name: str) -> Path:
-    """Return the path of a scenario file that comes with the software: "demo", "paper" or "small"."""
+    """Return the path of a scenario file that comes with the software: "demo", "light", "paper" or "small"."""
     if name not in shipped_scenarios():
         known = ", ".join(shipped_scenarios())
         raise NotFoundError(f"there is no scenario {name!r}.", action=f"Choose one of: {known}; or give a file.")

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from functools import cached_property, lru_cache
 
 import numpy as np
 
 from vaoi_station.geometry import Camera
+from vaoi_station.geometry.transforms import Floats
 from vaoi_station.line_config import Line
 from vaoi_station.model import BoardType, Calibration, CameraHead, Distortion, ProgramRow
 from vaoi_station.simulation.board.artwork import Artwork, draw
@@ -35,23 +37,13 @@ class World:
     def __init__(self, scenario: Scenario) -> None:
         self.scenario = scenario
         self.pinholes: tuple[Pinhole, ...] = mount_cameras(scenario.array)
-        self._paints: dict[str, LitTextures] = {}
+        self._paints: dict[tuple[str, int], LitTextures] = {}
         self._shades: dict[tuple[int, str], Plane] = {}
 
     @cached_property
     def program(self) -> tuple[ProgramRow, ...]:
         """The light program of the scenario with all its values; empty without one."""
-        array = self.scenario.array
-        count = array.cameras
-        return tuple(
-            ProgramRow(
-                light=step.light,
-                exposures_us=_of_cameras(step.exposure_us or tuple(map(array.exposure_us, range(count))), count),
-                gains_db=_of_cameras(step.gain_db or (0.0,), count),
-                on_us=step.on_us,
-            )
-            for step in self.scenario.program
-        )
+        return program_of(self.scenario)
 
     @cached_property
     def calibration(self) -> Calibration:
@@ -119,11 +111,17 @@ class World:
         beside = Surroundings(s.texture, s.carrier, s.board, s.belt.grey, TEXTURE_PER_PIXEL * s.array.px_per_mm)
         return Scene(s.board, self.artwork, s.belt.grey, beside if beside.visible else None)
 
-    def paint(self, light_name: str) -> LitTextures:
-        """Return the board's textures as they appear under a light pattern."""
-        if light_name not in self._paints:
-            self._paints[light_name] = LitTextures(self.artwork, self.scenario.lights[light_name])
-        return self._paints[light_name]
+    def paint(self, light_name: str, pose: Floats) -> LitTextures:
+        """Return the board's textures as they appear under a light pattern.
+
+        `pose` is tester_from_board, (3, 3), of which the nearest multiple of a quarter turn matters for the relief.
+        """
+        light = self.scenario.lights[light_name]
+        quarter = round(math.atan2(pose[1, 0], pose[0, 0]) / (math.pi / 2)) % 4 if light.relief else 0
+        key = (light_name, quarter)
+        if key not in self._paints:
+            self._paints[key] = LitTextures(self.artwork, light, quarter * math.pi / 2)
+        return self._paints[key]
 
     def vignetting(self, camera: int) -> Plane:
         """Return the relative brightness (h, w) of a camera's frame under even light."""
@@ -148,6 +146,20 @@ class World:
 @lru_cache(maxsize=4)
 def _artwork(section: BoardSection, px_per_mm: float, belt_grey: float) -> Artwork:
     return draw(section, px_per_mm, belt_grey)
+
+
+def program_of(scenario: Scenario) -> tuple[ProgramRow, ...]:
+    """Return the light program of a scenario with all its values; empty without one."""
+    array, count = scenario.array, scenario.array.cameras
+    return tuple(
+        ProgramRow(
+            light=step.light,
+            exposures_us=_of_cameras(step.exposure_us or tuple(map(array.exposure_us, range(count))), count),
+            gains_db=_of_cameras(step.gain_db or (0.0,), count),
+            on_us=step.on_us,
+        )
+        for step in scenario.program
+    )
 
 
 def _of_cameras(values: tuple[float, ...], count: int) -> tuple[float, ...]:

@@ -81,3 +81,14 @@ def test_boards_do_not_come_faster_than_they_pass(boards: tuple[RenderedBoard, .
     scenario = scenario_of(("ring",))
     assert min_interval_s(scenario, boards) == scenario.line.interval_s
     assert min_interval_s(scenario, [Short(boards[0].directory, 7.13), *boards]) == 8.0
+
+
+def test_a_program_lights_each_row_for_its_time() -> None:
+    lit = {"left": LightSection(), "right": LightSection()}
+    steps = [{"light": "left", "on_us": 100.0}, {"light": "right"}]
+    scenario = Scenario.model_validate({"lights": lit, "line": {"lights": ["left"]}, "program": steps})
+    lighting = lighting_of(scenario)
+    assert lighting.channels == {"left": (0,), "right": (1,)}
+    assert [lighting.brightness(pulse((0,), on_us), 0, 0) for on_us in (100.0, 50.0)] == [1.0, 0.5]
+    assert lighting.brightness(pulse((1,), 250.0), 0, 1) == 1.0
+    assert lighting.brightness(pulse((0,), 200.0), 0, 2) == 2.0

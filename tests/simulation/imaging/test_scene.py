@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -186,3 +187,18 @@ def test_the_surface_is_lifted_tilted_and_bowed(x: float, y: float, lift: float,
 def test_bodies_far_from_the_view_are_not_tested_one_by_one(make: Make) -> None:
     near, far = block("C1", (0.0, 0.0), 1.0, 1.0), block("C2", (300.0, 0.0), 1.0, 1.0)
     assert scene_of(near, far).nearby_bodies(make().pinholes[0], np.eye(3)) == [0]
+
+
+def test_slopes_of_metal_towards_the_lamp_are_brighter() -> None:
+    """A pad on the board: its left edge rises to the right, so a lamp on the left lights it."""
+    art = scene_of(metal=0.0).artwork
+    metal = np.zeros_like(art.metal)
+    metal[60:100, 80:120] = 255
+    pad = replace(art, metal=metal)
+    left, right = (LitTextures(pad, LightSection(relief=0.5, azimuth_deg=a)).surface.astype(int) for a in (180.0, 0.0))
+    assert left[80, 80] > art.surface[80, 80] + 10 > art.surface[80, 80] - 10 > right[80, 80]
+    assert (left[80, 119], right[80, 119]) == (right[80, 80], left[80, 80])
+    assert abs(left[80, 100] - int(art.surface[80, 100])) <= 1
+    assert np.array_equal(left[:, :40], art.surface[:, :40])
+    turned = LitTextures(pad, LightSection(relief=0.5, azimuth_deg=0.0), np.pi).surface
+    assert np.array_equal(turned, left)

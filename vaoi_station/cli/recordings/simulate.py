@@ -12,8 +12,8 @@ def simulate(
     scenario: Annotated[
         str,
         typer.Argument(
-            help="Scenario file (TOML), or the name of a shipped scenario: demo, small. A file takes precedence over a "
-            "shipped scenario of the same name; a folder does not."
+            help="Scenario file (TOML), or the name of a shipped scenario: demo, light, small. A file takes precedence "
+            "over a shipped scenario of the same name; a folder does not."
         ),
     ] = "demo",
     *,

@@ -33,6 +33,7 @@ from vaoi_station.errors import DeviceError, InputError, InternalError
 from vaoi_station.files import read_board_type, read_calibration, write_board_type, write_calibration
 from vaoi_station.files.documents import parse, read_json, write_json
 from vaoi_station.model import BoardType, Calibration, Strict
+from vaoi_station.model.light_program import row_of
 from vaoi_station.simulation import Passage, Scenario, Twin
 from vaoi_station.simulation.truth import views
 
@@ -215,7 +216,7 @@ def _exit_with_parent() -> None:
 def _render_board(passage: Passage, directory: Path) -> None:
     twin, cameras = passage.twin, passage.twin.scenario.array.cameras
     edges = barrier_edges(passage)
-    pulses = predict_pulses(edges, TriggerPlan.of(twin.line, twin.scenario.line.lights))
+    pulses = predict_pulses(edges, TriggerPlan.of(twin.line, twin.scenario.line.lights, twin.program))
     array = twin.scenario.array
     frame_bytes = array.width_px * array.height_px * array.bits // 8
     directory.mkdir(parents=True, exist_ok=True)
@@ -225,7 +226,9 @@ def _render_board(passage: Passage, directory: Path) -> None:
 
     def render(row: int) -> None:
         for camera in range(cameras):
-            frames[row, camera] = to_bytes(passage.frame_at(camera, pulses[row].time_s, pulses[row].light, row))
+            filmed = row_of(twin.program, row)
+            image = passage.frame_at(camera, pulses[row].time_s, pulses[row].light, row, filmed)
+            frames[row, camera] = to_bytes(image)
 
     # Threads use all cores here, because OpenCV and numpy release the GIL in the expensive parts.
     with ThreadPoolExecutor(os.cpu_count()) as pool:

@@ -11,6 +11,7 @@ from vaoi_station.rig.line.faults import KINDS
 from vaoi_station.rig.line.rendered_boards import RenderedBoard
 from vaoi_station.rig.line.virtual_line import Lighting
 from vaoi_station.simulation import Scenario
+from vaoi_station.simulation.world import program_of
 
 _SIMULATED_CAMERA_FAULTS = (
     "late_frames", "incomplete_frames", "ignored_triggers", "extra_frames", "exchanged_frames", "free_running",
@@ -46,11 +47,13 @@ def lighting_of(scenario: Scenario) -> Lighting:
     Raises:
         InputError: the scenario has more lights than the controller has channels.
     """
-    names = tuple(dict.fromkeys(scenario.line.lights))
+    program = program_of(scenario)
+    names = tuple(dict.fromkeys(row.light for row in program)) or tuple(dict.fromkeys(scenario.line.lights))
     if len(names) > len(CHANNELS):
-        raise InputError.field("scenario", "line.lights", names, f"at most {len(CHANNELS)} different ones")
+        key = "program" if program else "line.lights"
+        raise InputError.field("scenario", f"lights of {key}", names, f"at most {len(CHANNELS)} different ones")
     exposures_us = tuple(scenario.array.exposure_us(n) for n in range(scenario.array.cameras))
-    return Lighting({name: (n,) for n, name in enumerate(names)}, exposures_us)
+    return Lighting({name: (n,) for n, name in enumerate(names)}, exposures_us, program)
 
 
 def min_interval_s(scenario: Scenario, boards: Sequence[RenderedBoard]) -> float:

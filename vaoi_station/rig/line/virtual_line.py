@@ -18,6 +18,8 @@ from pathlib import Path
 from typing import Literal
 
 from vaoi_station.errors import InternalError
+from vaoi_station.model import ProgramRow
+from vaoi_station.model.light_program import row_of
 from vaoi_station.rig.devices.camera_commands import DARK, TriggerCommand
 from vaoi_station.rig.devices.camera_process import CameraProcess
 from vaoi_station.rig.devices.chip import HZ, Chip, Edge
@@ -60,16 +62,24 @@ class Lighting:
     """For each light, by its name, its LED channels."""
     exposures_us: tuple[float, ...]
     """Exposure of every camera. LEDs have no effect on a frame outside the exposure."""
+    program: tuple[ProgramRow, ...] = ()
+    """The light program for which frames are rendered; empty if every row has the exposures above."""
 
     def light_of(self, pulse: Pulse) -> str | None:
         """Return the name of the light that was on; None: no LED was on, or the LEDs do not form one light."""
         return next((name for name, channels in self.channels.items() if channels == pulse.channels), None)
 
-    def brightness(self, pulse: Pulse, camera: int) -> float:
-        """Return the brightness of a camera's frame, relative to a light that is on for its whole exposure."""
+    def brightness(self, pulse: Pulse, camera: int, row: int | None = None) -> float:
+        """Return the brightness of a camera's frame, relative to the frame that was rendered.
+
+        A frame is rendered for a light that is on for the whole exposure, or as long as the program has for its row.
+        """
         if self.light_of(pulse) is None:
             return 0.0
-        share = min(pulse.on_us / self.exposures_us[camera], 1.0)
+        expected = None if row is None else row_of(self.program, row)
+        exposure_us = self.exposures_us[camera] if expected is None else expected.exposures_us[camera]
+        rendered_us = exposure_us if expected is None else expected.lit_us[camera]
+        share = min(pulse.on_us, exposure_us) / rendered_us
         return 1.0 if abs(share - 1) < BRIGHTNESS_TOLERANCE else share
 
 
@@ -236,7 +246,7 @@ class VirtualLine:
         if row is not None:
             self._on_row(passage.board, row)
         note, count = self._mismatch(passage, row, pulse), len(self._cameras)
-        brightness = [self._lighting.brightness(pulse, n) for n in range(count)]
+        brightness = [self._lighting.brightness(pulse, n, row) for n in range(count)]
         fired = FiredPulse(row, pulse, offset_s * 1e6, ["late"] * count, brightness, note)
         # The pulse is recorded before the cameras are triggered, because they may report at once.
         passage.fired.append(fired)

@@ -22,6 +22,8 @@ from vaoi_station.simulation.imaging.pinholes import Pinhole
 from vaoi_station.simulation.imaging.surroundings import Surroundings
 from vaoi_station.simulation.scenario import BoardSection, LightSection
 
+DOME_MM = 0.08
+"""Width of the slope at the edge of metal under a light with relief: standard deviation of its blur, mm."""
 _SURFACE_STEPS = 4
 _MIN_LEAN_PX = 0.02
 _SUBPIXEL_BITS = 4
@@ -74,8 +76,20 @@ class VisibleBody:
 class LitTextures:
     """The textures of an artwork as they appear under one light. The light changes the brightness of metal."""
 
-    def __init__(self, artwork: Artwork, light: LightSection) -> None:
+    def __init__(self, artwork: Artwork, light: LightSection, turned_rad: float = 0.0) -> None:
+        """Paint the textures.
+
+        Args:
+            artwork: the textures at gain 1.
+            light: the light.
+            turned_rad: rotation of the board against tester coordinates; it matters for a light with relief.
+        """
         self.surface = _scale_metal(artwork.surface, artwork.metal, light.metal)
+        if light.relief:
+            c, s = math.cos(turned_rad), math.sin(turned_rad)
+            x, y = light.direction
+            towards = (c * x + s * y, c * y - s * x)
+            self.surface = _shade_domes(self.surface, artwork, towards, light.relief)
         self.tops = tuple(_scale_metal(b.top, b.metal, light.metal) for b in artwork.bodies)
 
 
@@ -205,6 +219,25 @@ def _scale_metal(grey: Bytes, metal: Bytes, gain: float) -> Bytes:
     if gain == 1:
         return grey
     return to_bytes(grey * (1 + (gain - 1) * (metal.astype(np.float32) / 255)))
+
+
+def _shade_domes(grey: Bytes, artwork: Artwork, towards: tuple[float, float], relief: float) -> Bytes:
+    """Shade metal as flat domes of solder: its slopes that face the lamp are brighter, those that face away darker.
+
+    Args:
+        grey: texture (h, w) of the surface.
+        artwork: gives the metal and the resolution of the texture.
+        towards: unit vector to the lamp in the texture's axes.
+        relief: relative change of the brightness on the steepest slope.
+    """
+    metal = artwork.metal.astype(np.float32) / 255
+    dome = cv2.GaussianBlur(metal, (0, 0), DOME_MM * artwork.px_per_mm)
+    # At a straight edge, the blurred step has its steepest slope, 1 / (σ · √(2π)).
+    steepest = 1 / (DOME_MM * artwork.px_per_mm * math.sqrt(2 * math.pi))
+    slope = cv2.Sobel(dome, cv2.CV_32F, 1, 0, scale=1 / 8) * towards[0]
+    slope += cv2.Sobel(dome, cv2.CV_32F, 0, 1, scale=1 / 8) * towards[1]
+    facing = np.clip(-slope / np.float32(steepest), -1, 1)
+    return to_bytes(grey * (1 + np.float32(relief) * facing * metal))
 
 
 def _to_samples(raw_px: Floats) -> Floats:

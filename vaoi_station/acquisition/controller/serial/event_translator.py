@@ -142,7 +142,7 @@ class EventTranslator:
         # If the barrier event of a run was lost, its first pulse begins it.
         self._running, self._rows = True, event.index + 1
         light = self._light(event.index, event.detail)
-        on_us = event.value * TICK_S * 1e6
+        on_us = round(event.value * TICK_S * 1e6, 3)
         self._emit(PulseFired(next(self._numbers), time_s, event.index, light, on_us=on_us))
 
     def _suppressed(self, event: Event, time_s: float) -> None:
