@@ -106,6 +106,7 @@ def fits(value: Any, schema: dict[str, Any], document: dict[str, Any]) -> bool:
 def test_replies_match_their_schemas(client: Any, station: Any, document: dict[str, Any]) -> None:
     client.post("/api/v1/station/arm?board_type=demo-board&board_id=B1")
     values = {"run": station.film(board_id="B1"), "camera": 0, "row": 0, "ref": "U1", "k": 0, "name": "demo-board"}
+    values |= {"picture": "board", "level": 9, "column": 0, "suffix": "jpg", "region": "full", "size": "240,160"}
     station.teach_reference("demo-board", values["run"])
     station.put_board_type(station.board_type("demo-board"))
     values["revision"] = station.board_type_history.list("demo-board")[0].id

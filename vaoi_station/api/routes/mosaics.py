@@ -48,6 +48,12 @@ FILE: dict[int | str, dict[str, Any]] = {
         "content": {"image/tiff": {"schema": {"type": "string", "format": "binary"}}},
     }
 }
+DZI: dict[int | str, dict[str, Any]] = {
+    200: {"description": "The .dzi file.", "content": {"application/xml": {"schema": {"type": "string"}}}}
+}
+IIIF: dict[int | str, dict[str, Any]] = {
+    200: {"description": "The info.json.", "content": {"application/json": {"schema": {"type": "object"}}}}
+}
 
 
 def router(services: Services) -> APIRouter:
@@ -94,7 +100,7 @@ def router(services: Services) -> APIRouter:
         body = (await ask(entries)).model_dump_json(exclude_none=True).encode()
         return conditional_response(request, body, "application/json", cache=IMMUTABLE)
 
-    @routes.get("/{picture}.dzi", response_class=Response)
+    @routes.get("/{picture}.dzi", response_class=Response, responses=DZI)
     async def get_dzi(request: Request, run: RunId, picture: Picture) -> Response:
         """Return the description of a mosaic as a Deep Zoom Image, whose tiles are JPEG."""
         grid = await ask(mosaics.grid, run, parse_name(picture))
@@ -124,7 +130,7 @@ def router(services: Services) -> APIRouter:
 
         return await tile(request, run, picture, suffix, place)
 
-    @routes.get("/{picture}/info.json", response_class=Response)
+    @routes.get("/{picture}/info.json", response_class=Response, responses=IIIF)
     async def get_iiif(request: Request, run: RunId, picture: Picture) -> Response:
         """Return the description of a mosaic for the IIIF Image API 3, level 0."""
         import json
