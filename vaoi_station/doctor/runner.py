@@ -43,6 +43,7 @@ STATION_CHECKS: tuple[tuple[str, Callable[[CheckContext], Iterable[Finding]]], .
     ("station", running_station.station),
     ("calibration", configured_files.calibration),
     ("board types", configured_files.board_types),
+    ("light programs", configured_files.programs),
     ("stand-ins", configured_files.stand_ins),
     ("disk", storage.data),
     ("shared memory", memory.ring_space),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 from pathlib import Path
@@ -11,6 +12,7 @@ from vaoi_station.config import ReplayConfig
 from vaoi_station.doctor.check_context import CheckContext
 from vaoi_station.doctor.checks import configured_files
 from vaoi_station.doctor.finding import Level
+from vaoi_station.model import ProgramStep
 
 
 def test_complete_files_are_ok(context: CheckContext) -> None:
@@ -55,6 +57,19 @@ def test_read_only_directory_of_board_types_is_a_warning(context: CheckContext) 
     with without_privileges():
         finding = only(configured_files.board_types(context))
     assert_problem(finding, Level.WARNING, "cannot be written to")
+
+
+def test_a_program_that_does_not_fit_is_named_with_its_board_type(context: CheckContext) -> None:
+    assert "none in station.toml, 0 of 1 board types" in only(configured_files.programs(context)).message
+    path = next(context.config.board_types.glob("*.json"))
+    board_type = json.loads(path.read_text())
+    path.write_text(json.dumps(board_type | {"line": {"speed_mm_s": 3.0}}))
+    finding = only(configured_files.programs(context))
+    assert_problem(finding, Level.FAULT, "line.speed_mm_s is 3.0, but must be")
+    assert finding.subject == board_type["name"]
+    long = context.config.model_copy(update={"program": (ProgramStep(light="ring", exposure_us=(9e5,)),)})
+    found = [f.subject for f in configured_files.programs(with_config(context, long))]
+    assert found == ["station", board_type["name"]]
 
 
 def test_scenario_with_another_period_is_a_fault(context: CheckContext) -> None:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator
 
+from vaoi_station.acquisition.controller.filming_plan import filming_plan
 from vaoi_station.acquisition.process.backends import check_backends
 from vaoi_station.doctor.check_context import CheckContext
 from vaoi_station.doctor.finding import Finding, fault, not_applicable, ok, warning
 from vaoi_station.doctor.machine import is_directory, writable
-from vaoi_station.errors import VaoiError
+from vaoi_station.errors import InputError, VaoiError
 from vaoi_station.files import read_calibration
 from vaoi_station.store import BoardTypeDirectory
 
@@ -54,6 +56,31 @@ def board_types(context: CheckContext) -> Iterator[Finding]:
         )
     elif sound:
         yield ok(f"{directory}: {len(sound)} board types can be read", figures={"board_types": len(sound)})
+
+
+def programs(context: CheckContext) -> Iterator[Finding]:
+    """Check that light program, belt speed and lengths of the station and of each board type fit the station."""
+    config = context.config
+    px_per_mm: list[float] = []
+    heads = tuple(camera.head for camera in config.cameras)
+    with contextlib.suppress(VaoiError):  # the check of the calibration reports it
+        px_per_mm = [camera.px_per_mm for camera in read_calibration(config.calibration, heads).cameras(heads)]
+    sound = []
+    if is_directory(config.board_types):
+        listed = BoardTypeDirectory(config.board_types).list()
+        sound = [file.board_type for file in listed if file.board_type is not None]
+    own = [board_type for board_type in sound if board_type.program or board_type.line]
+    wrong = False
+    for board_type in (None, *own):
+        try:
+            filming_plan(config, board_type, px_per_mm)
+        except InputError as error:
+            wrong = True
+            action = error.action or "Correct it; docs/engineering/light.md describes programs and their limits."
+            yield fault(error.message, action, subject="station" if board_type is None else board_type.name)
+    if not wrong:
+        station = f"{len(config.program)} steps in station.toml" if config.program else "none in station.toml"
+        yield ok(f"{station}, {len(own)} of {len(sound)} board types with a program or a line of their own")
 
 
 def stand_ins(context: CheckContext) -> Iterator[Finding]:
