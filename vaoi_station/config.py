@@ -235,6 +235,8 @@ class StationConfig(Section):
 
     name: str = "vaoi"
     calibration: Path
+    flat_fields: Path | None = None
+    """Directory of the flat fields of the cameras (`vaoi flatfield`); None: merged pictures are made without them."""
     board_types: Path
     """Directory of board types, one NAME.json each."""
     data: Path

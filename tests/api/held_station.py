@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tests.api.held.history import HeldHistory, HeldTypes
+from tests.api.held.merged import HeldMerged
 from tests.api.held.mosaics import HeldMosaics
 from tests.api.held.pins import HeldPins, HeldStorage
 from vaoi_station.api.encoders import ImageFormat, encode_image
@@ -75,14 +76,13 @@ class HeldStation(StationCoordinator):
         self.next_try: str | None = None
         self.types = HeldTypes({"demo-board": BoardType.model_validate(BOARD)})
         self.board_type_history = HeldHistory(self.types)  # type: ignore[assignment]
-        self.log: list[EventRecord] = []
-        self.filmed: dict[str, RunDetail] = {}
+        self.log, self.filmed = list[EventRecord](), dict[str, RunDetail]()
         self.pixels: dict[tuple[str, int, int], NDArray[np.uint8]] = {}
         self.holders: dict[tuple[str, str], LeaseStatus] = {}
         self.references, self.methods = dict[str, ReferenceStatus](), dict[str, MethodName]()
         self.kept, self.storage = HeldPins(self), HeldStorage(self)  # type: ignore[assignment]
         self.broken = self.closed = False
-        self.mosaics = HeldMosaics(self)
+        self.merged, self.mosaics = HeldMerged(self), HeldMosaics(self)  # type: ignore[assignment]
         matrix = np.array([[PX_PER_MM, 0, 0], [0, -PX_PER_MM, 320], [0, 0, 1]])
         n = Projective(matrix, System.IMAGE, System.ROW)
         self.cameras = tuple(Camera(WIDTH, HEIGHT, n, Lens((0.0, 0.0), 1.0)) for _ in range(CAMERAS))

@@ -22,6 +22,7 @@ from vaoi_station.api.routes import (
     events,
     frames,
     keys,
+    merged,
     metrics,
     mosaics,
     runs,
@@ -72,7 +73,7 @@ def create_app(
     )
     app.state.hub = services.hub
     problems.install(app)
-    for module in (station, calibration, board_types, stitching, runs, frames, components, mosaics, events):
+    for module in (station, calibration, board_types, stitching, runs, frames, components, merged, mosaics, events):
         app.include_router(module.router(services), prefix=PREFIX)
     if access is not None:
         app.include_router(keys.router(services, access), prefix=PREFIX)

@@ -122,7 +122,7 @@ def exposure_groups(views: Sequence[Exposed]) -> list[list[Exposed]]:
     to an exposure that is too short or too long for it. Rows whose group would not become complete start none. If no
     group is complete, all views are one group.
     """
-    levels = _distinct(views)
+    levels = distinct_exposures(views)
     masks = {id(v): _shown(v) for v in views}
     levels_of = {id(v): int(np.searchsorted(levels, v.scale, side="right")) - 1 for v in views}
     whole = np.zeros((len(levels), _GRID**2), np.int_)
@@ -156,7 +156,7 @@ def _shown(exposed: Exposed) -> NDArray[np.bool_]:
     return np.asarray(((at >= 1) & (at <= np.array(exposed.frame_size) - 2)).all(1))
 
 
-def _distinct(views: Sequence[Exposed]) -> list[float]:
+def distinct_exposures(views: Sequence[Exposed]) -> list[float]:
     """Return the different exposures · gains of views, increasing; similar ones count once."""
     found: list[float] = []
     for scale in sorted(v.scale for v in views):
@@ -177,7 +177,7 @@ def _add(exposed: Exposed, sums: Sequence[tuple[Floats32, Floats32]]) -> None:
 def _picture(views: Sequence[Exposed], total: Floats32, weight: Floats32) -> MergedPicture:
     with np.errstate(divide="ignore", invalid="ignore"):
         value = np.asarray(total / weight, dtype=np.float32)
-    return MergedPicture(tuple(v.view for v in views), len(_distinct(views)), value, weight)
+    return MergedPicture(tuple(v.view for v in views), len(distinct_exposures(views)), value, weight)
 
 
 def _warped(exposed: Exposed) -> Floats32:

@@ -122,10 +122,7 @@ class FlatFields:
         Raises:
             InputError: a file is absent or not what it must be; the message names it.
         """
-        path = directory / DOCUMENT
-        data = read_json(path)
-        check_format(data, path, "vaoi-flatfield", 1)
-        document = parse(FlatFieldDocument, data, path)
+        document = _read_document(directory)
         flats = {(f.camera, f.light): _read(directory / f.file, document.cameras[f.camera]) for f in document.fields}
         darks = {
             i: _read(directory / c.dark_file, c, least=-1.0)
@@ -133,6 +130,11 @@ class FlatFields:
             if c.dark_file is not None
         }
         return cls(document, flats, darks, str(directory))
+
+    @classmethod
+    def peek(cls, directory: Path) -> FlatFields:
+        """Read the document alone, without pictures: enough for `check`."""
+        return cls(_read_document(directory), source=str(directory))
 
     def __bool__(self) -> bool:
         return self.document is not None
@@ -209,6 +211,13 @@ def write_flat_fields(directory: Path, fields: FlatFields) -> None:
         if camera.dark_file is not None:
             write_bytes(directory / camera.dark_file, encode_tiff(fields.darks[i]), durable=False)
     write_json(directory / DOCUMENT, document.model_dump(mode="json", exclude_none=True))
+
+
+def _read_document(directory: Path) -> FlatFieldDocument:
+    path = directory / DOCUMENT
+    data = read_json(path)
+    check_format(data, path, "vaoi-flatfield", 1)
+    return parse(FlatFieldDocument, data, path)
 
 
 def _read(path: Path, camera: CameraFields, least: float = 0.0) -> Floats32:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.api.routes.pictures import RUNS, picture
+from tests.api.held.pictures import RUNS, picture
 
 
 def test_the_list_of_components_leads_to_their_views(client: Any, station: Any) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.api.routes.pictures import RUNS, picture
+from tests.api.held.pictures import RUNS, picture
 
 
 @pytest.mark.parametrize("name", ["png", "tiff", "npy", "raw"])

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from tests.api.routes.pictures import RUNS, picture
+from tests.api.held.pictures import RUNS, picture
 
 
 @pytest.fixture

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from vaoi_station.errors import InputError
 from vaoi_station.files import Recording, open_recording, read_board_type, read_calibration, read_stitch
 from vaoi_station.files.documents import write_bytes, write_json
-from vaoi_station.files.images import encode_jpeg, encode_png, encode_tiff
 from vaoi_station.geometry import Camera
-from vaoi_station.hdr import Exposed, MergedPicture, merge_views, tone_map
+from vaoi_station.hdr import Exposed, MergedPicture, merge_views
+from vaoi_station.hdr.encoding import LINEAR, MergedFormat, encode_merged
 from vaoi_station.hdr.parts import known_height_mm, region_component, views_on_top
 from vaoi_station.hdr.row_levels import row_levels
 from vaoi_station.hdr.tone_mapping import ToneCurve
@@ -75,7 +75,7 @@ def cut_merged(
     px_per_mm: float | None,
     min_coverage: float | None,
     flatfield: Path | None,
-    form: tuple[str, bool],
+    form: tuple[MergedFormat, bool],
 ) -> None:
     """Write the merged pictures of components, or of a region, and a listing of each.
 
@@ -83,7 +83,7 @@ def cut_merged(
     """
     if region is not None:
         parts = [region_component(region, case.board_type, px_per_mm or case.px_per_mm)]
-    if form[1] and form[0] not in ("npy", "tiff"):
+    if form[1] and form[0] not in LINEAR:
         raise InputError(
             f"vaoi cut: --sigma was given with --format {form[0]}, but only npy and tiff hold a standard deviation.",
             action="Use --format npy or tiff.",
@@ -116,7 +116,9 @@ def cut_merged(
         _write(part, exposed, out, form, height)
 
 
-def _write(part: Component, exposed: Sequence[Exposed], out: Path, form: tuple[str, bool], height_mm: float) -> None:
+def _write(
+    part: Component, exposed: Sequence[Exposed], out: Path, form: tuple[MergedFormat, bool], height_mm: float
+) -> None:
     stem = part.address.replace("/", "_")
     pictures = merge_views(exposed) if exposed else []
     curve = ToneCurve.of(pictures[-1].value) if pictures else None
@@ -128,7 +130,7 @@ def _write(part: Component, exposed: Sequence[Exposed], out: Path, form: tuple[s
         entry: dict[str, Any] = {"file": name, **_describe(picture), "plane_height_mm": round(height_mm, 4)}
         if form[1]:
             entry["sigma_file"] = name.replace("_hdr", "_hdr_sigma", 1)
-            write_bytes(out / entry["sigma_file"], encode_merged(picture.sigma, form[0], None), durable=False)
+            write_bytes(out / entry["sigma_file"], encode_merged(picture.sigma, form[0]), durable=False)
         listing.append(entry)
     write_json(out / f"{stem}.json", listing)
     if not pictures:
@@ -163,20 +165,6 @@ def describe_view(view: View) -> dict[str, Any]:
         "image_from_crop": view.image_from_crop.matrix.tolist(),
         "image_from_crop_is": "undistorted pixels" if view.distorted else "raw pixels",
     }
-
-
-def encode_merged(value: NDArray[np.float32], form: str, curve: ToneCurve | None) -> bytes:
-    """Encode radiance (h, w), or its standard deviation: linear as npy or tiff, tone-mapped as png or jpeg."""
-    if form == "npy":
-        import io
-
-        buffer = io.BytesIO()
-        np.save(buffer, value, allow_pickle=False)
-        return buffer.getvalue()
-    if form == "tiff":
-        return encode_tiff(value)
-    shown = tone_map(value, curve)
-    return encode_png(shown, 3) if form == "png" else encode_jpeg(shown)
 
 
 def _noise(recording: Recording) -> NoiseModel:

@@ -104,7 +104,7 @@ class StationCoordinator:
         self._frames = FrameAccess(self._inbox, self._core, ring, parts.archive, requests)
         self.mosaics = Mosaics(parts.archive, self._frames.lease, requests.render)
         self.kept = KeptRuns(parts.config, parts.archive, parts.events, self._frames)
-        self._frames.recorded = self.kept.recordings.frame_file
+        self._frames.recorded, self.merged = self.kept.recordings.frame_file, self._frames.merged(parts.config)
         teaching = ReferenceTeaching(references, parts.config.method)
         self._board_types = BoardTypeService(
             board_types, teaching, parts.archive, parts.events, self._core, self._inbox, self._frames

@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 from numpy.typing import NDArray
 
 from vaoi_station.acquisition.ring.ring import Ring
+from vaoi_station.config import StationConfig
 from vaoi_station.errors import DeviceError, GoneError, NotFoundError, StateError
 from vaoi_station.files.images import read_kept_image
 from vaoi_station.model import FrameRecord
@@ -27,6 +28,7 @@ from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.control.active_runs import Workers
 from vaoi_station.runs.control.core import Core
 from vaoi_station.runs.control.inbox import Inbox
+from vaoi_station.runs.merging.merged_pictures import MergedAccess
 from vaoi_station.runs.run.leases import OWN, Lease
 from vaoi_station.runs.run.memory import Bay
 from vaoi_station.runs.states.schemas import ImageFormat, RunDetail
@@ -146,6 +148,14 @@ class FrameAccess:
                 raise
         recorded: bytes = self._requests.render(RenderJob(detail.id, 0, 0, 0, view, format, file=file), name)
         return recorded
+
+    def merged(self, config: StationConfig) -> MergedAccess:
+        """Return the access to merged pictures, with the flat fields of the station."""
+
+        def recorded(run: str, camera: int, row: int) -> Path | None:
+            return self.recorded(run, camera, row)
+
+        return MergedAccess(self._archive.get, self.lease, recorded, self._requests.render, config.flat_fields)
 
     def bay_of(self, run: str) -> Bay:
         """Return the bay of a run, without a lease. Raise GoneError if the frames are no longer in memory."""

@@ -42,6 +42,7 @@ from vaoi_station.runs.workers.jobs import (
     WorkerReady,
     check_after,
 )
+from vaoi_station.runs.workers.merge_job import MergeJob, merge
 from vaoi_station.stitching.matching.evidence import Evidence, FrameKey, Task
 from vaoi_station.stitching.quality.findings import Findings
 from vaoi_station.stitching.work import StitchSetup, TaskRunner
@@ -183,6 +184,10 @@ class WorkerRuntime:
         return [found for task, found in self._runs[job.run].evidence.items() if task not in job.excluded]
 
     def _render(self, job: RenderJob) -> bytes:
+        if isinstance(job, MergeJob):
+            if job.file is not None:
+                return merge(job, self._ring.frame)
+            return self._guarded(job.bay, job.generation, lambda: merge(job, self._ring.frame))
         if job.file is not None:
             return encode(render(job.view, read_kept_image(job.file)), job.format)
         frame = self._ring.frame(job.slot)

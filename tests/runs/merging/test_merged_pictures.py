@@ -1,0 +1,103 @@
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.api.held_station import BOARD, CAMERAS, HeldStation
+from tests.photometry.white_recordings import film, white
+from tests.runs.merging.finished_board import RADIANCE, Merging
+from vaoi_station.errors import GoneError, InputError, NotFoundError
+from vaoi_station.model import BoardType
+from vaoi_station.photometry.flat_fields import write_flat_fields
+from vaoi_station.photometry.measurement import measure_flat_fields
+from vaoi_station.runs.merging.merged_pictures import MergeRequest
+
+
+@pytest.fixture
+def merging() -> Merging:
+    return make()
+
+
+def make(flat_fields: Path | None = None) -> Merging:
+    station = HeldStation()
+    run = station.film()
+    return Merging(BoardType.model_validate(BOARD), station.stitch(run), station.cameras, flat_fields)
+
+
+def array(content: bytes) -> Any:
+    return np.load(io.BytesIO(content))
+
+
+def test_frames_of_all_exposures_are_merged_to_radiance(merging: Merging) -> None:
+    wanted = MergeRequest("U1")
+    choices = merging.access.pictures("r1", wanted)
+    assert choices[-1].exposures == 2
+    assert len(choices[-1].frames) == max(len(c.frames) for c in choices) > CAMERAS
+    assert (0, 1) not in {(f.view.camera, f.view.row) for c in choices for f in c.frames}
+    value = array(merging.access.image("r1", wanted, None, "npy"))
+    assert value.shape == (choices[-1].view.height, choices[-1].view.width)
+    np.testing.assert_allclose(value[np.isfinite(value)], RADIANCE, rtol=0.01)
+    sigma = array(merging.access.image("r1", wanted, 0, "npy", sigma=True))
+    assert 0 < float(sigma.min()) < 0.05
+    assert [f.slot for f in merging.jobs[0].frames] == [f.slot for f in choices[-1].frames]
+    assert (merging.jobs[0].bay, merging.jobs[0].generation) == (1, 7)
+    assert "merged of" in str(merging.jobs[0])
+
+
+def test_regions_and_single_lights(merging: Merging) -> None:
+    wanted = MergeRequest(region=(10, 10, 16, 15), light="left", px_per_mm=4)
+    last = merging.access.pictures("r1", wanted)[-1]
+    assert {f.taken.light for f in last.frames} == {"left"}
+    assert (last.view.width, last.view.height) == (24, 20)
+    assert last.plane_height_mm == 0
+    assert merging.access.image("r1", wanted, None, "png").startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("wanted", "error", "message"),
+    [
+        (MergeRequest(), InputError, "exactly one of component and region"),
+        (MergeRequest("U1", (0, 0, 1, 1)), InputError, "exactly one of component and region"),
+        (MergeRequest("U9"), NotFoundError, "no component 'U9'"),
+        (MergeRequest("U1", light="blue"), NotFoundError, "No usable frame of run r1 under the light 'blue' shows U1"),
+        (MergeRequest(region=(100, 100, 101, 101)), InputError, "must be on the board"),
+        (MergeRequest(region=(0, 0, 60, 40), px_per_mm=90), InputError, "megapixels at 90 px/mm, but the limit is 16"),
+    ],
+)
+def test_what_cannot_be_merged_is_refused(merging: Merging, wanted: MergeRequest, error: Any, message: str) -> None:
+    with pytest.raises(error, match=message):
+        merging.access.pictures("r1", wanted)
+
+
+def test_too_much_work_for_one_picture_is_refused(merging: Merging, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("vaoi_station.runs.merging.merged_pictures.MOST_WORK", 10_000)
+    with pytest.raises(InputError, match=r"px of \d+ frames are .* million pixels, but the limit is 0 million"):
+        merging.access.pictures("r1", MergeRequest("U1"))
+
+
+def test_images_that_do_not_exist_are_refused(merging: Merging) -> None:
+    with pytest.raises(NotFoundError, match="merged pictures, numbered from 0; there is no 99"):
+        merging.access.image("r1", MergeRequest("U1"), 99, "npy")
+    with pytest.raises(InputError, match="format is 'png', but must be npy or tiff for a sigma"):
+        merging.access.image("r1", MergeRequest("U1"), None, "png", sigma=True)
+    merging.gone = True
+    with pytest.raises(GoneError):
+        merging.access.image("r1", MergeRequest("U1"), None, "npy")
+
+
+def test_a_frame_without_a_known_exposure_is_refused(merging: Merging) -> None:
+    frames = [f.model_copy(update={"exposure_us": None}) for f in merging.finished.detail.frames]
+    merging.finished.detail.frames = tuple(frames)
+    with pytest.raises(InputError, match=r"exposure of camera \d, row \d is unknown"):
+        merging.access.pictures("r1", MergeRequest("U1"))
+
+
+def test_flat_fields_of_another_array_are_refused(tmp_path: Path) -> None:
+    fields = measure_flat_fields(film(tmp_path / "white", white(120)))
+    write_flat_fields(tmp_path, fields)
+    with pytest.raises(InputError, match="are of an array of 2 cameras, but 3 cameras were filming"):
+        make(tmp_path).access.image("r1", MergeRequest("U1"), None, "npy")

@@ -1,0 +1,208 @@
+"""Merged pictures of a component or region of a run: which there are, and the job that makes each.
+
+They are chosen in the caller's thread, without pixels; a worker merges them, as it renders temporary images.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from vaoi_station.errors import GoneError, InputError, NotFoundError
+from vaoi_station.hdr import Exposed
+from vaoi_station.hdr.encoding import LINEAR, MergedFormat
+from vaoi_station.hdr.merging import distinct_exposures, exposure_groups
+from vaoi_station.hdr.parts import known_height_mm, region_component, views_on_top
+from vaoi_station.model import FrameRecord
+from vaoi_station.photometry import FieldMaps, FlatFields, NoiseModel, Taken
+from vaoi_station.rendering import View
+from vaoi_station.runs.archive.component_views import component_of
+from vaoi_station.runs.archive.finished_runs import FinishedRun
+from vaoi_station.runs.run.memory import Bay
+from vaoi_station.runs.workers.merge_job import MergedFrame, MergeJob
+
+MOST_WORK = 400_000_000
+"""Largest number of pixels times frames of one merged picture; it takes a worker about four seconds."""
+_UNKNOWN = FieldMaps(None, 0.0, NoiseModel())
+
+
+class MergeRequest(NamedTuple):
+    """What is merged: a component, or a region of the board in CAD coordinates, and how it is framed."""
+
+    component: str | None = None
+    region: tuple[float, float, float, float] | None = None
+    light: str | None = None
+    """Only frames under this light; None: all frames."""
+    px_per_mm: float | None = None
+    min_coverage: float | None = None
+
+
+@dataclass(frozen=True)
+class MergedChoice:
+    """One merged picture: its frames, best first."""
+
+    frames: tuple[MergedFrame, ...]
+    exposures: int
+    """Number of different exposures among them."""
+    plane_height_mm: float
+    """Height of the plane above the board in which the frames are merged."""
+
+    @property
+    def view(self) -> View:
+        """The best view; its size and its matrices from and to CAD are those of the picture."""
+        return self.frames[0].view
+
+
+def merged_pictures(finished: FinishedRun, wanted: MergeRequest) -> tuple[MergedChoice, ...]:
+    """Return the merged pictures of a request: the m_v pictures by their rows, and last that of all frames.
+
+    Raises:
+        InputError: not exactly one of component and region is given, or the region is off the board or too large.
+        NotFoundError: the component is unknown, or no usable frame shows it.
+        StateError: the run has no CAD mapping.
+    """
+    if (wanted.component is None) == (wanted.region is None):
+        raise InputError(
+            "merged pictures: give exactly one of component and region.", action="Name a component, or a region."
+        )
+    board_type, calculator = finished.board_type, finished.view_calculator
+    height = 0.0
+    if wanted.component is not None:
+        part = component_of(board_type, wanted.component)
+        height = known_height_mm(part, board_type, finished.result)
+    else:
+        assert wanted.region is not None, "checked above"
+        resolution = wanted.px_per_mm or float(np.mean([c.px_per_mm for c in finished.cameras]))
+        part = region_component(wanted.region, board_type, resolution, "merged pictures: region")
+    views = views_on_top(calculator, part, height, px_per_mm=wanted.px_per_mm, min_coverage=wanted.min_coverage)
+    records = {(f.camera, f.row): f for f in finished.detail.frames if f.usable}
+    sizes = [(c.width_px, c.height_px) for c in finished.cameras]
+    exposed = [
+        Exposed(view, taken_with(record), _UNKNOWN, sizes[view.camera], _no_pixels)
+        for view in views
+        if (record := records.get((view.camera, view.row))) is not None and _under(record, wanted.light)
+    ]
+    if not exposed:
+        light = "" if wanted.light is None else f" under the light {wanted.light!r}"
+        raise NotFoundError(
+            f"No usable frame of run {finished.detail.id}{light} shows {wanted.component or 'the region'}.",
+            action="Ask for another place or light, or lower min_coverage.",
+            code="no-such-image",
+        )
+    groups = [*exposure_groups(exposed), exposed]
+    _refuse_too_much(exposed)
+    return tuple(_choice(group, records, height) for group in groups)
+
+
+def _refuse_too_much(exposed: Sequence[Exposed]) -> None:
+    work = sum(e.view.width * e.view.height for e in exposed)
+    if work > MOST_WORK:
+        first = exposed[0].view
+        raise InputError(
+            f"merged pictures: {first.width}×{first.height} px of {len(exposed)} frames are {work / 1e6:.0f} million "
+            f"pixels, but the limit is {MOST_WORK / 1e6:.0f} million.",
+            action="Ask for a smaller region, or for fewer px_per_mm.",
+        )
+
+
+def taken_with(record: FrameRecord) -> Taken:
+    """Return what a frame was taken with. Raise InputError if its exposure is unknown."""
+    if record.exposure_us is None:
+        raise InputError(
+            f"the exposure of camera {record.camera}, row {record.row} is unknown, so its radiance is unknown.",
+            action="Configure exposure_us of the camera, or the on-time of the light.",
+        )
+    return Taken(record.exposure_us, record.gain or 1.0, record.light or None)
+
+
+def _under(record: FrameRecord, light: str | None) -> bool:
+    return light is None or record.light == light
+
+
+def _choice(group: Sequence[Exposed], records: dict[tuple[int, int], FrameRecord], height_mm: float) -> MergedChoice:
+    frames = []
+    for e in group:
+        slot = records[e.key].slot
+        assert slot is not None, "usable frames have a slot"
+        frames.append(MergedFrame(e.view, e.taken, e.frame_size, slot))
+    return MergedChoice(tuple(frames), len(distinct_exposures(group)), height_mm)
+
+
+def _no_pixels() -> np.ndarray:
+    raise AssertionError("frames are chosen without their pixels")
+
+
+@dataclass(frozen=True)
+class MergedAccess:
+    """Has merged pictures made by workers. Methods may be called from any thread."""
+
+    get: Callable[[str], FinishedRun]
+    """Function that returns a finished run."""
+    lease: Callable[[str, str], AbstractContextManager[Bay]]
+    """Function that keeps a run's frames in memory in a `with` block."""
+    recorded: Callable[[str, int, int], Path | None]
+    """Function that returns the file of a frame in the run's recording; None if no recording is kept."""
+    render: Callable[[MergeJob, str], bytes]
+    """Function that submits a job and waits for the encoded picture."""
+    flat_fields: Path | None
+    """Directory of the station's flat fields."""
+
+    def pictures(self, run: str, wanted: MergeRequest) -> tuple[MergedChoice, ...]:
+        """Return the merged pictures of a request; see `merged_pictures`."""
+        return merged_pictures(self.get(run), wanted)
+
+    def image(
+        self, run: str, wanted: MergeRequest, k: int | None, format: MergedFormat, *, sigma: bool = False
+    ) -> bytes:
+        """Return merged picture k of a request, encoded; None is the last, which is merged of all frames.
+
+        Raises:
+            GoneError: the frames are no longer in memory, and no recording of the run is kept.
+            InputError: the standard deviation is asked for in 8 bit, or the flat fields do not fit the run.
+            NotFoundError: there is no picture k.
+        """
+        if sigma and format not in LINEAR:
+            raise InputError.field("merged pictures", "format", format, f"{' or '.join(LINEAR)} for a sigma")
+        choices = self.pictures(run, wanted)
+        if k is not None and k >= len(choices):
+            raise NotFoundError(
+                f"{wanted.component or 'The region'} of run {run} has {len(choices)} merged pictures, numbered from 0; "
+                f"there is no {k}.",
+                action="See the list of merged pictures.",
+                code="no-such-image",
+            )
+        choice = choices[-1 if k is None else k]
+        self._check_fields(run, choice)
+        name = f"{wanted.component or 'region'}/merged"
+        first = choice.frames[0]
+        try:
+            with self.lease(run, f"image {name}") as bay:
+                job = MergeJob(
+                    run, bay.number, bay.generation, first.slot, first.view, format,
+                    frames=choice.frames, flat_fields=self.flat_fields, sigma=sigma,
+                )  # fmt: skip
+                return self.render(job, name)
+        except GoneError:
+            files = [self.recorded(run, f.view.camera, f.view.row) for f in choice.frames]
+            if None in files:
+                raise
+        frames = tuple(f._replace(file=file) for f, file in zip(choice.frames, files, strict=True))
+        job = MergeJob(
+            run, 0, 0, 0, first.view, format, file=files[0],
+            frames=frames, flat_fields=self.flat_fields, sigma=sigma,
+        )  # fmt: skip
+        return self.render(job, name)
+
+    def _check_fields(self, run: str, choice: MergedChoice) -> None:
+        """Refuse flat fields of another array, resolution or light, before a worker is asked."""
+        if self.flat_fields is None:
+            return
+        head = self.get(run).head
+        if head is not None:
+            lights = [f.taken.light for f in choice.frames if f.taken.light is not None]
+            FlatFields.peek(self.flat_fields).check(head.cameras, lights or None)
