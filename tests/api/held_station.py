@@ -85,7 +85,7 @@ class HeldStation(StationCoordinator):
         self.merged, self.mosaics = HeldMerged(self), HeldMosaics(self)  # type: ignore[assignment]
         matrix = np.array([[PX_PER_MM, 0, 0], [0, -PX_PER_MM, 320], [0, 0, 1]])
         n = Projective(matrix, System.IMAGE, System.ROW)
-        self.cameras = tuple(Camera(WIDTH, HEIGHT, n, Lens((0.0, 0.0), 1.0)) for _ in range(CAMERAS))
+        self.cameras = tuple(Camera(WIDTH, HEIGHT, n, Lens((0.0, 0.0), 1.0), 400.0) for _ in range(CAMERAS))
 
     # what happens to it
 

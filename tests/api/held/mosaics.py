@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.errors import GoneError
+from vaoi_station.runs.archive.measured_heights import MeasuredHeights
 from vaoi_station.runs.mosaics.mosaics import Mosaics
 
 
@@ -21,6 +22,8 @@ class HeldMosaics(Mosaics):
         self._station = station
         self.jobs: list[str] = []
         super().__init__(SimpleNamespace(get=self._finished), self._held, self._perform)  # type: ignore[arg-type]
+        # The heights of components are measured by the same worker.
+        station.heights = MeasuredHeights(self._archive, self._lease, self._render)
 
     def _finished(self, run: str) -> Any:
         detail = self._station.run(run)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -109,3 +110,29 @@ def test_a_pin_is_shown_and_removed(client: Any, station: Any) -> None:
     refusal = client.delete(f"{RUNS}/{run}/pin")
     assert (refusal.status_code, refusal.json()["code"]) == (404, "not-pinned")
     assert client.put(f"{RUNS}/unknown/pin").status_code == 404
+
+
+def test_heights_are_measured_once_and_refused_without_a_working_distance(client: Any, station: Any) -> None:
+    run = station.film()
+    calibrated = station.cameras
+    station.cameras = tuple(replace(camera, working_distance_mm=None) for camera in calibrated)
+    refused = client.get(f"{RUNS}/{run}/heights")
+    assert refused.status_code == 409
+    assert refused.json()["code"] == "no-working-distance"
+    station.cameras = calibrated
+    answer = client.get(f"{RUNS}/{run}/heights")
+    assert answer.status_code == 200
+    assert "immutable" in answer.headers["cache-control"]
+    found = answer.json()["heights"]
+    assert set(found) == {"U1", "R1", "2/R1"}
+    assert found["U1"]["views"] >= 2
+    assert None not in found["U1"].values()
+    assert client.get(f"{RUNS}/{run}/heights").content == answer.content
+    assert station.mosaics.jobs.count("heights") == 1
+
+
+def test_frames_that_are_gone_are_refused(client: Any, station: Any) -> None:
+    run = station.film()
+    client.post(f"{RUNS}/{run}/release")
+    assert client.get(f"{RUNS}/{run}/heights").status_code == 410
+    assert client.get(f"{RUNS}/none/heights").status_code == 404

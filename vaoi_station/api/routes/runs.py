@@ -5,12 +5,12 @@ from __future__ import annotations
 import time
 from typing import Annotated
 
-from fastapi import APIRouter, Query, Request, Response
+from fastapi import APIRouter, Depends, Query, Request, Response
 
 from vaoi_station.api.callers.caller import caller_of
 from vaoi_station.api.http_caching import IMMUTABLE, LIVE, REVALIDATE, conditional_response
 from vaoi_station.api.parameters import RunId, TimeoutS
-from vaoi_station.api.rest_models import Matrices, RunPage
+from vaoi_station.api.rest_models import HeightList, Matrices, RunPage
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import NotFoundError
 from vaoi_station.runs.states.schemas import LeaseStatus, RunDetail
@@ -68,6 +68,17 @@ def router(services: Services) -> APIRouter:
     async def get_matrices(request: Request, run: RunId) -> Response:
         """Return the result of a run in the format of `docs/formats.md`. Replies 409 while there is none yet."""
         content = (await ask(coordinator.stitch_text, run)).encode()
+        return conditional_response(request, content, "application/json", cache=IMMUTABLE)
+
+    @routes.get("/{run}/heights", response_model=HeightList, dependencies=[Depends(services.picture_seats.hold)])
+    async def get_heights(request: Request, run: RunId) -> Response:
+        """Measure the heights of all components, and compare them with the board type's: data, not a verdict.
+
+        A worker measures them at the first request; later requests get the same document. 409: no CAD mapping, or a
+        calibration without working distance. 410: the frames are no longer in memory, and the heights were not
+        requested while they were.
+        """
+        content = await services.pictures.ask(coordinator.heights.document, run)
         return conditional_response(request, content, "application/json", cache=IMMUTABLE)
 
     @routes.post("/{run}/release", response_model_exclude_none=True)

@@ -21,6 +21,7 @@ from vaoi_station.rendering import View
 from vaoi_station.runs.archive import component_views
 from vaoi_station.runs.archive.board_type_history import BoardTypeHistory
 from vaoi_station.runs.archive.kept_runs import KeptRuns
+from vaoi_station.runs.archive.measured_heights import MeasuredHeights
 from vaoi_station.runs.archive.run_statistics import RunFigures
 from vaoi_station.runs.control.core import Core, Parts
 from vaoi_station.runs.control.inbox import Inbox
@@ -103,6 +104,7 @@ class StationCoordinator:
         requests = PictureRequests(parts.workers)
         self._frames = FrameAccess(self._inbox, self._core, ring, parts.archive, requests)
         self.mosaics = Mosaics(parts.archive, self._frames.lease, requests.render)
+        self.heights = MeasuredHeights(parts.archive, self._frames.lease, requests.render)
         self.kept = KeptRuns(parts.config, parts.archive, parts.events, self._frames)
         self._frames.recorded, self.merged = self.kept.recordings.frame_file, self._frames.merged(parts.config)
         teaching = ReferenceTeaching(references, parts.config.method)
@@ -368,10 +370,7 @@ class StationCoordinator:
         format: ImageFormat = "png",
         min_coverage: float = 0.5,
     ) -> bytes:
-        """Return temporary image k of a component as an encoded file; a worker renders it.
-
-        `k` is an index into the list that `views` returns for the same arguments.
-        """
+        """Have a worker render image k of the list that `views` returns for the same arguments; return the file."""
         detail = self._parts.archive.get(run).detail
         return self._frames.image(detail, ViewRequest(ref, k, px_per_mm, min_coverage), format)
 
