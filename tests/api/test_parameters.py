@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from fastapi.testclient import TestClient
 from pydantic import TypeAdapter, ValidationError
 
 from vaoi_station.api import parameters as p
@@ -66,3 +67,24 @@ def test_numbers_are_limited(parameter: Any, lowest: float, highest: float, refu
     assert accepts(parameter, lowest)
     assert accepts(parameter, highest)
     assert not any(accepts(parameter, value) for value in refused)
+
+
+@pytest.mark.parametrize(
+    ("method", "address", "offer"),
+    [
+        ("GET", "/api/v1/runs?verdict=degraded", "it has before, limit"),
+        ("GET", "/api/v1/runs?limit=2&Limit=3", "it has before, limit"),
+        ("GET", "/api/v1/station?nonsense=", "it has none"),
+        (
+            "POST",
+            "/api/v1/station/arm?type=demo-board",
+            "it has allow_lost_cameras, board_id, board_type, job_id, runs",
+        ),
+        ("GET", "/healthz?full=1", "it has none"),
+    ],
+)
+def test_unknown_query_parameters_are_refused(client: TestClient, method: str, address: str, offer: str) -> None:
+    refused = client.request(method, address)
+    assert (refused.status_code, refused.json()["code"]) == (422, "unknown-parameter")
+    assert offer in refused.json()["detail"]
+    assert client.get("/api/v1/runs?limit=2").status_code == 200

@@ -6,13 +6,14 @@ from collections.abc import AsyncIterator, Iterable
 from contextlib import asynccontextmanager
 from typing import Literal
 
-from fastapi import FastAPI, Response
+from fastapi import Depends, FastAPI, Response
 from fastapi.routing import APIRoute
 
 from vaoi_station.api import openapi, pages, problems
 from vaoi_station.api.access.access_control import AccessControl
 from vaoi_station.api.event_hub import EventHub
 from vaoi_station.api.hosts import allowed_names
+from vaoi_station.api.parameters import refuse_unknown_parameters
 from vaoi_station.api.request_guard import RequestGuard
 from vaoi_station.api.rest_models import Health
 from vaoi_station.api.routes import (
@@ -70,6 +71,7 @@ def create_app(
         redirect_slashes=False,
         separate_input_output_schemas=False,
         generate_unique_id_function=_operation_id,
+        dependencies=[Depends(refuse_unknown_parameters)],
     )
     app.state.hub = services.hub
     problems.install(app)

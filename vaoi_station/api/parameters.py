@@ -1,10 +1,14 @@
-"""Path and query parameters that several routes use, with their limits."""
+"""Path and query parameters that several routes use, with their limits; unknown ones are refused."""
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Annotated
 
-from fastapi import Path, Query
+from fastapi import FastAPI, Path, Query, Request
+from fastapi.routing import APIRoute
+
+from vaoi_station.errors import InputError
 
 # Patterns refuse slashes and control characters here, before a name reaches a file path or a log.
 RunId = Annotated[
@@ -46,3 +50,34 @@ FormatName = Annotated[
     Query(description="png, jpeg, tiff, npy or raw; has precedence over Accept.", max_length=20),
 ]
 TimeoutS = Annotated[float, Query(description="Maximum wait, s.", alias="timeout", ge=0, le=60, allow_inf_nan=False)]
+
+
+def refuse_unknown_parameters(request: Request) -> None:
+    """Raise InputError if the query has a parameter that the route does not have.
+
+    An ignored parameter would give an answer to another question: `runs?verdict=failed` would list all runs.
+    """
+    route = request.scope.get("route")
+    if not isinstance(route, APIRoute):
+        return
+    known = _query_names(request.app).get(route.name)
+    if known is None:
+        return
+    for name in request.query_params:
+        if name not in known:
+            offer = f"it has {', '.join(sorted(known))}" if known else "it has none"
+            raise InputError(
+                f"query: {name!r} is no parameter of {request.method} {request.url.path}; {offer}.",
+                action="Correct or remove the parameter.",
+                code="unknown-parameter",
+            )
+
+
+@cache
+def _query_names(app: FastAPI) -> dict[str, frozenset[str]]:
+    """Return {id of an operation: names of its query parameters}, as the OpenAPI document states them."""
+    operations = (operation for path in app.openapi()["paths"].values() for operation in path.values())
+    return {
+        operation["operationId"]: frozenset(p["name"] for p in operation.get("parameters", ()) if p["in"] == "query")
+        for operation in operations
+    }
