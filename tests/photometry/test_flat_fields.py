@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -91,6 +92,18 @@ def test_a_camera_or_light_without_a_field_is_refused_by_name() -> None:
         fields().maps(2, "even")
     with pytest.raises(InputError, match="no field for the light 'even'; there are 1: an unnamed light"):
         fields((None,)).maps(0, "even")
+
+
+def test_the_age_is_that_of_the_white_target(stored: Path) -> None:
+    now = datetime(2026, 7, 1, tzinfo=UTC)
+    assert FlatFields.peek(stored).age_days(now) is None
+    change("created", "2026-06-21T00:00:00+00:00")(stored)
+    assert FlatFields.peek(stored).age_days(now) == 10
+    change("created", "in June")(stored)
+    assert FlatFields.peek(stored).age_days(now) is None
+    assert FlatFields.peek(stored).named_lights == LIGHTS
+    assert fields((None,)).named_lights is None
+    assert FlatFields.none().age_days(now) is None
 
 
 def change(key: str, value: Any) -> Callable[[Path], None]:

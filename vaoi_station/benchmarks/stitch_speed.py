@@ -18,9 +18,11 @@ from numpy.typing import NDArray
 
 from vaoi_station.benchmarks.benchmark_board import BenchmarkBoard
 from vaoi_station.geometry.robust import Failure
+from vaoi_station.hdr import Exposed, merge_views
 from vaoi_station.model import Stitch
+from vaoi_station.photometry import FieldMaps, NoiseModel, Taken
 from vaoi_station.pixel_formats import eight_bit_grey
-from vaoi_station.rendering import ViewCalculator, render
+from vaoi_station.rendering import View, ViewCalculator, render
 from vaoi_station.stitching.baseline import paper_features as paper
 from vaoi_station.stitching.matching.evidence import Evidence
 from vaoi_station.stitching.work import TaskRunner, all_tasks
@@ -51,6 +53,8 @@ class SpeedFigures:
     """Component images that are rendered per second, including the computation of their views."""
     render_ratio_to_warp: float
     """Time of `cv2.warpPerspective` alone, for the same images, divided by the time of our rendering."""
+    hdr_ratio_to_plain: float
+    """Time to merge the frames of every component to one radiance picture, divided by that of its plain images."""
     status: str
     cad_sigma_px: float | None
     opencv: str
@@ -87,6 +91,7 @@ def _measure(board: BenchmarkBoard, repetitions: int) -> SpeedFigures:
         failed = outcome.reason
     ready = [_ready_ms(board) for _ in range(repetitions)]
     per_second, ratio = _rendering(board, stitch, repetitions)
+    hdr = _hdr_ratio(board, stitch, repetitions)
     head = board.head
     return SpeedFigures(
         material=board.name,
@@ -102,6 +107,7 @@ def _measure(board: BenchmarkBoard, repetitions: int) -> SpeedFigures:
         ready_after_last_frame_ms=round(statistics.median(ready), 2),
         images_per_s=round(per_second, 1),
         render_ratio_to_warp=round(ratio, 3),
+        hdr_ratio_to_plain=round(hdr, 2),
         status=stitch.status.value,
         cad_sigma_px=stitch.quality["cad_sigma_px"],
         opencv=cv2.__version__,
@@ -166,6 +172,37 @@ def _rendering(board: BenchmarkBoard, stitch: Stitch, repetitions: int) -> tuple
     pairs = [(_cpu_ms(ours), _cpu_ms(bare)) for _ in range(repetitions)]
     ours_ms = statistics.median(a for a, _ in pairs)
     return count / ours_ms * 1e3, statistics.median(b / a for a, b in pairs)
+
+
+def _hdr_ratio(board: BenchmarkBoard, stitch: Stitch, repetitions: int) -> float:
+    """Return the time of merging the frames of all components, divided by that of rendering the same frames."""
+    cameras, head = board.setup.cameras, board.head
+    if stitch.cad_matrix is None:
+        return 0.0
+    calculator = ViewCalculator(board.board_type, stitch, cameras)
+    views = [v for v in calculator.compute_all(board.board_type.components).values() if v]
+    # A flat field like that of a lens, because merging divides by it pixel by pixel.
+    flats = [np.full((c.height_px, c.width_px), 1.0, np.float32) for c in cameras]
+    maps = [FieldMaps(flat, 2.0, NoiseModel()) for flat in flats]
+    sizes = [(c.width_px, c.height_px) for c in cameras]
+
+    def plain() -> None:
+        for view in chain.from_iterable(views):
+            render(view, board.frames[view.camera, view.row])
+
+    def exposed(view: View) -> Exposed:
+        key = view.camera, view.row
+        return Exposed(
+            view, Taken(head.exposure_us(*key)), maps[view.camera], sizes[view.camera], lambda: board.frames[key]
+        )
+
+    def merged() -> None:
+        for part in views:
+            merge_views([exposed(view) for view in part], groups=False)
+
+    plain()
+    merged()
+    return statistics.median(_cpu_ms(merged) / _cpu_ms(plain) for _ in range(repetitions))
 
 
 def _cpu_ms(work: Callable[[], Any]) -> float:

@@ -43,6 +43,7 @@ STATION_CHECKS: tuple[tuple[str, Callable[[CheckContext], Iterable[Finding]]], .
     ("station", running_station.station),
     ("calibration", configured_files.calibration),
     ("board types", configured_files.board_types),
+    ("flat fields", configured_files.flat_fields),
     ("light programs", configured_files.programs),
     ("stand-ins", configured_files.stand_ins),
     ("disk", storage.data),

@@ -6,6 +6,7 @@ the inverse of its noise variance as weight. All pictures of one component lie o
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -29,7 +30,8 @@ _TAPS = np.array([-_SHARPENING_PX2 / 2, 1 + _SHARPENING_PX2, -_SHARPENING_PX2 / 
 _MARGIN_PX = 4
 """Pixels around the used part of a frame, for interpolation and sharpening."""
 _FLAGS = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-_EDGE_POINTS = 5
+_CORNERS = np.array([[0, 1, 0, 1], [0, 0, 1, 1], [1, 1, 1, 1]], np.float64)
+"""Corners of a unit square, homogeneous."""
 _ONE = np.ones((1, 1), np.float32)
 _GRID = 12
 """Points per side of the grid on which coverage is compared."""
@@ -214,34 +216,33 @@ def _warped(exposed: Exposed) -> Floats32:
 
 def _used_part(view: View, shape: tuple[int, ...]) -> tuple[slice, slice] | None:
     """Return the rows and columns of the frame that the picture needs; None if it needs none."""
-    places = [_places(t.matrix, t.x1 - t.x0, t.y1 - t.y0) for t in view.tiles] or [
-        _places(view.matrix, view.width, view.height)
+    corners = [_through(t.matrix, _CORNERS * [[t.x1 - t.x0 - 1], [t.y1 - t.y0 - 1], [1]]) for t in view.tiles] or [
+        _through(view.matrix, _CORNERS * [[view.width - 1], [view.height - 1], [1]])
     ]
-    points = np.concatenate(places)
-    low = np.maximum(np.floor(points.min(0)).astype(int) - _MARGIN_PX, 0)
-    high = np.minimum(np.ceil(points.max(0)).astype(int) + _MARGIN_PX + 1, (shape[1], shape[0]))
-    if (high - low <= 0).any():
-        return None
-    return slice(int(low[1]), int(high[1])), slice(int(low[0]), int(high[0]))
+    points = corners[0] if len(corners) == 1 else np.concatenate(corners, 1)
+    (left, top), (right, bottom) = points.min(1).tolist(), points.max(1).tolist()
+    x0, y0 = max(math.floor(left) - _MARGIN_PX, 0), max(math.floor(top) - _MARGIN_PX, 0)
+    x1, y1 = min(math.ceil(right) + _MARGIN_PX + 1, shape[1]), min(math.ceil(bottom) + _MARGIN_PX + 1, shape[0])
+    return None if x1 <= x0 or y1 <= y0 else (slice(y0, y1), slice(x0, x1))
 
 
-def _places(matrix: Floats, width: int, height: int) -> Floats:
-    """Return the raw pixels (k, 2) at which a grid of points of a picture lies."""
-    x, y = (np.linspace(0, n - 1, _EDGE_POINTS) for n in (width, height))
-    return apply(matrix, np.stack(np.meshgrid(x, y), -1).reshape(-1, 2))
+def _through(matrix: Floats, points: Floats) -> Floats:
+    """Project homogeneous points (3, k) to pixels (2, k)."""
+    q = matrix @ points
+    return np.asarray(q[:2] / q[2])
 
 
 def _block_scales(exposed: Exposed) -> NDArray[np.float64]:
     """Return the grey levels per unit of radiance for each block of the picture, (rows, columns)."""
     from vaoi_station.hdr.kernels import BLOCK_SHIFT
 
-    view, side = exposed.view, 1 << BLOCK_SHIFT
-    blocks = [-(-n // side) for n in (view.height, view.width)]
-    if exposed.maps.flat is None:
-        return np.full(blocks, exposed.scale)
-    flat, sides = exposed.maps.flat, (view.height, view.width)
-    y, x = (np.minimum((np.arange(b) + 0.5) * side, n - 1) for b, n in zip(blocks, sides, strict=True))
-    at = apply(view.matrix, np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)).round().astype(int)
-    inside = np.clip(at, 0, (flat.shape[1] - 1, flat.shape[0] - 1))
-    scales = np.maximum(flat[inside[:, 1], inside[:, 0]], 0.02) * exposed.scale
-    return np.asarray(scales.reshape(blocks), dtype=np.float64)
+    view, side, flat = exposed.view, 1 << BLOCK_SHIFT, exposed.maps.flat
+    rows, columns = -(-view.height // side), -(-view.width // side)
+    if flat is None:
+        return np.full((rows, columns), exposed.scale)
+    centres = np.ones((3, rows, columns))
+    centres[0] = (np.arange(columns) + 0.5) * (view.width / columns)
+    centres[1] = (np.arange(rows) + 0.5)[:, None] * (view.height / rows)
+    x, y = _through(view.matrix, centres.reshape(3, -1))
+    found = flat[np.clip(y, 0, flat.shape[0] - 1).astype(int), np.clip(x, 0, flat.shape[1] - 1).astype(int)]
+    return np.asarray(np.maximum(found, 0.02).reshape(rows, columns) * exposed.scale, dtype=np.float64)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
@@ -143,6 +144,21 @@ class FlatFields:
     def lights(self) -> tuple[str | None, ...]:
         """The lights for which there is a flat field; (None,) where the white target had no named light."""
         return tuple(dict.fromkeys(f.light for f in self.document.fields)) if self.document else ()
+
+    @property
+    def named_lights(self) -> tuple[str, ...] | None:
+        """The names of the lights; None where the white target had no named light."""
+        return tuple(light for light in self.lights if light is not None) or None
+
+    def age_days(self, now: datetime) -> float | None:
+        """Return how many days ago the white target was measured; None if that is not known."""
+        if self.document is None or self.document.created is None:
+            return None
+        try:
+            created = datetime.fromisoformat(self.document.created)
+        except ValueError:
+            return None
+        return (now - created.astimezone(UTC)).total_seconds() / 86400
 
     def maps(self, camera: int, light: str | None) -> FieldMaps:
         """Return the maps of one camera under one light.

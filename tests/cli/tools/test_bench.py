@@ -23,6 +23,7 @@ def test_figures_are_printed_and_written(vaoi: Any, small_recording: Path, tmp_p
         "ready_after_last_frame_ms",
         "images_per_s",
         "render_ratio_to_warp",
+        "hdr_ratio_to_plain",
     ):
         assert figures[key] > 0
         assert f"{key:28s} {figures[key]}" in said.out

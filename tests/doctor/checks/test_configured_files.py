@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+from datetime import UTC, datetime
 from pathlib import Path
 
 from tests.doctor.conftest import assert_problem, changed, only, with_config, without_privileges
@@ -87,3 +88,28 @@ def test_real_devices_need_no_stand_ins(context: CheckContext) -> None:
     config = changed(context.config, "controller", backend="serial")
     finding = only(configured_files.stand_ins(with_config(context, config)))
     assert finding.level is Level.NOT_APPLICABLE
+
+
+def with_flat_fields(context: CheckContext, directory: Path, created: str, width: int | None = None) -> CheckContext:
+    heads = [camera.head for camera in context.config.cameras]
+    size = [{"width": width or h.width, "height": h.height, "read": 1.0, "shot": 0.03} for h in heads]
+    each = [{"camera": i, "file": f"fields/{i}.tiff", "level": 0.5, "rows": 4} for i in range(len(heads))]
+    document = {"format": "vaoi-flatfield", "version": 1, "created": created, "cameras": size, "fields": each}
+    (directory / "flatfield.json").write_text(json.dumps(document))
+    return with_config(context, context.config.model_copy(update={"flat_fields": directory, "program": ()}))
+
+
+def test_flat_fields_of_this_array_are_ok_until_they_expire(context: CheckContext, tmp_path: Path) -> None:
+    assert only(configured_files.flat_fields(context)).level is Level.NOT_APPLICABLE
+    today = datetime.now(UTC).isoformat()
+    assert only(configured_files.flat_fields(with_flat_fields(context, tmp_path, today))).level is Level.OK
+    old = only(configured_files.flat_fields(with_flat_fields(context, tmp_path, "2020-01-01T00:00:00+00:00")))
+    assert_problem(old, Level.WARNING, "days old and expire after 180")
+
+
+def test_flat_fields_of_another_array_are_a_fault(context: CheckContext, tmp_path: Path) -> None:
+    today = datetime.now(UTC).isoformat()
+    other = with_flat_fields(context, tmp_path, today, width=100)
+    assert_problem(only(configured_files.flat_fields(other)), Level.FAULT, "has 100×", "px, but its frames have")
+    (tmp_path / "flatfield.json").unlink()
+    assert_problem(only(configured_files.flat_fields(other)), Level.FAULT, "flatfield.json: there is no such file")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
+from datetime import UTC, datetime
 
 from vaoi_station.acquisition.controller.filming_plan import filming_plan
 from vaoi_station.acquisition.process.backends import check_backends
@@ -12,6 +13,7 @@ from vaoi_station.doctor.finding import Finding, fault, not_applicable, ok, warn
 from vaoi_station.doctor.machine import is_directory, writable
 from vaoi_station.errors import InputError, VaoiError
 from vaoi_station.files import read_calibration
+from vaoi_station.photometry import FlatFields
 from vaoi_station.store import BoardTypeDirectory
 
 
@@ -56,6 +58,37 @@ def board_types(context: CheckContext) -> Iterator[Finding]:
         )
     elif sound:
         yield ok(f"{directory}: {len(sound)} board types can be read", figures={"board_types": len(sound)})
+
+
+_EXPIRED_DAYS = 180
+"""Age of flat fields, in days, from which a new measurement is due: lamps age and lenses gather dust."""
+
+
+def flat_fields(context: CheckContext) -> Iterator[Finding]:
+    """Check that the flat fields fit the cameras and the lights of the station's program, and are not too old."""
+    config = context.config
+    again = "Film a white target and darkness, then vaoi flatfield: docs/engineering/photometry.md."
+    if config.flat_fields is None:
+        yield not_applicable("no flat_fields are configured")
+        return
+    try:
+        fields = FlatFields.peek(config.flat_fields)
+        lights = [step.light for step in config.program if step.light]
+        fields.check([camera.head for camera in config.cameras], lights or fields.named_lights)
+    except VaoiError as error:
+        yield fault(error.message, error.action or again)
+        return
+    days = fields.age_days(datetime.now(UTC))
+    if days is not None and days > _EXPIRED_DAYS:
+        yield warning(
+            f"{config.flat_fields}: the flat fields are {days:.0f} days old and expire after {_EXPIRED_DAYS}: lamps "
+            "age, and dust settles on lenses.",
+            again,
+            figures={"days": round(days)},
+        )
+        return
+    age = "" if days is None else f", {days:.0f} days old"
+    yield ok(f"{config.flat_fields}: {len(config.cameras)} cameras{age}")
 
 
 def programs(context: CheckContext) -> Iterator[Finding]:
