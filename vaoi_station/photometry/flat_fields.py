@@ -22,6 +22,8 @@ from vaoi_station.model import CameraHead, Finite, FrozenModel, Positive, Record
 from vaoi_station.photometry.noise import Floats32, NoiseModel
 
 DOCUMENT = "flatfield.json"
+EXPIRED_DAYS = 180
+"""Age of flat fields, in days, from which a new measurement is due: lamps age, and dust settles on lenses."""
 _MAKE = "Make flat fields of this array with 'vaoi flatfield'."
 _LARGEST = 1e3
 """Largest value of a flat field; one of a real lens is below 3."""

@@ -14,6 +14,7 @@ from vaoi_station.doctor.machine import is_directory, writable
 from vaoi_station.errors import InputError, VaoiError
 from vaoi_station.files import read_calibration
 from vaoi_station.photometry import FlatFields
+from vaoi_station.photometry.flat_fields import EXPIRED_DAYS
 from vaoi_station.store import BoardTypeDirectory
 
 
@@ -60,10 +61,6 @@ def board_types(context: CheckContext) -> Iterator[Finding]:
         yield ok(f"{directory}: {len(sound)} board types can be read", figures={"board_types": len(sound)})
 
 
-_EXPIRED_DAYS = 180
-"""Age of flat fields, in days, from which a new measurement is due: lamps age and lenses gather dust."""
-
-
 def flat_fields(context: CheckContext) -> Iterator[Finding]:
     """Check that the flat fields fit the cameras and the lights of the station's program, and are not too old."""
     config = context.config
@@ -79,9 +76,9 @@ def flat_fields(context: CheckContext) -> Iterator[Finding]:
         yield fault(error.message, error.action or again)
         return
     days = fields.age_days(datetime.now(UTC))
-    if days is not None and days > _EXPIRED_DAYS:
+    if days is not None and days > EXPIRED_DAYS:
         yield warning(
-            f"{config.flat_fields}: the flat fields are {days:.0f} days old and expire after {_EXPIRED_DAYS}: lamps "
+            f"{config.flat_fields}: the flat fields are {days:.0f} days old and expire after {EXPIRED_DAYS}: lamps "
             "age, and dust settles on lenses.",
             again,
             figures={"days": round(days)},

@@ -10,6 +10,7 @@ from vaoi_station.config import StationConfig
 from vaoi_station.runs.control import readiness
 from vaoi_station.runs.control.core import Core, Parts
 from vaoi_station.runs.host.addresses import is_present
+from vaoi_station.runs.merging.flat_field_warnings import flat_field_warnings
 from vaoi_station.runs.run.run_views import versions
 from vaoi_station.runs.states.run_ids import utc_of_host
 from vaoi_station.runs.states.schemas import (
@@ -65,6 +66,7 @@ def snapshot_of(
             *core.line.warnings(),
             *core.storage.warnings(),
             *address_warnings(config),
+            *flat_field_warnings(config),
             *worker_warnings(processes),
         ),
         set_aside=core.storage.set_aside(),

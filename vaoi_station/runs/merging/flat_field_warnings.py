@@ -1,0 +1,49 @@
+"""Warnings of the station about its flat fields: they do not fit the cameras, or they have expired."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from functools import lru_cache
+from pathlib import Path
+
+from vaoi_station.config import StationConfig
+from vaoi_station.errors import VaoiError
+from vaoi_station.photometry import FlatFields
+from vaoi_station.photometry.flat_fields import DOCUMENT, EXPIRED_DAYS
+from vaoi_station.runs.states.schemas import Reason
+
+_AGAIN = "Film a white target and darkness, and run 'vaoi flatfield' (docs/engineering/photometry.md)."
+
+
+def flat_field_warnings(config: StationConfig) -> tuple[Reason, ...]:
+    """Return a warning if the flat fields of station.toml cannot be used or have expired, else none."""
+    if config.flat_fields is None:
+        return ()
+    try:
+        changed_ns = (config.flat_fields / DOCUMENT).stat().st_mtime_ns
+    except OSError:
+        changed_ns = 0
+    fields = _peek(config.flat_fields, changed_ns)
+    try:
+        if isinstance(fields, VaoiError):
+            raise fields
+        fields.check([camera.head for camera in config.cameras], fields.named_lights)
+    except VaoiError as error:
+        return (Reason(code="flat-fields-unfit", message=error.message, action=error.action or _AGAIN),)
+    days = fields.age_days(datetime.now(UTC))
+    if days is None or days <= EXPIRED_DAYS:
+        return ()
+    message = (
+        f"{config.flat_fields}: the flat fields are {days:.0f} days old and expire after {EXPIRED_DAYS}: lamps age, "
+        "and dust settles on lenses."
+    )
+    return (Reason(code="flat-fields-expired", message=message, action=_AGAIN),)
+
+
+@lru_cache(maxsize=2)
+def _peek(directory: Path, _changed_ns: int) -> FlatFields | VaoiError:
+    """Read the document once for each of its versions; an error is a value, because it is kept as well."""
+    try:
+        return FlatFields.peek(directory)
+    except VaoiError as error:
+        return error
