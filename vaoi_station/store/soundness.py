@@ -27,7 +27,7 @@ _TABLES: tuple[tuple[str, str, str, str, int], ...] = (
     ("calibration_checks", "run", "json_valid(document)", "NULL", ROWS),
     ("documents", "digest", "json_valid(document)", "NULL", LARGE_ROWS),
     ("board_references", "board_type", "json_valid(document)", "NULL", LARGE_ROWS),
-    ("whole_runs", "run", "finish_number > 0", "NULL", ROWS),
+    ("whole_runs", "run", "finish_number <> 0", "NULL", ROWS),
     ("events", "number", "json_valid(document)", "NULL", ROWS),
 )
 """Table, key, condition that a sound row fulfils, packed text, and number of rows of a step.
