@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from pydantic import BaseModel, ValidationError
 from vaoi_station import model
 from vaoi_station.model import Finite, FrozenModel, Positive, Strict, Whole
 from vaoi_station.model.frozen_model import Matrix, Point
+from vaoi_station.runs.states.schemas import EventRecord
 
 MODELS = [c for c in vars(model).values() if isinstance(c, type) and issubclass(c, FrozenModel | Strict)]
 
@@ -96,3 +98,18 @@ def test_absurd_numbers_are_refused_with_the_limit(field: str) -> None:
     for bad in (1e308, 10**30) if field != "count" else (10**30,):
         with pytest.raises(ValidationError, match="less than"):
             Sample.model_validate({field: bad})
+
+
+def test_texts_of_documents_are_not_kept_in_memory() -> None:
+    """A service reads documents with other ids and times for months."""
+    texts = [f'{{"number": {k}, "time": "time {k}", "kind": "run", "message": "board {k}"}}' for k in range(3000)]
+    for document in texts[:100]:
+        EventRecord.model_validate_json(document)
+    tracemalloc.start()
+    try:
+        for document in texts:
+            EventRecord.model_validate_json(document)
+        kept, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert kept < 50_000

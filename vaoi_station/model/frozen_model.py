@@ -18,13 +18,14 @@ MOST_ENTRY = 1e9
 class Strict(BaseModel):
     """Base class of immutable models that refuse unknown keys."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    # By default, pydantic keeps up to 16,384 texts that it has read from JSON, such as ids and times.
+    model_config = ConfigDict(frozen=True, extra="forbid", cache_strings="keys")
 
 
 class FrozenModel(BaseModel):
     """Base class of immutable models that accept the user's `x_…` keys and refuse all other unknown keys."""
 
-    model_config = ConfigDict(frozen=True, extra="allow", arbitrary_types_allowed=True)
+    model_config = ConfigDict(frozen=True, extra="allow", arbitrary_types_allowed=True, cache_strings="keys")
 
     # Pydantic has no pattern for extra keys: it accepts all of them, and this validator refuses the others.
     @model_validator(mode="after")

@@ -25,7 +25,8 @@ ImageFormat = Literal["png", "jpeg", "tiff", "npy"]
 class Schema(BaseModel):
     """Base class of all documents: immutable; unknown keys are refused."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    # By default, pydantic keeps up to 16,384 texts that it has read from JSON: the ids and times of each run.
+    model_config = ConfigDict(frozen=True, extra="forbid", cache_strings="keys")
 
 
 class Reason(Schema):
