@@ -7,7 +7,9 @@ cameras). With HDR each layer gives radiance and its noise, and the layers are m
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import cv2
@@ -16,7 +18,9 @@ from numpy.typing import NDArray
 
 from vaoi_station.geometry import apply
 from vaoi_station.geometry.transforms import Floats
+from vaoi_station.mosaic.blending import Corrections, Nodes, add_frame, finish, nodes_along
 from vaoi_station.mosaic.cells import CELL_PX
+from vaoi_station.mosaic.frames import TakenFrame
 from vaoi_station.mosaic.grid import MosaicGrid
 from vaoi_station.mosaic.plan import FIELD_PX, MosaicPlan
 from vaoi_station.mosaic.projection import FrameProjector, between, shrunk
@@ -30,6 +34,11 @@ NODATA = 0
 """Value of pixels of 8 or 16 bits that no frame shows; shown pixels are at least 1. Floats are NaN there."""
 _LINEAR = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
 _NEAREST = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
+_NARROW_PX = 256
+_STRAIGHT_PX = 0.03
+"""Largest deviation, px, of a matrix from lens and surface in parts that are wider than 256 px."""
+_WINDOW_PX = 256
+"""Side of the squares in which a frame is resampled."""
 _BORDER_PX = 3
 """Pixels around the part of a frame that is read, so that interpolation has its neighbours."""
 
@@ -52,6 +61,10 @@ class FramePart(NamedTuple):
     """(h, w) of the cells of the tile: what corrected grey levels are multiplied by."""
     mine: NDArray[np.uint8] | None
     """(h, w) of the cells of the tile: 1 for cells of this frame; None if all are."""
+    window: Box
+    """Part of the tile in which the frame has a weight."""
+    limits: Floats
+    """(4,) least x and y, largest x and y of raw pixels that may be used: the outermost are left out."""
     dark: float
     gain: float
     noise: NoiseModel
@@ -79,6 +92,33 @@ class TileRenderer:
         self._cells_from_grid = between(base_from_grid, CELL_PX, 1)
         self._per_base_px = float(base_from_grid[0, 0])
 
+    @cached_property
+    def block_px(self) -> int:
+        """Width of the parts in which a large picture is rendered: a multiple of 256 px.
+
+        The wider, the faster; but within one part a frame is resampled by one matrix, which must represent lens and
+        surface to `_STRAIGHT_PX`.
+        """
+        for width in (1024, 512):
+            bent = 0.0
+            for taken, _ in self._plan.frames:
+                x0, y0, x1, y1 = self._projector.seen_box(taken.camera, taken.row, self.grid)
+                if min(x1 - x0, y1 - y0) >= _NARROW_PX:
+                    at = (x0 + x1 - width) // 2, (y0 + y1 - _NARROW_PX) // 2
+                    for x in (x0, at[0], max(x1 - width, x0)):
+                        bent = max(bent, self._bend(taken, (x, at[1], x + width, at[1] + _NARROW_PX)))
+            if bent <= _STRAIGHT_PX:
+                return width
+        return _NARROW_PX
+
+    def _bend(self, taken: TakenFrame, box: Box) -> float:
+        """Return how far the matrix of a part deviates from the projection on a grid of points, px."""
+        x, y = np.linspace(box[0], box[2], 5) - 0.5, np.linspace(box[1], box[3], 3) - 0.5
+        at = np.stack(np.meshgrid(x, y), -1)
+        matrix = self._projector.raw_from_mosaic(taken.camera, taken.row, self.grid, box)
+        exact = self._projector.raw_px(taken.camera, taken.row, apply(self.grid.cad_from_mosaic, at))
+        return float(np.abs(apply(matrix, at) - exact).max())
+
     def spec(self, box: Box) -> TileSpec:
         """Prepare one tile."""
         x0, y0, x1, y1 = box
@@ -96,13 +136,15 @@ class TileRenderer:
             for n in np.unique(labels):
                 if n >= 0:
                     mine = None if (labels == n).all() else (labels == n).astype(np.uint8)
-                    parts.append(self._part(number, int(n), box, cad, mine))
+                    parts.append(self._part(number, int(n), box, cad, mine, low))
         shift = np.array([[1, 0, x0], [0, 1, y0], [0, 0, 1]], dtype=np.float64)
         cells_from_tile = (self._cells_from_grid @ shift)[:2].copy()
         cells_from_tile[:, 2] -= low
         return TileSpec(x1 - x0, y1 - y0, plan.hdr, len(plan.layers), cells_from_tile, tuple(parts))
 
-    def _part(self, layer: int, number: int, box: Box, cad: Floats, mine: NDArray[np.uint8] | None) -> FramePart:
+    def _part(
+        self, layer: int, number: int, box: Box, cad: Floats, mine: NDArray[np.uint8] | None, low: Any
+    ) -> FramePart:
         plan = self._plan
         taken, log_gain = plan.frames[number]
         photometry = plan.cameras[taken.camera]
@@ -128,9 +170,29 @@ class TileRenderer:
             reduction,
             np.asarray(np.float32(scale) / field, np.float32),
             mine,
+            self._window(mine, low, box),
+            np.array([1.0, 1.0, eye.width_px - 2.0, eye.height_px - 2.0]),
             photometry.dark,
             taken.gain,
             photometry.noise,
+        )
+
+    def _window(self, mine: NDArray[np.uint8] | None, low: NDArray[np.int_], box: Box) -> Box:
+        """Return the part of a tile in which cells of a frame, or their neighbours, lie; `low` is the first cell."""
+        w, h = box[2] - box[0], box[3] - box[1]
+        if mine is None:
+            return 0, 0, w, h
+        columns, rows = np.flatnonzero(mine.any(0)), np.flatnonzero(mine.any(1))
+        # The weight of a cell reaches to the centres of its neighbours.
+        first = low + (columns[0] - 1, rows[0] - 1)
+        last = low + (columns[-1] + 1, rows[-1] + 1)
+        grid_from_cells = np.linalg.inv(self._cells_from_grid)
+        (x0, y0), (x1, y1) = apply(grid_from_cells, np.array([first, last], dtype=np.float64)) - box[:2]
+        return (
+            int(np.clip(np.floor(x0), 0, w)),
+            int(np.clip(np.floor(y0), 0, h)),
+            int(np.clip(np.ceil(x1) + 1, 0, w)),
+            int(np.clip(np.ceil(y1) + 1, 0, h)),
         )
 
 
@@ -150,31 +212,68 @@ def render_tile(spec: TileSpec, read: ReadFrame) -> NDArray[Any] | None:
     """
     if spec.hdr:
         return _render_hdr(spec, read)
+    shape = spec.height, spec.width
+    weights = np.zeros(shape, np.float32)
     total: Floats32 | None = None
-    weights = np.zeros((spec.height, spec.width), np.float32)
     dtype: np.dtype[Any] = np.dtype(np.uint8)
     for part in spec.parts:
         pixels = _cut(part, read)
         if pixels is None:
             continue
         dtype = pixels.dtype
-        unit = 1.0 if dtype == np.uint8 else 257.0
-        warped = cv2.warpPerspective(pixels, _matrix(part), (spec.width, spec.height), flags=_LINEAR)
-        value = _corrected(warped, _spread(part.factor, spec), part.dark * unit)
-        weight = _weight(part, spec)
-        if weight is None and len(spec.parts) == 1:
-            return np.asarray(_whole(value, dtype))
-        weight = np.ones_like(weights) if weight is None else weight
-        weights += weight
-        value *= weight if value.ndim == 2 else weight[..., None]
-        total = value if total is None else total + value
+        if total is None:
+            total = np.zeros((1 if pixels.ndim == 2 else pixels.shape[2], *shape), np.float32)
+        for window in _windows(part, spec):
+            _add(part, spec, window, pixels, total, weights)
     if total is None or not weights.any():
         return None
-    shown = weights > 0
-    np.maximum(weights, 1e-6, out=weights)
-    picture = _whole(total / (weights if total.ndim == 2 else weights[..., None]), dtype)
-    picture[~shown] = NODATA
-    return np.asarray(picture)
+    full = 255.0 if dtype == np.uint8 else 65535.0
+    channels = np.empty(total.shape, dtype)
+    for channel, out in zip(total, channels, strict=True):
+        finish(channel, weights, full, out)
+    return np.asarray(channels[0] if len(channels) == 1 else cv2.merge(list(channels)))
+
+
+def _windows(part: FramePart, spec: TileSpec) -> Iterator[Box]:
+    """Yield the squares of a tile in which a frame has a weight: its share of a wide part is rarely a rectangle."""
+    left, top, right, bottom = part.window
+    m = spec.cells_from_tile
+    for x0 in range(left, right, _WINDOW_PX):
+        for y0 in range(top, bottom, _WINDOW_PX):
+            x1, y1 = min(x0 + _WINDOW_PX, right), min(y0 + _WINDOW_PX, bottom)
+            if part.mine is not None:
+                c0, r0 = (max(int(v), 0) for v in (m[0, 2] + m[0, 0] * x0, m[1, 2] + m[1, 1] * y0))
+                c1, r1 = int(m[0, 2] + m[0, 0] * x1) + 2, int(m[1, 2] + m[1, 1] * y1) + 2
+                if not part.mine[r0:r1, c0:c1].any():
+                    continue
+            yield x0, y0, x1, y1
+
+
+def _add(
+    part: FramePart, spec: TileSpec, window: Box, pixels: NDArray[Any], total: Floats32, weights: Floats32
+) -> None:
+    """Add a frame to a square of a tile."""
+    x0, y0, x1, y1 = window
+    shift = np.array([[1, 0, x0], [0, 1, y0], [0, 0, 1]], dtype=np.float64)
+    warped = cv2.warpPerspective(pixels, _matrix(part) @ shift, (x1 - x0, y1 - y0), flags=_LINEAR)
+    x, y = _nodes(spec, part.factor.shape, window)
+    mine = np.ones_like(part.factor) if part.mine is None else part.mine.astype(np.float32)
+    unit = 1.0 if pixels.dtype == np.uint8 else 257.0
+    corrections = Corrections(part.factor, mine, part.raw_from_tile @ shift, part.limits, part.dark * unit)
+    channels = [warped] if warped.ndim == 2 else cv2.split(warped)
+    before = weights.copy() if len(channels) > 1 else weights
+    for number, channel in enumerate(channels):
+        # Each channel adds the same weights, which count once.
+        once = weights if number == 0 else before.copy()
+        add_frame(total[number], once, np.asarray(channel), x, y, corrections, (x0, y0))
+
+
+def _nodes(spec: TileSpec, cells: tuple[int, ...], window: Box) -> tuple[Nodes, Nodes]:
+    """Return where the pixels of a part of a tile lie between the centres of the tile's cells."""
+    m = spec.cells_from_tile
+    x = nodes_along(m[0, 2] + m[0, 0] * window[0], m[0, 0], window[2] - window[0], cells[1])
+    y = nodes_along(m[1, 2] + m[1, 1] * window[1], m[1, 1], window[3] - window[1], cells[0])
+    return x, y
 
 
 def _render_hdr(spec: TileSpec, read: ReadFrame) -> NDArray[Any] | None:
@@ -247,22 +346,6 @@ def _weight(part: FramePart, spec: TileSpec) -> Floats32 | None:
     seen[[0, -1]] = seen[:, [0, -1]] = 0
     inside = cv2.warpPerspective(seen, _matrix(part), (spec.width, spec.height), flags=_NEAREST)
     return np.asarray(inside, np.float32) if weight is None else np.asarray(weight * inside, np.float32)
-
-
-def _corrected(warped: NDArray[Any], factor: Floats32, dark: float) -> Floats32:
-    """Return (grey − dark) · factor, float32."""
-    if warped.ndim == 3:
-        factor = np.asarray(cv2.merge([factor] * warped.shape[2]))
-    value = cv2.multiply(warped, factor, dtype=cv2.CV_32F)
-    if dark:
-        value = cv2.scaleAdd(factor, -dark, value)
-    return np.asarray(value, np.float32)
-
-
-def _whole(value: Floats32, dtype: np.dtype[Any]) -> NDArray[Any]:
-    """Round to 8 or 16 bits; at least 1, since 0 marks what no frame shows."""
-    full = 255 if dtype == np.uint8 else 65535
-    return np.rint(np.clip(value, NODATA + 1, full)).astype(dtype)
 
 
 def _grey_levels(pixels: NDArray[Any]) -> Floats32:

@@ -6,7 +6,6 @@ from collections import OrderedDict
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -63,15 +62,21 @@ def write_mosaic(
     )
     renderer = TileRenderer(plan, projector, grid)
 
+    columns = renderer.block_px // TILE_PX
+    block: NDArray[Any] | None = None
+
     def tile(x: int, y: int) -> NDArray[Any]:
-        box = (x * TILE_PX, y * TILE_PX, min((x + 1) * TILE_PX, grid.width), min((y + 1) * TILE_PX, grid.height))
-        picture = render_tile(renderer.spec(box), cached)
+        nonlocal block
+        if x % columns == 0:
+            x0, y0 = x * TILE_PX, y * TILE_PX
+            box = x0, y0, min(x0 + renderer.block_px, grid.width), min(y0 + TILE_PX, grid.height)
+            block = render_tile(renderer.spec(box), cached)
         whole = np.full(layout.tile_shape, np.nan if plan.hdr else NODATA, dtype)
-        if picture is not None:
+        if block is not None:
+            first = x % columns * TILE_PX
+            part = block[:, first : first + TILE_PX]
             # TIFF has the channels in the order red, green, blue; frames have them in that of OpenCV.
-            whole[: box[3] - box[1], : box[2] - box[0]] = (
-                cv2.cvtColor(picture, cv2.COLOR_BGR2RGB) if picture.ndim == 3 else picture
-            )
+            whole[: part.shape[0], : part.shape[1]] = part if part.ndim == 2 else part[..., ::-1]
         return whole
 
     write_pyramid(path, layout, tile)

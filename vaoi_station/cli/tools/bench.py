@@ -86,12 +86,17 @@ def bench(
 
 def _stitching(case: Path | None, repetitions: int) -> dict[str, Any]:
     from vaoi_station.benchmarks.benchmark_board import board_from_recording, board_from_twin
+    from vaoi_station.benchmarks.mosaic_speed import measure_mosaic
     from vaoi_station.benchmarks.stitch_speed import measure_stitching
 
-    figures = measure_stitching(board_from_recording(case) if case else board_from_twin(), repetitions)
-    for key, value in figures.document().items():
+    board = board_from_recording(case) if case else board_from_twin()
+    document = measure_stitching(board, repetitions).document()
+    # Without a CAD mapping (`failed`) there is no mosaic to measure.
+    if document["cad_sigma_px"] is not None:
+        document |= measure_mosaic(board, repetitions).document()
+    for key, value in document.items():
         typer.echo(f"{key:28s} {value}")
-    return figures.document()
+    return document
 
 
 def _storage(case: Path | None, directory: Path) -> dict[str, Any]:

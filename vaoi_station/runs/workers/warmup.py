@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from vaoi_station.geometry import Camera, Lens, Projective, System
 from vaoi_station.marks.subpixel_localisation import locate_mark
 from vaoi_station.model import BoardType, Stitch
+from vaoi_station.mosaic.blending import Corrections, add_frame, finish, nodes_along
 from vaoi_station.mosaic.seams import NO_FRAME, FrameCells, assign_cells
 from vaoi_station.stitching.matching.prepared_frame import resample
 from vaoi_station.stitching.work import StitchSetup, TaskRunner, all_tasks
@@ -36,7 +37,7 @@ def warm_up() -> Stitch:
     # Only frames of cameras that differ are resampled, and the cameras of the synthetic board do not differ.
     resample(picture, np.eye(2, 3), (_RESAMPLED_PX, _RESAMPLED_PX), 1.0)
     _locate_other_marks(picture)
-    _assign_cells()
+    _plan_and_blend()
     lens = setup.cameras[0].lens
     lens.undistort(lens.distort(np.zeros((1, 2))))
     runner = TaskRunner(setup, partial(_frame, picture))
@@ -49,11 +50,16 @@ def _locate_other_marks(picture: NDArray[np.uint8]) -> None:
     locate_mark(picture, np.array(picture.shape[::-1]) / 2.0, "square", _MARK_MM * _PX_PER_MM)
 
 
-def _assign_cells() -> None:
-    """Call the functions that are compiled for the seams of mosaics."""
+def _plan_and_blend() -> None:
+    """Call the functions that are compiled for mosaics."""
     box, start, seed = np.array([(0, 0, 2, 2)], np.int32), np.zeros(1, np.int64), np.zeros((1, 2), np.int32)
     frames = FrameCells(box, start, np.ones(4, np.bool_), seed, np.zeros(1))
     assign_cells(frames, np.ones((2, 2), np.float32), np.full((2, 2), NO_FRAME, np.int32))
+    cells, pixels, total = np.ones((2, 2), np.float32), np.ones((4, 4), np.uint8), np.zeros((4, 4), np.float32)
+    nodes = nodes_along(0.0, 0.25, 4, 2)
+    limits = np.array([0.0, 0.0, 9.0, 9.0])
+    add_frame(total, total.copy(), pixels, nodes, nodes, Corrections(cells, cells, np.eye(3), limits, 1.0), (0, 0))
+    finish(total, total, 255.0, pixels)
 
 
 def _setup() -> StitchSetup:
