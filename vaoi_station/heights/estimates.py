@@ -47,6 +47,10 @@ _LOWEST_NOISE = 0.15
 """Least variance of noise after the blur in frames of full size, grey levels squared."""
 _SURE = 0.99
 """Least probability of a height that is given as a number; else there is an interval of this probability."""
+_COMMON = 0.25
+"""Share of the differences beyond noise that is the same in all tiles of a body."""
+_ONE_LINE = 0.25
+"""Relative standard deviation of a height from a single row or column of tiles, or from two of many."""
 _ROUNDS, _CONVERGED_PX = 5, 0.005
 _INFORMED = 0.1
 """Least share of the squared gradients that is texture; with less, it is noise."""
@@ -254,6 +258,8 @@ def _refine(places: Places, pictures: Pictures, swept: _Swept) -> BodyEquations 
         floor = max(float(np.percentile(found.variance[some], 10)), lowest)
         variance = np.maximum(found.variance, floor) * NOISE_AREA
         variance += np.maximum(found.variance - 3 * floor, 0) * _MISFIT_AREA
+        excess = np.maximum(found.variance - 3 * floor, 0) * (tiles[:, 2] * tiles[:, 3])
+        unlike = np.sqrt(excess / np.maximum(found.matrix[:, 0, 0], 1e-3))
         body = _united(
             h, found.matrix / variance[:, None, None], found.vector / variance[:, None], found.noisy / variance
         )
@@ -266,7 +272,20 @@ def _refine(places: Places, pictures: Pictures, swept: _Swept) -> BodyEquations 
             break
     if body is None or abs(h - heights[best]) * pictures.spread > 5 * STEP_PX:
         return None
-    return body._replace(scale=2.0**pictures.grid.level)
+    weight = np.maximum(found.matrix[:, 0, 0], 0) / variance
+    common = _COMMON * float(weight @ unlike) / max(float(weight.sum()), 1e-9)
+    if _in_one_line(tiles, pictures.grid):
+        common = math.hypot(common, _ONE_LINE * abs(h))
+    return body._replace(scale=2.0**pictures.grid.level, unlike_mm=common)
+
+
+def _in_one_line(tiles: NDArray[np.int_], grid: PartGrid) -> bool:
+    """Return whether the tiles of a body are one row or column of three, or at most two of more.
+
+    They may lie on an edge of the body and all see the same mixture of body and board.
+    """
+    counts = [(len(set(tiles[:, k])), len(set(_tiles(grid)[:, k]))) for k in (0, 1)]
+    return any((mine == 1 and all_of == 3) or (mine <= 2 and all_of > 3) for mine, all_of in counts)
 
 
 def _united(h: float, matrix: Floats, vector: Floats, noisy: Floats) -> BodyEquations | None:

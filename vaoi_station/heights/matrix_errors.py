@@ -41,6 +41,8 @@ class BodyEquations(NamedTuple):
     """(1 + 2·k,)."""
     scale: float
     """Pixels of a frame per pixel of the pictures."""
+    unlike_mm: float = 0.0
+    """Standard deviation by differences that all tiles have in common, such as glare."""
 
 
 def combine(bodies: Mapping[str, BodyEquations], row_sigma_px: float) -> dict[str, tuple[float, float]]:
@@ -64,7 +66,7 @@ def combine(bodies: Mapping[str, BodyEquations], row_sigma_px: float) -> dict[st
         covariance = np.linalg.inv(body.matrix + _prior(body, size))
         # The equations belong to the height before the last step.
         mm = body.height_mm + float((covariance @ body.vector)[0])
-        variance = float(covariance[0, 0]) + _SCATTER_MM**2 + (_SCALE * mm) ** 2
+        variance = float(covariance[0, 0]) + body.unlike_mm**2 + _SCATTER_MM**2 + (_SCALE * mm) ** 2
         out[address] = mm, math.sqrt(variance)
     return out
 

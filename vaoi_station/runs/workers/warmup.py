@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.geometry import Camera, Lens, Projective, System
+from vaoi_station.heights.estimates import measure_heights
 from vaoi_station.marks.subpixel_localisation import locate_mark
 from vaoi_station.model import BoardType, Stitch
 from vaoi_station.mosaic.blending import Corrections, add_frame, finish, nodes_along
@@ -42,7 +43,10 @@ def warm_up() -> Stitch:
     lens.undistort(lens.distort(np.zeros((1, 2))))
     runner = TaskRunner(setup, partial(_frame, picture))
     tasks = all_tasks(present, dict(enumerate(times_s)), setup)
-    return runner.conclude(times_s, present, [runner.perform(task) for task in tasks])
+    stitch = runner.conclude(times_s, present, [runner.perform(task) for task in tasks])
+    assert setup.board_type is not None, "the synthetic board has a board type"
+    measure_heights(setup.board_type, stitch, setup.cameras, partial(_frame, picture))
+    return stitch
 
 
 def _locate_other_marks(picture: NDArray[np.uint8]) -> None:
