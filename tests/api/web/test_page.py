@@ -251,8 +251,9 @@ def test_texts_have_enough_contrast(page: Page, served: Any) -> None:
 
 
 def test_the_api_documentation_needs_no_network(page: Page, served: Any) -> None:
+    paths = served.client.get("/api/v1/openapi.json").json()["paths"]
     page.goto(f"{served.url}/docs")
-    expect(page.locator(".opblock")).to_have_count(35)
+    expect(page.locator(".opblock")).to_have_count(sum(map(len, paths.values())))
 
 
 def refuse_its_settings(station: Any) -> None:
