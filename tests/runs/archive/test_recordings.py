@@ -15,9 +15,9 @@ from vaoi_station.config import KeepConfig
 from vaoi_station.errors import GoneError
 from vaoi_station.files import open_recording, read_board_type, read_calibration, read_stitch
 from vaoi_station.files.atomic_directory import new_directory
-from vaoi_station.model import Status, Verdict
+from vaoi_station.model import RecordingHead, Status, Verdict
 from vaoi_station.runs.archive import recordings as module
-from vaoi_station.runs.archive.recordings import Recordings
+from vaoi_station.runs.archive.recordings import Recordings, bytes_of_frames
 from vaoi_station.runs.states.schemas import RunDetail
 
 PATIENCE_S = 20.0
@@ -229,3 +229,15 @@ def test_recordings_make_room_on_a_disk_that_is_nearly_full(
     monkeypatch.setattr(module, "DISK_RESERVE", 10**18)
     keeper.tend()
     assert [path.name for path in (tmp_path / "kept").iterdir()] == [run.id], "a pinned one stays"
+
+
+@pytest.mark.parametrize(("dtype", "shape"), [(np.uint8, (48, 64)), (np.uint16, (48, 64)), (np.uint8, (48, 64, 3))])
+def test_room_is_made_for_every_pixel_format(rig: Any, dtype: Any, shape: tuple[int, ...]) -> None:
+    run = a_board(rig)
+    cameras = [{"width": 64, "height": 48, "exposure_us": 100.0} for _ in range(2)]
+    head = RecordingHead.model_validate(
+        {"format": "vaoi-recording", "version": 1, "cameras": cameras, "rows": 3, "trigger_period_s": 0.1,
+         "conveyor_mm_s": [0, 100], "missing": [[0, 0]]}
+    )  # fmt: skip
+    expected = bytes_of_frames(run.frames, head, lambda _: np.zeros(shape, dtype))
+    assert expected == 2 * 3 * np.zeros(shape, dtype).nbytes

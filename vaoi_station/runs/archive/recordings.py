@@ -10,7 +10,7 @@ import logging
 import os
 import shutil
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from queue import SimpleQueue
@@ -25,7 +25,7 @@ from vaoi_station.files.atomic_directory import new_directory
 from vaoi_station.files.documents import write_bytes
 from vaoi_station.files.images import Image
 from vaoi_station.files.recordings import frame_file
-from vaoi_station.model import RecordingHead, Status
+from vaoi_station.model import FrameRecord, RecordingHead, Status
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive, FinishedRun
 from vaoi_station.runs.archive.housekeeping import LOWEST_PRIORITY
@@ -179,7 +179,7 @@ class Recordings:
             return
         head = _head_of(finished, finished.head)
         copy = self._frames.copier(self._frames.bay_of(run))
-        self._make_room(_expected_bytes(head))
+        self._make_room(bytes_of_frames(finished.detail.frames, head, copy))
         target = self.directory / run
         with new_directory(target) as draft:
             # Uncompressed, because the frames must be out of the ring before their memory is needed.
@@ -257,9 +257,13 @@ def _head_of(finished: FinishedRun, head: RecordingHead) -> RecordingHead:
     return head.model_copy(update={"missing": missing, "x_run": finished.detail.id, "x_verdicts": bad})
 
 
-def _expected_bytes(head: RecordingHead) -> int:
-    each = (camera.width * camera.height * (2 if camera.bits and camera.bits > 8 else 1) for camera in head.cameras)
-    return sum(each) * head.rows
+def bytes_of_frames(frames: Iterable[FrameRecord], head: RecordingHead, copy: Callable[[int], NDArray[Any]]) -> int:
+    """Return the size of the frames on disk, from one frame of every camera: its pixel format is nowhere else."""
+    absent, sizes = set(head.missing), dict[int, int]()
+    for frame in frames:
+        if frame.camera not in sizes and (frame.camera, frame.row) not in absent and frame.slot is not None:
+            sizes[frame.camera] = copy(frame.slot).nbytes
+    return sum(sizes.values()) * head.rows
 
 
 def _size_of(path: Path) -> int:
