@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from tests.api.held.chosen_images import chosen_images
 from tests.api.held.history import HeldHistory, HeldTypes
 from tests.api.held.merged import HeldMerged
 from tests.api.held.mosaics import HeldMosaics
@@ -20,7 +21,7 @@ from vaoi_station.errors import DeviceError, GoneError, InternalError, NotFoundE
 from vaoi_station.files.results import stitch_text
 from vaoi_station.geometry import Camera, Lens, Projective, System
 from vaoi_station.model import BoardType, FrameRecord, Status, Stitch, Verdict
-from vaoi_station.rendering import View, compute_views, render
+from vaoi_station.rendering import ChosenImages, ImageRequest, render_shot
 from vaoi_station.runs.archive.run_statistics import RunFigures
 from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.runs.states.calibration_schemas import CalibrationStatus, CameraCalibration, CameraDrift, CameraMoment
@@ -102,7 +103,9 @@ class HeldStation(StationCoordinator):
         for camera in range(CAMERAS):
             for row in range(ROWS):
                 lost = {(0, 1): Verdict.INCOMPLETE, (1, 2): Verdict.MISSING}.get((camera, row), Verdict.OK)
-                frames.append(FrameRecord(camera=camera, row=row, verdict=lost, cause="" if lost == "ok" else "cable"))
+                taken = {"exposure_us": 100.0 * (row + 1), "gain": 2.0, "light": ("left", "right")[row % 2]}
+                cause = "" if lost == "ok" else "cable"
+                frames.append(FrameRecord(camera=camera, row=row, verdict=lost, cause=cause, **taken))
                 self.pixels[run, camera, row] = _scene(random, camera, row)
         detail = RunDetail(
             id=run, board_type="demo-board", board_id=board_id, job_id=None,
@@ -353,33 +356,24 @@ class HeldStation(StationCoordinator):
             for c in self.types["demo-board"].components
         )
 
-    def views(self, run: str, ref: str, px_per_mm: float | None = None, min_coverage: float = 0.5) -> tuple[View, ...]:
-        board_type = self.types["demo-board"]
-        component = board_type.component(ref)
-        if component is None:
-            raise NotFoundError(f"There is no component {ref!r}.", code="unknown-component")
-        found = compute_views(
-            component, board_type, self.stitch(run), self.cameras, px_per_mm=px_per_mm, min_coverage=min_coverage
-        )
-        whole = {(r.camera, r.row) for r in self.run(run).frames if r.verdict == Verdict.OK}
-        return tuple(v for v in found if (v.camera, v.row) in whole)
+    def images(self, run: str, ref: str, wanted: ImageRequest = ImageRequest()) -> ChosenImages:  # noqa: B008
+        return chosen_images(self, run, ref, wanted)
 
     def image(
         self,
         run: str,
         ref: str,
         k: int,
+        wanted: ImageRequest = ImageRequest(),  # noqa: B008
         *,
-        px_per_mm: float | None = None,
         format: Rendered = "png",
-        min_coverage: float = 0.5,
     ) -> bytes:
-        views = self.views(run, ref, px_per_mm, min_coverage)
-        if k >= len(views):
-            raise NotFoundError(f"{ref} has {len(views)} views; there is no view {k}.")
-        pixels, _ = self.frame(run, views[k].camera, views[k].row)
-        crop = render(views[k], pixels)
-        return encode_image(crop, ImageFormat(format))[0]
+        shots = self.images(run, ref, wanted).shots
+        if k >= len(shots):
+            raise NotFoundError(f"{ref} has {len(shots)} images; there is no image {k}.")
+        views = [s.view for s in (shots[k], shots[k].minus) if s is not None]
+        pixels = [self.frame(run, view.camera, view.row)[0] for view in views]
+        return encode_image(render_shot(shots[k], *pixels), ImageFormat(format))[0]
 
     def events(self, after: int = 0, timeout_s: float = 0.0, limit: int = 1000) -> tuple[EventRecord, ...]:
         until = time.monotonic() + timeout_s

@@ -55,6 +55,57 @@ def test_the_resolution_of_images_can_be_chosen(stitched: vaoi.StitchedRun) -> N
     assert fine[0] == pytest.approx(2 * coarse[0], abs=1)
 
 
+def test_directions_and_coverage_are_those_of_the_simulator(
+    recording: vaoi.RecordedRun, stitched: vaoi.StitchedRun
+) -> None:
+    """The truth has the exact matrices; the camera's place follows from them, and not from the result."""
+    truth = json.loads((recording.directory / "truth.json").read_text())
+    board_type = stitched.board_type
+    assert board_type is not None
+    from_cad, checked = np.array(truth["cad_matrix"]), 0
+    for ref in stitched.refs:
+        part = board_type.component(ref)
+        assert part is not None
+        corners = board_type.footprint(part)
+        for image in stitched.component(ref, min_coverage=0.05):
+            camera = stitched.cameras[image.camera]
+            m = np.array(truth["image_matrices"][image.camera][image.row]) @ from_cad
+            u, v = np.meshgrid(*[(np.arange(60) + 0.5) / 60] * 2)
+            low, right, up = (
+                np.array(corners[0]),
+                np.subtract(corners[1], corners[0]),
+                np.subtract(corners[3], corners[0]),
+            )
+            inside = camera.sees(camera.lens.distort(apply(m, low + u[..., None] * right + v[..., None] * up)))
+            assert image.coverage == pytest.approx(inside.mean(), abs=0.12)
+            motion = np.array(truth["row_motion"][image.row])
+            sight = (camera.foot_mm - apply(motion @ from_cad, part.center)) @ motion[:2, :2] @ from_cad[:2, :2]
+            assert camera.working_distance_mm is not None
+            assert image.view_angle_deg is not None
+            angle = np.degrees(np.arctan2(np.hypot(*sight) / np.hypot(*from_cad[:2, 0]), camera.working_distance_mm))
+            assert image.view_angle_deg == pytest.approx(angle, abs=0.1)
+            if image.view_azimuth_deg is not None and angle > 0.5:
+                expected = np.degrees(np.arctan2(sight[1], sight[0]))
+                assert abs((image.view_azimuth_deg - expected + 180) % 360 - 180) < 3
+                checked += 1
+    assert checked > 20
+
+
+def test_images_are_chosen_by_their_options(stitched: vaoi.StitchedRun) -> None:
+    every = stitched.component("U1", measure=True)
+    for image in every:
+        assert image.sharpness_per_mm is not None
+        assert image.saturated is not None
+        head = stitched.recording.head
+        assert image.time_s == pytest.approx(head.row_times_s()[image.row] - head.row_times_s()[0])
+        assert image.exposure_us == head.exposure_us(image.camera, image.row)
+    sharpest = stitched.component("U1", order="sharpest", limit=2, margin_mm=1.0, plane="top")
+    assert len(sharpest) == min(2, len(every))
+    assert sharpest[0].pixels.shape > every[0].pixels.shape
+    with pytest.raises(vaoi.InputError, match="must be one of the lights of this run: ring"):
+        stitched.component("U1", light="left")
+
+
 def test_an_unknown_component_is_refused_with_known_ones(stitched: vaoi.StitchedRun) -> None:
     with pytest.raises(vaoi.NotFoundError, match=r"no component 'U999'\. It has "):
         stitched.component("U999")

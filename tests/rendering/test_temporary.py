@@ -96,3 +96,39 @@ def test_what_lies_outside_the_frame_is_black(make: Any) -> None:
             assert share == pytest.approx(view.coverage, abs=0.13)
             if view.coverage < 0.8:
                 assert (picture == 0).any()
+
+
+def by_equation_22(s: Any, view: Any, frame: Any) -> Any:
+    """Every pixel by itself: to CAD, through C, D_j, N_i and the lens, then interpolate in double precision."""
+    at = s.raw_px(view.camera, view.row, view.cad_from_crop(pixels_of((view.height, view.width))))
+    inside = s.cameras[view.camera].sees(at)
+    low = np.clip(np.floor(at), 0, np.array(frame.shape[1::-1]) - 2).astype(int)
+    share = at - low
+    (x, y), values = low.transpose(2, 0, 1), frame.astype(np.float64)
+    u, v = (share[..., k].reshape(*share.shape[:2], *[1] * (frame.ndim - 2)) for k in (0, 1))
+    top = (1 - u) * values[y, x] + u * values[y, x + 1]
+    bottom = (1 - u) * values[y + 1, x] + u * values[y + 1, x + 1]
+    return (1 - v) * top + v * bottom, inside
+
+
+@pytest.mark.parametrize(("lens", "bends"), [((), False), ((0.0016,), True)])
+@pytest.mark.parametrize("channels", [(), (3,)])
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_what_is_delivered_is_equation_22_within_one_grey_level(
+    make: Any, dtype: Any, channels: Any, lens: Any, bends: bool
+) -> None:
+    big = [{"ref": "ALL", "center": [20, 15], "width": 24, "height": 16}]
+    s = make(lens=lens, components=big)
+    random, most = np.random.default_rng(5), np.iinfo(dtype).max
+    noise = cv2.GaussianBlur(random.normal(size=(180, 240, *channels)), (0, 0), 1.2)
+    frame = np.clip(most * (0.5 + 0.25 * noise / noise.std()), 0, most).astype(dtype)
+    views = compute_views(
+        s.board_type.components[0], s.board_type, s.stitch, s.cameras, px_per_mm=16.0, min_coverage=0.3
+    )
+    assert any(v.distorted for v in views) == bends
+    for view in views[:3]:
+        expected, inside = by_equation_22(s, view, frame)
+        off = np.abs(render(view, frame) - expected)[inside]
+        # The lens is right to 0.004 px, which the steepest edge of this texture turns into levels of 16 bit.
+        slope = np.abs(np.diff(frame.astype(float), axis=1)).max() if bends else 0.0
+        assert off.max() <= max(1.0, 0.004 * slope if dtype == np.uint16 else 0.0)

@@ -33,7 +33,8 @@ def test_tiles_follow_the_lens(bend_px: float) -> None:
     n = Projective(np.diag([8.0, 8.0, 1.0]), System.IMAGE, System.ROW)
     camera = Camera(640, 480, n, Lens((319.5, 239.5), 400.0, (0.0025,)))
     size = np.array([[560.0, 400.0], [40.0, 30.0]])
-    [whole, small] = cut_tiles(camera, np.stack([MATRIX, MATRIX]), size, np.array([bend_px, bend_px]))
+    bends = np.array([bend_px, bend_px])
+    [whole, small] = cut_tiles(np.stack([MATRIX, MATRIX]), size, bends, lambda _, points: camera.lens.distort(points))
     assert len(whole) >= len(small) >= 4
     covered = np.zeros((400, 560), dtype=int)
     for tile in whole:

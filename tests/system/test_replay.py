@@ -17,6 +17,7 @@ from vaoi_station.config import ReplayConfig, StationConfig
 from vaoi_station.files import Recording, open_recording
 from vaoi_station.geometry import apply
 from vaoi_station.model import Stitch
+from vaoi_station.rendering import Framing, ImageRequest
 from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.runs.states.schemas import RunDetail
 from vaoi_station.simulation import Twin
@@ -164,12 +165,12 @@ def test_frames_and_pictures_of_a_run(
     seen: Any = [c for c in coordinator.components(run.id) if c.views]
     assert seen
     address = seen[0].address
-    views = coordinator.views(run.id, address)
+    views = [shot.view for shot in coordinator.images(run.id, address).shots]
     png = coordinator.image(run.id, address, 0)
     picture = decoded(png)
     assert picture.shape == (views[0].height, views[0].width)
     assert picture.std() > 1
-    twice = coordinator.image(run.id, address, 0, px_per_mm=2 * views[0].px_per_mm)
+    twice = coordinator.image(run.id, address, 0, ImageRequest(Framing(2 * views[0].px_per_mm)))
     assert decoded(twice).shape[1] == pytest.approx(2 * views[0].width, abs=1)
 
 

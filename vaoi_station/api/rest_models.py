@@ -121,7 +121,7 @@ class ViewEntry(Strict):
     k: int
     camera: int
     row: int
-    coverage: float = Field(description="Share of the component that the frame shows, 0 … 1.")
+    coverage: float = Field(description="Share of the component's footprint that the frame shows, 0 … 1.")
     off_center: float = Field(
         description="Distance from the frame's centre in half diagonals; 0 is viewed straight from above."
     )
@@ -133,6 +133,25 @@ class ViewEntry(Strict):
         description="Covariance of x and y of the component's centre in the frame, as placed by C and M_ij; "
         "absent if the centre is outside the frame.",
     )
+    sigma_px: float | None = Field(
+        default=None, description="Standard deviation of the component's place in the frame, in the worst direction."
+    )
+    sigma_mm: float | None = Field(default=None, description="The same on the board, mm.")
+    view_azimuth_deg: float | None = Field(
+        default=None,
+        description="Direction in CAD from which the component is seen, from x towards y, 0 … 360; absent if it is "
+        "seen from straight above, or if the calibration states no working distance.",
+    )
+    view_angle_deg: float | None = Field(
+        default=None, description="Angle between the line of sight and the vertical; 0 is straight from above."
+    )
+    sharpness_per_mm: float | None = Field(
+        default=None, description="RMS gradient over standard deviation of grey levels, 1/mm; if it was measured."
+    )
+    saturated: float | None = Field(
+        default=None, description="Share of the footprint's pixels at the largest grey level; if it was measured."
+    )
+    time_s: float | None = Field(default=None, description="Time of the row's pulse after that of row 0, if known.")
     exposure_us: float | None = Field(default=None, description="Exposure time of the frame, if known.")
     gain: float | None = Field(default=None, description="Linear gain of the frame, if known.")
     light: str | None = Field(default=None, description="Light pattern of the row, if one is configured.")
@@ -140,6 +159,11 @@ class ViewEntry(Strict):
     cad_from_crop: Matrix3
     image_from_crop: Matrix3 = Field(
         description="Pixels of this image to pixels of the frame; to undistorted pixels if `distorted` is true."
+    )
+    plane: Literal["board", "top"] = Field(description="Plane in which this image is right.")
+    height_mm: float = Field(description="Height of that plane above the board's surface.")
+    minus: tuple[int, int] | None = Field(
+        default=None, description="Camera and row of the frame that was subtracted, in a difference of two lights."
     )
     distorted: bool = Field(description="Whether the frame has lens distortion; the image is corrected for it.")
     url: str = Field(description="Address of this image.")
@@ -150,6 +174,9 @@ class ComponentViews(Strict):
 
     address: str
     px_per_mm: float | None = Field(description="Resolution of the images; absent if there are none.")
+    remark: str | None = Field(
+        default=None, description="Why the images lie in another plane than requested, if they do."
+    )
     views: list[ViewEntry]
 
 

@@ -12,6 +12,13 @@ from numpy.typing import NDArray
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Status
 from vaoi_station.rendering.contact_sheet import Tile, contact_sheet
+from vaoi_station.rendering.view import Plane
+
+FIELDS = (
+    "camera", "row", "coverage", "px_per_mm", "distorted", "sigma_px", "sigma_mm", "view_azimuth_deg", "view_angle_deg",
+    "sharpness_per_mm", "saturated", "time_s", "exposure_us", "gain", "light", "plane", "height_mm", "minus",
+)  # fmt: skip
+"""Fields of an image that replies of a station and descriptions of recorded images have under the same names."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,7 +28,7 @@ class ComponentImage:
     camera: int
     row: int
     coverage: float
-    """Share of the component that lies inside the frame, 0 … 1."""
+    """Share of the component's footprint that lies inside the frame, 0 … 1."""
     px_per_mm: float
     crop_from_cad: Floats
     """Matrix (3, 3) from CAD coordinates (unit of the board type) to pixels of this image."""
@@ -30,8 +37,32 @@ class ComponentImage:
     distorted: bool
     """Whether lens distortion over this image is too large for a matrix. The image itself is corrected."""
     covariance_px2: Floats | None
-    """Predicted covariance (2, 2) of the component's centre in the frame; None if the centre is outside the frame."""
+    """Predicted covariance (2, 2) of the component's place in the frame; None if its centre is outside the frame."""
     _load: Callable[[], NDArray[Any]] = field(repr=False)
+    sigma_px: float | None = None
+    """Standard deviation of that place in the direction in which it is largest."""
+    sigma_mm: float | None = None
+    """The same on the board."""
+    view_azimuth_deg: float | None = None
+    """Direction in CAD from which the component is seen, from x towards y; None if unknown or straight from above."""
+    view_angle_deg: float | None = None
+    """Angle between the line of sight and the vertical; None if the calibration states no working distance."""
+    sharpness_per_mm: float | None = None
+    """RMS gradient divided by the standard deviation of the grey levels, 1/mm; None if it was not measured."""
+    saturated: float | None = None
+    """Share of the footprint's pixels at the largest grey level; None if it was not measured."""
+    time_s: float | None = None
+    """Time of the row's pulse after that of row 0."""
+    exposure_us: float | None = None
+    gain: float | None = None
+    light: str | None = None
+    """Name of the light pattern of the row; None if it has none."""
+    plane: Plane = "board"
+    """Plane in which the image is right: the board's surface, or the top of the body."""
+    height_mm: float = 0.0
+    """Height of that plane above the board's surface."""
+    minus: tuple[int, int] | None = None
+    """Camera and row of the frame that was subtracted; None for a plain image."""
 
     @property
     def cad_from_crop(self) -> Floats:
@@ -48,7 +79,7 @@ class ComponentImage:
 
 @dataclass(frozen=True, eq=False)
 class ComponentImages:
-    """All images of one component: first those with full coverage, nearest to the centre of their frame first."""
+    """All images of one component: in the order of the request, by default best first."""
 
     ref: str
     images: tuple[ComponentImage, ...]
@@ -57,6 +88,8 @@ class ComponentImages:
     height_sigma_mm: float | None
     status: Status
     """Verdict of the run."""
+    remark: str | None = None
+    """Why the images lie in another plane than requested; None if they do not."""
 
     def __len__(self) -> int:
         return len(self.images)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 from urllib.parse import quote, urlsplit
 
 import numpy as np
@@ -15,7 +15,7 @@ from vaoi_station.demo.client import Client, unusable_reply
 from vaoi_station.errors import InputError
 from vaoi_station.files.caller_credentials import caller_credentials
 from vaoi_station.library.arguments import require_number, require_path, require_text, require_whole
-from vaoi_station.library.component_images import ComponentImage, ComponentImages
+from vaoi_station.library.component_images import FIELDS, ComponentImage, ComponentImages
 from vaoi_station.library.replies import (
     ComponentListReply,
     ComponentReply,
@@ -26,7 +26,7 @@ from vaoi_station.library.replies import (
 )
 from vaoi_station.library.stitched_run import component_height
 from vaoi_station.model import Status, Stitch
-from vaoi_station.rendering.framing import RESOLUTION_LIMITS, check_number
+from vaoi_station.rendering.request import ImageOptions, ImageRequest
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,23 +61,29 @@ class StationRun:
         listing = checked(ComponentListReply, self._client.get(path), self._client.url(path))
         return tuple(entry.address for entry in listing.components)
 
-    def component(self, ref: str, *, px_per_mm: float | None = None, min_coverage: float = 0.5) -> ComponentImages:
+    def component(self, ref: str, **options: Unpack[ImageOptions]) -> ComponentImages:
         """Return the images of a component from every frame that shows it. Pixels are fetched when they are accessed.
 
+        Args:
+            ref: address of the component.
+            **options: `px_per_mm`, `margin_mm`, `align` ("cad", "part") and `plane` ("board", "top") frame the images;
+                `light`, `seen_from` with `within_deg`, and bounds of coverage, exposure, angle, sharpness and
+                saturation choose them; `order` ("best", "sharpest") and `limit` follow; `minus` subtracts another
+                light; `measure` measures sharpness and saturation of each. docs/rest.md describes all of them.
+
         Raises:
-            InputError: an argument is not of its type, or outside its limits.
+            InputError: an option is not of its type, or outside its limits, or the run has no such light.
             NotFoundError: the board type has no such component.
             GoneError: at access to pixels, if the station no longer keeps the frames of the run.
         """
         require_text("component", "ref", ref)
-        check_number("px_per_mm", px_per_mm, *RESOLUTION_LIMITS, optional=True)
-        check_number("min_coverage", min_coverage, 0.0, 1.0)
+        wanted = ImageRequest.of(options)
         # On a panel, `ref` is `panel/ref`; `quote` keeps the slash, which the path of the component contains as well.
         path = f"/runs/{quote(self.id)}/components/{quote(ref)}"
-        reply = self._client.get(path, px_per_mm=px_per_mm, min_coverage=min_coverage)
-        views = checked(ComponentReply, reply, self._client.url(path)).views
+        reply = checked(ComponentReply, self._client.get(path, **wanted.options()), self._client.url(path))
         height, sigma = component_height(self.result, ref)
-        return ComponentImages(ref, tuple(self._image(view) for view in views), height, sigma, self.status)
+        images = tuple(self._image(view) for view in reply.views)
+        return ComponentImages(ref, images, height, sigma, self.status, reply.remark)
 
     def hold(self, holder: str, purpose: str = "") -> None:
         """Keep the frames of the run in memory until the hold expires or ends; a repeated call renews the hold.
@@ -103,17 +109,10 @@ class StationRun:
         def load() -> NDArray[Any]:
             return self._client.picture(view.url)[1]
 
-        return ComponentImage(
-            camera=view.camera,
-            row=view.row,
-            coverage=view.coverage,
-            px_per_mm=view.px_per_mm,
-            crop_from_cad=view.crop_from_cad,
-            image_from_crop=view.image_from_crop,
-            distorted=view.distorted,
-            covariance_px2=None if view.covariance_px2 is None else np.array(view.covariance_px2),
-            _load=load,
-        )
+        fields: dict[str, Any] = {name: getattr(view, name) for name in FIELDS}
+        fields |= {"crop_from_cad": view.crop_from_cad, "image_from_crop": view.image_from_crop}
+        covariance = None if view.covariance_px2 is None else np.array(view.covariance_px2)
+        return ComponentImage(**fields, covariance_px2=covariance, _load=load)
 
 
 class Station:

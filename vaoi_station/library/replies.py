@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from vaoi_station.demo.client import unusable_reply
 from vaoi_station.files.documents import describe
 from vaoi_station.model.frozen_model import Matrix, Point, Positive, Whole
+from vaoi_station.rendering.view import Plane
 
 M = TypeVar("M", bound=BaseModel)
 
@@ -57,12 +58,26 @@ class ViewReply(_Reply):
     image_from_crop: Matrix
     distorted: Annotated[bool, Field(strict=True)]
     covariance_px2: tuple[Point, Point] | None = None
+    sigma_px: float | None = None
+    sigma_mm: float | None = None
+    view_azimuth_deg: float | None = None
+    view_angle_deg: float | None = None
+    sharpness_per_mm: float | None = None
+    saturated: float | None = None
+    time_s: float | None = None
+    exposure_us: float | None = None
+    gain: float | None = None
+    light: str | None = None
+    plane: Plane = "board"
+    height_mm: float = 0.0
+    minus: tuple[Whole, Whole] | None = None
     url: Annotated[str, Field(pattern=r"^/api/")]
 
 
 class ComponentReply(_Reply):
     """All views of one component."""
 
+    remark: str | None = None
     views: list[ViewReply]
 
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +17,22 @@ from vaoi_station.geometry import Camera, apply
 from vaoi_station.geometry.displacement import PARAMETERS, displace_camera
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.library.arguments import require_path, require_text, whole
-from vaoi_station.library.component_images import ComponentImage, ComponentImages
+from vaoi_station.library.component_images import FIELDS, ComponentImage, ComponentImages
 from vaoi_station.model import BoardType, Component, Status, Stitch
-from vaoi_station.rendering import View, ViewCalculator, render
+from vaoi_station.rendering import (
+    ChosenImages,
+    FrameFacts,
+    ImageOptions,
+    ImageRequest,
+    Measures,
+    Shot,
+    View,
+    ViewCalculator,
+    choose_images,
+    measure,
+    render_shot,
+)
+from vaoi_station.rendering.description import describe
 
 _SAME_PX = 0.01
 """Largest difference in a frame, px, of two equal calibrations: results state displacements with four decimals."""
@@ -85,32 +98,38 @@ class StitchedRun:
         check_frame_index(camera, row, len(self.cameras), len(self.result.row_motion), self.recording.directory)
         return self.result.image_matrices[camera][row]
 
-    def component(self, ref: str, *, px_per_mm: float | None = None, min_coverage: float = 0.5) -> ComponentImages:
+    def component(self, ref: str, **options: Unpack[ImageOptions]) -> ComponentImages:
         """Return the images of a component from every frame that shows it.
 
         Args:
             ref: address of the component.
-            px_per_mm: resolution; by default that of the cameras.
-            min_coverage: frames that show a smaller share of the component are left out.
+            **options: `px_per_mm`, `margin_mm`, `align` ("cad", "part") and `plane` ("board", "top") frame the images;
+                `light`, `seen_from` with `within_deg`, and bounds of coverage, exposure, angle, sharpness and
+                saturation choose them; `order` ("best", "sharpest") and `limit` follow; `minus` subtracts another
+                light; `measure` measures sharpness and saturation of each. docs/rest.md describes all of them.
 
         Raises:
-            InputError: `px_per_mm` is not 0.1 to 1000 or gives too large an image, or `min_coverage` is not 0 to 1.
+            InputError: an option is outside its limits or gives too large an image, or the run has no such light.
             NotFoundError: the board type has no such component.
-            StateError: the run has no board type or no CAD mapping.
+            StateError: the run has no board type or no CAD mapping, or a direction is wanted and not known.
         """
         require_text("component", "ref", ref)
-        views = self._views.compute(self._part(ref), px_per_mm=px_per_mm, min_coverage=min_coverage)
+        chosen = self.choose(ref, ImageRequest.of(options))
         covariances = component_covariances(self.result, ref)
         height, sigma = component_height(self.result, ref)
-        # Views are matched by frame; a centre outside its frame has a view but no covariance.
-        # A row with one good frame has matrices for all cameras, also for those whose frame never arrived.
-        missing = set(self.recording.head.missing)
+        # Images are matched by frame; a centre outside its frame has an image but no covariance.
         images = tuple(
-            self._image(view, covariances.get((view.camera, view.row)))
-            for view in views
-            if (view.camera, view.row) not in missing
+            self._image(shot, chosen.covariance_px2(shot, covariances.get((shot.view.camera, shot.view.row))))
+            for shot in chosen.shots
         )
-        return ComponentImages(ref, images, height, sigma, self.status)
+        return ComponentImages(ref, images, height, sigma, self.status, chosen.remark)
+
+    def choose(self, ref: str, wanted: ImageRequest) -> ChosenImages:
+        """Choose the images of a component that a request asks for; see `component`."""
+        # A row with one good frame has matrices for all cameras, also for those whose frame never arrived.
+        frames = set(self._facts) - set(self.recording.head.missing)
+        run = self._board_type, self.result
+        return choose_images(self._views, self._part(ref), run, (frames, self._facts), wanted, self._measure)
 
     def center(self, ref: str) -> tuple[float, float]:
         """Return the centre of a component in CAD coordinates, in the unit of the board type."""
@@ -141,23 +160,36 @@ class StitchedRun:
     def _views(self) -> ViewCalculator:
         return ViewCalculator(self._board_type, self.result, self.cameras)
 
-    def _image(self, view: View, covariance: Floats | None) -> ComponentImage:
-        def load() -> NDArray[Any]:
-            frame = self.recording.frame(view.camera, view.row)
-            assert frame is not None  # views of missing frames are left out
-            return render(view, frame)
+    @cached_property
+    def _facts(self) -> dict[tuple[int, int], FrameFacts]:
+        """How each frame (camera, row) was taken."""
+        head = self.recording.head
+        times_s = (head.row_times_s() - head.row_times_s()[0]).tolist()
+        lights = head.lights or ("",) * head.rows
+        return {
+            (i, j): FrameFacts(head.exposure_us(i, j), head.gain(i, j), lights[j] or None, times_s[j])
+            for i in range(len(head.cameras))
+            for j in range(head.rows)
+        }
 
-        return ComponentImage(
-            camera=view.camera,
-            row=view.row,
-            coverage=view.coverage,
-            px_per_mm=view.px_per_mm,
-            crop_from_cad=view.crop_matrix,
-            image_from_crop=view.matrix,
-            distorted=view.distorted,
-            covariance_px2=covariance,
-            _load=load,
-        )
+    def _measure(self, view: View) -> Measures:
+        return measure(view, self._frame(view))
+
+    def _frame(self, view: View) -> NDArray[Any]:
+        frame = self.recording.frame(view.camera, view.row)
+        assert frame is not None  # views of missing frames are left out
+        return frame
+
+    def load(self, shot: Shot) -> NDArray[Any]:
+        """Read the frames of a chosen image, and render it."""
+        other = None if shot.minus is None else self._frame(shot.minus.view)
+        return render_shot(shot, self._frame(shot.view), other)
+
+    def _image(self, shot: Shot, covariance: Floats | None) -> ComponentImage:
+        known = describe(shot, covariance)
+        fields: dict[str, Any] = {name: known[name] for name in FIELDS}
+        fields |= {"crop_from_cad": shot.view.crop_matrix, "image_from_crop": shot.view.matrix}
+        return ComponentImage(**fields, covariance_px2=covariance, _load=lambda: self.load(shot))
 
 
 def check_frame_index(camera: int, row: int, cameras: int, rows: int, name: str | Path) -> None:

@@ -8,9 +8,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from vaoi_station.geometry.transforms import Floats
+from vaoi_station.rendering.tiles import rectangles, through
 from vaoi_station.rendering.view import View
 
 _FLAGS = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+_EXACT_PX = 64
+"""Longest side of the parts in which frames of 16 bit are resampled.
+
+OpenCV computes places in single precision. At 2000 px from the origin, their error is 0.0001 px, which moves an edge of
+65535 grey levels by more than one. In a part with its own origin, the error is 30 times as small."""
 
 
 def render(view: View, frame: NDArray[Any]) -> NDArray[Any]:
@@ -18,16 +25,45 @@ def render(view: View, frame: NDArray[Any]) -> NDArray[Any]:
 
     The image has the pixel type of the frame: every pixel is the bilinear interpolation at the place that equation 22
     states, within one grey level. Places outside the frame are black; within one pixel of its border the image fades to
-    black. If lens distortion matters in this view, the image is made in tiles, with an
-    error of at most 0.005 px for the lenses of such an array.
+    black. If lens distortion matters in this view, the image is made in tiles, with an error of at most 0.004 px for
+    the lenses of such an array.
     """
-    # WARP_INVERSE_MAP: `matrix` maps the picture to the frame already, so OpenCV must not invert it.
     if not view.tiles:
-        warped: NDArray[Any] = cv2.warpPerspective(frame, view.matrix, (view.width, view.height), flags=_FLAGS)
-        return warped
+        return _warp(frame, view.matrix, (view.width, view.height))
     picture = np.empty((view.height, view.width, *frame.shape[2:]), dtype=frame.dtype)
     for t in view.tiles:
         # OpenCV writes into the picture itself: a copy of every tile would take a fifth of the time.
-        part = picture[t.y0 : t.y1, t.x0 : t.x1]
-        cv2.warpPerspective(frame, t.matrix, (t.x1 - t.x0, t.y1 - t.y0), dst=part, flags=_FLAGS)
+        _warp(frame, t.matrix, (t.x1 - t.x0, t.y1 - t.y0), picture[t.y0 : t.y1, t.x0 : t.x1])
+    return picture
+
+
+def _warp(frame: NDArray[Any], matrix: Floats, size: tuple[int, int], out: NDArray[Any] | None = None) -> NDArray[Any]:
+    """Resample a frame by a matrix from pixels of the picture to pixels of the frame."""
+    if frame.dtype == np.uint16:
+        return _warp_in_parts(frame, matrix, size, out)
+    # WARP_INVERSE_MAP: `matrix` maps the picture to the frame already, so OpenCV must not invert it.
+    warped: NDArray[Any] = cv2.warpPerspective(frame, matrix, size, dst=out, flags=_FLAGS)
+    return warped
+
+
+def _warp_in_parts(
+    frame: NDArray[Any], matrix: Floats, size: tuple[int, int], out: NDArray[Any] | None
+) -> NDArray[Any]:
+    (width, height), limits = size, np.array(frame.shape[1::-1])
+    picture = np.empty((height, width, *frame.shape[2:]), dtype=frame.dtype) if out is None else out
+    boxes = np.array(rectangles(width, height, -(-width // _EXACT_PX), -(-height // _EXACT_PX)))
+    x0, y0, x1, y1 = boxes.T
+    corners = np.stack([x0, y0, x1 - 1, y0, x1 - 1, y1 - 1, x0, y1 - 1], -1).reshape(-1, 4, 2).astype(np.float64)
+    raw = through(np.broadcast_to(matrix, (len(boxes), 3, 3)), corners)
+    # The part of the frame that a part of the picture shows, with one pixel around it for the interpolation.
+    low = np.clip(np.floor(raw.min(1)) - 1, 0, limits - 1).astype(int)
+    high = np.clip(np.ceil(raw.max(1)) + 2, low + 1, limits).astype(int)
+    shift, back = np.tile(np.eye(3), (len(boxes), 1, 1)), np.tile(np.eye(3), (len(boxes), 1, 1))
+    shift[:, :2, 2], back[:, :2, 2] = boxes[:, :2], -low
+    own = back @ matrix @ shift
+    for (a, b, c, d), (left, top), (right, bottom), m in zip(
+        boxes.tolist(), low.tolist(), high.tolist(), own, strict=True
+    ):
+        part = frame[top:bottom, left:right]
+        cv2.warpPerspective(part, m, (c - a, d - b), dst=picture[b:d, a:c], flags=_FLAGS)
     return picture

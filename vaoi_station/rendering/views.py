@@ -86,6 +86,11 @@ class ViewCalculator:
         self._lensed = np.array([not c.lens.ideal for c in cameras])
         self._bend = np.array([_bend(c) for c in cameras])[i]
 
+    @property
+    def knows_heights(self) -> bool:
+        """Whether the working distance of every camera is known, so that heights and directions can be computed."""
+        return not np.isnan(self._eye[:, 2]).any()
+
     def compute(
         self,
         component: Component,
@@ -227,13 +232,11 @@ class ViewCalculator:
         self, crops: Crops, pairs: _Pairs, matrices: Floats, bend_px: Floats, bent: NDArray[np.int_]
     ) -> dict[int, tuple[Tile, ...]]:
         """Cut the pictures of the pairs with the numbers `bent` into tiles; the keys are these numbers."""
-        tiles: dict[int, tuple[Tile, ...]] = {}
-        of = self._key[pairs.frame[bent], 0]
-        for i in np.unique(of).tolist():
-            mine = bent[of == i]
-            cut = cut_tiles(self._cameras[i], matrices[mine], crops.size[pairs.component[mine]], bend_px[mine])
-            tiles.update(zip(mine.tolist(), cut, strict=True))
-        return tiles
+        if not len(bent):
+            return {}
+        frame, size = pairs.frame[bent], crops.size[pairs.component[bent]]
+        cut = cut_tiles(matrices[bent], size, bend_px[bent], lambda k, points: self._distorted(frame[k], points))
+        return dict(zip(bent.tolist(), cut, strict=True))
 
     def _sights(self, crops: Crops, pairs: _Pairs, height_mm: Floats) -> tuple[Floats, Floats]:
         """Compute the vector from each component to the camera (p, 3), CAD axes, mm, and the shift per mm of height."""

@@ -61,6 +61,66 @@ def test_image_addresses_keep_resolution_and_coverage_of_the_list(client: Any, s
         assert picture(client.get(view["url"])).shape == (24, 40)
 
 
+def test_images_under_one_light_best_first(client: Any, station: Any) -> None:
+    address = f"{RUNS}/{station.film()}/components/U1"
+    every = client.get(address).json()["views"]
+    left = client.get(address, params={"light": "left"}).json()["views"]
+    assert [(v["camera"], v["row"]) for v in left] == [(v["camera"], v["row"]) for v in every if v["light"] == "left"]
+    assert {v["light"] for v in every} == {"left", "right"}
+    best = client.get(f"{address}/images/0", params={"light": "left"})
+    assert (picture(best) == picture(client.get(left[0]["url"]))).all()
+    fields = {"view_angle_deg", "time_s", "exposure_us", "gain", "plane", "height_mm"}
+    assert fields <= set(left[0])
+    assert "sharpness_per_mm" not in left[0], "it is measured on request only"
+    [measured] = client.get(address, params={"light": "left", "limit": 1, "measure": True}).json()["views"]
+    assert measured["sharpness_per_mm"] > 0
+    assert measured["saturated"] == 0
+
+
+def test_a_difference_of_two_lights(client: Any, station: Any) -> None:
+    run = station.film()
+    params = {"light": "left", "minus": "right", "margin_mm": 0.5, "align": "part"}
+    [view, *_] = client.get(f"{RUNS}/{run}/components/U1", params=params).json()["views"]
+    assert (view["row"] % 2, view["minus"][1] % 2) == (0, 1)
+    crop = picture(client.get(view["url"]))
+    assert crop.shape == (view["height_px"], view["width_px"]) == (72, 88)
+    assert crop.std() > 1
+
+
+def test_the_top_plane_of_a_part_without_height_is_answered_with_a_remark(client: Any, station: Any) -> None:
+    content = client.get(f"{RUNS}/{station.film()}/components/U1", params={"plane": "top"}).json()
+    assert "U1 has no height" in content["remark"]
+    assert {v["plane"] for v in content["views"]} == {"board"}
+
+
+@pytest.mark.parametrize(
+    ("params", "words"),
+    [
+        ({"light": "blue"}, "light is 'blue', but must be one of the lights of this run: left, right"),
+        ({"seen_from": "up"}, "seen_from is 'up', but must be 'left' or 'right' or 'front' or 'back'"),
+        ({"seen_from": "361"}, "seen_from is 361.0, but must be 'left', 'right', 'front', 'back' or an azimuth"),
+        ({"min_angle_deg": 40, "max_angle_deg": 20}, "min_angle_deg is 40.0, but must be at most max_angle_deg, 20"),
+        ({"minus": "left"}, "minus is 'left', but no light is given"),
+        ({"margin_mm": 90, "px_per_mm": 100}, "margin_mm is 90.0, but must be at most 15.5 at 100 px/mm"),
+    ],
+)
+def test_requests_that_cannot_be_met_are_refused_with_the_limit(
+    client: Any, station: Any, params: dict[str, Any], words: str
+) -> None:
+    address = f"{RUNS}/{station.film()}/components/U1"
+    for path in (address, f"{address}/images/0"):
+        answer = client.get(path, params=params)
+        assert answer.status_code == 422
+        assert words in answer.json()["detail"]
+
+
+@pytest.mark.parametrize("params", [{"within_deg": 181}, {"margin_mm": 101}, {"order": "worst"}, {"limit": 0}])
+def test_values_outside_their_limits_are_refused_by_name(client: Any, station: Any, params: dict[str, Any]) -> None:
+    answer = client.get(f"{RUNS}/{station.film()}/components/U1", params=params)
+    assert answer.status_code == 422
+    assert next(iter(params)) in answer.text
+
+
 def test_huge_images_are_refused(client: Any, station: Any) -> None:
     answer = client.get(f"{RUNS}/{station.film()}/components/U1/images/0", params={"px_per_mm": 500})
     assert answer.status_code == 422

@@ -9,6 +9,7 @@ import pytest
 
 from vaoi_station.errors import NotFoundError, StateError
 from vaoi_station.model import BoardType, FrameRecord, RecordingHead, Status, Stitch, Verdict
+from vaoi_station.rendering import ImageRequest, Measures, View
 from vaoi_station.runs.archive import component_views
 from vaoi_station.runs.archive.finished_runs import FinishedRun
 
@@ -21,11 +22,20 @@ def finished_run(rig: Any, verdicts: dict[int, Verdict] | None = None) -> Finish
     return finished
 
 
+def unmeasured(_: View) -> Measures | None:
+    return None
+
+
+def views_of(finished: FinishedRun, **options: Any) -> list[View]:
+    wanted = ImageRequest.of(options)  # type: ignore[arg-type]  # keywords of a test
+    return [s.view for s in component_views.images_of_component(finished, "U1", wanted, unmeasured).shots]
+
+
 def test_positions_are_those_of_the_cad_mapping_and_views_are_counted(rig: Any) -> None:
     finished = finished_run(rig)
     [component] = component_views.components_of(finished)
     assert (component.address, component.center_mm, component.tester_mm) == ("U1", (10, 10), (10.0, 20.0))
-    assert component.views == len(component_views.views_of_component(finished, "U1", None, 0.5)) > 0
+    assert component.views == len(views_of(finished)) > 0
 
 
 def test_unseen_components_are_named_by_run_event_and_list(rig: Any, make_stitch: Callable[..., Stitch]) -> None:
@@ -52,7 +62,7 @@ def test_the_coverage_is_that_of_the_complete_frames(rig: Any) -> None:
 
 def test_frames_with_holes_are_no_views(rig: Any) -> None:
     finished = finished_run(rig, {0: Verdict.INCOMPLETE, 1: Verdict.MISSING})
-    views = component_views.views_of_component(finished, "U1", None, 0.0)
+    views = views_of(finished, min_coverage=0.0)
     assert views
     assert all(view.row != 1 for view in views)
 
@@ -68,17 +78,17 @@ def test_without_a_cad_mapping_there_are_no_positions_and_no_views(
     [component] = component_views.components_of(finished)
     assert (component.tester_mm, component.views) == (None, 0)
     with pytest.raises(StateError):
-        component_views.views_of_component(finished, "U1", None, 0.5)
+        views_of(finished)
 
 
 def test_views_and_components_that_do_not_exist_are_refused_with_their_numbers(rig: Any, board_type: BoardType) -> None:
     finished = finished_run(rig)
-    views = component_views.views_of_component(finished, "U1", None, 0.5)
-    first = component_views.view_of_component(finished, "U1", 0, None, 0.5)
+    views = views_of(finished)
+    first = component_views.image_of_component(finished, "U1", 0, ImageRequest(), unmeasured).view
     assert (first.camera, first.row) == (views[0].camera, views[0].row)
     for k in (-1, len(views)):
         with pytest.raises(NotFoundError, match=f"has {len(views)} images, numbered from 0; there is no {k}"):
-            component_views.view_of_component(finished, "U1", k, None, 0.5)
+            component_views.image_of_component(finished, "U1", k, ImageRequest(), unmeasured)
     assert component_views.component_of(board_type, "U1").ref == "U1"
     with pytest.raises(NotFoundError, match="no component 'R99'"):
         component_views.component_of(board_type, "R99")

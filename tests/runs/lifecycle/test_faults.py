@@ -134,7 +134,7 @@ def test_unknown_runs_and_frames(rig: Any) -> None:
     with pytest.raises(NotFoundError, match="2 cameras and 2 rows"):
         rig.coordinator.frame(grant.run, 0, 7)
     with pytest.raises(NotFoundError, match="no component 'R99'"):
-        rig.coordinator.views(grant.run, "R99")
+        rig.coordinator.images(grant.run, "R99")
 
 
 def test_acquisition_ends_in_mid_run_and_what_had_arrived_is_stitched(rig: Any) -> None:

@@ -196,6 +196,23 @@ def test_a_picture_from_a_recording_equals_that_from_the_ring(
     assert isinstance(only(runtime, kept).error, GoneError)
 
 
+def test_a_difference_is_made_from_two_slots(
+    runtime: WorkerRuntime, ring_board: RingBoard, linked: dict[Task, Linked]
+) -> None:
+    stitch = only(runtime, ring_board.conclusion(linked)).value.without_components
+    board_type = ring_board.setup.board_type
+    assert board_type is not None
+    views = compute_views(board_type.components[0], board_type, stitch, ring_board.setup.cameras)[:2]
+    a, b = (
+        RenderJob("r1", 0, ring_board.context.generation, ring_board.slots[v.camera, v.row], v, "png") for v in views
+    )
+    same = dataclasses.replace(a, minus=a)
+    assert (decoded(only(runtime, same).value) == 128).all()
+    pictures = [decoded(only(runtime, job).value).astype(float) for job in (a, b)]
+    halved = decoded(only(runtime, dataclasses.replace(a, minus=b, ratio=0.5)).value)
+    assert np.abs(halved - (128 + (pictures[0] - 0.5 * pictures[1]) / 2)).max() <= 0.5
+
+
 def decoded(content: bytes) -> NDArray[Any]:
     return np.asarray(cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED))
 

@@ -9,11 +9,12 @@ from fastapi import APIRouter, Depends, Path, Request, Response
 
 from vaoi_station.api.encoders import MEDIA_TYPES, ImageFormat, choose_format, raw_from_npy
 from vaoi_station.api.http_caching import IMMUTABLE, LIVE, conditional_response
-from vaoi_station.api.parameters import Address, FormatName, MinCoverage, PxPerMm, RunId
+from vaoi_station.api.images.image_queries import Wanted
+from vaoi_station.api.images.view_entries import covariances, picture_query, view_entry
+from vaoi_station.api.parameters import Address, FormatName, RunId
 from vaoi_station.api.rest_models import ComponentEntry, ComponentList, ComponentViews
 from vaoi_station.api.routes.frames import PICTURE, Accept
 from vaoi_station.api.routes.services import Services
-from vaoi_station.api.view_entries import covariances, picture_query, view_entry
 from vaoi_station.runs.states.schemas import ComponentSummary
 from vaoi_station.runs.states.schemas import ImageFormat as Rendered
 from vaoi_station.runs.states.tables import FINISHED
@@ -60,49 +61,48 @@ def router(services: Services) -> APIRouter:
         run: RunId,
         ref: Address,
         k: Index,
-        px_per_mm: PxPerMm = None,
-        min_coverage: MinCoverage = 0.5,
+        wanted: Wanted,
         format: FormatName = None,
         accept: Accept = None,
     ) -> Response:
         """Return temporary image k of a component: cut from one frame, upright, aligned with the CAD axes.
 
-        Pass the same `px_per_mm` and `min_coverage` as for the list of views, to which index k refers. 410: the frames
+        Pass the same parameters as for the list of views, to which index k refers. 410: the frames
         are no longer in memory, and no recording of the run is kept.
         """
         image_format = choose_format(format, accept)
 
         def picture() -> tuple[bytes, dict[str, str]]:
-            content = coordinator.image(
-                run, ref, k, px_per_mm=px_per_mm, format=RENDERED_AS[image_format], min_coverage=min_coverage
-            )
+            content = coordinator.image(run, ref, k, wanted, format=RENDERED_AS[image_format])
             return raw_from_npy(content) if image_format is ImageFormat.RAW else (content, {})
 
         content, headers = await services.pictures.ask(picture)
         return conditional_response(request, content, MEDIA_TYPES[image_format], headers=headers)
 
     @routes.get("/{ref:path}", response_model=ComponentViews)
-    async def get_component(
-        request: Request, run: RunId, ref: Address, px_per_mm: PxPerMm = None, min_coverage: MinCoverage = 0.5
-    ) -> Response:
+    async def get_component(request: Request, run: RunId, ref: Address, wanted: Wanted) -> Response:
         """List the frames that show a component, best first, with the addresses of their temporary images."""
-        views = await ask(coordinator.views, run, ref, px_per_mm, min_coverage)
-        frames = {(f.camera, f.row): f for f in (await ask(coordinator.run, run)).frames}
+        # Measuring reads pixels, like rendering; its callers wait in the same queue.
+        reads = wanted.needs_pixels or wanted.choice.measure
+        found = await (services.pictures.ask if reads else ask)(lambda: coordinator.images(run, ref, wanted))
         address = quote(request.url.path)
-        query = picture_query(px_per_mm, min_coverage)
-        certain = covariances((await ask(coordinator.stitch, run)).quality, ref) if views else {}
+        query = picture_query(wanted)
+        certain = covariances((await ask(coordinator.stitch, run)).quality, ref) if found.shots else {}
         entries = [
             view_entry(
                 k,
-                view,
-                frames[view.camera, view.row],
+                shot,
                 f"{address}/images/{k}{query}",
-                certain.get((view.camera, view.row)),
+                found.covariance_px2(shot, certain.get((shot.view.camera, shot.view.row))),
             )
-            for k, view in enumerate(views)
+            for k, shot in enumerate(found.shots)
         ]
         resolution = entries[0].px_per_mm if entries else None
-        return await answer(request, run, ComponentViews(address=ref, px_per_mm=resolution, views=entries))
+        return await answer(
+            request,
+            run,
+            ComponentViews(address=ref, px_per_mm=resolution, remark=found.remark, views=entries),
+        )
 
     return routes
 

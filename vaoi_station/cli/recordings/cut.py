@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from vaoi_station.cli.recordings import cut_images as options
+
 if TYPE_CHECKING:
-    from vaoi_station.cli.recordings.cut_hdr import Case
     from vaoi_station.model import BoardType, Component
 
 
@@ -46,10 +47,24 @@ def cut(
     sigma: Annotated[
         bool, typer.Option("--sigma", help="With --hdr: also write the standard deviation of every pixel.")
     ] = False,
+    margin_mm: options.Margin = 0.0,
+    align: options.Align = "cad",
+    plane: options.Plane = "board",
+    light: options.Light = None,
+    minus: options.Minus = None,
+    seen_from: options.SeenFrom = None,
+    within_deg: options.Within = 45.0,
+    exposure_us: options.Exposures = None,
+    angle_deg: options.Angles = None,
+    min_sharpness: options.MinSharpness = None,
+    max_saturated: options.MaxSaturated = None,
+    order: options.Order = "best",
+    limit: options.Limit = None,
 ) -> None:
-    """Cut upright, CAD-aligned images of components from every frame that shows them, or merge their exposures."""
+    """Cut upright, CAD-aligned images of components from all or chosen frames, or merge their exposures."""
     from vaoi_station.cli.recordings.cut_hdr import Case, cut_merged
     from vaoi_station.errors import InputError
+    from vaoi_station.library.stitched_run import StitchedRun
 
     chosen = [bool(component), all_components, region is not None]
     if sum(chosen) != 1:
@@ -61,6 +76,13 @@ def cut(
     for name, value in only_merged.items():
         if value is not None and not hdr:
             raise InputError(f"vaoi cut: {name} was given without --hdr.", action=f"Add --hdr, or leave {name} out.")
+    wanted = options.image_request(
+        exposure_us, angle_deg, seen_from, px_per_mm=px_per_mm, margin_mm=margin_mm, align=align, plane=plane,
+        min_coverage=0.5 if min_coverage is None else min_coverage, min_sharpness_per_mm=min_sharpness,
+        max_saturated=max_saturated, light=light, minus=minus, within_deg=within_deg, order=order, limit=limit,
+    )  # fmt: skip
+    if hdr:
+        options.refuse_with_hdr(wanted)
     opened = Case.open(case, result, calibration, board)
     parts = opened.board_type.components if all_components else _named(opened.board_type, component or ())
     if hdr:
@@ -69,8 +91,9 @@ def cut(
             form=(format or "tiff", sigma),
         )  # fmt: skip
         return
+    run = StitchedRun(opened.recording, tuple(opened.cameras), opened.board_type, opened.stitch)
     for part in parts:
-        _cut_plain(opened, part, out, px_per_mm, 0.5 if min_coverage is None else min_coverage)
+        options.write_images(run, part.address, wanted, out)
 
 
 def _named(board_type: BoardType, addresses: Sequence[str]) -> Iterator[Component]:
@@ -85,28 +108,3 @@ def _named(board_type: BoardType, addresses: Sequence[str]) -> Iterator[Componen
                 action=f"It has {', '.join(c.address for c in board_type.components[:8])} …",
             )
         yield part
-
-
-def _cut_plain(case: Case, part: Component, out: Path, px_per_mm: float | None, min_coverage: float) -> None:
-    """Write one image for each frame that shows a component."""
-    from vaoi_station.cli.recordings.cut_hdr import describe_view
-    from vaoi_station.files.documents import write_json
-    from vaoi_station.files.images import write_image
-    from vaoi_station.rendering import compute_views, render
-
-    views = compute_views(
-        part, case.board_type, case.stitch, case.cameras, px_per_mm=px_per_mm, min_coverage=min_coverage
-    )
-    listing = []
-    # On a panel the address is panel/ref. In a file name the slash would create a directory.
-    stem = part.address.replace("/", "_")
-    for k, view in enumerate(views):
-        # The result may place a frame that is missing: the other frames of its row determine its matrix.
-        frame = case.frame(view.camera, view.row)
-        if frame is None:
-            continue
-        name = f"{stem}_{k:02d}_c{view.camera:02d}_r{view.row:03d}.png"
-        write_image(out / name, render(view, frame))
-        listing.append({"file": name, **describe_view(view)})
-    write_json(out / f"{stem}.json", listing)
-    typer.echo(f"{part.address}: {len(listing)} image(s) → {out}")

@@ -9,7 +9,8 @@ import numpy as np
 
 from vaoi_station.errors import NotFoundError, StateError
 from vaoi_station.model import BoardType, Component, FrameRecord, Verdict
-from vaoi_station.rendering import View, ViewCalculator
+from vaoi_station.rendering import ChosenImages, FrameFacts, ImageRequest, Shot, ViewCalculator, choose_images
+from vaoi_station.rendering.selection import Measure
 from vaoi_station.runs.archive.finished_runs import FinishedRun
 from vaoi_station.runs.states.schemas import ComponentSummary
 from vaoi_station.stitching.board.component_index import ComponentIndex
@@ -38,28 +39,48 @@ def components_of(finished: FinishedRun) -> tuple[ComponentSummary, ...]:
     )
 
 
-def views_of_component(
-    finished: FinishedRun, ref: str, px_per_mm: float | None, min_coverage: float
-) -> tuple[View, ...]:
-    """Return the views of a component in usable frames, best first. Raise NotFoundError for an unknown component."""
+def images_of_component(finished: FinishedRun, ref: str, wanted: ImageRequest, measure: Measure) -> ChosenImages:
+    """Choose the images of a component in usable frames.
+
+    `measure` measures a view; it is called only if the request needs it.
+
+    Raises:
+        NotFoundError: the component is unknown.
+        InputError: an image would be too large, or the run has no frame under a light that the request names.
+        StateError: the request names a direction, and the calibration does not give directions.
+    """
     part = component_of(finished.board_type, ref)
     # Incomplete frames have matrices too, but the areas of their missing packets are black. The matrix of a frame that
     # is not proven may be that of another row. So neither kind of frame gives a view.
     whole = {(f.camera, f.row) for f in finished.detail.frames if f.usable}
-    views = finished.view_calculator.compute(part, px_per_mm=px_per_mm, min_coverage=min_coverage)
-    return tuple(view for view in views if (view.camera, view.row) in whole)
+    calculator = finished.view_calculator
+    # The complete result is parsed only for a request that needs the height of a body.
+    stitch = finished.result if wanted.framing.plane == "top" else finished.stitch or finished.result
+    frames = whole, frame_facts(finished)
+    return choose_images(calculator, part, (finished.board_type, stitch), frames, wanted.check(), measure)
 
 
-def view_of_component(finished: FinishedRun, ref: str, k: int, px_per_mm: float | None, min_coverage: float) -> View:
-    """Return view k of a component. Raise NotFoundError, with the number of views, if there is no view k."""
-    views = views_of_component(finished, ref, px_per_mm, min_coverage)
-    if not 0 <= k < len(views):
+def image_of_component(finished: FinishedRun, ref: str, k: int, wanted: ImageRequest, measure: Measure) -> Shot:
+    """Return image k of a component. Raise NotFoundError, with the number of images, if there is no image k."""
+    shots = images_of_component(finished, ref, wanted.unmeasured(), measure).shots
+    if not 0 <= k < len(shots):
         raise NotFoundError(
-            f"Component {ref!r} of run {finished.detail.id} has {len(views)} images, numbered from 0; there is no {k}.",
-            action="Request an image of the component's list, or lower min_coverage.",
+            f"Component {ref!r} of run {finished.detail.id} has {len(shots)} images, numbered from 0; there is no {k}.",
+            action="Request an image of the component's list, or ask for less: lower min_coverage, other bounds.",
             code="no-such-image",
         )
-    return views[k]
+    return shots[k]
+
+
+def frame_facts(finished: FinishedRun) -> dict[tuple[int, int], FrameFacts]:
+    """Return how each frame (camera, row) of a run was taken."""
+    times_s = finished.head.row_times_s().tolist() if finished.head else []
+    return {
+        (f.camera, f.row): FrameFacts(
+            f.exposure_us, f.gain, f.light or None, times_s[f.row] - times_s[0] if f.row < len(times_s) else None
+        )
+        for f in finished.detail.frames
+    }
 
 
 def component_of(board_type: BoardType, ref: str) -> Component:

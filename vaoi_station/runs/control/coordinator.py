@@ -17,7 +17,7 @@ from vaoi_station.acquisition.ring.ring import Ring
 from vaoi_station.config import MethodName
 from vaoi_station.errors import DeviceError, InputError, StateError
 from vaoi_station.model import BoardType, FrameRecord, Stitch
-from vaoi_station.rendering import View
+from vaoi_station.rendering import ChosenImages, ImageRequest
 from vaoi_station.runs.archive import component_views
 from vaoi_station.runs.archive.board_type_history import BoardTypeHistory
 from vaoi_station.runs.archive.kept_runs import KeptRuns
@@ -349,30 +349,28 @@ class StationCoordinator:
         """Return the components of the run's board type, with their positions in tester coordinates."""
         return component_views.components_of(self._parts.archive.get(run))
 
-    def views(self, run: str, ref: str, px_per_mm: float | None = None, min_coverage: float = 0.5) -> tuple[View, ...]:
-        """Return the views of a component, best first; each can be rendered as a temporary image.
+    def images(self, run: str, ref: str, wanted: ImageRequest = ImageRequest()) -> ChosenImages:  # noqa: B008
+        """Choose the temporary images of a component; each can be rendered.
 
         Args:
             run: id of the run.
             ref: address of the component, `panel/ref` or `ref`.
-            px_per_mm: resolution of the temporary images; None for the mean resolution of the cameras.
-            min_coverage: smallest fraction of the component that a view must show.
+            wanted: how images are framed, which are wanted, and in which order.
         """
-        return component_views.views_of_component(self._parts.archive.get(run), ref, px_per_mm, min_coverage)
+        return self._frames.images(self._parts.archive.get(run).detail, ref, wanted)
 
     def image(
         self,
         run: str,
         ref: str,
         k: int,
+        wanted: ImageRequest = ImageRequest(),  # noqa: B008  it is immutable
         *,
-        px_per_mm: float | None = None,
         format: ImageFormat = "png",
-        min_coverage: float = 0.5,
     ) -> bytes:
-        """Have a worker render image k of the list that `views` returns for the same arguments; return the file."""
+        """Have a worker render image k of the list that `images` returns for the same request; return the file."""
         detail = self._parts.archive.get(run).detail
-        return self._frames.image(detail, ViewRequest(ref, k, px_per_mm, min_coverage), format)
+        return self._frames.image(detail, ViewRequest(ref, k, wanted), format)
 
     # --- in the coordinator's thread
 

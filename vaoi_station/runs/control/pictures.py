@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import replace
@@ -22,7 +22,7 @@ from vaoi_station.config import StationConfig
 from vaoi_station.errors import DeviceError, GoneError, NotFoundError, StateError
 from vaoi_station.files.images import read_kept_image
 from vaoi_station.model import FrameRecord
-from vaoi_station.rendering import View
+from vaoi_station.rendering import ChosenImages, ImageRequest, Measures, Shot, View, measure
 from vaoi_station.runs.archive import component_views
 from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.control.active_runs import Workers
@@ -40,15 +40,11 @@ RENDER_LIMIT_S = 60.0
 
 
 class ViewRequest(NamedTuple):
-    """The request for one temporary image: the component's address, the index k of the view, and how views are chosen.
-
-    Views are chosen as `StationCoordinator.views` describes.
-    """
+    """The request for one temporary image: the component's address, the index k of the image, and how it is chosen."""
 
     ref: str
     k: int
-    px_per_mm: float | None
-    min_coverage: float
+    images: ImageRequest
 
 
 class PictureRequests:
@@ -132,22 +128,46 @@ class FrameAccess:
     def image(self, detail: RunDetail, wanted: ViewRequest, format: ImageFormat) -> bytes:
         """Have a worker render one temporary image, and return it as an encoded file."""
         finished = self._archive.get(detail.id)
-        view: View = component_views.view_of_component(
-            finished, wanted.ref, wanted.k, wanted.px_per_mm, wanted.min_coverage
-        )
-        record = frame_record(detail, view.camera, view.row)
-        assert record.slot is not None, "views are of whole frames"
         name = f"{wanted.ref}/{wanted.k}"
+        measure = self._measured_by(detail)
+        shot = component_views.image_of_component(finished, wanted.ref, wanted.k, wanted.images, measure)
         try:
             with self.lease(detail.id, f"image {name}") as bay:
-                job = RenderJob(detail.id, bay.number, bay.generation, record.slot, view, format)
-                picture: bytes = self._requests.render(job, name)
+                picture: bytes = self._requests.render(_job(detail, shot, format, bay), name)
                 return picture
         except GoneError:
-            if (file := self.recorded(detail.id, view.camera, view.row)) is None:
+            # A difference needs both of its frames.
+            needed = [s.view for s in (shot, shot.minus) if s is not None]
+            files = [self.recorded(detail.id, view.camera, view.row) for view in needed]
+            if None in files:
                 raise
-        recorded: bytes = self._requests.render(RenderJob(detail.id, 0, 0, 0, view, format, file=file), name)
+        recorded: bytes = self._requests.render(_job(detail, shot, format, None, files), name)
         return recorded
+
+    def images(self, detail: RunDetail, ref: str, wanted: ImageRequest) -> ChosenImages:
+        """Choose the images of a component, and measure their frames if the request asks for it.
+
+        Raises GoneError if the choice depends on pixels that are no longer available.
+        """
+        return component_views.images_of_component(
+            self._archive.get(detail.id), ref, wanted, self._measured_by(detail, optional=not wanted.needs_pixels)
+        )
+
+    def _measured_by(self, detail: RunDetail, optional: bool = False) -> Callable[[View], Measures | None]:
+        """Return a function that measures the frame of a view.
+
+        If measures are optional, it returns None for a frame that is no longer available; else it raises GoneError.
+        """
+
+        def measured(view: View) -> Measures | None:
+            try:
+                return measure(view, self.frame(detail, view.camera, view.row, False)[0])
+            except GoneError:
+                if optional:
+                    return None
+                raise
+
+        return measured
 
     def merged(self, config: StationConfig) -> MergedAccess:
         """Return the access to merged pictures, with the flat fields of the station."""
@@ -191,6 +211,20 @@ class FrameAccess:
             return self._core.memory.bay(run), self._core.leases.take(run, holder, purpose)
 
         return self._inbox.ask(take)
+
+
+def _job(
+    detail: RunDetail, shot: Shot, format: ImageFormat, bay: Bay | None, files: Sequence[Path | None] = ()
+) -> RenderJob:
+    """Make the job that renders an image from frames in a bay of the ring, or from files of its frames."""
+    record = frame_record(detail, shot.view.camera, shot.view.row)
+    assert record.slot is not None, "views are of whole frames"
+    number, generation = (0, 0) if bay is None else (bay.number, bay.generation)
+    minus = None if shot.minus is None else _job(detail, shot.minus, format, bay, files[1:])
+    file = files[0] if files else None
+    return RenderJob(
+        detail.id, number, generation, record.slot, shot.view, format, file=file, minus=minus, ratio=shot.ratio
+    )
 
 
 def frame_record(detail: RunDetail, camera: int, row: int) -> FrameRecord:

@@ -169,6 +169,10 @@ class RenderJob(PictureJob):
     file: Path | None = None
     """File of the frame in the run's recording, if its memory was given to a later board; None for a frame in the
     ring."""
+    minus: RenderJob | None = None
+    """The picture that is subtracted from this one (`rendering.difference`); None for a plain picture."""
+    ratio: float = 1.0
+    """Factor on the grey levels of `minus`."""
 
     priority = Priority.RENDER
     affinity: int | None = None

@@ -24,6 +24,7 @@ from vaoi_station.files import Recording, open_recording
 from vaoi_station.files.images import encode_jpeg, encode_png, encode_tiff, read_kept_image
 from vaoi_station.files.results import stitch_text, without_components
 from vaoi_station.rendering import render
+from vaoi_station.rendering.difference import subtract
 from vaoi_station.runs.states.schemas import ImageFormat
 from vaoi_station.runs.workers.jobs import (
     CheckJob,
@@ -188,11 +189,17 @@ class WorkerRuntime:
             if job.file is not None:
                 return merge(job, self._ring.frame)
             return self._guarded(job.bay, job.generation, lambda: merge(job, self._ring.frame))
+        picture = self._picture(job)
+        if job.minus is not None:
+            picture = subtract(picture, self._picture(job.minus), job.ratio)
+        return encode(picture, job.format)
+
+    def _picture(self, job: RenderJob) -> NDArray[Any]:
+        """Render the picture of a job, without the one that is subtracted."""
         if job.file is not None:
-            return encode(render(job.view, read_kept_image(job.file)), job.format)
+            return render(job.view, read_kept_image(job.file))
         frame = self._ring.frame(job.slot)
-        crop = self._guarded(job.bay, job.generation, lambda: render(job.view, frame))
-        return encode(crop, job.format)
+        return self._guarded(job.bay, job.generation, lambda: render(job.view, frame))
 
     def _guarded(self, bay: int, generation: int, work: Callable[[], T]) -> T:
         """Call `work`, which reads frames of a bay, and return its value. Raise GoneError if the bay has a later run.

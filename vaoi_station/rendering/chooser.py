@@ -1,0 +1,85 @@
+"""The temporary images of one component of a run, as a request describes them."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.geometry.transforms import Floats
+from vaoi_station.model import BoardType, Component, Stitch
+from vaoi_station.rendering.body_height import BodyHeight, body_height, plane_remark
+from vaoi_station.rendering.difference import subtract
+from vaoi_station.rendering.request import ImageRequest
+from vaoi_station.rendering.selection import FrameFacts, Measure, Shot, select
+from vaoi_station.rendering.temporary import render
+from vaoi_station.rendering.views import ViewCalculator
+
+
+@dataclass(frozen=True, eq=False)
+class ChosenImages:
+    """The temporary images of one component that a request asks for."""
+
+    part: Component
+    shots: tuple[Shot, ...]
+    height: BodyHeight | None
+    """Height of the plane in which the images are right; None for the board's plane."""
+    remark: str | None
+    """Why the images lie in another plane than requested; None if they do not."""
+
+    def covariance_px2(self, shot: Shot, of_centre: Any) -> Floats | None:
+        """Return the covariance (2, 2) of the component's place in a frame, px²; None if it is not known.
+
+        `of_centre` is the covariance (2, 2) of its centre on the board's surface, from the result, or None.
+        """
+        flat = None if of_centre is None else np.array(of_centre, dtype=np.float64)
+        return shot.view.covariance_px2(flat, (self.height.sigma_mm or 0.0) if self.height else 0.0)
+
+
+def choose_images(
+    calculator: ViewCalculator,
+    part: Component,
+    run: tuple[BoardType, Stitch],
+    frames: tuple[Collection[tuple[int, int]], Mapping[tuple[int, int], FrameFacts]],
+    wanted: ImageRequest,
+    measure: Measure,
+) -> ChosenImages:
+    """Compute the views of a component, and choose among them.
+
+    Args:
+        calculator: calculator of the run's views.
+        part: the component.
+        run: board type and complete result of the run.
+        frames: the frames (camera, row) that may be used, and how all frames were taken.
+        wanted: the request.
+        measure: function that measures a view.
+
+    Raises:
+        InputError: a picture would be too large, or the run has no frame under a light that the request names.
+        StateError: the request names a direction, and directions are not known.
+    """
+    height = remark = None
+    if wanted.framing.plane == "top":
+        height = body_height(part, *run)
+        remark = plane_remark(part, height, calculator.knows_heights)
+        height = None if remark else height
+    views = calculator.compute(
+        part,
+        min_coverage=wanted.bounds.min_coverage,
+        framing=wanted.framing,
+        height_mm=None if height is None else height.mm,
+    )
+    usable, facts = frames
+    shots = select([v for v in views if (v.camera, v.row) in usable], facts, wanted, measure)
+    return ChosenImages(part, shots, height, remark)
+
+
+def render_shot(shot: Shot, frame: NDArray[Any], other: NDArray[Any] | None = None) -> NDArray[Any]:
+    """Render one temporary image. `other` is the frame of the image that is subtracted, if there is one."""
+    image = render(shot.view, frame)
+    if shot.minus is None or other is None:
+        return image
+    return subtract(image, render(shot.minus.view, other), shot.ratio)
