@@ -83,6 +83,7 @@ class HeldStation(StationCoordinator):
         self.references, self.methods = dict[str, ReferenceStatus](), dict[str, MethodName]()
         self.kept, self.storage = HeldPins(self), HeldStorage(self)  # type: ignore[assignment]
         self.broken = self.closed = False
+        self.lights: tuple[str, ...] = ()
         self.merged, self.mosaics = HeldMerged(self), HeldMosaics(self)  # type: ignore[assignment]
         matrix = np.array([[PX_PER_MM, 0, 0], [0, -PX_PER_MM, 320], [0, 0, 1]])
         n = Projective(matrix, System.IMAGE, System.ROW)
@@ -103,7 +104,11 @@ class HeldStation(StationCoordinator):
         for camera in range(CAMERAS):
             for row in range(ROWS):
                 lost = {(0, 1): Verdict.INCOMPLETE, (1, 2): Verdict.MISSING}.get((camera, row), Verdict.OK)
-                taken = {"exposure_us": 100.0 * (row + 1), "gain": 2.0, "light": ("left", "right")[row % 2]}
+                taken = (
+                    {"exposure_us": 100.0 * (row + 1), "gain": 2.0, "light": self.lights[row % 2]}
+                    if self.lights
+                    else {}
+                )
                 cause = "" if lost == "ok" else "cable"
                 frames.append(FrameRecord(camera=camera, row=row, verdict=lost, cause=cause, **taken))
                 self.pixels[run, camera, row] = _scene(random, camera, row)

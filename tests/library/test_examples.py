@@ -54,6 +54,7 @@ def test_images_from_a_station(tmp_path: Path) -> None:
 
 def test_images_of_one_light(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     station = HeldStation()
+    station.lights = ("left", "right")
     station.film()
     served = Served(station)
     monkeypatch.setenv("VAOI_STATION", served.url)

@@ -42,6 +42,7 @@ def test_the_query_repeats_what_differs_from_the_defaults(options: Any, expected
 
 
 def test_an_entry_describes_its_view_and_frame(station: HeldStation) -> None:
+    station.lights = ("left", "right")
     run = station.film()
     shot = station.images(run, "U1").shots[0]
     covariance = np.diag([0.01, 0.04])

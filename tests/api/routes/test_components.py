@@ -62,6 +62,7 @@ def test_image_addresses_keep_resolution_and_coverage_of_the_list(client: Any, s
 
 
 def test_images_under_one_light_best_first(client: Any, station: Any) -> None:
+    station.lights = ("left", "right")
     address = f"{RUNS}/{station.film()}/components/U1"
     every = client.get(address).json()["views"]
     left = client.get(address, params={"light": "left"}).json()["views"]
@@ -78,6 +79,7 @@ def test_images_under_one_light_best_first(client: Any, station: Any) -> None:
 
 
 def test_a_difference_of_two_lights(client: Any, station: Any) -> None:
+    station.lights = ("left", "right")
     run = station.film()
     params = {"light": "left", "minus": "right", "margin_mm": 0.5, "align": "part"}
     [view, *_] = client.get(f"{RUNS}/{run}/components/U1", params=params).json()["views"]
@@ -107,6 +109,7 @@ def test_the_top_plane_of_a_part_without_height_is_answered_with_a_remark(client
 def test_requests_that_cannot_be_met_are_refused_with_the_limit(
     client: Any, station: Any, params: dict[str, Any], words: str
 ) -> None:
+    station.lights = ("left", "right")
     address = f"{RUNS}/{station.film()}/components/U1"
     for path in (address, f"{address}/images/0"):
         answer = client.get(path, params=params)
