@@ -23,14 +23,22 @@ def board(w: float = 28.0, h: float = 20.0) -> BoardType:
     return BoardType.model_validate({"name": "b", "y_axis": "down", "outline": [[0.0, 0.0], [w, h]]})
 
 
-def scene(workshop: Any, size: tuple[float, float] = (28.0, 20.0), grey: float = 80.0) -> Scene:
-    """One frame of a board at rest, its edges blurred as a lens does, with some texture of its own."""
+def scene(
+    workshop: Any, size: tuple[float, float] = (28.0, 20.0), grey: float = 80.0, pads_mm: float | None = None
+) -> Scene:
+    """One frame of a board at rest, its edges blurred as a lens does, with some texture of its own.
+
+    `pads_mm`: a row of bright pads along the left edge begins this far inside.
+    """
     camera = workshop.camera((0.0, 0.0), size_px=(440, 320))
     y, x = np.mgrid[:320, :440].astype(float)
     cad = apply(np.linalg.inv(PLACED), camera.ground(np.stack([x, y], -1).reshape(-1, 2))).reshape(320, 440, 2)
     inside = ((cad >= 0) & (cad <= size)).all(-1)
     spots = ((np.floor(cad[..., 0] / 1.7) + np.floor(cad[..., 1] / 1.3)) % 3 == 0) * 25.0
-    picture = cv2.GaussianBlur(np.where(inside, grey + spots, 20.0), (0, 0), 0.8)
+    levels = np.where(inside, grey + spots, 20.0)
+    if pads_mm is not None:
+        levels[inside & (cad[..., 0] >= pads_mm) & (cad[..., 0] < pads_mm + 1.5)] = 250.0
+    picture = cv2.GaussianBlur(levels, (0, 0), 0.8)
     picture += np.random.default_rng(0).normal(0, 2, picture.shape)
     frame = PreparedFrame(workshop.digitised(picture))
     return Scene((camera,), ((0, 0),), lambda key: frame)
@@ -52,6 +60,17 @@ def test_the_outline_is_measured_to_a_few_hundredths_of_a_mm(
     assert abs(found.turn_rad) < 6e-3
     expected = float(np.linalg.norm([v for v in off if abs(v) > 0.5]))
     assert found.excess_mm == pytest.approx(expected, abs=0.06)
+
+
+@pytest.mark.parametrize("pads_mm", [1.6, 2.5])
+def test_a_row_of_bright_pads_inside_is_no_edge_of_the_board(workshop: Any, pads_mm: float) -> None:
+    found = measure_outline_shift(board(), PLACED, scene(workshop, grey=20.0, pads_mm=pads_mm), STILL)
+    assert found is not None
+    assert np.abs(found.mm).max() < 0.1
+    # A board that lies elsewhere is found all the same.
+    elsewhere = measure_outline_shift(board(), moved(1.2, 0.0), scene(workshop, pads_mm=pads_mm), STILL)
+    assert elsewhere is not None
+    assert elsewhere.mm == pytest.approx((-1.2, 0.0), abs=0.1)
 
 
 @pytest.mark.parametrize("mrad", [-40, 30, 25, 0])

@@ -35,6 +35,10 @@ _MOST_STEP = 40.0
 _LEAST_STEP = 6.0
 _VOTE_MM, _VOTES = 0.1, 30
 """Distance between the shifts in the histogram, and number of shifts on either side of zero, along each axis."""
+_MOVED_MM = 0.3
+"""Displacement of a piece across itself from which it distinguishes a shift from none."""
+_CLEARLY, _OPPOSED = 1.2, 0.7
+"""Least ratio of the support for a shift to the support for none, over all such pieces, and over those of one side."""
 _NEAR = 8
 """Half width, in samples, of the range in which the edge of a piece is searched around the most supported shift."""
 _LEAST_PIECES = 6
@@ -205,11 +209,31 @@ def _steps(profiles: Floats) -> Floats:
 
 
 def _voted(steps: Floats, normal: Floats) -> Floats:
-    """Find the shift (2,) of the board, mm, at which the sum of the steps over all pieces is largest."""
+    """Find the shift (2,) of the board, mm, at which the sum of the steps over all pieces is largest.
+
+    The fiducials predict a shift near zero. Another one must have clearly more support, and no side of the board may
+    contradict it: a row of bright pads inside the board is an edge as well, but on one side only.
+    """
     tries = np.arange(-_VOTES, _VOTES + 1) * _VOTE_MM
-    votes = _vote_histogram(np.minimum(steps, _MOST_STEP), normal, np.asarray(tries, np.float64), _STEP_MM)
+    weight, grid = np.minimum(steps, _MOST_STEP), np.asarray(tries, np.float64)
+    votes = _vote_histogram(weight, normal, grid, _STEP_MM)
     i, j = np.unravel_index(int(votes.argmax()), votes.shape)
-    return np.array([tries[j], tries[i]])
+    shift = np.array([tries[j], tries[i]])
+    near = np.abs(tries) <= _LIMIT_MM + _VOTE_MM / 2
+    if near[i] and near[j]:
+        return shift
+    # Only pieces that the shift moves across themselves distinguish it from none.
+    across = normal @ shift
+    for some, least in (
+        (np.abs(across) > _MOVED_MM, _CLEARLY),
+        (across > _MOVED_MM, _OPPOSED),
+        (across < -_MOVED_MM, _OPPOSED),
+    ):
+        support = _vote_histogram(weight[some], normal[some], grid, _STEP_MM)
+        if support[i, j] < least * support[np.ix_(near, near)].max():
+            row, column = np.unravel_index(int(votes[np.ix_(near, near)].argmax()), (near.sum(), near.sum()))
+            return np.array([tries[near][column], tries[near][row]])
+    return shift
 
 
 @compiled
