@@ -67,7 +67,7 @@ def test_a_row_of_bright_pads_inside_is_no_edge_of_the_board(workshop: Any, pads
     found = measure_outline_shift(board(), PLACED, scene(workshop, grey=20.0, pads_mm=pads_mm), STILL)
     assert found is not None
     assert np.abs(found.mm).max() < 0.1
-    # A board that lies elsewhere is found all the same.
+    # A board that lies elsewhere is still found.
     elsewhere = measure_outline_shift(board(), moved(1.2, 0.0), scene(workshop, pads_mm=pads_mm), STILL)
     assert elsewhere is not None
     assert elsewhere.mm == pytest.approx((-1.2, 0.0), abs=0.1)
