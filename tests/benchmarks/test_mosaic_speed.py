@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from vaoi_station.benchmarks.benchmark_board import board_from_twin
+from vaoi_station.benchmarks.benchmark_board import BenchmarkBoard
 from vaoi_station.benchmarks.mosaic_speed import measure_mosaic
 
 
-def test_figures_of_a_small_board() -> None:
-    figures = measure_mosaic(board_from_twin("small"), repetitions=1)
+def test_figures_of_a_small_board(small_board: BenchmarkBoard) -> None:
+    figures = measure_mosaic(small_board, repetitions=1)
     assert figures.megapixels > 0
     assert 0 < figures.tile_ms_p50 <= figures.tile_ms_p95
     assert figures.plan_ms > 0

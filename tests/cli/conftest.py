@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from vaoi_station import open_recording
 from vaoi_station.cli import main
 from vaoi_station.simulation import Twin, read_scenario, scenario_path
 from vaoi_station.simulation.recording_writer import write_passage
@@ -45,6 +46,14 @@ def small_recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     directory = tmp_path_factory.mktemp("small")
     write_passage(Twin(read_scenario(scenario_path("small"))).passage(0), directory, with_truth=False)
     return directory
+
+
+@pytest.fixture(scope="session")
+def result(small_recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The result of the small recording."""
+    out = tmp_path_factory.mktemp("result") / "result.json"
+    open_recording(small_recording).stitch().save(out)
+    return out
 
 
 @pytest.fixture

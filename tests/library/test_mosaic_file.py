@@ -13,16 +13,15 @@ from vaoi_station.errors import DeviceError, InputError
 from vaoi_station.library import mosaic_file
 from vaoi_station.library.mosaic_file import MosaicOrder, write_board
 from vaoi_station.photometry.flat_fields import FlatFieldDocument, FlatFields, write_flat_fields
-from vaoi_station.simulation import Twin, read_scenario, scenario_path
-from vaoi_station.simulation.recording_writer import write_passage
 
 
 @pytest.fixture(scope="module")
-def order(tmp_path_factory: pytest.TempPathFactory) -> MosaicOrder:
+def order(
+    recording: vaoi.RecordedRun, stitched: vaoi.StitchedRun, tmp_path_factory: pytest.TempPathFactory
+) -> MosaicOrder:
     directory = tmp_path_factory.mktemp("mosaic")
-    write_passage(Twin(read_scenario(scenario_path("small"))).passage(0), directory / "case", with_truth=False)
-    vaoi.open_recording(directory / "case").stitch().save(directory / "result.json")
-    return MosaicOrder(directory / "case", directory / "result.json", directory / "board.tif", px_per_mm=5.0)
+    stitched.save(directory / "result.json")
+    return MosaicOrder(recording.directory, directory / "result.json", directory / "board.tif", px_per_mm=5.0)
 
 
 def test_flat_fields_of_another_array_are_refused_with_both_numbers(order: MosaicOrder, tmp_path: Path) -> None:

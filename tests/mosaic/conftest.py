@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import cv2
@@ -54,67 +55,69 @@ class Filmed:
 Film = Callable[..., Filmed]
 
 
+@cache
+def filmed(
+    exposures: tuple[float, ...] = (250.0,),
+    lights: tuple[str, ...] = (),
+    dtype: Any = np.uint8,
+    channels: int = 1,
+    vignette: float = 0.2,
+    flicker: float = 0.02,
+    step_mm: float = 9.0,
+) -> Filmed:
+    """Film the board once for all tests of these values."""
+    g = np.random.default_rng(3)
+    board_type = BoardType.model_validate(
+        {
+            "name": "b",
+            "y_axis": "down",
+            "outline": [[0, 0], BOARD_MM],
+            "components": [
+                {"ref": "U1", "center": [15, 14], "width": 7, "height": 5},
+                {"ref": "U2", "center": [10, 30], "width": 3, "height": 3, "rotation": 30},
+            ],
+        }
+    )
+    cameras = tuple(
+        Camera(
+            *SIZE,
+            Projective(
+                np.array([[PX_PER_MM, 0.02 * i, -250.0 * i + 20], [-0.02 * i, PX_PER_MM, 20.3], [0, 0, 1.0]]),
+                System.IMAGE,
+                System.ROW,
+            ),
+            Lens((0.0, 0.0), 1.0),
+            working_distance_mm=300.0,
+        )
+        for i in range(2)
+    )
+    rows = 5
+    motion = [np.array([[1, 0, 0.03 * j], [0, 1, -step_mm * j], [0, 0, 1.0]]) for j in range(rows)]
+    cad = np.array([[1, 0, 0.5], [0, 1, 1.0], [0, 0, 1.0]])
+    matrices = tuple(tuple(c.image_from_row.matrix @ d for d in motion) for c in cameras)
+    stitch = Stitch(method="auto", image_matrices=matrices, cad_matrix=cad, row_motion=tuple(motion), status="ok")
+    v, u = np.mgrid[: SIZE[1], : SIZE[0]].astype(np.float64)
+    shade = 1 - vignette * (((u / SIZE[0] - 0.5) ** 2) + (v / SIZE[1] - 0.5) ** 2) * 2
+    full = 1.0 if dtype == np.uint8 else 257.0
+    frames: Frames = {}
+    taken = []
+    for j in range(rows):
+        lamp = 1 + g.normal(0, flicker)
+        for i in range(2):
+            seen = apply(np.linalg.inv(matrices[i][j] @ cad), np.stack([u, v], -1))
+            on = ((seen >= -1) & (seen <= np.array(BOARD_MM) + 1)).all(-1)
+            exposure = exposures[j % len(exposures)]
+            light = np.where(on, radiance(seen), 5.0) * shade * lamp * exposure / 250.0
+            grey = np.clip((light + DARK + g.normal(0, 0.5, light.shape)) * full, 0, 255 * full)
+            pixels = np.rint(grey).astype(dtype)
+            frames[i, j] = pixels if channels == 1 else np.asarray(cv2.merge([pixels] * channels))
+            taken.append(TakenFrame(i, j, exposure, 1.0, lights[j % len(lights)] if lights else None))
+    return Filmed(board_type, stitch, cameras, frames, tuple(taken))
+
+
 @pytest.fixture(scope="session")
 def film() -> Film:
-    """A function that films the board; exposures, lights and pixel types vary."""
-
-    def filmed(
-        exposures: tuple[float, ...] = (250.0,),
-        lights: tuple[str, ...] = (),
-        dtype: Any = np.uint8,
-        channels: int = 1,
-        vignette: float = 0.2,
-        flicker: float = 0.02,
-        step_mm: float = 9.0,
-    ) -> Filmed:
-        g = np.random.default_rng(3)
-        board_type = BoardType.model_validate(
-            {
-                "name": "b",
-                "y_axis": "down",
-                "outline": [[0, 0], BOARD_MM],
-                "components": [
-                    {"ref": "U1", "center": [15, 14], "width": 7, "height": 5},
-                    {"ref": "U2", "center": [10, 30], "width": 3, "height": 3, "rotation": 30},
-                ],
-            }
-        )
-        cameras = tuple(
-            Camera(
-                *SIZE,
-                Projective(
-                    np.array([[PX_PER_MM, 0.02 * i, -250.0 * i + 20], [-0.02 * i, PX_PER_MM, 20.3], [0, 0, 1.0]]),
-                    System.IMAGE,
-                    System.ROW,
-                ),
-                Lens((0.0, 0.0), 1.0),
-                working_distance_mm=300.0,
-            )
-            for i in range(2)
-        )
-        rows = 5
-        motion = [np.array([[1, 0, 0.03 * j], [0, 1, -step_mm * j], [0, 0, 1.0]]) for j in range(rows)]
-        cad = np.array([[1, 0, 0.5], [0, 1, 1.0], [0, 0, 1.0]])
-        matrices = tuple(tuple(c.image_from_row.matrix @ d for d in motion) for c in cameras)
-        stitch = Stitch(method="auto", image_matrices=matrices, cad_matrix=cad, row_motion=tuple(motion), status="ok")
-        v, u = np.mgrid[: SIZE[1], : SIZE[0]].astype(np.float64)
-        shade = 1 - vignette * (((u / SIZE[0] - 0.5) ** 2) + (v / SIZE[1] - 0.5) ** 2) * 2
-        full = 1.0 if dtype == np.uint8 else 257.0
-        frames: Frames = {}
-        taken = []
-        for j in range(rows):
-            lamp = 1 + g.normal(0, flicker)
-            for i in range(2):
-                seen = apply(np.linalg.inv(matrices[i][j] @ cad), np.stack([u, v], -1))
-                on = ((seen >= -1) & (seen <= np.array(BOARD_MM) + 1)).all(-1)
-                exposure = exposures[j % len(exposures)]
-                light = np.where(on, radiance(seen), 5.0) * shade * lamp * exposure / 250.0
-                grey = np.clip((light + DARK + g.normal(0, 0.5, light.shape)) * full, 0, 255 * full)
-                pixels = np.rint(grey).astype(dtype)
-                frames[i, j] = pixels if channels == 1 else np.asarray(cv2.merge([pixels] * channels))
-                taken.append(TakenFrame(i, j, exposure, 1.0, lights[j % len(lights)] if lights else None))
-        return Filmed(board_type, stitch, cameras, frames, tuple(taken))
-
+    """A function that films the board; exposures, lights and pixel types vary. Tests do not change its frames."""
     return filmed
 
 

@@ -1,4 +1,4 @@
-"""Inner loops of mosaics: correct the grey levels of a resampled frame, and add them to a tile with their weights."""
+"""The inner loop of mosaics: corrects the grey levels of resampled frames, and blends them where they meet."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from vaoi_station.compiled import compiled, inlined
 from vaoi_station.geometry.transforms import Floats
 
 Floats32 = NDArray[np.float32]
+_NO_PART = -1
+_SEVERAL = -2
 
 
 class Nodes(NamedTuple):
@@ -22,17 +24,28 @@ class Nodes(NamedTuple):
     """(n,) weight of the next cell."""
 
 
-class Corrections(NamedTuple):
-    """What is done to a resampled frame; values (h, w) belong to the centres of cells."""
+class Cells(NamedTuple):
+    """What each cell (h, w) of a tile shows."""
 
+    part: NDArray[np.int32]
+    """Number of the frame among those of the tile; −1 for none."""
     factor: Floats32
-    mine: Floats32
-    """Weight of the frame."""
+    """What grey levels of this frame are multiplied by here."""
+
+
+class Pictures(NamedTuple):
+    """The frames of a tile, resampled where they have a weight."""
+
+    pixels: NDArray[Any]
+    """(n,) grey levels of all frames, one rectangle after the other, of the tile's type and channels."""
+    place: NDArray[np.int64]
+    """(frames, 4) of each frame: where in `pixels` its rectangle starts; left, top and width of it, px of the tile."""
+    dark: Floats32
+    """(frames,) dark level."""
     raw_from_tile: Floats
-    """(3, 3) matrix from pixels of the tile to raw pixels of the frame."""
+    """(frames, 3, 3) matrices from pixels of the tile to raw pixels of the frame."""
     limits: Floats
-    """(4,) least x and y, largest x and y of raw pixels that count as inside."""
-    dark: float
+    """(frames, 4) least x and y, largest x and y of raw pixels that count as inside."""
 
 
 def nodes_along(first: float, step: float, count: int, cells: int) -> Nodes:
@@ -61,57 +74,78 @@ def _inside(m: Floats, limits: Floats, v: int, width: int) -> tuple[int, int]:
 
 
 @compiled
-def add_frame(
-    total: Floats32,
-    weights: Floats32,
-    pixels: NDArray[Any],
-    x: Nodes,
-    y: Nodes,
-    corrections: Corrections,
-    corner: tuple[int, int],
-) -> None:
-    """Add a part of a frame to a tile: weight · (grey − dark) · factor, and the weight.
+def blend(pictures: Pictures, cells: Cells, x: Nodes, y: Nodes, channels: int, full: float, out: NDArray[Any]) -> None:
+    """Render a tile: Σ weight · (grey − dark) · factor / Σ weight over the four cells around each pixel.
 
-    `total` and `weights` are those of the tile; all others begin at the part's `corner`, the first column and row.
+    Values are rounded to whole grey levels from 1 to `full`; 0 where no frame has a weight.
+
+    Args:
+        pictures: the frames.
+        cells: the cells of the tile.
+        x: places of the pixels of a line; each is repeated for every channel.
+        y: places of the lines.
+        channels: 1 grey, 3 colour.
+        full: the largest grey level.
+        out: (h, w · channels) output.
     """
-    # All arrays are contiguous, and the inner loop runs over a whole line: only then does the compiler use vector
-    # registers.
-    height, width = pixels.shape
-    factor, mine, m, limits, dark = corrections
-    rows, columns = factor.shape
-    factors, shares = np.empty((rows, width), np.float32), np.empty((rows, width), np.float32)
-    for r in range(rows):
-        for s in range(width):
-            i, t = x.cell[s], x.share[s]
-            n = min(i + 1, columns - 1)
-            factors[r, s] = factor[r, i] + t * (factor[r, n] - factor[r, i])
-            shares[r, s] = mine[r, i] + t * (mine[r, n] - mine[r, i])
-    black = np.float32(dark)
+    # Most pixels lie between four cells of one frame. Runs of them are one loop over contiguous arrays, for which the
+    # compiler uses vector registers.
+    height, width = out.shape
+    part, factor = cells
+    rows, columns = part.shape
+    pixels, place, dark, matrices, limits = pictures
+    spans = np.empty((len(dark), height, 2), np.int64)
+    for p in range(len(dark)):
+        for v in range(height):
+            first, end = _inside(matrices[p], limits[p], v, width // channels)
+            spans[p, v, 0], spans[p, v, 1] = first * channels, end * channels
+    one, half, least, most = np.float32(1), np.float32(0.5), np.float32(1e-6), np.float32(full)
+    above, below = np.empty(width, np.float32), np.empty(width, np.float32)
+    starts, owners = np.empty(width + 1, np.int64), np.empty(width, np.int64)
+    runs, row = 0, -1
     for v in range(height):
         j, q = y.cell[v], y.share[v]
         k = min(j + 1, rows - 1)
-        first, end = _inside(m, limits, v, width)
-        if end <= first:
-            continue
-        above, below = factors[j, first:end], factors[k, first:end]
-        weight_above, weight_below, greys = shares[j, first:end], shares[k, first:end], pixels[v, first:end]
-        left, right = corner[0] + first, corner[0] + end
-        sums, counts = total[corner[1] + v, left:right], weights[corner[1] + v, left:right]
-        for s in range(end - first):
-            weight = weight_above[s] + q * (weight_below[s] - weight_above[s])
-            gain = above[s] + q * (below[s] - above[s])
-            sums[s] += weight * gain * (np.float32(greys[s]) - black)
-            counts[s] += weight
-
-
-@compiled
-def finish(total: Floats32, weights: Floats32, full: float, out: NDArray[Any]) -> None:
-    """Divide by the weights and round to whole grey levels from 1 to `full`; 0 where there is no weight."""
-    height, width = total.shape
-    most = np.float32(full)
-    for v in range(height):
-        for u in range(width):
-            w = weights[v, u]
-            value = total[v, u] / w + np.float32(0.5) if w > np.float32(1e-6) else np.float32(0)
-            value = min(max(value, np.float32(1)), most)
-            out[v, u] = int(value) if w > np.float32(1e-6) else 0
+        if j != row:
+            row, runs = j, 0
+            for s in range(width):
+                i, t = x.cell[s], x.share[s]
+                n = min(i + 1, columns - 1)
+                above[s] = factor[j, i] + t * (factor[j, n] - factor[j, i])
+                below[s] = factor[k, i] + t * (factor[k, n] - factor[k, i])
+                p = part[j, i]
+                owner = p if part[j, n] == p and part[k, i] == p and part[k, n] == p else _SEVERAL
+                if runs == 0 or owners[runs - 1] != owner:
+                    starts[runs], owners[runs] = s, owner
+                    runs += 1
+            starts[runs] = width
+        for run in range(runs):
+            left, right, owner = starts[run], starts[run + 1], owners[run]
+            if owner == _NO_PART:
+                out[v, left:right] = 0
+            elif owner == _SEVERAL:
+                for s in range(left, right):
+                    i, t = x.cell[s], x.share[s]
+                    n = min(i + 1, columns - 1)
+                    total, weights = np.float32(0), np.float32(0)
+                    for corner in range(4):
+                        r, c = (j if corner < 2 else k), (i if corner % 2 == 0 else n)
+                        weight = (one - q if corner < 2 else q) * (one - t if corner % 2 == 0 else t)
+                        p = part[r, c]
+                        if p >= 0 and weight > 0 and spans[p, v, 0] <= s < spans[p, v, 1]:
+                            at = place[p, 0] + ((v - place[p, 2]) * place[p, 3] - place[p, 1]) * channels + s
+                            total += weight * factor[r, c] * (np.float32(pixels[at]) - dark[p])
+                            weights += weight
+                    value = min(max(total / weights + half, one), most) if weights > least else np.float32(0)
+                    out[v, s] = np.int32(value)
+            else:
+                first = min(max(left, spans[owner, v, 0]), right)
+                end = max(min(right, spans[owner, v, 1]), first)
+                out[v, left:first] = 0
+                out[v, end:right] = 0
+                at = place[owner, 0] + ((v - place[owner, 2]) * place[owner, 3] - place[owner, 1]) * channels + first
+                greys, line = pixels[at : at + end - first], out[v, first:end]
+                high, low, black = above[first:end], below[first:end], dark[owner]
+                for s in range(end - first):
+                    value = (high[s] + q * (low[s] - high[s])) * (np.float32(greys[s]) - black) + half
+                    line[s] = np.int32(min(max(value, one), most))

@@ -7,7 +7,7 @@ cameras). With HDR each layer gives radiance and its noise, and the layers are m
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from vaoi_station.geometry import apply
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.mosaic.blending import Corrections, Nodes, add_frame, finish, nodes_along
+from vaoi_station.mosaic.blending import Cells, Nodes, Pictures, blend, nodes_along
 from vaoi_station.mosaic.cells import CELL_PX
 from vaoi_station.mosaic.frames import TakenFrame
 from vaoi_station.mosaic.grid import MosaicGrid
@@ -37,8 +37,8 @@ _NEAREST = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
 _NARROW_PX = 256
 _STRAIGHT_PX = 0.03
 """Largest deviation, px, of a matrix from lens and surface in parts that are wider than 256 px."""
-_WINDOW_PX = 256
-"""Side of the squares in which a frame is resampled."""
+_CALL_PX = 2000
+"""Number of pixels that are resampled in the time that a call takes."""
 _BORDER_PX = 3
 """Pixels around the part of a frame that is read, so that interpolation has its neighbours."""
 
@@ -61,8 +61,6 @@ class FramePart(NamedTuple):
     """(h, w) of the cells of the tile: what corrected grey levels are multiplied by."""
     mine: NDArray[np.uint8] | None
     """(h, w) of the cells of the tile: 1 for cells of this frame; None if all are."""
-    window: Box
-    """Part of the tile in which the frame has a weight."""
     limits: Floats
     """(4,) least x and y, largest x and y of raw pixels that may be used: the outermost are left out."""
     dark: float
@@ -90,7 +88,8 @@ class TileRenderer:
         self._plan, self._projector, self.grid = plan, projector, grid
         base_from_grid = plan.base.mosaic_from_cad @ grid.cad_from_mosaic
         self._cells_from_grid = between(base_from_grid, CELL_PX, 1)
-        self._per_base_px = float(base_from_grid[0, 0])
+        per_base_px = float(base_from_grid[0, 0])
+        self._reduction = 2 ** max(int(np.floor(np.log2(max(per_base_px, 1.0)) + 0.01)), 0)
 
     @cached_property
     def block_px(self) -> int:
@@ -128,71 +127,58 @@ class TileRenderer:
         low = np.clip(np.floor(ends[0]).astype(int), 0, np.array(shape[::-1]) - 1)
         high = np.clip(np.ceil(ends[1]).astype(int) + 1, low + 1, shape[::-1])
         cells = np.s_[low[1] : high[1], low[0] : high[0]]
-        middle = np.stack(np.meshgrid(np.arange(low[0], high[0]), np.arange(low[1], high[1])), -1).astype(np.float64)
-        cad = apply(plan.base.cad_from_mosaic, middle * CELL_PX + (CELL_PX - 1) / 2)
+        shift = np.array([[1, 0, x0], [0, 1, y0], [0, 0, 1]], dtype=np.float64)
+        cells_from_tile = self._cells_from_grid @ shift
+        cells_from_tile[:2, 2] -= low
+        tile_from_cells = np.linalg.inv(cells_from_tile)
         parts = []
         for number, layer in enumerate(plan.layers):
             labels = layer[cells]
             for n in np.unique(labels):
                 if n >= 0:
                     mine = None if (labels == n).all() else (labels == n).astype(np.uint8)
-                    parts.append(self._part(number, int(n), box, cad, mine, low))
-        shift = np.array([[1, 0, x0], [0, 1, y0], [0, 0, 1]], dtype=np.float64)
-        cells_from_tile = (self._cells_from_grid @ shift)[:2].copy()
-        cells_from_tile[:, 2] -= low
-        return TileSpec(x1 - x0, y1 - y0, plan.hdr, len(plan.layers), cells_from_tile, tuple(parts))
+                    parts.append(self._part(number, int(n), box, tile_from_cells, mine, labels.shape))
+        return TileSpec(x1 - x0, y1 - y0, plan.hdr, len(plan.layers), cells_from_tile[:2], tuple(parts))
 
     def _part(
-        self, layer: int, number: int, box: Box, cad: Floats, mine: NDArray[np.uint8] | None, low: Any
+        self,
+        layer: int,
+        number: int,
+        box: Box,
+        tile_from_cells: Floats,
+        mine: NDArray[np.uint8] | None,
+        cells: tuple[int, ...],
     ) -> FramePart:
         plan = self._plan
         taken, log_gain = plan.frames[number]
         photometry = plan.cameras[taken.camera]
         eye = self._projector.cameras[taken.camera]
-        raw = self._projector.raw_px(taken.camera, taken.row, cad)
-        at = ((raw + 0.5) / FIELD_PX - 0.5).astype(np.float32)
-        field = cv2.remap(photometry.field, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        scale = np.exp(-log_gain) * (1.0 if plan.hdr else plan.reference_us) / taken.sensitivity
         matrix = self._projector.raw_from_mosaic(taken.camera, taken.row, self.grid, box)
-        shift = np.array([[1, 0, box[0]], [0, 1, box[1]], [0, 0, 1]], dtype=np.float64)
-        matrix = matrix @ shift
+        matrix[:, 2] += box[0] * matrix[:, 0] + box[1] * matrix[:, 1]
+        # Between the cells of one tile the lens matters less to the field than one of its pixels.
+        field_from_cells = between(matrix @ tile_from_cells, FIELD_PX, 1)
+        field = cv2.warpPerspective(
+            photometry.field, field_from_cells, cells[::-1], flags=_LINEAR, borderMode=cv2.BORDER_REPLICATE
+        )
+        scale = np.exp(-log_gain) * (1.0 if plan.hdr else plan.reference_us) / taken.sensitivity
         w, h = box[2] - box[0], box[3] - box[1]
         corners = apply(matrix, np.array([(-0.5, -0.5), (w - 0.5, -0.5), (w - 0.5, h - 0.5), (-0.5, h - 0.5)]))
-        inside = eye.sees(corners, 1.0).all()
-        reduction = 2 ** max(int(np.floor(np.log2(max(self._per_base_px, 1.0)) + 0.01)), 0)
+        limits = np.array([1.0, 1.0, eye.width_px - 2.0, eye.height_px - 2.0])
+        inside = (corners >= limits[:2]).all() and (corners <= limits[2:]).all()
         return FramePart(
             layer,
             taken.camera,
             taken.row,
             matrix,
-            _crop(corners, (eye.width_px, eye.height_px), reduction),
+            _crop(corners, (eye.width_px, eye.height_px), self._reduction),
             bool(inside),
-            reduction,
+            self._reduction,
             np.asarray(np.float32(scale) / field, np.float32),
             mine,
-            self._window(mine, low, box),
-            np.array([1.0, 1.0, eye.width_px - 2.0, eye.height_px - 2.0]),
+            limits,
             photometry.dark,
             taken.gain,
             photometry.noise,
-        )
-
-    def _window(self, mine: NDArray[np.uint8] | None, low: NDArray[np.int_], box: Box) -> Box:
-        """Return the part of a tile in which cells of a frame, or their neighbours, lie; `low` is the first cell."""
-        w, h = box[2] - box[0], box[3] - box[1]
-        if mine is None:
-            return 0, 0, w, h
-        columns, rows = np.flatnonzero(mine.any(0)), np.flatnonzero(mine.any(1))
-        # The weight of a cell reaches to the centres of its neighbours.
-        first = low + (columns[0] - 1, rows[0] - 1)
-        last = low + (columns[-1] + 1, rows[-1] + 1)
-        grid_from_cells = np.linalg.inv(self._cells_from_grid)
-        (x0, y0), (x1, y1) = apply(grid_from_cells, np.array([first, last], dtype=np.float64)) - box[:2]
-        return (
-            int(np.clip(np.floor(x0), 0, w)),
-            int(np.clip(np.floor(y0), 0, h)),
-            int(np.clip(np.ceil(x1) + 1, 0, w)),
-            int(np.clip(np.ceil(y1) + 1, 0, h)),
         )
 
 
@@ -212,68 +198,99 @@ def render_tile(spec: TileSpec, read: ReadFrame) -> NDArray[Any] | None:
     """
     if spec.hdr:
         return _render_hdr(spec, read)
-    shape = spec.height, spec.width
-    weights = np.zeros(shape, np.float32)
-    total: Floats32 | None = None
-    dtype: np.dtype[Any] = np.dtype(np.uint8)
-    for part in spec.parts:
-        pixels = _cut(part, read)
-        if pixels is None:
-            continue
-        dtype = pixels.dtype
-        if total is None:
-            total = np.zeros((1 if pixels.ndim == 2 else pixels.shape[2], *shape), np.float32)
-        for window in _windows(part, spec):
-            _add(part, spec, window, pixels, total, weights)
-    if total is None or not weights.any():
+    found = [(part, pixels) for part in spec.parts if (pixels := _cut(part, read)) is not None]
+    if not found:
         return None
-    full = 255.0 if dtype == np.uint8 else 65535.0
-    channels = np.empty(total.shape, dtype)
-    for channel, out in zip(total, channels, strict=True):
-        finish(channel, weights, full, out)
-    return np.asarray(channels[0] if len(channels) == 1 else cv2.merge(list(channels)))
-
-
-def _windows(part: FramePart, spec: TileSpec) -> Iterator[Box]:
-    """Yield the squares of a tile in which a frame has a weight: its share of a wide part is rarely a rectangle."""
-    left, top, right, bottom = part.window
+    first = found[0][1]
+    channels = 1 if first.ndim == 2 else first.shape[2]
+    cells = _cells([part for part, _ in found])
     m = spec.cells_from_tile
-    for x0 in range(left, right, _WINDOW_PX):
-        for y0 in range(top, bottom, _WINDOW_PX):
-            x1, y1 = min(x0 + _WINDOW_PX, right), min(y0 + _WINDOW_PX, bottom)
-            if part.mine is not None:
-                c0, r0 = (max(int(v), 0) for v in (m[0, 2] + m[0, 0] * x0, m[1, 2] + m[1, 1] * y0))
-                c1, r1 = int(m[0, 2] + m[0, 0] * x1) + 2, int(m[1, 2] + m[1, 1] * y1) + 2
-                if not part.mine[r0:r1, c0:c1].any():
-                    continue
-            yield x0, y0, x1, y1
+    x = nodes_along(m[0, 2], m[0, 0], spec.width, cells.part.shape[1])
+    y = nodes_along(m[1, 2], m[1, 1], spec.height, cells.part.shape[0])
+    pictures = _resampled(found, x, y)
+    out = np.empty((spec.height, spec.width * channels), first.dtype)
+    every = x if channels == 1 else Nodes(np.repeat(x.cell, channels), np.repeat(x.share, channels))
+    blend(pictures, cells, every, y, channels, 255.0 if first.dtype == np.uint8 else 65535.0, out)
+    if not out.any():
+        return None
+    return out if channels == 1 else out.reshape(spec.height, spec.width, channels)
 
 
-def _add(
-    part: FramePart, spec: TileSpec, window: Box, pixels: NDArray[Any], total: Floats32, weights: Floats32
-) -> None:
-    """Add a frame to a square of a tile."""
-    x0, y0, x1, y1 = window
-    shift = np.array([[1, 0, x0], [0, 1, y0], [0, 0, 1]], dtype=np.float64)
-    warped = cv2.warpPerspective(pixels, _matrix(part) @ shift, (x1 - x0, y1 - y0), flags=_LINEAR)
-    x, y = _nodes(spec, part.factor.shape, window)
-    mine = np.ones_like(part.factor) if part.mine is None else part.mine.astype(np.float32)
-    unit = 1.0 if pixels.dtype == np.uint8 else 257.0
-    corrections = Corrections(part.factor, mine, part.raw_from_tile @ shift, part.limits, part.dark * unit)
-    channels = [warped] if warped.ndim == 2 else cv2.split(warped)
-    before = weights.copy() if len(channels) > 1 else weights
-    for number, channel in enumerate(channels):
-        # Each channel adds the same weights, which count once.
-        once = weights if number == 0 else before.copy()
-        add_frame(total[number], once, np.asarray(channel), x, y, corrections, (x0, y0))
+def _cells(parts: Sequence[FramePart]) -> Cells:
+    """Return which of these parts each cell of a tile shows, and its factor."""
+    number, factor = np.full(parts[0].factor.shape, -1, np.int32), np.ones_like(parts[0].factor)
+    for n, part in enumerate(parts):
+        mine = np.s_[:] if part.mine is None else part.mine.view(bool)
+        number[mine], factor[mine] = n, part.factor[mine]
+    return Cells(number, factor)
 
 
-def _nodes(spec: TileSpec, cells: tuple[int, ...], window: Box) -> tuple[Nodes, Nodes]:
-    """Return where the pixels of a part of a tile lie between the centres of the tile's cells."""
-    m = spec.cells_from_tile
-    x = nodes_along(m[0, 2] + m[0, 0] * window[0], m[0, 0], window[2] - window[0], cells[1])
-    y = nodes_along(m[1, 2] + m[1, 1] * window[1], m[1, 1], window[3] - window[1], cells[0])
-    return x, y
+def _resampled(found: Sequence[tuple[FramePart, NDArray[Any]]], x: Nodes, y: Nodes) -> Pictures:
+    """Resample the frames of a tile where they have a weight; `x` and `y` are the places of its pixels among cells."""
+    rows, columns = found[0][0].factor.shape
+    # Where the pixels begin that lie after the centre of a cell, from the one before the first to the one after the
+    # last.
+    lefts = np.searchsorted(x.cell, np.arange(-1, columns + 1)).tolist()
+    tops = np.searchsorted(y.cell, np.arange(rows + 1)).tolist()
+    windows = [_windows(part.mine, lefts, tops) for part, _ in found]
+    place, size = np.zeros((len(found), 4), np.int64), 0
+    channels = found[0][1].shape[2:]
+    depth = int(np.prod(channels, dtype=int))
+    for n, boxes in enumerate(windows):
+        left, right = min(box[0] for box in boxes), max(box[2] for box in boxes)
+        top, bottom = boxes[0][1], boxes[-1][3]
+        place[n] = size * depth, left, top, right - left
+        size += (right - left) * (bottom - top)
+    pixels = np.empty(size * depth, found[0][1].dtype)
+    for (part, frame), boxes, (start, left, top, width) in zip(found, windows, place.tolist(), strict=True):
+        height = boxes[-1][3] - top
+        area = pixels[start : start + width * height * depth].reshape(height, width, *channels)
+        matrix = _matrix(part)
+        for x0, y0, x1, y1 in boxes:
+            moved = matrix.copy()
+            moved[:, 2] += x0 * matrix[:, 0] + y0 * matrix[:, 1]
+            goal = area[y0 - top : y1 - top, x0 - left : x1 - left]
+            cv2.warpPerspective(frame, moved, (x1 - x0, y1 - y0), dst=goal, flags=_LINEAR)
+    parts, unit = [part for part, _ in found], 1.0 if pixels.dtype == np.uint8 else 257.0
+    return Pictures(
+        pixels,
+        place,
+        np.array([part.dark * unit for part in parts], np.float32),
+        np.stack([part.raw_from_tile for part in parts]),
+        np.stack([part.limits for part in parts]),
+    )
+
+
+def _windows(mine: NDArray[np.uint8] | None, lefts: Sequence[int], tops: Sequence[int]) -> list[Box]:
+    """Return rectangles of a tile that hold all pixels in which a frame has a weight, from top to bottom.
+
+    The frame's share of a tile is rarely a rectangle. Each row of cells has one rectangle; neighbours are joined if
+    that costs less than a call.
+
+    Args:
+        mine: (h, w) 1 for cells of the frame; None if all are.
+        lefts: (w + 2,) the first pixel after the centre of each column of cells, from the column before the first.
+        tops: (h + 1,) the first pixel after the centre of each row of cells.
+    """
+    if mine is None:
+        return [(0, 0, lefts[-1], tops[-1])]
+    # Between two rows of cells both have a weight.
+    either = mine.copy()
+    either[:-1] |= mine[1:]
+    first, last = either.argmax(1).tolist(), (mine.shape[1] - 1 - either[:, ::-1].argmax(1)).tolist()
+    boxes: list[Box] = []
+    for row in np.flatnonzero(either.any(1)).tolist():
+        x0, y0, x1, y1 = lefts[first[row]], tops[row], lefts[last[row] + 2], tops[row + 1]
+        if boxes and y1 > y0:
+            a, b, c, d = boxes[-1]
+            joined = min(a, x0), b, max(c, x1), y1
+            more = (joined[2] - joined[0]) * (y1 - b) - (c - a) * (d - b) - (x1 - x0) * (y1 - y0)
+            if more <= _CALL_PX:
+                boxes[-1] = joined
+                continue
+        if y1 > y0 and x1 > x0:
+            boxes.append((x0, y0, x1, y1))
+    return boxes or [(0, 0, 0, 0)]
 
 
 def _render_hdr(spec: TileSpec, read: ReadFrame) -> NDArray[Any] | None:
@@ -321,9 +338,9 @@ def _cut(part: FramePart, read: ReadFrame) -> NDArray[Any] | None:
 
 def _matrix(part: FramePart) -> Floats:
     """Return the matrix from pixels of the tile to pixels of the reduced part of the frame."""
-    shift = np.eye(3)
-    shift[:2, 2] = -part.crop[0], -part.crop[1]
-    return between(shift @ part.raw_from_tile, part.reduction, 1)
+    matrix = part.raw_from_tile.copy()
+    matrix[:2] -= np.array([part.crop[:2]]).T * matrix[2]
+    return matrix if part.reduction == 1 else between(matrix, part.reduction, 1)
 
 
 def _spread(values: NDArray[Any], spec: TileSpec) -> Floats32:

@@ -14,17 +14,6 @@ from vaoi_station.files import open_recording
 from vaoi_station.files.images import read_image
 
 
-@pytest.fixture(scope="session")
-def result(small_recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    from typer.testing import CliRunner
-
-    from vaoi_station.cli import app
-
-    out = tmp_path_factory.mktemp("result") / "result.json"
-    assert CliRunner().invoke(app, ["stitch", str(small_recording), "--out", str(out)]).exit_code == 0
-    return out
-
-
 def test_merged_pictures_with_their_sigma_and_listing(
     vaoi: Any, small_recording: Path, result: Path, tmp_path: Path
 ) -> None:

@@ -14,17 +14,6 @@ from vaoi_station.files import open_recording, read_board_type, read_stitch
 from vaoi_station.geometry import apply
 
 
-@pytest.fixture(scope="session")
-def result(small_recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    from typer.testing import CliRunner
-
-    from vaoi_station.cli import app
-
-    out = tmp_path_factory.mktemp("mosaic-result") / "result.json"
-    assert CliRunner().invoke(app, ["stitch", str(small_recording), "--out", str(out)]).exit_code == 0
-    return out
-
-
 def test_component_is_where_the_document_says(vaoi: Any, small_recording: Path, result: Path, tmp_path: Path) -> None:
     out = tmp_path / "board.tif"
     said = vaoi("mosaic", small_recording, "--result", result, "--out", out)

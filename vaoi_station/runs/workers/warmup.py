@@ -16,7 +16,7 @@ from vaoi_station.geometry import Camera, Lens, Projective, System
 from vaoi_station.heights.estimates import measure_heights
 from vaoi_station.marks.subpixel_localisation import locate_mark
 from vaoi_station.model import BoardType, Stitch
-from vaoi_station.mosaic.blending import Corrections, add_frame, finish, nodes_along
+from vaoi_station.mosaic.blending import Cells, Pictures, blend, nodes_along
 from vaoi_station.mosaic.seams import NO_FRAME, FrameCells, assign_cells
 from vaoi_station.stitching.matching.prepared_frame import resample
 from vaoi_station.stitching.work import StitchSetup, TaskRunner, all_tasks
@@ -59,11 +59,11 @@ def _plan_and_blend() -> None:
     box, start, seed = np.array([(0, 0, 2, 2)], np.int32), np.zeros(1, np.int64), np.zeros((1, 2), np.int32)
     frames = FrameCells(box, start, np.ones(4, np.bool_), seed, np.zeros(1))
     assign_cells(frames, np.ones((2, 2), np.float32), np.full((2, 2), NO_FRAME, np.int32))
-    cells, pixels, total = np.ones((2, 2), np.float32), np.ones((4, 4), np.uint8), np.zeros((4, 4), np.float32)
-    nodes = nodes_along(0.0, 0.25, 4, 2)
-    limits = np.array([0.0, 0.0, 9.0, 9.0])
-    add_frame(total, total.copy(), pixels, nodes, nodes, Corrections(cells, cells, np.eye(3), limits, 1.0), (0, 0))
-    finish(total, total, 255.0, pixels)
+    nodes, pixels = nodes_along(0.0, 0.25, 4, 2), np.ones((4, 4), np.uint8)
+    place, limits = np.array([[0, 0, 0, 4]]), np.array([[0.0, 0.0, 9.0, 9.0]])
+    pictures = Pictures(pixels.ravel(), place, np.ones(1, np.float32), np.eye(3)[None], limits)
+    cells = Cells(np.zeros((2, 2), np.int32), np.ones((2, 2), np.float32))
+    blend(pictures, cells, nodes, nodes, 1, 255.0, np.empty_like(pixels))
 
 
 def _setup() -> StitchSetup:
