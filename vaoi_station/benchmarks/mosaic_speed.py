@@ -20,6 +20,8 @@ from vaoi_station.mosaic.deep_zoom import TILE_PX, levels_of
 from vaoi_station.mosaic.frames import frames_of_head
 from vaoi_station.mosaic.projection import FrameProjector
 
+_WARP_PX = 1024
+"""Largest width of a bare warp."""
 _FLAGS = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
 
 
@@ -76,7 +78,8 @@ def _measure(board: BenchmarkBoard, repetitions: int, stitch: Stitch | None) -> 
     renderer = TileRenderer(plan, projector, grid)
     boxes = _boxes(grid, renderer.block_px)
     warps = []
-    for box in boxes:
+    # Wider parts lie beside the frame for the most part, where a warp has nothing to sample.
+    for box in _boxes(grid, min(renderer.block_px, _WARP_PX)):
         spec = renderer.spec(box)
         # The frame that shows most of the tile: all warps of a tile cost the same.
         part = max(spec.parts, key=lambda p: 1.0 if p.mine is None else float(p.mine.mean()), default=None)

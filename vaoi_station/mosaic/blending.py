@@ -73,6 +73,48 @@ def _inside(m: Floats, limits: Floats, v: int, width: int) -> tuple[int, int]:
     return int(min(first, float(width))), int(max(end, 0.0))
 
 
+@inlined
+def _lines_inside(pictures: Pictures, width: int, height: int, channels: int) -> NDArray[np.int64]:
+    """Return of each frame and line (frames, height, 2) the first value inside the frame, and the end of those."""
+    count = len(pictures.dark)
+    spans = np.empty((count, height, 2), np.int64)
+    for p in range(count):
+        for v in range(height):
+            first, end = _inside(pictures.raw_from_tile[p], pictures.limits[p], v, width)
+            spans[p, v, 0], spans[p, v, 1] = first * channels, end * channels
+    return spans
+
+
+@inlined
+def _mixed(
+    pictures: Pictures,
+    cells: Cells,
+    x: Nodes,
+    y: Nodes,
+    spans: NDArray[np.int64],
+    at: tuple[int, int],
+    channels: int,
+) -> np.float32:
+    """Return Σ weight · (grey − dark) · factor / Σ weight over the four cells around a value; 0 without a weight.
+
+    `at` is the line, and the number of the value in it.
+    """
+    v, s = at
+    rows, columns = cells.part.shape
+    total, weights = np.float32(0), np.float32(0)
+    for corner in range(4):
+        r, c = min(y.cell[v] + corner // 2, rows - 1), min(x.cell[s] + corner % 2, columns - 1)
+        down, right = y.share[v], x.share[s]
+        weight = (np.float32(1) - down if corner < 2 else down) * (np.float32(1) - right if corner % 2 == 0 else right)
+        p = cells.part[r, c]
+        if p >= 0 and weight > 0 and spans[p, v, 0] <= s < spans[p, v, 1]:
+            left, top, width = pictures.place[p, 1], pictures.place[p, 2], pictures.place[p, 3]
+            pixel = pictures.pixels[pictures.place[p, 0] + ((v - top) * width - left) * channels + s]
+            total += weight * cells.factor[r, c] * (np.float32(pixel) - pictures.dark[p])
+            weights += weight
+    return max(total / weights, np.float32(0.5)) if weights > np.float32(1e-6) else np.float32(0)
+
+
 @compiled
 def blend(pictures: Pictures, cells: Cells, x: Nodes, y: Nodes, channels: int, full: float, out: NDArray[Any]) -> None:
     """Render a tile: Σ weight · (grey − dark) · factor / Σ weight over the four cells around each pixel.
@@ -93,13 +135,9 @@ def blend(pictures: Pictures, cells: Cells, x: Nodes, y: Nodes, channels: int, f
     height, width = out.shape
     part, factor = cells
     rows, columns = part.shape
-    pixels, place, dark, matrices, limits = pictures
-    spans = np.empty((len(dark), height, 2), np.int64)
-    for p in range(len(dark)):
-        for v in range(height):
-            first, end = _inside(matrices[p], limits[p], v, width // channels)
-            spans[p, v, 0], spans[p, v, 1] = first * channels, end * channels
-    one, half, least, most = np.float32(1), np.float32(0.5), np.float32(1e-6), np.float32(full)
+    pixels, place, dark, _, _ = pictures
+    spans = _lines_inside(pictures, width // channels, height, channels)
+    one, half, most = np.float32(1), np.float32(0.5), np.float32(full)
     above, below = np.empty(width, np.float32), np.empty(width, np.float32)
     starts, owners = np.empty(width + 1, np.int64), np.empty(width, np.int64)
     runs, row = 0, -1
@@ -125,19 +163,8 @@ def blend(pictures: Pictures, cells: Cells, x: Nodes, y: Nodes, channels: int, f
                 out[v, left:right] = 0
             elif owner == _SEVERAL:
                 for s in range(left, right):
-                    i, t = x.cell[s], x.share[s]
-                    n = min(i + 1, columns - 1)
-                    total, weights = np.float32(0), np.float32(0)
-                    for corner in range(4):
-                        r, c = (j if corner < 2 else k), (i if corner % 2 == 0 else n)
-                        weight = (one - q if corner < 2 else q) * (one - t if corner % 2 == 0 else t)
-                        p = part[r, c]
-                        if p >= 0 and weight > 0 and spans[p, v, 0] <= s < spans[p, v, 1]:
-                            at = place[p, 0] + ((v - place[p, 2]) * place[p, 3] - place[p, 1]) * channels + s
-                            total += weight * factor[r, c] * (np.float32(pixels[at]) - dark[p])
-                            weights += weight
-                    value = min(max(total / weights + half, one), most) if weights > least else np.float32(0)
-                    out[v, s] = np.int32(value)
+                    value = _mixed(pictures, cells, x, y, spans, (v, s), channels)
+                    out[v, s] = np.int32(min(value + half, most))
             else:
                 first = min(max(left, spans[owner, v, 0]), right)
                 end = max(min(right, spans[owner, v, 1]), first)

@@ -103,10 +103,13 @@ def _from_rectangle(target: Floats, width: float, height: float) -> Floats:
 
 def between(matrix: Floats, target: float, source: float) -> Floats:
     """Return a matrix between grids whose pixels are `target` and `source` times as large as those of `matrix`."""
-    shrink, grow = np.diag([1 / target, 1 / target, 1.0]), np.diag([source, source, 1.0])
-    shrink[:2, 2] = 0.5 / target - 0.5
-    grow[:2, 2] = 0.5 * source - 0.5
-    return np.asarray(shrink @ matrix @ grow)
+    found = np.array(matrix, np.float64)
+    if target != 1:
+        found[:2] = found[:2] / target + (0.5 / target - 0.5) * found[2]
+    if source != 1:
+        found[:, 2] += (0.5 * source - 0.5) * (found[:, 0] + found[:, 1])
+        found[:, :2] *= source
+    return found
 
 
 def shrunk(pixels: np.ndarray, factor: int) -> np.ndarray:

@@ -7,6 +7,7 @@ cameras). With HDR each layer gives radiance and its noise, and the layers are m
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -50,11 +51,12 @@ class FramePart(NamedTuple):
     camera: int
     row: int
     raw_from_tile: Floats
-    """(3, 3) matrix from pixels of the tile to raw pixels of the frame."""
+    """(3, 3) matrix from pixels of the tile to raw pixels of the frame, for the part in which the frame has a weight.
+    """
     crop: Box
-    """Part of the frame that the tile shows; its sides are multiples of `reduction`."""
+    """Part of the frame that this part shows; its sides are multiples of `reduction`."""
     wholly: bool
-    """Whether the frame shows all of the tile."""
+    """Whether the frame shows all of this part."""
     reduction: int
     """By how much the frame is reduced before it is resampled: pixels of the tile are larger."""
     factor: Floats32
@@ -96,16 +98,17 @@ class TileRenderer:
         """Width of the parts in which a large picture is rendered: a multiple of 256 px.
 
         The wider, the faster; but within one part a frame is resampled by one matrix, which must represent lens and
-        surface to `_STRAIGHT_PX`.
+        surface to `_STRAIGHT_PX`. With HDR, several arrays of floats must fit into memory.
         """
-        for width in (1024, 512):
+        for width in (1024, 512) if self._plan.hdr else (4096, 2048, 1024, 512):
             bent = 0.0
             for taken, _ in self._plan.frames:
                 x0, y0, x1, y1 = self._projector.seen_box(taken.camera, taken.row, self.grid)
                 if min(x1 - x0, y1 - y0) >= _NARROW_PX:
-                    at = (x0 + x1 - width) // 2, (y0 + y1 - _NARROW_PX) // 2
-                    for x in (x0, at[0], max(x1 - width, x0)):
-                        bent = max(bent, self._bend(taken, (x, at[1], x + width, at[1] + _NARROW_PX)))
+                    shown = min(width, x1 - x0)
+                    y = (y0 + y1 - _NARROW_PX) // 2
+                    for x in (x0, (x0 + x1 - shown) // 2, x1 - shown):
+                        bent = max(bent, self._bend(taken, (x, y, x + shown, y + _NARROW_PX)))
             if bent <= _STRAIGHT_PX:
                 return width
         return _NARROW_PX
@@ -137,7 +140,9 @@ class TileRenderer:
             for n in np.unique(labels):
                 if n >= 0:
                     mine = None if (labels == n).all() else (labels == n).astype(np.uint8)
-                    parts.append(self._part(number, int(n), box, tile_from_cells, mine, labels.shape))
+                    window = _window(mine, tile_from_cells, (x1 - x0, y1 - y0))
+                    if window[2] > window[0] and window[3] > window[1]:
+                        parts.append(self._part(number, int(n), box, window, tile_from_cells, mine, labels.shape))
         return TileSpec(x1 - x0, y1 - y0, plan.hdr, len(plan.layers), cells_from_tile[:2], tuple(parts))
 
     def _part(
@@ -145,6 +150,7 @@ class TileRenderer:
         layer: int,
         number: int,
         box: Box,
+        window: Box,
         tile_from_cells: Floats,
         mine: NDArray[np.uint8] | None,
         cells: tuple[int, ...],
@@ -153,42 +159,60 @@ class TileRenderer:
         taken, log_gain = plan.frames[number]
         photometry = plan.cameras[taken.camera]
         eye = self._projector.cameras[taken.camera]
-        matrix = self._projector.raw_from_mosaic(taken.camera, taken.row, self.grid, box)
+        x0, y0, x1, y1 = window
+        place = box[0] + x0, box[1] + y0, box[0] + x1, box[1] + y1
+        matrix = self._projector.raw_from_mosaic(taken.camera, taken.row, self.grid, place)
         matrix[:, 2] += box[0] * matrix[:, 0] + box[1] * matrix[:, 1]
         # Between the cells of one tile the lens matters less to the field than one of its pixels.
         field_from_cells = between(matrix @ tile_from_cells, FIELD_PX, 1)
         field = cv2.warpPerspective(
             photometry.field, field_from_cells, cells[::-1], flags=_LINEAR, borderMode=cv2.BORDER_REPLICATE
         )
-        scale = np.exp(-log_gain) * (1.0 if plan.hdr else plan.reference_us) / taken.sensitivity
-        w, h = box[2] - box[0], box[3] - box[1]
-        corners = apply(matrix, np.array([(-0.5, -0.5), (w - 0.5, -0.5), (w - 0.5, h - 0.5), (-0.5, h - 0.5)]))
-        limits = np.array([1.0, 1.0, eye.width_px - 2.0, eye.height_px - 2.0])
-        inside = (corners >= limits[:2]).all() and (corners <= limits[2:]).all()
+        scale = math.exp(-log_gain) * (1.0 if plan.hdr else plan.reference_us) / taken.sensitivity
+        corners = apply(matrix, np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)]) - 0.5)
+        low, high = corners.min(0).tolist(), corners.max(0).tolist()
+        limits = 1.0, 1.0, eye.width_px - 2.0, eye.height_px - 2.0
+        inside = low[0] >= limits[0] and low[1] >= limits[1] and high[0] <= limits[2] and high[1] <= limits[3]
         return FramePart(
             layer,
             taken.camera,
             taken.row,
             matrix,
-            _crop(corners, (eye.width_px, eye.height_px), self._reduction),
-            bool(inside),
+            _crop(low, high, (eye.width_px, eye.height_px), self._reduction),
+            inside,
             self._reduction,
             np.asarray(np.float32(scale) / field, np.float32),
             mine,
-            limits,
+            np.array(limits),
             photometry.dark,
             taken.gain,
             photometry.noise,
         )
 
 
-def _crop(corners: Floats, size: tuple[int, int], reduction: int) -> Box:
-    """Return the part of a frame around raw positions, with sides that are multiples of `reduction`."""
-    border = _BORDER_PX * reduction
-    low = np.clip(np.floor(corners.min(0)).astype(int) - border, 0, size) // reduction * reduction
-    high = np.clip(np.ceil(corners.max(0)).astype(int) + border, 0, size)
-    high = low + (high - low) // reduction * reduction
-    return int(low[0]), int(low[1]), int(high[0]), int(high[1])
+def _window(mine: NDArray[np.uint8] | None, tile_from_cells: Floats, size: tuple[int, int]) -> Box:
+    """Return the part of a tile of this width and height in which a frame's cells have a weight; may be empty."""
+    if mine is None:
+        return 0, 0, *size
+    ends = []
+    for axis, shown in enumerate((mine.any(0), mine.any(1))):
+        at = np.flatnonzero(shown)
+        # The weight of a cell reaches to the centres of its neighbours.
+        scale, shift = float(tile_from_cells[axis, axis]), float(tile_from_cells[axis, 2])
+        first, last = math.floor(scale * (at[0] - 1) + shift), math.ceil(scale * (at[-1] + 1) + shift) + 1
+        ends.append((max(first, 0), min(last, size[axis])))
+    return ends[0][0], ends[1][0], ends[0][1], ends[1][1]
+
+
+def _crop(low: Sequence[float], high: Sequence[float], size: tuple[int, int], reduction: int) -> Box:
+    """Return the part of a frame around raw positions from `low` to `high`; its sides are multiples of `reduction`."""
+    # Plain numbers: numpy takes ten times as long for vectors of two, and there are several parts in each tile.
+    border, ends = _BORDER_PX * reduction, []
+    for a, b, most in zip(low, high, size, strict=True):
+        first = max(math.floor(min(max(0.0, a), most)) - border, 0) // reduction * reduction
+        last = min(math.ceil(min(max(0.0, b), most)) + border, most)
+        ends.append((first, first + (last - first) // reduction * reduction))
+    return ends[0][0], ends[1][0], ends[0][1], ends[1][1]
 
 
 def render_tile(spec: TileSpec, read: ReadFrame) -> NDArray[Any] | None:
@@ -220,8 +244,9 @@ def _cells(parts: Sequence[FramePart]) -> Cells:
     """Return which of these parts each cell of a tile shows, and its factor."""
     number, factor = np.full(parts[0].factor.shape, -1, np.int32), np.ones_like(parts[0].factor)
     for n, part in enumerate(parts):
-        mine = np.s_[:] if part.mine is None else part.mine.view(bool)
-        number[mine], factor[mine] = n, part.factor[mine]
+        mine = True if part.mine is None else part.mine.view(bool)
+        np.copyto(number, n, where=mine)
+        np.copyto(factor, part.factor, where=mine)
     return Cells(number, factor)
 
 
@@ -340,7 +365,7 @@ def _matrix(part: FramePart) -> Floats:
     """Return the matrix from pixels of the tile to pixels of the reduced part of the frame."""
     matrix = part.raw_from_tile.copy()
     matrix[:2] -= np.array([part.crop[:2]]).T * matrix[2]
-    return matrix if part.reduction == 1 else between(matrix, part.reduction, 1)
+    return between(matrix, part.reduction, 1)
 
 
 def _spread(values: NDArray[Any], spec: TileSpec) -> Floats32:
