@@ -133,7 +133,7 @@ class TileRenderer:
         shift = np.array([[1, 0, x0], [0, 1, y0], [0, 0, 1]], dtype=np.float64)
         cells_from_tile = self._cells_from_grid @ shift
         cells_from_tile[:2, 2] -= low
-        tile_from_cells = np.linalg.inv(cells_from_tile)
+        tile_from_cells = np.asarray(np.linalg.inv(cells_from_tile), np.float64)
         parts = []
         for number, layer in enumerate(plan.layers):
             labels = layer[cells]
