@@ -52,10 +52,15 @@ FormatName = Annotated[
 TimeoutS = Annotated[float, Query(description="Maximum wait, s.", alias="timeout", ge=0, le=60, allow_inf_nan=False)]
 
 
+FOR_CACHES = "_"
+"""Name of a query parameter without a meaning."""
+
+
 def refuse_unknown_parameters(request: Request) -> None:
     """Raise InputError if the query has a parameter that the route does not have.
 
-    An ignored parameter would give an answer to another question: `runs?verdict=failed` would list all runs.
+    An ignored parameter would give an answer to another question: `runs?verdict=failed` would list all runs. `_` is
+    ignored everywhere: pages and libraries add it to keep caches from giving an older answer.
     """
     route = request.scope.get("route")
     if not isinstance(route, APIRoute):
@@ -64,7 +69,7 @@ def refuse_unknown_parameters(request: Request) -> None:
     if known is None:
         return
     for name in request.query_params:
-        if name not in known:
+        if name not in known and name != FOR_CACHES:
             offer = f"it has {', '.join(sorted(known))}" if known else "it has none"
             raise InputError(
                 f"query: {name!r} is no parameter of {request.method} {request.url.path}; {offer}.",

@@ -263,10 +263,11 @@ def refuse_its_settings(station: Any) -> None:
 
 
 def wait_for_pictures(page: Page, count: int) -> None:
-    """Wait until every available picture is shown."""
+    """Wait until every picture is shown."""
     expect(page.locator("figure")).to_have_count(count)
-    for image in page.locator("figure:not(.unloadable) img").all():
+    for image in page.locator("figure img").all():
         expect(image).not_to_have_js_property("naturalWidth", 0)
+    expect(page.locator("figure.unloadable")).to_have_count(0)
 
 
 def reach(page: Page, target: str) -> None:

@@ -152,7 +152,7 @@ function picture(run, ref, view) {
   // After a reinstallation run ids may repeat; the start time keeps the browser from using a cached picture.
   const address = new URL(view.url, location.href);
   address.searchParams.set("format", "jpeg");
-  address.searchParams.set("of", run.started);
+  address.searchParams.set("_", run.started);
   image.alt = texts.alt(ref, view);
   const caption = document.createElement("figcaption");
   caption.textContent = texts.caption(view) + texts.whole(Math.floor(view.coverage * 100 + 0.5));

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.geometry import Camera, Lens, Projective, System
+from vaoi_station.hdr.kernels import accumulate, linearise
 from vaoi_station.heights.estimates import measure_heights
 from vaoi_station.marks.subpixel_localisation import locate_mark
 from vaoi_station.model import BoardType, Stitch
@@ -39,6 +40,7 @@ def warm_up() -> Stitch:
     resample(picture, np.eye(2, 3), (_RESAMPLED_PX, _RESAMPLED_PX), 1.0)
     _locate_other_marks(picture)
     _plan_and_blend()
+    _merge()
     lens = setup.cameras[0].lens
     lens.undistort(lens.distort(np.zeros((1, 2))))
     runner = TaskRunner(setup, partial(_frame, picture))
@@ -64,6 +66,16 @@ def _plan_and_blend() -> None:
     pictures = Pictures(pixels.ravel(), place, np.ones(1, np.float32), np.eye(3)[None], limits)
     cells = Cells(np.zeros((2, 2), np.int32), np.ones((2, 2), np.float32))
     blend(pictures, cells, nodes, nodes, 1, 255.0, np.empty_like(pixels))
+
+
+def _merge() -> None:
+    """Call the functions that are compiled for merged pictures, with parts of frames and of flat fields as they are."""
+    one, out = np.ones((1, 1), np.float32), np.ones((4, 4), np.float32)
+    for dtype in (np.uint8, np.uint16):
+        part = np.ones((6, 6), dtype)[1:5, 1:5]
+        for flat in (one, np.ones((6, 6), np.float32)[1:5, 1:5]):
+            linearise(part, one, flat, (1.0, 1.0, 255.0), out)
+    accumulate(out, np.ones((1, 1)), (1.0, 1.0), out.copy(), out.copy())
 
 
 def _setup() -> StitchSetup:
