@@ -119,8 +119,8 @@ def open_archive(path: Path) -> Iterator[Archive]:
         else:
             with tarfile.open(path) as tar:
                 yield _tar(path, tar)
-    except (zipfile.BadZipFile, tarfile.TarError, EOFError, OSError, RuntimeError, NotImplementedError) as error:
-        # RuntimeError: an encrypted zip; NotImplementedError: a compression that zipfile does not have.
+    except (zipfile.BadZipFile, tarfile.TarError, EOFError, OSError, RuntimeError) as error:
+        # zipfile raises RuntimeError for an encrypted member, and a subclass of it for a compression it does not have.
         raise InputError(f"{path}: is no readable folder, zip or tar file: {error}.") from error
 
 
