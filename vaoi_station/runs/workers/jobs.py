@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping, Set
 from dataclasses import dataclass, replace
 from enum import IntEnum
@@ -143,12 +144,12 @@ class PictureJob:
     affinity: int | None = None
 
 
-class FramesJob(PictureJob):
+class FramesJob(PictureJob, ABC):
     """A picture job that reads several frames of one bay."""
 
+    @abstractmethod
     def perform(self, frame: Callable[[int], NDArray[Any]]) -> Any:
         """Return the reply's value. `frame` returns the pixels of a slot, which may change until this returns."""
-        raise NotImplementedError
 
 
 @dataclass(frozen=True)
