@@ -15,12 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.compiled import compiled, inlined
+from vaoi_station.geometry.body_extents import EXTENTS
 from vaoi_station.geometry.transforms import Floats
 
 Ints = NDArray[np.int_]
-_REACHES = (0.4, 0.52, 0.64, 0.76, 0.88, 1.0)
-"""Possible distances from the footprint's centre to an edge of the body, as shares of half the footprint."""
-_REACH_PRIORS = (0.3, 0.6, 1.0, 1.0, 1.0, 1.5)
 _INSIDE, _BELOW, _STRAY = 0.84, 0.08, 0.08
 """Probabilities that a tile inside the extent sees the body's height, a lower place, or anything."""
 _OUTSIDE, _LEAD, _ASTRAY = 0.82, 0.1, 0.08
@@ -29,20 +27,6 @@ _EDGE_PX = 1.0
 """A tile that reaches over an edge by less than this counts as on one side."""
 _ACROSS = 0.5
 """Weight of a tile across an edge of the extent, which sees any height from 0 to that of the body."""
-
-
-def _edges() -> Floats:
-    number = range(len(_REACHES))
-    table = [
-        (_REACHES[i], _REACHES[j], math.sqrt(_REACH_PRIORS[i] * _REACH_PRIORS[j]) * (1.0 if i == j else 0.5))
-        for i in number
-        for j in number
-        if abs(i - j) <= 1
-    ]
-    return np.array(table) / (1.0, 1.0, sum(prior for *_, prior in table))
-
-
-_EDGES = _edges()
 
 
 class Levels(NamedTuple):
@@ -68,7 +52,7 @@ def find_levels(
         size: (2,) width and height of the footprint, px.
         log_prior: (n,) logarithm of the prior probability of each height.
     """
-    t, n, k = likelihood.shape[0], likelihood.shape[1], len(_EDGES)
+    t, n, k = likelihood.shape[0], likelihood.shape[1], len(EXTENTS)
     side, log, inside = np.empty((2, k, t), np.int64), np.empty((n, 3, t)), np.empty((n, t))
     _sort_tiles(tiles, size, side)
     _tile_likelihoods(likelihood, board, heights_mm, log, inside)
@@ -76,7 +60,7 @@ def find_levels(
     for m in range(n):
         for a in range(k):
             for b in range(k):
-                total = math.log(_EDGES[a, 2] * _EDGES[b, 2]) + log_prior[m]
+                total = math.log(EXTENTS[a, 2] * EXTENTS[b, 2]) + log_prior[m]
                 for i in range(t):
                     # A tile is outside if it is outside along one axis, and inside if it is inside along both.
                     total += log[m, min(side[0, a, i], side[1, b, i]), i]
@@ -105,8 +89,8 @@ def _sort_tiles(tiles: Ints, size: Ints, side: Ints) -> None:
     """Write to `side` (2, k, t) whether tiles lie outside (0), across (1) or inside (2) each extent along each axis."""
     for axis in range(2):
         half = size[axis] / 2
-        for e in range(len(_EDGES)):
-            low, high = half - 0.5 - _EDGES[e, 0] * half, half - 0.5 + _EDGES[e, 1] * half
+        for e in range(len(EXTENTS)):
+            low, high = half - 0.5 - EXTENTS[e, 0] * half, half - 0.5 + EXTENTS[e, 1] * half
             for i in range(len(tiles)):
                 first, count = tiles[i, axis], tiles[i, 2 + axis]
                 a, b = first - 0.5 + _EDGE_PX, first + count - 0.5 - _EDGE_PX

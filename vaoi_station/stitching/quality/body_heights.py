@@ -27,16 +27,10 @@ from typing import NamedTuple
 import numpy as np
 
 from vaoi_station.compiled import compiled, inlined
+from vaoi_station.geometry.body_extents import EXTENTS
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.adjustment.observations import Ints
 
-_REACHES = (0.4, 0.52, 0.64, 0.76, 0.88, 1.0)
-"""Possible distances from the centre of the footprint to an edge of the body, as shares of half the footprint.
-
-Typical values: 0.42 for a SOT-23, 0.64 to 0.84 for integrated circuits with leads, 1 for a block that fills its
-footprint."""
-_REACH_PRIORS = (0.3, 0.6, 1.0, 1.0, 1.0, 1.5)
-"""Relative prior probability of each of `_REACHES`."""
 _OUTLIER, _INSIDE, _WIDE, _BELOW = 0.05, 0.84, 0.03, 0.05
 """Prior probabilities for a link: that it is an outlier, and three for links inside the extent of the body.
 
@@ -72,24 +66,6 @@ _SCALE = 0.002
 
 All heights are proportional to the working distance, so they have the same relative error."""
 _PEAK = math.sqrt(2 * math.pi)
-
-
-def _edges() -> Floats:
-    """Return the extents of a body along one axis, (k, 3): reach below the centre, reach above it, prior probability.
-
-    A reach is a share of half the footprint. The two reaches are equal, or differ by one step of `_REACHES`.
-    """
-    number = range(len(_REACHES))
-    table = [
-        (_REACHES[i], _REACHES[j], math.sqrt(_REACH_PRIORS[i] * _REACH_PRIORS[j]) * (1.0 if i == j else 0.5))
-        for i in number
-        for j in number
-        if abs(i - j) <= 1
-    ]
-    return np.array(table) / (1.0, 1.0, sum(prior for *_, prior in table))
-
-
-_EDGES = _edges()
 
 
 class BodyLinks(NamedTuple):
@@ -133,7 +109,7 @@ def body_heights(ends: Ints, links: BodyLinks, half_mm: Floats) -> tuple[Floats,
             continue
         h, pair, shared = links.mm[begin:first], links.pair[begin:first], links.shared_mm[begin:first]
         place, reach = links.place_mm[begin:first], links.reach_mm[begin:first]
-        noise, s, side = np.empty(n), np.empty(n), np.empty((2, len(_EDGES), n), np.int64)
+        noise, s, side = np.empty(n), np.empty(n), np.empty((2, len(EXTENTS), n), np.int64)
         for i in range(n):
             noise[i] = math.hypot(links.sigma_mm[begin + i], _SCATTER_MM)
             s[i] = math.hypot(noise[i], shared[i])
@@ -175,8 +151,8 @@ def _sort_along(place: Floats, reach: Floats, half_mm: Floats, part: int, axis: 
     The result is written to `side` (2, k, n), at the index of the axis: 0 outside, 1 across an edge, 2 inside the
     extent.
     """
-    for e in range(len(_EDGES)):
-        low, high = -_EDGES[e, 0] * half_mm[part, axis], _EDGES[e, 1] * half_mm[part, axis]
+    for e in range(len(EXTENTS)):
+        low, high = -EXTENTS[e, 0] * half_mm[part, axis], EXTENTS[e, 1] * half_mm[part, axis]
         for i in range(len(place)):
             a, b = place[i, axis] - reach[i], place[i, axis] + reach[i]
             side[axis, e, i] = 2 if a >= low and b <= high else 0 if b <= low or a >= high else 1
@@ -222,7 +198,7 @@ def _compare(h: Floats, s: Floats, heights: Floats, side: Ints, probability: Flo
         probability: (m + 1,) output; the last entry belongs to "none of these".
         on_body: (m + 1, n) output; 0 for "none of these".
     """
-    m, n, k = len(on_body) - 1, len(h), len(_EDGES)
+    m, n, k = len(on_body) - 1, len(h), len(EXTENTS)
     log, fit, evidence, best = np.zeros((3, n)), np.zeros(n), np.zeros((k, k)), -np.inf
     scale = np.zeros(m + 1)
     for c in range(m + 1):
@@ -232,7 +208,7 @@ def _compare(h: Floats, s: Floats, heights: Floats, side: Ints, probability: Flo
         highest = -np.inf
         for a in range(k):
             for b in range(k):
-                total = math.log(prior * _EDGES[a, 2] * _EDGES[b, 2])
+                total = math.log(prior * EXTENTS[a, 2] * EXTENTS[b, 2])
                 for i in range(n):
                     # a patch is outside if it is outside along one axis, and inside if it is inside along both
                     total += log[min(side[0, a, i], side[1, b, i]), i]
