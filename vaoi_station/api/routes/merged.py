@@ -9,8 +9,8 @@ from fastapi import APIRouter, Depends, Query, Request, Response
 from pydantic import Field
 
 from vaoi_station.api.encoders import MEDIA_TYPES, ImageFormat, choose_format, raw_from_npy
-from vaoi_station.api.http_caching import IMMUTABLE, conditional_response
-from vaoi_station.api.parameters import FormatName, PxPerMm, RunId
+from vaoi_station.api.http_caching import REVALIDATE, conditional_response
+from vaoi_station.api.parameters import FOR_CACHES, FormatName, PxPerMm, RunId
 from vaoi_station.api.rest_models import Matrix3
 from vaoi_station.api.routes.components import RENDERED_AS
 from vaoi_station.api.routes.frames import PICTURE, Accept
@@ -64,6 +64,20 @@ class MergedList(Strict):
     pictures: list[MergedEntry]
 
 
+def _wanted(
+    component: Component = None,
+    region: Region = None,
+    light: Light = None,
+    px_per_mm: PxPerMm = None,
+    min_coverage: LeastCoverage = 0.02,
+) -> MergeRequest:
+    """Return what the query asks for."""
+    return MergeRequest(component, _corners(region), light, px_per_mm, min_coverage)
+
+
+Wanted = Annotated[MergeRequest, Depends(_wanted)]
+
+
 def router(services: Services) -> APIRouter:
     """Create the routes for merged pictures."""
     routes = APIRouter(prefix="/runs/{run}/merged", tags=["pictures"])
@@ -74,26 +88,21 @@ def router(services: Services) -> APIRouter:
         *,
         request: Request,
         run: RunId,
-        component: Component = None,
-        region: Region = None,
-        light: Light = None,
-        px_per_mm: PxPerMm = None,
-        min_coverage: LeastCoverage = 0.02,
+        wanted: Wanted,
     ) -> Response:
         """List the merged pictures of a component or a region, with their frames and matrices.
 
         Frames of different exposures are merged to linear radiance, in the plane of the component's top.
         """
-        wanted = MergeRequest(component, _corners(region), light, px_per_mm, min_coverage)
         choices = await ask(coordinator.merged.pictures, run, wanted)
-        given = {"component": component, "region": region, "light": light, "px_per_mm": px_per_mm}
-        query = {k: v for k, v in given.items() if v is not None} | {"min_coverage": min_coverage}
+        query = {k: v for k, v in request.query_params.items() if k != FOR_CACHES}
+        query["min_coverage"] = str(wanted.min_coverage)
         entries = [
-            _entry(k, choice, f"{quote(request.url.path)}/image?{urlencode(query | {'k': k})}")
+            _entry(k, choice, f"{quote(request.url.path)}/image?{urlencode(query | {'k': str(k)})}")
             for k, choice in enumerate(choices)
         ]
         body = MergedList(pictures=entries).model_dump_json(exclude_none=True).encode()
-        return conditional_response(request, body, "application/json", cache=IMMUTABLE)
+        return conditional_response(request, body, "application/json", cache=REVALIDATE)
 
     @routes.get(
         "/image",
@@ -105,11 +114,7 @@ def router(services: Services) -> APIRouter:
         *,
         request: Request,
         run: RunId,
-        component: Component = None,
-        region: Region = None,
-        light: Light = None,
-        px_per_mm: PxPerMm = None,
-        min_coverage: LeastCoverage = 0.02,
+        wanted: Wanted,
         k: Index = None,
         sigma: Sigma = False,
         format: FormatName = None,
@@ -122,14 +127,14 @@ def router(services: Services) -> APIRouter:
         recording of the run is kept.
         """
         image_format = choose_format(format, accept)
-        wanted = MergeRequest(component, _corners(region), light, px_per_mm, min_coverage)
 
         def picture() -> tuple[bytes, dict[str, str]]:
             content = coordinator.merged.image(run, wanted, k, RENDERED_AS[image_format], sigma=sigma)
             return raw_from_npy(content) if image_format is ImageFormat.RAW else (content, {})
 
         content, headers = await services.pictures.ask(picture)
-        return conditional_response(request, content, MEDIA_TYPES[image_format], headers=headers)
+        # Other flat fields give other pictures of the same run.
+        return conditional_response(request, content, MEDIA_TYPES[image_format], cache=REVALIDATE, headers=headers)
 
     return routes
 
