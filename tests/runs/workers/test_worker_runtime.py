@@ -166,16 +166,22 @@ def test_a_closed_run_is_forgotten(runtime: WorkerRuntime, ring_board: RingBoard
     assert "KeyError: 'r1'" in error.message
 
 
+def render_jobs(runtime: WorkerRuntime, ring_board: RingBoard, linked: dict[Task, Linked]) -> list[RenderJob]:
+    """Conclude the run; return a job for every view of its first component."""
+    stitch = only(runtime, ring_board.conclusion(linked)).value.without_components
+    board_type, context = ring_board.setup.board_type, ring_board.context
+    assert board_type is not None
+    views = compute_views(board_type.components[0], board_type, stitch, ring_board.setup.cameras)
+    return [
+        RenderJob("r1", 0, context.generation, ring_board.slots[view.camera, view.row], view, "png") for view in views
+    ]
+
+
 def test_a_picture_is_rendered_from_its_slot(
     runtime: WorkerRuntime, ring_board: RingBoard, linked: dict[Task, Linked]
 ) -> None:
-    stitch = only(runtime, ring_board.conclusion(linked)).value.without_components
-    board_type = ring_board.setup.board_type
-    assert board_type is not None
-    view = compute_views(board_type.components[0], board_type, stitch, ring_board.setup.cameras)[0]
-    slot = ring_board.slots[view.camera, view.row]
-    job = RenderJob("r1", 0, ring_board.context.generation, slot, view, "png")
-    assert decoded(only(runtime, job).value).shape[:2] == (view.height, view.width)
+    job = render_jobs(runtime, ring_board, linked)[0]
+    assert decoded(only(runtime, job).value).shape[:2] == (job.view.height, job.view.width)
     stale = dataclasses.replace(job, generation=job.generation + 1)
     assert isinstance(only(runtime, stale).error, GoneError)
 
@@ -183,13 +189,8 @@ def test_a_picture_is_rendered_from_its_slot(
 def test_a_picture_from_a_recording_equals_that_from_the_ring(
     runtime: WorkerRuntime, ring_board: RingBoard, linked: dict[Task, Linked], tmp_path: Path
 ) -> None:
-    stitch = only(runtime, ring_board.conclusion(linked)).value.without_components
-    board_type = ring_board.setup.board_type
-    assert board_type is not None
-    view = compute_views(board_type.components[0], board_type, stitch, ring_board.setup.cameras)[0]
-    slot = ring_board.slots[view.camera, view.row]
-    job = RenderJob("r1", 0, ring_board.context.generation, slot, view, "png")
-    write_image(tmp_path / "frame.tiff", runtime._ring.frame(slot))
+    job = render_jobs(runtime, ring_board, linked)[0]
+    write_image(tmp_path / "frame.tiff", runtime._ring.frame(job.slot))
     kept = dataclasses.replace(job, generation=0, slot=0, file=tmp_path / "frame.tiff")
     assert only(runtime, kept).value == only(runtime, job).value
     (tmp_path / "frame.tiff").unlink()
@@ -199,13 +200,7 @@ def test_a_picture_from_a_recording_equals_that_from_the_ring(
 def test_a_difference_is_made_from_two_slots(
     runtime: WorkerRuntime, ring_board: RingBoard, linked: dict[Task, Linked]
 ) -> None:
-    stitch = only(runtime, ring_board.conclusion(linked)).value.without_components
-    board_type = ring_board.setup.board_type
-    assert board_type is not None
-    views = compute_views(board_type.components[0], board_type, stitch, ring_board.setup.cameras)[:2]
-    a, b = (
-        RenderJob("r1", 0, ring_board.context.generation, ring_board.slots[v.camera, v.row], v, "png") for v in views
-    )
+    a, b = render_jobs(runtime, ring_board, linked)[:2]
     same = dataclasses.replace(a, minus=a)
     assert (decoded(only(runtime, same).value) == 128).all()
     pictures = [decoded(only(runtime, job).value).astype(float) for job in (a, b)]
