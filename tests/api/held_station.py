@@ -21,7 +21,7 @@ from vaoi_station.errors import DeviceError, GoneError, InternalError, NotFoundE
 from vaoi_station.files.results import stitch_text
 from vaoi_station.geometry import Camera, Lens, Projective, System
 from vaoi_station.model import BoardType, FrameRecord, Status, Stitch, Verdict
-from vaoi_station.rendering import ChosenImages, ImageRequest, render_shot
+from vaoi_station.rendering import ChosenImages, ImageRequest, render_chosen
 from vaoi_station.runs.archive.run_statistics import RunFigures
 from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.runs.states.calibration_schemas import CalibrationStatus, CameraCalibration, CameraDrift, CameraMoment
@@ -373,12 +373,12 @@ class HeldStation(StationCoordinator):
         *,
         format: Rendered = "png",
     ) -> bytes:
-        shots = self.images(run, ref, wanted).shots
-        if k >= len(shots):
-            raise NotFoundError(f"{ref} has {len(shots)} images; there is no image {k}.")
-        views = [s.view for s in (shots[k], shots[k].minus) if s is not None]
+        chosen = self.images(run, ref, wanted).chosen
+        if k >= len(chosen):
+            raise NotFoundError(f"{ref} has {len(chosen)} images; there is no image {k}.")
+        views = [s.view for s in (chosen[k], chosen[k].minus) if s is not None]
         pixels = [self.frame(run, view.camera, view.row)[0] for view in views]
-        return encode_image(render_shot(shots[k], *pixels), ImageFormat(format))[0]
+        return encode_image(render_chosen(chosen[k], *pixels), ImageFormat(format))[0]
 
     def events(self, after: int = 0, timeout_s: float = 0.0, limit: int = 1000) -> tuple[EventRecord, ...]:
         until = time.monotonic() + timeout_s

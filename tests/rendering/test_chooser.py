@@ -14,7 +14,7 @@ from vaoi_station.rendering import (
     ViewCalculator,
     choose_images,
     render,
-    render_shot,
+    render_chosen,
 )
 from vaoi_station.rendering.description import describe
 from vaoi_station.rendering.selection import FrameFacts
@@ -34,48 +34,48 @@ def chosen(s: Any, quality: dict[str, Any] | None = None, **options: Any) -> Cho
 
 def test_only_usable_frames_are_taken(make: Any) -> None:
     found = chosen(make(), min_coverage=0.2)
-    assert found.shots
-    assert (0, 0) not in {(s.view.camera, s.view.row) for s in found.shots}
+    assert found.chosen
+    assert (0, 0) not in {(s.view.camera, s.view.row) for s in found.chosen}
     assert (found.height, found.remark) == (None, None)
 
 
 def test_the_top_plane_is_at_the_measured_height_and_its_error_counts(make: Any) -> None:
     s = make()
     found = chosen(s, {"heights_mm": {"U4": 1.5}, "height_sigma_mm": {"U4": 0.3}}, plane="top")
-    assert {(x.view.plane, x.view.height_mm) for x in found.shots} == {("top", 1.5)}
+    assert {(x.view.plane, x.view.height_mm) for x in found.chosen} == {("top", 1.5)}
     assert found.remark is None
-    shot, flat = found.shots[0], [[0.0001, 0.0], [0.0, 0.0001]]
-    covariance = found.covariance_px2(shot, flat)
+    choice, flat = found.chosen[0], [[0.0001, 0.0], [0.0, 0.0001]]
+    covariance = found.covariance_px2(choice, flat)
     assert covariance is not None
     extra = np.trace(covariance) - 0.0002
-    assert extra == pytest.approx(0.09 * (shot.view.lift_px**2).sum())
-    assert found.covariance_px2(shot, None) is None
+    assert extra == pytest.approx(0.09 * (choice.view.lift_px**2).sum())
+    assert found.covariance_px2(choice, None) is None
 
 
 def test_a_part_without_a_height_is_answered_in_the_plane_of_the_board(make: Any) -> None:
     found = chosen(make(), plane="top")
-    assert {(x.view.plane, x.view.height_mm) for x in found.shots} == {("board", 0.0)}
+    assert {(x.view.plane, x.view.height_mm) for x in found.chosen} == {("board", 0.0)}
     assert "U4 has no height" in (found.remark or "")
 
 
 def test_a_difference_is_rendered_with_equal_exposures(make: Any) -> None:
     s = make()
-    shot = next(x for x in chosen(s, light="left", minus="right").shots if x.view.coverage == 1)
-    assert shot.minus is not None
+    choice = next(x for x in chosen(s, light="left", minus="right").chosen if x.view.coverage == 1)
+    assert choice.minus is not None
     scene = np.full((180, 240), 30.0)
-    frame, other = (np.asarray(scene * x.facts.exposure_us / 100, np.uint8) for x in (shot, shot.minus))
-    assert (render_shot(shot, frame, other) == 128).all()
-    assert (render_shot(shot, frame) == render(shot.view, frame)).all()
+    frame, other = (np.asarray(scene * x.facts.exposure_us / 100, np.uint8) for x in (choice, choice.minus))
+    assert (render_chosen(choice, frame, other) == 128).all()
+    assert (render_chosen(choice, frame) == render(choice.view, frame)).all()
 
 
 def test_a_description_has_what_is_known(make: Any) -> None:
-    shot = chosen(make(), light="left", minus="right").shots[0]
-    known = describe(shot, np.diag([0.0004, 0.0001]))
+    choice = chosen(make(), light="left", minus="right").chosen[0]
+    known = describe(choice, np.diag([0.0004, 0.0001]))
     assert known["sigma_px"] == pytest.approx(0.02)
-    assert known["sigma_mm"] == pytest.approx(0.02 / shot.view.frame_px_per_mm)
-    assert (known["light"], known["exposure_us"], known["time_s"]) == shot.facts[2:3] + shot.facts[0:1] + shot.facts[
-        3:4
-    ]
-    assert known["minus"] == (shot.minus.view.camera, shot.minus.view.row) if shot.minus else None
+    assert known["sigma_mm"] == pytest.approx(0.02 / choice.view.frame_px_per_mm)
+    assert (known["light"], known["exposure_us"], known["time_s"]) == choice.facts[2:3] + choice.facts[
+        0:1
+    ] + choice.facts[3:4]
+    assert known["minus"] == (choice.minus.view.camera, choice.minus.view.row) if choice.minus else None
     assert (known["sharpness_per_mm"], known["saturated"]) == (None, None)
-    assert describe(shot, None)["sigma_mm"] is None
+    assert describe(choice, None)["sigma_mm"] is None

@@ -12,7 +12,7 @@ from vaoi_station.errors import InputError, StateError
 from vaoi_station.rendering import View, compute_views
 from vaoi_station.rendering.measures import Measures
 from vaoi_station.rendering.request import ImageOptions, ImageRequest
-from vaoi_station.rendering.selection import FrameFacts, Shot, select
+from vaoi_station.rendering.selection import ChosenView, FrameFacts, select
 
 LIGHTS = ("even", "left", "right", "left")
 
@@ -30,7 +30,9 @@ def facts() -> dict[tuple[int, int], FrameFacts]:
     return {(i, j): FrameFacts(100.0 * (j + 1), 1.0 + i, LIGHTS[j], 0.1 * j) for i in range(2) for j in range(4)}
 
 
-def chosen(views: tuple[View, ...], by: Callable[[View], Measures | None] | None = None, **options: Any) -> list[Shot]:
+def chosen(
+    views: tuple[View, ...], by: Callable[[View], Measures | None] | None = None, **options: Any
+) -> list[ChosenView]:
     def unexpected(_: View) -> Measures | None:
         raise AssertionError("measured without need")
 
@@ -120,10 +122,10 @@ def test_measures_are_given_on_request(views: tuple[View, ...]) -> None:
 def test_a_difference_takes_the_other_light_from_the_nearest_direction(views: tuple[View, ...]) -> None:
     found = chosen(views, light="left", minus="right")
     assert found
-    for shot in found:
-        assert shot.minus is not None
-        assert shot.minus.facts.light == "right"
-        assert shot.minus.view.camera == shot.view.camera, "the same camera sees it most nearly from the same side"
-        expected = 100.0 * (shot.view.row + 1) / 300.0
-        assert shot.ratio == pytest.approx(expected)
+    for choice in found:
+        assert choice.minus is not None
+        assert choice.minus.facts.light == "right"
+        assert choice.minus.view.camera == choice.view.camera, "the same camera sees it most nearly from the same side"
+        expected = 100.0 * (choice.view.row + 1) / 300.0
+        assert choice.ratio == pytest.approx(expected)
     assert chosen(tuple(v for v in views if v.row != 2), light="left", minus="right") == []

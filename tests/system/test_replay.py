@@ -165,7 +165,7 @@ def test_frames_and_pictures_of_a_run(
     seen: Any = [c for c in coordinator.components(run.id) if c.views]
     assert seen
     address = seen[0].address
-    views = [shot.view for shot in coordinator.images(run.id, address).shots]
+    views = [choice.view for choice in coordinator.images(run.id, address).chosen]
     png = coordinator.image(run.id, address, 0)
     picture = decoded(png)
     assert picture.shape == (views[0].height, views[0].width)

@@ -21,16 +21,16 @@ from vaoi_station.library.component_images import FIELDS, ComponentImage, Compon
 from vaoi_station.model import BoardType, Component, Status, Stitch
 from vaoi_station.rendering import (
     ChosenImages,
+    ChosenView,
     FrameFacts,
     ImageOptions,
     ImageRequest,
     Measures,
-    Shot,
     View,
     ViewCalculator,
     choose_images,
     measure,
-    render_shot,
+    render_chosen,
 )
 from vaoi_station.rendering.description import describe
 
@@ -119,8 +119,8 @@ class StitchedRun:
         height, sigma = component_height(self.result, ref)
         # Images are matched by frame; a centre outside its frame has an image but no covariance.
         images = tuple(
-            self._image(shot, chosen.covariance_px2(shot, covariances.get((shot.view.camera, shot.view.row))))
-            for shot in chosen.shots
+            self._image(choice, chosen.covariance_px2(choice, covariances.get((choice.view.camera, choice.view.row))))
+            for choice in chosen.chosen
         )
         return ComponentImages(ref, images, height, sigma, self.status, chosen.remark)
 
@@ -180,16 +180,16 @@ class StitchedRun:
         assert frame is not None  # views of missing frames are left out
         return frame
 
-    def load(self, shot: Shot) -> NDArray[Any]:
+    def load(self, choice: ChosenView) -> NDArray[Any]:
         """Read the frames of a chosen image, and render it."""
-        other = None if shot.minus is None else self._frame(shot.minus.view)
-        return render_shot(shot, self._frame(shot.view), other)
+        other = None if choice.minus is None else self._frame(choice.minus.view)
+        return render_chosen(choice, self._frame(choice.view), other)
 
-    def _image(self, shot: Shot, covariance: Floats | None) -> ComponentImage:
-        known = describe(shot, covariance)
+    def _image(self, choice: ChosenView, covariance: Floats | None) -> ComponentImage:
+        known = describe(choice, covariance)
         fields: dict[str, Any] = {name: known[name] for name in FIELDS}
-        fields |= {"crop_from_cad": shot.view.crop_matrix, "image_from_crop": shot.view.matrix}
-        return ComponentImage(**fields, covariance_px2=covariance, _load=lambda: self.load(shot))
+        fields |= {"crop_from_cad": choice.view.crop_matrix, "image_from_crop": choice.view.matrix}
+        return ComponentImage(**fields, covariance_px2=covariance, _load=lambda: self.load(choice))
 
 
 def check_frame_index(camera: int, row: int, cameras: int, rows: int, name: str | Path) -> None:

@@ -14,7 +14,7 @@ from vaoi_station.model import BoardType, Component, Stitch
 from vaoi_station.rendering.body_height import BodyHeight, body_height, plane_remark
 from vaoi_station.rendering.difference import subtract
 from vaoi_station.rendering.request import ImageRequest
-from vaoi_station.rendering.selection import FrameFacts, Measure, Shot, select
+from vaoi_station.rendering.selection import ChosenView, FrameFacts, Measure, select
 from vaoi_station.rendering.temporary import render
 from vaoi_station.rendering.views import ViewCalculator
 
@@ -24,19 +24,19 @@ class ChosenImages:
     """The temporary images of one component that a request asks for."""
 
     part: Component
-    shots: tuple[Shot, ...]
+    chosen: tuple[ChosenView, ...]
     height: BodyHeight | None
     """Height of the plane in which the images are right; None for the board's plane."""
     remark: str | None
     """Why the images lie in another plane than requested; None if they do not."""
 
-    def covariance_px2(self, shot: Shot, of_centre: Any) -> Floats | None:
+    def covariance_px2(self, choice: ChosenView, of_centre: Any) -> Floats | None:
         """Return the covariance (2, 2) of the component's place in a frame, px²; None if it is not known.
 
         `of_centre` is the covariance (2, 2) of its centre on the board's surface, from the result, or None.
         """
         flat = None if of_centre is None else np.array(of_centre, dtype=np.float64)
-        return shot.view.covariance_px2(flat, (self.height.sigma_mm or 0.0) if self.height else 0.0)
+        return choice.view.covariance_px2(flat, (self.height.sigma_mm or 0.0) if self.height else 0.0)
 
 
 def choose_images(
@@ -73,13 +73,13 @@ def choose_images(
         height_mm=None if height is None else height.mm,
     )
     usable, facts = frames
-    shots = select([v for v in views if (v.camera, v.row) in usable], facts, wanted, measure)
-    return ChosenImages(part, shots, height, remark)
+    chosen = select([v for v in views if (v.camera, v.row) in usable], facts, wanted, measure)
+    return ChosenImages(part, chosen, height, remark)
 
 
-def render_shot(shot: Shot, frame: NDArray[Any], other: NDArray[Any] | None = None) -> NDArray[Any]:
+def render_chosen(choice: ChosenView, frame: NDArray[Any], other: NDArray[Any] | None = None) -> NDArray[Any]:
     """Render one temporary image. `other` is the frame of the image that is subtracted, if there is one."""
-    image = render(shot.view, frame)
-    if shot.minus is None or other is None:
+    image = render(choice.view, frame)
+    if choice.minus is None or other is None:
         return image
-    return subtract(image, render(shot.minus.view, other), shot.ratio)
+    return subtract(image, render(choice.minus.view, other), choice.ratio)

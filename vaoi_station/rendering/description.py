@@ -6,17 +6,17 @@ from typing import Any
 
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.rendering.measures import Measures
-from vaoi_station.rendering.selection import Shot
+from vaoi_station.rendering.selection import ChosenView
 from vaoi_station.rendering.view import sigma_px
 
 
-def describe(shot: Shot, covariance_px2: Floats | None) -> dict[str, Any]:
+def describe(choice: ChosenView, covariance_px2: Floats | None) -> dict[str, Any]:
     """Return the figures and matrices of one temporary image; docs/rest.md defines each.
 
     `covariance_px2` (2, 2) is that of the component's place in the frame, px²; None if it is not known. Figures that
     are not known are None.
     """
-    view, facts, measures = shot.view, shot.facts, shot.measures or Measures(None, None)
+    view, facts, measures = choice.view, choice.facts, choice.measures or Measures(None, None)
     sigma = sigma_px(covariance_px2)
     return {
         "camera": view.camera,
@@ -42,6 +42,6 @@ def describe(shot: Shot, covariance_px2: Floats | None) -> dict[str, Any]:
         "image_from_crop": view.image_from_crop.matrix.tolist(),
         "plane": view.plane,
         "height_mm": view.height_mm,
-        "minus": None if shot.minus is None else (shot.minus.view.camera, shot.minus.view.row),
+        "minus": None if choice.minus is None else (choice.minus.view.camera, choice.minus.view.row),
         "distorted": view.distorted,
     }

@@ -40,14 +40,14 @@ class FrameFacts(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Shot:
+class ChosenView:
     """One temporary image that was chosen: its view, how its frame was taken, and what was measured."""
 
     view: View
     facts: FrameFacts
     measures: Measures | None = None
     """None if nothing was measured."""
-    minus: Shot | None = None
+    minus: ChosenView | None = None
     """The image that is subtracted from this one; None for a plain image."""
 
     @property
@@ -58,7 +58,7 @@ class Shot:
 
 def select(
     views: Iterable[View], facts: Mapping[tuple[int, int], FrameFacts], wanted: ImageRequest, measure: Measure
-) -> tuple[Shot, ...]:
+) -> tuple[ChosenView, ...]:
     """Choose and order the views of one component.
 
     Args:
@@ -74,7 +74,7 @@ def select(
     bounds, choice = wanted.bounds, wanted.choice
     for key, light in (("light", choice.light), ("minus", choice.minus)):
         _require_light(key, light, facts.values())
-    every = [Shot(view, facts.get((view.camera, view.row), FrameFacts())) for view in views]
+    every = [ChosenView(view, facts.get((view.camera, view.row), FrameFacts())) for view in views]
     found = [s for s in every if choice.light is None or s.facts.light == choice.light]
     if choice.seen_from is not None or bounds.min_angle_deg > 0 or bounds.max_angle_deg < 90:
         _require_directions(s.view for s in found)
@@ -82,7 +82,7 @@ def select(
     found = [s for s in found if _is_exposed(s.facts, bounds)]
     if choice.minus is not None:
         others = [s for s in every if s.facts.light == choice.minus]
-        found = [Shot(s.view, s.facts, minus=_nearest(s, others)) for s in found] if others else []
+        found = [ChosenView(s.view, s.facts, minus=_nearest(s, others)) for s in found] if others else []
     if wanted.needs_pixels:
         found = _measured(found, measure)
         found = [s for s in found if _is_good(s.measures, bounds)]
@@ -92,8 +92,8 @@ def select(
     return tuple(_measured(found, measure) if choice.measure and not wanted.needs_pixels else found)
 
 
-def _measured(shots: Iterable[Shot], measure: Measure) -> list[Shot]:
-    return [Shot(s.view, s.facts, measure(s.view), s.minus) for s in shots]
+def _measured(chosen: Iterable[ChosenView], measure: Measure) -> list[ChosenView]:
+    return [ChosenView(s.view, s.facts, measure(s.view), s.minus) for s in chosen]
 
 
 def _require_light(key: str, light: str | None, facts: Iterable[FrameFacts]) -> None:
@@ -147,15 +147,15 @@ def _is_good(measures: Measures | None, bounds: Bounds) -> bool:
     return bounds.max_saturated is None or (saturated is not None and saturated <= bounds.max_saturated)
 
 
-def _sharpness_rank(shot: Shot) -> tuple[float, float, float]:
-    measures = shot.measures or Measures(None, None)
+def _sharpness_rank(choice: ChosenView) -> tuple[float, float, float]:
+    measures = choice.measures or Measures(None, None)
     saturated = 1.0 if measures.saturated is None else measures.saturated
-    return -round(shot.view.coverage / 0.05), round(saturated / 0.01), -(measures.sharpness_per_mm or 0.0)
+    return -round(choice.view.coverage / 0.05), round(saturated / 0.01), -(measures.sharpness_per_mm or 0.0)
 
 
-def _nearest(shot: Shot, others: list[Shot]) -> Shot:
-    """Return the shot that sees the component most nearly from the same direction; the best one if none is known."""
-    sight = _unit(shot.view)
+def _nearest(choice: ChosenView, others: list[ChosenView]) -> ChosenView:
+    """Return the one that sees the component most nearly from the same direction; the best one if none is known."""
+    sight = _unit(choice.view)
     return max(others, key=lambda o: float(np.nan_to_num(sight @ _unit(o.view))))
 
 

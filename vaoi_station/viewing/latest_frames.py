@@ -78,10 +78,10 @@ class LatestFrames:
         # Listed frames are kept a little longer: the page fetches their pictures after it has received the list.
         with self._change:
             out = [self._latest[n] for n in sorted(self._latest)]
-            for shot in out:
-                kept = self._listed[shot.camera]
-                if shot not in kept:
-                    kept.append(shot)
+            for listed in out:
+                kept = self._listed[listed.camera]
+                if listed not in kept:
+                    kept.append(listed)
                     del kept[:-_KEPT]
             return out
 

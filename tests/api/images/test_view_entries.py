@@ -44,14 +44,14 @@ def test_the_query_repeats_what_differs_from_the_defaults(options: Any, expected
 def test_an_entry_describes_its_view_and_frame(station: HeldStation) -> None:
     station.lights = ("left", "right")
     run = station.film()
-    shot = station.images(run, "U1").shots[0]
+    choice = station.images(run, "U1").chosen[0]
     covariance = np.diag([0.01, 0.04])
-    entry = view_entry(7, shot, "/address", covariance)
-    assert (entry.k, entry.camera, entry.row, entry.url) == (7, shot.view.camera, shot.view.row, "/address")
-    assert (entry.width_px, entry.height_px) == (shot.view.width, shot.view.height)
+    entry = view_entry(7, choice, "/address", covariance)
+    assert (entry.k, entry.camera, entry.row, entry.url) == (7, choice.view.camera, choice.view.row, "/address")
+    assert (entry.width_px, entry.height_px) == (choice.view.width, choice.view.height)
     assert entry.covariance_px2 == ((0.01, 0.0), (0.0, 0.04))
     assert entry.sigma_px == pytest.approx(0.2)
     assert entry.sigma_mm == pytest.approx(0.2 / 8)
     np.testing.assert_allclose(np.array(entry.crop_from_cad) @ entry.cad_from_crop, np.eye(3), atol=1e-9)
-    assert (entry.light, entry.exposure_us, entry.gain) == (shot.facts.light, 100.0 * (entry.row + 1), 2.0)
+    assert (entry.light, entry.exposure_us, entry.gain) == (choice.facts.light, 100.0 * (entry.row + 1), 2.0)
     assert (entry.sharpness_per_mm, entry.minus, entry.plane) == (None, None, "board")

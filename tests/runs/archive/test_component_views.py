@@ -28,7 +28,7 @@ def unmeasured(_: View) -> Measures | None:
 
 def views_of(finished: FinishedRun, **options: Any) -> list[View]:
     wanted = ImageRequest.of(options)  # type: ignore[arg-type]  # keywords of a test
-    return [s.view for s in component_views.images_of_component(finished, "U1", wanted, unmeasured).shots]
+    return [s.view for s in component_views.images_of_component(finished, "U1", wanted, unmeasured).chosen]
 
 
 def test_positions_are_those_of_the_cad_mapping_and_views_are_counted(rig: Any) -> None:

@@ -82,7 +82,7 @@ def test_pictures_of_a_run_that_left_the_memory_come_from_its_recording(rig: Any
     run = rig.result_of(grant.run)
     expected = pixels(rig, run, 1, 2)
     wait_event(rig, run.id, "recording")
-    view = rig.coordinator.images(run.id, "U1").shots[0].view
+    view = rig.coordinator.images(run.id, "U1").chosen[0].view
     rig.coordinator.release(run.id)
     assert rig.coordinator.run(run.id).frames_available is False
     found, record = rig.coordinator.frame(run.id, 1, 2)

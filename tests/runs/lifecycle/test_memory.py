@@ -172,7 +172,7 @@ def test_pictures_are_rendered_under_a_lease(rig: Any) -> None:
     [component] = rig.coordinator.components(grant.run)
     assert component.address == "U1"
     assert component.tester_mm == (10.0, 20.0)
-    views = [shot.view for shot in rig.coordinator.images(grant.run, "U1").shots]
+    views = [choice.view for choice in rig.coordinator.images(grant.run, "U1").chosen]
     assert views
     assert rig.coordinator.image(grant.run, "U1", 0, format="jpeg") == b"picture"
     [job] = [job for job in rig.workers.done if isinstance(job, RenderJob)]

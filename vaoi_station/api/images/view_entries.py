@@ -9,7 +9,7 @@ from vaoi_station.api.rest_models import ViewEntry
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.rendering.description import describe
 from vaoi_station.rendering.request import ImageRequest
-from vaoi_station.rendering.selection import Shot
+from vaoi_station.rendering.selection import ChosenView
 
 Covariance = tuple[tuple[float, float], tuple[float, float]]
 
@@ -20,12 +20,12 @@ def covariances(quality: dict[str, Any], address: str) -> dict[tuple[int, int], 
     return {(camera, row): ((xx, xy), (xy, yy)) for camera, row, xx, xy, yy in views}
 
 
-def view_entry(k: int, shot: Shot, url: str, covariance_px2: Floats | None) -> ViewEntry:
+def view_entry(k: int, choice: ChosenView, url: str, covariance_px2: Floats | None) -> ViewEntry:
     """Build the response model for image k.
 
     `covariance_px2` is that of the component's place in the frame. `url` is the address of the image.
     """
-    return ViewEntry(k=k, url=url, **describe(shot, covariance_px2))
+    return ViewEntry(k=k, url=url, **describe(choice, covariance_px2))
 
 
 def picture_query(wanted: ImageRequest) -> str:

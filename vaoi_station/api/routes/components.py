@@ -87,15 +87,15 @@ def router(services: Services) -> APIRouter:
         found = await (services.pictures.ask if reads else ask)(lambda: coordinator.images(run, ref, wanted))
         address = quote(request.url.path)
         query = picture_query(wanted)
-        certain = covariances((await ask(coordinator.stitch, run)).quality, ref) if found.shots else {}
+        certain = covariances((await ask(coordinator.stitch, run)).quality, ref) if found.chosen else {}
         entries = [
             view_entry(
                 k,
-                shot,
+                choice,
                 f"{address}/images/{k}{query}",
-                found.covariance_px2(shot, certain.get((shot.view.camera, shot.view.row))),
+                found.covariance_px2(choice, certain.get((choice.view.camera, choice.view.row))),
             )
-            for k, shot in enumerate(found.shots)
+            for k, choice in enumerate(found.chosen)
         ]
         resolution = entries[0].px_per_mm if entries else None
         return await answer(

@@ -72,12 +72,12 @@ def write_images(run: StitchedRun, address: str, wanted: ImageRequest, out: Path
     chosen, covariances = run.choose(address, wanted), component_covariances(run.result, address)
     # On a panel the address is panel/ref. In a file name the slash would create a directory.
     stem, listing = address.replace("/", "_"), []
-    for k, shot in enumerate(chosen.shots):
-        camera, row = shot.view.camera, shot.view.row
+    for k, choice in enumerate(chosen.chosen):
+        camera, row = choice.view.camera, choice.view.row
         name = f"{stem}_{k:02d}_c{camera:02d}_r{row:03d}.png"
-        write_image(out / name, run.load(shot))
-        known = describe(shot, chosen.covariance_px2(shot, covariances.get((camera, row))))
-        pixels = "undistorted pixels" if shot.view.distorted else "raw pixels"
+        write_image(out / name, run.load(choice))
+        known = describe(choice, chosen.covariance_px2(choice, covariances.get((camera, row))))
+        pixels = "undistorted pixels" if choice.view.distorted else "raw pixels"
         # Figures that are not known are left out, as in replies of the station.
         listing.append(
             {"file": name, **{k: v for k, v in known.items() if v is not None}, "image_from_crop_is": pixels}

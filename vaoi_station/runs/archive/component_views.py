@@ -9,7 +9,7 @@ import numpy as np
 
 from vaoi_station.errors import NotFoundError, StateError
 from vaoi_station.model import BoardType, Component, FrameRecord, Verdict
-from vaoi_station.rendering import ChosenImages, FrameFacts, ImageRequest, Shot, ViewCalculator, choose_images
+from vaoi_station.rendering import ChosenImages, ChosenView, FrameFacts, ImageRequest, ViewCalculator, choose_images
 from vaoi_station.rendering.selection import Measure
 from vaoi_station.runs.archive.finished_runs import FinishedRun
 from vaoi_station.runs.states.schemas import ComponentSummary
@@ -60,16 +60,17 @@ def images_of_component(finished: FinishedRun, ref: str, wanted: ImageRequest, m
     return choose_images(calculator, part, (finished.board_type, stitch), frames, wanted.check(), measure)
 
 
-def image_of_component(finished: FinishedRun, ref: str, k: int, wanted: ImageRequest, measure: Measure) -> Shot:
+def image_of_component(finished: FinishedRun, ref: str, k: int, wanted: ImageRequest, measure: Measure) -> ChosenView:
     """Return image k of a component. Raise NotFoundError, with the number of images, if there is no image k."""
-    shots = images_of_component(finished, ref, wanted.unmeasured(), measure).shots
-    if not 0 <= k < len(shots):
+    chosen = images_of_component(finished, ref, wanted.unmeasured(), measure).chosen
+    if not 0 <= k < len(chosen):
         raise NotFoundError(
-            f"Component {ref!r} of run {finished.detail.id} has {len(shots)} images, numbered from 0; there is no {k}.",
+            f"Component {ref!r} of run {finished.detail.id} has {len(chosen)} images, "
+            f"numbered from 0; there is no {k}.",
             action="Request an image of the component's list, or ask for less: lower min_coverage, other bounds.",
             code="no-such-image",
         )
-    return shots[k]
+    return chosen[k]
 
 
 def frame_facts(finished: FinishedRun) -> dict[tuple[int, int], FrameFacts]:

@@ -22,7 +22,7 @@ from vaoi_station.config import StationConfig
 from vaoi_station.errors import DeviceError, GoneError, NotFoundError, StateError
 from vaoi_station.files.images import read_kept_image
 from vaoi_station.model import FrameRecord
-from vaoi_station.rendering import ChosenImages, ImageRequest, Measures, Shot, View, measure
+from vaoi_station.rendering import ChosenImages, ChosenView, ImageRequest, Measures, View, measure
 from vaoi_station.runs.archive import component_views
 from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.control.active_runs import Workers
@@ -130,18 +130,18 @@ class FrameAccess:
         finished = self._archive.get(detail.id)
         name = f"{wanted.ref}/{wanted.k}"
         measure = self._measured_by(detail)
-        shot = component_views.image_of_component(finished, wanted.ref, wanted.k, wanted.images, measure)
+        choice = component_views.image_of_component(finished, wanted.ref, wanted.k, wanted.images, measure)
         try:
             with self.lease(detail.id, f"image {name}") as bay:
-                picture: bytes = self._requests.render(_job(detail, shot, format, bay), name)
+                picture: bytes = self._requests.render(_job(detail, choice, format, bay), name)
                 return picture
         except GoneError:
             # A difference needs both of its frames.
-            needed = [s.view for s in (shot, shot.minus) if s is not None]
+            needed = [s.view for s in (choice, choice.minus) if s is not None]
             files = [self.recorded(detail.id, view.camera, view.row) for view in needed]
             if None in files:
                 raise
-        recorded: bytes = self._requests.render(_job(detail, shot, format, None, files), name)
+        recorded: bytes = self._requests.render(_job(detail, choice, format, None, files), name)
         return recorded
 
     def images(self, detail: RunDetail, ref: str, wanted: ImageRequest) -> ChosenImages:
@@ -214,16 +214,16 @@ class FrameAccess:
 
 
 def _job(
-    detail: RunDetail, shot: Shot, format: ImageFormat, bay: Bay | None, files: Sequence[Path | None] = ()
+    detail: RunDetail, choice: ChosenView, format: ImageFormat, bay: Bay | None, files: Sequence[Path | None] = ()
 ) -> RenderJob:
     """Make the job that renders an image from frames in a bay of the ring, or from files of its frames."""
-    record = frame_record(detail, shot.view.camera, shot.view.row)
+    record = frame_record(detail, choice.view.camera, choice.view.row)
     assert record.slot is not None, "views are of whole frames"
     number, generation = (0, 0) if bay is None else (bay.number, bay.generation)
-    minus = None if shot.minus is None else _job(detail, shot.minus, format, bay, files[1:])
+    minus = None if choice.minus is None else _job(detail, choice.minus, format, bay, files[1:])
     file = files[0] if files else None
     return RenderJob(
-        detail.id, number, generation, record.slot, shot.view, format, file=file, minus=minus, ratio=shot.ratio
+        detail.id, number, generation, record.slot, choice.view, format, file=file, minus=minus, ratio=choice.ratio
     )
 
 
