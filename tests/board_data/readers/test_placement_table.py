@@ -65,6 +65,12 @@ def test_what_was_recognised_is_said() -> None:
     assert any("no column states the side" in note for note in read(EAGLE, units="mm").notes)
 
 
+def test_parts_without_a_place_are_left_out_and_named() -> None:
+    design = read("ref,x (mm),y (mm)\nR1,1,2\nR2,,\n")
+    assert [part.ref for part in design.parts] == ["R1"]
+    assert "1 parts without x and y were left out: R2." in design.notes
+
+
 def test_the_centre_is_preferred_to_the_reference_point() -> None:
     text = "Designator,Ref X(mm),Ref Y(mm),Mid X(mm),Mid Y(mm)\nU1,1,2,3,4\nU2,5,6,7,8\n"
     assert read(text).parts[0].origin == (3, 4)
@@ -87,6 +93,7 @@ def test_units_of_the_values_and_of_a_usual_board() -> None:
     ("text", "message"),
     [
         ("ref,x,y\nR1,ten,10\n", "b.csv, line 2: x is 'ten', but must be a number"),
+        ("ref,x,y\nR1,,10\n", "b.csv, line 2: x is '', but must be a number"),
         ("ref,x,y,side\nR1,1,10,left\n", "b.csv, line 2: side is 'left', but must be top or bottom"),
         ("a,b,c\n1,2,3\n", "has no header with columns ref, x, y"),
         ("", "has no header"),

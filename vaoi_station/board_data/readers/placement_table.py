@@ -133,15 +133,21 @@ def read_placement_table(data: bytes, path: Path, options: TableOptions) -> Desi
     if delimiter == " ":
         rows = [layout.aligned(row) for row in rows]
     unit, stated = _unit(lines, rows, layout, path, options)
-    parts = []
+    parts, unplaced = [], []
     for n in range(layout.first, len(rows)):
-        if _is_part(rows[n], layout):
+        if not _is_part(rows[n], layout):
+            continue
+        if not any(rows[n][layout.columns[name]] for name in ("x", "y")):
+            unplaced.append(rows[n][layout.columns["ref"]])
+        else:
             parts.append(_part(rows[n], layout, unit, f"{path}, line {n + 1}"))
     if not parts:
         raise InputError(f"{path}: no line has a part with {', '.join(_REQUIRED)}. Name the columns by --columns.")
     shown = ", ".join(f"{name}: column {index + 1}" for name, index in layout.columns.items())
     named = {",": "comma", ";": "semicolon", "\t": "tab", " ": "spaces", "|": "bar"}.get(delimiter, delimiter)
     notes = [f"delimiter {named}; {shown}; unit {unit} ({stated}). Correct it by --columns, --delimiter or --units."]
+    if unplaced:
+        notes.append(f"{len(unplaced)} parts without x and y were left out: {', '.join(unplaced[:8])}.")
     if "side" not in layout.columns and not any("m" in row for row in rows[layout.first :]):
         notes.append("no column states the side; all parts are taken as those of the top.")
     if "rotation" not in layout.columns:
@@ -323,7 +329,8 @@ def _part(row: list[str], layout: _Layout, unit: str, where: str) -> Part:
     if flipped:
         row = [*row[:4], *row[5:]]
     cell = {name: row[at] if at < len(row) else "" for name, at in layout.columns.items()}
-    x, y, turn = (_required_number(cell.get(name) or "0", name, where) for name in ("x", "y", "rotation"))
+    x, y = (_required_number(cell[name], name, where) for name in ("x", "y"))
+    turn = _required_number(cell.get("rotation") or "0", "rotation", where)
     side: Side | None = "bottom" if flipped else "top"
     if cell.get("side"):
         side = _SIDES.get(_key(cell["side"]))
