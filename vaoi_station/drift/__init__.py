@@ -1,1 +1,1 @@
-"""Detect cameras that have moved since their calibration, from the runs of boards, and propose corrected N_i."""
+"""Detect moved cameras and dim lights from the runs of boards since the calibration, and propose corrected N_i."""

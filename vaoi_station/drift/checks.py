@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 
 from vaoi_station.drift.estimate import DisplacementEstimate
 from vaoi_station.geometry.displacement import PARAMETERS
@@ -49,6 +51,36 @@ class CameraCheck(Strict):
         return self.links >= _SEEN or self.fiducials > 0
 
 
+class LampBaseline(Strict):
+    """The brightness of the first boards of a type in one camera under one light, at one exposure."""
+
+    brightness: Annotated[float, Field(gt=0)]
+    """Median of grey level / (exposure · gain)."""
+    scatter: float
+    """Largest deviation of the logarithm of a run's brightness from that of the median."""
+    grey: float
+    """Median grey level."""
+    points: float
+    """Median number of samples."""
+
+
+class LampCheck(Strict):
+    """How bright a run shows the board in one camera under one light, at one exposure."""
+
+    camera: int
+    light: str
+    """Name of the light; an empty text if the lights have no names."""
+    exposure: Annotated[float, Field(gt=0)]
+    """Exposure time in µs, times gain."""
+    grey: float
+    """Robust mean of the board's grey levels, 0 … 255. Divided by `exposure` it is the brightness."""
+    points: int
+    """Number of samples."""
+    baseline: LampBaseline | None = None
+    """What the brightness is compared with; None for the first runs of a board type. It is stored with every run, so
+    that it stays the same when the first runs are deleted."""
+
+
 class RunCheck(Strict):
     """The stored drift check of one run: the state of every camera, and the normal equations of the displacements.
 
@@ -65,6 +97,8 @@ class RunCheck(Strict):
     information: tuple[float, ...]
     """Lower triangle of the symmetric information matrix, row by row, px⁻²."""
     vector: tuple[float, ...]
+    lamps: tuple[LampCheck, ...] = ()
+    """Brightness of the board per camera, light and exposure; empty in checks of older versions and of recordings."""
 
     def normal_equations(self) -> tuple[Floats, Floats]:
         """Return the information matrix (3n, 3n) and the vector (3n,) of n cameras."""
@@ -74,8 +108,10 @@ class RunCheck(Strict):
         return matrix + np.tril(matrix, -1).T, np.array(self.vector)
 
 
-def make_run_check(run: str, time: str, board_type: str, estimate: DisplacementEstimate) -> RunCheck:
-    """Make the stored check of a run from the estimate of its cameras' displacements."""
+def make_run_check(
+    run: str, time: str, board_type: str, estimate: DisplacementEstimate, lamps: tuple[LampCheck, ...] = ()
+) -> RunCheck:
+    """Make the stored check of a run from the estimate of its cameras' displacements, and the brightness."""
     found = attribute_motion(estimate.information, estimate.vector)
     return RunCheck(
         run=run,
@@ -85,6 +121,7 @@ def make_run_check(run: str, time: str, board_type: str, estimate: DisplacementE
         rivals=found.rivals,
         information=_short(estimate.information[np.tril_indices(len(estimate.vector))]),
         vector=_short(estimate.vector),
+        lamps=lamps,
     )
 
 

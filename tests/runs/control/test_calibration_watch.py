@@ -7,11 +7,14 @@ from typing import Any
 
 import pytest
 
+from tests.runs.conftest import ScriptedWorkers
 from vaoi_station.acquisition.process import messages
+from vaoi_station.drift.checks import LampCheck
 from vaoi_station.errors import InternalError, StateError, VaoiError
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.control.calibration_watch import CalibrationWatch
 from vaoi_station.runs.workers.jobs import CheckJob, ConcludeJob, Reply
+from vaoi_station.store import Store
 
 
 def film(rig: Any, grant: messages.Grant) -> messages.Grant:
@@ -53,6 +56,38 @@ def test_a_displaced_camera_becomes_a_warning_with_its_second_board(rig: Any, ca
     again = CalibrationWatch(rig.store.checks, EventLog(rig.store), calibration, ["a", "b"])
     assert [w.code for w in again.warnings()] == ["calibration-drift"]
     assert again.status().runs == 3
+
+
+def test_a_dim_light_is_a_warning_until_it_is_mended(store: Store, calibration: Any) -> None:
+    events = EventLog(store)
+    watch = CalibrationWatch(store.checks, events, calibration, ["a", "b"])
+
+    def pass_board(k: int, grey: float) -> None:
+        lamps = tuple(
+            LampCheck(camera=i, light=light, exposure=200.0, grey=grey if light == "left" else 80.0, points=900)
+            for i in (0, 1)
+            for light in ("even", "left")
+        )
+        run = f"r{k:02d}"
+        check = ScriptedWorkers().check(run).model_copy(update={"lamps": lamps})
+        watch.checked(CheckJob(run, check.time, "b", watch.digest), Reply(check, None, 0.0))
+
+    for k in range(10):
+        pass_board(k, 60.0 if k < 7 else 30.0)
+        assert bool(watch.warnings()) == (k == 9)
+    (warning,) = watch.warnings()
+    assert warning.code == "lamp-dim"
+    assert warning.message.startswith("Light left is dim in cameras a, b: boards have 50% of the brightness")
+    assert "since run r07 (2026-01-01T00:00:00Z); 3 boards show it." in warning.message
+    assert "the boards may be darker" not in warning.message
+    assert "vaoi flatfield" in warning.action
+    store.set_state("no run", "gone").result(10)  # written after the checks
+    again = CalibrationWatch(store.checks, EventLog(store), calibration, ["a", "b"])
+    assert again.warnings() == watch.warnings(), "it stays over a restart"
+    pass_board(10, 60.0)
+    pass_board(11, 60.0)
+    assert watch.warnings() == ()
+    assert [e.message for e in events.read(events.last - 1, 0.0, 1)] == ["Light left is as bright as before again."]
 
 
 def test_another_calibration_begins_anew(rig: Any, calibration: Any) -> None:

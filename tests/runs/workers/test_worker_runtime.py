@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from tests.runs.workers.conftest import CHECK, RingBoard
 from vaoi_station.drift.check_run import check_run
 from vaoi_station.drift.checks import RunCheck
+from vaoi_station.drift.lamps import is_comparable
 from vaoi_station.errors import GoneError, InternalError
 from vaoi_station.files.images import write_image
 from vaoi_station.model import Status
@@ -108,9 +109,11 @@ def test_the_check_follows_the_result_and_equals_one_made_offline(
     assert isinstance(result, Reply)
     (checked,) = replies
     assert isinstance(checked, Reply)
-    expected = check_run("r1", CHECK.time, CHECK.board_type, ring_board.findings(linked))
-    assert checked.value == expected
     assert isinstance(checked.value, RunCheck)
+    lamps = checked.value.lamps
+    assert checked.value == check_run("r1", CHECK.time, CHECK.board_type, ring_board.findings(linked), lamps)
+    assert [(lamp.camera, lamp.light) for lamp in lamps] == [(i, ring_board.head.light(0) or "") for i in range(3)]
+    assert all(is_comparable(lamp) for lamp in lamps)
     assert all(camera.links > 0 for camera in checked.value.cameras)
 
 
@@ -146,6 +149,22 @@ def test_a_check_that_fails_leaves_the_result_alone(
     assert result.error is None
     assert isinstance(checked.error, InternalError)
     assert "the calibration check of run r1 failed: ZeroDivisionError: no cameras" in checked.error.message
+
+
+def test_frames_that_were_overwritten_give_no_brightness(
+    runtime: WorkerRuntime, ring_board: RingBoard, linked: dict[Task, Linked], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    replies = runtime.replies(ring_board.conclusion(linked, CHECK))
+    next(replies)
+
+    def gone(*_: Any) -> None:
+        raise GoneError("a later run has this memory.")
+
+    monkeypatch.setattr(module, "measure_lamps", gone)
+    (checked,) = replies
+    assert isinstance(checked, Reply)
+    assert checked.value.lamps == ()
+    assert checked.value.cameras
 
 
 def test_a_failed_conclusion_has_no_check(runtime: WorkerRuntime, ring_board: RingBoard) -> None:

@@ -1,4 +1,4 @@
-"""Watch of the calibration: a worker checks the cameras after every run, and a drift of a camera becomes a warning.
+"""Watch of the calibration: a worker checks cameras and lights after every run, and drift or dimness becomes a warning.
 
 The worker performs the check after it has sent the run's result, so the check does not delay this result.
 """
@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from pydantic import ValidationError
 
 from vaoi_station.drift.checks import CameraCheck, RunCheck
+from vaoi_station.drift.lamp_watch import BASELINE_RUNS, DimLamp, find_dim_lamps, with_baselines
 from vaoi_station.drift.watch import VANISHED_RUNS, Drift, find_drifts, find_vanished_cameras
 from vaoi_station.errors import StateError
 from vaoi_station.model import Calibration
@@ -31,7 +32,7 @@ CODE = "calibration-drift"
 
 
 class CalibrationWatch:
-    """Collects the checks of the calibration in force and finds drifted cameras.
+    """Collects the checks of the calibration in force and finds drifted cameras and dim lights.
 
     Used by the coordinator's thread only.
     """
@@ -50,11 +51,13 @@ class CalibrationWatch:
         self._first, self._latest = known[:FIRST_CHECKS], deque(known[FIRST_CHECKS:], LATEST_CHECKS)
         self._runs = checks.count(self.digest)
         self._drifts, self._vanished = find_drifts(known), find_vanished_cameras(known)
+        self._dim = find_dim_lamps(known)
 
     def warnings(self) -> tuple[Reason, ...]:
-        """Return one warning per drifted camera, and one per camera for which the latest runs give no evidence."""
+        """Return one warning per drifted camera, per camera without evidence in the latest runs, and per dim light."""
         drifted = [Reason(code=CODE, message=self._message(d), action=self._action(d)) for d in self._drifts]
-        return (*drifted, *(self._unseen(camera) for camera in self._vanished))
+        dim = (self._dim_reason(lamp) for lamp in self._dim)
+        return (*drifted, *(self._unseen(camera) for camera in self._vanished), *dim)
 
     def status(self) -> CalibrationStatus:
         """Return the calibration in force, with the displacement and the state of every camera."""
@@ -73,6 +76,8 @@ class CalibrationWatch:
                 self._events.add("trouble", reply.error.message, run=run, code="calibration-not-checked")
             return
         check: RunCheck = reply.value
+        if digest == self.digest:
+            check = with_baselines(check, [*self._first, *self._latest])
         self._kept.save(run, digest, check.model_dump_json())
         if digest != self.digest:
             return  # The run was stitched with another calibration, so its check is not about the present one.
@@ -86,6 +91,8 @@ class CalibrationWatch:
             name = {"camera": self._names[camera]}
             self._events.add("trouble", reason.message, run=run, code=reason.code, action=reason.action, subject=name)
         self._publish_changes(before, run)
+        dim, self._dim = self._dim, find_dim_lamps(checks)
+        self._publish_lamps(dim, run)
 
     def _publish_changes(self, before: tuple[Drift, ...], run: str) -> None:
         """Publish an event for each new or ended drift. `before` lists the drifts before this check."""
@@ -98,6 +105,30 @@ class CalibrationWatch:
         for camera in sorted(known - now):
             message = f"Camera {self._names[camera]} is back at its calibrated position."
             self._events.add("calibration", message, run=run, subject={"camera": self._names[camera]})
+
+    def _publish_lamps(self, before: tuple[DimLamp, ...], run: str) -> None:
+        """Publish an event for each light that has become dim, or is no longer. `before`: as before this check."""
+        known, now = {lamp.light for lamp in before}, {lamp.light for lamp in self._dim}
+        for lamp in self._dim:
+            if lamp.light not in known:
+                reason = self._dim_reason(lamp)
+                self._events.add("trouble", reason.message, run=run, code=reason.code, action=reason.action)
+        for light in sorted(known - now):
+            message = f"{_light(light)} is as bright as before again."
+            self._events.add("calibration", message, run=run)
+
+    def _dim_reason(self, lamp: DimLamp) -> Reason:
+        cameras = ", ".join(self._names[i] for i in lamp.cameras)
+        kind = "camera" if len(lamp.cameras) == 1 else "cameras"
+        also = " All cameras and lights show it, so the boards may be darker instead." if lamp.everywhere else ""
+        return Reason(
+            code="lamp-dim",
+            message=f"{_light(lamp.light)} is dim in {kind} {cameras}: boards have {lamp.share:.0%} of the brightness "
+            f"of the first {BASELINE_RUNS} of their type, since run {lamp.since_run} ({lamp.since_time}); "
+            f"{lamp.runs} boards show it.{also}",
+            action=f"Call the engineer: check LEDs, cable and driver of the light, and the lens of {kind} {cameras}; "
+            "after the repair film new flat fields (`vaoi flatfield`).",
+        )
 
     def _unseen(self, camera: int) -> Reason:
         name = self._names[camera]
@@ -135,6 +166,10 @@ class CalibrationWatch:
             drift=None if drift is None else _drift_of(drift),
             history=tuple(_moment(check, check.cameras[i]) for check in shown),
         )
+
+
+def _light(name: str) -> str:
+    return f"Light {name}" if name else "The light"
 
 
 def _drift_of(d: Drift) -> CameraDrift:

@@ -18,11 +18,13 @@ from numpy.typing import NDArray
 
 from vaoi_station.acquisition.ring.ring import Ring
 from vaoi_station.drift.check_run import check_run
-from vaoi_station.drift.checks import RunCheck
-from vaoi_station.errors import InternalError, VaoiError
+from vaoi_station.drift.checks import LampCheck, RunCheck
+from vaoi_station.drift.lamps import measure_lamps
+from vaoi_station.errors import GoneError, InternalError, VaoiError
 from vaoi_station.files import Recording, open_recording
 from vaoi_station.files.images import encode_jpeg, encode_png, encode_tiff, read_kept_image
 from vaoi_station.files.results import stitch_text, without_components
+from vaoi_station.model import RecordingHead, Stitch
 from vaoi_station.rendering import render
 from vaoi_station.rendering.difference import subtract
 from vaoi_station.runs.states.schemas import ImageFormat
@@ -40,6 +42,7 @@ from vaoi_station.runs.workers.jobs import (
     Ping,
     RenderJob,
     Reply,
+    RunContext,
     WorkerReady,
     check_after,
 )
@@ -55,13 +58,14 @@ _log = logging.getLogger(__name__)
 
 @dataclass
 class _OpenedRun:
+    context: RunContext
     setup: StitchSetup
     runner: TaskRunner
     slots: dict[FrameKey, int] = field(default_factory=dict)
     evidence: dict[Task, Evidence] = field(default_factory=dict)
     """Evidence that this worker found or received from other workers, by task."""
-    findings: Findings | None = None
-    """The findings of the conclusion, from which the calibration check is made; None before the conclusion."""
+    concluded: tuple[Findings, Stitch, RecordingHead] | None = None
+    """The conclusion, from which the calibration check is made; None before the conclusion."""
 
 
 class WorkerRuntime:
@@ -113,7 +117,7 @@ class WorkerRuntime:
             return None if slot is None else self._ring.frame(slot)
 
         runner = TaskRunner(opening.setup, frame, self._reference_of(opening))
-        self._runs[opening.context.run] = _OpenedRun(opening.setup, runner, slots)
+        self._runs[opening.context.run] = _OpenedRun(opening.context, opening.setup, runner, slots)
 
     def _reference_of(self, opening: OpenRun) -> Callable[[int, int], NDArray[Any] | None] | None:
         """Return a function that reads a frame (camera, row) of the run's reference; None without a reference."""
@@ -166,20 +170,37 @@ class WorkerRuntime:
         opened.slots.update(job.slots)
         self._gather(job)
         evidence = self._evidence(job)
-        stitch, opened.findings = self._guarded(
+        stitch, findings = self._guarded(
             job.context.bay,
             job.context.generation,
             lambda: opened.runner.conclude_with_findings(
                 job.head.row_times_s(), tuple(job.slots), evidence, job.head.doubts
             ),
         )
+        opened.concluded = findings, stitch, job.head
         return Concluded(without_components(stitch), stitch_text(stitch))
 
     def _check(self, check: CheckJob) -> RunCheck:
-        findings = self._runs[check.run].findings
-        if findings is None:
+        opened = self._runs[check.run]
+        if opened.concluded is None:
             raise InternalError(f"{check} came before the conclusion of this run.")
-        return check_run(check.run, check.time, check.board_type, findings)
+        findings, stitch, head = opened.concluded
+        return check_run(check.run, check.time, check.board_type, findings, self._lamps(opened, stitch, head))
+
+    def _lamps(self, opened: _OpenedRun, stitch: Stitch, head: RecordingHead) -> tuple[LampCheck, ...]:
+        """Measure the brightness of the board. It is empty if the memory of the frames has a later run meanwhile."""
+
+        def frame(camera: int, row: int) -> NDArray[Any] | None:
+            slot = opened.slots.get((camera, row))
+            return None if slot is None else self._ring.frame(slot)
+
+        run = opened.context
+        try:
+            return self._guarded(
+                run.bay, run.generation, lambda: measure_lamps(stitch, opened.setup.board_type, head, frame)
+            )
+        except GoneError:
+            return ()
 
     def _evidence(self, job: ConcludeJob) -> list[Evidence]:
         return [found for task, found in self._runs[job.run].evidence.items() if task not in job.excluded]

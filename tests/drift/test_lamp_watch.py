@@ -1,0 +1,161 @@
+"""Detection of dim lights in made-up runs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from vaoi_station.drift.checks import LampCheck, RunCheck
+from vaoi_station.drift.lamp_watch import (
+    BASELINE_RUNS,
+    BRIGHT_RUNS,
+    DIM_RUNS,
+    DIM_SHARE,
+    DimLamp,
+    find_dim_lamps,
+    with_baselines,
+)
+
+Made = Callable[..., RunCheck]
+STILL = (0.0, 0.0, 0.0)
+
+
+def found_in(runs: Sequence[RunCheck]) -> tuple[DimLamp, ...]:
+    """Find dim lights in runs that arrive one after another."""
+    watched: list[RunCheck] = []
+    for check in runs:
+        watched.append(with_baselines(check, watched))
+    return find_dim_lamps(watched)
+
+
+def lamp(camera: int, grey: float, light: str = "even", exposure: float = 200.0, points: int = 1000) -> LampCheck:
+    return LampCheck(camera=camera, light=light, exposure=exposure, grey=grey, points=points)
+
+
+@pytest.fixture(scope="session")
+def run(made: Made) -> Made:
+    def make(k: int, *lamps: LampCheck, board_type: str = "a") -> RunCheck:
+        return made(k, [STILL, STILL], board_type=board_type).model_copy(update={"lamps": lamps})
+
+    return make
+
+
+def series(run: Made, *grey: float) -> list[RunCheck]:
+    """Runs in which camera 1 has these grey levels under the light left; all else stays as it is."""
+    same = lamp(0, 80), lamp(1, 80), lamp(0, 60, "left")
+    return [run(k, *same, lamp(1, g, "left")) for k, g in enumerate(grey)]
+
+
+def test_a_dim_light_is_reported_with_camera_share_and_first_run(run: Made) -> None:
+    runs = series(run, *[60.0] * 7, *[24.0] * DIM_RUNS)
+    assert found_in(runs[:-1]) == ()
+    (found,) = found_in(runs)
+    assert (found.light, found.cameras, found.runs) == ("left", (1,), 3)
+    assert (found.since_run, found.since_time) == ("r007", "t007")
+    assert found.share == pytest.approx(0.4)
+    assert not found.everywhere
+
+
+def test_the_warning_ends_when_the_light_is_mended(run: Made) -> None:
+    grey = [60.0] * 5 + [20.0] * 5
+    assert found_in(series(run, *grey))
+    assert found_in(series(run, *grey, 60.0)), "one bright board is no repair"
+    assert found_in(series(run, *grey, *[60.0] * BRIGHT_RUNS)) == ()
+
+
+def test_a_light_that_fails_entirely_is_dim(run: Made) -> None:
+    (found,) = found_in(series(run, *[60.0] * 5, *[0.0] * 3))
+    assert found.share == 0.0
+
+
+def test_slow_ageing_is_reported_once_it_is_beyond_the_limit(run: Made) -> None:
+    grey = [60.0 * 0.99**k for k in range(60)]
+    first = next(k for k in range(61) if found_in(series(run, *grey[:k])))
+    assert grey[first - DIM_RUNS] < 60 * DIM_SHARE
+    assert first < 45
+
+
+def test_fewer_runs_than_a_baseline_report_nothing(run: Made) -> None:
+    assert found_in(series(run, 60.0, 60.0, *[5.0] * 4)) == ()
+    assert found_in([]) == ()
+
+
+def test_every_board_type_has_a_baseline_and_all_together_show_a_dim_light(run: Made) -> None:
+    usual = [run(k, lamp(0, (80.0, 30.0)[k % 2]), board_type="ab"[k % 2]) for k in range(2 * BASELINE_RUNS + 10)]
+    assert not any(found_in(usual[:k]) for k in range(len(usual) + 1)), "types differ in brightness"
+    dark = [run(k, lamp(0, (40.0, 15.0)[k % 2]), board_type="ab"[k % 2]) for k in range(20, 23)]
+    (found,) = found_in(usual + dark)
+    assert (found.runs, found.since_run, found.everywhere) == (3, "r020", True)
+
+
+def test_another_exposure_is_not_compared(run: Made) -> None:
+    usual = [run(k, lamp(0, 80)) for k in range(6)]
+    assert found_in([*usual, *(run(k, lamp(0, 8, exposure=20.0)) for k in range(6, 12))]) == ()
+    longer = [run(k, lamp(0, 60, exposure=210.0)) for k in range(6, 12)]
+    assert found_in([*usual, *longer]) == (), "60 / 210 is 71 % of 80 / 200"
+
+
+def test_a_board_that_is_hardly_in_view_is_not_compared(run: Made) -> None:
+    usual = [run(k, lamp(0, 80)) for k in range(6)]
+    assert found_in([*usual, *(run(k, lamp(0, 20, points=300)) for k in range(6, 12))]) == ()
+
+
+def test_the_brightest_exposure_of_a_light_decides(run: Made) -> None:
+    usual = [run(k, lamp(0, 80), lamp(0, 6, exposure=12.0)) for k in range(6)]
+    assert found_in([*usual, *(run(k, lamp(0, 78), lamp(0, 3, exposure=12.0)) for k in range(6, 12))]) == ()
+
+
+def test_dark_and_saturated_boards_are_no_baseline(run: Made) -> None:
+    assert found_in([run(k, lamp(0, 2.0 if k < 8 else 0.1)) for k in range(14)]) == ()
+    assert found_in([run(k, lamp(0, 254.0 if k < 8 else 60.0)) for k in range(12)]) == ()
+
+
+def test_boards_that_differ_raise_the_limit(run: Made) -> None:
+    differing = [80.0, 60.0, 100.0, 75.0, 95.0]
+    assert found_in(series(run, *differing, *[50.0] * 6)) == ()
+    assert found_in(series(run, *differing, *[20.0] * 3))
+
+
+@settings(max_examples=40)
+@given(st.integers(0, 2**32 - 1), st.floats(5, 200))
+def test_scatter_of_ten_percent_is_not_dimness(run: Made, seed: int, level: float) -> None:
+    g = np.random.default_rng(seed)
+    factors = np.clip(g.normal(1, 0.07, (40, 2)), 0.85, 1.15)
+    runs = [run(k, *(lamp(i, level * float(f)) for i, f in enumerate(both))) for k, both in enumerate(factors)]
+    assert found_in(runs) == ()
+
+
+@given(st.floats(0.0, 0.6), st.floats(20, 200), st.permutations(range(3)))
+def test_the_share_does_not_depend_on_brightness_or_order(
+    run: Made, share: float, level: float, order: list[int]
+) -> None:
+    def board(k: int, factor: float) -> RunCheck:
+        return run(k, *(lamp(i, level * factor if i == 2 else level) for i in order))
+
+    (found,) = found_in([*(board(k, 1.0) for k in range(6)), *(board(k, share) for k in range(6, 9))])
+    assert found.cameras == (2,)
+    assert found.share == pytest.approx(share)
+
+
+def test_a_light_that_is_no_longer_used_is_forgotten(run: Made) -> None:
+    runs = series(run, *[60.0] * 5, *[20.0] * 3)
+    assert found_in([*runs, *(run(k, lamp(0, 80)) for k in range(8, 40))])
+    assert found_in([*runs, *(run(k, lamp(0, 80)) for k in range(8, 60))]) == ()
+
+
+def test_a_baseline_outlives_the_runs_it_was_made_from(run: Made) -> None:
+    watched: list[RunCheck] = []
+    for k in range(60):
+        watched.append(with_baselines(run(k, lamp(0, 80.0 if k < 8 else 30.0)), watched[-10:]))
+    (found,) = find_dim_lamps(watched[-20:])
+    assert found.share == pytest.approx(30 / 80)
+    again = RunCheck.model_validate_json(watched[-1].model_dump_json())
+    assert again == watched[-1]
+
+
+def test_a_run_without_lamps_stays_as_it_is(run: Made) -> None:
+    assert with_baselines(run(0), []) == run(0)

@@ -1,0 +1,162 @@
+"""Watch of the lamps: lights under which successive boards are darker than the first boards of their type.
+
+The brightness of a camera, light and exposure is divided by its baseline, the median of the first runs of the board
+type. A light is dim if this share is too low in several runs in a row, and no longer after some runs that are not.
+Only boards of one type are compared, at the same places, so the darkness of a board or its parts has no influence.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from vaoi_station.drift.checks import LampBaseline, LampCheck, RunCheck
+from vaoi_station.drift.lamps import SAME_EXPOSURE, is_comparable
+
+BASELINE_RUNS = 5
+"""Number of first runs of a board type that are its baseline."""
+DIM_SHARE = 0.7
+"""Share of the baseline's brightness below which a light is dim."""
+DIM_RUNS, BRIGHT_RUNS = 3, 2
+"""Numbers of successive runs after which a light counts as dim, and as bright again."""
+_SCATTERS = 3.0
+"""A dim run is darker than the median of the baseline by at least this multiple of the baseline's largest deviation."""
+_LEAST_SHOWN = 0.5
+"""A run is compared if it has at least this share of the samples of the baseline: the board is as much in view."""
+_RECENT_RUNS = 50
+"""A light that none of this number of latest runs shows, because the program has changed, is not reported."""
+
+Key = tuple[int, str]
+"""A camera and the name of a light."""
+
+
+@dataclass(frozen=True)
+class DimLamp:
+    """A light under which the boards have become dark."""
+
+    light: str
+    """Name of the light; an empty text if the lights have no names."""
+    cameras: tuple[int, ...]
+    """Cameras whose pictures are dark under this light."""
+    share: float
+    """Brightness relative to the baseline: median over these cameras and the runs since."""
+    since_run: str
+    since_time: str
+    runs: int
+    """Number of runs, since the light is dim, that show it."""
+    everywhere: bool
+    """Whether every camera under every light that recent runs compare is dim: the boards may be darker instead."""
+
+
+def find_dim_lamps(checks: Sequence[RunCheck]) -> tuple[DimLamp, ...]:
+    """Find the lights that are dim at the end of a sequence of runs, sorted by name.
+
+    Args:
+        checks: checks of runs under one calibration, `with_baselines`, oldest first.
+    """
+    series = {key: runs for key, runs in _shares(checks).items() if runs[-1].run >= len(checks) - _RECENT_RUNS}
+    dim = {key: since for key, runs in series.items() if (since := _dim_since(runs)) is not None}
+    found: list[DimLamp] = []
+    for light in sorted({light for _, light in dim}):
+        keys = [key for key in sorted(dim) if key[1] == light]
+        first = min(series[key][dim[key]].run for key in keys)
+        shares = [s.share for key in keys for s in series[key][dim[key] :]]
+        found.append(
+            DimLamp(
+                light=light,
+                cameras=tuple(camera for camera, _ in keys),
+                share=float(np.median(shares)),
+                since_run=checks[first].run,
+                since_time=checks[first].time,
+                runs=max(len(series[key]) - dim[key] for key in keys),
+                everywhere=len(dim) == len(series),
+            )
+        )
+    return tuple(found)
+
+
+@dataclass(frozen=True)
+class _Share:
+    run: int
+    """Index of the run."""
+    share: float
+    """Brightness relative to the baseline."""
+    dim: bool
+
+
+def with_baselines(check: RunCheck, earlier: Sequence[RunCheck]) -> RunCheck:
+    """Return a check whose lamps have baselines, as far as the earlier runs give them.
+
+    Args:
+        check: check of a run.
+        earlier: checks of earlier runs under the same calibration, oldest first.
+    """
+    if not check.lamps:
+        return check
+    kept: dict[Key, list[LampCheck]] = defaultdict(list)
+    for other in earlier:
+        if other.board_type == check.board_type:
+            for lamp in other.lamps:
+                kept[lamp.camera, lamp.light].append(lamp)
+    lamps = tuple(
+        lamp.model_copy(update={"baseline": _baseline(lamp, kept[lamp.camera, lamp.light])}) for lamp in check.lamps
+    )
+    return check.model_copy(update={"lamps": lamps})
+
+
+def _baseline(lamp: LampCheck, earlier: Sequence[LampCheck]) -> LampBaseline | None:
+    """Return the baseline of the earlier runs at this exposure, or the one of their first runs; None if they are too
+    few."""
+    alike = [e for e in earlier if abs(math.log(e.exposure / lamp.exposure)) <= SAME_EXPOSURE]
+    known = next((e.baseline for e in reversed(alike) if e.baseline is not None), None)
+    # Darkness and saturation are no baseline.
+    first = [e for e in alike if is_comparable(e)][:BASELINE_RUNS]
+    if known is not None or len(first) < BASELINE_RUNS:
+        return known
+    brightness = np.array([e.grey / e.exposure for e in first])
+    middle = float(np.median(brightness))
+    return LampBaseline(
+        brightness=middle,
+        scatter=float(np.abs(np.log(brightness / middle)).max()),
+        grey=float(np.median([e.grey for e in first])),
+        points=float(np.median([e.points for e in first])),
+    )
+
+
+def _shares(checks: Sequence[RunCheck]) -> dict[Key, list[_Share]]:
+    """Return for every camera and light the comparisons with the baseline, in the order of the runs."""
+    series: dict[Key, list[_Share]] = defaultdict(list)
+    for k, check in enumerate(checks):
+        best: dict[Key, tuple[float, _Share]] = {}
+        for lamp in check.lamps:
+            key, baseline = (lamp.camera, lamp.light), lamp.baseline
+            if baseline is None or lamp.points < _LEAST_SHOWN * baseline.points:
+                continue
+            # Of several exposures, the one with the largest grey levels is the least disturbed by the dark level.
+            if key not in best or baseline.grey > best[key][0]:
+                best[key] = baseline.grey, _compare(k, lamp, baseline)
+        for key, (_, share) in best.items():
+            series[key].append(share)
+    return series
+
+
+def _compare(run: int, lamp: LampCheck, baseline: LampBaseline) -> _Share:
+    share = lamp.grey / lamp.exposure / baseline.brightness
+    return _Share(run, share, share < min(DIM_SHARE, math.exp(-_SCATTERS * baseline.scatter)))
+
+
+def _dim_since(runs: Sequence[_Share]) -> int | None:
+    """Return the index, in `runs`, of the first run since which a light is dim; None if it is not dim at the end."""
+    since: int | None = None
+    dim = bright = 0
+    for k, run in enumerate(runs):
+        dim, bright = (dim + 1, 0) if run.dim else (0, bright + 1)
+        if since is None and dim == DIM_RUNS:
+            since = k - DIM_RUNS + 1
+        elif bright == BRIGHT_RUNS:
+            since = None
+    return since
