@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,8 +19,10 @@ from vaoi_station.drift.lamps import SAME_EXPOSURE, is_comparable
 
 BASELINE_RUNS = 5
 """Number of first runs of a board type that are its baseline."""
-DIM_SHARE = 0.7
-"""Share of the baseline's brightness below which a light is dim."""
+DIM_SHARE = 0.9
+"""Share of the baseline's brightness below which a light is dim, if another light or camera is brighter as well."""
+DARK_BOARD_SHARE = 0.8
+"""The same if all lights are dim in all cameras alike: boards of another lot may be darker by less than this."""
 DIM_RUNS, BRIGHT_RUNS = 3, 2
 """Numbers of successive runs after which a light counts as dim, and as bright again."""
 _SCATTERS = 3.0
@@ -85,7 +87,9 @@ class _Share:
     """Index of the run."""
     share: float
     """Brightness relative to the baseline."""
-    dim: bool
+    limit: float
+    """Limit of `share` from the scatter of the baseline."""
+    dim: bool = False
 
 
 def with_baselines(check: RunCheck, earlier: Sequence[RunCheck]) -> RunCheck:
@@ -139,14 +143,23 @@ def _shares(checks: Sequence[RunCheck]) -> dict[Key, list[_Share]]:
             # Of several exposures, the one with the largest grey levels is the least disturbed by the dark level.
             if key not in best or baseline.grey > best[key][0]:
                 best[key] = baseline.grey, _compare(k, lamp, baseline)
+        brightest = max((share.share for _, share in best.values()), default=0.0)
         for key, (_, share) in best.items():
-            series[key].append(share)
+            series[key].append(replace(share, dim=_is_dim(share, brightest)))
     return series
 
 
 def _compare(run: int, lamp: LampCheck, baseline: LampBaseline) -> _Share:
-    share = lamp.grey / lamp.exposure / baseline.brightness
-    return _Share(run, share, share < min(DIM_SHARE, math.exp(-_SCATTERS * baseline.scatter)))
+    return _Share(run, lamp.grey / lamp.exposure / baseline.brightness, math.exp(-_SCATTERS * baseline.scatter))
+
+
+def _is_dim(lamp: _Share, brightest: float) -> bool:
+    """Return whether a light is dim in a camera. `brightest` is the largest share of all lights and cameras of the run.
+
+    What all of them lose alike may be the board's: another lot of solder mask.
+    """
+    unlike = lamp.share < min(DIM_SHARE, lamp.limit) * min(brightest, 1.0)
+    return unlike or lamp.share < min(DARK_BOARD_SHARE, lamp.limit)
 
 
 def _dim_since(runs: Sequence[_Share]) -> int | None:

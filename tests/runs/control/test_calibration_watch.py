@@ -14,7 +14,7 @@ from vaoi_station.errors import InternalError, StateError, VaoiError
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.control.calibration_watch import CalibrationWatch
 from vaoi_station.runs.workers.jobs import CheckJob, ConcludeJob, Reply
-from vaoi_station.store import Store
+from vaoi_station.store import RunRow, Store
 
 
 def film(rig: Any, grant: messages.Grant) -> messages.Grant:
@@ -59,7 +59,9 @@ def test_a_displaced_camera_becomes_a_warning_with_its_second_board(rig: Any, ca
 
 
 def test_a_dim_light_is_a_warning_until_it_is_mended(store: Store, calibration: Any) -> None:
-    events = EventLog(store)
+    events, now = EventLog(store), "2026-01-01T00:00:00Z"
+    kept = store.keep_document("calibration", calibration.model_dump_json(), now)
+    board_type = store.keep_document("board-type", '{"name": "b"}', now)
     watch = CalibrationWatch(store.checks, events, calibration, ["a", "b"])
 
     def pass_board(k: int, grey: float) -> None:
@@ -70,6 +72,7 @@ def test_a_dim_light_is_a_warning_until_it_is_mended(store: Store, calibration: 
         )
         run = f"r{k:02d}"
         check = ScriptedWorkers().check(run).model_copy(update={"lamps": lamps})
+        store.save_run(RunRow(run, "ready", None, board_type, kept, "{}", "{}"))
         watch.checked(CheckJob(run, check.time, "b", watch.digest), Reply(check, None, 0.0))
 
     for k in range(10):
@@ -81,7 +84,7 @@ def test_a_dim_light_is_a_warning_until_it_is_mended(store: Store, calibration: 
     assert "since run r07 (2026-01-01T00:00:00Z); 3 boards show it." in warning.message
     assert "the boards may be darker" not in warning.message
     assert "vaoi flatfield" in warning.action
-    store.set_state("no run", "gone").result(10)  # written after the checks
+    store.save_run(RunRow("r99", "ready", None, board_type, kept, "{}", "{}")).result(10)  # after the checks
     again = CalibrationWatch(store.checks, EventLog(store), calibration, ["a", "b"])
     assert again.warnings() == watch.warnings(), "it stays over a restart"
     pass_board(10, 60.0)
