@@ -46,7 +46,7 @@ def stitch(**keys: object) -> Stitch:
 
 def frames(*grey: float, dtype: type = np.uint8, beside: float = 250.0) -> dict[tuple[int, int], np.ndarray]:
     """One frame per grey level: the board has this level, what lies beside it another one."""
-    made = {}
+    made: dict[tuple[int, int], np.ndarray] = {}
     for row, level in enumerate(grey):
         y, x = np.mgrid[:SIZE, :SIZE] + np.array([SIZE * row, 0])[:, None, None]
         on = (x >= 10) & (x <= 70) & (y >= 10) & (y <= 370)

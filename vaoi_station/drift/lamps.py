@@ -53,11 +53,12 @@ def measure_lamps(stitch: Stitch, board: BoardType | None, head: RecordingHead, 
     points = tester_from_cad(grid_on_board(board))
     found: list[LampCheck] = []
     for (camera, light), rows in _rows_by_light(stitch, head).items():
-        for group in _groups(rows, lambda row, i=camera: head.exposure_us(i, row) * head.gain(i, row)):
+        exposures = {row: head.exposure_us(camera, row) * head.gain(camera, row) for row in rows}
+        for group in _groups(exposures):
             samples = [s for row in _spread(group) if (s := _samples(stitch, points, camera, row, frame)) is not None]
             grey = np.concatenate(samples) if samples else np.zeros(0)
             if len(grey) >= _LEAST_POINTS:
-                exposure = float(np.median([head.exposure_us(camera, row) * head.gain(camera, row) for row in group]))
+                exposure = float(np.median([exposures[row] for row in group]))
                 level = trimmed_mean(grey)
                 found.append(
                     LampCheck(
@@ -114,11 +115,11 @@ def _rows_by_light(stitch: Stitch, head: RecordingHead) -> dict[tuple[int, str],
     return rows
 
 
-def _groups(rows: list[int], exposure: Callable[[int], float]) -> list[list[int]]:
-    """Divide rows into groups of nearly equal product of exposure and gain."""
+def _groups(exposures: dict[int, float]) -> list[list[int]]:
+    """Divide rows into groups of nearly equal product of exposure and gain, which `exposures` gives by row."""
     groups: list[list[int]] = []
-    for row in sorted(rows, key=exposure):
-        if groups and math.log(exposure(row) / exposure(groups[-1][0])) <= SAME_EXPOSURE:
+    for row in sorted(exposures, key=exposures.__getitem__):
+        if groups and math.log(exposures[row] / exposures[groups[-1][0]]) <= SAME_EXPOSURE:
             groups[-1].append(row)
         else:
             groups.append([row])
