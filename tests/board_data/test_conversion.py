@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from vaoi_station.board_data.conversion import to_board_type
-from vaoi_station.board_data.design import Box, Design, Part
+from vaoi_station.board_data.design import Box, Design, Mark, Part
 from vaoi_station.errors import InputError
 
 BODY = Box((-1.0, -0.5), (1.0, 0.5))
@@ -47,7 +47,7 @@ def test_fiducials_by_file_by_name_and_explicit_ones() -> None:
     board, notes = to_board_type(by_name, "top")
     assert [(f.name, f.diameter) for f in board.fiducials] == [("FID1", 1.5), ("FD2", 1.0)]
     assert any("no diameter of FD2; 1 mm is assumed" in note for note in notes)
-    marks = (("G1", "top", (1.0, 1.0), 2.0), ("B1", "bottom", (2.0, 2.0), 2.0), ("A1", None, (3.0, 3.0), 2.0))
+    marks = (Mark("G1", "top", (1.0, 1.0), 2.0), Mark("B1", "bottom", (2.0, 2.0)), Mark("A1", None, (3.0, 3.0)))
     explicit, _ = to_board_type(design(part("FID1"), marks=marks), "top")
     assert [f.name for f in explicit.fiducials] == ["G1", "A1"]
 

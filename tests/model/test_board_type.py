@@ -116,3 +116,27 @@ def test_limits_of_sizes_are_in_mm_whatever_the_unit(unit: str, mm: float) -> No
     assert accepted.fiducials[0].diameter == size
     with pytest.raises(ValidationError, match=r"must be 0\.05 to 50 mm"):
         board(unit=unit, fiducials=[fiducial(diameter=size * 1000)])
+
+
+HOLE = [[1, 1], [2, 1], [2, 2]]
+
+
+def test_cut_outs_and_other_marks_are_kept_and_change_no_extent() -> None:
+    mark = {"name": "BBM1", "x": -9, "y": 0, "diameter": 1, "kind": "bad-board", "found_by": "name"}
+    b = board(outline=[[0, 0], [10, 10]], cut_outs=[HOLE], other_marks=[mark])
+    assert [list(map(list, corners)) for corners in b.cut_outs or ()] == [HOLE]
+    assert [v.tolist() for v in b.extent()] == [[0, 0], [10, 10]]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"cut_outs": [HOLE]}, "cut_outs are given, but outline is missing"),
+        ({"outline": [[0, 0], [9, 9]], "cut_outs": [HOLE, HOLE[:2]]}, "cut_outs.1 has 2 corners"),
+        ({"outline": [[3, 3], [9, 9]], "cut_outs": [HOLE]}, "cut_outs.0 lies outside the outline"),
+        ({"outline": [[0, 0], [9, 9]], "cut_outs": [HOLE] * 501}, "cut_outs has 501 entries, the limit is 500"),
+    ],
+)
+def test_wrong_cut_outs_are_refused(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValidationError, match=message):
+        board(**change)

@@ -3,25 +3,32 @@
 from __future__ import annotations
 
 import math
-import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
-from vaoi_station.board_data.design import XY, Design, Part, Side
+from vaoi_station.board_data.contours import area
+from vaoi_station.board_data.design import XY, Design, Mark, Part, Side
+from vaoi_station.board_data.marks import find_marks
 from vaoi_station.board_data.package_sizes import GUESS_MM
 from vaoi_station.errors import InputError
-from vaoi_station.geometry.polygon import find_crossing_edges
+from vaoi_station.geometry.polygon import encloses, find_crossing_edges
 from vaoi_station.model import BoardType
-from vaoi_station.model.board_type import Component, Fiducial
+from vaoi_station.model.board_type import Component, Fiducial, OtherMark
 
 SAME_PLACE_MM = 1e-3
 """A body whose centre is nearer to the origin of its part than this is at it."""
 USUAL_MARK_MM = 1.0
 """Diameter of a fiducial of which the file states none: IPC-7351 recommends 1 mm."""
-_MARK_NAME = re.compile(r"^(FID|FD|FM|MARK|FIDUCIAL)[-_ ]?\d*$", re.IGNORECASE)
-_MARK_PACKAGE = re.compile(r"fid(ucial)?([^a-z]|$)|fiducial", re.IGNORECASE)
-_MARK_SIZE = re.compile(r"(\d+(?:\.\d+)?)\s*mm", re.IGNORECASE)
 MOST_OUTLINE_POINTS = 2_000
+MOST_CUT_OUTS = 200
+"""Largest number of cut-outs that are kept, the largest first; drill holes that are drawn as contours exceed it."""
+_FOUND_BY = {
+    "element": "elements of the file",
+    "attribute": "attribute",
+    "package": "package",
+    "name": "name",
+    "place": "place",
+}
 
 
 def to_board_type(design: Design, side: Side, name: str | None = None) -> tuple[BoardType, tuple[str, ...]]:
@@ -45,7 +52,7 @@ def to_board_type(design: Design, side: Side, name: str | None = None) -> tuple[
             f"{len(guessed)} parts have no size in the file, and their package is in no table: {width:g} × {height:g} "
             f"mm is a guess for {_some(guessed)}. Give sizes by --sizes FILE."
         )
-    fiducials = list(_fiducials(design, parts, side, notes))
+    fiducials, other_marks = _marks_of(design, chosen, side, notes)
     if len(fiducials) < 2:
         notes.append(
             f"{len(fiducials)} fiducials found on the {side}; two are needed to stitch. Add them to the board type."
@@ -55,7 +62,9 @@ def to_board_type(design: Design, side: Side, name: str | None = None) -> tuple[
         name=name or design.name,
         side=side,
         outline=outline,
+        cut_outs=_cut_outs(design, outline, notes) or None,
         fiducials=tuple(fiducials),
+        other_marks=tuple(other_marks) or None,
         components=tuple(_component(part) for part in parts),
     )
     return board, tuple(notes)
@@ -78,36 +87,59 @@ def _component(part: Part) -> Component:
     )
 
 
-def _fiducials(design: Design, parts: Sequence[Part], side: Side, notes: list[str]) -> Iterator[Fiducial]:
-    """Yield the fiducials of a side: explicit ones of the file, else parts whose name or package says so."""
-    explicit = [mark for mark in design.marks if mark[1] in (side, None)]
-    found: list[tuple[str, XY, float | None]] = [(name, at, diameter) for name, _, at, diameter in explicit]
-    how = "explicit elements of the file"
+def _marks_of(
+    design: Design, parts: Sequence[Part], side: Side, notes: list[str]
+) -> tuple[list[Fiducial], list[OtherMark]]:
+    """Return the fiducials of a side, and the marks by which no board is placed: of the panel, and of bad boards."""
+    found = find_marks(design, parts, side)
     if not found:
-        by_file = [part for part in parts if part.is_mark]
-        marks = by_file or [p for p in parts if _MARK_NAME.match(p.ref) or _MARK_PACKAGE.search(p.package)]
-        how = "package or attribute" if by_file else "name"
-        found = [(part.ref, part.origin, part.mark_diameter or _diameter_in(part.package)) for part in marks]
-    if not found:
-        return
-    unknown = [name for name, _, diameter in found if not diameter]
-    notes.append(f"{len(found)} fiducials by {how}: {_some([name for name, _, _ in found])}.")
-    if unknown:
+        return [], []
+    kinds = Counter((mark.kind, mark.found_by) for mark in found)
+    for (kind, by), count in kinds.items():
+        names = [m.name + _belongs(m) for m in found if (m.kind, m.found_by) == (kind, by)]
+        noun = "bad-board marks" if kind == "bad-board" else f"{kind} fiducials"
+        notes.append(f"{count} {noun} by {_FOUND_BY[by]}: {_some(names)}.")
+    if unknown := [mark.name for mark in found if not mark.diameter]:
         notes.append(f"the file states no diameter of {_some(unknown)}; {USUAL_MARK_MM:g} mm is assumed.")
-    taken: list[XY] = []
-    for name, at, diameter in found:
-        if any(math.dist(at, other) < 0.1 for other in taken):
-            notes.append(f"fiducial {name!r} is at the place of another one; it was left out.")
+    fiducials, others = [], []
+    counts: Counter[str] = Counter()
+    for mark in found:
+        counts[mark.name] += 1
+        name = mark.name if counts[mark.name] == 1 else f"{mark.name}-{counts[mark.name]}"
+        (x, y), diameter = _rounded(mark.at), round(mark.diameter or USUAL_MARK_MM, 4)
+        if mark.kind in ("panel", "bad-board"):
+            others.append(OtherMark(name=name, x=x, y=y, diameter=diameter, kind=mark.kind, found_by=mark.found_by))
             continue
-        taken.append(at)
-        x, y = _rounded(at)
-        yield Fiducial(name=name, x=x, y=y, diameter=round(diameter or USUAL_MARK_MM, 4))
+        found_by, components = mark.found_by, mark.components or None
+        fiducials.append(
+            Fiducial(name=name, x=x, y=y, diameter=diameter, kind=mark.kind, found_by=found_by, components=components)
+        )
+    return fiducials, others
 
 
-def _diameter_in(package: str) -> float | None:
-    """Return the diameter in a name such as `Fiducial_0.75mm_Mask1.5mm`."""
-    found = _MARK_SIZE.search(package)
-    return float(found[1]) if found and 0.05 <= float(found[1]) <= 50 else None
+def _belongs(mark: Mark) -> str:
+    return f" (of {', '.join(mark.components)})" if mark.components else ""
+
+
+def _cut_outs(design: Design, outline: Sequence[XY] | None, notes: list[str]) -> tuple[tuple[XY, ...], ...]:
+    """Return the cut-outs within the outline; other contours are of no use for one board."""
+    found, left_out = [], 0
+    contours = sorted(design.cut_outs, key=lambda c: -abs(area(c))) if outline is not None else ()
+    for contour in contours:
+        corners = [_rounded(p) for p in contour]
+        corners = [p for n, p in enumerate(corners) if p != corners[n - 1]]
+        usable = 3 <= len(corners) <= MOST_OUTLINE_POINTS and not find_crossing_edges(corners)
+        if usable and outline and all(encloses(outline, p) for p in (corners[0], corners[len(corners) // 2])):
+            found.append(tuple(corners))
+        else:
+            left_out += 1
+    if left_out or len(found) > MOST_CUT_OUTS:
+        left_out += max(0, len(found) - MOST_CUT_OUTS)
+        notes.append(
+            f"{left_out} contours lie outside the outline or cannot be used as cut-outs; they were left out. "
+            "Check whether the file is of a panel."
+        )
+    return tuple(found[:MOST_CUT_OUTS])
 
 
 def _outline(

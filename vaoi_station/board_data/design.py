@@ -16,6 +16,8 @@ XY = tuple[float, float]
 LEAST_DRAWING = 0.5
 """A drawing of a body is at least this share of its pins, along both axes."""
 SizeFrom = Literal["file", "table", "guess"]
+MarkKind = Literal["global", "local", "panel", "bad-board"]
+FoundBy = Literal["element", "attribute", "package", "name", "place"]
 
 
 @dataclass(frozen=True)
@@ -86,6 +88,8 @@ class Part:
     """Extent of the first pad, which is the diameter of the mark if the part is a fiducial; None if it is not known."""
     is_mark: bool = False
     """Whether the file itself says that the part is a fiducial."""
+    mark_kind: MarkKind | None = None
+    """The kind that an attribute of the file states; None: names decide."""
 
     @property
     def center(self) -> XY:
@@ -98,6 +102,21 @@ class Part:
 
 
 @dataclass(frozen=True)
+class Mark:
+    """A fiducial, or another mark of the board or its panel."""
+
+    name: str
+    side: Side | None
+    """None: on both sides."""
+    at: XY
+    diameter: float | None = None
+    kind: MarkKind = "global"
+    found_by: FoundBy = "element"
+    components: tuple[str, ...] = ()
+    """Designators of the parts that a local fiducial belongs to."""
+
+
+@dataclass(frozen=True)
 class Design:
     """The parts and the outline of a board, from one file."""
 
@@ -107,8 +126,8 @@ class Design:
     outline: tuple[XY, ...] = ()
     """The outer contour; empty if the file has none."""
     cut_outs: tuple[tuple[XY, ...], ...] = ()
-    marks: tuple[tuple[str, Side | None, XY, float | None], ...] = ()
-    """Fiducials that are no parts: name, side (None: both), centre, diameter."""
+    marks: tuple[Mark, ...] = ()
+    """Fiducials that are no parts."""
     notes: tuple[str, ...] = ()
     """What the user must know about this import, a sentence each."""
 

@@ -15,9 +15,18 @@ from vaoi_station.geometry.polygon import encloses, find_crossing_edges
 from vaoi_station.model.frozen_model import MOST_MM, Finite, FrozenModel, Millimetres, Point, Positive, Whole
 from vaoi_station.model.light_program import Program
 
-_MAX_ENTRIES = {"components": 20_000, "fiducials": 1_000, "outline": 10_000, "fixture_marks": 10_000}
+_MAX_ENTRIES = {
+    "components": 20_000,
+    "fiducials": 1_000,
+    "outline": 10_000,
+    "fixture_marks": 10_000,
+    "other_marks": 1_000,
+    "cut_outs": 500,
+}
 """Largest number of entries in each list of a board type."""
 _MOST_HEIGHT_MM = 1000.0
+_MOST_CUT_OUT_CORNERS = 20_000
+FoundBy = Literal["element", "attribute", "package", "name", "place"]
 MM_PER_UNIT = {"mm": 1.0, "inch": 25.4, "mil": 0.0254}
 
 
@@ -29,6 +38,24 @@ class Fiducial(FrozenModel):
     y: Finite
     shape: Literal["circle", "cross", "square", "diamond"] = "circle"
     diameter: Positive
+    kind: Literal["global", "local"] | None = None
+    """Local: of the components below; None: not stated."""
+    found_by: FoundBy | None = None
+    """How the import has recognised the mark."""
+    components: tuple[str, ...] | None = None
+    """Addresses of the components that a local fiducial belongs to."""
+
+
+class OtherMark(FrozenModel):
+    """A mark by which no board is placed: a fiducial of the panel, or a mark that states that a board is bad."""
+
+    name: str
+    x: Finite
+    y: Finite
+    shape: Literal["circle", "cross", "square", "diamond"] = "circle"
+    diameter: Positive
+    kind: Literal["panel", "bad-board"]
+    found_by: FoundBy | None = None
 
 
 class Visibility(FrozenModel):
@@ -120,7 +147,10 @@ class BoardType(FrozenModel):
     y_axis: Literal["up", "down"] = "up"
     side: Literal["top", "bottom"] = "top"
     outline: tuple[Point, ...] | None = None
+    cut_outs: tuple[tuple[Point, ...], ...] | None = None
+    """Openings within the outline, each a polygon."""
     fiducials: tuple[Fiducial, ...] = ()
+    other_marks: tuple[OtherMark, ...] | None = None
     components: tuple[Component, ...] = ()
     fixture_mark: FixtureMarkShape | None = None
     fixture_marks: tuple[Place, ...] = ()
@@ -152,6 +182,7 @@ class BoardType(FrozenModel):
                         f"fiducial {f.name!r} at ({f.x}, {f.y}) lies outside the outline "
                         f"{low.tolist()} … {high.tolist()} {self.unit}"
                     )
+        _check_cut_outs(self)
         if self.fixture_marks and self.fixture_mark is None:
             raise ValueError("fixture_marks are given, but not their shape: fixture_mark is missing")
         return self
@@ -231,7 +262,26 @@ def _coordinates(board: BoardType) -> Iterator[tuple[str, float, float]]:
     yield from ((f"fiducial {f.name!r}", f.x, f.y) for f in board.fiducials)
     yield from ((f"component {c.address!r}", *c.center) for c in board.components)
     yield from ((f"the origin of component {c.address!r}", *c.origin) for c in board.components if c.origin)
+    yield from ((f"other mark {m.name!r}", m.x, m.y) for m in board.other_marks or ())
     yield from ((f"fixture_marks.{n}", m.x, m.y) for n, m in enumerate(board.fixture_marks))
+
+
+def _check_cut_outs(board: BoardType) -> None:
+    """Raise ValueError if a cut-out is no polygon within the outline."""
+    cut_outs = board.cut_outs or ()
+    if cut_outs and board.outline is None:
+        raise ValueError("cut_outs are given, but outline is missing")
+    if (count := sum(map(len, cut_outs))) > _MOST_CUT_OUT_CORNERS:
+        raise ValueError(f"cut_outs have {count} corners, the limit is {_MOST_CUT_OUT_CORNERS}")
+    if not cut_outs:
+        return
+    low, high = board.extent()
+    for n, corners in enumerate(cut_outs):
+        if len(corners) < 3:
+            raise ValueError(f"cut_outs.{n} has {len(corners)} corners, a polygon has at least 3")
+        points = np.array(corners, dtype=np.float64)
+        if (points < low).any() or (points > high).any():
+            raise ValueError(f"cut_outs.{n} lies outside the outline {low.tolist()} … {high.tolist()} {board.unit}")
 
 
 def _check_unique(names: list[str], what: str) -> None:

@@ -61,7 +61,7 @@ def test_outlines_with_arcs_and_cut_outs(kind: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", sorted(set(FILES) - {"html-bom"}))
 def test_the_fiducial_has_the_diameter_of_its_copper(kind: str, tmp_path: Path) -> None:
     design = design_of(kind, tmp_path)
-    found = [(at, diameter) for _, _, at, diameter in design.marks]
+    found = [(mark.at, mark.diameter) for mark in design.marks]
     found += [(part.origin, part.mark_diameter) for part in design.parts if part.is_mark]
     assert len(found) == 1
     assert found[0][0] == pytest.approx((5, 5), abs=1e-4)

@@ -59,3 +59,19 @@ def test_a_file_without_components_and_one_of_several_steps() -> None:
     second = f'<Step name="other">{component}</Step>'
     design = read_ipc2581(samples.IPC2581.replace("</CadData>", second + "</CadData>").encode(), PATH)
     assert design.notes == ("the file has 2 steps with components (sample, other); sample was read.",)
+
+
+def test_kinds_of_marks_and_the_component_of_a_local_fiducial() -> None:
+    location = '<Location x="0.1" y="0.2"/>'
+    more = (
+        f'<Set><LocalFiducial>{location}<PinRef componentRef="J1" pin="1"/></LocalFiducial></Set>'
+        f"<Set><BadBoardMark>{location}</BadBoardMark><GoodPanelMark>{location}</GoodPanelMark></Set>"
+    )
+    top = '<LayerFeature layerRef="TOP">'
+    design = read_ipc2581(samples.IPC2581.replace(top, top + more).encode(), PATH)
+    assert {mark.name: (mark.kind, mark.components) for mark in design.marks} == {
+        "GlobalFiducial1": ("global", ()),
+        "LocalFiducial1": ("local", ("J1",)),
+        "GoodPanelMark1": ("panel", ()),
+        "BadBoardMark1": ("bad-board", ()),
+    }

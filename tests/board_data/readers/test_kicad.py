@@ -48,3 +48,19 @@ def test_another_file_is_refused() -> None:
     assert not is_kicad(b"(kicad_sch (version 1))")
     with pytest.raises(InputError, match=r"begins with \(kicad_sch"):
         read_kicad(b"(kicad_sch (version 1))", PATH)
+
+
+def test_pads_state_that_they_are_fiducials() -> None:
+    text = """(kicad_pcb (footprint "L:QFN" (layer "F.Cu") (at 20 -20 90) (property "Reference" "U1")
+        (pad "1" smd rect (at 0 0) (size 1 1))
+        (pad "" smd circle (at 3 0) (size 0.5 0.5) (property pad_prop_fiducial_loc)))
+      (footprint "L:F" (layer "F.Cu") (at 1 -2) (property "Reference" "FID1")
+        (pad "" smd circle (at 0 0) (size 1 1) (property pad_prop_fiducial_glob)))
+      (footprint "L:Fiducial" (layer "F.Cu") (at 3 -4) (attr exclude_from_pos_files) (property "Reference" "REF**")
+        (pad "" smd circle (at 0 0) (size 1.5 1.5))))"""
+    design = read_kicad(text.encode(), PATH)
+    local, excluded = design.marks
+    assert (local.name, local.kind, local.found_by, local.components) == ("U1.FID1", "local", "attribute", ("U1",))
+    assert local.at == pytest.approx((20, 23))
+    assert (excluded.name, excluded.at, excluded.diameter, excluded.kind) == ("REF**", (3, 4), 1.5, "global")
+    assert {p.ref: p.mark_kind for p in design.parts} == {"U1": None, "FID1": "global"}

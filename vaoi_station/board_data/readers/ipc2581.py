@@ -13,7 +13,19 @@ from pathlib import Path
 from xml.etree.ElementTree import Element
 
 from vaoi_station.board_data.contours import arc_points, circle_points
-from vaoi_station.board_data.design import XY, Box, Design, Part, Side, body_of, box_around, normalised, rotated
+from vaoi_station.board_data.design import (
+    XY,
+    Box,
+    Design,
+    Mark,
+    MarkKind,
+    Part,
+    Side,
+    body_of,
+    box_around,
+    normalised,
+    rotated,
+)
 from vaoi_station.board_data.source_text import parse_xml
 from vaoi_station.errors import InputError
 
@@ -28,6 +40,12 @@ _BOTTOM_RULES: dict[str, Callable[[float], float]] = {
 The first is the standard's; KiCad 9 follows the third."""
 _ENOUGH_PADS = 400
 _LEAST_OFFSET_MM = 0.2
+_MARK_KINDS: dict[str, MarkKind] = {
+    "GlobalFiducial": "global",
+    "LocalFiducial": "local",
+    "GoodPanelMark": "panel",
+    "BadBoardMark": "bad-board",
+}
 _UNITS = {"MILLIMETER": 1.0, "MICRON": 0.001, "INCH": 25.4}
 
 
@@ -216,17 +234,18 @@ class _Reader:
                     points.append(at)
         return points[:-1] if len(points) > 1 and math.dist(points[0], points[-1]) < 1e-6 else points
 
-    def _marks(self, step: Element) -> Iterator[tuple[str, Side | None, XY, float | None]]:
-        """Yield the explicit fiducials of a step."""
+    def _marks(self, step: Element) -> Iterator[Mark]:
+        """Yield the explicit fiducials and marks of a step."""
         for layer in step.findall("LayerFeature"):
             side = self._sides.get(layer.get("layerRef", ""))
-            for kind in ("GlobalFiducial", "LocalFiducial"):
-                for n, mark in enumerate(layer.iter(kind)):
+            for tag, kind in _MARK_KINDS.items():
+                for n, mark in enumerate(layer.iter(tag)):
                     location = mark.find("Location")
                     if location is not None:
-                        at = (self._number(location, "x") * self._mm, self._number(location, "y") * self._mm)
                         box = box_around(p for shape in mark for p in self._points(shape))
-                        yield f"{kind}{n + 1}", side, at, max(box.size) if box else None
+                        of = {_plain(pin.get("componentRef", "")) for pin in mark.iter("PinRef")} - {""}
+                        name, size = f"{tag}{n + 1}", max(box.size) if box else None
+                        yield Mark(name, side, self._place(location), size, kind, components=tuple(sorted(of)))
 
     def _number(self, element: Element | None, key: str, default: float | None = None) -> float:
         text = None if element is None else element.get(key)

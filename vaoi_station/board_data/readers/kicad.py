@@ -11,13 +11,16 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from vaoi_station.board_data.contours import arc_points, arc_through, circle_points, join
-from vaoi_station.board_data.design import XY, Box, Design, Part, Side, box_around, normalised, rotated
+from vaoi_station.board_data.design import XY, Box, Design, Mark, MarkKind, Part, Side, box_around, normalised, rotated
+from vaoi_station.board_data.marks import kind_by_name
 from vaoi_station.board_data.readers.sexpr import Node, every, first, numbers, parse_sexpr, text_of
 from vaoi_station.board_data.source_text import decode
 from vaoi_station.errors import InputError
 
 COURTYARD_MARGIN_MM = 0.25
 """Usual distance of a courtyard from body and pads (KiCad library convention F5.3)."""
+
+_MARK_PROPERTIES: dict[str, MarkKind] = {"pad_prop_fiducial_glob": "global", "pad_prop_fiducial_loc": "local"}
 
 
 def is_kicad(head: bytes) -> bool:
@@ -31,8 +34,10 @@ def read_kicad(data: bytes, path: Path) -> Design:
     if not root or root[0] != "kicad_pcb":
         raise InputError(f"{path}: begins with ({root[0] if root else ''} …, a KiCad board begins with (kicad_pcb …).")
     parts, unplaced = [], 0
+    marks: list[Mark] = []
     for footprint in every(root, "footprint", "module"):
         part = _part(footprint)
+        marks += _marks(footprint, part)
         if part is None:
             unplaced += 1
         else:
@@ -49,6 +54,7 @@ def read_kicad(data: bytes, path: Path) -> Design:
         parts=tuple(parts),
         outline=tuple(contours[0]) if contours else (),
         cut_outs=tuple(tuple(c) for c in contours[1:]),
+        marks=tuple(marks),
         notes=tuple(notes),
     )
 
@@ -63,7 +69,6 @@ def _part(footprint: Node) -> Part | None:
     rotation = at[2] if len(at) > 2 else 0.0
     name = str(footprint[1]) if len(footprint) > 1 and not isinstance(footprint[1], list) else ""
     side: Side = "bottom" if text_of(footprint, "layer").startswith("B.") else "top"
-    is_mark = "fiducial" in f"{name} {text_of(footprint, 'tags')}".lower()
     return Part(
         ref=ref,
         side=side,
@@ -73,9 +78,42 @@ def _part(footprint: Node) -> Part | None:
         value=_text(footprint, "value"),
         box=_body(footprint, rotation, side),
         fitted="dnp" not in attributes,
-        is_mark=is_mark,
+        is_mark=_is_mark(footprint),
+        mark_kind=next(_marked_pads(footprint), (None, None))[1] if len(list(every(footprint, "pad"))) == 1 else None,
         mark_diameter=_pad_diameter(footprint),
     )
+
+
+def _is_mark(footprint: Node) -> bool:
+    return "fiducial" in f"{footprint[1:2]} {text_of(footprint, 'tags')}".lower()
+
+
+def _marked_pads(footprint: Node) -> Iterator[tuple[Node, MarkKind]]:
+    """Yield the pads whose property says that they are fiducials."""
+    for pad in every(footprint, "pad"):
+        kind = _MARK_PROPERTIES.get(text_of(pad, "property"))
+        if kind is not None:
+            yield pad, kind
+
+
+def _marks(footprint: Node, part: Part | None) -> Iterator[Mark]:
+    """Yield the fiducials of a footprint that are no placed part of their own."""
+    at, ref = numbers(first(footprint, "at")), _text(footprint, "reference")
+    if len(at) < 2:
+        return
+    side: Side = "bottom" if text_of(footprint, "layer").startswith("B.") else "top"
+    pads = list(every(footprint, "pad"))
+    if len(pads) > 1:
+        turn = at[2] if len(at) > 2 else 0.0
+        for n, (pad, kind) in enumerate(_marked_pads(footprint)):
+            where, size = numbers(first(pad, "at")), numbers(first(pad, "size"))
+            if len(where) >= 2 and size:
+                dx, dy = rotated((where[0], -where[1]), turn)
+                of = (part.ref,) if part is not None and kind == "local" else ()
+                yield Mark(f"{ref}.FID{n + 1}", side, (at[0] + dx, dy - at[1]), max(size), kind, "attribute", of)
+    elif part is None and pads and _is_mark(footprint):
+        kind = next(_marked_pads(footprint), (None, kind_by_name(ref, str(footprint[1]))))[1]
+        yield Mark(ref or "FID", side, (at[0], -at[1]), _pad_diameter(footprint), kind, "package")
 
 
 def _text(footprint: Node, kind: str) -> str:

@@ -15,7 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from vaoi_station.board_data.contours import arc_points, circle_points
-from vaoi_station.board_data.design import XY, Design, Part, Side, box_around, normalised
+from vaoi_station.board_data.design import XY, Design, Mark, Part, Side, box_around, normalised
+from vaoi_station.board_data.readers.odb_features import outer_layers, pad_marks
 from vaoi_station.board_data.source_text import MOST_BYTES, Archive, decode, open_archive
 from vaoi_station.errors import InputError
 
@@ -138,10 +139,14 @@ def _step(archive: Archive, root: str, path: Path, name: str) -> Design:
         file = _file(archive, path, f"{folder}/layers/{layer}/components", default)
         if file is not None:
             parts += _components(file, side, packages)
+    marks: list[Mark] = []
+    for side, layer in outer_layers(_lines(archive, f"{root}matrix/matrix") or []).items():
+        copper = _file(archive, path, f"{folder}/layers/{layer}/features", default)
+        marks += pad_marks(copper.lines, copper.mm, side) if copper is not None else ()
     profile = _file(archive, path, f"{folder}/profile", default)
     contours = list(_contours(profile)) if profile else []
     outline = contours[0] if contours else []
-    return Design(name, "odb++", tuple(parts), tuple(outline), tuple(map(tuple, contours[1:])))
+    return Design(name, "odb++", tuple(parts), tuple(outline), tuple(map(tuple, contours[1:])), marks=tuple(marks))
 
 
 def _file(archive: Archive, path: Path, name: str, default: float | None) -> _File | None:
