@@ -50,3 +50,14 @@ def test_wrong_options_are_refused(vaoi: Vaoi, board: Path, tmp_path: Path, opti
 def test_without_out_it_is_refused(vaoi: Vaoi, board: Path) -> None:
     done = vaoi("import", str(board))
     assert (done.code, "Give it by --out board.json." in done.err) == (2, True)
+
+
+def test_places_and_bodies_of_two_files_are_joined(vaoi: Vaoi, board: Path, tmp_path: Path) -> None:
+    placer, out = tmp_path / "p.csv", tmp_path / "board.json"
+    placer.write_text("Ref,X(mm),Y(mm),Rot\nR1,110,10,0\nJ1,130,20,90\nFID1,105,5,0\n")
+    done = vaoi("import", str(placer), "--join", str(board), "--out", str(out))
+    assert done.code == 0, done.err
+    assert "rotated by 0° and shifted by (100.000, 0.000) mm; 3 agree within 0 µm" in done.out
+    document = json.loads(out.read_text())
+    assert {c["ref"]: c["width"] for c in document["components"]} == {"R1": 2.0, "J1": 7.5, "FID1": 1.2}
+    assert min(x for x, _ in document["outline"]) == 100

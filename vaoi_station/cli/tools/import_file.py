@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -36,6 +36,10 @@ def import_file(
     ] = None,
     delimiter: Annotated[str | None, typer.Option(help="Centroid file: one character; by default recognised.")] = None,
     step: Annotated[str | None, typer.Option(help="ODB++: the step; by default that with most components.")] = None,
+    join: Annotated[
+        Path | None,
+        typer.Option(help="Centroid file: take bodies, heights, outline and marks from this file, by designator."),
+    ] = None,
     sizes: Annotated[Path | None, typer.Option(help="TOML table of body sizes by package name.")] = None,
 ) -> None:
     """Import an exported run, or make a board type (board.json) of the board data of a CAD system.
@@ -55,21 +59,24 @@ def import_file(
     if out is None:
         raise InputError("a board type needs a file to be written to.", action="Give it by --out board.json.")
     table = TableOptions.parse(units, columns, delimiter)
-    _import_board_data(file, Options(format, table, step, sizes), side, out, name)
+    _import_board_data(file, join, Options(format, table, step, sizes), side, out, name)
 
 
-def _import_board_data(file: Path, options: object, side: str, out: Path, name: str | None) -> None:
+def _import_board_data(file: Path, join: Path | None, options: object, side: str, out: Path, name: str | None) -> None:
     """Write a board type, and print what was recognised and what to check."""
     from collections import Counter
 
-    from vaoi_station.board_data import Options, read_design, to_board_type
+    from vaoi_station.board_data import Options, join_designs, read_design, to_board_type
     from vaoi_station.files.atomic_directory import refuse_existing
     from vaoi_station.files.board_types import write_board_type
 
     assert isinstance(options, Options)
     refuse_existing(out)
+    up: Literal["top", "bottom"] = "bottom" if side == "bottom" else "top"
     design = read_design(file, options)
-    board, notes = to_board_type(design, "bottom" if side == "bottom" else "top", name)
+    if join is not None:
+        design = join_designs(design, read_design(join, Options(step=options.step, sizes=options.sizes)), up)
+    board, notes = to_board_type(design, up, name)
     write_board_type(out, board)
     sizes = Counter(c.size_from for c in board.components)
     shown = ", ".join(f"{count} sizes from {_SIZE_WORDS[key]}" for key, count in sizes.items() if key)

@@ -1,0 +1,252 @@
+"""Join two files of one board: places from a centroid file, bodies and outline from a file of the CAD system.
+
+Parts are matched by designator. Origins, and sometimes the direction of the axes, differ from program to program: the
+shift and the rotation between both files are found from the parts that both have.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from statistics import median
+
+from vaoi_station.board_data.design import XY, Box, Design, Part, Side, normalised, rotated
+from vaoi_station.board_data.marks import find_marks
+from vaoi_station.errors import InputError
+
+LEAST_COMMON = 3
+"""With fewer parts in both files, a shift with a rotation cannot be checked."""
+AGREES_MM = 0.1
+"""A part whose places differ by more is a conflict; CAD systems round to 10 µm or better."""
+SAME_SCALE = 2e-3
+SAME_ANGLE_DEG = 0.05
+_QUARTER_DEG = (0.0, 90.0, 180.0, 270.0)
+
+
+@dataclass(frozen=True)
+class Placement:
+    """The way from the frame of one file to that of the other: mirror x, rotate, shift."""
+
+    mirrored: bool
+    degrees: float
+    shift: XY
+
+    def apply(self, point: XY) -> XY:
+        """Return a point of the file with the bodies in the frame of the file with the places."""
+        x, y = rotated((-point[0] if self.mirrored else point[0], point[1]), self.degrees)
+        return x + self.shift[0], y + self.shift[1]
+
+
+def join_designs(places: Design, bodies: Design, side: Side) -> Design:
+    """Return the parts of one side, placed as in `places`, with the bodies, heights, outline and marks of `bodies`.
+
+    Raises:
+        InputError: the files have too few parts in common, or do not fit each other.
+    """
+    placed, drawn = _by_ref(places, side), _by_ref(bodies, side)
+    common = sorted(placed.keys() & drawn.keys())
+    if len(common) < LEAST_COMMON:
+        raise InputError(
+            f"{places.name!r} and {bodies.name!r} have {len(common)} designators of the {side} in common, needed are "
+            f"{LEAST_COMMON}; the first file has {len(placed)} parts there, the second {len(drawn)}.",
+            action="Check that both are of the same board and side.",
+        )
+    pairs = [(placed[ref], drawn[ref]) for ref in common]
+    by_center, found = _best(pairs)
+    notes = []
+    if found.mirrored:
+        # The board type describes both sides as seen from the top, so the places are mirrored back.
+        placed, found = _unmirrored(placed, drawn, common, found)
+        pairs = [(placed[ref], drawn[ref]) for ref in common]
+        notes.append("the first file describes this side mirrored in x; its places were mirrored back.")
+    errors = {b.ref: math.dist(a.origin, found.apply(_place(b, by_center))) for a, b in pairs}
+    off = {ref: error for ref, error in errors.items() if error > AGREES_MM}
+    good = [error for error in errors.values() if error <= AGREES_MM]
+    what = "centres of bodies" if by_center else "origins"
+    notes.insert(
+        0,
+        f"joined by {len(common)} designators: the first file's places are the second's {what}, rotated by "
+        f"{found.degrees:g}° and shifted by ({found.shift[0]:.3f}, {found.shift[1]:.3f}) mm; "
+        f"{len(good)} agree within {max(good, default=0) * 1000:.0f} µm.",
+    )
+    if 2 * len(good) < len(common):
+        raise _misfit(places, bodies, pairs, len(good), found.degrees)
+    joined = [_joined(a, drawn.get(a.ref), found, by_center) for a in placed.values()]
+    notes += _conflicts(placed, drawn, off, found, _sides(places, bodies))
+    return Design(
+        name=places.name,
+        format=f"{places.format} + {bodies.format}",
+        parts=tuple(joined),
+        outline=tuple(map(found.apply, bodies.outline)),
+        cut_outs=tuple(tuple(map(found.apply, contour)) for contour in bodies.cut_outs),
+        # Fiducials often stand in the CAD file alone; where both files have one, the places decide.
+        marks=tuple(
+            replace(m, at=placed[m.name].origin if m.name in placed and m.name not in off else found.apply(m.at))
+            for m in find_marks(bodies, [p for p in bodies.parts if p.side == side], side)
+        ),
+        notes=(*places.notes, *bodies.notes, *notes),
+    )
+
+
+def _by_ref(design: Design, side: Side) -> dict[str, Part]:
+    """Return the parts of a side; designators that stand several times match nothing."""
+    counts = Counter(part.ref for part in design.parts)
+    return {part.ref: part for part in design.parts if part.side == side and counts[part.ref] == 1}
+
+
+def _sides(places: Design, bodies: Design) -> dict[str, tuple[Side, Side]]:
+    """Return the designators that lie on different sides in both files."""
+    once = [{r: p for s in ("top", "bottom") for r, p in _by_ref(design, s).items()} for design in (places, bodies)]
+    return {
+        ref: (part.side, once[1][ref].side)
+        for ref, part in once[0].items()
+        if ref in once[1] and once[1][ref].side != part.side
+    }
+
+
+def _place(part: Part, by_center: bool) -> XY:
+    return part.center if by_center else part.origin
+
+
+def _misfit(
+    places: Design, bodies: Design, pairs: Sequence[tuple[Part, Part]], good: int, degrees: float
+) -> InputError:
+    """Return the refusal of files that do not fit; of another scale if they fit at it."""
+    for by_center in (False, True):
+        spreads = []
+        for points in ([a.origin for a, _ in pairs], [_place(b, by_center) for _, b in pairs]):
+            middle = (median(x for x, _ in points), median(y for _, y in points))
+            spreads.append(median(math.dist(p, middle) for p in points))
+        factor = spreads[0] / spreads[1] if min(spreads) > 1e-6 else 1.0
+        scaled = [(replace(a, origin=(a.origin[0] / factor, a.origin[1] / factor)), b) for a, b in pairs]
+        if abs(factor - 1) > SAME_SCALE and 2 * _agreeing(scaled, *_best(scaled)) >= len(pairs):
+            return InputError.field(
+                "--join",
+                "the distance of parts in the first file",
+                f"{factor:.4g} times that in the second",
+                "equal in both; check --units",
+            )
+    return InputError(
+        f"{places.name!r} and {bodies.name!r} do not fit: only {good} of {len(pairs)} common parts are at the same "
+        f"place (within {AGREES_MM:g} mm), at the best rotation, {degrees:g}°.",
+        action="Check that both are of the same revision of the board, and that places are not those of pin 1.",
+    )
+
+
+def _agreeing(pairs: Sequence[tuple[Part, Part]], by_center: bool, found: Placement) -> int:
+    return sum(math.dist(a.origin, found.apply(_place(b, by_center))) <= AGREES_MM for a, b in pairs)
+
+
+def _best(pairs: Sequence[tuple[Part, Part]]) -> tuple[bool, Placement]:
+    """Return whether places are centres of bodies, and the placement with which most parts agree."""
+    turns = Counter(round((a.rotation - b.rotation) % 360, 2) % 360 for a, b in pairs)
+    angles = (*_QUARTER_DEG, *(angle for angle, _ in turns.most_common(3)))
+    candidates = []
+    for by_center, mirrored, degrees in product((False, True), (False, True), dict.fromkeys(angles)):
+        turned = [(a.origin, Placement(mirrored, degrees, (0.0, 0.0)).apply(_place(b, by_center))) for a, b in pairs]
+        shift = (median(p[0] - q[0] for p, q in turned), median(p[1] - q[1] for p, q in turned))
+        errors = [math.dist(p, (q[0] + shift[0], q[1] + shift[1])) for p, q in turned]
+        agreeing = sum(error <= AGREES_MM for error in errors)
+        # At equal counts the simpler explanation comes first: origins, not mirrored, a quarter turn.
+        total = round(sum(min(error, AGREES_MM) for error in errors), 4)
+        candidates.append((-agreeing, total, len(candidates), by_center, Placement(mirrored, degrees, shift)))
+    *_, by_center, found = min(candidates)
+    return by_center, found
+
+
+def _unmirrored(
+    placed: dict[str, Part], drawn: dict[str, Part], common: Sequence[str], found: Placement
+) -> tuple[dict[str, Part], Placement]:
+    """Return the parts mirrored in x, and the placement that then holds."""
+    # (x, y) → R·(−x, y) + s, mirrored in x again, is a rotation by the negative angle and a shift with −sx.
+    placement = Placement(False, normalised(-found.degrees), (-found.shift[0], found.shift[1]))
+    rules = (lambda r: r, lambda r: -r, lambda r: 180 - r, lambda r: 180 + r)
+
+    def agreeing(rule: int) -> int:
+        turns = [rules[rule](placed[ref].rotation) - drawn[ref].rotation - placement.degrees for ref in common]
+        return sum(_is_near(turn, 0.0) for turn in turns)
+
+    rule = rules[max(range(len(rules)), key=agreeing)]
+    return {
+        ref: replace(part, origin=(-part.origin[0], part.origin[1]), rotation=normalised(rule(part.rotation)))
+        for ref, part in placed.items()
+    }, placement
+
+
+def _is_near(degrees: float, expected: float) -> bool:
+    return abs((degrees - expected + 180) % 360 - 180) <= SAME_ANGLE_DEG
+
+
+def _joined(placed: Part, drawn: Part | None, found: Placement, by_center: bool) -> Part:
+    """Return a part with the body of the other file."""
+    if drawn is None or drawn.box is None:
+        return placed
+    turn = drawn.rotation + found.degrees - placed.rotation
+    box = drawn.box
+    if by_center:
+        (width, height) = box.size
+        box = Box((-width / 2, -height / 2), (width / 2, height / 2))
+    # Libraries disagree in what 0° of a package is. The body on the board is the same: its box turns in its frame.
+    quarter = next((q for q in _QUARTER_DEG if _is_near(turn, q)), 0.0)
+    if quarter:
+        corners = [rotated(p, quarter) for p in (box.low, box.high)]
+        xs, ys = zip(*corners, strict=True)
+        box = Box((min(xs), min(ys)), (max(xs), max(ys)))
+    return replace(
+        placed,
+        box=box,
+        size_from=drawn.size_from,
+        body_height=drawn.body_height,
+        package=placed.package or drawn.package,
+        value=placed.value or drawn.value,
+        fitted=placed.fitted and drawn.fitted,
+        is_mark=placed.is_mark or drawn.is_mark,
+        mark_kind=placed.mark_kind or drawn.mark_kind,
+        mark_diameter=placed.mark_diameter or drawn.mark_diameter,
+    )
+
+
+def _conflicts(
+    placed: dict[str, Part],
+    drawn: dict[str, Part],
+    off: dict[str, float],
+    found: Placement,
+    sides: dict[str, tuple[Side, Side]],
+) -> list[str]:
+    """Return a sentence for every kind of conflict."""
+    notes = []
+    if off:
+        worst = sorted(off, key=lambda ref: -off[ref])
+        notes.append(
+            f"conflict: {len(off)} parts are at another place in the second file; the first file's is used: "
+            f"{_some([f'{ref} ({off[ref]:.2f} mm)' for ref in worst])}."
+        )
+    turned, skewed = [], []
+    for ref in sorted(placed.keys() & drawn.keys()):
+        turn = drawn[ref].rotation + found.degrees - placed[ref].rotation
+        if not any(_is_near(turn, q) for q in _QUARTER_DEG):
+            skewed.append(f"{ref} ({(-turn) % 360:g}°)")
+        elif not _is_near(turn, 0.0):
+            turned.append(f"{ref} ({(-turn) % 360:.0f}°)")
+    if skewed:
+        notes.append(f"conflict: {len(skewed)} parts have another rotation; the first file's is used: {_some(skewed)}.")
+    if turned:
+        notes.append(
+            f"conflict: {len(turned)} parts have another rotation by quarter turns; the body stays as the second file "
+            f"draws it: {_some(turned)}."
+        )
+    if sides:
+        shown = [f"{ref} ({first}, {second})" for ref, (first, second) in sides.items()]
+        notes.append(f"conflict: {len(sides)} parts lie on different sides in both files: {_some(shown)}.")
+    if missing := sorted(placed.keys() - drawn.keys()):
+        notes.append(f"conflict: {len(missing)} parts are in the first file only, without a body: {_some(missing)}.")
+    if more := sorted(drawn.keys() - placed.keys()):
+        notes.append(f"conflict: {len(more)} parts are in the second file only; they were left out: {_some(more)}.")
+    return notes
+
+
+def _some(names: Sequence[str]) -> str:
+    return ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
