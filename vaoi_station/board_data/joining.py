@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from statistics import median
@@ -144,7 +144,7 @@ def _best(pairs: Sequence[tuple[Part, Part]]) -> tuple[bool, Placement]:
     """Return whether places are centres of bodies, and the placement with which most parts agree."""
     turns = Counter(round((a.rotation - b.rotation) % 360, 2) % 360 for a, b in pairs)
     angles = (*_QUARTER_DEG, *(angle for angle, _ in turns.most_common(3)))
-    candidates = []
+    candidates: list[tuple[int, float, int, bool, Placement]] = []
     for by_center, mirrored, degrees in product((False, True), (False, True), dict.fromkeys(angles)):
         turned = [(a.origin, Placement(mirrored, degrees, (0.0, 0.0)).apply(_place(b, by_center))) for a, b in pairs]
         shift = (median(p[0] - q[0] for p, q in turned), median(p[1] - q[1] for p, q in turned))
@@ -163,7 +163,7 @@ def _unmirrored(
     """Return the parts mirrored in x, and the placement that then holds."""
     # (x, y) → R·(−x, y) + s, mirrored in x again, is a rotation by the negative angle and a shift with −sx.
     placement = Placement(False, normalised(-found.degrees), (-found.shift[0], found.shift[1]))
-    rules = (lambda r: r, lambda r: -r, lambda r: 180 - r, lambda r: 180 + r)
+    rules: tuple[Callable[[float], float], ...] = (lambda r: r, lambda r: -r, lambda r: 180 - r, lambda r: 180 + r)
 
     def agreeing(rule: int) -> int:
         turns = [rules[rule](placed[ref].rotation) - drawn[ref].rotation - placement.degrees for ref in common]
