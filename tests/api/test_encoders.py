@@ -32,6 +32,8 @@ EXACT = [ImageFormat.PNG, ImageFormat.TIFF, ImageFormat.NPY, ImageFormat.RAW]
         (None, "image/*;q=0.5, application/x-npy", "npy"),
         (None, "application/octet-stream", "raw"),
         (None, "IMAGE/PNG", "png"),
+        (None, "application/problem+json", "png"),
+        (None, "application/problem+json;q=0.5, image/jpeg", "jpeg"),
         ("jpg", None, "jpeg"),
         ("RAW", "image/png", "raw"),
         ("tif", "text/html", "tiff"),

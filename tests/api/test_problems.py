@@ -68,6 +68,29 @@ def test_refusals(client: Any, method: str, path: str, status: int, code: str, d
     assert detail in problem(client.request(method, path), status, code)["detail"]
 
 
+PLACES = {"run": "r000001", "camera": 0, "row": 0, "ref": "U1", "k": 0, "name": "demo-board", "picture": "board"}
+PLACES |= {"level": 9, "column": 0, "suffix": "jpg", "region": "full", "size": "9,9", "file": "x", "revision": "x"}
+
+
+def test_allow_names_every_method_of_every_address(client: Any) -> None:
+    """Each method of an address has a route of its own; Starlette would name the methods of the first one."""
+    for path, operations in client.get(f"{API}/openapi.json").json()["paths"].items():
+        takes = {method.upper() for method in operations}
+        takes |= {"HEAD"} if "GET" in takes and not path.endswith("/events") else set()
+        for method in ("GET", "POST", "PUT", "DELETE", "PATCH", "OPTIONS"):
+            if method not in takes:
+                answer = client.request(method, path.format(**PLACES))
+                detail = problem(answer, 405, "wrong-method")["detail"]
+                assert answer.headers["allow"] == ", ".join(sorted(takes)), (method, path)
+                assert detail.endswith(f"does not take {method}, only {answer.headers['allow']}.")
+
+
+def test_allow_of_a_file_of_the_page(client: Any) -> None:
+    answer = client.delete("/web/app.js")
+    problem(answer, 405, "wrong-method")
+    assert answer.headers["allow"] == "GET, HEAD"
+
+
 @pytest.mark.parametrize(
     ("error", "status"),
     [

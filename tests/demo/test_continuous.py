@@ -1,4 +1,4 @@
-"""Describe boards, and choose the port."""
+"""Describe boards, and refuse a port that is in use."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ import pytest
 
 from vaoi_station.config import ApiConfig
 from vaoi_station.demo import continuous
-from vaoi_station.demo.continuous import default_port, describe_run
+from vaoi_station.demo.continuous import describe_run, run_continuously
+from vaoi_station.errors import DeviceError
+from vaoi_station.simulation import scenario_path
 
 
 def test_run_is_described_in_one_line() -> None:
@@ -21,9 +23,13 @@ def test_run_is_described_in_one_line() -> None:
     assert describe_run(4, failed) == "board 4: failed, 12 of 12 frames, It lies turned round."
 
 
-def test_default_port_is_used_unless_a_program_listens_there(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_port_in_use_is_refused_before_the_board_is_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A random port in its place would leave callers of the documented port with another station."""
+    said: list[str] = []
     with socket.create_server(("127.0.0.1", 0)) as other:
-        taken = ApiConfig(port=other.getsockname()[1])
-        monkeypatch.setattr(continuous, "ApiConfig", lambda: taken)
-        assert default_port() == 0
-    assert default_port() == taken.port
+        taken = other.getsockname()[1]
+        monkeypatch.setattr(continuous, "ApiConfig", lambda: ApiConfig(port=taken))
+        for port in (None, taken):
+            with pytest.raises(DeviceError, match=f"port {taken} .*--port 0"):
+                run_continuously(scenario_path("small"), port, said.append)
+    assert said == []

@@ -11,6 +11,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from vaoi_station.api.problems import MEDIA_TYPE as PROBLEM
 from vaoi_station.api.problems import NotAcceptableError
 from vaoi_station.files.images import Image, encode_jpeg, encode_png, encode_tiff
 
@@ -39,6 +40,8 @@ _NAMES = {"jpg": ImageFormat.JPEG, "tif": ImageFormat.TIFF, **{str(f): f for f i
 def choose_format(asked: str | None, accept: str | None) -> ImageFormat:
     """Return the format of the reply: `?format=` has precedence over the Accept header. The default is PNG.
 
+    An Accept header that names only the type of refusals, `application/problem+json`, asks for the default.
+
     Raises:
         NotAcceptableError: none of the requested formats is available.
     """
@@ -47,8 +50,9 @@ def choose_format(asked: str | None, accept: str | None) -> ImageFormat:
         if found is None:
             raise NotAcceptableError(f"format is {asked!r:.40}, but must be one of {_offer(names=True)}.")
         return found
+    # Generated clients often send the type of refusals alone, which says nothing about the picture's format.
+    ranked = [r for r in accepted(accept or "*/*") if r[0] != PROBLEM] or [("*/*", 1.0)]
     # Between formats of equal quality the order of MEDIA_TYPES decides, so that */* gives PNG.
-    ranked = accepted(accept or "*/*")
     for wanted in sorted({q for _, q in ranked if q > 0}, reverse=True):
         for image_format, media_type in MEDIA_TYPES.items():
             if quality_of(media_type, ranked) == wanted:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import logging
 import uuid
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from http import HTTPStatus
 from typing import Any
 from urllib.parse import quote
@@ -19,10 +19,15 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from pydantic import BaseModel, Field
 from starlette.exceptions import HTTPException
+from starlette.routing import BaseRoute, Match, Mount
 
 from vaoi_station.errors import VaoiError
 
 MEDIA_TYPE = "application/problem+json"
+STREAM = "/api/v1/events"
+"""Path of the event stream, whose reply has no end."""
+METHODS = ("GET", "POST", "PUT", "PATCH", "DELETE")
+"""Methods that an address may have; HEAD follows from GET."""
 log = logging.getLogger(__name__)
 
 
@@ -176,12 +181,32 @@ def _fault(fault: Mapping[str, Any]) -> Fault:
 async def _http(request: Request, error: Exception) -> JSONResponse:
     assert isinstance(error, HTTPException)
     path, code = request.url.path, _CODE_OF_STATUS.get(error.status_code, "internal")
-    allow = (error.headers or {}).get("Allow", "")
+    allow = ", ".join(allowed_methods(request))
     detail = {
         "no-route": f"{path} does not exist.",
         "wrong-method": f"{path} does not take {request.method}, only {allow}.",
     }.get(code, str(error.detail))
-    return problem_response(path, code, detail, status=error.status_code, headers=error.headers)
+    headers = {"Allow": allow} if code == "wrong-method" else error.headers
+    return problem_response(path, code, detail, status=error.status_code, headers=headers)
+
+
+def allowed_methods(request: Request) -> list[str]:
+    """Return all methods that the address of a request takes, sorted."""
+    # Starlette names the methods of one route, but each method of an address has a route of its own.
+    # Within a mounted folder, `root_path` is the folder's.
+    root = request.scope.get("app_root_path", request.scope.get("root_path", ""))
+    address = {"type": "http", "path": request.scope["path"], "root_path": root}
+    found = {method for method in METHODS if _takes(request.app.routes, {**address, "method": method})}
+    # `RequestGuard` passes HEAD on as GET, except for the event stream, which has no end.
+    return sorted(found | {"HEAD"} if "GET" in found and request.url.path != STREAM else found)
+
+
+def _takes(routes: Iterable[BaseRoute], scope: dict[str, Any]) -> bool:
+    # A mounted folder matches every method; its files are only read.
+    return any(
+        route.matches(scope)[0] is Match.FULL and (scope["method"] == "GET" or not isinstance(route, Mount))
+        for route in routes
+    )
 
 
 async def _unexpected(request: Request, error: Exception) -> JSONResponse:

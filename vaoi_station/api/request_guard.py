@@ -33,7 +33,7 @@ from vaoi_station.api.callers.caller import caller_in, set_caller
 from vaoi_station.api.callers.seats import Seats
 from vaoi_station.api.event_hub import ThreadLimit
 from vaoi_station.api.hosts import addressed, allowed_names
-from vaoi_station.api.problems import problem_response
+from vaoi_station.api.problems import STREAM, problem_response
 from vaoi_station.errors import BusyError
 from vaoi_station.files.documents import DuplicateKeyError, refuse_duplicate_keys
 from vaoi_station.version import __version__
@@ -49,10 +49,6 @@ PIECE_BYTES = 128 * 1024
 BODY_LIMIT_S = 20.0
 """Longest accepted time until a body has arrived. On a slow network 8 MB take a second."""
 SAFE = ("GET", "HEAD", "OPTIONS")
-STREAM = "/api/v1/events"
-"""Path of the event stream. HEAD requests for it are not handled as GET, because the stream would start and never
-end."""
-
 BOARD_TYPE = re.compile(r"/api/v1/board-types/[^/]+")
 API = "/api/"
 _DECIDING = ("Host", "Origin", "Authorization", "Sec-Fetch-Site", "Sec-Fetch-Mode", "Sec-Fetch-Dest", "Sec-Fetch-User")
@@ -115,6 +111,7 @@ class RequestGuard:
         refusal = self._refusal(scope)
         if refusal is not None:
             await refusal(scope, receive, send)
+        # A HEAD request for the event stream is not handled as GET: the stream would start and never end.
         elif scope["method"] == "HEAD" and scope["path"] != STREAM:
             await self._app({**scope, "method": "GET"}, receive, _without_body(send))
         elif scope["method"] in SAFE and scope["path"] == STREAM:

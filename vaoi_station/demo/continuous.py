@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import socket
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
 
 from vaoi_station.config import ApiConfig
 from vaoi_station.demo.client import Client
-from vaoi_station.demo.service import Service
+from vaoi_station.demo.service import Service, refuse_taken_port
 from vaoi_station.demo.station_files import write_station_files
 from vaoi_station.demo.temporary_folder import temporary_folder
 from vaoi_station.demo.waiting import poll, wait_until_idle
-
-HOST = ApiConfig().host
 
 
 def run_continuously(scenario: Path, port: int | None, report: Callable[[str], None]) -> NoReturn:
@@ -22,13 +19,19 @@ def run_continuously(scenario: Path, port: int | None, report: Callable[[str], N
 
     Args:
         scenario: file of the twin's scenario.
-        port: port of the service; None for the default port, or for any free port if the default is in use.
+        port: port of the service; None for the default port, 0 for any free port.
         report: is called with one line per board.
+
+    Raises:
+        DeviceError: the port is in use.
     """
+    port = ApiConfig().port if port is None else port
+    # Another station may already run here. A program that expects the demo at this port would talk to that station.
+    refuse_taken_port(port)
     report("Drawing the board …")
     with temporary_folder("demo") as folder:
         config, twin = write_station_files(scenario, folder)
-        with Service(config, default_port() if port is None else port) as service:
+        with Service(config, port) as service:
             client = Client(service.address)
             report(f"The station's page: {service.address}/  (REST: {service.address}/docs). Ctrl-C ends it.")
             wait_until_idle(client)
@@ -51,9 +54,3 @@ def describe_run(number: int, run: dict[str, Any]) -> str:
         words.append(f"matrices {timings['ready_after_last_frame_ms']:.0f} ms after the last frame")
     return ", ".join((*words, *(reason["message"] for reason in run["reasons"])))
 
-
-def default_port() -> int:
-    """Return the station's default port if no program listens there; else 0."""
-    # Another station may already run here, and a demo beside it must not fail because of it.
-    with socket.socket() as probe:
-        return 0 if probe.connect_ex((HOST, ApiConfig().port)) == 0 else ApiConfig().port

@@ -13,6 +13,8 @@ from collections import deque
 from pathlib import Path
 from typing import IO
 
+from vaoi_station.api.web_server import open_listener
+from vaoi_station.config import ApiConfig
 from vaoi_station.errors import DeviceError, InternalError
 
 START_S = 60.0
@@ -118,3 +120,16 @@ class Service:
 
     def _last_line(self) -> str:
         return (list(self._log) or ["none"])[-1].strip()
+
+
+def refuse_taken_port(port: int) -> None:
+    """Raise DeviceError if another program listens at a port of the demo's service. Port 0 is always free."""
+    # Checked here before the board is drawn, which takes seconds; the service itself refuses a port taken meanwhile.
+    host = ApiConfig().host
+    try:
+        open_listener(host, port, "vaoi demo").close()
+    except DeviceError as error:
+        raise DeviceError(
+            f"{error.message} Another station or demo may run there: http://{host}:{port}/.",
+            action="End that program, or choose another port: --port 8351, or --port 0 for any free one.",
+        ) from error

@@ -10,7 +10,7 @@ from vaoi_station.demo.client import Client
 from vaoi_station.demo.component_images import ComponentImages, fetch_component_images, list_unseen_components
 from vaoi_station.demo.demo_report import DemoReport, headline
 from vaoi_station.demo.evaluation import Output, ServiceReplies, evaluate
-from vaoi_station.demo.service import Service
+from vaoi_station.demo.service import Service, refuse_taken_port
 from vaoi_station.demo.station_files import write_station_files
 from vaoi_station.demo.temporary_folder import temporary_folder
 from vaoi_station.demo.waiting import wait_for_run, wait_until_idle
@@ -33,9 +33,10 @@ def film_single_board(scenario: Path, out: Path, port: int = 0) -> DemoReport:
 
     Raises:
         InputError: `out` holds other files.
-        DeviceError: the service does not start, or films nothing.
+        DeviceError: the port is in use, the service does not start, or it films nothing.
     """
     started_s = time.monotonic()
+    refuse_taken_port(port)
     prepare_output(out)
     with temporary_folder("demo") as folder:
         config, twin = write_station_files(scenario, folder, boards=1)

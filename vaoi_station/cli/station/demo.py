@@ -15,7 +15,7 @@ def demo(
     ] = "demo",
     port: Annotated[
         int | None,
-        typer.Option(min=0, max=65535, help="Port of the service [8350 if it is free, else any; with --once any]."),
+        typer.Option(min=0, max=65535, help="Port of the service, 0: any free one [8350; with --once any]."),
     ] = None,
     once: Annotated[bool, typer.Option("--once", help="Film one board, print a report, and exit.")] = False,
     out: Annotated[
