@@ -159,9 +159,14 @@ def test_frames_and_pictures_of_a_run(
     middle, _ = coordinator.frame(run.id, 0, run.rows // 2)
     [recording] = [r for r in opened if np.array_equal(recorded(r, 0, run.rows // 2), middle)]
     assert len(run.frames) == len(recording.head.cameras) * recording.head.rows
+    [bay] = [b for b in coordinator.snapshot().ring.bays if b.run == run.id]
+    assert (run.bay, run.generation) == (bay.bay, bay.generation)
     for frame in run.frames:
         pixels = recorded(recording, frame.camera, frame.row)
         assert np.array_equal(coordinator.frame(run.id, frame.camera, frame.row)[0], pixels)
+        # A tester on the same PC finds them in shared memory by the numbers that REST gives.
+        assert frame.slot is not None
+        assert np.array_equal(in_memory(coordinator.snapshot().ring.path, run, frame.slot), pixels)
     seen: Any = [c for c in coordinator.components(run.id) if c.views]
     assert seen
     address = seen[0].address
@@ -172,6 +177,17 @@ def test_frames_and_pictures_of_a_run(
     assert picture.std() > 1
     twice = coordinator.image(run.id, address, 0, ImageRequest(Framing(2 * views[0].px_per_mm)))
     assert decoded(twice).shape[1] == pytest.approx(2 * views[0].width, abs=1)
+
+
+def in_memory(path: str, run: RunDetail, slot: int) -> NDArray[Any]:
+    """Read a frame from the ring's file as docs/internals/ring.md describes it, with the check of the generation."""
+    header = np.fromfile(path, "<u8", 13)
+    size_bytes, bays, first = int(header[8]), int(header[10]), int(header[12])
+    assert run.bay is not None
+    generation = np.fromfile(path, "<u8", 1, offset=bays + 16 * run.bay)[0]
+    assert generation == run.generation
+    width, height = np.fromfile(path, "<u4", 2, offset=int(header[9]))
+    return np.fromfile(path, np.uint8, width * height, offset=first + slot * size_bytes).reshape(height, width)
 
 
 def recorded(recording: Recording, camera: int, row: int) -> NDArray[Any]:

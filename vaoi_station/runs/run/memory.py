@@ -145,7 +145,7 @@ class Memory:
 
     def bays(self) -> tuple[BayStatus, ...]:
         """Return the use and the run of every bay, for `GET station` and the page."""
-        return tuple(BayStatus(bay=b.number, use=b.use, run=b.run) for b in self._bays)
+        return tuple(BayStatus(bay=b.number, use=b.use, run=b.run, generation=b.generation) for b in self._bays)
 
     def holders(self) -> str:
         """Return a phrase for messages that names the run and the use of every bay."""

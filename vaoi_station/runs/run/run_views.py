@@ -78,6 +78,8 @@ def detail_of(progress: Progress) -> RunDetail:
         software=versions(),
         calibration=order.calibration_digest,
         made_with=made_with(order),
+        bay=progress.context.bay,
+        generation=progress.context.generation,
         unseen=unseen_of(progress.stitch),
         stored=False,  # Set by the archive, which has this information.
     )

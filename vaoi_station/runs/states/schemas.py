@@ -117,6 +117,8 @@ class BayStatus(Schema):
     bay: int
     use: Literal["free", "granted", "filming", "stitching", "finished"]
     run: str | None
+    generation: int = 0
+    """Generation of the bay in the table of the ring; it is raised when the bay is given to another run."""
 
 
 class RingStatus(Schema):
@@ -356,6 +358,10 @@ class RunDetail(RunSummary):
     """Digest of the calibration with which the run was stitched."""
     made_with: MadeWith | None = None
     """What else the run was made with; None for runs of earlier versions."""
+    bay: int | None = None
+    """Bay of the ring that holds the frames; `slot` of each frame is one of its slots. None for earlier runs."""
+    generation: int | None = None
+    """Generation of that bay for this run; while the bay's table has another one, its pixels are of another run."""
     unseen: tuple[Unseen, ...] = ()
     """Components that the good frames show too little of; the run is then not ok."""
 
