@@ -53,4 +53,3 @@ def describe_run(number: int, run: dict[str, Any]) -> str:
     if timings and "ready_after_last_frame_ms" in timings:
         words.append(f"matrices {timings['ready_after_last_frame_ms']:.0f} ms after the last frame")
     return ", ".join((*words, *(reason["message"] for reason in run["reasons"])))
-

@@ -56,8 +56,7 @@ class ArmedWith(Schema):
     reference: str | None = None
     """Id of the run against which boards are placed; None: no reference is used."""
     board_id_certain: bool = True
-    """Whether `board_id` still belongs to the next board. If False, a board may have passed without a run since it was
-    armed, and the next runs get no board id: arm again with the id of the next board."""
+    """Whether `board_id` belongs to the next board. If not, a board may have passed without a run: arm again."""
     resumed: bool = False
     """Whether the order was in force before a restart and was taken up again by itself."""
 
@@ -307,8 +306,7 @@ class RunSummary(Schema):
     stored: bool = True
     """Whether the run is on disk. False: it is under way, or the storage takes no writes and it is in memory only."""
     frames_kept_until: str | None = None
-    """Time until which the frames of a finished run are not evicted, unless the run is released before; later they stay
-    only as long as a caller holds them or their memory is not needed."""
+    """Time until which frames stay unless released; later only while they are held or their memory is not needed."""
     forgotten: bool = False
     """Whether only this summary is kept; requests for the run are refused with 410 `run-forgotten`."""
     pinned: bool = False
@@ -337,8 +335,7 @@ class Unseen(Schema):
     """Number of good frames that show at least half of the footprint."""
     in_one_frame: bool
     cause: UnseenCause
-    """What was tested to explain it: frames were lost; the frames ended before, or began after the component passed;
-    it lies on a seam; or it passes beside the cameras."""
+    """Lost frames; frames that ended before or began after the component passed; a seam; beside the cameras."""
 
 
 class RunDetail(RunSummary):
