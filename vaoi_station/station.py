@@ -12,12 +12,12 @@ import logging
 import os
 import threading
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 
 from vaoi_station.acquisition.process.backends import row_lights
 from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import StationConfig
-from vaoi_station.errors import StateError
+from vaoi_station.errors import DeviceError, StateError
 from vaoi_station.files import read_calibration
 from vaoi_station.files.access_keys import KEY_FILE, KeyFile
 from vaoi_station.runs.archive.event_log import EventLog
@@ -29,6 +29,7 @@ from vaoi_station.runs.control.calibration_watch import CalibrationWatch
 from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.runs.control.core import Parts
 from vaoi_station.runs.control.reasons import thread_reasons
+from vaoi_station.runs.host.mount_view import RemountWatch
 from vaoi_station.runs.host.start_wait import StartWait
 from vaoi_station.runs.host.stop_request import StopRequest
 from vaoi_station.runs.host.supervisor import Supervisor
@@ -50,6 +51,8 @@ RETENTION_S, DOCUMENTS_S, CHECK_S = 60.0, 3600.0, 0.2
 """Periods of housekeeping: deletion of old runs, of unused documents, and the check of a piece of the database."""
 GRACE_S = 10.0
 """Longest wait for unfinished runs to end when the station is stopped."""
+REMOUNT_S = 5.0
+"""Period of the check whether a disk that was read-only is writable again."""
 REPORT_S = 1.0
 """Longest wait for the event that reports the fault of a thread."""
 EXIT_FAULT = 4
@@ -61,7 +64,11 @@ class Station:
     """All processes and threads of the station except the web server; a context manager that starts and stops them."""
 
     def __init__(
-        self, config: StationConfig, launch: Launch | None = None, on_fault: Callable[[], object] = lambda: None
+        self,
+        config: StationConfig,
+        launch: Launch | None = None,
+        on_fault: Callable[[], object] = lambda: None,
+        remount: RemountWatch | None = None,
     ) -> None:
         """Prepare a station.
 
@@ -70,9 +77,10 @@ class Station:
             launch: the function that starts the acquisition process; None starts the real one.
             on_fault: called after a thread of the station has ended or hangs, and an event was written. Because no run
                 can end without this thread, a service exits here and is started again.
+            remount: the watch over the mount of the data directory; None: nothing starts the process again.
         """
         self.config = config
-        self._launch, self._on_fault = launch, on_fault
+        self._launch, self._on_fault, self._remount = launch, on_fault, remount
         self._supervisor: Supervisor | None = None
         self._parts = ExitStack()
         self._coordinator: StationCoordinator | None = None
@@ -122,6 +130,8 @@ class Station:
                 lambda: thread_reasons(supervisor.faults()),
                 StatusNotice(),
             )
+            if (remount := self._remount) is not None:
+                housekeeping.add(lambda: remount.check(archive.count_unstored()), REMOUNT_S, code="storage-read-only")
             housekeeping.add(coordinator.sweep_references, RETENTION_S, code="retention")
             housekeeping.add(coordinator.kept.recordings.tend, RETENTION_S, code="retention")
             # The exit stack calls in reverse order: the link stops first, then the workers, then the coordinator, which
@@ -140,7 +150,7 @@ class Station:
             if ring.lock_note:
                 events.add("trouble", ring.lock_note, code="ring-not-locked")
             supervisor.watch(database.thread, coordinator.thread, workers.thread, link.thread, housekeeping.thread)
-            supervisor.watch(grants.thread)
+            supervisor.watch(grants.thread, coordinator.kept.recordings.thread)
             parts.callback(supervisor.stop)
             supervisor.start()
             self._supervisor = supervisor
@@ -207,13 +217,13 @@ def serve(config: StationConfig, port: int | None = None) -> None:
     address, names = (api.host, api.port if port is None else port), (api.host, *api.names)
     tls = None if api.certificate is None else CertificateFiles(api.certificate, api.private_key)
     with StopRequest() as stop, ExitStack() as parts:
-        wait = StartWait(stop)
+        wait, remount = StartWait(stop), RemountWatch(config.data, stop.request)
         socket_ = wait.until_started(lambda: open_listener(*address, "[api]"))
         if socket_ is None:
             return
         parts.enter_context(socket_)
         with WaitingPage(socket_, names, tls) as page:
-            station = wait.until_started(lambda: _started(config), page.report)
+            station = wait.until_started(lambda: _started(config, remount), page.report)
         if station is None:
             return
         parts.callback(station.stop)
@@ -225,6 +235,7 @@ def serve(config: StationConfig, port: int | None = None) -> None:
         web = WebServer(create_app(station.coordinator, names, access), socket_, stop.request, tls=tls)
         web.start()
         station.watch(web.thread)
+        station.watch(audit.thread)
         notify("READY=1")
         if name := stop.wait():
             _log.info("stopping on %s", name)
@@ -235,8 +246,11 @@ def serve(config: StationConfig, port: int | None = None) -> None:
     web.end_process_if_left()
 
 
-def _started(config: StationConfig) -> Station:
-    station = Station(config, on_fault=_exit)
+def _started(config: StationConfig, remount: RemountWatch) -> Station:
+    # A station that cannot write yet films nevertheless, if there is a database; its housekeeping reports the cause.
+    with suppress(DeviceError):
+        remount.check()
+    station = Station(config, on_fault=_exit, remount=remount)
     station.start()
     return station
 

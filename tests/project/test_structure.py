@@ -120,3 +120,21 @@ def test_words_of_the_glossary_are_used(folder: str) -> None:
             # Lettering that the twin paints is in capitals; another text would be another picture.
             found += [f"{path}:{number}: {m[0]!r}" for m in pattern.finditer(line) if not m[0].isupper()]
     assert not found, f"docs/glossary.md names the word to use instead ({len(found)} places)"
+
+
+def test_threads_of_the_service_are_supervised() -> None:
+    """A thread that serves until the station stops must not end or hang unnoticed."""
+    short_lived = {
+        "vaoi_station/acquisition/cameras/aravis/connection.py": "releases one device; opening it again is limited",
+        "vaoi_station/acquisition/process/main_loop.py": "closes devices; its end is awaited for END_S",
+        "vaoi_station/runs/workers/worker_process.py": "reports progress; START_LIMIT_S limits the worker's start",
+        "vaoi_station/station.py": "writes the event of a lost thread; its end is awaited for REPORT_S",
+    }
+    other_programs = {"benchmarks", "demo", "rig"}
+    found = {
+        str(path)
+        for path in modules("vaoi_station")
+        if path.parts[1] not in other_programs
+        and re.search(r"\bthreading\.Thread\((?!\))", (ROOT / path).read_text(encoding="utf-8"))
+    }
+    assert found == set(short_lived), "use SupervisedThread, and let the supervisor watch it"

@@ -26,7 +26,7 @@ from vaoi_station.station import Station
 from vaoi_station.supervised_thread import SupervisedThread
 
 TIMEOUT_S = 180.0
-THREADS = ("store", "coordinator", "bays", "workers", "acquisition-link", "housekeeping")
+THREADS = ("store", "coordinator", "bays", "workers", "acquisition-link", "housekeeping", "recordings")
 
 
 class Broken:
@@ -75,7 +75,7 @@ def test_every_thread_is_supervised(broken: Broken) -> None:
 @pytest.mark.parametrize("name", THREADS)
 def test_a_thread_that_ends_is_noticed(broken: Broken, name: str) -> None:
     kill(broken.threads[name])
-    # The thread of the store waits for work without a limit: it ends when some comes.
+    # The threads of the store and of recordings wait for work without a limit: they end when some comes.
     threading.Thread(target=_publish, args=(broken,), daemon=True).start()
     assert broken.acted.wait(TIMEOUT_S)
     [reason] = broken.coordinator.faults()
@@ -93,7 +93,8 @@ def test_a_thread_that_hangs_is_noticed(broken: Broken, name: str) -> None:
 
 
 def _publish(broken: Broken) -> None:
-    """Let the store write."""
+    """Give the threads work that wait for it without a limit."""
+    broken.coordinator.kept.recordings.request("no such run")
     broken.coordinator._parts.events.add("test", "something to write")
 
 

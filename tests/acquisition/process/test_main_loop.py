@@ -22,6 +22,7 @@ from vaoi_station.acquisition.process.messages import Arm, Armed, FireOne, Healt
 from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import DeviceError
+from vaoi_station.supervised_thread import SupervisedThread
 
 Start = Callable[..., Any]
 Make = Callable[..., StationConfig]
@@ -165,22 +166,29 @@ def test_a_board_that_does_not_leave_is_cut_short(
     assert finished.reason == "disarmed"
 
 
+@pytest.mark.parametrize("hangs", [False, True])
+@pytest.mark.parametrize(("name", "work"), [("clocks", "_poll_clocks"), ("commands", "_receive_commands")])
 def test_a_thread_of_the_process_that_ends_or_hangs_ends_the_process(
-    start: Start, make_config: Make, monkeypatch: pytest.MonkeyPatch
+    start: Start, make_config: Make, monkeypatch: pytest.MonkeyPatch, name: str, work: str, hangs: bool
 ) -> None:
     release = threading.Event()
 
-    def stand(_self: object) -> None:
-        release.wait(PATIENCE_S)
+    def stand(*_: object) -> None:
+        if hangs:
+            release.wait(PATIENCE_S)
 
-    monkeypatch.setattr(main_loop, "CLOCKS_LIMIT_S", 0.2)
+    def impatient(target: Callable[[], object], thread: str, limit_s: float = PATIENCE_S) -> SupervisedThread:
+        return SupervisedThread(target, thread, 0.2 if thread == name else limit_s)
+
+    monkeypatch.setattr(main_loop, "SupervisedThread", impatient)
     monkeypatch.setattr(main_loop, "END_S", 0.1)
-    monkeypatch.setattr(main_loop._MainLoop, "_poll_clocks", stand)
+    monkeypatch.setattr(main_loop._MainLoop, work, stand)
     bench = start(make_config())
     trouble = bench.until(Trouble)
     release.set()
     assert trouble.code == "thread-lost"
-    assert "In the acquisition process: Thread 'clocks' hangs for" in trouble.message
+    what = "hangs for" if hangs else "has ended without an error"
+    assert f"In the acquisition process: Thread {name!r} {what}" in trouble.message
 
 
 TWIN_THREADS = ("controller", "line", "camera-0", "camera-1")

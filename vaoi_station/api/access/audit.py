@@ -5,17 +5,23 @@ from __future__ import annotations
 import json
 import logging
 import queue
-import threading
 from collections import deque
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
+
+from vaoi_station.supervised_thread import SupervisedThread
 
 _log = logging.getLogger(__name__)
 
 AUDIT_FILE = "audit.jsonl"
 MOST_BYTES, FILES_KEPT = 8 * 2**20, 4
 """Size in bytes at which a new file is begun, and number of earlier files that are kept."""
+WRITE_LIMIT_S = 600.0
+"""Longest time for the writing of one entry. After this time, the thread counts as hung."""
+READ_WAIT_S = 5.0
+"""Longest wait of a reader for the entries that are not written yet."""
 _MOST_WAITING = 2000
 
 
@@ -26,8 +32,8 @@ class AuditLog:
         self.path, self._most_bytes = path, most_bytes
         self._waiting: queue.Queue[dict[str, Any] | None] = queue.Queue(_MOST_WAITING)
         self._dropped = 0
-        self._thread = threading.Thread(target=self._run, name="audit", daemon=True)
-        self._thread.start()
+        self.thread = SupervisedThread(self._run, "audit", WRITE_LIMIT_S)
+        self.thread.start()
 
     def add(self, **entry: object) -> None:
         """Write an entry, with the present time."""
@@ -43,7 +49,9 @@ class AuditLog:
 
     def newest(self, count: int) -> list[dict[str, Any]]:
         """Return the newest entries of the present file and the one before, newest first."""
-        self._waiting.join()
+        # Not `join`: it would wait for ever for a disk that hangs.
+        with self._waiting.all_tasks_done:
+            self._waiting.all_tasks_done.wait_for(lambda: not self._waiting.unfinished_tasks, READ_WAIT_S)
         lines: deque[str] = deque(maxlen=count)
         for path in (self._old(1), self.path):
             if path.is_file():
@@ -54,13 +62,17 @@ class AuditLog:
 
     def close(self) -> None:
         """Write the waiting entries, and end the thread."""
-        self._waiting.put(None)
-        self._thread.join(5)
+        self.thread.expect_end()
+        # If the disk hangs, the queue may be full, and an unlimited `put` would never return.
+        with suppress(queue.Full):
+            self._waiting.put(None, timeout=READ_WAIT_S)
+        self.thread.join(READ_WAIT_S)
 
     def _run(self) -> None:
         failed = False
         while True:
-            record = self._waiting.get()
+            with self.thread.waiting():
+                record = self._waiting.get()
             try:
                 if record is None:
                     return

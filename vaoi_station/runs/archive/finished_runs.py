@@ -87,7 +87,7 @@ class Archive:
     def __init__(self, store: Store, events: EventLog) -> None:
         self._store = store
         self._events = events
-        self.storage = StorageWatch(store, events, self._count_unstored)
+        self.storage = StorageWatch(store, events, self.count_unstored)
         self.keep_s = 0.0
         """Time from the announcement of a run during which its frames are not evicted, s."""
         self.on_announced: Callable[[str, float], None] = lambda _run, _until_s: None
@@ -210,7 +210,8 @@ class Archive:
         runs = (*self._recent.values(), *self._unstored.values())
         return next((run for run in runs if run.finish_number == finish_number), None)
 
-    def _count_unstored(self) -> int:
+    def count_unstored(self) -> int:
+        """Return the number of finished runs that are in memory only."""
         return len(self._unstored)
 
     def latest(self) -> FinishedRun | None:

@@ -28,9 +28,10 @@ from vaoi_station.files.recordings import frame_file
 from vaoi_station.model import FrameRecord, RecordingHead, Status
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive, FinishedRun
-from vaoi_station.runs.archive.housekeeping import LOWEST_PRIORITY
+from vaoi_station.runs.archive.housekeeping import LOWEST_PRIORITY, TASK_LIMIT_S
 from vaoi_station.runs.run.memory import Bay
 from vaoi_station.runs.states.schemas import RunDetail
+from vaoi_station.supervised_thread import SupervisedThread
 
 _log = logging.getLogger(__name__)
 
@@ -75,7 +76,7 @@ class Recordings:
         self._waiting: SimpleQueue[str | None] = SimpleQueue()
         self._stopping = threading.Event()
         self._lock = threading.Lock()
-        self._thread = threading.Thread(target=self._run, name="recordings", daemon=True)
+        self.thread = SupervisedThread(self._run, "recordings", TASK_LIMIT_S)
         # Drafts that a killed station left. Their names begin with a dot, those of recordings do not.
         for draft in directory.glob(".*"):
             shutil.rmtree(draft, ignore_errors=True)
@@ -84,14 +85,15 @@ class Recordings:
 
     def start(self) -> None:
         """Start the thread that writes recordings."""
-        self._thread.start()
+        self.thread.start()
 
     def stop(self) -> None:
         """End the thread. A recording that is being written is given up, and its files are removed."""
+        self.thread.expect_end()
         self._stopping.set()
         self._waiting.put(None)
-        if self._thread.is_alive():
-            self._thread.join()
+        if self.thread.is_alive():
+            self.thread.join()
 
     def finished(self, detail: RunDetail) -> None:
         """Keep the frames of a run that has ended if the configuration keeps runs with its verdict. Returns at once."""
@@ -158,7 +160,7 @@ class Recordings:
 
     def _run(self) -> None:
         os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), LOWEST_PRIORITY)
-        while (run := self._waiting.get()) is not None and not self._stopping.is_set():
+        while (run := self._next()) is not None and not self._stopping.is_set():
             try:
                 self._write(run)
             except GoneError:
@@ -172,6 +174,11 @@ class Recordings:
             except Exception as error:  # noqa: BLE001  the thread must go on: it keeps the frames of later runs
                 _log.warning("recording of run %s failed", run, exc_info=True)
                 self._refused(run, f"{type(error).__name__}: {error}.")
+
+    def _next(self) -> str | None:
+        """Wait for the next run to be kept; None is the request to end."""
+        with self.thread.waiting():
+            return self._waiting.get()
 
     def _write(self, run: str) -> None:
         finished = self._archive.get(run)
@@ -201,6 +208,7 @@ class Recordings:
         for frame in finished.detail.frames:
             if self._stopping.is_set():
                 raise StateError("The station is stopping.")
+            self.thread.beat()
             if (frame.camera, frame.row) not in absent and frame.slot is not None:
                 yield frame.camera, frame.row, copy(frame.slot)
 
