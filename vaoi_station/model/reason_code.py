@@ -37,6 +37,7 @@ class ReasonCode(StrEnum):
     OUTLINE_SHIFTED = "outline-shifted"
     OUTLINE_TURNED = "outline-turned"
     OUTLINE_INVISIBLE = "outline-invisible"
+    COMPONENTS_SHIFTED = "components-shifted"
     BOARD_TURNED = "board-turned"
     ORIENTATION_AMBIGUOUS = "orientation-ambiguous"
     REFERENCE_NOT_FOUND = "reference-not-found"

@@ -12,10 +12,17 @@ from vaoi_station.geometry import apply
 from vaoi_station.model import BoardType, ReasonCode
 from vaoi_station.stitching.adjustment.motion import Motion, nominal_motion
 from vaoi_station.stitching.adjustment.observations import Observations
-from vaoi_station.stitching.adjustment.problem import AdjustmentResult, FiducialPoints, Problem
+from vaoi_station.stitching.adjustment.problem import REFERENCE, AdjustmentResult, FiducialPoints, Problem
 from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.outline import OutlineShift
-from vaoi_station.stitching.quality.agreement import fiducial_reasons, outline_reasons, uncertain_detections
+from vaoi_station.stitching.components.shift import ComponentShift
+from vaoi_station.stitching.quality.agreement import (
+    component_reasons,
+    fiducial_reasons,
+    outline_reasons,
+    reference_reasons,
+    uncertain_detections,
+)
 
 MARKS = [(2.0, 2.0), (38.0, 3.0), (20.0, 18.0), (3.0, 17.0)]
 BOARD = BoardType.model_validate(
@@ -140,3 +147,40 @@ def test_a_turned_outline_is_a_reason() -> None:
     assert outline_reasons(shift(0, 0, 0.006), 10.0) == [], "0.15 mm at the ends: boards are cut so"
     ((_, reason),) = outline_reasons(shift(0, 0, 0.02), 10.0)
     assert reason.startswith("the board's outline is turned by +20.0 ± 1.0 mrad against the fiducials, 0.50 mm (5 px)")
+
+
+def test_components_that_lie_elsewhere_than_the_fiducials_put_them_are_a_reason() -> None:
+    sigma = np.diag([0.01, 0.01, 0.01, 0.01]) ** 2
+    sound = ComponentShift(np.array([0.01, -0.01, 0.0, 0.01]), sigma, np.zeros(2), 12.0, 20)
+    assert component_reasons(None, PLANE, adjusted(2), 10.0) == []
+    assert component_reasons(sound, PLANE, adjusted(2), 10.0) == []
+    wrong = replace(sound, measured=np.array([0.06, -0.02, 0.0, 0.03]))
+    ((code, text),) = component_reasons(wrong, PLANE, adjusted(2), 10.0)
+    assert code is ReasonCode.COMPONENTS_SHIFTED
+    assert "20 components are centred (+0.060, -0.020) mm ± (0.010, 0.010)" in text
+    assert "is 0.11 mm (1.1 px) at fiducial F1" in text
+
+
+def referred(off_px: tuple[float, float], count: int = 30) -> tuple[FiducialPoints, np.ndarray]:
+    """Two fiducials without residuals, and points of a reference that lie `off_px` away, with scatter."""
+    two, g = points(2), np.random.default_rng(2)
+    many = FiducialPoints.joined([points(1)] * count)
+    seen = FiducialPoints.joined([two, replace(many, which=np.full(count, REFERENCE))])
+    return seen, np.concatenate([np.zeros((2, 2)), g.normal(0, 0.03, (count, 2)) + off_px])
+
+
+def test_a_reference_that_contradicts_the_fiducials_is_a_reason() -> None:
+    ((code, text),) = reference_reasons(*referred((0.5, 4.3)))
+    assert code is ReasonCode.REFERENCE_CONTRADICTS
+    assert text.startswith("only 0 of 30 points of the reference lie where the fiducials put them (limit 50%)")
+    assert "4.3" in text
+
+
+def test_a_reference_that_agrees_or_has_only_false_links_is_no_reason() -> None:
+    assert reference_reasons(*referred((0.0, 0.02))) == []
+    assert reference_reasons(*referred((0.5, 4.3), count=10)) == []
+    seen, off = referred((0.0, 0.0))
+    false_links = np.random.default_rng(5).uniform(-20, 20, off.shape)
+    assert reference_reasons(seen, false_links) == []
+    assert reference_reasons(None, off) == []
+    assert reference_reasons(replace(seen, which=np.full(len(off), REFERENCE)), off + 4) == []

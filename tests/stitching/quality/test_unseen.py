@@ -9,9 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vaoi_station.model import VISIBILITY, BoardType, Status, Visibility
+from vaoi_station.model import VISIBILITY, BoardType, ReasonCode, Status, Visibility
 from vaoi_station.stitching.board.component_index import ComponentIndex
-from vaoi_station.stitching.quality.unseen import FilmedBoard, SeenFrames, find_unseen, required_visibility
+from vaoi_station.stitching.quality.unseen import (
+    FilmedBoard,
+    SeenFrames,
+    find_unseen,
+    required_visibility,
+    unconfirmed_reasons,
+)
 
 
 def with_changes(board_type: BoardType, **keys: Any) -> BoardType:
@@ -155,3 +161,12 @@ def test_a_reason_names_at_most_forty_components(filmed: Any) -> None:
     assert len(result.quality["unseen"]) == 60
     assert "and 20 more" in result.reasons[0]
     assert np.isfinite(result.quality["cad_sigma_px"])
+
+
+def test_frames_that_fit_nothing_are_named_and_copies_counted() -> None:
+    assert not list(unconfirmed_reasons((), {(0, 1)}))
+    frames = [(0, row) for row in range(8)]
+    ((code, text),) = unconfirmed_reasons(frames, {(0, 3), (1, 3)})
+    assert code is ReasonCode.FRAMES_UNCONFIRMED
+    assert text.startswith("8 frames that should show components")
+    assert "camera 0 row 5 and 2 more; 1 of them equal the frame before" in text

@@ -61,6 +61,7 @@ export const texts = {
     "wrong-rows": "camera", "camera-displaced": "camera", "lens-differs": "camera", "not-explained": "camera",
     "overlap-repetitive": "type", "rows-repetitive": "type", "no-board-type": "type",
     "too-few-fiducials": "type", "fiducial-size": "type", "fiducial-wrong": "type", "scale-wrong": "type",
+    "components-shifted": "type",
     "orientation-ambiguous": "type", "reference-not-found": "type", "positions-uncertain": "type",
     "no-error-measure": "type",
   },

@@ -77,16 +77,17 @@ of one camera (interpolation). Between two cameras it is 0.014 px, because of di
 perspective of points slightly above the board."""
 _LIGHTS_SIGMA_PX = 0.3
 """The same error between rows of different lights: the bright edges of metal move with the lamp."""
-_FLOOR_PX = (0.003, 5.0)
-"""Smallest and largest noise floor of links, px."""
+_FLOOR_PX, _FIRST_FLOOR_PX = (0.003, 5.0), 0.05
+"""Smallest and largest noise floor of links, px, and a usual value, used until the noise floor is estimated."""
 _AT_LIMIT, _DISPLACED_FLOOR_PX = 0.99, 60.0
 """Two values for the noise floor between two cameras whose displacements are unknowns.
 The noise floor counts as limited if it exceeds this share of its upper limit. It is then estimated with the second
 value as upper limit. A turn of a camera by 0.1° causes a displacement of some 35 px, which is below this limit: with a
 lower one, all links of the camera would be rejected before its displacement is estimated."""
-_FLOOR_SAMPLE, _FLOOR_MIN_LINKS = 4000, 20
+_FLOOR_SAMPLE, _FLOOR_MIN_LINKS, _FLOOR_SEAM_LINKS = 4000, 20, 6
 """The noise floor of a kind of link is estimated from about `_FLOOR_SAMPLE` links, which gives it to about 2 %.
-It needs at least `_FLOOR_MIN_LINKS` links."""
+It needs at least `_FLOOR_MIN_LINKS` links; `_FLOOR_SEAM_LINKS` between two cameras can only raise it. Otherwise all
+links of a displaced camera would be rejected where the overlap shows few."""
 _FLOOR_STEPS = 6
 """The noise floor is estimated in the first steps only, up to this number. Then it stays constant, so that steps
 converge."""
@@ -168,8 +169,7 @@ class _Solver:
         self.n_parts = int(problem.component.max(initial=-1)) + 1
         component = np.where(mixed | (problem.component < 0), -1, problem.component + self.n_parts * between)
         self.heights_mm = np.zeros(2 * self.n_parts)
-        # The first weights need a noise floor before one has been estimated: start near its usual value.
-        self.floor_px = np.full(1 + self.seams + 1, 0.05)
+        self.floor_px = np.full(1 + self.seams + 1, _FIRST_FLOOR_PX)
         shared = (4 if problem.fiducials else 0) + self.n_surface
         self.shared = np.arange(3 * self.rows, 3 * self.rows + shared)
         """Columns of the unknowns of C and of the surface, which stand after the rows."""
@@ -271,15 +271,15 @@ class _Solver:
             return
         links, (low, high) = self.problem.links, _FLOOR_PX
         for kind, at in enumerate(self.floor_samples):
-            if len(at) >= _FLOOR_MIN_LINKS:
+            seam = 0 < kind <= self.seams
+            if len(at) >= (_FLOOR_SEAM_LINKS if seam else _FLOOR_MIN_LINKS):
                 scatter = noise_floor(self.state.residual, links.noise_mm2, links.px_per_mm, at, low, high)
-                seam = 0 < kind <= self.seams
                 if seam and self.cameras.unknowns and scatter > _AT_LIMIT * high:
                     limits = high, _DISPLACED_FLOOR_PX
                     scatter = noise_floor(self.state.residual, links.noise_mm2, links.px_per_mm, at, *limits)
                 if seam and self.problem.surface is not None:
                     scatter = max(min(scatter, _SEAM_PX), scatter / _NARROWING)
-                self.floor_px[kind] = scatter
+                self.floor_px[kind] = scatter if len(at) >= _FLOOR_MIN_LINKS else max(scatter, _FIRST_FLOOR_PX)
 
     def _belt(self) -> Equations:
         """Return the prior of the motion between consecutive rows: the belt moves at its measured mean velocity.

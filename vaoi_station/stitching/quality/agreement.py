@@ -1,17 +1,22 @@
-"""Check that fiducials, CAD data, calibration and outline agree. A disagreement is a reason in words and numbers."""
+"""Check that fiducials, CAD data, calibration, outline, components and reference agree.
+
+A disagreement is a reason in words and numbers.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
 from vaoi_station.geometry.robust import Failure, fit_similarity
-from vaoi_station.geometry.transforms import Floats, System
+from vaoi_station.geometry.transforms import Floats, System, apply
 from vaoi_station.model import Reason, ReasonCode
 from vaoi_station.stitching.adjustment.motion import Motion
-from vaoi_station.stitching.adjustment.problem import AdjustmentResult, FiducialPoints
+from vaoi_station.stitching.adjustment.problem import REFERENCE, AdjustmentResult, FiducialPoints
 from vaoi_station.stitching.adjustment.surface import SIGMA_MM
 from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.outline import OutlineShift
+from vaoi_station.stitching.board.reference import inliers
+from vaoi_station.stitching.components.shift import ComponentShift
 
 _FIDUCIAL_LIMIT_PX = 0.30
 _SCALE_LIMIT = 5e-4
@@ -31,6 +36,13 @@ fiducial."""
 _PLAINLY = 4.0
 """A fiducial is named as wrong only if leaving out any other fiducial gives a χ² that is larger by at least this
 factor."""
+
+_LEAST_REFERRED, _LEAST_AGREEING = 12, 0.5
+"""Number of points of a reference from which on they are compared with the fiducials, and least share that agrees."""
+_REFERENCE_SIGMAS, _REFERENCE_LIMIT_PX = 4.0, 0.3
+"""The median residual of a reference's points is a contradiction if it exceeds both: standard deviations, and px.
+
+False links to a reference scatter about 0; points of a board that lies elsewhere do not."""
 
 
 def fiducial_reasons(
@@ -106,6 +118,61 @@ def outline_reasons(shift: OutlineShift | None, px_per_mm: float) -> list[Reason
             )
         )
     return out
+
+
+def component_reasons(
+    shift: ComponentShift | None, plane: BoardPlane, adjusted: AdjustmentResult, px_per_mm: float
+) -> list[Reason]:
+    """Return a reason if the pictures of the components are centred elsewhere than C puts them."""
+    if shift is None or adjusted.similarity is None or not shift.contradicts:
+        return []
+    places = apply(plane.matrix(adjusted.similarity), plane.cad(plane.fiducials))
+    off_mm = np.hypot(*shift.at(places).T) if len(places) else np.zeros(0)
+    where = ""
+    if len(off_mm):
+        n = int(off_mm.argmax())
+        name = plane.board_type.fiducials[n].name
+        where = f", which is {off_mm[n]:.2f} mm ({off_mm[n] * px_per_mm:.1f} px) at fiducial {name}"
+    (x, y), (sx, sy) = shift.measured[:2], np.sqrt(np.diag(shift.covariance))[:2]
+    return [
+        Reason(
+            ReasonCode.COMPONENTS_SHIFTED,
+            f"the pictures of {shift.components} components are centred ({x:+.3f}, {y:+.3f}) mm ± ({sx:.3f}, "
+            f"{sy:.3f}) from where fiducials and CAD data put them, and turned or stretched{where}: a fiducial is not "
+            "at its CAD position, or the centres of the components in the CAD data are not those of the parts",
+        )
+    ]
+
+
+def reference_reasons(points: FiducialPoints | None, residual_px: Floats) -> list[Reason]:
+    """Return a reason if most points of a reference lie elsewhere than the fiducials put them, and agree about it.
+
+    Args:
+        points: the s observed points with known CAD coordinates.
+        residual_px: (s, 2) their residuals in the adjustment.
+    """
+    if points is None or not (points.which >= 0).any():
+        return []
+    referred = points.which == REFERENCE
+    fitting = int((inliers(points, residual_px) & referred).sum())
+    count = int(referred.sum())
+    if count < _LEAST_REFERRED or fitting >= _LEAST_AGREEING * count:
+        return []
+    off = residual_px[referred]
+    median = np.median(off, axis=0)
+    # 1.4826: from the median absolute deviation to the standard deviation; 1.2533: from a mean's to a median's.
+    sigma = 1.2533 * 1.4826 * np.median(np.abs(off - median), axis=0) / np.sqrt(count)
+    length = float(np.hypot(*median))
+    if length < max(_REFERENCE_LIMIT_PX, _REFERENCE_SIGMAS * float(np.hypot(*sigma))):
+        return []
+    return [
+        Reason(
+            ReasonCode.REFERENCE_CONTRADICTS,
+            f"only {fitting} of {count} points of the reference lie where the fiducials put them (limit "
+            f"{_LEAST_AGREEING:.0%}); their median is {length:.2f} px away: another mark was taken for a fiducial, "
+            "the board is of another type, or the CAD data were changed; compare board and board type, or teach again",
+        )
+    ]
 
 
 FiducialPlaces = dict[int, tuple[Floats, float]]

@@ -21,6 +21,7 @@ from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.cad_mapping import CadMapping
 from vaoi_station.stitching.board.expectation import Expectation
 from vaoi_station.stitching.board.footprints import FootprintViews, landmarks
+from vaoi_station.stitching.components.shift import ComponentShift, measure_component_shift
 from vaoi_station.stitching.matching.evidence import FrameKey, Links
 from vaoi_station.stitching.matching.scene import Scene
 from vaoi_station.stitching.method import Method
@@ -142,6 +143,13 @@ class Findings:
         rows = self.adjusted.motion.rows_from_tester
         views = FootprintViews.of(landmarks(self.plane)[1], self.cad_matrix, self.scene.cameras, rows, self.surface)
         return views.without_rows(self.unplaced) if self.unplaced else views
+
+    @cached_property
+    def component_shift(self) -> ComponentShift | None:
+        """Shift of the components' pictures against their places by C; None without C, or if too few show it."""
+        if self.plane is None or self.views is None or self.cad_matrix is None:
+            return None
+        return measure_component_shift(self.plane, self.cad_matrix, self.scene, self.adjusted.motion, self.views)
 
     @cached_property
     def fiducials_in_view(self) -> dict[int, FrameKey]:
@@ -339,8 +347,7 @@ class Findings:
         measured = measure_lift(replace(self.scene, cameras=self.calibrated), self.links)
         if measured is None:
             return estimated
-        # One shifted overlap may also come from a displaced camera. If fiducials were found, their estimate is
-        # preferred.
+        # One shifted overlap may also come from a displaced camera: the estimate by fiducials is preferred.
         alone = measured.overlaps == 1 and estimated is not None and self.mapping is not None
         return estimated if alone and estimated and abs(measured.mm - estimated.mm) > _OTHER_LIFT_MM else measured
 

@@ -7,7 +7,7 @@ filmed ones.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, cast
 
@@ -27,6 +27,7 @@ _SLACK = 1e-9
 """Rounding error that is tolerated in a sum of shares."""
 _MOST_NAMED = 40
 """Largest number of components that one reason names; the `quality` entry of the result lists all of them."""
+_MOST_NAMED_FRAMES = 6
 _MOST_ROWS = 1000
 """Largest number of rows that a test adds before or after the filmed ones."""
 
@@ -250,3 +251,24 @@ def _lost_frames(cameras: int, rows: int, present: Collection[FrameKey]) -> str:
         elif missing:
             words.append(f"camera {i} delivered {rows - len(missing)} of {rows} frames")
     return ", ".join(words)
+
+
+def unconfirmed_reasons(frames: Sequence[FrameKey], copies: Collection[FrameKey]) -> Iterator[Reason]:
+    """Yield a reason for the frames that should show components, but do not fit the board's motion.
+
+    Args:
+        frames: camera and row of these frames.
+        copies: the frames of the run that equal the preceding frame of their camera.
+    """
+    if not frames:
+        return
+    named = ", ".join(f"camera {i} row {j}" for i, j in frames[:_MOST_NAMED_FRAMES])
+    more = f" and {len(frames) - _MOST_NAMED_FRAMES} more" if len(frames) > _MOST_NAMED_FRAMES else ""
+    twice = len(set(copies) & set(frames))
+    same = f"; {twice} of them equal the frame before in every pixel" if twice else ""
+    yield Reason(
+        ReasonCode.FRAMES_UNCONFIRMED,
+        f"{len(frames)} frames that should show components fit neither the frames before and after them nor the "
+        f"board ({named}{more}{same}): check these pictures; a camera that is frozen, covered or without light "
+        "sends such frames",
+    )

@@ -23,19 +23,24 @@ from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.cad_mapping import CadMapping
 from vaoi_station.stitching.board.fiducial_assignment import outside_share
 from vaoi_station.stitching.quality.absent_cameras import absent_camera_reasons
-from vaoi_station.stitching.quality.agreement import fiducial_reasons, outline_reasons, uncertain_detections
+from vaoi_station.stitching.quality.agreement import (
+    component_reasons,
+    fiducial_reasons,
+    outline_reasons,
+    reference_reasons,
+    uncertain_detections,
+)
 from vaoi_station.stitching.quality.fiducial_sizes import wrong_size
 from vaoi_station.stitching.quality.findings import DISPLACED_PX, SEAM_LIMIT_PX, Findings
 from vaoi_station.stitching.quality.lens_errors import lens_reasons
 from vaoi_station.stitching.quality.row_offsets import shifted_cameras
 from vaoi_station.stitching.quality.seam_causes import explain_seam, repeated_overlap
 from vaoi_station.stitching.quality.uncertainty import uncertain_calibration
-from vaoi_station.stitching.quality.unseen import unseen_reasons
+from vaoi_station.stitching.quality.unseen import unconfirmed_reasons, unseen_reasons
 
 _OK_SIGMA_PX = 0.20
 _FLOOR_LIMIT_PX = 0.30
 _OUTSIDE_LIMIT = 0.03
-_MOST_NAMED_FRAMES = 6
 _CAUSES_OF_FAILURE = (ReasonCode.ROWS_LOST, ReasonCode.BOARD_OFF_PLANE)
 _ENOUGH_FIDUCIALS = 3
 """Least number of found fiducials for which an error of one fiducial leaves residuals."""
@@ -289,12 +294,15 @@ def _missing_fiducials(b: _Placed) -> Iterator[Reason]:
             )
 
 
-def _disagreeing_fiducials(b: _Placed) -> Iterable[Reason]:
-    return fiducial_reasons(b.plane, b.findings.adjusted, b.points, b.findings.moved.motion, b.px_per_mm)
+def _disagreeing_fiducials(b: _Placed) -> Iterator[Reason]:
+    adjusted = b.findings.adjusted
+    yield from fiducial_reasons(b.plane, adjusted, b.points, b.findings.moved.motion, b.px_per_mm)
+    yield from reference_reasons(b.points, adjusted.fiducial_px)
 
 
-def _shifted_outline(b: _Placed) -> Iterable[Reason]:
-    return outline_reasons(b.mapping.shift, b.px_per_mm)
+def _shifted_board(b: _Placed) -> Iterator[Reason]:
+    yield from outline_reasons(b.mapping.shift, b.px_per_mm)
+    yield from component_reasons(b.findings.component_shift, b.plane, b.findings.adjusted, b.px_per_mm)
 
 
 def _ambiguous_orientation(b: _Placed) -> Iterator[Reason]:
@@ -349,20 +357,9 @@ def _uncertain_positions(b: _Placed) -> Iterator[Reason]:
         yield Reason(ReasonCode.POSITIONS_UNCERTAIN, uncertain)
 
 
-def _unconfirmed_frames(b: _Placed) -> Iterator[Reason]:
+def _unconfirmed_frames(b: _Placed) -> Iterable[Reason]:
     # In such a frame, the picture of a component may show anything, even if other frames show the component well.
-    keys = b.findings.unconfirmed
-    if keys:
-        named = ", ".join(f"camera {i} row {j}" for i, j in keys[:_MOST_NAMED_FRAMES])
-        more = f" and {len(keys) - _MOST_NAMED_FRAMES} more" if len(keys) > _MOST_NAMED_FRAMES else ""
-        twice = len(b.findings.copies & set(keys))
-        copies = f"; {twice} of them equal the frame before in every pixel" if twice else ""
-        yield Reason(
-            ReasonCode.FRAMES_UNCONFIRMED,
-            f"{len(keys)} frames that should show components fit neither the frames before and after them nor the "
-            f"board ({named}{more}{copies}): check these pictures; a camera that is frozen, covered or without light "
-            "sends such frames",
-        )
+    return unconfirmed_reasons(b.findings.unconfirmed, b.findings.copies)
 
 
 def _distorted_pictures(b: _Placed) -> Iterable[Reason]:
@@ -389,7 +386,7 @@ _RUN_CHECKS: tuple[Callable[[Findings], Iterable[Reason]], ...] = (
 _BOARD_CHECKS: tuple[Callable[[_Placed], Iterable[Reason]], ...] = (
     _missing_fiducials,
     _disagreeing_fiducials,
-    _shifted_outline,
+    _shifted_board,
     _ambiguous_orientation,
     _invisible_outline,
     _texture_off_the_board,

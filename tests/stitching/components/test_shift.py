@@ -1,0 +1,72 @@
+"""The common shift of components, measured on a drawn board whose C is exact or wrong."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from vaoi_station.geometry import apply
+from vaoi_station.model import BoardType
+from vaoi_station.stitching.adjustment.motion import nominal_motion
+from vaoi_station.stitching.board.board_plane import BoardPlane
+from vaoi_station.stitching.board.footprints import FootprintViews
+from vaoi_station.stitching.components.shift import ComponentShift, measure_component_shift
+from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
+from vaoi_station.stitching.matching.scene import Scene
+
+C = np.array([[1.0, 0, -15.0], [0, 1, -10.0], [0, 0, 1]])
+STILL = nominal_motion(np.array([0.0]), np.zeros(2), np.zeros(2))
+
+
+def board(count: int) -> BoardType:
+    places = [(3 + 4.9 * (n % 6), 3 + 4.6 * (n // 6)) for n in range(count)]
+    parts = [
+        {"ref": f"R{n}", "center": [x, y], "width": 2.0, "height": 1.2, "rotation": 90.0 * (n % 2)}
+        for n, (x, y) in enumerate(places)
+    ]
+    return BoardType.model_validate({"name": "b", "y_axis": "down", "outline": [[0, 0], [30, 20]], "components": parts})
+
+
+def measured(workshop: Any, count: int = 18, wrong: Any = None) -> ComponentShift | None:
+    """Draw the board where C puts it, and measure its components at the places of a wrong C."""
+    board_type, camera = board(count), workshop.camera((0.0, 0.0), size_px=(480, 320), px_per_mm=15.0)
+    y, x = np.mgrid[:320, :480].astype(float)
+    cad = apply(np.linalg.inv(C), camera.ground(np.stack([x, y], -1).reshape(-1, 2))).reshape(320, 480, 2)
+    levels = 70 + 10 * np.sin(3 * cad[..., 0] + cad[..., 1])
+    for part in board_type.components:
+        local = np.abs(cad - part.center)
+        local = local[..., ::-1] if part.rotation == 90 else local
+        levels[(local <= (1.0, 0.6)).all(-1)] = 190.0
+        levels[(local <= (0.6, 0.5)).all(-1)] = 35.0
+    picture = cv2.GaussianBlur(levels, (0, 0), 0.8) + np.random.default_rng(0).normal(0, 2, levels.shape)
+    frame = PreparedFrame(workshop.digitised(picture))
+    matrix = C if wrong is None else wrong @ C
+    plane = BoardPlane(board_type, mirrored=False)
+    views = FootprintViews.of(plane.components.center, matrix, (camera,), np.eye(3)[None], None)
+    return measure_component_shift(plane, matrix, Scene((camera,), ((0, 0),), lambda key: frame), STILL, views)
+
+
+def test_components_in_their_places_show_no_shift(workshop: Any) -> None:
+    found = measured(workshop)
+    assert found is not None
+    assert found.components >= 12
+    assert found.measured == pytest.approx(np.zeros(4), abs=0.01)
+    assert not found.contradicts
+
+
+def test_a_wrong_cad_matrix_is_measured(workshop: Any) -> None:
+    """As with two fiducials, 25 mm apart, one of which is off by 0.15 mm along their line."""
+    scale = 1 - 0.15 / 25
+    wrong = np.array([[scale, 0, -0.08], [0, scale, -0.05], [0, 0, 1]])
+    found = measured(workshop, wrong=wrong)
+    assert found is not None
+    assert found.contradicts
+    ends = apply(C, np.array([[3.0, 3.0], [27.0, 17.0]]))
+    assert found.at(apply(wrong, ends)) == pytest.approx(ends - apply(wrong, ends), abs=0.02)
+
+
+def test_few_components_show_nothing(workshop: Any) -> None:
+    assert measured(workshop, count=8) is None

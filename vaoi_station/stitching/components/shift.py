@@ -1,0 +1,139 @@
+"""The shift of all components together against the places where C puts their centres.
+
+Fiducials define where the CAD data lie on the board. An error of one fiducial of two, or of three under one camera,
+leaves no residual: height and scale of the board explain it. The components are mounted on pads of the same artwork.
+The centres of some of them are measured in the frames, and shift, turn and stretch of all together are estimated.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vaoi_station.geometry.transforms import Floats, apply
+from vaoi_station.stitching.adjustment.motion import Motion
+from vaoi_station.stitching.board.board_plane import BoardPlane
+from vaoi_station.stitching.board.footprints import FootprintViews
+from vaoi_station.stitching.components.symmetry import centre_of_symmetry
+from vaoi_station.stitching.matching.scene import Scene
+
+_MOST, _LEAST = 32, 9
+"""Largest number of components that are measured, and least number of centres from which a shift is estimated."""
+_LEAST_SCATTER_MM = 0.005
+_PLACING_MM = np.array([0.012, 0.012, 0.008, 0.008])
+"""Standard deviations of what placement and light change in all components alike: shift, turn and stretch, mm.
+
+Turn and stretch are the displacement that they cause at the rms distance of the components from their middle."""
+_KNEE, _ROUNDS = 2.0, 12
+_LIMIT = 20.0
+"""Largest χ² of shift, turn and stretch (4 degrees of freedom) that is no contradiction: 1 in 2000 exceeds it."""
+
+
+@dataclass(frozen=True, eq=False)
+class ComponentShift:
+    """Shift, turn and stretch of the components' centres against the places where C puts them."""
+
+    measured: Floats
+    """(4,) mm: shift x and y in tester coordinates, turn and stretch as displacements at the distance `arm_mm`."""
+    covariance: Floats
+    """(4, 4) covariance of `measured`, mm²."""
+    middle_mm: Floats
+    """(2,) mean of the components' places in tester coordinates."""
+    arm_mm: float
+    """Rms distance of the components from their middle."""
+    components: int
+    """Number of components that were measured."""
+
+    @property
+    def contradicts(self) -> bool:
+        """Whether the components lie elsewhere than C puts them, by more than noise and placement explain."""
+        return float(self.measured @ np.linalg.solve(self.covariance, self.measured)) > _LIMIT
+
+    def at(self, board_mm: Floats) -> Floats:
+        """Return the displacement (k, 2) of points (k, 2) in tester coordinates, mm."""
+        return np.asarray(_equations(board_mm, self.middle_mm, self.arm_mm) @ self.measured)
+
+
+def measure_component_shift(
+    plane: BoardPlane, cad_matrix: Floats, scene: Scene, motion: Motion, views: FootprintViews
+) -> ComponentShift | None:
+    """Measure the shift of the components against the places where C puts them.
+
+    Args:
+        plane: plane of the board type.
+        cad_matrix: C, (3, 3) from CAD to tester coordinates.
+        scene: the cameras and frames.
+        motion: motion of the rows.
+        views: views of the components' centres.
+
+    Returns:
+        The shift; None if the centres of too few components can be measured.
+    """
+    best = _best_views(scene, views)
+    if len(best) < _LEAST:
+        return None
+    part, corners = views.point[best], apply(cad_matrix, plane.components.corners)
+    half_mm = np.ptp(corners, axis=1)[part] / 2
+    off_mm = np.full((len(best), 2), np.nan)
+    # frame by frame, so that each frame is fetched only once
+    for n in np.lexsort((views.row[best], views.camera[best])).tolist():
+        view = best[n]
+        i, j, px = int(views.camera[view]), int(views.row[view]), views.px[view]
+        camera, grey = scene.cameras[i], scene.prepared((i, j)).grey
+        # A footprint's extent in the picture: camera and board may be turned by quarters against one another.
+        across = camera.ground(np.array([px, px + (1, 0)]))
+        way = np.abs(motion.turned(np.array([j]), np.diff(across, axis=0))[0])
+        half = half_mm[n] if way[0] >= way[1] else half_mm[n][::-1]
+        off = centre_of_symmetry(grey, px, half * camera.px_per_mm, camera.px_per_mm)
+        if off is not None:
+            ends = camera.ground(np.array([px, px + off]))
+            off_mm[n] = motion.turned(np.array([j]), np.diff(ends, axis=0))[0]
+    found = np.isfinite(off_mm).all(1)
+    if found.sum() < _LEAST:
+        return None
+    return _fitted(apply(cad_matrix, plane.components.center)[part[found]], off_mm[found])
+
+
+def _best_views(scene: Scene, views: FootprintViews) -> np.ndarray:
+    """Return the indices of one view for each of up to `_MOST` components: the view nearest to the frame's centre."""
+    present = np.zeros((len(scene.cameras), int(views.row.max(initial=0)) + 1), np.bool_)
+    for i, j in scene.present:
+        if j < present.shape[1]:
+            present[i, j] = True
+    use = np.flatnonzero(present[views.camera, views.row])
+    centre = np.array([camera.center_px for camera in scene.cameras])[views.camera[use]]
+    order = use[np.lexsort((np.hypot(*(views.px[use] - centre).T), views.point[use]))]
+    each = order[np.flatnonzero(np.diff(views.point[order], prepend=-1))]
+    return np.asarray(each[np.unique(np.linspace(0, len(each) - 1, min(len(each), _MOST)).round().astype(np.int_))])
+
+
+def _equations(board_mm: Floats, middle_mm: Floats, arm_mm: float) -> Floats:
+    """Return the displacement (k, 2, 4) of points (k, 2) by one mm of shift x, shift y, turn and stretch."""
+    (x, y), out = ((board_mm - middle_mm) / arm_mm).T, np.zeros((len(board_mm), 2, 4))
+    out[:, 0, 0] = out[:, 1, 1] = 1.0
+    out[:, 0, 2], out[:, 1, 2], out[:, 0, 3], out[:, 1, 3] = -y, x, x, y
+    return out
+
+
+def _fitted(board_mm: Floats, off_mm: Floats) -> ComponentShift | None:
+    """Estimate the common shift from the offsets (k, 2) of components at k places; wrong centres lose their weight."""
+    middle = board_mm.mean(0)
+    arm = max(float(np.sqrt(((board_mm - middle) ** 2).sum(1).mean())), 1e-6)
+    j, weight = _equations(board_mm, middle, arm), np.ones(len(board_mm))
+    solved, inverse, scatter = np.zeros(4), np.eye(4), 1.0
+    for _ in range(_ROUNDS):
+        normal = np.einsum("k,kia,kib->ab", weight, j, j)
+        if np.linalg.cond(normal) > 1e8:
+            return None
+        inverse = np.linalg.inv(normal)
+        solved = inverse @ np.einsum("k,kia,ki->a", weight, j, off_mm)
+        length = np.hypot(*(off_mm - j @ solved).T)
+        # 1.1774: median of the length of a normal error in the plane, in standard deviations per axis
+        scatter = max(float(np.median(length)) / 1.1774, _LEAST_SCATTER_MM)
+        weight = (1 + (length / (_KNEE * scatter)) ** 2) ** -2.0
+    if weight.sum() < _LEAST / 2:
+        return None
+    # Few centres show their scatter badly: four unknowns were fitted to two coordinates of each.
+    freedom = len(board_mm) / (len(board_mm) - 4)
+    return ComponentShift(solved, freedom * inverse * scatter**2 + np.diag(_PLACING_MM**2), middle, arm, len(board_mm))

@@ -1,0 +1,85 @@
+"""Find the centre of a component in a frame, as the centre about which its picture is point symmetric.
+
+Chips and most packages with leads look alike if they are turned by 180° about their centre: body, leads, pads and
+solder. The patch around a component is correlated with itself turned by 180°. The highest correlation gives the centre
+of symmetry without a model of the component. Markings and neighbours are not symmetric; they reduce the correlation.
+"""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.geometry.transforms import Floats
+
+_MARGIN_MM = 0.3
+"""Width of the rim around a footprint that is compared too: it contains the edges of pads and body."""
+REACH_MM = 0.3
+"""Largest distance, along each axis, of a centre of symmetry from its predicted place."""
+_MOST_NODES, _MOST_REDUCED = 20, 5
+"""Half the side of a compared patch in nodes, at most, and the largest factor by which a frame is reduced for it."""
+_LEAST_SCORE, _LEAST_CONTRAST = 0.6, 4.0
+"""Least correlation of a patch with itself turned by 180°, and least standard deviation of its grey levels."""
+
+
+def centre_of_symmetry(
+    grey: NDArray[np.uint8], px: Floats, half_px: Floats, px_per_mm: float
+) -> tuple[float, float] | None:
+    """Return how far the centre of symmetry of a component lies from its predicted place, px.
+
+    Args:
+        grey: (h, w) the frame.
+        px: (2,) the predicted place of the component's centre, raw pixels.
+        half_px: (2,) half the extent of its footprint along the image's axes.
+        px_per_mm: resolution.
+
+    Returns:
+        The distance along x and y; None if the component is too large, too near to the border, or not symmetric.
+    """
+    half = half_px + _MARGIN_MM * px_per_mm
+    # An odd factor keeps the middle of the patch in the middle of a pixel.
+    factor = 2 * math.ceil((half.max() / _MOST_NODES - 1) / 2) + 1 if half.max() > _MOST_NODES else 1
+    if factor > _MOST_REDUCED:
+        return None
+    # A displacement of the centre by one node displaces the turned patch by two.
+    reach = max(math.ceil(2 * REACH_MM * px_per_mm / factor), 2)
+    patch = _reduced_patch(grey, px, np.ceil(half / factor).astype(int) + reach, factor)
+    if patch is None:
+        return None
+    turned = np.ascontiguousarray(patch[::-1, ::-1][reach:-reach, reach:-reach])
+    if turned.std() < _LEAST_CONTRAST:
+        return None
+    score = cv2.matchTemplate(patch, turned, cv2.TM_CCOEFF_NORMED)
+    row, column = divmod(int(score.argmax()), score.shape[1])
+    inside = 0 < row < len(score) - 1 and 0 < column < score.shape[1] - 1
+    if not inside or score[row, column] < _LEAST_SCORE:
+        return None
+    x = column - reach + _vertex(score[row, column - 1 : column + 2])
+    y = row - reach + _vertex(score[row - 1 : row + 2, column])
+    middle = np.rint(px)
+    return float(factor * x / 2 + middle[0] - px[0]), float(factor * y / 2 + middle[1] - px[1])
+
+
+def _reduced_patch(
+    grey: NDArray[np.uint8], px: Floats, nodes: NDArray[np.int_], factor: int
+) -> NDArray[np.float32] | None:
+    """Return the patch of 2·`nodes` + 1 nodes per axis about the pixel nearest to `px`; None if it is not in view.
+
+    Each node is the mean of `factor` × `factor` pixels.
+    """
+    (x, y), (far_x, far_y) = np.rint(px).astype(int), factor * nodes + factor // 2
+    if min(x - far_x, y - far_y) < 0 or x + far_x >= grey.shape[1] or y + far_y >= grey.shape[0]:
+        return None
+    patch = grey[y - far_y : y + far_y + 1, x - far_x : x + far_x + 1].astype(np.float32)
+    size = (2 * int(nodes[0]) + 1, 2 * int(nodes[1]) + 1)
+    return np.asarray(cv2.resize(patch, size, interpolation=cv2.INTER_AREA) if factor > 1 else patch, np.float32)
+
+
+def _vertex(values: NDArray[np.float32]) -> float:
+    """Return the place of the maximum of the parabola through three values at −1, 0 and 1."""
+    before, top, after = (float(v) for v in values)
+    bend = before - 2 * top + after
+    return 0.5 * (before - after) / bend if bend < 0 else 0.0
