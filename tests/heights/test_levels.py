@@ -37,3 +37,12 @@ def test_tiles_without_texture_leave_every_height_possible() -> None:
     found = find_levels(one, board, HEIGHTS, TILES, SIZE, np.zeros(len(HEIGHTS)))
     assert found.probability.sum() == pytest.approx(1)
     assert found.probability.max() < 0.2
+
+
+def test_the_order_of_the_strips_does_not_matter() -> None:
+    seen = np.where(np.abs(TILES[:, :2] + 5 - 40).max(1) < 25, 1.5, 0.0)
+    usual = find_levels(*likelihoods(seen, 0.1), HEIGHTS, TILES, SIZE, np.zeros(len(HEIGHTS)))
+    order = np.random.default_rng(2).permutation(len(TILES))
+    mixed = find_levels(*likelihoods(seen[order], 0.1), HEIGHTS, TILES[order], SIZE, np.zeros(len(HEIGHTS)))
+    np.testing.assert_allclose(mixed.probability, usual.probability, atol=1e-9)
+    np.testing.assert_allclose(mixed.on_body, usual.on_body[order], atol=1e-9)

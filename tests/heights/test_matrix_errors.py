@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from vaoi_station.heights import matrix_errors
 from vaoi_station.heights.matrix_errors import BodyEquations, combine
 
 LEAN = np.array([[0.0, 0.5], [0.0, -0.5]])
@@ -42,3 +43,13 @@ def test_the_rows_limit_the_standard_deviation_from_below() -> None:
 
 def test_no_bodies_give_no_heights() -> None:
     assert combine({}, 0.1) == {}
+
+
+def test_the_likelihood_of_all_sizes_is_that_of_the_whole_matrix() -> None:
+    body = equations(np.array([[0.02, -0.01], [0.03, 0.05]]))._replace(scale=2.0)
+    expected = []
+    for size in matrix_errors._SIZES_PX:
+        matrix = body.matrix + np.diag([1e-9] + [(body.scale / size) ** 2] * 4)
+        fit = float(body.vector @ np.linalg.solve(matrix, body.vector))
+        expected.append((fit - np.linalg.slogdet(matrix)[1]) / 2 - 4 * math.log(size / body.scale))
+    np.testing.assert_allclose(matrix_errors._likelihoods(body), expected, rtol=1e-6)

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from vaoi_station.benchmarks.benchmark_board import BenchmarkBoard
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.hdr import Exposed, merge_views
+from vaoi_station.heights.estimates import measure_heights
 from vaoi_station.model import Stitch
 from vaoi_station.photometry import FieldMaps, NoiseModel, Taken
 from vaoi_station.pixel_formats import eight_bit_grey
@@ -55,6 +56,8 @@ class SpeedFigures:
     """Time of `cv2.warpPerspective` alone, for the same images, divided by the time of our rendering."""
     hdr_ratio_to_plain: float
     """Time to merge the frames of every component to one radiance picture, divided by that of its plain images."""
+    heights_ms: float | None
+    """Time to measure the heights of all components; None if the calibration states no working distance."""
     status: str
     cad_sigma_px: float | None
     opencv: str
@@ -108,10 +111,26 @@ def _measure(board: BenchmarkBoard, repetitions: int) -> SpeedFigures:
         images_per_s=round(per_second, 1),
         render_ratio_to_warp=round(ratio, 3),
         hdr_ratio_to_plain=round(hdr, 2),
+        heights_ms=_heights_ms(board, stitch, repetitions),
         status=stitch.status.value,
         cad_sigma_px=stitch.quality["cad_sigma_px"],
         opencv=cv2.__version__,
     )
+
+
+def _heights_ms(board: BenchmarkBoard, stitch: Stitch, repetitions: int) -> float | None:
+    setup = board.setup
+    known = any(camera.working_distance_mm is not None for camera in setup.cameras)
+    if setup.board_type is None or stitch.cad_matrix is None or not known:
+        return None
+    board_type = setup.board_type
+    lights = tuple(setup.light(row) for row in range(board.head.rows)) if setup.lights else ()
+
+    def measure() -> Any:
+        return measure_heights(board_type, stitch, setup.cameras, lambda i, j: board.frames.get((i, j)), lights)
+
+    measure()  # compiles
+    return round(statistics.median(_cpu_ms(measure) for _ in range(repetitions)), 1)
 
 
 def stitch_board(board: BenchmarkBoard) -> Stitch:

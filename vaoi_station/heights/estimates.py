@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,17 +16,15 @@ from vaoi_station.geometry.transforms import Floats
 from vaoi_station.heights.levels import find_levels
 from vaoi_station.heights.matrix_errors import BodyEquations, combine
 from vaoi_station.heights.part_grids import Frames, PartGrid, Places
+from vaoi_station.heights.pictures import Pictures, collect_pictures, picture_stack, sweep_stack
 from vaoi_station.heights.refinement import normal_equations
 from vaoi_station.heights.sweep import sweep
 from vaoi_station.model import BoardType, Stitch
 
 HIGHEST_MM = 12.0
 """Largest height that is searched; components that are expected to be higher extend it."""
-_BLUR_PX = 1.1
-"""Blur of the pictures before they are compared.
-
-Interpolation between pixels removes noise, most of all half-way between two pixels. Without blur, heights at which the
-pictures lie half-way would seem to fit best."""
+_SLENDER, _LEAST_HIGHEST_MM = 4.0, 4.0
+"""Largest height as a multiple of the footprint's longest side, and the least such limit: a chip is no tower."""
 NOISE_AREA = 12.0
 """Number of pixels that share one independent value of noise after the blur."""
 _MISFIT_AREA = 30.0
@@ -77,21 +74,6 @@ class PartHeight:
 NOTHING = PartHeight(None, None, None, None, 0)
 
 
-class Pictures(NamedTuple):
-    """What a component's frames have in common, for k frames."""
-
-    grid: PartGrid
-    feet_px: Floats
-    """(k, 2)."""
-    distance_mm: Floats
-    """(k,)."""
-    group: NDArray[np.int_]
-    """(k,) number of the light."""
-    spread: float
-    """Largest displacement between two pictures, px of the grid per mm of height."""
-    images: tuple[NDArray[Any], ...]
-
-
 class _Swept(NamedTuple):
     heights_mm: Floats
     probability: Floats
@@ -127,7 +109,7 @@ def measure_heights(
     bodies: dict[str, BodyEquations] = {}
     for component in board_type.components:
         grid = places.grid(component.address, board_type.footprint(component))
-        highest = max(HIGHEST_MM, 1.5 * (component.body_height or 0.0) * board_type.mm_per_unit)
+        highest = _highest_mm(grid, component.body_height, board_type)
         pictures = (
             None if grid is None else collect_pictures(grid, frames, lambda row: numbers[lights[row]] if lights else 0)
         )
@@ -151,6 +133,13 @@ def measure_heights(
     return out
 
 
+def _highest_mm(grid: PartGrid | None, body_height: float | None, board_type: BoardType) -> float:
+    """Return the largest height that is searched for a component."""
+    longest_mm = max(grid.width, grid.height) * grid.mm_per_px if grid is not None else 0.0
+    slender = min(HIGHEST_MM, max(_LEAST_HIGHEST_MM, _SLENDER * longest_mm))
+    return max(slender, 1.5 * (body_height or 0.0) * board_type.mm_per_unit)
+
+
 def open_places(board_type: BoardType, stitch: Stitch, cameras: Sequence[Camera]) -> Places:
     """Return where the components of a run lie in its frames; raise StateError if heights cannot be computed."""
     if stitch.tester_from_cad is None:
@@ -168,43 +157,8 @@ def open_places(board_type: BoardType, stitch: Stitch, cameras: Sequence[Camera]
     return Places(board_type, stitch, cameras)
 
 
-def blurred(picture: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return a picture with the blur that comparisons need."""
-    return np.asarray(cv2.GaussianBlur(picture, (0, 0), _BLUR_PX), np.float32)
-
-
 def _count(grid: PartGrid, frames: Frames) -> int:
     return sum(frames.get(view.key, grid.level) is not None for view in grid.views)
-
-
-def collect_pictures(grid: PartGrid, frames: Frames, light: Callable[[int], int]) -> Pictures | None:
-    """Collect the frames that show a grid; None if there are fewer than two.
-
-    `light` gives the number of the light of a row.
-    """
-    images = [(view, frames.get(view.key, grid.level)) for view in grid.views]
-    there = [(view, image) for view, image in images if image is not None]
-    if len(there) < 2:
-        return None
-    views = tuple(view for view, _ in there)
-    feet = np.array([view.foot_px for view in views])
-    distance = np.array([view.distance_mm for view in views])
-    group = np.array([light(view.key[1]) for view in views])
-    spread = float(np.hypot(*(feet[:, None] - feet[None]).reshape(-1, 2).T).max() / distance.mean())
-    if spread <= 0:
-        return None
-    return Pictures(grid._replace(views=views), feet, distance, group, spread, tuple(i for _, i in there))
-
-
-def picture_stack(places: Places, pictures: Pictures, margin: int, height_mm: float) -> NDArray[np.float32]:
-    """Return the blurred pictures (k, h, w) of a grid on the plane at a height above the board, with a margin."""
-    grid = pictures.grid
-    return np.array(
-        [
-            blurred(places.rectified(grid, view, image, margin, height_mm))
-            for view, image in zip(grid.views, pictures.images, strict=True)
-        ]
-    )
 
 
 def _sweep(places: Places, pictures: Pictures, highest_mm: float) -> _Swept | None:
@@ -214,7 +168,7 @@ def _sweep(places: Places, pictures: Pictures, highest_mm: float) -> _Swept | No
     heights = np.asarray(np.arange(-2, math.ceil(highest_mm / step) + 1) * step, np.float64)
     away = np.hypot(*(feet - (grid.width / 2, grid.height / 2)).T).max() + max(grid.width, grid.height)
     margin = math.ceil(away * heights[-1] / float(distance.min())) + 3
-    stack = picture_stack(places, pictures, margin, 0.0)
+    stack = sweep_stack(places, pictures, margin, heights[[0, -1], None] / distance)
     tiles = _tiles(grid)
     for saturated in (SATURATED, math.inf):
         sums, freedom, used = sweep(stack, margin, feet, heights[:, None] / distance, tiles, pictures.group, saturated)
@@ -255,7 +209,7 @@ def _refine(places: Places, pictures: Pictures, swept: _Swept) -> BodyEquations 
         some = found.variance > 0
         if not some.any():
             return None
-        floor = max(float(np.percentile(found.variance[some], 10)), lowest)
+        floor = max(_low_tenth(found.variance[some]), lowest)
         variance = np.maximum(found.variance, floor) * NOISE_AREA
         variance += np.maximum(found.variance - 3 * floor, 0) * _MISFIT_AREA
         excess = np.maximum(found.variance - 3 * floor, 0) * (tiles[:, 2] * tiles[:, 3])
@@ -296,12 +250,13 @@ def _united(h: float, matrix: Floats, vector: Floats, noisy: Floats) -> BodyEqua
     centre = _weighted_median(mm, 1 / spread**2)
     prior = np.diag([1e-9] + [1 / 0.05**2] * (matrix.shape[1] - 1))
     for _ in range(4):
-        weight = np.clip(1 - ((mm - centre) / (_TIGHT * spread)) ** 2, 0, None) ** 2
-        n, b = np.tensordot(weight, matrix, 1), weight @ vector
-        if n[0, 0] <= _INFORMED * (weight @ noisy) or n[0, 0] <= 0:
+        weight = np.maximum(1 - ((mm - centre) / (_TIGHT * spread)) ** 2, 0) ** 2
+        texture = float(weight @ matrix[:, 0, 0])
+        if texture <= _INFORMED * (weight @ noisy) or texture <= 0:
             return None
-        theta = np.linalg.solve(n + prior, b)
-        centre = float(b[0] / n[0, 0])
+        centre = float(weight @ vector[:, 0]) / texture
+    n, b = np.tensordot(weight, matrix, 1), weight @ vector
+    theta = np.linalg.solve(n + prior, b)
     off = (vector - matrix @ theta)[:, 0]
     scatter = float(weight @ (off**2 / (noisy + 1e-12))) / max(float(weight.sum()) - 1, 1)
     inflation = float(weight @ noisy / n[0, 0]) * max(1.0, scatter)
@@ -310,6 +265,13 @@ def _united(h: float, matrix: Floats, vector: Floats, noisy: Floats) -> BodyEqua
     own = float(((weight * off) ** 2).sum()) / n[0, 0] * count / max(count - 1, 1)
     inflation = max(inflation, own)
     return BodyEquations(h, float(theta[0]), n / inflation, b / inflation, 1.0)
+
+
+def _low_tenth(values: Floats) -> float:
+    """Return the value above which nine tenths lie; `np.percentile` takes ten times as long for so few values."""
+    at = 0.1 * (len(values) - 1)
+    low, high = np.partition(values, [int(at), math.ceil(at)])[[int(at), math.ceil(at)]].tolist()
+    return float(low + (at - int(at)) * (high - low))
 
 
 def _weighted_median(values: Floats, weights: Floats) -> float:

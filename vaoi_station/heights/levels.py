@@ -27,6 +27,8 @@ _EDGE_PX = 1.0
 """A tile that reaches over an edge by less than this counts as on one side."""
 _ACROSS = 0.5
 """Weight of a tile across an edge of the extent, which sees any height from 0 to that of the body."""
+_NEGLIGIBLE = 40.0
+"""Explanations less probable than the best one by this, as a logarithm, are left out."""
 
 
 class Levels(NamedTuple):
@@ -56,32 +58,68 @@ def find_levels(
     side, log, inside = np.empty((2, k, t), np.int64), np.empty((n, 3, t)), np.empty((n, t))
     _sort_tiles(tiles, size, side)
     _tile_likelihoods(likelihood, board, heights_mm, log, inside)
-    evidence, highest = np.empty((n, k, k)), -np.inf
-    for m in range(n):
-        for a in range(k):
-            for b in range(k):
-                total = math.log(EXTENTS[a, 2] * EXTENTS[b, 2]) + log_prior[m]
-                for i in range(t):
-                    # A tile is outside if it is outside along one axis, and inside if it is inside along both.
-                    total += log[m, min(side[0, a, i], side[1, b, i]), i]
-                evidence[m, a, b] = total
-                highest = max(highest, total)
+    evidence = np.empty((n, k, k))
+    highest = _evidence(log, side, tiles, log_prior, evidence)
     probability, everything, best = np.zeros(n), 0.0, 0
     for m in range(n):
         for a in range(k):
             for b in range(k):
-                probability[m] += math.exp(evidence[m, a, b] - highest)
+                if evidence[m, a, b] > highest - _NEGLIGIBLE:
+                    probability[m] += math.exp(evidence[m, a, b] - highest)
         everything += probability[m]
         best = m if probability[m] > probability[best] else best
     on_body = np.zeros(t)
     for a in range(k):
         for b in range(k):
+            if evidence[best, a, b] <= highest - _NEGLIGIBLE:
+                continue
             share = math.exp(evidence[best, a, b] - highest) / probability[best]
             for i in range(t):
                 on_body[i] += share * inside[best, i] * (min(side[0, a, i], side[1, b, i]) == 2)
     for m in range(n):
         probability[m] /= everything
     return Levels(probability, on_body)
+
+
+@inlined
+def _evidence(log: Floats, side: Ints, tiles: Ints, log_prior: Floats, evidence: Floats) -> float:
+    """Write the logarithm of the probability of each height and extent to `evidence` (n, k, k); return the largest.
+
+    A tile is outside if it is outside along one axis, and inside if it is inside along both. The tiles of one strip are
+    on one side along the second axis, so that their sums serve all extents along it.
+    """
+    n, k, highest = log.shape[0], side.shape[1], -np.inf
+    first, strips = _strips(tiles)
+    part, prior = np.empty((strips, 3)), np.log(np.outer(EXTENTS[:, 2], EXTENTS[:, 2]))
+    for m in range(n):
+        for a in range(k):
+            for s in range(strips):
+                for where in range(3):
+                    part[s, where] = 0.0
+                    for i in range(first[s], first[s + 1]):
+                        part[s, where] += log[m, min(side[0, a, i], where), i]
+            for b in range(k):
+                total = prior[a, b] + log_prior[m]
+                for s in range(strips):
+                    total += part[s, side[1, b, first[s]]]
+                evidence[m, a, b] = total
+                highest = max(highest, total)
+    return float(highest)
+
+
+@inlined
+def _strips(tiles: Ints) -> tuple[Ints, int]:
+    """Return the number of the first tile of each strip, followed by the number of tiles, and the number of strips.
+
+    A strip is a sequence of tiles with the same rows.
+    """
+    first, strips = np.empty(len(tiles) + 1, np.int64), 0
+    for i in range(len(tiles)):
+        if i == 0 or tiles[i, 1] != tiles[i - 1, 1] or tiles[i, 3] != tiles[i - 1, 3]:
+            first[strips] = i
+            strips += 1
+    first[strips] = len(tiles)
+    return first, strips
 
 
 @inlined

@@ -54,7 +54,7 @@ def combine(bodies: Mapping[str, BodyEquations], row_sigma_px: float) -> dict[st
     """
     if not bodies:
         return {}
-    tables = {address: np.array([_likelihood(body, size) for size in _SIZES_PX]) for address, body in bodies.items()}
+    tables = {address: _likelihoods(body) for address, body in bodies.items()}
     tables = {address: table - table.max() for address, table in tables.items()}
     together = np.sum([np.maximum(table, _WORST) for table in tables.values()], axis=0)
     common = float(_SIZES_PX[int(np.argmax(together))])
@@ -76,12 +76,18 @@ def _prior(body: BodyEquations, size_px: float) -> Floats:
     return np.diag([1e-9] + [(body.scale / size_px) ** 2] * (len(body.vector) - 1))
 
 
-def _likelihood(body: BodyEquations, size_px: float) -> float:
-    """Return the logarithm of the likelihood of a size of the displacements, up to a constant."""
-    matrix = body.matrix + _prior(body, size_px)
-    sign, log = np.linalg.slogdet(matrix)
-    if sign <= 0:
-        return -1e9
-    unknowns = len(body.vector) - 1
-    fit = float(body.vector @ np.linalg.solve(matrix, body.vector))
-    return (fit - float(log)) / 2 - unknowns * math.log(size_px / body.scale)
+def _likelihoods(body: BodyEquations) -> Floats:
+    """Return the logarithm of the likelihood of every size of the displacements (`_SIZES_PX`), up to a constant.
+
+    Prior information s is added to the displacements' block of the matrix. With the eigenvalues λ of this block, its
+    determinant and its inverse follow for all s at once; the height is eliminated last (Schur complement).
+    """
+    own, turn = np.linalg.eigh(body.matrix[1:, 1:])
+    mixed, right = body.matrix[0, 1:] @ turn, body.vector[1:] @ turn
+    added = own + ((body.scale / _SIZES_PX) ** 2)[:, None]
+    height = body.matrix[0, 0] + 1e-9 - (mixed**2 / added).sum(1)
+    sound = (added > 0).all(1) & (height > 0)
+    added, height = np.where(sound[:, None], added, 1.0), np.where(sound, height, 1.0)
+    fit = (right**2 / added).sum(1) + (body.vector[0] - (mixed * right / added).sum(1)) ** 2 / height
+    log = np.log(added).sum(1) + np.log(height)
+    return np.where(sound, (fit - log) / 2 - len(own) * np.log(_SIZES_PX / body.scale), -1e9)

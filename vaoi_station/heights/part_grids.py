@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import cv2
@@ -23,6 +24,7 @@ from vaoi_station.model import BoardType, Stitch
 from vaoi_station.pixel_formats import eight_bit_grey
 
 FrameKey = tuple[int, int]
+Box = tuple[int, int, int, int]
 LONGEST_PX = 160
 """Longest side of a grid; larger footprints get larger pixels."""
 _MOST_LEVEL = 4
@@ -156,16 +158,32 @@ class Places:
 
         NaN where the frame does not show the place.
         """
-        w, h = grid.width + 2 * margin, grid.height + 2 * margin
-        nx, ny = math.ceil((w - 1) / _MESH_PX) + 1, math.ceil((h - 1) / _MESH_PX) + 1
-        x, y = np.arange(nx) * float(_MESH_PX) - margin, np.arange(ny) * float(_MESH_PX) - margin
-        nodes = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
-        tester = nodes @ grid.tester_from_grid[:, :2].T + grid.tester_from_grid[:, 2]
+        box = (-margin, -margin, grid.width + margin, grid.height + margin)
+        return self.rectified_box(grid, view, image, box, height_mm)
+
+    def rectified_box(
+        self, grid: PartGrid, view: View, image: NDArray[Any], box: Box, height_mm: float = 0.0
+    ) -> NDArray[np.float32]:
+        """Return the same for a box in grid coordinates: first column, first row, and those after the last ones."""
+        x0, y0, x1, y1 = box
+        w, h = x1 - x0, y1 - y0
+        nodes = _mesh((h - 2) // _MESH_PX + 2, (w - 2) // _MESH_PX + 2) + (x0, y0)
         i, j = view.key
-        m = self._row_from_tester[j]
-        raw = self.cameras[i].project(tester @ m[:2, :2].T + m[:2, 2], grid.surface_mm + height_mm)
-        scale = 0.5**grid.level
-        raw = (raw + 0.5) * scale - 0.5
+        m, a = self._row_from_tester[j], grid.tester_from_grid
+        # One affine map from the grid to row coordinates: the row's motion after the grid's place.
+        row = nodes @ (m[:2, :2] @ a[:, :2]).T + (m[:2, :2] @ a[:, 2] + m[:2, 2])
+        raw = self.cameras[i].project(row, grid.surface_mm + height_mm)
+        if grid.level:
+            raw = (raw + 0.5) * 0.5**grid.level - 0.5
         out = np.empty((h, w), np.float32)
-        sample(image, raw.reshape(ny, nx, 2), _MESH_PX, out)
+        sample(image, raw, _MESH_PX, out)
         return out
+
+
+@lru_cache(maxsize=256)
+def _mesh(rows: int, columns: int) -> Floats:
+    """Return the nodes (rows, columns, 2) of a mesh that begins at the origin: column and row of the grid."""
+    nodes = np.empty((rows, columns, 2))
+    nodes[..., 0], nodes[..., 1] = np.arange(columns) * float(_MESH_PX), np.arange(rows)[:, None] * float(_MESH_PX)
+    nodes.flags.writeable = False
+    return nodes

@@ -24,6 +24,7 @@ def test_figures_are_printed_and_written(vaoi: Any, small_recording: Path, tmp_p
         "images_per_s",
         "render_ratio_to_warp",
         "hdr_ratio_to_plain",
+        "heights_ms",
     ):
         assert figures[key] > 0
         assert f"{key:28s} {figures[key]}" in said.out
