@@ -64,9 +64,9 @@ def sample(image: NDArray[Any], nodes: Floats, step: int, out: NDArray[np.float3
 
 
 @inlined
-def _weighted(line: NDArray[Any], left: int, w: NDArray[np.float32]) -> np.float32:
+def _weighted(line: NDArray[Any], left: int, w: NDArray[np.float32]) -> float:
     """Return the weighted sum of the six samples of a line around `left`."""
-    return (
+    total: float = (
         w[0] * np.float32(line[left - 2])
         + w[1] * np.float32(line[left - 1])
         + w[2] * np.float32(line[left])
@@ -74,3 +74,4 @@ def _weighted(line: NDArray[Any], left: int, w: NDArray[np.float32]) -> np.float
         + w[4] * np.float32(line[left + 2])
         + w[5] * np.float32(line[left + 3])
     )
+    return total
