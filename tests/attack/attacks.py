@@ -151,6 +151,39 @@ def pictures(target: Target, stop: threading.Event) -> None:
     ask(target, stop, lambda: get(f"/api/v1/runs/{target.run}/components/U1/images/0?px_per_mm=200"))
 
 
+def newest_runs(target: Target) -> list[str]:
+    """Return the ids of the newest runs; their frames are in memory."""
+    with suppress(OSError, ValueError), connect(target, get("/api/v1/runs?limit=3", "Connection: close\r\n")) as s:
+        reply = b"".join(iter(lambda: s.recv(65536), b""))
+        return [run["id"] for run in json.loads(reply.partition(b"\r\n\r\n")[2])["runs"]]
+    return []
+
+
+def pictures_of_every_run(target: Target, stop: threading.Event) -> None:
+    """Ask for large pictures of all runs whose frames are in memory, so that none of them can be given to a board."""
+    while not stop.is_set():
+        for run in newest_runs(target):
+            with suppress(OSError):
+                connect(target, get(f"/api/v1/runs/{run}/components/U1/images/0?px_per_mm=200")).close()
+
+
+def files_of_boards(target: Target, stop: threading.Event) -> None:
+    """Ask for whole boards as files, of the newest run each time, and read only the beginning."""
+    while not stop.wait(0.01):
+        for run in newest_runs(target)[:1]:
+            with suppress(OSError), connect(target, get(f"/api/v1/runs/{run}/mosaics/board.tif")) as s:
+                s.recv(65536)
+
+
+def planned_boards(target: Target, stop: threading.Event) -> None:
+    """Ask for tiles of each new run, so that a worker plans a mosaic of every board; and for merged pictures."""
+    while not stop.wait(0.01):
+        for run in newest_runs(target):
+            for what in ("mosaics/board_files/8/0_0.jpg", "merged?component=U1", "merged/image?component=U1"):
+                with suppress(OSError), connect(target, get(f"/api/v1/runs/{run}/{what}")) as s:
+                    s.recv(65536)
+
+
 def pictures_without_a_key(target: Target, stop: threading.Event) -> None:
     """Ask for large pictures from outside, without a key."""
     ask(target, stop, lambda: get(f"/api/v1/runs/{target.run}/components/U1/images/0?px_per_mm=500", OUTSIDE))
@@ -180,6 +213,9 @@ ATTACKS: dict[str, Attack] = {
         large_board_types,
         overwritten_board_types,
         pictures,
+        pictures_of_every_run,
+        files_of_boards,
+        planned_boards,
         pictures_without_a_key,
         guessed_keys,
     )

@@ -12,12 +12,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from tests.transfer.conftest import Site
 from vaoi_station.config import StationConfig, read_config
 from vaoi_station.demo.station_files import to_toml
 from vaoi_station.errors import DeviceError, InputError
+from vaoi_station.files.images import encode_tiff
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.archive.recordings import Recordings
@@ -70,8 +72,10 @@ def exported(site: Site, tmp_path: Path) -> Callable[[str], Path]:
     return export
 
 
-def rewritten(package: Path, leave_out: tuple[str, ...] = (), **changed: Any) -> Path:
-    """Write a package again without some files, and with other content of files (named without .json)."""
+def rewritten(
+    package: Path, leave_out: tuple[str, ...] = (), added: dict[str, bytes] | None = None, **changed: Any
+) -> Path:
+    """Write a package again without some files, with further ones, and with other content of JSON files."""
     entries = {}
     with tarfile.open(fileobj=io.BytesIO(gzip.decompress(package.read_bytes()))) as tar:
         for member in tar:
@@ -82,7 +86,7 @@ def rewritten(package: Path, leave_out: tuple[str, ...] = (), **changed: Any) ->
     for name, update in changed.items():
         entries[f"{name}.json"] = json.dumps(json.loads(entries[f"{name}.json"]) | update).encode()
     out = package.with_suffix(".changed")
-    kept = [(name, content) for name, content in entries.items() if name not in leave_out]
+    kept = [(name, content) for name, content in (entries | (added or {})).items() if name not in leave_out]
     write_package(out, KIND, kept, {"station": manifest["station"], "made": manifest["made"]})
     return out
 
@@ -150,6 +154,32 @@ def test_frames_need_the_quota_and_nothing_stays_of_a_refusal(
         import_into_history(package, other.config_path)
     assert Archive(other.store, EventLog(other.store)).list(10, None) == []
     assert not (other.config.data / "recordings").exists()
+    assert [path.name for path in other.config.data.glob(".*")] == []
+
+
+def test_pictures_that_are_no_frames_of_the_run_are_refused(
+    site: Site, other: Other, exported: Callable[[str], Path]
+) -> None:
+    """The station would decode them in its own process, whatever their size."""
+    package = exported(site.degraded)
+    with tarfile.open(package) as tar:
+        frame = next(name for name in tar.getnames() if name.startswith("frames/"))
+    large = encode_tiff(np.zeros((2000, 3000), np.uint8))
+    for name, message in ((frame, "is 3000×2000 px, but"), ("frames/cam99_row0.png", "is no frame of")):
+        changed = rewritten(package, added={name: large})
+        with pytest.raises(InputError, match=message):
+            import_into_history(changed, other.config_path)
+        changed.unlink()
+    assert [path.name for path in other.config.data.glob(".*")] == []
+
+
+def test_a_small_package_with_a_large_content_does_not_fill_the_disk(
+    site: Site, other: Other, exported: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    package = exported(site.sound)
+    monkeypatch.setattr("vaoi_station.transfer.run_import.DISK_RESERVE", 10**18)
+    with pytest.raises(DeviceError, match=r"its next file has 0 MB, but 0 MB .*1e\+09 GB stay"):
+        import_into_history(package, other.config_path)
     assert [path.name for path in other.config.data.glob(".*")] == []
 
 

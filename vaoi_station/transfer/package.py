@@ -9,6 +9,7 @@ import hashlib
 import io
 import json
 import os
+import shutil
 import tarfile
 import tempfile
 import zlib
@@ -73,10 +74,17 @@ def write_package(path: Path, kind: str, entries: Iterable[Entry], about: dict[s
     return len(digests)
 
 
-def unpack_package(path: Path, kind: str, directory: Path) -> dict[str, Any]:
+def unpack_package(path: Path, kind: str, directory: Path, *, spare_bytes: int = 0) -> dict[str, Any]:
     """Unpack a package into an existing directory, check every digest, and return the manifest.
 
+    Args:
+        path: the package.
+        kind: its format, such as "vaoi-backup".
+        directory: where its content is put.
+        spare_bytes: space of the disk that stays free. A small package may have a content of any size.
+
     Raises:
+        DeviceError: the disk has no room for the content.
         InputError: the file is no package of this kind, is damaged or incomplete, or has unsafe names.
     """
     found: dict[str, str] = {}
@@ -90,6 +98,7 @@ def unpack_package(path: Path, kind: str, directory: Path) -> dict[str, Any]:
                 if member.name == MANIFEST:
                     manifest = json.loads(source.read(_LARGEST_MANIFEST))
                 else:
+                    _refuse_without_room(path, directory, member.size, spare_bytes)
                     found[member.name] = _extract(source, _safe(path, directory, member.name))
     except (tarfile.TarError, zlib.error, EOFError, ValueError, RecursionError, OSError) as error:
         if isinstance(error, OSError) and error.errno is not None:
@@ -147,6 +156,17 @@ def _safe(path: Path, directory: Path, name: str) -> Path:
     if not parts or name.startswith("/") or ".." in parts or "\\" in name or "\0" in name:
         raise InputError(f"{path}: has the unsafe name {name!r}.", action=_ACTION)
     return directory.joinpath(*parts)
+
+
+def _refuse_without_room(path: Path, directory: Path, needed: int, spare_bytes: int) -> None:
+    free = shutil.disk_usage(directory).free - spare_bytes
+    if needed > free:
+        raise DeviceError(
+            f"{path}: its next file has {needed / 1e6:.0f} MB, but {max(free, 0) / 1e6:.0f} MB of the disk of "
+            f"{directory.parent} may be used ({spare_bytes / 1e9:g} GB stay free).",
+            action="Free disk space, or unpack it on another disk.",
+            code="disk-full",
+        )
 
 
 def _extract(source: IO[bytes], target: Path) -> str:

@@ -18,6 +18,7 @@ from vaoi_station.config import KeepConfig, read_config
 from vaoi_station.errors import DeviceError, InputError
 from vaoi_station.files.atomic_directory import new_directory
 from vaoi_station.files.documents import parse, read_json
+from vaoi_station.files.recordings import open_recording
 from vaoi_station.model import BoardType, Calibration, RecordingHead, Status, Stitch
 from vaoi_station.runs.archive.recordings import DIRECTORY as RECORDINGS
 from vaoi_station.runs.archive.recordings import DISK_RESERVE, RESULT_FILE, RUN_FILE
@@ -44,6 +45,8 @@ from vaoi_station.transfer.run_export import (
     TIMELINE_FILE,
 )
 
+FRAMES = "frames"
+"""Folder of the frames in a recording."""
 _AHEAD_S = 60.0
 """Time by which a run may be newer than this machine's clock says. Ids of later boards must sort after it."""
 
@@ -88,7 +91,7 @@ def import_into_history(package: Path, config_path: Path) -> ImportedRun:
         _refuse_other_user(database)
     with tempfile.TemporaryDirectory(dir=config.data, prefix=".import.") as scratch:
         folder = Path(scratch)
-        manifest = unpack_package(package, KIND, folder)
+        manifest = unpack_package(package, KIND, folder, spare_bytes=DISK_RESERVE)
         content = _read(package, folder, manifest)
         target = recordings / content.detail.id
         with_frames = content.frames_bytes > 0 and not target.exists()
@@ -131,6 +134,8 @@ def _read(package: Path, folder: Path, manifest: dict[str, Any]) -> _Package:
         _refuse_other_digest(package, BOARD_FILE, board_type, detail.made_with.board_type)
     recorded = (folder / RECORDING_FILE).is_file()
     head = _head(package, folder, recorded)
+    if recorded:
+        _check_frames(package, folder)
     result = _optional(package, folder, RESULT_FILE)
     if result is not None:
         parse(Stitch, json.loads(result), f"{package}: {RESULT_FILE}")
@@ -152,6 +157,25 @@ def _head(package: Path, folder: Path, recorded: bool) -> str:
         )
     head = parse(RecordingHead, read_json(folder / name), f"{package}: {name}")
     return head.model_dump_json()
+
+
+def _check_frames(package: Path, folder: Path) -> None:
+    """Decode every frame here, and refuse one of another size than its camera's.
+
+    The station decodes frames in its own process when callers ask for them: a picture of any size would take
+    its memory.
+    """
+    recording, known = open_recording(folder), set[Path]()
+    for camera in range(len(recording.head.cameras)):
+        for row in range(recording.head.rows):
+            if (path := recording.frame_path(camera, row)) is not None:
+                known.add(path)
+                recording.frame(camera, row)
+    if others := sorted(set((folder / FRAMES).rglob("*")) - known):
+        raise InputError(
+            f"{package}: {others[0].relative_to(folder)} is no frame of its {RECORDING_FILE}.",
+            action="Export the run again.",
+        )
 
 
 def _optional(package: Path, folder: Path, name: str) -> str | None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import re
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -88,6 +90,29 @@ def test_region_as_a_file(client: Any, board: Any) -> None:
     answer = client.get(board["tiff"], params={"x0": 10, "y0": 10, "x1": 30, "y1": 20, "px_per_mm": 4})
     assert re.search(r'filename=".*board\.tif"', answer.headers["content-disposition"])
     assert tifffile.imread(io.BytesIO(answer.content)).shape == (40, 80)
+
+
+def test_one_caller_has_one_file_made_at_a_time(
+    client: Any, station: Any, board: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    began, may_go, write = threading.Event(), threading.Event(), station.mosaics.write
+
+    def slow(*arguments: Any) -> None:
+        began.set()
+        assert may_go.wait(30)
+        write(*arguments)
+
+    monkeypatch.setattr(station.mosaics, "write", slow)
+    wanted = {"x0": 10, "y0": 10, "x1": 30, "y1": 20, "px_per_mm": 4}
+    with ThreadPoolExecutor(1) as pool:
+        first = pool.submit(client.get, board["tiff"], params=wanted)
+        assert began.wait(30)
+        second = client.get(board["tiff"], params=wanted)
+        may_go.set()
+        assert first.result(30).status_code == 200
+    assert (second.status_code, second.json()["code"]) == (503, "busy")
+    assert "the limit for one caller is 1" in second.json()["detail"]
+    assert client.get(board["tiff"], params=wanted).status_code == 200, "its seat is free again"
 
 
 def test_plan_is_made_once_and_tiles_are_validated(client: Any, station: Any, board: Any) -> None:

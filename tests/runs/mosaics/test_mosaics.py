@@ -94,6 +94,14 @@ def test_plans_are_kept_up_to_a_number(board: Filmed) -> None:
     assert len(mosaics._plans) == MOST_PLANS
 
 
+def test_names_that_do_not_exist_displace_no_plan(board: Filmed, tmp_path: Path) -> None:
+    mosaics = mosaics_of(board, [])
+    for n in range(MOST_PLANS):
+        with pytest.raises(InputError):
+            mosaics.write("r1", PictureName(f"light {n}"), Download(None, None), tmp_path / "m.tif")
+    assert not mosaics._plans
+
+
 def test_file_has_the_region_in_the_colours_of_the_frames(film: Film, tmp_path: Path) -> None:
     mosaics = mosaics_of(film(channels=3), [])
     mosaics.write("r1", PictureName(), Download((5.0, 5.0, 25.0, 15.0), 10.0), tmp_path / "m.tif")

@@ -11,6 +11,7 @@ from fastapi import APIRouter, Depends, Path, Query, Request, Response
 from fastapi.responses import FileResponse
 from starlette.background import BackgroundTask
 
+from vaoi_station.api.callers.picture_seats import FileSeats
 from vaoi_station.api.http_caching import IMMUTABLE, conditional_response
 from vaoi_station.api.parameters import RunId
 from vaoi_station.api.rest_models import MosaicEntry, MosaicList
@@ -35,6 +36,7 @@ Picture = Annotated[
 ]
 Suffix = Literal["jpg", "jpeg", "png"]
 Side = Annotated[int, Path(ge=0, le=10_000_000)]
+LARGE_FILES = File("/var/tmp")  # noqa: S108  each file is in a directory of its own, with mode 0700
 MEDIA = {"jpg": "image/jpeg", "png": "image/png"}
 TILE: dict[int | str, dict[str, Any]] = {
     200: {
@@ -59,7 +61,7 @@ IIIF: dict[int | str, dict[str, Any]] = {
 def router(services: Services) -> APIRouter:
     """Create the routes for mosaics."""
     routes = APIRouter(prefix="/runs/{run}/mosaics", tags=["pictures"])
-    mosaics, ask = services.coordinator.mosaics, services.commands.ask
+    mosaics, ask, files = services.coordinator.mosaics, services.commands.ask, FileSeats()
 
     async def tile(request: Request, run: str, picture: str, suffix: str, make: Any) -> Response:
         name, format = parse_name(picture), "png" if suffix == "png" else "jpg"
@@ -162,7 +164,8 @@ def router(services: Services) -> APIRouter:
         "/{picture}.tif",
         response_class=FileResponse,
         responses=FILE,
-        dependencies=[Depends(services.picture_seats.hold)],
+        # A refusal comes before the wait for a seat for pictures.
+        dependencies=[Depends(files.hold), Depends(services.picture_seats.hold)],
     )
     async def download_mosaic(
         run: RunId,
@@ -177,7 +180,8 @@ def router(services: Services) -> APIRouter:
     ) -> Response:
         """Return a mosaic, or a region of it, as one file, at most 64 megapixels."""
         name, download = parse_name(picture), _download((x0, y0, x1, y1), px_per_mm)
-        folder = tempfile.TemporaryDirectory(prefix="vaoi-mosaic-")
+        # Not /tmp, which is memory on Debian 13: the file may be larger than a gigabyte.
+        folder = tempfile.TemporaryDirectory(prefix="vaoi-mosaic-", dir=LARGE_FILES if LARGE_FILES.is_dir() else None)
         path = File(folder.name) / "mosaic.tif"
         try:
             await services.pictures.ask(mosaics.write, run, name, download, path)

@@ -108,9 +108,10 @@ class Mosaics:
 
     def write(self, run: str, name: PictureName, download: Download, path: Path) -> None:
         """Write a mosaic as a pyramidal TIFF, as `vaoi mosaic` does."""
+        # Refused first what is refused without frames: a plan that cannot be made would displace another one.
+        grid = self.grid(run, name, download)
         plan = self._plan(run, name)
         finished = self._archive.get(run)
-        grid = self.grid(run, name, download)
         renderer = TileRenderer(plan, self._projector(finished), grid)
         sample: NDArray[Any] | None = None
         # The first tile with pixels says which type and how many colours the frames have.
