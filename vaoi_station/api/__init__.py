@@ -11,6 +11,7 @@ from fastapi.routing import APIRoute
 
 from vaoi_station.api import openapi, pages, problems
 from vaoi_station.api.access.access_control import AccessControl
+from vaoi_station.api.batch import batch_routes
 from vaoi_station.api.event_hub import EventHub
 from vaoi_station.api.hosts import allowed_names
 from vaoi_station.api.parameters import refuse_unknown_parameters
@@ -75,7 +76,8 @@ def create_app(
     )
     app.state.hub = services.hub
     problems.install(app)
-    for module in (station, calibration, board_types, stitching, runs, frames, components, merged, mosaics, events):
+    pictures = (frames, components, batch_routes, merged, mosaics)
+    for module in (station, calibration, board_types, stitching, runs, *pictures, events):
         app.include_router(module.router(services), prefix=PREFIX)
     if access is not None:
         app.include_router(keys.router(services, access), prefix=PREFIX)

@@ -83,6 +83,7 @@ KINDS: dict[str, tuple[int, str, str]] = {
         "Fetch images sooner, hold or pin the run, or increase [ring] runs in station.toml.",
     ),
     "too-large": (413, "Request too large", "Send a smaller body; the detail names the limit."),
+    "range-not-satisfiable": (416, "No such bytes", "Ask for a range within the size that Content-Range states."),
     "internal": (
         500,
         "Internal error",

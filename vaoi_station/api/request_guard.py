@@ -54,6 +54,7 @@ API = "/api/"
 _DECIDING = ("Host", "Origin", "Authorization", "Sec-Fetch-Site", "Sec-Fetch-Mode", "Sec-Fetch-Dest", "Sec-Fetch-User")
 """Headers by which a request is permitted or refused."""
 CLOSE = {"Connection": "close"}
+_HEAD = "vaoi.head"
 
 CSP = "default-src 'self'; img-src 'self' blob: data:; object-src 'none'; base-uri 'none'; frame-ancestors 'self'"
 SAFETY = {
@@ -113,7 +114,7 @@ class RequestGuard:
             await refusal(scope, receive, send)
         # A HEAD request for the event stream is not handled as GET: the stream would start and never end.
         elif scope["method"] == "HEAD" and scope["path"] != STREAM:
-            await self._app({**scope, "method": "GET"}, receive, _without_body(send))
+            await self._app({**scope, "method": "GET", _HEAD: True}, receive, _without_body(send))
         elif scope["method"] in SAFE and scope["path"] == STREAM:
             await self._stream(scope, receive, send)
         elif scope["method"] in SAFE:
@@ -263,6 +264,11 @@ def _without_body(send: Send) -> Send:
         await send(message)
 
     return headers_only
+
+
+def is_head(scope: Scope) -> bool:
+    """Return whether a request that is handled as GET was a HEAD, so that the body of its reply is not read."""
+    return scope.get(_HEAD) is True
 
 
 def _as_json(scope: Scope) -> Scope:

@@ -1,6 +1,6 @@
 """Temporary images: upright, CAD-aligned pictures of components, resampled from the frames (paper, section 3.4)."""
 
-from vaoi_station.rendering.chooser import ChosenImages, choose_images, render_chosen
+from vaoi_station.rendering.chooser import ChosenImages, choose_all, choose_images, render_chosen
 from vaoi_station.rendering.framing import Framing
 from vaoi_station.rendering.measures import Measures, measure
 from vaoi_station.rendering.request import ImageOptions, ImageRequest
@@ -19,6 +19,7 @@ __all__ = [
     "Measures",
     "View",
     "ViewCalculator",
+    "choose_all",
     "choose_images",
     "compute_views",
     "measure",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -61,20 +61,44 @@ def choose_images(
         InputError: a picture would be too large, or the run has no frame under a light that the request names.
         StateError: the request names a direction, and directions are not known.
     """
-    height = remark = None
+    return choose_all(calculator, [part], run, frames, wanted, measure)[0]
+
+
+def choose_all(
+    calculator: ViewCalculator,
+    parts: Sequence[Component],
+    run: tuple[BoardType, Stitch],
+    frames: tuple[Collection[tuple[int, int]], Mapping[tuple[int, int], FrameFacts]],
+    wanted: ImageRequest,
+    measure: Measure,
+) -> list[ChosenImages]:
+    """Choose the images of several components, in their order; see `choose_images`.
+
+    The views of all components are computed at once, which takes a fraction of the time of one by one.
+    """
+    heights: dict[str, BodyHeight] = {}
+    remarks: dict[str, str] = {}
     if wanted.framing.plane == "top":
-        height = body_height(part, *run)
-        remark = plane_remark(part, height, calculator.knows_heights)
-        height = None if remark else height
-    views = calculator.compute(
-        part,
+        for part in parts:
+            height = body_height(part, *run)
+            remark = plane_remark(part, height, calculator.knows_heights)
+            if remark is not None:
+                remarks[part.address] = remark
+            elif height is not None:
+                heights[part.address] = height
+    views = calculator.compute_all(
+        parts,
         min_coverage=wanted.bounds.min_coverage,
         framing=wanted.framing,
-        height_mm=None if height is None else height.mm,
+        heights_mm={address: height.mm for address, height in heights.items()},
     )
     usable, facts = frames
-    chosen = select([v for v in views if (v.camera, v.row) in usable], facts, wanted, measure)
-    return ChosenImages(part, chosen, height, remark)
+    found = []
+    for part in parts:
+        of_part = [v for v in views[part.address] if (v.camera, v.row) in usable]
+        chosen = select(of_part, facts, wanted, measure)
+        found.append(ChosenImages(part, chosen, heights.get(part.address), remarks.get(part.address)))
+    return found
 
 
 def render_chosen(choice: ChosenView, frame: NDArray[Any], other: NDArray[Any] | None = None) -> NDArray[Any]:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tests.api.held.batches import held_batches
 from vaoi_station.errors import GoneError
 from vaoi_station.runs.archive.measured_heights import MeasuredHeights
 from vaoi_station.runs.mosaics.mosaics import Mosaics
@@ -22,7 +23,8 @@ class HeldMosaics(Mosaics):
         self._station = station
         self.jobs: list[str] = []
         super().__init__(SimpleNamespace(get=self._finished), self._held, self._perform)  # type: ignore[arg-type]
-        # The heights of components are measured by the same worker.
+        # Heights of components are measured, and batches cut, by the same workers.
+        station.batches = held_batches(station)
         station.heights = MeasuredHeights(self._archive, self._lease, self._render)
 
     def _finished(self, run: str) -> Any:

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from tests.runs.workers.conftest import CHECK, RingBoard
 from vaoi_station.errors import GoneError
+from vaoi_station.runs.batches.batch_job import BatchJob
 from vaoi_station.runs.workers.jobs import (
     ConcludeJob,
     GatherJob,
@@ -263,3 +264,20 @@ def test_a_conclusion_never_waits_behind_pictures(
         late = [worker.job for worker in hall.workers if worker.job and worker.job.job.priority > Priority.GATHER]
         assert sum(isinstance(queued.job, RenderJob) for queued in late) < count
         assert len(late) < count or not any(isinstance(job, RenderJob) for job in begun)
+
+
+def part_of_a_batch() -> BatchJob:
+    return BatchJob("r0", 0, 1, b"", (), {})
+
+
+def test_parts_of_batches_come_after_pictures_and_take_every_worker_while_no_run_is_open(hall: Hall) -> None:
+    hall.queues.runs.clear()
+    hall.add(part_of_a_batch(), part_of_a_batch(), part_of_a_batch(), hall.picture())
+    assert hall.choose(0) == hall.picture()
+    assert [hall.choose(k) for k in (1, 2)] == [part_of_a_batch()] * 2
+
+
+def test_parts_of_batches_leave_one_worker_free_while_a_run_is_open(hall: Hall) -> None:
+    hall.add(part_of_a_batch(), part_of_a_batch(), part_of_a_batch())
+    assert [hall.choose(k) for k in (0, 1)] == [part_of_a_batch()] * 2
+    assert hall.choose(2) is None

@@ -250,3 +250,9 @@ def test_jpeg_is_close_to_the_picture() -> None:
 def test_a_missing_ring_is_refused(tmp_path: Path) -> None:
     with pytest.raises(Exception, match="ring"):
         WorkerRuntime(str(tmp_path / "ring"))
+
+
+def test_colours_of_npy_are_red_green_blue() -> None:
+    blue = np.zeros((2, 3, 3), np.uint8)
+    blue[..., 0] = 9  # OpenCV's first channel
+    assert np.load(io.BytesIO(encode(blue, "npy")))[0, 0].tolist() == [0, 0, 9]

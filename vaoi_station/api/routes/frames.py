@@ -8,6 +8,7 @@ from fastapi import APIRouter, Depends, Header, Query, Request, Response
 
 from vaoi_station.api.encoders import MEDIA_TYPES, choose_format, encode_image
 from vaoi_station.api.http_caching import conditional_response
+from vaoi_station.api.images.byte_ranges import part_of
 from vaoi_station.api.parameters import Camera, FormatName, Row, RunId
 from vaoi_station.api.routes.services import Services
 
@@ -27,7 +28,7 @@ def router(services: Services) -> APIRouter:
     @routes.get(
         "/{camera}/{row}",
         response_class=Response,
-        responses=PICTURE,
+        responses={**PICTURE, 206: {**PICTURE[200], "description": "The bytes of the header Range."}},
         dependencies=[Depends(services.picture_seats.hold)],
     )
     async def get_frame(
@@ -46,7 +47,8 @@ def router(services: Services) -> APIRouter:
 
         So does a frame that is not proven to belong to its row (409 `frame-unproven`). The header X-Frame-Verdict is
         `ok`, `incomplete` or `unproven`. 410: the frame is no longer in memory,
-        and not in a recording that is kept of the run.
+        and not in a recording that is kept of the run. The header Range selects some of the bytes (206): of a raw
+        frame, line k begins at byte k · X-Image-Stride.
         """
         image_format = choose_format(format, accept)
 
@@ -56,6 +58,7 @@ def router(services: Services) -> APIRouter:
             return content, headers | {"X-Frame-Verdict": str(record.verdict) if record.proven else "unproven"}
 
         content, headers = await services.pictures.ask(picture)
-        return conditional_response(request, content, MEDIA_TYPES[image_format], headers=headers)
+        whole = conditional_response(request, content, MEDIA_TYPES[image_format], headers=headers)
+        return part_of(request, whole)
 
     return routes

@@ -17,6 +17,7 @@ from vaoi_station.api.routes.frames import PICTURE, Accept
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import InputError
 from vaoi_station.model import Strict
+from vaoi_station.runs.batches.batches import merged_entry
 from vaoi_station.runs.merging.merged_pictures import MergedChoice, MergeRequest
 
 Component = Annotated[
@@ -154,17 +155,4 @@ def _corners(region: str | None) -> tuple[float, float, float, float] | None:
 
 
 def _entry(k: int, choice: MergedChoice, url: str) -> MergedEntry:
-    view = choice.view
-    return MergedEntry(
-        k=k,
-        merged=[(f.view.camera, f.view.row) for f in choice.frames],
-        exposures=choice.exposures,
-        lights=list(dict.fromkeys(f.taken.light for f in choice.frames if f.taken.light is not None)),
-        width_px=view.width,
-        height_px=view.height,
-        px_per_mm=view.px_per_mm,
-        plane_height_mm=choice.plane_height_mm,
-        crop_from_cad=view.crop_from_cad.matrix.tolist(),
-        cad_from_crop=view.cad_from_crop.matrix.tolist(),
-        url=url,
-    )
+    return MergedEntry(k=k, url=url, **merged_entry(choice))

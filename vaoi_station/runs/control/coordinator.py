@@ -107,6 +107,7 @@ class StationCoordinator:
         self.heights = MeasuredHeights(parts.archive, self._frames.lease, requests.render)
         self.kept = KeptRuns(parts.config, parts.archive, parts.events, self._frames)
         self._frames.recorded, self.merged = self.kept.recordings.frame_file, self._frames.merged(parts.config)
+        self.batches = self._frames.batches(self.merged)
         teaching = ReferenceTeaching(references, parts.config.method)
         self._board_types = BoardTypeService(
             board_types, teaching, parts.archive, parts.events, self._core, self._inbox, self._frames

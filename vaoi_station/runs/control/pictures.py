@@ -25,6 +25,7 @@ from vaoi_station.model import FrameRecord
 from vaoi_station.rendering import ChosenImages, ChosenView, ImageRequest, Measures, View, measure
 from vaoi_station.runs.archive import component_views
 from vaoi_station.runs.archive.finished_runs import Archive
+from vaoi_station.runs.batches.batches import BatchAccess
 from vaoi_station.runs.control.active_runs import Workers
 from vaoi_station.runs.control.core import Core
 from vaoi_station.runs.control.inbox import Inbox
@@ -176,6 +177,10 @@ class FrameAccess:
             return self.recorded(run, camera, row)
 
         return MergedAccess(self._archive.get, self.lease, recorded, self._requests.render, config.flat_fields)
+
+    def batches(self, merged: MergedAccess) -> BatchAccess:
+        """Return the access to batches of pictures, of which `merged` makes those that are merged."""
+        return BatchAccess(self._archive.get, self.lease, self.recorded, self._requests.render, merged)
 
     def bay_of(self, run: str) -> Bay:
         """Return the bay of a run, without a lease. Raise GoneError if the frames are no longer in memory."""

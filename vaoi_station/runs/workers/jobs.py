@@ -21,13 +21,17 @@ from vaoi_station.stitching.work import StitchSetup
 
 
 class Priority(IntEnum):
-    """Order in which waiting jobs are given to workers, lowest value first: results before pictures and checks."""
+    """Order in which waiting jobs are given to workers, lowest value first.
+
+    Results come before pictures, single pictures before batches.
+    """
 
     CONCLUDE = 0
     LINK = 1
     GATHER = 2
     RENDER = 3
-    CHECK = 4
+    BATCH = 4
+    CHECK = 5
 
 
 @dataclass(frozen=True)
@@ -140,12 +144,15 @@ class PictureJob:
     request: int
     """Number of the caller's request, by which the reply is passed to this caller."""
 
-    priority = Priority.RENDER
+    priority: Priority = Priority.RENDER
     affinity: int | None = None
 
 
 class FramesJob(PictureJob, ABC):
-    """A picture job that reads several frames of one bay."""
+    """A picture job that reads several frames of one bay, or of a recording."""
+
+    recorded = False
+    """Whether the frames are read from files, so that no bay is needed."""
 
     @abstractmethod
     def perform(self, frame: Callable[[int], NDArray[Any]]) -> Any:

@@ -112,7 +112,7 @@ class WorkerPool:
     def _refusal(self, job: Job) -> VaoiError | None:
         if self._stopping:
             return StateError("The station is stopping; its workers take no more jobs.")
-        if isinstance(job, PictureJob) and self._queues.waiting(Priority.RENDER) >= MAX_PICTURES:
+        if job.priority is Priority.RENDER and self._queues.waiting(Priority.RENDER) >= MAX_PICTURES:
             return BusyError(
                 f"{MAX_PICTURES} pictures wait for a worker already, which is the limit.",
                 action="Request fewer pictures at a time, or request this one again in a moment.",
@@ -345,13 +345,12 @@ class WorkerPool:
 
     def _overdue_job(self, idle: Worker) -> Queued | None:
         """Return a job of an overdue worker that no other worker has, for an idle one; None if there is none."""
-        render = self._queues.may_render(idle)
         candidates = (
             q
             for worker in self._workers
             if worker.overdue
             for q in worker.jobs
-            if q.repeatable and (render or not isinstance(q.job, PictureJob))
+            if q.repeatable and (not isinstance(q.job, PictureJob) or self._queues.may_render(idle, q.job.priority))
         )
         return next((q for q in candidates if sum(q in w.jobs for w in self._workers) == 1), None)
 

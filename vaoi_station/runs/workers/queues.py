@@ -1,9 +1,9 @@
 """Queues of waiting jobs, and the choice of the worker for each job. Every call needs the pool's lock.
 
 Every queue has a bound. Link and gather jobs are at most those of the runs in the ring, and end with their run; each
-run has one conclude job; pictures are limited by `MAX_PICTURES`; checks are parts of conclude jobs and never wait.
-There is a separate queue for each assigned worker, so that the time for a choice does not depend on the number of
-waiting jobs.
+run has one conclude job; pictures are limited by `MAX_PICTURES`, parts of batches by the seats of their callers; checks
+are parts of conclude jobs and never wait. There is a separate queue for each assigned worker, so that the time for a
+choice does not depend on the number of waiting jobs.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ class JobQueues:
         Within a priority, jobs that are assigned to this worker, or to no worker, come first.
         """
         for priority, homes in self._queues.items():
-            if priority is Priority.RENDER and not self.may_render(worker):
+            if priority >= Priority.RENDER and not self.may_render(worker, priority):
                 continue
             mine = min((homes[h] for h in (None, worker.index) if homes[h]), key=_front, default=None)
             chosen = mine or min(self._of_others(homes, worker), key=_front, default=None)
@@ -104,12 +104,16 @@ class JobQueues:
                 return chosen.popleft()
         return None
 
-    def may_render(self, worker: Worker) -> bool:
+    def may_render(self, worker: Worker, priority: Priority = Priority.RENDER) -> bool:
         """Return whether a worker may begin a picture: another sound one must stay free of pictures and checks.
 
         A conclusion that comes meanwhile thus never waits for a picture. The only sound worker renders too: it would
-        make no pictures at all otherwise, and a conclusion waits for at most the one under way.
+        make no pictures at all otherwise, and a conclusion waits for at most the one under way. Parts of batches may
+        take all workers while no run is open: they are short, and the conclusion of a board that comes now is seconds
+        away.
         """
+        if priority is Priority.BATCH and not self.runs:
+            return True
         others = [other for other in self._workers if other is not worker and other.ready and not other.overdue]
         return not others or any(not _with_picture_or_check(other) for other in others)
 

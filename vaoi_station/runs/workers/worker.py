@@ -29,6 +29,7 @@ OVERDUE_S: Mapping[Priority, float] = {
     Priority.GATHER: 1.0,
     Priority.CONCLUDE: 3.0,
     Priority.RENDER: 3.0,
+    Priority.BATCH: 3.0,
     Priority.CHECK: 5.0,
 }
 """Time after which a job is overdue: other workers take the jobs that wait for its worker, and an idle one repeats it.

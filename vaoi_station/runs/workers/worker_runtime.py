@@ -144,6 +144,8 @@ class WorkerRuntime:
                 return self._conclude(job)
             case RenderJob():
                 return self._render(job)
+            case FramesJob() if job.recorded:
+                return job.perform(self._ring.frame)
             case FramesJob():
                 return self._guarded(job.bay, job.generation, partial(job.perform, self._ring.frame))
             case CheckJob():
@@ -263,5 +265,6 @@ def encode(image: NDArray[Any], format: ImageFormat) -> bytes:
             return encode_tiff(image)
         case "npy":
             file = io.BytesIO()
-            np.save(file, image)
+            # OpenCV stores colours as blue, green, red.
+            np.save(file, image if image.ndim == 2 else np.ascontiguousarray(image[..., ::-1]))
             return file.getvalue()

@@ -1,0 +1,121 @@
+"""Jobs of batches: the same pictures and figures as one by one, in parts that end in time."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from tests.api.held.batches import held_batches
+from tests.api.held.unpacked import documents, unpacked
+from tests.api.held_station import HeldStation
+from vaoi_station.api.images.view_entries import view_entry
+from vaoi_station.errors import InputError
+from vaoi_station.model import Component
+from vaoi_station.rendering import ImageRequest, render_chosen
+from vaoi_station.runs.batches import batch_job
+from vaoi_station.runs.batches.batch_job import BatchJob, folder_of, picture_member
+from vaoi_station.runs.batches.batch_request import BatchRequest
+from vaoi_station.runs.batches.containers import ContainerWriter
+from vaoi_station.runs.workers.jobs import Priority
+
+RUN = "r000001"
+
+
+def files_of(station: HeldStation, request: BatchRequest) -> dict[str, bytes]:
+    access = held_batches(station)
+    batch = access.open(RUN, request, f"/api/v1/runs/{RUN}/components", "?q")
+    writer, content, parts = ContainerWriter("zip", 0), b"", batch.parts()
+    while parts:
+        found, rest = access.cut(batch, parts.pop(0))
+        content += writer.add(found.packed)
+        parts = parts if rest is None else [rest, *parts]
+    return unpacked(content + writer.end(), "zip")
+
+
+@pytest.fixture(scope="module")
+def station() -> HeldStation:
+    station = HeldStation()
+    station.lights = ("left", "right")
+    station.film()
+    return station
+
+
+@pytest.mark.parametrize("options", [{}, {"light": "left", "limit": 1}, {"light": "left", "minus": "right"}])
+def test_pictures_and_figures_are_those_of_single_requests(station: HeldStation, options: dict[str, str]) -> None:
+    wanted = ImageRequest.of(options)  # type: ignore[arg-type]
+    files = files_of(station, BatchRequest(images=wanted, format="npy", container="zip"))
+    for address in ("U1", "R1", "2/R1"):
+        folder = f"components/{address}"
+        choices = station.images(RUN, address, wanted).chosen
+        entry = json.loads(files[f"{folder}/views.json"])
+        assert entry["address"] == address
+        for k, (choice, view) in enumerate(zip(choices, entry["views"], strict=True)):
+            url = f"/api/v1/runs/{RUN}/components/{address}/images/{k}?q"
+            expected = view_entry(k, choice, url, None).model_dump(mode="json", exclude_none=True)
+            assert view == {**expected, "file": f"{folder}/{k}.npy"}
+            frames = [station.pixels[RUN, s.view.camera, s.view.row] for s in (choice, choice.minus) if s]
+            pixels = np.frombuffer(files[view["file"]][128:], np.uint8)
+            np.testing.assert_array_equal(pixels, render_chosen(choice, *frames).ravel())
+
+
+def test_bare_pixels_are_described_in_the_list(station: HeldStation) -> None:
+    files = files_of(station, BatchRequest(components=("R1",), format="raw", container="zip"))
+    for view in documents(files)["components/R1/views.json"]["views"]:
+        assert (view["dtype"], view["channels"]) == ("uint8", 1)
+        assert len(files[view["file"]]) == view["width_px"] * view["height_px"]
+
+
+def test_a_region_has_one_picture_per_frame(station: HeldStation) -> None:
+    files = files_of(station, BatchRequest(region=(10, 10, 30, 20), format="raw", container="zip"))
+    [(name, entry)] = documents(files).items()
+    assert name == "region/views.json"
+    assert len(entry["views"]) == len(files) - 1 > 0
+    assert "url" not in entry["views"][0]
+
+
+def test_a_component_that_is_refused_does_not_prevent_the_others(station: HeldStation) -> None:
+    files = files_of(
+        station, BatchRequest(images=ImageRequest.of({"px_per_mm": 490.0}), format="jpeg", container="zip")
+    )
+    found = documents(files)
+    assert found["components/U1/views.json"]["refused"]["code"] == InputError.code
+    assert found["components/R1/views.json"]["views"]
+
+
+def test_a_part_ends_when_it_has_taken_long(station: HeldStation, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(batch_job, "PART_S", -1.0)
+    access = held_batches(station)
+    batch = access.open(RUN, BatchRequest(format="raw"), "/components")
+    [part] = batch.parts()
+    found, rest = access.cut(batch, part)
+    assert found.images == 1
+    assert rest is not None
+    assert rest.image == 1
+
+
+def test_batches_come_after_single_pictures() -> None:
+    assert Priority.RENDER < BatchJob.priority == Priority.BATCH
+
+
+@pytest.mark.parametrize(
+    ("ref", "folder"),
+    [
+        ("U1", "components/U1"),
+        ("..", "components/%2E%2E"),
+        ("a b/ü", "components/a%20b/%C3%BC"),
+        (".x", "components/.x"),
+    ],
+)
+def test_folders_never_lead_out_of_the_container(ref: str, folder: str) -> None:
+    part = Component.model_construct(ref=ref, panel=None, center=(0.0, 0.0), width=1.0, height=1.0)
+    assert folder_of(part, region=False) == folder
+
+
+def test_colours_of_bare_pixels_are_red_green_blue() -> None:
+    blue = np.zeros((1, 2, 3), np.uint8)
+    blue[..., 0] = 9  # OpenCV's first channel
+    member = picture_member("a", "", blue, "raw")
+    assert member.content == bytes([0, 0, 9, 0, 0, 9])
+    assert ("X-Image-Stride", "6") in member.headers

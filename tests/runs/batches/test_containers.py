@@ -1,0 +1,66 @@
+"""Containers of batches, read by Python's own modules."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+
+import pytest
+
+from tests.api.held.unpacked import unpacked
+from vaoi_station.runs.batches import containers
+from vaoi_station.runs.batches.containers import CONTAINERS, ContainerName, ContainerWriter, Entry, Member, Packed, pack
+
+TIME_S = 1_700_000_000
+FILES = {
+    "run.json": b"{}",
+    "components/U1/0.raw": bytes(range(256)) * 5,
+    f"components/{'R' * 120}/views.json": b'{"views": []}',
+    "components/U2/0.raw": b"",
+}
+
+
+def packed(container: ContainerName, *names: str) -> Packed:
+    return pack(container, [Member(name, "application/octet-stream", FILES[name]) for name in names], TIME_S)
+
+
+@pytest.mark.parametrize("container", CONTAINERS)
+def test_members_that_were_packed_apart_make_one_container(container: ContainerName) -> None:
+    writer = ContainerWriter(container, TIME_S)
+    first, *rest = FILES
+    content = writer.add(packed(container, first)) + writer.add(packed(container, *rest)) + writer.end()
+    assert unpacked(content, container) == FILES
+    assert writer.members == len(FILES)
+
+
+def test_parts_of_a_multipart_answer_state_their_length_and_further_headers() -> None:
+    head = pack("multipart", [Member("a", "image/png", b"123", (("X-Image-Width", "7"),))], TIME_S).content
+    assert b"\r\nContent-Length: 3\r\n" in head
+    assert b"\r\nX-Image-Width: 7\r\n" in head
+
+
+def test_a_zip_file_states_its_times_and_no_compression() -> None:
+    writer = ContainerWriter("zip", TIME_S)
+    content = writer.add(packed("zip", *FILES)) + writer.end()
+    infos = zipfile.ZipFile(io.BytesIO(content)).infolist()
+    assert {i.date_time for i in infos} == {(2023, 11, 14, 22, 13, 20)}
+    assert {i.compress_type for i in infos} == {zipfile.ZIP_STORED}
+
+
+def test_a_zip_file_of_more_than_65535_members_is_read() -> None:
+    writer = ContainerWriter("zip", TIME_S)
+    content = b"".join(
+        writer.add(pack("zip", [Member(f"{n}/{k}", "", b"") for k in range(500)], TIME_S)) for n in range(132)
+    )
+    archive = zipfile.ZipFile(io.BytesIO(content + writer.end()))
+    assert len(archive.namelist()) == 66_000
+    assert archive.read("131/499") == b""
+
+
+def test_a_position_above_4_gib_stands_in_64_bits() -> None:
+    far = 5 * 2**30
+    entry = containers._zip_entry(Entry("a", 0, 3, 10), far, TIME_S)
+    assert (far + 10).to_bytes(8, "little") in entry
+    end = containers._zip_end(1, 50, far)
+    assert end.startswith(b"PK\6\6")
+    assert far.to_bytes(8, "little") in end
