@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import gc
 import hashlib
 import json
 import os
@@ -12,7 +13,7 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -180,6 +181,22 @@ def _film(name: str, case: Path) -> None:
 
 SLOW_FIRST = ("acquisition", "system", "hw", "benchmarks", "cases", "hostile", "rig", "runs", "demo", "doctor", "drift")
 """Folders whose tests wait for devices and processes, the slowest first."""
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """Collect tests without garbage collections, and exclude what was collected from all later ones.
+
+    The modules of all tests are 400 000 objects that stay until the end. A full collection of them takes 0.2 s, and
+    every coordinator that a test starts makes one.
+    """
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.collect()
+        gc.freeze()
+        gc.enable()
 
 
 @pytest.hookimpl(trylast=True)

@@ -38,6 +38,15 @@ def policy(clock: Clock) -> Iterator[GcPolicy]:
     policy.stop()
 
 
+@pytest.fixture
+def _nothing_frozen() -> Iterator[None]:
+    """Undo for one test that the session's objects are excluded (tests/conftest.py)."""
+    gc.unfreeze()
+    yield
+    gc.collect()
+    gc.freeze()
+
+
 def old_knot() -> weakref.ref[Knot]:
     """Garbage of the oldest generation, which only a full collection finds."""
     knot = Knot()
@@ -69,12 +78,25 @@ def test_the_interpreter_runs_no_full_collection(policy: GcPolicy) -> None:
     assert len(kept) == 400_000
 
 
+@pytest.mark.usefixtures("_nothing_frozen")
 def test_stopping_restores_the_settings() -> None:
-    before, frozen = gc.get_threshold(), gc.get_freeze_count()
+    before = gc.get_threshold()
     policy = GcPolicy()
     policy.start()
-    assert gc.get_freeze_count() > frozen
+    assert gc.get_freeze_count() > 0
     policy.stop()
     policy.tick(busy=False)
     assert gc.get_threshold() == before
     assert gc.get_freeze_count() == 0
+
+
+@pytest.mark.usefixtures("_nothing_frozen")
+def test_objects_that_the_program_has_excluded_stay_excluded() -> None:
+    gc.freeze()
+    frozen = gc.get_freeze_count()
+    policy = GcPolicy()
+    policy.start()
+    kept = [[k] for k in range(1000)]
+    policy.stop()
+    assert 0 < gc.get_freeze_count() <= frozen
+    assert len(kept) == 1000

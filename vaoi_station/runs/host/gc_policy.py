@@ -27,15 +27,22 @@ class GcPolicy:
         self._clock = clock
         self._last_s = 0.0
         self._before: tuple[int, int, int] | None = None
+        self._froze = False
 
     def start(self) -> None:
-        """Turn automatic full collections off, and exclude all present objects from later collections."""
+        """Turn automatic full collections off, and exclude all present objects from later collections.
+
+        A program that has excluded its objects itself keeps that: nothing is excluded here, nor included by `stop`.
+        """
         if self._before is None:
             self._before = gc.get_threshold()
             gc.set_threshold(*self._before[:2], _NEVER)
             # Collect first: `freeze` would otherwise keep present garbage for ever.
             self._collect()
-            gc.freeze()
+            # `unfreeze` takes no choice of objects: it would also include those that the program has excluded.
+            self._froze = not gc.get_freeze_count()
+            if self._froze:
+                gc.freeze()
 
     def tick(self, busy: bool) -> None:
         """Run a full collection if one is due. `busy` states whether a board is processed."""
@@ -48,7 +55,8 @@ class GcPolicy:
         """Restore the interpreter's own garbage collection."""
         if self._before is not None:
             gc.set_threshold(*self._before)
-            gc.unfreeze()
+            if self._froze:
+                gc.unfreeze()
             self._before = None
 
     def _collect(self) -> None:
