@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
 from vaoi_station.errors import BusyError, GoneError
-from vaoi_station.runs.run.leases import Leases
+from vaoi_station.runs.run.leases import OWN, Leases
 from vaoi_station.runs.run.memory import Memory
 
 
@@ -93,6 +93,23 @@ def test_a_run_is_not_evicted_before_it_was_announced_and_its_time_has_passed() 
         memory.grant("r3")
     memory.keep("r2", clock.now_s)
     assert memory.grant("r3").evicted == "r2"
+
+
+def test_pictures_that_are_being_made_keep_no_board_waiting() -> None:
+    """A caller that may only read could stop the line with them."""
+    memory, leases = memory_of(3)
+    for run in ("r1", "r2", "r3"):
+        finish(memory, run)
+    leases.take("r1", f"{OWN}1", "image U1/0")
+    leases.take("r2", f"{OWN}2", "image U1/0")
+    leases.take("r2", "tester", "probing")
+    assert memory.grant("r4").evicted == "r3", "a run that is not read goes first"
+    assert not leases.of("r3")
+    assert memory.grant("r5").evicted == "r1"
+    assert not leases.of("r1")
+    assert memory.held()
+    with pytest.raises(BusyError, match=r"r2 is held by tester \(probing\)"):
+        memory.grant("r6")
 
 
 def test_holds_that_leave_memory_for_fewer_than_two_boards_are_a_warning() -> None:

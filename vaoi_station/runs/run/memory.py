@@ -1,8 +1,9 @@
 """Assignment of the ring's bays to runs, and eviction of finished runs.
 
 The next board gets a free bay. If no bay is free, the run that finished first is evicted. A run is not evicted while a
-lease holds it, before it is announced, and for a stated time after its announcement. A run that is filmed or stitched
-is never evicted. If no run may be evicted, the next board is refused memory before it comes.
+caller holds it, before it is announced, and for a stated time after its announcement. A run that is filmed or stitched
+is never evicted. If no run may be evicted, the next board is refused memory before it comes. A run of which a picture
+is being made is evicted after all others: the picture is then given up.
 """
 
 from __future__ import annotations
@@ -73,6 +74,8 @@ class Memory:
         evicted = bay.run
         granted = Bay(bay.number, "granted", run, self._ring.renew(bay.number))
         self._bays[bay.number] = granted
+        if evicted is not None:
+            self._leases.end_all(evicted)
         return GrantedBay(granted, evicted)
 
     def use(self, run: str, use: Use) -> Bay:
@@ -123,8 +126,8 @@ class Memory:
         return any(bay.run == run for bay in self._bays)
 
     def held(self) -> bool:
-        """Return whether a lease holds a finished run, so that its memory is not available for the next board."""
-        return any(bay.use == "finished" and bay.run and self._leases.of(bay.run) for bay in self._bays)
+        """Return whether a caller holds a finished run, so that its memory is not available for the next board."""
+        return any(bay.use == "finished" and bay.run and self._leases.of_callers(bay.run) for bay in self._bays)
 
     def kept(self) -> bool:
         """Return whether a finished run is still kept for the callers to whom it was announced."""
@@ -151,7 +154,7 @@ class Memory:
         """Return a phrase for messages that names the run and the use of every bay."""
         parts = []
         for bay in self._bays:
-            leases = self._leases.of(bay.run) if bay.run else ()
+            leases = self._leases.of_callers(bay.run) if bay.run else ()
             who = ", ".join(f"{lease.holder} ({lease.purpose})" for lease in leases)
             parts.append(f"run {bay.run} is {f'held by {who}' if who else self._in_words(bay)}")
         return "; ".join(parts)
@@ -178,12 +181,14 @@ class Memory:
         # The order in which runs finished counts, not the order in which they began: a run that waited for late frames
         # has the newer result.
         now_s = self._clock()
+        # Readers notice by the generation that pixels are gone. So a picture that is being made need not keep a board
+        # waiting: a caller that may only read could otherwise stop the line with pictures of every run.
         idle = [
-            b
+            (bool(self._leases.of(b.run)), b.finished, b)
             for b in self._bays
-            if b.use == "finished" and b.run and b.kept_until_s <= now_s and not self._leases.of(b.run)
+            if b.use == "finished" and b.run and b.kept_until_s <= now_s and not self._leases.of_callers(b.run)
         ]
-        return min(idle, key=lambda bay: bay.finished, default=None)
+        return min(idle, key=lambda found: found[:2])[2] if idle else None
 
 
 _IN_WORDS = {
