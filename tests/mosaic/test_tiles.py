@@ -13,7 +13,8 @@ from tests.mosaic.test_plan import plan_of
 from vaoi_station.geometry import apply
 from vaoi_station.model import BoardType
 from vaoi_station.mosaic import MosaicGrid
-from vaoi_station.mosaic.tiles import TileRenderer, render_tile
+from vaoi_station.mosaic.tile_specs import TileRenderer
+from vaoi_station.mosaic.tiles import Scratch, render_tile
 from vaoi_station.photometry import FlatFields
 
 
@@ -45,6 +46,15 @@ def test_tiles_join_without_a_gap(board: Filmed) -> None:
     whole, _ = picture_of(board)
     part, _ = picture_of(board, box=(100, 130, 356, 386))
     assert np.abs(whole[130:386, 100:356].astype(int) - part).max() <= 2
+
+
+def test_memory_is_used_again(board: Filmed) -> None:
+    renderer = TileRenderer(plan_of(board), board.projector, board.base)
+    memory, specs = Scratch(), [renderer.spec(box) for box in ((0, 0, 256, 128), (64, 100, 200, 180))]
+    for spec in specs:
+        np.testing.assert_array_equal(render_tile(spec, board.read, memory), render_tile(spec, board.read))
+    first, second = (render_tile(specs[0], board.read, memory) for _ in range(2))
+    assert np.shares_memory(first, second)
 
 
 def test_places_without_a_frame_are_zero_and_all_others_are_not(film: Film) -> None:

@@ -19,6 +19,7 @@ from vaoi_station.mosaic import MosaicGrid, TileRenderer, choose_frames, make_pl
 from vaoi_station.mosaic.deep_zoom import TILE_PX, levels_of
 from vaoi_station.mosaic.frames import frames_of_head
 from vaoi_station.mosaic.projection import FrameProjector
+from vaoi_station.mosaic.tiles import Scratch
 
 _WARP_PX = 1024
 """Largest width of a bare warp."""
@@ -86,9 +87,11 @@ def _measure(board: BenchmarkBoard, repetitions: int, stitch: Stitch | None) -> 
         if part is not None:
             warps.append((board.frames[part.camera, part.row], part.raw_from_tile, (spec.width, spec.height)))
 
+    scratch = Scratch()
+
     def ours() -> None:
         for box in boxes:
-            render_tile(renderer.spec(box), read)
+            render_tile(renderer.spec(box), read, scratch)
 
     def bare() -> None:
         for frame, matrix, size in warps:

@@ -10,7 +10,8 @@ picture of a board never lies in memory as a whole.
 from vaoi_station.mosaic.frames import FrameChoice, TakenFrame, choose_frames
 from vaoi_station.mosaic.grid import MosaicGrid
 from vaoi_station.mosaic.plan import MosaicPlan, make_plan
-from vaoi_station.mosaic.tiles import TileRenderer, render_tile
+from vaoi_station.mosaic.tile_specs import TileRenderer
+from vaoi_station.mosaic.tiles import render_tile
 
 __all__ = [
     "FrameChoice",

@@ -48,6 +48,15 @@ class Pictures(NamedTuple):
     """(frames, 4) least x and y, largest x and y of raw pixels that count as inside."""
 
 
+class _Sums(NamedTuple):
+    """Sums over the cells around each value of a line, (n,)."""
+
+    total: Floats32
+    """Σ weight · (grey − dark) · factor."""
+    weight: Floats32
+    """Σ weight."""
+
+
 def nodes_along(first: float, step: float, count: int, cells: int) -> Nodes:
     """Return the place of `count` pixels, the first at cell position `first`, among the centres of `cells` cells."""
     at = np.clip(first + step * np.arange(count), 0, max(cells - 1, 0))
@@ -86,33 +95,41 @@ def _lines_inside(pictures: Pictures, width: int, height: int, channels: int) ->
 
 
 @inlined
-def _mixed(
+def _mix(
     pictures: Pictures,
     cells: Cells,
     x: Nodes,
     y: Nodes,
     spans: NDArray[np.int64],
-    at: tuple[int, int],
+    at: tuple[int, int, int],
     channels: int,
-) -> np.float32:
-    """Return Σ weight · (grey − dark) · factor / Σ weight over the four cells around a value; 0 without a weight.
+    sums: _Sums,
+) -> None:
+    """Write the sums over four cells of several frames.
 
-    `at` is the line, and the number of the value in it.
+    `at` is the line, the number of the first value in it, and that after the last. All lie between the same four cells.
     """
-    v, s = at
+    v, left, right = at
     rows, columns = cells.part.shape
-    total, weights = np.float32(0), np.float32(0)
+    for s in range(left, right):
+        sums.total[s] = sums.weight[s] = 0
     for corner in range(4):
-        r, c = min(y.cell[v] + corner // 2, rows - 1), min(x.cell[s] + corner % 2, columns - 1)
-        down, right = y.share[v], x.share[s]
-        weight = (np.float32(1) - down if corner < 2 else down) * (np.float32(1) - right if corner % 2 == 0 else right)
+        r, c = min(y.cell[v] + corner // 2, rows - 1), min(x.cell[left] + corner % 2, columns - 1)
         p = cells.part[r, c]
-        if p >= 0 and weight > 0 and spans[p, v, 0] <= s < spans[p, v, 1]:
-            left, top, width = pictures.place[p, 1], pictures.place[p, 2], pictures.place[p, 3]
-            pixel = pictures.pixels[pictures.place[p, 0] + ((v - top) * width - left) * channels + s]
-            total += weight * cells.factor[r, c] * (np.float32(pixel) - pictures.dark[p])
-            weights += weight
-    return max(total / weights, np.float32(0.5)) if weights > np.float32(1e-6) else np.float32(0)
+        if p >= 0:
+            down = y.share[v] if corner >= 2 else np.float32(1) - y.share[v]
+            # The weight along the line is offset + slope · share.
+            offset, slope = (np.float32(0), down) if corner % 2 == 1 else (down, -down)
+            factor, dark = cells.factor[r, c], pictures.dark[p]
+            first, end = max(left, spans[p, v, 0]), min(right, spans[p, v, 1])
+            before, top, width = pictures.place[p, 1], pictures.place[p, 2], pictures.place[p, 3]
+            start = np.uint64(pictures.place[p, 0] + ((v - top) * width - before) * channels + first)
+            # Unsigned numbers, because the compiler uses vector registers only if no index can be negative.
+            for n in range(max(end - first, 0)):
+                s = np.uint64(first) + np.uint64(n)
+                weight = offset + slope * x.share[s]
+                sums.total[s] += weight * factor * (np.float32(pictures.pixels[start + np.uint64(n)]) - dark)
+                sums.weight[s] += weight
 
 
 @compiled
@@ -131,14 +148,15 @@ def blend(pictures: Pictures, cells: Cells, x: Nodes, y: Nodes, channels: int, f
         out: (h, w · channels) output.
     """
     # Most pixels lie between four cells of one frame. Runs of them are one loop over contiguous arrays, for which the
-    # compiler uses vector registers.
+    # compiler uses vector registers. Between cells of several frames, a run ends at the next cell.
     height, width = out.shape
     part, factor = cells
     rows, columns = part.shape
     pixels, place, dark, _, _ = pictures
     spans = _lines_inside(pictures, width // channels, height, channels)
-    one, half, most = np.float32(1), np.float32(0.5), np.float32(full)
+    one, half, most, least = np.float32(1), np.float32(0.5), np.float32(full), np.float32(1e-6)
     above, below = np.empty(width, np.float32), np.empty(width, np.float32)
+    sums = _Sums(np.empty(width, np.float32), np.empty(width, np.float32))
     starts, owners = np.empty(width + 1, np.int64), np.empty(width, np.int64)
     runs, row = 0, -1
     for v in range(height):
@@ -153,7 +171,8 @@ def blend(pictures: Pictures, cells: Cells, x: Nodes, y: Nodes, channels: int, f
                 below[s] = factor[k, i] + t * (factor[k, n] - factor[k, i])
                 p = part[j, i]
                 owner = p if part[j, n] == p and part[k, i] == p and part[k, n] == p else _SEVERAL
-                if runs == 0 or owners[runs - 1] != owner:
+                changed = runs == 0 or owners[runs - 1] != owner
+                if changed or (owner == _SEVERAL and x.cell[s] != x.cell[s - 1]):
                     starts[runs], owners[runs] = s, owner
                     runs += 1
             starts[runs] = width
@@ -162,9 +181,10 @@ def blend(pictures: Pictures, cells: Cells, x: Nodes, y: Nodes, channels: int, f
             if owner == _NO_PART:
                 out[v, left:right] = 0
             elif owner == _SEVERAL:
+                _mix(pictures, cells, x, y, spans, (v, left, right), channels, sums)
                 for s in range(left, right):
-                    value = _mixed(pictures, cells, x, y, spans, (v, s), channels)
-                    out[v, s] = np.int32(min(value + half, most))
+                    value = max(sums.total[s] / max(sums.weight[s], least), half) + half
+                    out[v, s] = np.int32(min(value, most)) if sums.weight[s] > least else 0
             else:
                 first = min(max(left, spans[owner, v, 0]), right)
                 end = max(min(right, spans[owner, v, 1]), first)

@@ -14,7 +14,8 @@ from vaoi_station.mosaic.grid import MosaicGrid
 from vaoi_station.mosaic.plan import MosaicPlan
 from vaoi_station.mosaic.projection import FrameProjector
 from vaoi_station.mosaic.survey import ReadFrame
-from vaoi_station.mosaic.tiles import NODATA, TileRenderer, render_tile
+from vaoi_station.mosaic.tile_specs import TileRenderer
+from vaoi_station.mosaic.tiles import NODATA, Scratch, render_tile
 from vaoi_station.version import __version__
 
 CACHE_BYTES = 128_000_000
@@ -64,13 +65,14 @@ def write_mosaic(
 
     columns = renderer.block_px // TILE_PX
     block: NDArray[Any] | None = None
+    scratch = Scratch()
 
     def tile(x: int, y: int) -> NDArray[Any]:
         nonlocal block
         if x % columns == 0:
             x0, y0 = x * TILE_PX, y * TILE_PX
             box = x0, y0, min(x0 + renderer.block_px, grid.width), min(y0 + TILE_PX, grid.height)
-            block = render_tile(renderer.spec(box), cached)
+            block = render_tile(renderer.spec(box), cached, scratch)
         whole = np.full(layout.tile_shape, np.nan if plan.hdr else NODATA, dtype)
         if block is not None:
             first = x % columns * TILE_PX

@@ -15,7 +15,8 @@ from vaoi_station.geometry import Camera
 from vaoi_station.model import BoardType, Stitch
 from vaoi_station.mosaic import FrameChoice, MosaicGrid, MosaicPlan, make_plan
 from vaoi_station.mosaic.projection import FrameProjector
-from vaoi_station.mosaic.tiles import TileSpec, render_tile
+from vaoi_station.mosaic.tile_specs import TileSpec
+from vaoi_station.mosaic.tiles import render_tile
 from vaoi_station.runs.workers.jobs import FramesJob
 
 Slots = Mapping[tuple[int, int], int]

@@ -19,6 +19,7 @@ from vaoi_station.marks.subpixel_localisation import locate_mark
 from vaoi_station.model import BoardType, Stitch
 from vaoi_station.mosaic.blending import Cells, Pictures, blend, nodes_along
 from vaoi_station.mosaic.seams import NO_FRAME, FrameCells, assign_cells
+from vaoi_station.mosaic.shifting import shift
 from vaoi_station.stitching.matching.prepared_frame import resample
 from vaoi_station.stitching.work import StitchSetup, TaskRunner, all_tasks
 
@@ -66,6 +67,9 @@ def _plan_and_blend() -> None:
     pictures = Pictures(pixels.ravel(), place, np.ones(1, np.float32), np.eye(3)[None], limits)
     cells = Cells(np.zeros((2, 2), np.int32), np.ones((2, 2), np.float32))
     blend(pictures, cells, nodes, nodes, 1, 255.0, np.empty_like(pixels))
+    shown = pixels.view()
+    shown.flags.writeable = False
+    shift(shown, np.eye(3), 1, pixels.ravel(), (0, 4, 4, 4))
 
 
 def _merge() -> None:

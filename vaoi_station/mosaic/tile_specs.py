@@ -1,0 +1,203 @@
+"""What is needed to render a part of a mosaic, apart from pixels: its frames, their matrices, corrections and cells."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.geometry import apply
+from vaoi_station.geometry.transforms import Floats
+from vaoi_station.mosaic.cells import CELL_PX
+from vaoi_station.mosaic.frames import TakenFrame
+from vaoi_station.mosaic.grid import MosaicGrid
+from vaoi_station.mosaic.plan import FIELD_PX, MosaicPlan
+from vaoi_station.mosaic.projection import FrameProjector, between
+from vaoi_station.mosaic.survey import Floats32
+from vaoi_station.photometry import NoiseModel
+
+Box = tuple[int, int, int, int]
+"""Part x0, y0, x1, y1 of a mosaic in pixels, ends excluded."""
+_LINEAR = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+_NARROW_PX = 256
+_STRAIGHT_PX = 0.03
+"""Largest deviation, px, of a matrix from lens and surface in parts that are wider than 256 px."""
+_BORDER_PX = 3
+"""Pixels around the part of a frame that is read, so that interpolation has its neighbours."""
+
+
+class FramePart(NamedTuple):
+    """What one frame contributes to a tile."""
+
+    layer: int
+    camera: int
+    row: int
+    raw_from_tile: Floats
+    """(3, 3) matrix from pixels of the tile to raw pixels of the frame, for the part in which the frame has a weight.
+    """
+    crop: Box
+    """Part of the frame that this part shows; its sides are multiples of `reduction`."""
+    wholly: bool
+    """Whether the frame shows all of this part."""
+    reduction: int
+    """By how much the frame is reduced before it is resampled: pixels of the tile are larger."""
+    factor: Floats32
+    """(h, w) of the cells of the tile: what corrected grey levels are multiplied by."""
+    mine: NDArray[np.uint8] | None
+    """(h, w) of the cells of the tile: 1 for cells of this frame; None if all are."""
+    limits: Floats
+    """(4,) least x and y, largest x and y of raw pixels that may be used: the outermost are left out."""
+    dark: float
+    gain: float
+    noise: NoiseModel
+
+
+@dataclass(frozen=True, eq=False)
+class TileSpec:
+    """All that is needed to render a tile, apart from the pixels of its frames."""
+
+    width: int
+    height: int
+    hdr: bool
+    layers: int
+    cells_from_tile: Floats
+    """(2, 3) matrix from pixels of the tile to cells."""
+    parts: tuple[FramePart, ...]
+
+
+class TileRenderer:
+    """Prepares tiles of a plan on one grid; rendering them needs frames only."""
+
+    def __init__(self, plan: MosaicPlan, projector: FrameProjector, grid: MosaicGrid) -> None:
+        self._plan, self._projector, self.grid = plan, projector, grid
+        base_from_grid = plan.base.mosaic_from_cad @ grid.cad_from_mosaic
+        self._cells_from_grid = between(base_from_grid, CELL_PX, 1)
+        per_base_px = float(base_from_grid[0, 0])
+        self._reduction = 2 ** max(int(np.floor(np.log2(max(per_base_px, 1.0)) + 0.01)), 0)
+
+    @cached_property
+    def block_px(self) -> int:
+        """Width of the parts in which a large picture is rendered: a multiple of 256 px.
+
+        The wider, the faster; but within one part a frame is resampled by one matrix, which must represent lens and
+        surface to `_STRAIGHT_PX`. With HDR, several arrays of floats must fit into memory.
+        """
+        for width in (1024, 512) if self._plan.hdr else (4096, 2048, 1024, 512):
+            bent = 0.0
+            for taken, _ in self._plan.frames:
+                x0, y0, x1, y1 = self._projector.seen_box(taken.camera, taken.row, self.grid)
+                if min(x1 - x0, y1 - y0) >= _NARROW_PX:
+                    shown = min(width, x1 - x0)
+                    y = (y0 + y1 - _NARROW_PX) // 2
+                    for x in (x0, (x0 + x1 - shown) // 2, x1 - shown):
+                        bent = max(bent, self._bend(taken, (x, y, x + shown, y + _NARROW_PX)))
+            if bent <= _STRAIGHT_PX:
+                return width
+        return _NARROW_PX
+
+    def _bend(self, taken: TakenFrame, box: Box) -> float:
+        """Return how far the matrix of a part deviates from the projection on a grid of points, px."""
+        x, y = np.linspace(box[0], box[2], 5) - 0.5, np.linspace(box[1], box[3], 3) - 0.5
+        at = np.stack(np.meshgrid(x, y), -1)
+        matrix = self._projector.raw_from_mosaic(taken.camera, taken.row, self.grid, box)
+        exact = self._projector.raw_px(taken.camera, taken.row, apply(self.grid.cad_from_mosaic, at))
+        return float(np.abs(apply(matrix, at) - exact).max())
+
+    def spec(self, box: Box) -> TileSpec:
+        """Prepare one tile."""
+        x0, y0, x1, y1 = box
+        plan, shape = self._plan, self._plan.layers[0].shape
+        ends = apply(self._cells_from_grid, np.array([(x0 - 0.5, y0 - 0.5), (x1 - 0.5, y1 - 0.5)]))
+        # One more cell on each side: weights and factors are interpolated between the centres of cells.
+        low = np.clip(np.floor(ends[0]).astype(int), 0, np.array(shape[::-1]) - 1)
+        high = np.clip(np.ceil(ends[1]).astype(int) + 1, low + 1, shape[::-1])
+        cells = np.s_[low[1] : high[1], low[0] : high[0]]
+        shift = np.array([[1, 0, x0], [0, 1, y0], [0, 0, 1]], dtype=np.float64)
+        cells_from_tile = self._cells_from_grid @ shift
+        cells_from_tile[:2, 2] -= low
+        tile_from_cells = np.asarray(np.linalg.inv(cells_from_tile), np.float64)
+        parts = []
+        for number, layer in enumerate(plan.layers):
+            labels = layer[cells]
+            for n in np.unique(labels):
+                if n >= 0:
+                    mine = None if (labels == n).all() else (labels == n).astype(np.uint8)
+                    window = _window(mine, tile_from_cells, (x1 - x0, y1 - y0))
+                    if window[2] > window[0] and window[3] > window[1]:
+                        parts.append(self._part(number, int(n), box, window, tile_from_cells, mine, labels.shape))
+        return TileSpec(x1 - x0, y1 - y0, plan.hdr, len(plan.layers), cells_from_tile[:2], tuple(parts))
+
+    def _part(
+        self,
+        layer: int,
+        number: int,
+        box: Box,
+        window: Box,
+        tile_from_cells: Floats,
+        mine: NDArray[np.uint8] | None,
+        cells: tuple[int, ...],
+    ) -> FramePart:
+        plan = self._plan
+        taken, log_gain = plan.frames[number]
+        photometry = plan.cameras[taken.camera]
+        eye = self._projector.cameras[taken.camera]
+        x0, y0, x1, y1 = window
+        place = box[0] + x0, box[1] + y0, box[0] + x1, box[1] + y1
+        matrix = self._projector.raw_from_mosaic(taken.camera, taken.row, self.grid, place)
+        matrix[:, 2] += box[0] * matrix[:, 0] + box[1] * matrix[:, 1]
+        # Between the cells of one tile the lens matters less to the field than one of its pixels.
+        field_from_cells = between(matrix @ tile_from_cells, FIELD_PX, 1)
+        field = cv2.warpPerspective(
+            photometry.field, field_from_cells, cells[::-1], flags=_LINEAR, borderMode=cv2.BORDER_REPLICATE
+        )
+        scale = math.exp(-log_gain) * (1.0 if plan.hdr else plan.reference_us) / taken.sensitivity
+        corners = apply(matrix, np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)]) - 0.5)
+        low, high = corners.min(0).tolist(), corners.max(0).tolist()
+        limits = 1.0, 1.0, eye.width_px - 2.0, eye.height_px - 2.0
+        inside = low[0] >= limits[0] and low[1] >= limits[1] and high[0] <= limits[2] and high[1] <= limits[3]
+        return FramePart(
+            layer,
+            taken.camera,
+            taken.row,
+            matrix,
+            _crop(low, high, (eye.width_px, eye.height_px), self._reduction),
+            inside,
+            self._reduction,
+            np.asarray(np.float32(scale) / field, np.float32),
+            mine,
+            np.array(limits),
+            photometry.dark,
+            taken.gain,
+            photometry.noise,
+        )
+
+
+def _window(mine: NDArray[np.uint8] | None, tile_from_cells: Floats, size: tuple[int, int]) -> Box:
+    """Return the part of a tile of this width and height in which a frame's cells have a weight; may be empty."""
+    if mine is None:
+        return 0, 0, *size
+    ends = []
+    for axis, shown in enumerate((mine.any(0), mine.any(1))):
+        at = np.flatnonzero(shown)
+        # The weight of a cell is 0 at the centres of its neighbours and beyond.
+        scale, shift = float(tile_from_cells[axis, axis]), float(tile_from_cells[axis, 2])
+        first, last = math.floor(scale * (at[0] - 1) + shift) + 1, math.ceil(scale * (at[-1] + 1) + shift)
+        ends.append((max(first, 0), min(last, size[axis])))
+    return ends[0][0], ends[1][0], ends[0][1], ends[1][1]
+
+
+def _crop(low: Sequence[float], high: Sequence[float], size: tuple[int, int], reduction: int) -> Box:
+    """Return the part of a frame around raw positions from `low` to `high`; its sides are multiples of `reduction`."""
+    # Plain numbers: numpy takes ten times as long for vectors of two, and there are several parts in each tile.
+    border, ends = _BORDER_PX * reduction, []
+    for a, b, most in zip(low, high, size, strict=True):
+        first = max(math.floor(min(max(0.0, a), most)) - border, 0) // reduction * reduction
+        last = min(math.ceil(min(max(0.0, b), most)) + border, most)
+        ends.append((first, first + (last - first) // reduction * reduction))
+    return ends[0][0], ends[1][0], ends[0][1], ends[1][1]
