@@ -126,10 +126,10 @@ def _mix(
             start = np.uint64(pictures.place[p, 0] + ((v - top) * width - before) * channels + first)
             # Unsigned numbers, because the compiler uses vector registers only if no index can be negative.
             for n in range(max(end - first, 0)):
-                s = np.uint64(first) + np.uint64(n)
-                weight = offset + slope * x.share[s]
-                sums.total[s] += weight * factor * (np.float32(pictures.pixels[start + np.uint64(n)]) - dark)
-                sums.weight[s] += weight
+                at_value = np.uint64(first) + np.uint64(n)
+                weight = offset + slope * x.share[at_value]
+                sums.total[at_value] += weight * factor * (np.float32(pictures.pixels[start + np.uint64(n)]) - dark)
+                sums.weight[at_value] += weight
 
 
 @compiled

@@ -95,10 +95,10 @@ def shift(
             step_x, step_y = np.float32((du - 1.0) / channels), np.float32(dv / channels)
             # Unsigned numbers, because the compiler uses vector registers only if no index can be negative.
             for n in range(count * channels):
-                s = np.uint64(n)
-                a, b = np.float32(source[first + s]), np.float32(source[first + s + beside])
-                c, d = np.float32(source[first + pitch + s]), np.float32(source[first + pitch + s + beside])
+                k = np.uint64(n)
+                a, b = np.float32(source[first + k]), np.float32(source[first + k + beside])
+                c, d = np.float32(source[first + pitch + k]), np.float32(source[first + pitch + k + beside])
                 right, down = np.float32(tx) + step_x * np.float32(n), np.float32(ty) + step_y * np.float32(n)
                 above, below = a + right * (b - a), c + right * (d - c)
-                out[at + s] = np.int32(above + down * (below - above) + np.float32(0.5))
+                out[at + k] = np.int32(above + down * (below - above) + np.float32(0.5))
             x += count
