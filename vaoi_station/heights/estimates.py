@@ -46,8 +46,12 @@ _SURE = 0.99
 """Least probability of a height that is given as a number; else there is an interval of this probability."""
 _COMMON = 0.25
 """Share of the differences beyond noise that is the same in all tiles of a body."""
-_ONE_LINE = 0.25
+_ONE_LINE = 0.3
 """Relative standard deviation of a height from a single row or column of tiles, or from two of many."""
+_EDGE_PX = 0.08
+"""Standard deviation of the displacement, px of a frame, that tiles at the edges of a body have in common.
+
+Next to an edge they see a wall or the board as well, which move less than the top."""
 _ROUNDS, _CONVERGED_PX = 5, 0.005
 _INFORMED = 0.1
 """Least share of the squared gradients that is texture; with less, it is noise."""
@@ -201,6 +205,7 @@ def _refine(places: Places, pictures: Pictures, swept: _Swept) -> BodyEquations 
     h, feet, distance = float(heights[best]), pictures.feet_px, pictures.distance_mm
     centre = tiles[:, :2] + tiles[:, 2:] / 2 - 0.5
     lowest = _LOWEST_NOISE / 4**pictures.grid.level
+    edge_mm = _EDGE_PX / 2**pictures.grid.level / pictures.spread
     body: BodyEquations | None = None
     for _ in range(_ROUNDS):
         stack = picture_stack(places, pictures, 2, h)
@@ -214,6 +219,7 @@ def _refine(places: Places, pictures: Pictures, swept: _Swept) -> BodyEquations 
         variance += np.maximum(found.variance - 3 * floor, 0) * _MISFIT_AREA
         excess = np.maximum(found.variance - 3 * floor, 0) * (tiles[:, 2] * tiles[:, 3])
         unlike = np.sqrt(excess / np.maximum(found.matrix[:, 0, 0], 1e-3))
+        variance /= edge_weights(tiles, np.maximum(found.matrix[:, 0, 0], 0) / variance, edge_mm)
         body = _united(
             h, found.matrix / variance[:, None, None], found.vector / variance[:, None], found.noisy / variance
         )
@@ -231,6 +237,26 @@ def _refine(places: Places, pictures: Pictures, swept: _Swept) -> BodyEquations 
     if _in_one_line(tiles, pictures.grid):
         common = math.hypot(common, _ONE_LINE * abs(h))
     return body._replace(scale=2.0**pictures.grid.level, unlike_mm=common)
+
+
+def edge_weights(tiles: NDArray[np.int_], information: Floats, sigma_mm: float) -> Floats:
+    """Return factors (t,) of the information of tiles, which account for the error that tiles at edges have in common.
+
+    A body with texture has it everywhere; the outermost tiles are then hardly worse than others. A blank body shows
+    little but its edges. So the error counts as far as the outermost tiles contain more information than the inner
+    ones. With a variance s² in common, information I is worth 1 / (1 / I + s²).
+
+    Args:
+        tiles: (t, 4) tiles on the body.
+        information: (t,) inverse variance of the height of each tile, 1/mm².
+        sigma_mm: standard deviation of the error at edges.
+    """
+    first, last = tiles[:, :2].min(0), tiles[:, :2].max(0)
+    outer = ((tiles[:, :2] == first) | (tiles[:, :2] == last)).any(1)
+    at_edges = float(information[outer].sum())
+    texture = 0.0 if outer.all() else float(information[~outer].mean()) * int(outer.sum())
+    share = min(max(1 - texture / max(at_edges, 1e-12), 0.0), 1.0)
+    return np.where(outer, 1 / (1 + at_edges * (share * sigma_mm) ** 2), 1.0)
 
 
 def _in_one_line(tiles: NDArray[np.int_], grid: PartGrid) -> bool:
