@@ -14,9 +14,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.api.board_data.test_previews import import_here
+from tests.board_data.readers import samples
 from vaoi_station.api import create_app
 from vaoi_station.api.access.access_control import AccessControl
 from vaoi_station.api.access.audit import AuditLog
+from vaoi_station.api.board_data import previews
 from vaoi_station.files.access_keys import KeyFile
 
 GOLDEN = Path(__file__).parent / "openapi.json"
@@ -103,13 +106,18 @@ def fits(value: Any, schema: dict[str, Any], document: dict[str, Any]) -> bool:
     return kind is None or isinstance(value, python[kind])
 
 
-def test_replies_match_their_schemas(client: Any, station: Any, document: dict[str, Any]) -> None:
+def test_replies_match_their_schemas(
+    client: Any, station: Any, document: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(previews, "import_limited", import_here)
+    uploaded = client.post("/api/v1/board-data/previews?filename=b.kicad_pcb", content=samples.KICAD.encode())
     client.post("/api/v1/station/arm?board_type=demo-board&board_id=B1")
     values = {"run": station.film(board_id="B1"), "camera": 0, "row": 0, "ref": "U1", "k": 0, "name": "demo-board"}
     values |= {"picture": "board", "level": 9, "column": 0, "suffix": "jpg", "region": "full", "size": "240,160"}
     station.teach_reference("demo-board", values["run"])
     station.put_board_type(station.board_type("demo-board"))
     values["revision"] = station.board_type_history.list("demo-board")[0].id
+    values["preview"] = uploaded.json()["id"]
     looked_at = 0
     for path, method, operation in operations(document):
         offered = operation["responses"].get("200", {}).get("content", {})

@@ -12,6 +12,8 @@ from fastapi.routing import APIRoute
 from vaoi_station.api import openapi, pages, problems
 from vaoi_station.api.access.access_control import AccessControl
 from vaoi_station.api.batch import batch_routes
+from vaoi_station.api.board_data import routes as board_data
+from vaoi_station.api.board_data.previews import Previews
 from vaoi_station.api.event_hub import EventHub
 from vaoi_station.api.hosts import allowed_names
 from vaoi_station.api.parameters import refuse_unknown_parameters
@@ -55,10 +57,15 @@ def create_app(
     """
     services = Services(coordinator, EventHub(coordinator))
 
+    previews = Previews()
+
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
         async with services.hub.listening():
-            yield
+            try:
+                yield
+            finally:
+                previews.close()
 
     # Redirects of trailing slashes would answer POST with a 307 that simple HTTP libraries do not follow.
     # One schema for input and output: with two, client generators would create two classes for each model.
@@ -79,6 +86,7 @@ def create_app(
     pictures = (frames, components, batch_routes, merged, mosaics)
     for module in (station, calibration, board_types, stitching, runs, *pictures, events):
         app.include_router(module.router(services), prefix=PREFIX)
+    app.include_router(board_data.router(services, previews), prefix=PREFIX)
     if access is not None:
         app.include_router(keys.router(services, access), prefix=PREFIX)
     _add_health(app, services)

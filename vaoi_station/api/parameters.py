@@ -14,11 +14,12 @@ from vaoi_station.errors import InputError
 RunId = Annotated[
     str, Path(description="Id of a run, as listed by `runs`.", pattern=r"^[A-Za-z0-9][A-Za-z0-9._:-]{0,63}$")
 ]
+BOARD_TYPE_NAME = r"^[^./\\\x00-\x1f\x7f][^/\\\x00-\x1f\x7f]{0,79}$"
 BoardTypeName = Annotated[
     str,
     Path(
         description="Name of a board type: no slashes, no leading dot, at most 80 characters.",
-        pattern=r"^[^./\\\x00-\x1f\x7f][^/\\\x00-\x1f\x7f]{0,79}$",
+        pattern=BOARD_TYPE_NAME,
     ),
 ]
 Revision = Annotated[

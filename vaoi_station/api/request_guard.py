@@ -34,7 +34,7 @@ from vaoi_station.api.callers.seats import Seats
 from vaoi_station.api.event_hub import ThreadLimit
 from vaoi_station.api.hosts import addressed, allowed_names
 from vaoi_station.api.problems import STREAM, problem_response
-from vaoi_station.errors import BusyError
+from vaoi_station.errors import BusyError, InputError
 from vaoi_station.files.documents import DuplicateKeyError, refuse_duplicate_keys
 from vaoi_station.version import __version__
 
@@ -50,6 +50,12 @@ BODY_LIMIT_S = 20.0
 """Longest accepted time until a body has arrived. On a slow network 8 MB take a second."""
 SAFE = ("GET", "HEAD", "OPTIONS")
 BOARD_TYPE = re.compile(r"/api/v1/board-types/[^/]+")
+UPLOAD = "/api/v1/board-data/previews"
+"""Path of the uploads of board data. They are written to a file while they arrive, and are no JSON."""
+MAX_UPLOAD_BYTES = 128 * 1024 * 1024
+"""Largest upload. The largest known design, IPC-2581 case 10, has 59 MB."""
+UPLOAD_LIMIT_S = 300.0
+"""Longest accepted time until an upload has arrived."""
 API = "/api/"
 _DECIDING = ("Host", "Origin", "Authorization", "Sec-Fetch-Site", "Sec-Fetch-Mode", "Sec-Fetch-Dest", "Sec-Fetch-User")
 """Headers by which a request is permitted or refused."""
@@ -119,8 +125,32 @@ class RequestGuard:
             await self._stream(scope, receive, send)
         elif scope["method"] in SAFE:
             await self._app(scope, receive, send)
+        elif scope["method"] == "POST" and scope["path"] == UPLOAD:
+            await self._upload(scope, receive, send)
         else:
             await self._with_body(scope, receive, send)
+
+    async def _upload(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass an upload on as it arrives, if it is announced with an accepted size."""
+        announced = Headers(scope=scope).get("content-length", "")
+        if not announced.isdecimal() or len(announced) > 15 or int(announced) > MAX_UPLOAD_BYTES:
+            known = f"{announced:.20} bytes" if announced else "not stated"
+            detail = f"The size of the upload (Content-Length) is {known}; it must be at most {MAX_UPLOAD_BYTES} bytes."
+
+            await problem_response(scope["path"], "too-large", detail, headers=CLOSE)(scope, receive, send)
+            return
+        deadline = time.monotonic() + UPLOAD_LIMIT_S
+
+        async def receive_in_time() -> Message:
+            try:
+                async with asyncio.timeout(max(0.0, deadline - time.monotonic())):
+                    return await receive()
+            except TimeoutError:
+                # The connection is closed after the refusal, because the rest of its body was not read.
+                late = f"The upload did not arrive within {UPLOAD_LIMIT_S:g} s."
+                raise InputError(late, code="upload-too-slow") from None
+
+        await self._app(scope, receive_in_time, send)
 
     async def _stream(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request for the event stream on. Ignore the error that is raised when its reader has gone."""

@@ -117,6 +117,20 @@ class Mark:
 
 
 @dataclass(frozen=True)
+class TableReading:
+    """What was recognised of a centroid file."""
+
+    delimiter: str
+    unit: str
+    unit_from: str
+    """What states the unit."""
+    columns: tuple[tuple[str, int], ...]
+    """Pairs of what a column holds and its number, from 1."""
+    headers: tuple[str, ...] = ()
+    """The header of every column; empty if the file has none."""
+
+
+@dataclass(frozen=True)
 class Design:
     """The parts and the outline of a board, from one file."""
 
@@ -128,6 +142,8 @@ class Design:
     cut_outs: tuple[tuple[XY, ...], ...] = ()
     marks: tuple[Mark, ...] = ()
     """Fiducials that are no parts."""
+    table: TableReading | None = None
+    """Of a centroid file."""
     notes: tuple[str, ...] = ()
     """What the user must know about this import, a sentence each."""
 

@@ -87,6 +87,7 @@ def join_designs(places: Design, bodies: Design, side: Side) -> Design:
             replace(m, at=placed[m.name].origin if m.name in placed and m.name not in off else found.apply(m.at))
             for m in find_marks(bodies, [p for p in bodies.parts if p.side == side], side)
         ),
+        table=places.table,
         notes=(*places.notes, *bodies.notes, *notes),
     )
 

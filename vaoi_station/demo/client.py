@@ -28,8 +28,8 @@ from vaoi_station.errors import (
 from vaoi_station.files.caller_credentials import CallerCredentials
 from vaoi_station.files.images import decode
 
-REPLY_TIMEOUT_S = 90.0
-"""Longest time to wait for a reply; longer than the longest long poll."""
+REPLY_TIMEOUT_S = 150.0
+"""Longest time to wait for a reply; longer than the longest long poll and the longest import of board data."""
 EVENT_TIMEOUT_S = 15.0
 """Longest time between two lines of the event stream, which sends a heartbeat every two seconds."""
 _SHOWN = 200
@@ -67,6 +67,16 @@ class Client:
     def put(self, path: str, **query: Any) -> Any:
         """Send a PUT request without a body; `query` holds all parameters. Return the reply, None without a body."""
         return _parse(self._exchange(self._command("PUT", _with_query(path, query))), self.url(path))
+
+    def put_document(self, path: str, document: dict[str, Any]) -> Any:
+        """Send a PUT request with a JSON body; return the reply, None if it has no body."""
+        return _parse(self._exchange(self._command("PUT", path, json.dumps(document).encode())), self.url(path))
+
+    def upload(self, path: str, content: bytes, **query: Any) -> Any:
+        """Send a file by POST; return the reply."""
+        headers = {"Content-Type": "application/octet-stream"}
+        request = urllib.request.Request(self.url(_with_query(path, query)), content, headers, method="POST")
+        return _parse(self._exchange(request), self.url(path))
 
     def content(self, path: str, **query: Any) -> bytes:
         """Send GET and return the reply's body. `path` is relative to `/api/v1`, or begins with `/api/`."""

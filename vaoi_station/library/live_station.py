@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Unpack
+from typing import Any, Literal, Unpack
 from urllib.parse import quote, urlsplit
 
 import numpy as np
@@ -15,6 +15,7 @@ from vaoi_station.demo.client import Client, unusable_reply
 from vaoi_station.errors import InputError
 from vaoi_station.files.caller_credentials import caller_credentials
 from vaoi_station.library.arguments import require_number, require_path, require_text, require_whole
+from vaoi_station.library.board_data import ImportChoices, StationImport
 from vaoi_station.library.component_images import FIELDS, ComponentImage, ComponentImages
 from vaoi_station.library.replies import (
     ComponentListReply,
@@ -167,6 +168,15 @@ class Station:
         require_number("wait_for_run", "timeout_s", timeout_s, 0.0, 60.0)
         summary = self._client.get("/runs/next", after=after, timeout=timeout_s)
         return None if summary is None else self._run(summary, "/runs/next")
+
+    def upload_board_data(
+        self, path: str | Path, side: Literal["top", "bottom"] = "top", **choices: Unpack[ImportChoices]
+    ) -> StationImport:
+        """Send a file of a CAD system or placement machine to the station, which shows what it would make of it.
+
+        Nothing is stored until `confirm` of the reply. Options are those of `import_board_data`.
+        """
+        return StationImport.upload(self._client, path, {"side": side, **choices})
 
     def _run(self, summary: Any, path: str) -> StationRun:
         return StationRun(checked(RunIdReply, summary, self._client.url(path)).id, dict(summary), self._client)

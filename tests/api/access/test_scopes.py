@@ -30,6 +30,10 @@ EXPECTED = {
         "DELETE /runs/{run}/pin",
     },
     "teach": {
+        "POST /board-data/previews",
+        "PUT /board-data/previews/{preview}",
+        "DELETE /board-data/previews/{preview}",
+        "POST /board-data/previews/{preview}/confirm",
         "PUT /board-types/{name}",
         "DELETE /board-types/{name}",
         "PUT /board-types/{name}/reference",

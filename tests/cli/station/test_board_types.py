@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
+import vaoi_station as api
+from tests.api.board_data.test_previews import import_here
 from tests.api.conftest import Served
 from tests.api.held_station import HeldStation
+from tests.board_data.readers import samples
 from tests.cli.conftest import Result
 from vaoi_station.api.access.access_control import AccessControl
 from vaoi_station.api.access.audit import AuditLog
+from vaoi_station.api.board_data import previews
 from vaoi_station.files.access_keys import KeyFile
 
 
@@ -19,6 +24,7 @@ from vaoi_station.files.access_keys import KeyFile
 def closed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[HeldStation, KeyFile]]:
     """A station whose address is in the environment, and its keys; loopback needs a key, too."""
     keys, audit = KeyFile(tmp_path / "keys.json"), AuditLog(tmp_path / "audit.jsonl")
+    monkeypatch.setattr(previews, "import_limited", import_here)
     served = Served(HeldStation(), access=AccessControl(keys, audit, open_loopback=False))
     monkeypatch.setenv("VAOI_STATION", served.url)
     yield served.station, keys
@@ -43,6 +49,29 @@ def test_a_deleted_board_type_is_restored_with_a_key(
     done = vaoi("board-types", "restore", "demo-board", version, "--key-file", tmp_path / "teach")
     assert (done.code, done.out) == (0, f"demo-board: version {version} is in force, 3 components.\n")
     assert station.types["demo-board"] == before
+
+
+def test_board_data_is_imported_shown_and_confirmed(
+    closed: tuple[HeldStation, KeyFile], vaoi: Callable[..., Result], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    station, keys = closed
+    file, secret = tmp_path / "b.kicad_pcb", tmp_path / "key"
+    file.write_text(samples.KICAD)
+    secret.write_text(keys.create("t", ["read", "teach"]).secret)
+    shown = vaoi("board-types", "import", file, "--name", "p", "--key-file", secret)
+    assert shown.out.startswith("top of 'p' (kicad): 3 components, 1 fiducials\ncheck: "), shown.err
+    assert "Nothing is stored yet" in shown.out
+    assert "p" not in station.types
+    stored = vaoi("board-types", "import", file, "--name", "p", "--confirm", "--key-file", secret)
+    assert stored.out.endswith("p: stored; it can be armed.\n")
+    assert len(station.types["p"].components) == 3
+    file.write_text("nonsense")
+    assert "b.kicad_pcb: has no header" in vaoi("board-types", "import", file, "--key-file", secret).err
+    connected = api.connect(os.environ["VAOI_STATION"], key_file=secret)
+    file.write_text(samples.KICAD)
+    corrected = connected.upload_board_data(file, name="q").correct(side="bottom", name="q")
+    assert corrected.picture.startswith(b"<svg")
+    assert corrected.confirm().side == "bottom"
 
 
 def test_a_wrong_address_is_refused(vaoi: Callable[..., Result]) -> None:

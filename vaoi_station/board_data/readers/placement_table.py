@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from vaoi_station.board_data.design import Design, Part, Side, normalised
+from vaoi_station.board_data.design import Design, Part, Side, TableReading, normalised
 from vaoi_station.board_data.source_text import decode
 from vaoi_station.errors import InputError
 
@@ -109,6 +109,7 @@ class _Layout:
     """Units that the header states for x and y."""
     width: int = 0
     """Number of columns; 0 without a header."""
+    headers: tuple[str, ...] = ()
 
     def aligned(self, row: list[str]) -> list[str]:
         """Return a line whose value has spaces, or none at all, with as many cells as the header has."""
@@ -152,7 +153,9 @@ def read_placement_table(data: bytes, path: Path, options: TableOptions) -> Desi
         notes.append("no column states the side; all parts are taken as those of the top.")
     if "rotation" not in layout.columns:
         notes.append("no column states the rotation; 0° is taken.")
-    return Design(path.stem, "centroid", tuple(parts), notes=tuple(notes))
+    numbers = tuple((name, index + 1) for name, index in layout.columns.items())
+    table = TableReading(named, unit, stated, numbers, layout.headers)
+    return Design(path.stem, "centroid", tuple(parts), table=table, notes=tuple(notes))
 
 
 def _delimiter(lines: Sequence[str]) -> str:
@@ -211,7 +214,7 @@ def _layout(rows: Sequence[list[str]], path: Path, options: TableOptions) -> _La
         raise InputError(
             f"{path}: no column is recognised as {', '.join(missing)}. Name it by --columns {missing[0]}=N."
         )
-    return _Layout(columns, header + 1, units, len(cells))
+    return _Layout(columns, header + 1, units, len(cells), tuple(cells))
 
 
 def _named_columns(row: Sequence[str]) -> dict[str, int]:

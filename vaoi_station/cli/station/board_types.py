@@ -49,6 +49,38 @@ def restore(
     typer.echo(f"{name}: version {revision} is in force, {len(reply['components'])} components.")
 
 
+@board_types.command("import")
+def import_board_data(
+    file: Annotated[Path, typer.Argument(help="A file of a CAD system or placement machine.")],
+    side: Annotated[str, typer.Option(help="The side that is up in the line, top or bottom.")] = "top",
+    name: Annotated[str | None, typer.Option(help="Name of the board type; by default the design's.")] = None,
+    confirm: Annotated[bool, typer.Option("--confirm", help="Store the board type; else only show it.")] = False,
+    station: STATION = DEFAULT_STATION,
+    key_file: KEY_FILE = None,
+    ca: CA = None,
+) -> None:
+    """Make a board type of board data on a running station."""
+    from vaoi_station.errors import InputError
+    from vaoi_station.library.board_data import StationImport
+
+    options = {"side": side, "name": name}
+    preview = StationImport.upload(_client(station, key_file, ca), file, options)
+    found = preview.document.get("found")
+    if found is None:
+        raise InputError(preview.document["refusal"])
+    typer.echo(
+        f"{found['side']} of {found['name']!r} ({found['format']}): {found['components']} components, "
+        f"{found['fiducials']} fiducials"
+    )
+    for line in found["check"]:
+        typer.echo(f"check: {line}")
+    if confirm:
+        typer.echo(f"{preview.confirm().name}: stored; it can be armed.")
+    else:
+        typer.echo(f"picture: {station.rstrip('/')}{preview.document['picture']}")
+        typer.echo("Nothing is stored yet: repeat with --confirm.")
+
+
 def _client(station: str, key_file: Path | None, ca: Path | None) -> Client:
     from vaoi_station.demo.client import Client
     from vaoi_station.library.live_station import checked_address

@@ -1,0 +1,104 @@
+"""Board data over REST: upload, preview, correct, confirm. The importers run in this process here."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from fastapi.testclient import TestClient
+
+from tests.api.board_data.test_previews import import_here
+from tests.api.held_station import HeldStation
+from tests.board_data.readers import samples
+from vaoi_station.api import create_app, request_guard
+from vaoi_station.api.access.scopes import scope_needed
+from vaoi_station.api.board_data import previews
+
+PREVIEWS = "/api/v1/board-data/previews"
+TABLE = "Ref,X(mm),Y(mm),Rot\nR1,110,10,0\nJ1,130,20,90\nFID1,105,5,0\nFID2,140,5,0\n"
+
+
+@pytest.fixture(scope="module")
+def held() -> HeldStation:
+    return HeldStation()
+
+
+@pytest.fixture(scope="module")
+def client(held: HeldStation) -> Iterator[TestClient]:
+    """One service for all tests: each builds its OpenAPI document at the first request."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(previews, "import_limited", import_here)
+        with TestClient(create_app(held, ["testserver"]), raise_server_exceptions=False) as client:
+            yield client
+
+
+def upload(client: Any, content: str = TABLE, filename: str = "p.csv", **options: str) -> dict[str, Any]:
+    answer = client.post(PREVIEWS, params={"filename": filename, **options}, content=content.encode())
+    assert answer.status_code == 201, answer.text
+    assert answer.headers["location"] == f"{PREVIEWS}/{answer.json()['id']}"
+    return dict(answer.json())
+
+
+def test_from_upload_to_board_type(client: Any, held: HeldStation) -> None:
+    found = upload(client, name="new")["found"]
+    assert found["table"]["columns"][1] == {"name": "x", "number": 2, "header": "X(mm)"}
+    assert [m["what"] for m in found["missing"]] == ["outline", "sizes", "heights", "sides"]
+    listed = client.get(PREVIEWS).json()["previews"][-1]
+    picture = client.get(listed["picture"])
+    assert picture.headers["content-type"] == "image/svg+xml"
+    assert "R1</text>" in picture.text
+    assert client.get(listed["board_type"]).json()["name"] == "new"
+    answer = client.post(f"{PREVIEWS}/{listed['id']}/confirm")
+    assert (answer.status_code, answer.headers["location"]) == (201, "/api/v1/board-types/new")
+    assert [c.ref for c in held.types["new"].components] == ["R1", "J1", "FID1", "FID2"]
+    assert client.get(f"{PREVIEWS}/{listed['id']}").status_code == 404
+
+
+def test_options_are_corrected_and_files_joined(client: Any) -> None:
+    bodies = upload(client, samples.KICAD, "b.kicad_pcb")
+    places = upload(client, TABLE.replace("(mm)", ""))
+    assert places["found"]["table"]["unit"] == "mm"
+    answer = client.put(f"{PREVIEWS}/{places['id']}", json={"join": bodies["id"], "columns": "rotation=4"})
+    assert answer.json()["found"]["format"] == "centroid + kicad"
+    assert answer.json()["found"]["cut_outs"] == 1
+    assert client.put(f"{PREVIEWS}/{places['id']}", json={"units": "cm"}).status_code == 422
+
+
+def test_an_unreadable_file_is_kept_with_its_refusal(client: Any) -> None:
+    preview = upload(client, "nonsense", "x.txt")
+    assert "x.txt: has no header" in preview["refusal"]
+    assert "found" not in preview
+    answer = client.get(f"{PREVIEWS}/{preview['id']}/picture")
+    assert (answer.status_code, answer.json()["code"]) == (422, "unreadable-board-data")
+    assert client.delete(f"{PREVIEWS}/{preview['id']}").status_code == 204
+    assert client.get(f"{PREVIEWS}/{preview['id']}").status_code == 404
+
+
+def test_a_name_that_no_address_can_have_is_refused(client: Any) -> None:
+    preview = upload(client, name="a/b")
+    answer = client.post(f"{PREVIEWS}/{preview['id']}/confirm")
+    assert (answer.status_code, "name is 'a/b'" in answer.json()["detail"]) == (422, True)
+
+
+def test_an_empty_upload_and_a_too_large_one_are_refused(client: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    answer = client.post(PREVIEWS, params={"filename": "x"}, content=b"")
+    assert answer.json()["detail"] == "body: is empty, but must be the file."
+    monkeypatch.setattr(request_guard, "MAX_UPLOAD_BYTES", 10)
+    answer = client.post(PREVIEWS, params={"filename": "x"}, content=b"x" * 11)
+    assert (answer.status_code, "is 11 bytes; it must be at most 10" in answer.json()["detail"]) == (413, True)
+    pieces = client.post(PREVIEWS, params={"filename": "x"}, content=iter([b"x"]))
+    assert (pieces.status_code, "is not stated" in pieces.json()["detail"]) == (413, True)
+
+
+def test_a_repeated_key_is_content_of_an_upload(client: Any) -> None:
+    """An upload is no request in JSON, even if the file is JSON."""
+    text = samples.HTML_BOM.replace('"edges_bbox": {}', '"edges_bbox": {}, "edges_bbox": {}')
+    assert upload(client, text, "b.json")["found"]["format"] == "html-bom"
+    assert json.loads(text)
+
+
+def test_uploads_need_the_scope_teach() -> None:
+    assert scope_needed("POST", PREVIEWS) == "teach"
+    assert scope_needed("GET", PREVIEWS) == "read"

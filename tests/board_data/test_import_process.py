@@ -1,0 +1,26 @@
+"""The reply of an import, in this process; its limits in a process of its own: test_limited_import.py."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from tests.board_data.readers import samples
+from vaoi_station.board_data.import_process import ImportTask, run_import
+from vaoi_station.model import BoardType
+
+
+def test_the_reply_has_board_type_overview_and_picture(tmp_path: Path) -> None:
+    file = tmp_path / "b.kicad_pcb"
+    file.write_text(samples.KICAD)
+    reply = run_import(ImportTask(file=file, name="p"))
+    assert reply.overview is not None
+    assert reply.overview.name == BoardType.model_validate_json(reply.board_type).name == "p"
+    assert reply.picture.startswith("<svg")
+
+
+def test_refusals_and_limits_of_board_types_are_sentences(tmp_path: Path) -> None:
+    file = tmp_path / "b.csv"
+    file.write_text("Ref,X(mm),Y(mm)\nR1,20000,1\nR2,1,1\n")
+    refusal = run_import(ImportTask(file=file)).refusal
+    assert "makes no board type: Value error, component 'R1' is at (20000, 1) mm" in refusal
+    assert "No such file" in run_import(ImportTask(file=tmp_path / "none")).refusal

@@ -1,0 +1,132 @@
+"""Routes under `board-data`: upload, preview, correct and confirm."""
+
+from __future__ import annotations
+
+import re
+from typing import Annotated, Any
+from urllib.parse import quote
+
+from fastapi import APIRouter, Path, Query, Request, Response
+
+from vaoi_station.api.board_data.models import (
+    PREVIEW_ID,
+    ImportOptions,
+    ImportPreview,
+    ImportPreviewList,
+    UploadOptions,
+)
+from vaoi_station.api.board_data.previews import Previews
+from vaoi_station.api.callers.caller import caller_in
+from vaoi_station.api.callers.seats import Seats
+from vaoi_station.api.event_hub import ThreadLimit
+from vaoi_station.api.http_caching import LIVE
+from vaoi_station.api.parameters import BOARD_TYPE_NAME
+from vaoi_station.api.routes.services import Services
+from vaoi_station.errors import InputError
+from vaoi_station.model import BoardType
+
+PreviewId = Annotated[str, Path(description="Id of a preview.", pattern=PREVIEW_ID)]
+BODY = {
+    "requestBody": {
+        "required": True,
+        "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}},
+    }
+}
+"""OpenAPI description of an upload."""
+SVG: dict[int | str, dict[str, Any]] = {
+    200: {"description": "The picture.", "content": {"image/svg+xml": {"schema": {"type": "string"}}}}
+}
+_SVG_POLICY = "default-src 'none'; style-src 'unsafe-inline'; sandbox"
+
+
+def router(services: Services, previews: Previews) -> APIRouter:
+    """Create the routes for imports of board data."""
+    routes = APIRouter(prefix="/board-data", tags=["board types"])
+    # One import at a time: each may take a whole core and much memory.
+    importing, quick = ThreadLimit(1), services.commands
+    seats = Seats("imports of board data", 6, 3)
+
+    def document(request: Request, preview: object) -> ImportPreview:
+        prefix = request.url.path.partition("/board-data")[0]
+        return previews.document(preview, f"{prefix}/board-data/previews")  # type: ignore[arg-type]
+
+    @routes.get("/previews", response_model_exclude_none=True)
+    async def list_import_previews(request: Request, response: Response) -> ImportPreviewList:
+        """List the uploaded files and what they would make."""
+        response.headers["Cache-Control"] = LIVE
+        found = await quick.ask(previews.list)
+        return ImportPreviewList(previews=[document(request, preview) for preview in found])
+
+    @routes.post("/previews", status_code=201, response_model_exclude_none=True, openapi_extra=BODY)
+    async def upload_board_data(
+        request: Request, response: Response, upload: Annotated[UploadOptions, Query()]
+    ) -> ImportPreview:
+        """Upload a file of a CAD system or placement machine, and return what board type it would make.
+
+        The body is the file as it is: KiCad, GenCAD, IPC-2581, ODB++ (zip, tgz), EAGLE, InteractiveHtmlBom, or a
+        centroid file. Nothing is stored until the preview is confirmed.
+        """
+        with seats.take(caller_in(request.scope).name):
+            with previews.uploading(upload.filename) as (file, path):
+                empty = True
+                async for piece in request.stream():
+                    await quick.ask(file.write, piece)
+                    empty = empty and not piece
+                if empty:
+                    raise InputError("body: is empty, but must be the file.")
+            options = ImportOptions.model_validate(upload.model_dump(exclude={"filename"}))
+            preview = await importing.ask(previews.add, path, options)
+        response.headers["Location"] = f"{request.url.path}/{preview.id}"
+        return document(request, preview)
+
+    @routes.get("/previews/{preview}", response_model_exclude_none=True)
+    async def get_import_preview(request: Request, response: Response, preview: PreviewId) -> ImportPreview:
+        """Return what an uploaded file would make."""
+        response.headers["Cache-Control"] = LIVE
+        return document(request, await quick.ask(previews.get, preview))
+
+    @routes.put("/previews/{preview}", response_model_exclude_none=True)
+    async def correct_import_preview(request: Request, preview: PreviewId, options: ImportOptions) -> ImportPreview:
+        """Import an uploaded file again with other options: side, columns, units, or joined with another file."""
+        with seats.take(caller_in(request.scope).name):
+            return document(request, await importing.ask(previews.change, preview, options))
+
+    @routes.delete("/previews/{preview}", status_code=204)
+    async def delete_import_preview(preview: PreviewId) -> None:
+        """Delete an uploaded file and its preview."""
+        await quick.ask(previews.drop, preview)
+
+    @routes.get("/previews/{preview}/picture", response_class=Response, responses=SVG)
+    async def get_import_picture(preview: PreviewId) -> Response:
+        """Return outline, cut-outs, marks and bodies of a preview as SVG. Bodies of guessed size are orange."""
+        reply = await quick.ask(previews.reply, preview)
+        headers = {"Cache-Control": LIVE, "Content-Security-Policy": _SVG_POLICY}
+        return Response(reply.picture, media_type="image/svg+xml", headers=headers)
+
+    @routes.get("/previews/{preview}/board-type", response_model=BoardType)
+    async def get_imported_board_type(preview: PreviewId) -> Response:
+        """Return the board type that a preview would make."""
+        reply = await quick.ask(previews.reply, preview)
+        return Response(reply.board_type, media_type="application/json", headers={"Cache-Control": LIVE})
+
+    @routes.post(
+        "/previews/{preview}/confirm",
+        response_model=BoardType,
+        responses={201: {"model": BoardType, "description": "New."}},
+    )
+    async def confirm_import(request: Request, preview: PreviewId) -> Response:
+        """Store the board type of a preview, as `PUT board-types/{name}` does, and delete the preview."""
+        reply = await quick.ask(previews.reply, preview)
+        board_type = await importing.ask(BoardType.model_validate_json, reply.board_type)
+        if not re.fullmatch(BOARD_TYPE_NAME, board_type.name):
+            raise InputError.field(
+                "preview", "name", board_type.name, "1 to 80 characters without slashes and leading dot",
+                action="Set `name` by PUT of the preview.",
+            )  # fmt: skip
+        new = await quick.ask(services.coordinator.put_board_type, board_type)
+        await quick.ask(previews.drop, preview)
+        prefix = request.url.path.partition("/board-data")[0]
+        headers = {"Location": f"{prefix}/board-types/{quote(board_type.name)}"} if new else {}
+        return Response(reply.board_type, 201 if new else 200, headers, "application/json")
+
+    return routes

@@ -1,0 +1,103 @@
+"""Import board data in a process of its own: `python -m vaoi_station.board_data.import_process`.
+
+Files of unknown origin may be made to exhaust memory or time. The process reads its task from standard input, writes
+its reply to standard output, and can do no harm beyond its limits.
+"""
+
+from __future__ import annotations
+
+import os
+import resource
+import sys
+from pathlib import Path
+
+from pydantic import Field, ValidationError
+
+from vaoi_station.board_data.conversion import to_board_type
+from vaoi_station.board_data.design import Side
+from vaoi_station.board_data.joining import join_designs
+from vaoi_station.board_data.overview import ImportOverview, overview
+from vaoi_station.board_data.picture import board_picture
+from vaoi_station.board_data.readers.placement_table import TableOptions
+from vaoi_station.board_data.reading import Options, read_design
+from vaoi_station.errors import InputError, VaoiError
+from vaoi_station.model import Strict
+
+NICE = 10
+"""Priority below that of the station, whose workers stitch meanwhile."""
+
+
+class ImportTask(Strict):
+    """A file to import, with what the user says about it."""
+
+    file: Path
+    side: Side = "top"
+    name: str | None = None
+    format: str | None = None
+    units: str | None = None
+    columns: str | None = None
+    delimiter: str | None = None
+    step: str | None = None
+    sizes: Path | None = None
+    join: Path | None = None
+    """File with the bodies."""
+
+
+class ImportReply(Strict):
+    """The board type of one side, with what was found, or the refusal."""
+
+    overview: ImportOverview | None = None
+    board_type: str = ""
+    """The document board.json."""
+    picture: str = ""
+    """SVG."""
+    refusal: str = ""
+    action: str = ""
+
+
+class ImportLimits(Strict):
+    """What an import may use."""
+
+    memory_bytes: int = Field(default=1536 * 2**20, description="Address space of the process.")
+    cpu_s: int = 60
+    wall_s: float = 120.0
+
+
+def run_import(task: ImportTask) -> ImportReply:
+    """Import a file; a refusal is part of the reply."""
+    try:
+        table = TableOptions.parse(task.units, task.columns, task.delimiter)
+        design = read_design(task.file, Options(task.format, table, task.step, task.sizes))
+        if task.join is not None:
+            bodies = read_design(task.join, Options(step=task.step, sizes=task.sizes))
+            design = join_designs(design, bodies, task.side)
+        try:
+            board, notes = to_board_type(design, task.side, task.name)
+        except ValidationError as error:  # a limit of board types
+            faults = "; ".join(str(fault["msg"]) for fault in error.errors()[:3])
+            raise InputError(f"{task.file}: makes no board type: {faults}.") from error
+        document = board.model_dump_json(exclude_none=True)
+        return ImportReply(overview=overview(design, board, notes), board_type=document, picture=board_picture(board))
+    except VaoiError as error:
+        return ImportReply(refusal=error.message, action=error.action)
+
+
+def main() -> None:
+    """Read limits and task, one line each, apply the limits, import, write the reply."""
+    limits = ImportLimits.model_validate_json(sys.stdin.readline())
+    task = ImportTask.model_validate_json(sys.stdin.readline())
+    resource.setrlimit(resource.RLIMIT_AS, (limits.memory_bytes, limits.memory_bytes))
+    resource.setrlimit(resource.RLIMIT_CPU, (limits.cpu_s, limits.cpu_s + 1))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
+    os.nice(NICE)
+    try:
+        reply = run_import(task)
+    except MemoryError:
+        mb = limits.memory_bytes >> 20
+        reply = ImportReply(refusal=f"{task.file}: needs more than {mb} MB of memory; the file is refused.")
+    sys.stdout.write(reply.model_dump_json(exclude_none=True))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,117 @@
+"""Board types from the files of CAD systems and placement machines, here or on a running station."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal, TypedDict, Unpack
+from urllib.parse import quote
+
+from vaoi_station.board_data.import_process import ImportTask, run_import
+from vaoi_station.demo.client import Client
+from vaoi_station.errors import InputError
+from vaoi_station.library.arguments import require_path
+from vaoi_station.library.replies import checked
+from vaoi_station.model import BoardType
+
+PREVIEWS = "/board-data/previews"
+
+
+class ImportChoices(TypedDict, total=False):
+    """What a caller may say about a file; what is absent is recognised."""
+
+    name: str
+    format: str
+    units: str
+    columns: str
+    delimiter: str
+    step: str
+
+
+@dataclass(frozen=True)
+class ImportedBoard:
+    """A board type made of board data."""
+
+    board_type: BoardType
+    check: tuple[str, ...]
+    """Sentences on what a person should check."""
+    picture: str = field(repr=False)
+    """Outline, marks and bodies as SVG."""
+
+
+def import_board_data(
+    path: str | Path,
+    side: Literal["top", "bottom"] = "top",
+    join: str | Path | None = None,
+    **choices: Unpack[ImportChoices],
+) -> ImportedBoard:
+    """Make a board type of one side of a design: KiCad, GenCAD, IPC-2581, ODB++, EAGLE, centroid files.
+
+    Args:
+        path: a file, or an ODB++ folder.
+        side: the side that is up in the line.
+        join: a second file, from which bodies, heights, outline and marks are taken.
+        **choices: `name` of the board type; `format`; `units` ("mm", "inch", "mil"), `columns` ("ref=1,x=3,y=4") and
+            `delimiter` of a centroid file; `step` of an ODB++ design.
+
+    Raises:
+        InputError: the file cannot be understood; the message says what to do.
+    """
+    file = require_path("import_board_data", "path", path)
+    second = None if join is None else require_path("import_board_data", "join", join)
+    if side not in ("top", "bottom"):
+        raise InputError.field("import_board_data", "side", side, '"top" or "bottom"')
+    _known(choices)
+    reply = run_import(ImportTask(file=file, side=side, join=second, **choices))
+    if reply.overview is None:
+        raise InputError(reply.refusal, action=reply.action)
+    board = BoardType.model_validate_json(reply.board_type)
+    return ImportedBoard(board, tuple(reply.overview.check), reply.picture)
+
+
+@dataclass(frozen=True, eq=False)
+class StationImport:
+    """A file with board data on a running station, not yet a board type."""
+
+    document: dict[str, Any]
+    """What the station has found: the reply of `GET board-data/previews/{id}`."""
+    _client: Client = field(repr=False)
+
+    @classmethod
+    def upload(cls, client: Client, path: str | Path, options: dict[str, Any]) -> StationImport:
+        """Send a file to a station."""
+        file = require_path("upload_board_data", "path", path)
+        try:
+            content = file.read_bytes()
+        except OSError as error:
+            raise InputError(f"{file}: cannot be read: {error.strerror}.") from error
+        return cls(dict(client.upload(PREVIEWS, content, filename=file.name, **options)), client)
+
+    @property
+    def picture(self) -> bytes:
+        """Outline, marks and bodies as SVG."""
+        return self._client.content(f"{self._address}/picture")
+
+    def correct(self, **options: Any) -> StationImport:
+        """Read the file again with other options: `side`, `join` (id of another upload), and as for the upload."""
+        reply = self._client.put_document(self._address, options)
+        return StationImport(dict(reply), self._client)
+
+    def confirm(self) -> BoardType:
+        """Store the board type on the station, so that it can be armed."""
+        path = f"{self._address}/confirm"
+        return checked(BoardType, self._client.post(path), self._client.url(path))
+
+    @property
+    def _address(self) -> str:
+        return f"{PREVIEWS}/{quote(str(self.document['id']))}"
+
+
+def _known(choices: ImportChoices) -> None:
+    """Raise InputError for a choice that is no text, or has an unknown name."""
+    for name, value in choices.items():
+        known = ", ".join(ImportChoices.__annotations__)
+        if name not in ImportChoices.__annotations__:
+            raise InputError.field("import_board_data", name, value, f"one of {known}")
+        if not isinstance(value, str):
+            raise InputError.field("import_board_data", name, value, "a text")
