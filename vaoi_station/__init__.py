@@ -21,6 +21,7 @@ if TYPE_CHECKING:
         StateError,
         VaoiError,
     )
+    from vaoi_station.library.async_station import AsyncStation, AsyncStationRun, connect_async
     from vaoi_station.library.board_data import ImportedBoard, StationImport, import_board_data
     from vaoi_station.library.component_images import ComponentImage, ComponentImages
     from vaoi_station.library.documents import (
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
         write_image,
     )
     from vaoi_station.library.live_station import Station, StationRun, connect
+    from vaoi_station.library.picture_stream import ComponentPictures
     from vaoi_station.library.recorded_run import RecordedRun, open_recording, stitch
     from vaoi_station.library.simulated_run import simulate
     from vaoi_station.library.stitched_run import StitchedRun
@@ -40,12 +42,15 @@ if TYPE_CHECKING:
     from vaoi_station.model import Stitch as Result
 
 _LOCATIONS = {
+    "AsyncStation": "library.async_station",
+    "AsyncStationRun": "library.async_station",
     "BoardType": "model",
     "BusyError": "errors",
     "Calibration": "model",
     "Component": "model",
     "ComponentImage": "library.component_images",
     "ComponentImages": "library.component_images",
+    "ComponentPictures": "library.picture_stream",
     "DeviceError": "errors",
     "GoneError": "errors",
     "ImportedBoard": "library.board_data",
@@ -62,6 +67,7 @@ _LOCATIONS = {
     "StitchedRun": "library.stitched_run",
     "VaoiError": "errors",
     "connect": "library.live_station",
+    "connect_async": "library.async_station",
     "import_board_data": "library.board_data",
     "open_recording": "library.recorded_run",
     "read_board_type": "library.documents",
@@ -77,12 +83,15 @@ _LOCATIONS = {
 """For every public name, the module that defines it, and after a colon the name in that module if it differs."""
 
 __all__ = [
+    "AsyncStation",
+    "AsyncStationRun",
     "BoardType",
     "BusyError",
     "Calibration",
     "Component",
     "ComponentImage",
     "ComponentImages",
+    "ComponentPictures",
     "DeviceError",
     "GoneError",
     "ImportedBoard",
@@ -100,6 +109,7 @@ __all__ = [
     "VaoiError",
     "__version__",
     "connect",
+    "connect_async",
     "import_board_data",
     "open_recording",
     "read_board_type",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -50,6 +51,24 @@ def test_images_from_a_station(tmp_path: Path) -> None:
     finally:
         served.stop()
     assert list(tmp_path.glob("U1_*.png"))
+
+
+def test_pictures_of_every_board() -> None:
+    served = Served(HeldStation())
+
+    def pass_by() -> None:
+        while served.app.state.hub.waiting == 0:
+            served.client.get("/healthz")
+        served.station.film()
+
+    try:
+        with ThreadPoolExecutor(1) as line:
+            passing = line.submit(pass_by)
+            shown = run_example("pictures_of_every_board.py", served.url, "demo-board", "1")
+            passing.result()
+    finally:
+        served.stop()
+    assert shown == "run r000001: ok, 9 pictures\n"
 
 
 def test_images_of_one_light(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

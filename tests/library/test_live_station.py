@@ -114,3 +114,26 @@ def test_released_frames_are_gone(served: Served) -> None:
     run.release()
     with pytest.raises(vaoi.GoneError):
         _ = images[0].pixels
+
+
+def test_the_line_is_armed_and_disarmed(served: Served) -> None:
+    station = vaoi.connect(served.url)
+    assert station.arm("demo-board", board_id="SN-2", job_id="J", runs=3)["state"] == "armed"
+    assert served.station.armed is not None
+    assert (served.station.armed.job_id, served.station.armed.runs_left) == ("J", 3)
+    assert station.disarm()["state"] == "idle"
+    with pytest.raises(vaoi.InputError, match="arm"):
+        station.arm("demo-board", runs=0)
+    served.station.lose(1)
+    with pytest.raises(vaoi.VaoiError) as refused:
+        station.arm("demo-board")
+    assert refused.value.code == "camera-lost"
+    assert station.arm("demo-board", allow_lost_cameras=True)["state"] == "armed"
+
+
+def test_events_follow_the_newest_one_known(served: Served) -> None:
+    station = vaoi.connect(served.url)
+    after = station.snapshot()["last_event"]
+    run = served.station.film()
+    events = [next(e for e in station.events(after) if e.get("state") == "ready")]
+    assert events[0]["run"] == run

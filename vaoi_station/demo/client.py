@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from http import HTTPStatus
-from http.client import HTTPException
+from http.client import HTTPException, HTTPResponse
 from typing import Any
 
 from numpy.typing import NDArray
@@ -81,6 +81,13 @@ class Client:
     def content(self, path: str, **query: Any) -> bytes:
         """Send GET and return the reply's body. `path` is relative to `/api/v1`, or begins with `/api/`."""
         return self._exchange(urllib.request.Request(_with_query(self.url(path), query)))
+
+    @contextmanager
+    def opened(self, path: str, **query: Any) -> Iterator[HTTPResponse]:
+        """Send GET and provide the reply in a `with` block, in which its body is read piece by piece."""
+        url = _with_query(self.url(path), query)
+        with _translated_errors(url), self._opener.open(url, timeout=REPLY_TIMEOUT_S) as reply:
+            yield reply
 
     def picture(self, path: str) -> tuple[bytes, NDArray[Any]]:
         """Request a PNG image. Return its bytes and its pixels."""
@@ -181,7 +188,7 @@ def _translated_errors(url: str) -> Iterator[None]:
 
 def _with_query(path: str, query: dict[str, Any]) -> str:
     given = {k: v for k, v in query.items() if v is not None}
-    return f"{path}?{urllib.parse.urlencode(given)}" if given else path
+    return f"{path}?{urllib.parse.urlencode(given, doseq=True)}" if given else path
 
 
 def _error(status: int, body: bytes, url: str) -> VaoiError:

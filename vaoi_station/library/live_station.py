@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -17,6 +18,7 @@ from vaoi_station.files.caller_credentials import caller_credentials
 from vaoi_station.library.arguments import require_number, require_path, require_text, require_whole
 from vaoi_station.library.board_data import ImportChoices, StationImport
 from vaoi_station.library.component_images import FIELDS, ComponentImage, ComponentImages
+from vaoi_station.library.picture_stream import ComponentPictures, read_pictures
 from vaoi_station.library.replies import (
     ComponentListReply,
     ComponentReply,
@@ -86,6 +88,25 @@ class StationRun:
         images = tuple(self._image(view) for view in reply.views)
         return ComponentImages(ref, images, height, sigma, self.status, reply.remark)
 
+    def pictures(self, *components: str, **options: Unpack[ImageOptions]) -> Iterator[ComponentPictures]:
+        """Yield the pictures of many components, each when all of its pictures have arrived, from one request.
+
+        Args:
+            *components: addresses of components; none: all components of the run.
+            **options: as for `component`.
+
+        Raises:
+            InputError: an option is not of its type, or outside its limits, or the run has no such light.
+            NotFoundError: the board type has no such component.
+            GoneError: the station no longer keeps the frames of the run, or gave up their memory meanwhile.
+        """
+        for ref in components:
+            require_text("pictures", "component", ref)
+        wanted = ImageRequest.of(options).options()
+        path = f"/runs/{quote(self.id)}/images"
+        with self._client.opened(path, component=components or None, format="raw", **wanted) as reply:
+            yield from read_pictures(reply, self._client.url(path))
+
     def hold(self, holder: str, purpose: str = "") -> None:
         """Keep the frames of the run in memory until the hold expires or ends; a repeated call renews the hold.
 
@@ -145,6 +166,49 @@ class Station:
             raise unusable_reply(self._client.url("/station"), "no content")
         return dict(reply)
 
+    def arm(
+        self,
+        board_type: str,
+        *,
+        board_id: str | None = None,
+        job_id: str | None = None,
+        runs: int | None = None,
+        allow_lost_cameras: bool = False,
+    ) -> dict[str, Any]:
+        """Arm the line: film every board from now on, or only the next `runs` boards. Return the station's state.
+
+        Args:
+            board_type: name of the board type.
+            board_id: the caller's id of the next board; it is repeated in the result.
+            job_id: the caller's id of the job, likewise.
+            runs: number of runs after which the line is disarmed; None: it stays armed.
+            allow_lost_cameras: arm although cameras are missing.
+
+        Raises:
+            NotFoundError: the station has no such board type.
+            StateError: the line cannot be armed in the present state.
+            BusyError: all memory is in use, or a camera is missing.
+        """
+        fields = {
+            "board_type": require_text("arm", "board_type", board_type),
+            "board_id": board_id,
+            "job_id": job_id,
+            "runs": None if runs is None else require_whole("arm", "runs", runs, 1, 1_000_000),
+            "allow_lost_cameras": allow_lost_cameras or None,
+        }
+        return self._command("/station/arm", {k: v for k, v in fields.items() if v is not None})
+
+    def disarm(self) -> dict[str, Any]:
+        """Disarm the line: film no further board. Return the station's state."""
+        return self._command("/station/disarm", {})
+
+    def events(self, after: int) -> Iterator[dict[str, Any]]:
+        """Yield events numbered above `after`, and heartbeats, as they happen, until the station ends.
+
+        `last_event` of `snapshot` is the number of the newest one.
+        """
+        yield from self._client.messages(require_whole("events", "after", after, 0, 2**53))
+
     def runs(self, limit: int = 50) -> list[dict[str, Any]]:
         """Return summaries of the newest runs, newest first."""
         require_whole("runs", "limit", limit, 1, 1_000_000)
@@ -177,6 +241,12 @@ class Station:
         Nothing is stored until `confirm` of the reply. Options are those of `import_board_data`.
         """
         return StationImport.upload(self._client, path, {"side": side, **choices})
+
+    def _command(self, path: str, fields: dict[str, Any]) -> dict[str, Any]:
+        reply = self._client.post(path, **fields)
+        if reply is None:
+            raise unusable_reply(self._client.url(path), "no content")
+        return dict(reply)
 
     def _run(self, summary: Any, path: str) -> StationRun:
         return StationRun(checked(RunIdReply, summary, self._client.url(path)).id, dict(summary), self._client)
