@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 
 from vaoi_station.geometry import Lens
-from vaoi_station.stitching.adjustment.observations import LinkStore, linked_steps, to_observations
+from vaoi_station.stitching.adjustment.observations import (
+    LinkStore,
+    group_begins,
+    index_in_group,
+    linked_steps,
+    median_noise_px,
+    to_observations,
+)
 from vaoi_station.stitching.matching.evidence import Links, Task
 
 
@@ -100,3 +107,20 @@ def test_a_step_is_linked_if_any_link_spans_it(workshop: Any) -> None:
     o = to_observations(found, (workshop.camera(), workshop.camera((8.0, 0.0))))
     assert linked_steps(o, 6).tolist() == [True, False, True, True, False]
     assert linked_steps(o.select(np.zeros(0, np.int_)), 2).tolist() == [False]
+
+
+def test_links_are_counted_within_their_pair() -> None:
+    group = np.array([0, 0, 0, 1, 2, 2])
+    assert group_begins(group).tolist() == [0, 3, 4]
+    assert index_in_group(group).tolist() == [0, 1, 2, 0, 0, 1]
+
+
+def test_the_median_noise_is_that_of_the_chosen_links_in_px(workshop: Any) -> None:
+    px, information = (
+        [[20.0, 30.0], [40.0, 50.0], [60.0, 70.0]],
+        np.eye(2) / np.array([0.02, 0.03, 0.5])[:, None, None] ** 2,
+    )
+    o = to_observations([links(Task("rows", (0, 0), (0, 1)), px, px, information)], (workshop.camera(),))
+    assert median_noise_px(o, np.arange(3)) == pytest.approx(0.03)
+    assert median_noise_px(o, np.array([0])) == pytest.approx(0.02)
+    assert median_noise_px(o, np.zeros(0, dtype=np.int_)) == 0.0

@@ -257,3 +257,20 @@ def linked_steps(links: Observations, rows: int) -> NDArray[np.bool_]:
     """Return for each step from a row to the next (rows − 1,) whether a link connects rows across this step."""
     change = np.bincount(links.p, minlength=rows) - np.bincount(links.q, minlength=rows)
     return np.asarray(np.cumsum(change)[:-1] > 0)
+
+
+def index_in_group(group: Ints) -> Ints:
+    """Return the index (k,) of each link within its pair of frames (`group`). Links of one pair are adjacent."""
+    begins = group_begins(group)
+    return np.arange(len(group)) - np.repeat(begins, np.diff(begins, append=len(group)))
+
+
+def group_begins(group: Ints) -> Ints:
+    """Return the index of the first link of each pair of frames (`group`). Links of one pair are adjacent."""
+    return np.flatnonzero(np.diff(group, prepend=-1))
+
+
+def median_noise_px(links: Observations, at: Ints) -> float:
+    """Return the median standard deviation per axis, px, that image noise causes in the links `at`; 0 without links."""
+    sigma_mm = np.sqrt(np.trace(links.noise_mm2[at], axis1=1, axis2=2) / 2)
+    return float(np.median(sigma_mm * links.px_per_mm[at])) if len(at) else 0.0

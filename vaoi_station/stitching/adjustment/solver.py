@@ -59,7 +59,14 @@ from vaoi_station.stitching.adjustment.motion import (
     let_irregular_steps_free,
 )
 from vaoi_station.stitching.adjustment.noise_floor import noise_floor
-from vaoi_station.stitching.adjustment.observations import Ints, Observations, linked_steps
+from vaoi_station.stitching.adjustment.observations import (
+    Ints,
+    Observations,
+    group_begins,
+    index_in_group,
+    linked_steps,
+    median_noise_px,
+)
 from vaoi_station.stitching.adjustment.problem import AdjustmentResult, Problem
 
 _MAX_STEPS = 15
@@ -70,11 +77,12 @@ _SAMPLE_PER_ROW, _SAMPLE_CONVERGED_MM = 100, 3e-3
 """For a solution from a subsample of the links: number of links per row, and the value used as `CONVERGED_MM`."""
 _KNEE, _CUT = 2.0, 6.0
 """Residuals beyond `_KNEE` standard deviations lose weight (Huber); beyond `_CUT` they have no weight."""
-_PAIR_SIGMA_PX, _PAIR_SHARE = (0.002, 0.014), 0.25
+_PAIR_SIGMA_PX, _PAIR_SHARE, _NOISE_SHARE = (0.002, 0.014), 0.25, 0.5
 """Error that all links of one pair of frames have in common, and that does not average out.
 It is the larger of a constant and of the share `_PAIR_SHARE` of the noise floor. The constant is 0.002 px between rows
 of one camera (interpolation). Between two cameras it is 0.014 px, because of different light and of the different
-perspective of points slightly above the board."""
+perspective of points slightly above the board, and at least the share `_NOISE_SHARE` of the median image noise of the
+links: noise draws matches towards certain fractions of a pixel, which are the same in all rows of two cameras."""
 _LIGHTS_SIGMA_PX = 0.3
 """The same error between rows of different lights: the bright edges of metal move with the lamp."""
 _FLOOR_PX, _FIRST_FLOOR_PX = (0.003, 5.0), 0.05
@@ -129,7 +137,7 @@ def solve_subsampled(problem: Problem, start: Motion) -> Motion | None:
     if every < 2:
         return None
     # Every n-th link of each pair of frames is taken, not every n-th of all links, so that each pair keeps some links.
-    some = np.flatnonzero(_index_in_group(problem.links.group) % every == 0)
+    some = np.flatnonzero(index_in_group(problem.links.group) % every == 0)
     sample = replace(problem, links=problem.links.select(some), component=problem.component[some])
     solver = _Solver(sample, start, None)
     solver.run(_SAMPLE_CONVERGED_MM)
@@ -189,6 +197,8 @@ class _Solver:
         self.floor_samples = [np.ascontiguousarray(at[:: max(len(at) // _FLOOR_SAMPLE, 1)]) for at in bare]
         """Indices of sampled links on the bare board, by kind. The model explains these links: what is left is
         noise."""
+        self.noise_px = np.array([median_noise_px(links, at) for at in self.floor_samples])
+        """(n,) median image noise of these links, by kind."""
         self.steps = 0
 
     def _bare(self, of_kind: NDArray[np.bool_]) -> Ints:
@@ -253,7 +263,7 @@ class _Solver:
     def _compute_weights(self) -> None:
         """Compute the robust weights of the links from their current residuals and the noise floor."""
         links = self.problem.links
-        common_px = np.full(len(self.floor_px), _PAIR_SIGMA_PX[1])
+        common_px = np.maximum(_PAIR_SIGMA_PX[1], _NOISE_SHARE * self.noise_px)
         common_px[0], common_px[-1] = _PAIR_SIGMA_PX[0], _LIGHTS_SIGMA_PX
         shared_px = np.maximum(common_px, _PAIR_SHARE * self.floor_px)
         raised = self.raised if self.steps > _FREE_STEPS else np.zeros_like(self.raised)
@@ -382,19 +392,8 @@ def _envelope(links: Observations, coupling: Coupling, rows: int, others: int) -
     Two rows are coupled if they are consecutive (prior of the belt), if a link connects them, or if both see the same
     component, whose height is eliminated.
     """
-    furthest, first = np.minimum(np.arange(rows) + 1, rows - 1), _begins(links.group)
+    furthest, first = np.minimum(np.arange(rows) + 1, rows - 1), group_begins(links.group)
     p, q = links.p[first], links.q[first]
     np.maximum.at(furthest, np.minimum(p, q), np.maximum(p, q))
     np.maximum.at(furthest, coupling.row, coupling.last)
     return Envelope.of(furthest, others)
-
-
-def _index_in_group(group: Ints) -> Ints:
-    """Return the index (k,) of each link within its pair of frames (`group`). Links of one pair are adjacent."""
-    begins = _begins(group)
-    return np.arange(len(group)) - np.repeat(begins, np.diff(begins, append=len(group)))
-
-
-def _begins(group: Ints) -> Ints:
-    """Return the index of the first link of each pair of frames (`group`). Links of one pair are adjacent."""
-    return np.flatnonzero(np.diff(group, prepend=-1))
