@@ -24,6 +24,7 @@ from vaoi_station.model import BoardType, FrameRecord, Status, Stitch, Verdict
 from vaoi_station.rendering import ChosenImages, ImageRequest, render_chosen
 from vaoi_station.runs.archive.run_statistics import RunFigures
 from vaoi_station.runs.control.coordinator import StationCoordinator
+from vaoi_station.runs.run.order import Passing
 from vaoi_station.runs.states.calibration_schemas import CalibrationStatus, CameraCalibration, CameraDrift, CameraMoment
 from vaoi_station.runs.states.schemas import (
     ArmedWith,
@@ -190,10 +191,14 @@ class HeldStation(StationCoordinator):
         job_id: str | None = None,
         runs: int | None = None,
         allow_lost_cameras: bool = False,
+        passing: Passing = "wait",
     ) -> StationSnapshot:
         self.board_type(board_type)
         if self.lost and not allow_lost_cameras:
             raise DeviceError("The array is not complete.", action="Check its cable.", code="camera-lost")
+        if self.state == StationState.FILMING and passing == "after":
+            order = ArmedWith(board_type=board_type, board_id=board_id, job_id=job_id, runs_left=runs)
+            return self.snapshot().model_copy(update={"next_order": order})
         if self.state == StationState.FILMING:
             raise StateError("A board is passing.", action="Wait until it has left, then arm again.")
         self.armed = ArmedWith(board_type=board_type, board_id=board_id, job_id=job_id, runs_left=runs)

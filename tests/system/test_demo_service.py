@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import cv2
 import httpx2
 import pytest
 
+from tests.needs import need
 from tests.system.conftest import config_of
 from vaoi_station.config import ReplayConfig
 from vaoi_station.demo.client import Client
@@ -18,7 +23,7 @@ from vaoi_station.demo.service import Service
 from vaoi_station.demo.station_files import to_toml
 from vaoi_station.demo.waiting import wait_until_idle
 from vaoi_station.errors import BusyError, NotFoundError, StateError
-from vaoi_station.simulation import Twin
+from vaoi_station.simulation import Twin, read_scenario, scenario_path
 
 TIMEOUT_S = 150.0
 
@@ -83,7 +88,7 @@ def test_arming_again_while_a_board_passes_is_refused_and_the_board_is_filmed(cl
     refusal, job = None, "board 0"
     for attempt in range(1, 50):
         try:
-            client.post("/station/arm", board_type="small", job_id=f"board {attempt}")
+            client.post("/station/arm", board_type="small", job_id=f"board {attempt}", passing="refuse")
         except StateError as refused:
             refusal = refused
             break
@@ -94,6 +99,38 @@ def test_arming_again_while_a_board_passes_is_refused_and_the_board_is_filmed(cl
     assert (refusal.code, refusal.message) == ("wrong-state", "The station is filming; arm is not possible now.")
     run = result_of(client, begun)
     assert (run["verdict"], run["job_id"], run["counts"]["missing"]) == ("ok", job, 0)
+
+
+def guide(language: str) -> str:
+    """Return the sample of the guide for tester authors in one language, as it is printed."""
+    text = (Path(__file__).parents[2] / "docs" / "rest.md").read_text(encoding="utf-8")
+    [found] = re.findall(rf"^```{language}\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+    return str(found)
+
+
+def run_sample(command: list[str], client: Client, directory: Path) -> str:
+    environment = os.environ | {"VAOI_STATION": client.address}
+    done = subprocess.run(
+        command, cwd=directory, env=environment, capture_output=True, text=True, timeout=TIMEOUT_S, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_the_guide_runs_as_printed_while_boards_come(client: Client, tmp_path: Path) -> None:
+    """On a station that knows nothing of the guide, also if a board passes at any moment."""
+    need("curl")
+    run_sample(["sh", "-eu", "-c", guide("sh")], client, tmp_path)
+    for name in ("U1.png", "U1.jpg"):
+        assert cv2.imread(str(tmp_path / name)) is not None
+    (tmp_path / "tester.py").write_text(guide("python"), encoding="utf-8")
+    said = run_sample([sys.executable, "tester.py", "small", "U1"], client, tmp_path)
+    assert re.search(r"^run \S+: ok\n  camera \d row \d+: \d+ x \d+, mean ", said)
+
+
+def test_the_demo_has_the_board_type_that_the_guide_names() -> None:
+    name = read_scenario(scenario_path("demo")).board.name
+    assert f"board_type={name}&" in guide("csharp")
 
 
 def test_unknown_board_type_is_refused(client: Client) -> None:

@@ -12,6 +12,7 @@ from pydantic import BaseModel, Field
 from vaoi_station.config import MethodName
 from vaoi_station.model import Strict
 from vaoi_station.runs.archive.board_type_history import BoardTypeVersion
+from vaoi_station.runs.run.order import Passing
 from vaoi_station.runs.states.schemas import BoardTypeSummary, RunSummary
 
 Matrix3 = list[list[float]]
@@ -26,6 +27,11 @@ class ArmRequest(Strict):
     runs: int | None = Field(default=None, ge=1, le=1_000_000, description="Disarm after this number of runs.")
     allow_lost_cameras: bool | None = Field(
         default=None, description="Arm although a camera is not ready; boards are filmed without it."
+    )
+    passing: Passing | None = Field(
+        default=None,
+        description="While a board passes, which keeps the order before: `wait` until it has left (the default), take "
+        "effect `after` it and reply at once, or `refuse`.",
     )
 
 

@@ -21,6 +21,7 @@ from vaoi_station.runs.run.memory import Memory
 from vaoi_station.runs.run.order import Order
 from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.states.run_ids import RunIds
+from vaoi_station.runs.states.tables import StationStep
 from vaoi_station.store import Store
 
 
@@ -68,6 +69,61 @@ def test_memory_is_granted_before_the_cameras_are_armed(line: Line) -> None:
     armed.result(0)
     assert line.state == "armed"
     assert line.control.has_grant
+
+
+def filming(line: Line) -> None:
+    line.armed()
+    line.machine.advance(StationStep.BOARD_ARRIVED)
+
+
+def board_leaves(line: Line) -> None:
+    line.machine.advance(StationStep.BOARD_FILMED)
+    line.control.board_left(None)
+
+
+def test_an_order_while_a_board_passes_takes_effect_after_it(line: Line) -> None:
+    filming(line)
+    armed = line.arm(runs=2)
+    assert not armed.done()
+    assert line.control.orders.runs_left is None
+    assert line.control.next_order is not None
+    assert line.control.next_order.runs_left == 2
+    board_leaves(line)
+    armed.result(0)
+    assert (line.control.orders.runs_left, line.control.next_order, line.state) == (2, None, "armed")
+
+
+def test_a_disarm_refuses_the_orders_that_wait_for_a_board_to_leave(line: Line) -> None:
+    filming(line)
+    armed, disarmed = line.arm(), Completion()
+    line.control.disarm(disarmed)
+    with pytest.raises(StateError, match="disarmed before it was armed"):
+        armed.result(0)
+    board_leaves(line)
+    line.control.on_disarmed(messages.Disarmed(()), None)
+    disarmed.result(0)
+    assert line.state == "idle"
+
+
+def test_an_order_after_a_disarm_while_a_board_passes_arms_again(line: Line) -> None:
+    filming(line)
+    line.control.disarm(Completion())
+    armed = line.arm(runs=1)
+    line.control.on_disarmed(messages.Disarmed(()), None)
+    line.control.on_armed()
+    armed.result(0)
+    assert (line.state, line.control.orders.runs_left) == ("armed", 1)
+
+
+def test_an_order_that_waits_is_withdrawn_or_refused_with_a_fault(line: Line) -> None:
+    filming(line)
+    first, second = line.arm(), line.arm()
+    assert line.control.withdraw(first)
+    assert not line.control.withdraw(first)
+    line.control.on_acquisition_ended("the process ended")
+    with pytest.raises(StateError, match="faulted"):
+        second.result(0)
+    assert not first.done()
 
 
 def test_an_order_while_armed_sends_nothing_and_applies_at_once(line: Line) -> None:

@@ -41,9 +41,38 @@ def test_a_second_arm_while_a_board_passes(rig: Any) -> None:
     rig.begin(grant)
     rig.until("filming")
     with pytest.raises(StateError, match=r"The station is filming.*arm is not possible"):
-        rig.coordinator.arm("small", "b 2")
+        rig.coordinator.arm("small", "b 2", passing="refuse")
     rig.finish(grant, rig.row(grant, 0))
     assert rig.result_of(grant.run).board_id == "b 1"
+
+
+def test_an_order_while_a_board_passes_takes_effect_after_it(rig: Any) -> None:
+    """A caller waits for it or does not, as it wishes; the board that passes keeps its own order."""
+    grant = rig.arm(board_id="b 1")
+    rig.begin(grant)
+    rig.until("filming")
+    said = rig.coordinator.arm("small", "b 2", passing="after")
+    assert (said.armed_with.board_id, said.next_order.board_id) == ("b 1", "b 2")
+    with ThreadPoolExecutor(1) as caller:
+        waiting = caller.submit(rig.coordinator.arm, "small", "b 3")
+        rig.wait_for(lambda: rig.coordinator.snapshot().next_order.board_id == "b 3", "the second order")
+        assert not waiting.done()
+        rig.finish(grant, rig.row(grant, 0))
+        now = waiting.result(20.0)
+    assert (now.armed_with.board_id, now.next_order) == ("b 3", None)
+    assert rig.result_of(grant.run).board_id == "b 1"
+
+
+def test_an_order_for_which_nobody_waits_reports_why_it_took_no_effect(rig: Any) -> None:
+    grant = rig.arm()
+    rig.begin(grant)
+    rig.until("filming")
+    rig.coordinator.arm("small", passing="after")
+    rig.peer.die()
+    rig.until("faulted")
+    said = [e.message for e in rig.coordinator.events() if "given while a board passed" in e.message]
+    assert len(said) == 1
+    assert "did not take effect: The station is faulted" in said[0]
 
 
 def test_a_run_that_ended_early_names_row_and_cause(rig: Any) -> None:

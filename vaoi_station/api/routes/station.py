@@ -10,6 +10,7 @@ from vaoi_station.api.http_caching import LIVE
 from vaoi_station.api.rest_models import ArmRequest
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import InputError
+from vaoi_station.runs.run.order import Passing
 from vaoi_station.runs.states.schemas import StationSnapshot
 
 Text = Annotated[str | None, Query(max_length=200)]
@@ -36,12 +37,14 @@ def router(services: Services) -> APIRouter:
         job_id: Text = None,
         runs: Annotated[int | None, Query(ge=1, le=1_000_000)] = None,
         allow_lost_cameras: bool | None = None,
+        passing: Passing | None = None,
     ) -> StationSnapshot:
         """Arm the station: film every board from now on. The order is given as JSON body, query parameters, or both.
 
-        Replies when cameras and controller are armed. 404: unknown board type; 409: a board is passing, or the station
-        is faulted; 503: a camera is lost (code `camera-lost`; `allow_lost_cameras` arms without it), or all memory is
-        in use (the detail names the holders).
+        Replies when the order is in force. While a board passes, which keeps the order before, this waits until it has
+        left; with `passing=after` it replies at once (`next_order`), with `passing=refuse` 409. 404: unknown board
+        type; 409: the station is faulted; 503: a camera is lost (code `camera-lost`; `allow_lost_cameras` arms without
+        it), or all memory is in use (the detail names the holders).
         """
         given = {
             "board_type": board_type,
@@ -49,11 +52,12 @@ def router(services: Services) -> APIRouter:
             "job_id": job_id,
             "runs": runs,
             "allow_lost_cameras": allow_lost_cameras,
+            "passing": passing,
         }
         order = _merged(request, given)
         response.headers["Cache-Control"] = LIVE
-        despite = bool(order.allow_lost_cameras)
-        return await ask(coordinator.arm, order.board_type, order.board_id, order.job_id, order.runs, despite)
+        despite, passing = bool(order.allow_lost_cameras), order.passing or "wait"
+        return await ask(coordinator.arm, order.board_type, order.board_id, order.job_id, order.runs, despite, passing)
 
     @routes.post("/disarm", response_model_exclude_none=True)
     async def disarm_station(response: Response) -> StationSnapshot:

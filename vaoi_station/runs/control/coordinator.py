@@ -33,7 +33,7 @@ from vaoi_station.runs.control.teaching import BoardTypeService, ReferenceTeachi
 from vaoi_station.runs.host.gc_policy import GcPolicy
 from vaoi_station.runs.mosaics.mosaics import Mosaics
 from vaoi_station.runs.run.leases import OWN
-from vaoi_station.runs.run.order import Order
+from vaoi_station.runs.run.order import Order, Passing
 from vaoi_station.runs.run.reference_store import ReferenceStore
 from vaoi_station.runs.run.run_views import detail_of
 from vaoi_station.runs.states.calibration_schemas import CalibrationStatus
@@ -86,11 +86,11 @@ class StationCoordinator:
             parts: the objects that the coordinator's thread works with.
             ring: the shared memory that holds the frames.
             board_types: the directory of the board types.
-            make_order: function that checks a board type and makes the order for its boards.
+            make_order: checks a board type and makes the order for its boards.
             references: the store of the references.
-            processes: function that returns the states of all processes, for the snapshot.
-            faults: function that returns one reason for each thread that has ended or hangs; it returns at once.
-            show_status: function that receives the station's state in one line at every tick.
+            processes: returns the states of all processes, for the snapshot.
+            faults: returns one reason for each thread that has ended or hangs, at once.
+            show_status: receives the station's state in one line at every tick.
         """
         self._parts, self._ring = parts, ring
         self._make_order, self._processes, self._show_status = make_order, processes, show_status
@@ -153,16 +153,17 @@ class StationCoordinator:
         job_id: str | None = None,
         runs: int | None = None,
         allow_lost_cameras: bool = False,
+        passing: Passing = "wait",
     ) -> StationSnapshot:
         """Arm the line: film every board from now on, or only the next `runs` boards.
 
-        Returns once cameras and controller are armed. If the line is armed already, the new order applies to all boards
-        that come from now on.
+        Returns once the order is in force. A board that is passing keeps the order before: the new one waits until it
+        has left, or this returns at once and the order takes effect then ("after"), or it is refused ("refuse").
 
         Raises:
             NotFoundError: the board type is unknown.
             BusyError: all memory is in use; the message names the holders.
-            StateError: a board is passing, or the station is faulted.
+            StateError: a board is passing and `passing` is "refuse", boards follow for too long, or a fault.
             DeviceError: a camera is lost and `allow_lost_cameras` is False, or a device cannot be armed.
         """
         if runs is not None and runs < 1:
@@ -171,9 +172,16 @@ class StationCoordinator:
         order = self._make_order(self._board_types.get(board_type), board_id, job_id)
         order = replace(order, despite_lost_cameras=allow_lost_cameras)
         armed: Future[None] = Future()
+        if not self._inbox.ask(self._core.arm, order, runs, armed, passing):
+            return self.snapshot()
         try:
-            self._inbox.wait(armed, lambda: self._core.arm(order, runs, armed), ARM_LIMIT_S)
+            self._inbox.wait(armed, lambda: None, ARM_LIMIT_S)
         except TimeoutError:
+            if self._inbox.ask(self._core.withdraw, armed):
+                raise StateError(
+                    f"Boards have passed without a gap for {ARM_LIMIT_S:.0f} s; the order before stays in force.",
+                    action="Arm with passing=after, which takes effect in the next gap.",
+                ) from None
             self._inbox.post(self._core.disarm, Future())
             raise DeviceError(
                 f"Cameras and controller were not ready within {ARM_LIMIT_S:.0f} s; the line was disarmed.",
@@ -187,8 +195,7 @@ class StationCoordinator:
     def disarm(self) -> StationSnapshot:
         """Disarm the line: film no further board, and return once the acquisition process has confirmed it.
 
-        A board that is passing is filmed to its end. If it has not left after some seconds (`main_loop.BOARD_GRACE_S`),
-        it gets a result from the frames that were filmed of it. Nothing happens if the line is not armed.
+        A board that is passing is filmed to its end, for at most `main_loop.BOARD_GRACE_S`.
         """
         disarmed: Future[None] = Future()
         try:
@@ -235,9 +242,8 @@ class StationCoordinator:
     def teach_reference(self, board_type: str, run: str, *, confirm_orientation: bool = False) -> bool:
         """Make a finished run the reference of its board type, from the next arming on.
 
-        Returns True if the board type had no reference before. With `confirm_orientation`, a person has confirmed that
-        the board lay as its board type expects it. This settles a verdict that is degraded only because the orientation
-        is ambiguous.
+        Returns True if the board type had no reference before. With `confirm_orientation`, a person has confirmed how
+        the board lay, which settles a verdict that is degraded only because the orientation is ambiguous.
 
         Raises:
             NotFoundError: there is no such run or board type.
@@ -288,17 +294,13 @@ class StationCoordinator:
     def next_run(self, after: str | None, timeout_s: float) -> RunDetail | None:
         """Return the first run that finishes after the run `after`; None if `timeout_s` passes without one.
 
-        If `after` is None, return the first run that finishes after this call. A caller that passes the id it received
-        last gets every finished run exactly once.
+        If `after` is None, return the first run that finishes after this call.
         """
         finished = self._parts.archive.next(after, timeout_s)
         return finished.detail if finished else None
 
     def release(self, run: str, holder: str | None = None) -> RunDetail:
-        """Give up the frames of a finished run, and end the hold of `holder`; the result of the run is kept.
-
-        `StateError` if the run has not ended, or if a caller other than `holder` holds it.
-        """
+        """Give up the frames of a finished run, and end the hold of `holder`; `StateError` if another one holds it."""
         self._inbox.ask(self._core.release, run, holder)
         return self.run(run)
 

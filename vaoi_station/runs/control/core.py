@@ -8,7 +8,7 @@ from typing import assert_never
 
 from vaoi_station.acquisition.process import messages
 from vaoi_station.config import StationConfig
-from vaoi_station.errors import InternalError, StateError
+from vaoi_station.errors import InternalError, StateError, VaoiError
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.control import readiness
@@ -21,7 +21,7 @@ from vaoi_station.runs.run.board_account import UNWATCHED, BoardAccount
 from vaoi_station.runs.run.leases import Leases
 from vaoi_station.runs.run.line_permit import LinePermit
 from vaoi_station.runs.run.memory import BayRing, Memory
-from vaoi_station.runs.run.order import Order
+from vaoi_station.runs.run.order import Order, Passing
 from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.run.salvage import early_end_reason, salvage_recording
 from vaoi_station.runs.run.standing_order import Resumed, StandingOrder
@@ -87,9 +87,29 @@ class Core:
 
     # --- requests of callers
 
-    def arm(self, order: Order, runs: int | None, completion: Completion) -> None:
-        """Arm the line. The completion is set once the line is armed, or carries the refusal."""
+    def arm(self, order: Order, runs: int | None, completion: Completion, passing: Passing = "wait") -> bool:
+        """Arm the line. The completion is set once the order is in force, or carries the refusal.
+
+        Returns False if the caller is not to wait for it: the order takes effect when a board that passes has left.
+        """
+        board_passes = self.machine.state is StationState.FILMING
+        if board_passes and passing == "refuse":
+            self.machine.require(StationStep.ARM)
+        if board_passes and passing == "after":
+            completion.add_done_callback(self._report_refusal)
         self.line.arm(order, runs, self.health, completion)
+        return not (board_passes and passing == "after")
+
+    def _report_refusal(self, completion: Completion) -> None:
+        """Publish why an order for which no caller waits did not take effect."""
+        refusal = completion.exception()
+        if isinstance(refusal, VaoiError):
+            message = f"The order given while a board passed did not take effect: {refusal.message}"
+            self._events.add("trouble", message, code=refusal.code, action=refusal.action)
+
+    def withdraw(self, completion: Completion) -> bool:
+        """Withdraw a request to arm that waits until a board has passed. Return False if it does not wait any more."""
+        return self.line.withdraw(completion)
 
     def disarm(self, completion: Completion) -> None:
         """Disarm the line. The completion is set once the acquisition process ignores the barrier."""
@@ -235,6 +255,7 @@ class Core:
         if not self.runs.filming:
             self.machine.advance_if_allowed(StationStep.BOARD_FILMED)
             self.line.disarm_after_last_run()
+            self.line.board_left(self.health)
         self.line.keep_memory_granted()
 
     def _watch_trigger(self, report: messages.RunFinished) -> None:

@@ -18,7 +18,7 @@ from vaoi_station.runs.run.memory import Memory
 from vaoi_station.runs.run.order import Order, Orders
 from vaoi_station.runs.run.standing_order import Resumed, StandingOrder
 from vaoi_station.runs.states.run_ids import RunIds
-from vaoi_station.runs.states.schemas import Reason
+from vaoi_station.runs.states.schemas import ArmedWith, Reason
 from vaoi_station.runs.states.tables import RunState, RunStep, StationState, StationStep
 
 Completion = Future[None]
@@ -65,6 +65,8 @@ class LineControl:
         self._disarming: list[Completion] = []
         self._after_disarm: list[tuple[Order, int | None, Completion]] = []
         """Requests to arm (order, number of runs, completion) that came while the line was being disarmed."""
+        self._after_board: list[tuple[Order, int | None, Completion]] = []
+        """Requests to arm that came while a board was passing, which keeps the order before."""
         self._disarm_sent = False
         self._plan: TriggerPlan | None = None
         """The trigger plan of the newest Arm command."""
@@ -98,8 +100,11 @@ class LineControl:
             completion: future of the caller.
         """
         # While a Disarm is not confirmed, a new request to arm waits, because that Disarm would undo it.
-        if self._disarm_sent and self._machine.state in _ARMED_STATES - {StationState.FILMING}:
+        if self._disarm_sent and self._machine.state in _ARMED_STATES:
             self._after_disarm.append((order, runs, completion))
+            return
+        if self._machine.state is StationState.FILMING:
+            self._after_board.append((order, runs, completion))
             return
         if self._machine.state in _WITH_PLAN and self._plan_of(order) != self._plan:
             # Cameras and controller take another plan only when they are disarmed.
@@ -129,8 +134,32 @@ class LineControl:
             self._arming.append(completion)
             self._send_arm()
 
+    def withdraw(self, completion: Completion) -> bool:
+        """Withdraw a request to arm that waits until a board has passed. Return False if it does not wait any more."""
+        kept = [request for request in self._after_board if request[2] is not completion]
+        waited, self._after_board = len(kept) < len(self._after_board), kept
+        return waited
+
+    def board_left(self, health: messages.Health | None) -> None:
+        """Serve the requests to arm that waited until the boards at the barrier had passed."""
+        waiting, self._after_board = self._after_board, []
+        for order, runs, completion in waiting:
+            self.arm(order, runs, health, completion)
+
+    @property
+    def next_order(self) -> ArmedWith | None:
+        """The order that takes effect when the board that passes has left; None if there is none."""
+        if not self._after_board:
+            return None
+        order, runs, _ = self._after_board[-1]
+        return order.shown(runs)
+
     def disarm(self, completion: Completion) -> None:
         """Disarm the line. The completion is set once the acquisition process ignores the barrier."""
+        # An order that was given before the disarm must not arm the line after it.
+        waiting, self._after_board = self._after_board, []
+        for _, _, armed in waiting:
+            armed.set_exception(StateError("The line was disarmed before it was armed."))
         self.orders.cancel(time.monotonic())
         self._keep_order()
         if self._machine.state in _ARMED_STATES:
@@ -339,8 +368,8 @@ class LineControl:
         waited for the Disarm are served.
         """
         self._disarm_sent = False
-        arming, disarming, waiting = self._arming, self._disarming, self._after_disarm
-        self._arming, self._disarming, self._after_disarm = [], [], []
+        arming, disarming, waiting = self._arming, self._disarming, [*self._after_board, *self._after_disarm]
+        self._arming, self._disarming, self._after_disarm, self._after_board = [], [], [], []
         for completion in arming:
             completion.set_exception(refusal)
         for completion in disarming:

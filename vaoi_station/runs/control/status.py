@@ -71,6 +71,7 @@ def snapshot_of(
         ),
         set_aside=core.storage.set_aside(),
         armed_with=core.line.orders.shown(),
+        next_order=core.line.next_order,
         cameras=cameras,
         all_cameras_ready=all(camera.connected for camera in cameras),
         line_ready=not held,

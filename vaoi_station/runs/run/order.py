@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from vaoi_station.acquisition.controller.filming_plan import filming_plan, line_of_board
 from vaoi_station.acquisition.controller.interface import TriggerPlan
@@ -20,6 +20,10 @@ from vaoi_station.stitching.board.placeable import refuse_unplaceable
 from vaoi_station.stitching.method import METHODS
 from vaoi_station.stitching.work import StitchSetup
 from vaoi_station.store import Store
+
+Passing = Literal["wait", "after", "refuse"]
+"""What a request to arm does while a board passes: it waits until the board has left; it returns at once and takes
+effect then; it is refused."""
 
 
 @dataclass(frozen=True)

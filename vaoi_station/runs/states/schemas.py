@@ -51,10 +51,10 @@ class ArmedWith(Schema):
     board_id: str | None
     job_id: str | None
     runs_left: int | None
-    """Number of runs until the station disarms automatically; None: the station stays armed."""
+    """Number of runs until the station disarms; None: it stays armed."""
     method: MethodName = "auto"
     reference: str | None = None
-    """Id of the run against which boards are placed; None: no reference is used."""
+    """Id of the run against which boards are placed."""
     board_id_certain: bool = True
     """Whether `board_id` belongs to the next board. If not, a board may have passed without a run: arm again."""
     resumed: bool = False
@@ -72,7 +72,6 @@ class CameraStatus(Schema):
     delivered: int = 0
     incomplete: int = 0
     last_frame_age_s: float | None = None
-    """Time from the camera's last complete frame to the last heartbeat; None before the first complete frame."""
     next_try: str | None = None
     """Time of the next attempt to open the camera; None while the camera is connected or being opened."""
     counters: dict[str, int] = {}
@@ -180,6 +179,8 @@ class StationSnapshot(Schema):
     set_aside: tuple[SetAsideFile, ...] = ()
     """Databases that were set aside; an administrator acknowledges the warning about each."""
     armed_with: ArmedWith | None
+    next_order: ArmedWith | None = None
+    """Order that takes effect when the board that passes has left; None if there is none."""
     cameras: tuple[CameraStatus, ...]
     all_cameras_ready: bool
     """Whether all cameras are connected. If False, the next board is filmed with gaps or not at all."""
@@ -345,7 +346,6 @@ class RunDetail(RunSummary):
     ended: str
     """Why the pulses ended: "clear" (the board has left), "max-rows" (more rows were due), …; "" while filming."""
     interruptions: tuple[Interruption, ...] = ()
-    """Interruptions of the light barrier during the run; empty if they are not known."""
     strays: int
     """Number of frames that could not be assigned to a pulse."""
     proof: TriggerProof | None = None
