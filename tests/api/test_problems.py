@@ -150,7 +150,8 @@ def test_a_body_that_is_not_an_object_is_refused(client: Any, body: str) -> None
 def test_a_second_arm_while_a_board_passes(client: Any, station: Any) -> None:
     client.post(f"{API}/station/arm?board_type=demo-board")
     station.state = StationState.FILMING
-    content = problem(client.post(f"{API}/station/arm?board_type=demo-board"), 409, "wrong-state")
+    answer = client.post(f"{API}/station/arm?board_type=demo-board&passing=refuse")
+    content = problem(answer, 409, "wrong-state")
     assert content["action"] == "Wait until it has left, then arm again."
 
 

@@ -10,6 +10,8 @@ from collections.abc import Mapping
 
 from fastapi import Request, Response
 
+from vaoi_station.errors import VaoiError
+
 # "private": results belong to one line; a shared proxy must not store them.
 IMMUTABLE = "private, max-age=31536000, immutable"
 REVALIDATE = "no-cache"
@@ -25,12 +27,54 @@ def conditional_response(
     headers: Mapping[str, str] | None = None,
 ) -> Response:
     """Return a reply with the content and its ETag, or 304 if the client already has the same bytes (If-None-Match)."""
-    # 32 hex digits are 128 bits of SHA-256: no accidental collision.
-    tag = f'"{hashlib.sha256(content).hexdigest()[:32]}"'
+    tag = tag_of(content)
     kept = {"ETag": tag, "Cache-Control": cache, "Vary": "Accept"}
-    if matches(request.headers.get("if-none-match"), tag):
+    # With a change, If-None-Match is a condition of the change, which `require_unchanged` has checked.
+    if request.method in ("GET", "HEAD") and matches(request.headers.get("if-none-match"), tag):
         return Response(status_code=304, headers=kept)
     return Response(content, media_type=media_type, headers={**kept, **(headers or {})})
+
+
+def tag_of(content: bytes) -> str:
+    """Return the ETag of a document."""
+    # 32 hex digits are 128 bits of SHA-256: no accidental collision.
+    return f'"{hashlib.sha256(content).hexdigest()[:32]}"'
+
+
+class ChangedError(VaoiError):
+    """What a caller wants to change is not what it has read."""
+
+    code = "changed"
+    status = 412
+
+
+def require_unchanged(request: Request, present: bytes | None, what: str) -> None:
+    """Raise ChangedError if a change is asked under a condition that does not hold (If-Match, If-None-Match).
+
+    Args:
+        request: the request for the change.
+        present: the document as it is now; None if there is none.
+        what: what is to be changed, for the message.
+    """
+    tag = None if present is None else tag_of(present)
+    if_match, if_none_match = request.headers.get("if-match"), request.headers.get("if-none-match")
+    if if_match is not None and (tag is None or not _named(if_match, tag)):
+        state = "does not exist any more" if tag is None else f"has changed since it was read; its ETag is {tag}"
+        raise ChangedError(
+            f"{what} {state}, but If-Match is {if_match!r:.80}; nothing was changed.",
+            action="Read it again, make the change to what is there now, and send it with the new ETag.",
+        )
+    if if_none_match is not None and tag is not None and matches(if_none_match, tag):
+        raise ChangedError(
+            f"{what} exists, but If-None-Match is {if_none_match!r:.80}; nothing was changed.",
+            action="Choose another name, or replace it without If-None-Match.",
+        )
+
+
+def _named(if_match: str, tag: str) -> bool:
+    # RFC 9110, section 13.1.1: If-Match uses the strong comparison, in which a weak tag never matches.
+    tags = [t.strip() for t in if_match.split(",")]
+    return "*" in tags or tag in tags
 
 
 def matches(if_none_match: str | None, tag: str) -> bool:

@@ -1,7 +1,8 @@
-"""The OpenAPI document that FastAPI generates, simplified for client generators.
+"""The OpenAPI document that FastAPI generates, made exact for people and simple for client generators.
 
-- An optional field has one type and is not required; replies never hold null for it.
-- Every operation declares its refusals as `application/problem+json`.
+- An optional field has one type and is not required; replies never hold null for it. Replies may get further fields.
+- Every operation declares its refusals as `application/problem+json`, each with its status code.
+- Answers have their headers, parameters and bodies examples, and every operation the scope that its key needs.
 """
 
 from __future__ import annotations
@@ -10,24 +11,53 @@ from typing import Any
 
 from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
+from pydantic import BaseModel
 
-from vaoi_station.api.problems import MEDIA_TYPE, Fault, Problem
+from vaoi_station.api.access.scopes import scope_needed
+from vaoi_station.api.callers.repeated_requests import HEADER
+from vaoi_station.api.description import headers, refusals, schemas
+from vaoi_station.api.description.examples import add_examples
+from vaoi_station.api.description.older import downgraded
+from vaoi_station.api.problems import Fault, Problem
+from vaoi_station.api.rest_models import Heartbeat
+from vaoi_station.runs.states.schemas import EventRecord
 
-NULL = {"type": "null"}
+STREAM = "text/event-stream"
+API = "/api/"
 DESCRIPTION = """\
 The station films a board while it passes. For each frame that shows a component it delivers one upright image.
 
 Unknown fields are left out. Lengths are in mm, angles in degrees counter-clockwise as seen on the board's top, times
 are RFC 3339 in UTC. Cameras, rows and views count from 0. Every refusal is a problem detail (RFC 9457) with a stable
-`code` and an `action` for the operator."""
+`code` and an `action` for the operator. Later versions may add fields to answers: ignore those that you do not know."""
+IDEMPOTENCY_KEY = {
+    "name": HEADER,
+    "in": "header",
+    "required": False,
+    "description": "A new text for each command, in quotes, and the same to repeat it: a command acts once, and its "
+    "reply is given again for an hour. 422: the key was sent with another command; 409: it is still under way.",
+    "schema": {"type": "string", "maxLength": 202},
+    "example": '"8e03978e-40d5-43e8-bc93-6894a57f9324"',
+}
+"""Parameter of every command."""
+EVENTS = {
+    "type": "string",
+    "title": "EventStream",
+    "description": "Server-sent events. `data` of a message is an EventRecord as JSON and its `id` the event's number; "
+    "`data` of an `event: heartbeat` is a Heartbeat.",
+    "example": "id: 30\ndata: {…}\n\n",
+}
+"""Schema of the event stream; its messages have the schemas EventRecord and Heartbeat."""
+OLDER_URL = "/api/v1/openapi-3.0.json"
+"""Address of the document in version 3.0."""
 
 
 def install(app: FastAPI) -> None:
-    """Make the application publish the simplified OpenAPI document."""
+    """Make the application publish the document, and the same in version 3.0 for older generators."""
 
     def document() -> dict[str, Any]:
         if app.openapi_schema is None:
-            app.openapi_schema = simplified(
+            app.openapi_schema = completed(
                 get_openapi(
                     title=app.title,
                     version=app.version,
@@ -40,57 +70,78 @@ def install(app: FastAPI) -> None:
 
     app.openapi = document  # type: ignore[method-assign]  # FastAPI's own way to extend the document
 
+    @app.get(OLDER_URL, include_in_schema=False)
+    async def older() -> dict[str, Any]:
+        return downgraded(document())
 
-def simplified(document: dict[str, Any]) -> dict[str, Any]:
-    """Simplify an OpenAPI document in place and return it: no null types, and `Problem` instead of FastAPI's errors."""
-    schemas = document.setdefault("components", {}).setdefault("schemas", {})
+
+def completed(document: dict[str, Any]) -> dict[str, Any]:
+    """Complete and simplify the document that FastAPI generates, in place, and return it."""
+    known = document.setdefault("components", {}).setdefault("schemas", {})
     for name in ("HTTPValidationError", "ValidationError"):
-        schemas.pop(name, None)
-    for model in (Fault, Problem):
-        schemas[model.__name__] = model.model_json_schema(ref_template="#/components/schemas/{model}")
-        schemas[model.__name__].pop("$defs", None)
-    for schema in schemas.values():
-        _optional_not_null(schema)
-        _plain_lists(schema)
-    refusal = {"description": "Refused.", "content": {MEDIA_TYPE: {"schema": {"$ref": "#/components/schemas/Problem"}}}}
-    for operations in document["paths"].values():
-        for operation in operations.values():
-            operation["responses"].pop("422", None)
-            operation["responses"]["default"] = refusal
-            for parameter in operation.get("parameters", []):
-                parameter["schema"] = _not_null(parameter["schema"])
-    document["components"]["schemas"] = dict(sorted(schemas.items()))
+        known.pop(name, None)
+    for model in (Fault, Problem, EventRecord, Heartbeat):
+        known[model.__name__] = _schema_of(model)
+    known["EventStream"] = EVENTS
+    for schema in known.values():
+        schemas.optional_not_null(schema)
+        schemas.simplify(schema)
+    for path, operations in document["paths"].items():
+        for method, operation in operations.items():
+            _complete(method, path, operation)
+    asked = [o["requestBody"] for operations in document["paths"].values() for o in operations.values() if _asks(o)]
+    schemas.open_answers(known, schemas.used_by(known, asked))
+    answers = refusals.answers()
+    for status, name in refusals.NAMES.items():
+        answers[name]["headers"] = headers.of_refusal(status)
+    document["components"] |= {
+        "schemas": dict(sorted(known.items())),
+        "responses": answers,
+        "headers": headers.HEADERS,
+        "securitySchemes": {"key": {"type": "http", "scheme": "bearer", "description": "A key of `vaoi keys create`."}},
+    }
+    document["servers"] = [{"url": "/", "description": "The station that serves this document."}]
+    # The empty entry: on the station's own machine no key is needed, unless `api.open_loopback` is false.
+    document["security"] = [{}, {"key": []}]
     return document
 
 
-def _optional_not_null(schema: dict[str, Any]) -> None:
-    """Change the fields of an object schema that may be null to optional fields that are never null."""
-    for name, field in schema.get("properties", {}).items():
-        if (schema.get("title"), name) == ("Matrices", "cad_matrix"):
-            # The result file uses null here for "no CAD matrix", so clients must expect it.
-            continue
-        plain = _not_null(field)
-        if plain is not field:
-            schema["properties"][name] = plain
-            if name in schema.get("required", []):
-                schema["required"].remove(name)
+def _complete(method: str, path: str, operation: dict[str, Any]) -> None:
+    """Complete one operation: its refusals, headers, examples and scope."""
+    answers = operation["responses"]
+    answers.pop("422", None)
+    for answer in answers.values():
+        if STREAM in answer.get("content", {}):
+            answer["content"] = {STREAM: {"schema": {"$ref": "#/components/schemas/EventStream"}}}
+        for content in answer.get("content", {}).values():
+            schemas.simplify(content.get("schema", {}))
+    if "parameters" in operation:
+        operation["parameters"] = schemas.sent_parameters(operation["parameters"])
+    if method != "get":
+        operation.setdefault("parameters", []).append(IDEMPOTENCY_KEY)
+    for status, answer in list(answers.items()):
+        answer["headers"] = headers.of_answer(method, operation, status, answer)
+    if method == "get" and operation["operationId"] in headers.CONDITIONAL:
+        answers["304"] = {**headers.UNCHANGED, "headers": headers.of_answer(method, operation, "304", {})}
+    if not path.startswith(API):
+        # The health addresses give the same document with 503; refusals of their requests come as everywhere.
+        answers["503"] = {**answers["200"], "description": "Not able, and why."}
+    add_examples(operation)
+    for status in refusals.statuses(method, path, operation):
+        answers.setdefault(str(status), refusals.reference(status))
+    operation["responses"] = dict(sorted(answers.items()))
+    scope = scope_needed(method.upper(), path)
+    if scope is None:
+        operation["security"] = []
+    else:
+        operation["x-scope"] = scope
 
 
-def _plain_lists(schema: Any) -> None:
-    """Describe tuples whose items all have one type as lists of fixed length, in the whole schema."""
-    # `prefixItems` is JSON Schema 2020-12; generators for older OpenAPI versions ignore it.
-    for part in schema.values() if isinstance(schema, dict) else schema if isinstance(schema, list) else ():
-        _plain_lists(part)
-    if isinstance(schema, dict) and (kinds := schema.get("prefixItems")) and all(k == kinds[0] for k in kinds):
-        del schema["prefixItems"]
-        schema["items"] = kinds[0]
+def _asks(operation: dict[str, Any]) -> bool:
+    return "requestBody" in operation
 
 
-def _not_null(schema: dict[str, Any]) -> dict[str, Any]:
-    """Return the schema of X for a schema of "X or null". Return any other schema unchanged."""
-    choices = schema.get("anyOf", [])
-    if NULL not in choices:
-        return schema
-    rest = [c for c in choices if c != NULL]
-    kept = {k: v for k, v in schema.items() if k not in ("anyOf", "default") or (k == "default" and v is not None)}
-    return {**kept, **(rest[0] if len(rest) == 1 else {"anyOf": rest})}
+def _schema_of(model: type[BaseModel]) -> dict[str, Any]:
+    schema = model.model_json_schema(ref_template="#/components/schemas/{model}")
+    schema.pop("$defs", None)
+    return schema

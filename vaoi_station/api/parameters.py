@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cache
 from typing import Annotated
 
-from fastapi import FastAPI, Path, Query, Request
+from fastapi import FastAPI, Header, Path, Query, Request
 from fastapi.routing import APIRoute
 
 from vaoi_station.errors import InputError
@@ -49,6 +49,13 @@ MinCoverage = Annotated[
 FormatName = Annotated[
     str | None,
     Query(description="png, jpeg, tiff, npy or raw; has precedence over Accept.", max_length=20),
+]
+IfMatch = Annotated[
+    str | None,
+    Header(alias="If-Match", description="ETag of what the caller has read; else 412.", max_length=500),
+]
+IfNoneMatch = Annotated[
+    str | None, Header(alias="If-None-Match", description="`*`: only if there is none; else 412.", max_length=500)
 ]
 TimeoutS = Annotated[float, Query(description="Maximum wait, s.", alias="timeout", ge=0, le=60, allow_inf_nan=False)]
 

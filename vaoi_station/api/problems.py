@@ -82,6 +82,7 @@ KINDS: dict[str, tuple[int, str, str]] = {
         "Frames no longer in memory",
         "Fetch images sooner, hold or pin the run, or increase [ring] runs in station.toml.",
     ),
+    "changed": (412, "Changed meanwhile", "Read it again, then make the change to what is there now."),
     "too-large": (413, "Request too large", "Send a smaller body; the detail names the limit."),
     "range-not-satisfiable": (416, "No such bytes", "Ask for a range within the size that Content-Range states."),
     "internal": (
@@ -99,6 +100,7 @@ _KIND_OF_STATUS = {
     404: "not-found",
     409: "wrong-state",
     410: "gone",
+    412: "changed",
     422: "invalid-input",
     503: "busy",
     500: "internal",

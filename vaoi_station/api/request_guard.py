@@ -11,6 +11,7 @@
   page's Origin, so commands from other origins are refused; programs send no Origin.
 - The same holds for reading: an image on a page of another site could make the station render pictures. Browsers state
   in Sec-Fetch-Site where a request comes from. Only a link that a person follows is accepted.
+- A command that is repeated with the same Idempotency-Key acts once (`callers/repeated_requests.py`).
 - Replies are passed to the connection in pieces, so that a reply that is not read takes little memory.
 - Pages may load nothing from other sites (Content-Security-Policy).
 """
@@ -22,6 +23,8 @@ import json
 import re
 import time
 from contextlib import ExitStack
+from functools import partial
+from http import HTTPStatus
 
 import anyio
 from starlette.datastructures import Headers, MutableHeaders
@@ -30,6 +33,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from vaoi_station.api.access.access_control import AccessControl
 from vaoi_station.api.callers.caller import caller_in, set_caller
+from vaoi_station.api.callers.repeated_requests import RepeatedRequests
 from vaoi_station.api.callers.seats import Seats
 from vaoi_station.api.event_hub import ThreadLimit
 from vaoi_station.api.hosts import addressed, allowed_names
@@ -92,6 +96,7 @@ class RequestGuard:
         self._max_body_bytes, self._body_limit_s = max_body_bytes, body_limit_s
         self._bodies = Seats("bytes of requests in memory", BODIES, BODIES_OF_CALLER)
         self._parsing = ThreadLimit(1)
+        self._repeated = RepeatedRequests()
         self._access = access
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -109,6 +114,10 @@ class RequestGuard:
                 headers = MutableHeaders(scope=message)
                 for name, value in SAFETY.items():
                     headers[name] = value
+                # What no route has said about caches holds for no other moment.
+                headers.setdefault("Cache-Control", "no-store")
+                if message["status"] == HTTPStatus.NO_CONTENT:
+                    del headers["Content-Type"]
             await send(message)
 
         set_caller(scope)
@@ -176,10 +185,10 @@ class RequestGuard:
                     await answer(scope, receive, send)
                     return
             body = await self._body(scope, receive, limit)
-            if isinstance(body, bytes):
-                await self._app(_as_json(scope), _replay(body, receive), send)
-            else:
+            if not isinstance(body, bytes):
                 await body(scope, receive, send)
+                return
+            await self._repeated.serve(scope, body, partial(self._app, _as_json(scope), _replay(body, receive)), send)
 
     def _refusal(self, scope: Scope) -> Response | None:
         """Return a refusal if the request's host or origin is not permitted, else None. The body is not read."""

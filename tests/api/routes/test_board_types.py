@@ -43,6 +43,30 @@ def test_an_unchanged_board_type_gives_304(client: Any) -> None:
     assert client.get(f"{TYPES}/new", headers={"if-none-match": tag}).status_code == 200
 
 
+def test_of_two_who_edit_a_board_type_the_second_learns_that_it_has_changed(client: Any) -> None:
+    read = client.put(f"{TYPES}/new", json=NEW).headers["etag"]
+    mine = client.put(f"{TYPES}/new", json=NEW | {"side": "bottom"}, headers={"If-Match": read})
+    assert mine.status_code == 200
+    for change in (
+        client.put(f"{TYPES}/new", json=NEW, headers={"If-Match": read}),
+        client.delete(f"{TYPES}/new", headers={"If-Match": read}),
+        client.post(f"{TYPES}/new/revisions/20260101T120000000Z-00000000/restore", headers={"If-Match": read}),
+        client.put(f"{TYPES}/new", json=NEW, headers={"If-None-Match": "*"}),
+    ):
+        assert (change.status_code, change.json()["code"]) == (412, "changed")
+    assert client.get(f"{TYPES}/new").json()["side"] == "bottom"
+    assert client.delete(f"{TYPES}/new", headers={"If-Match": mine.headers["etag"]}).status_code == 204
+
+
+def test_a_board_type_stored_twice_with_one_key_has_one_version(client: Any) -> None:
+    client.put(f"{TYPES}/new", json=NEW)
+    for _ in range(2):
+        again = client.put(f"{TYPES}/new", json=NEW | {"side": "bottom"}, headers={"Idempotency-Key": '"k"'})
+        assert (again.status_code, again.json()["side"]) == (200, "bottom")
+    assert again.headers["idempotency-replayed"] == "true"
+    assert len(client.get(f"{TYPES}/new/revisions").json()["revisions"]) == 1
+
+
 @pytest.mark.parametrize("name", ["Größe 1", "a+b (c)", "100%", "x&y=z", "Ω"])
 def test_names_with_any_letters_are_accepted(client: Any, name: str) -> None:
     address = f"{TYPES}/{quote(name)}"

@@ -27,6 +27,18 @@ def test_a_reference_is_set_read_and_deleted(client: Any, station: Any) -> None:
     assert client.delete(f"{TYPE}/reference").json()["code"] == "no-reference"
 
 
+def test_a_method_is_changed_only_if_it_is_the_one_that_was_read(client: Any) -> None:
+    read = client.get(f"{TYPE}/method").headers["etag"]
+    first = client.put(f"{TYPE}/method", json={"method": "features"}, headers={"If-Match": read})
+    assert first.headers["etag"] == client.get(f"{TYPE}/method").headers["etag"] != read
+    for answer in (
+        client.put(f"{TYPE}/method", json={"method": "fiducials"}, headers={"If-Match": read}),
+        client.delete(f"{TYPE}/method", headers={"If-Match": read}),
+    ):
+        assert (answer.status_code, answer.json()["code"]) == (412, "changed")
+    assert client.get(f"{TYPE}/method").json()["method"] == "features"
+
+
 def test_unsuitable_runs_are_refused_as_reference(client: Any, station: Any) -> None:
     def refused(**body: Any) -> tuple[int, str]:
         answer = client.put(f"{TYPE}/reference", json=body)

@@ -6,7 +6,9 @@ import re
 
 from vaoi_station.files.access_keys import Scope
 
-PUBLIC = re.compile(r"/|/docs|/favicon\.ico|/(web|problems)/.*|/healthz|/readyz|/api/v1/(openapi\.json|session)")
+PUBLIC = re.compile(
+    r"/|/docs|/favicon\.ico|/(web|problems)/.*|/healthz|/readyz|/api/v1/(openapi(-3\.0)?\.json|session)"
+)
 """Addresses that need no key: the page itself, documentation, health for process supervisors, and the login."""
 _ADMIN = re.compile(r"/api/v1/(keys|audit)(/.*)?")
 _COMMANDS: tuple[tuple[re.Pattern[str], Scope], ...] = (

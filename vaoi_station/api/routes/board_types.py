@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 from urllib.parse import quote
 
@@ -10,11 +11,11 @@ from fastapi.exceptions import RequestValidationError
 from pydantic import ValidationError
 
 from vaoi_station.api.event_hub import ThreadLimit
-from vaoi_station.api.http_caching import LIVE, REVALIDATE, conditional_response
-from vaoi_station.api.parameters import BoardTypeName, Revision
+from vaoi_station.api.http_caching import LIVE, REVALIDATE, conditional_response, require_unchanged
+from vaoi_station.api.parameters import BoardTypeName, IfMatch, IfNoneMatch, Revision
 from vaoi_station.api.rest_models import BoardTypeList, BoardTypeVersions
 from vaoi_station.api.routes.services import Services
-from vaoi_station.errors import InputError
+from vaoi_station.errors import InputError, VaoiError
 from vaoi_station.model import BoardType
 
 BODY = {
@@ -32,6 +33,15 @@ def router(services: Services) -> APIRouter:
     coordinator, ask = services.coordinator, services.commands.ask
     # Only one is parsed at a time, because parsing holds the interpreter's lock.
     parsing = ThreadLimit(1)
+    # Between the check of If-Match and the change no other caller may change the board type.
+    changing = asyncio.Lock()
+
+    async def present(name: str) -> bytes | None:
+        """Return the document of a board type as it is now; None if there is none, or none that can be used."""
+        try:
+            return _document(await ask(coordinator.board_type, name))
+        except VaoiError:
+            return None
 
     @routes.get("", response_model_exclude_none=True)
     async def list_board_types(response: Response) -> BoardTypeList:
@@ -52,12 +62,14 @@ def router(services: Services) -> APIRouter:
         responses={201: {"model": BoardType, "description": "New."}},
         openapi_extra=BODY,
     )
-    async def put_board_type(request: Request, name: BoardTypeName) -> Response:
+    async def put_board_type(
+        request: Request, name: BoardTypeName, _: IfMatch = None, __: IfNoneMatch = None
+    ) -> Response:
         """Store a board type, or replace it; the version before can be restored.
 
-        Finished runs keep the version they were filmed with.
-
-        An armed line keeps its version as well; the new one applies from the next arming on.
+        Finished runs keep the version they were filmed with, and an armed line keeps its version as well; the new one
+        applies from the next arming on. With `If-Match: ETAG` it replaces only the version that the caller has read,
+        with `If-None-Match: *` none: else 412 `changed`.
         """
         # The board type is not a parameter of the route: FastAPI would check its contents in the event loop, which
         # takes long.
@@ -65,7 +77,9 @@ def router(services: Services) -> APIRouter:
         if board_type.name != name:
             raise InputError.field("body", "name", board_type.name, f"{name!r}, as in the address")
         content = _document(board_type)
-        new = await ask(coordinator.put_board_type, board_type)
+        async with changing:
+            require_unchanged(request, await present(name), f"Board type {name!r}")
+            new = await ask(coordinator.put_board_type, board_type)
         answer = conditional_response(request, content, "application/json", cache=REVALIDATE)
         if new:
             answer.status_code = 201
@@ -73,9 +87,14 @@ def router(services: Services) -> APIRouter:
         return answer
 
     @routes.delete("/{name}", status_code=204)
-    async def delete_board_type(name: BoardTypeName) -> None:
-        """Delete a board type, of which a version is kept. Refused with 409 while the station is armed with it."""
-        await ask(coordinator.delete_board_type, name)
+    async def delete_board_type(request: Request, name: BoardTypeName, _: IfMatch = None) -> None:
+        """Delete a board type, of which a version is kept. Refused with 409 while the station is armed with it.
+
+        With `If-Match: ETAG` only the version that the caller has read: else 412 `changed`.
+        """
+        async with changing:
+            require_unchanged(request, await present(name), f"Board type {name!r}")
+            await ask(coordinator.delete_board_type, name)
 
     @routes.get("/{name}/revisions")
     async def list_revisions(response: Response, name: BoardTypeName) -> BoardTypeVersions:
@@ -90,12 +109,16 @@ def router(services: Services) -> APIRouter:
         return Response(content, media_type="application/json", headers={"Cache-Control": LIVE})
 
     @routes.post("/{name}/revisions/{revision}/restore", response_model=BoardType)
-    async def restore_revision(name: BoardTypeName, revision: Revision) -> Response:
+    async def restore_revision(
+        request: Request, name: BoardTypeName, revision: Revision, _: IfMatch = None
+    ) -> Response:
         """Put a version in force again, from the next arming on. The present one becomes a version itself.
 
         The reference and the method of a board type that was deleted have to be set again.
         """
-        content = _document(await ask(coordinator.board_type_history.restore, name, revision))
+        async with changing:
+            require_unchanged(request, await present(name), f"Board type {name!r}")
+            content = _document(await ask(coordinator.board_type_history.restore, name, revision))
         return Response(content, media_type="application/json", headers={"Cache-Control": LIVE})
 
     return routes

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 from functools import partial
 from urllib.parse import quote
 
 from fastapi import APIRouter, Request, Response
 
-from vaoi_station.api.http_caching import LIVE
-from vaoi_station.api.parameters import BoardTypeName
+from vaoi_station.api.http_caching import LIVE, require_unchanged, tag_of
+from vaoi_station.api.parameters import BoardTypeName, IfMatch
 from vaoi_station.api.rest_models import MethodRequest, TeachRequest
 from vaoi_station.api.routes.services import Services
 from vaoi_station.runs.states.schemas import ReferenceStatus, StitchingMethod
@@ -18,6 +19,8 @@ def router(services: Services) -> APIRouter:
     """Create the routes for references and methods. A change applies from the next arming on."""
     routes = APIRouter(prefix="/board-types/{name}", tags=["board types"])
     coordinator, ask = services.coordinator, services.commands.ask
+    # Between the check of If-Match and the change no other caller may change the setting.
+    changing = asyncio.Lock()
 
     @routes.get("/reference", response_model_exclude_none=True)
     async def get_reference(response: Response, name: BoardTypeName) -> ReferenceStatus:
@@ -55,18 +58,39 @@ def router(services: Services) -> APIRouter:
     async def get_method(response: Response, name: BoardTypeName) -> StitchingMethod:
         """Return the stitching method of the board type: the one that was set for it, else the station's default."""
         response.headers["Cache-Control"] = LIVE
-        return await ask(coordinator.method, name)
+        return _tagged(response, await ask(coordinator.method, name))
 
     @routes.put("/method", response_model_exclude_none=True)
-    async def set_method(response: Response, name: BoardTypeName, wanted: MethodRequest) -> StitchingMethod:
-        """Set the stitching method of the board type, from the next arming on."""
+    async def set_method(
+        request: Request, response: Response, name: BoardTypeName, wanted: MethodRequest, _: IfMatch = None
+    ) -> StitchingMethod:
+        """Set the stitching method of the board type, from the next arming on.
+
+        With `If-Match: ETAG` only if it is still the one that the caller has read: else 412 `changed`.
+        """
         response.headers["Cache-Control"] = LIVE
-        return await ask(coordinator.set_method, name, wanted.method)
+        async with changing:
+            require_unchanged(request, _content(await ask(coordinator.method, name)), f"The method of {name!r}")
+            return _tagged(response, await ask(coordinator.set_method, name, wanted.method))
 
     @routes.delete("/method", response_model_exclude_none=True)
-    async def forget_method(response: Response, name: BoardTypeName) -> StitchingMethod:
+    async def forget_method(
+        request: Request, response: Response, name: BoardTypeName, _: IfMatch = None
+    ) -> StitchingMethod:
         """Delete the method that was set for the board type. The default (`method` of station.toml) then applies."""
         response.headers["Cache-Control"] = LIVE
-        return await ask(coordinator.set_method, name, None)
+        async with changing:
+            require_unchanged(request, _content(await ask(coordinator.method, name)), f"The method of {name!r}")
+            return _tagged(response, await ask(coordinator.set_method, name, None))
 
     return routes
+
+
+def _content(method: StitchingMethod) -> bytes:
+    return method.model_dump_json().encode()
+
+
+def _tagged(response: Response, method: StitchingMethod) -> StitchingMethod:
+    """Add the ETag of a method to its reply, and return the method."""
+    response.headers["ETag"] = tag_of(_content(method))
+    return method
