@@ -33,7 +33,7 @@ class Service:
 
     async def asked(self, *keys: str, body: bytes = b"", caller: Caller | None = None, **more: Any) -> tuple[int, str]:
         headers = [(b"idempotency-key", key.encode("latin-1")) for key in keys]
-        headers += [(name.encode(), value.encode()) for name, value in more.pop("headers", {}).items()]
+        headers += [(name.lower().encode(), value.encode()) for name, value in more.pop("headers", {}).items()]
         scope = {"type": "http", "method": "POST", "path": "/arm", "query_string": b"", "headers": headers, **more}
         set_caller(scope, caller or Caller("192.0.2.1"))
         sent: list[Message] = []
