@@ -56,10 +56,8 @@ def service() -> Service:
 
 
 def test_a_command_acts_once_and_its_reply_is_given_again(service: Service) -> None:
-    assert service.ask(KEY) == (200, "1")
-    assert not service.replayed
-    assert service.ask(KEY) == (200, "1")
-    assert service.replayed
+    assert (service.ask(KEY), service.replayed) == ((200, "1"), False)
+    assert (service.ask(KEY), service.replayed) == ((200, "1"), True)
     assert service.ask("8e03978e") == (200, "1"), "the same key without quotes"
     assert service.ask('"another"') == (200, "2")
     assert service.ask() == (200, "3"), "without a key every command acts"

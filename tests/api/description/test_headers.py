@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from vaoi_station.api.description.headers import HEADERS, of_answer, of_refusal
 
 
 def test_headers_of_answers_and_refusals() -> None:
-    image = {"content": {"image/png": {}, "application/x-npy": {}}}
+    image: dict[str, Any] = {"content": {"image/png": {}, "application/x-npy": {}}}
     assert {"ETag", "X-Image-Stride"} <= of_answer("get", {"operationId": "get_component_image"}, "200", image).keys()
     assert "X-Frame-Verdict" in of_answer("get", {"operationId": "get_frame"}, "200", image)
     assert "Location" in of_answer("put", {"operationId": "put_board_type"}, "201", {})

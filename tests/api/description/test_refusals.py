@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from vaoi_station.api.description.refusals import NAMES, answers, reference, statuses
 from vaoi_station.api.problems import KINDS
 
-JSON = {"responses": {"200": {"content": {"application/json": {}}}}}
+JSON: dict[str, Any] = {"responses": {"200": {"content": {"application/json": {}}}}}
 
 
 def test_every_kind_of_refusal_but_a_wrong_method_or_address_has_a_name_and_an_example() -> None:
@@ -23,7 +25,7 @@ def test_refusals_follow_from_method_path_and_answers() -> None:
     assert statuses("get", "/api/v1/station", JSON) == [400, 401, 403, 421, 422, 500, 503]
     command = statuses("post", "/api/v1/runs/{run}/release", JSON)
     assert {404, 408, 409, 410, 413} <= set(command)
-    picture = {"responses": {"200": {"content": {"image/png": {}, "application/x-npy": {}}}}}
+    picture: dict[str, Any] = {"responses": {"200": {"content": {"image/png": {}, "application/x-npy": {}}}}}
     assert 406 in statuses("get", "/api/v1/runs/{run}/frames/{camera}/{row}", picture)
     guarded = {**JSON, "parameters": [{"name": "If-Match"}]}
     assert 412 in statuses("put", "/api/v1/board-types/{name}", guarded)
