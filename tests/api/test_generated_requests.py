@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import quote
 
+import httpx2
 import pytest
 from fastapi.testclient import TestClient
 
@@ -63,7 +64,23 @@ HEADERS: dict[str, tuple[str, ...]] = {
     "Range": ("bytes=0-10", "bytes=9-1", "x"),
     "Sec-Fetch-Site": ("same-origin", "cross-site"),
 }
-JSON_PARTS = (None, True, 0, -1, 1e308, "", "x", "demo-board", [], {}, [[]], {"a": {}}, "r000001", ["read"], ["admin"])
+JSON_PARTS: tuple[Any, ...] = (
+    None,
+    True,
+    0,
+    -1,
+    1e308,
+    "",
+    "x",
+    "demo-board",
+    [],
+    {},
+    [[]],
+    {"a": {}},
+    "r000001",
+    ["read"],
+    ["admin"],
+)
 
 
 class Asked(NamedTuple):
@@ -146,7 +163,9 @@ def test_every_answer_is_one_that_the_document_states(service: tuple[TestClient,
         operation, asked = requests.next()
         if count % 3 == 0:
             asked.headers["Authorization"] = f"Bearer {secret}"
-        answer = client.request(asked.method, asked.path, params=asked.query, headers=asked.headers, content=asked.body)
+        answer = client.request(
+            asked.method, asked.path, params=httpx2.QueryParams(asked.query), headers=asked.headers, content=asked.body
+        )
         fault = wrong_with(answer, operation, document, exact=asked.exact)
         assert not fault, f"request {count}: {asked}: {answer.status_code} {fault}: {answer.text[:300]}"
 

@@ -90,6 +90,12 @@ def test_region_as_a_file(client: Any, board: Any) -> None:
     answer = client.get(board["tiff"], params={"x0": 10, "y0": 10, "x1": 30, "y1": 20, "px_per_mm": 4})
     assert re.search(r'filename=".*board\.tif"', answer.headers["content-disposition"])
     assert tifffile.imread(io.BytesIO(answer.content)).shape == (40, 80)
+    # A part of the file, and headers that name none: the whole file then, not a refusal in plain text.
+    size = {"x0": 10, "y0": 10, "x1": 30, "y1": 20, "px_per_mm": 4}
+    part = client.get(board["tiff"], params=size, headers={"Range": "bytes=0-3"})
+    assert (part.status_code, part.content) == (206, answer.content[:4])
+    for range_ in ("bytes=9-1", "x", "bytes=99999999-"):
+        assert client.get(board["tiff"], params=size, headers={"Range": range_}).status_code == 200, range_
 
 
 def test_one_caller_has_one_file_made_at_a_time(

@@ -50,7 +50,7 @@ def statuses(method: str, path: str, operation: dict[str, Any]) -> list[int]:
     kinds = [kind for answer in operation["responses"].values() for kind in answer.get("content", {})]
     if "application/x-npy" in kinds:
         found.add(406)
-    if "image/tiff" in kinds and len(kinds) == 1:
+    if "206" in operation["responses"] and "application/x-npy" in kinds:
         found.add(416)
     if any(parameter["name"] == "If-Match" for parameter in operation.get("parameters", ())):
         found.add(412)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tempfile
 from pathlib import Path as File
 from typing import Annotated, Any, Literal
@@ -10,6 +11,8 @@ from urllib.parse import quote
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
 from fastapi.responses import FileResponse
 from starlette.background import BackgroundTask
+from starlette.datastructures import Headers
+from starlette.types import Receive, Scope, Send
 
 from vaoi_station.api.callers.picture_seats import FileSeats
 from vaoi_station.api.http_caching import IMMUTABLE, conditional_response
@@ -48,7 +51,11 @@ FILE: dict[int | str, dict[str, Any]] = {
     200: {
         "description": "A tiled, pyramidal TIFF.",
         "content": {"image/tiff": {"schema": {"type": "string", "format": "binary"}}},
-    }
+    },
+    206: {
+        "description": "The bytes of the header Range.",
+        "content": {"image/tiff": {"schema": {"type": "string", "format": "binary"}}},
+    },
 }
 DZI: dict[int | str, dict[str, Any]] = {
     200: {"description": "The .dzi file.", "content": {"application/xml": {"schema": {"type": "string"}}}}
@@ -56,6 +63,22 @@ DZI: dict[int | str, dict[str, Any]] = {
 IIIF: dict[int | str, dict[str, Any]] = {
     200: {"description": "The info.json.", "content": {"application/json": {"schema": {"type": "object"}}}}
 }
+
+
+_RANGE = re.compile(r"bytes=(\d{1,15})-(\d{0,15})")
+
+
+class MosaicFile(FileResponse):
+    """The file of a mosaic, or one range of its bytes. Any other header Range is ignored, as RFC 9110 permits."""
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Send the file."""
+        # Starlette refuses a range that it cannot read, or that is beyond the end, in plain text.
+        asked = _RANGE.fullmatch(Headers(scope=scope).get("range", ""))
+        size = File(self.path).stat().st_size
+        if asked is None or not int(asked[1]) <= int(asked[2] or size) or int(asked[1]) >= size:
+            scope = {**scope, "headers": [(name, value) for name, value in scope["headers"] if name != b"range"]}
+        await super().__call__(scope, receive, send)
 
 
 def router(services: Services) -> APIRouter:
@@ -178,7 +201,7 @@ def router(services: Services) -> APIRouter:
             float | None, Query(description="Resolution; default: that of the cameras.", ge=0.1, le=500)
         ] = None,
     ) -> Response:
-        """Return a mosaic, or a region of it, as one file, at most 64 megapixels."""
+        """Return a mosaic, or a region of it, as one file, at most 64 megapixels. The header Range selects bytes."""
         name, download = parse_name(picture), _download((x0, y0, x1, y1), px_per_mm)
         # Not /tmp, which is memory on Debian 13: the file may be larger than a gigabyte.
         folder = tempfile.TemporaryDirectory(prefix="vaoi-mosaic-", dir=LARGE_FILES if LARGE_FILES.is_dir() else None)
@@ -188,7 +211,7 @@ def router(services: Services) -> APIRouter:
         except BaseException:  # also if the caller has gone: the folder must not stay
             folder.cleanup()
             raise
-        return FileResponse(
+        return MosaicFile(
             path,
             media_type="image/tiff",
             filename=f"{run}-{name}.tif",
