@@ -135,7 +135,10 @@ class Requests:
     def _body(self, operation: dict[str, Any]) -> bytes:
         if "requestBody" not in operation or self._random.random() < 0.1:
             return self._random.choice((b"", b"", b"{", b"[]", b"\xff", b"{}", b'{"a":1,"a":2}'))
-        document = json.loads(json.dumps(operation["requestBody"]["content"]["application/json"]["example"]))
+        [content] = operation["requestBody"]["content"].values()
+        if "example" not in content:
+            return self._random.randbytes(20)
+        document = json.loads(json.dumps(content["example"]))
         while self._random.random() < 0.5:
             document[self._random.choice([*document, "more"])] = self._random.choice(JSON_PARTS)
         return json.dumps(document).encode()

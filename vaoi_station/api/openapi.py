@@ -117,7 +117,8 @@ def _complete(method: str, path: str, operation: dict[str, Any]) -> None:
             schemas.simplify(content.get("schema", {}))
     if "parameters" in operation:
         operation["parameters"] = schemas.sent_parameters(operation["parameters"])
-    if method != "get":
+    streamed = "application/octet-stream" in operation.get("requestBody", {}).get("content", {})
+    if method != "get" and not streamed:
         operation.setdefault("parameters", []).append(IDEMPOTENCY_KEY)
     for status, answer in list(answers.items()):
         answer["headers"] = headers.of_answer(method, operation, status, answer)
