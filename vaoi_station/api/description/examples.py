@@ -22,8 +22,10 @@ def add_examples(operation: dict[str, Any]) -> None:
     known, name = examples(), operation["operationId"]
     for parameter in operation.get("parameters", ()):
         for key in (parameter["name"], f"{name}.{parameter['name']}"):
-            if key in known["parameters"]:
-                parameter["example"] = known["parameters"][key]
+            value = known["parameters"].get(key)
+            # A general example is not one where the name has its own few values.
+            if value is not None and value in parameter.get("schema", {}).get("enum", [value]):
+                parameter["example"] = value
     for kind in operation.get("requestBody", {}).get("content", {}).values():
         if name in known["bodies"]:
             kind["example"] = known["bodies"][name]
