@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from pathlib import Path
 
@@ -58,6 +59,25 @@ def test_recordings_are_included_on_request(site: Site, tmp_path: Path) -> None:
     back_up(site.config, tmp_path / "backup", recordings=True)
     config = restore(tmp_path / "backup", tmp_path / "b" / "station.toml")
     assert (config.data / "recordings" / site.degraded / "recording.json").is_file()
+
+
+def test_only_the_service_reads_what_the_administrator_restores(
+    site: Site, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (site.rig.config.data / "keys.json").write_text("{}")
+    back_up(site.config, tmp_path / "backup")
+    place = tmp_path / "b"
+    (place / "board-types").mkdir(parents=True)
+    given: dict[Path, tuple[int, int]] = {}
+    monkeypatch.setattr(os, "geteuid", lambda: 0)
+    monkeypatch.setattr(os, "chown", lambda path, uid, gid: given.update({Path(path): (uid, gid)}))
+    data = restore(tmp_path / "backup", place / "station.toml").data
+    assert data.stat().st_mode & 0o007 == 0
+    assert (data / "station.db").stat().st_mode & 0o007 == 0
+    assert (data / "keys.json").stat().st_mode & 0o777 == 0o600
+    owner = place.stat()
+    assert set(given.values()) == {(owner.st_uid, owner.st_gid)}, "the owner of the place"
+    assert {"data", "keys.json", "small.json", "calibration.json"} <= {path.name for path in given}
 
 
 def test_prepared_empty_folders_are_filled(site: Site, tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import filecmp
+import os
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -11,6 +12,7 @@ from pathlib import Path
 
 from vaoi_station.config import StationConfig, read_config
 from vaoi_station.errors import InputError
+from vaoi_station.files.access_keys import KEY_FILE
 from vaoi_station.files.atomic_directory import refuse_existing
 from vaoi_station.runs.archive.recordings import DIRECTORY as RECORDINGS
 from vaoi_station.runs.states.run_ids import utc
@@ -73,6 +75,7 @@ def restore(package: Path, config_path: Path) -> StationConfig:
         config = read_config(unpacked / CONFIG)
         # A file that exists already, such as a scenario of the package, is no problem.
         moves = [m for m in _moves(unpacked, config, config_path.resolve().parent) if not _same_file(*m)]
+        _make_private(unpacked / ".parts" / DATA)
         for _, target in moves:
             _refuse_content(target)
         for source, target in moves:
@@ -135,13 +138,26 @@ def _moves(unpacked: Path, config: StationConfig, base: Path) -> list[tuple[Path
 def _move(source: Path, target: Path) -> None:
     """Move a file or folder.
 
-    If the target is an empty folder, it keeps its owner and mode, and receives the content.
+    If the target is an empty folder, it keeps its owner and mode, and receives the content. The administrator, who may
+    write everywhere, gives it to the owner of the place: the service must be able to use its data.
     """
     target.parent.mkdir(parents=True, exist_ok=True)
+    if os.geteuid() == 0:
+        owner = (target if target.is_dir() else target.parent).stat()
+        for path in (source, *source.rglob("*")):
+            os.chown(path, owner.st_uid, owner.st_gid)
     for part in source.iterdir() if target.is_dir() else ():
         shutil.move(part, target / part.name)
     if not target.exists():
         shutil.move(source, target)
+
+
+def _make_private(data: Path) -> None:
+    """Let only the owner and group of the data read them, and only the owner the keys, as the service itself does."""
+    for path in (data, *data.rglob("*")):
+        path.chmod(path.stat().st_mode & 0o770)
+    if (data / KEY_FILE).is_file():
+        (data / KEY_FILE).chmod(0o600)
 
 
 def _same_file(source: Path, target: Path) -> bool:
