@@ -17,6 +17,7 @@ from typing import Any
 import httpx2
 import pytest
 
+from tests.api.held.unpacked import documents, unpacked
 from tests.processes import ends_within
 from vaoi_station.config import StationConfig
 
@@ -115,6 +116,11 @@ def test_a_board_passes_and_the_service_ends_in_order(service: Service, tmp_path
     [address, *_] = [c["address"] for c in components if c["views"]]
     picture = service.client.get(f"/runs/{run['id']}/components/{address}/images/0")
     assert picture.content[:4] == b"\x89PNG"
+    wanted = {"component": address, "limit": 1, "container": "zip"}
+    files = unpacked(service.client.get(f"/runs/{run['id']}/images", params=wanted).content, "zip")
+    end = documents(files)["end.json"]
+    assert end == {"complete": True, "components": 1, "refused": 0, "images": 1}
+    assert files[f"components/{address}/0.png"] == picture.content
     pids = [p["pid"] for p in service.get("/station")["processes"]]
     assert len(pids) == 2
     assert service.stop(signal.SIGTERM) == 0, "".join(service.log)
