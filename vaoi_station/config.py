@@ -244,6 +244,8 @@ class StationConfig(Section):
     workers: Annotated[Whole, Field(ge=1, le=64)] = 2
     method: MethodName = "auto"
     """Method for board types without a method of their own; `auto` uses a reference if there is one."""
+    heights: Literal["after-run", "on-request"] = "after-run"
+    """When heights of components are measured: after each run, or when a caller requests them."""
     line: Line
     cameras: Annotated[tuple[CameraConfig, ...], Field(min_length=1)]
     controller: ControllerConfig = ControllerConfig()

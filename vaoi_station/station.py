@@ -150,7 +150,7 @@ class Station:
             if ring.lock_note:
                 events.add("trouble", ring.lock_note, code="ring-not-locked")
             supervisor.watch(database.thread, coordinator.thread, workers.thread, link.thread, housekeeping.thread)
-            supervisor.watch(grants.thread, coordinator.kept.recordings.thread)
+            supervisor.watch(grants.thread, coordinator.kept.recordings.thread, coordinator.heights.thread)
             parts.callback(supervisor.stop)
             supervisor.start()
             self._supervisor = supervisor

@@ -31,6 +31,7 @@ def test_a_run_without_frames_has_result_calibration_and_board_type(site: Site, 
     import_run(tmp_path / "run.vaoi", tmp_path / "out")
     assert not (tmp_path / "out" / "recording.json").exists()
     assert read_stitch(tmp_path / "out" / "result.json").status is Status.OK
+    assert (tmp_path / "out" / "heights.json").read_text() == '{"heights":{}}'
     assert read_board_type(tmp_path / "out" / "board.json").name == "small"
     assert len(read_calibration(tmp_path / "out" / "calibration.json").camera_matrices) == 2
 

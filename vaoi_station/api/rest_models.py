@@ -180,6 +180,14 @@ class ComponentViews(Strict):
 
     address: str
     px_per_mm: float | None = Field(description="Resolution of the images; absent if there are none.")
+    plane_source: Literal["measured", "board-type"] | None = Field(
+        default=None,
+        description="With `plane=top`, what the height of the plane is: measured in this run, or `body_height` of the "
+        "board type.",
+    )
+    plane_sigma_mm: float | None = Field(
+        default=None, description="Standard deviation of a measured height of the plane, mm; part of `sigma_px`."
+    )
     remark: str | None = Field(
         default=None, description="Why the images lie in another plane than requested, if they do."
     )

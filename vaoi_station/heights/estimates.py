@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -19,7 +19,7 @@ from vaoi_station.heights.part_grids import Frames, PartGrid, Places
 from vaoi_station.heights.pictures import Pictures, collect_pictures, picture_stack, sweep_stack
 from vaoi_station.heights.refinement import normal_equations
 from vaoi_station.heights.sweep import sweep
-from vaoi_station.model import BoardType, Stitch
+from vaoi_station.model import BoardType, Component, Stitch
 
 HIGHEST_MM = 12.0
 """Largest height that is searched; components that are expected to be higher extend it."""
@@ -106,40 +106,52 @@ def measure_heights(
     Raises:
         StateError: the run has no CAD mapping, or the calibration no working distance.
     """
-    places = open_places(board_type, stitch, cameras)
-    frames = Frames(frame)
+    places, frames = open_places(board_type, stitch, cameras), Frames(frame)
+    parts = {c.address: measure_part(places, frames, c, lights) for c in board_type.components}
+    return combine_parts(parts, stitch)
+
+
+class PartMeasure(NamedTuple):
+    """What the frames show of one component by itself: the first step, of which `combine_parts` makes its height."""
+
+    views: int
+    body: BodyEquations | None
+    """None if no height is probable enough."""
+    low_mm: float | None
+    high_mm: float | None
+
+
+def measure_part(places: Places, frames: Frames, component: Component, lights: Sequence[str]) -> PartMeasure:
+    """Measure one component. `lights` has the name of the light of every row; it is empty if all rows have one."""
+    grid = places.grid(component.address, places.board_type.footprint(component))
+    if grid is None:
+        return PartMeasure(0, None, None, None)
     numbers = {name: n for n, name in enumerate(sorted(set(lights)))}
-    swept: dict[str, tuple[int, _Swept | None]] = {}
-    bodies: dict[str, BodyEquations] = {}
-    for component in board_type.components:
-        grid = places.grid(component.address, board_type.footprint(component))
-        highest = _highest_mm(grid, component.body_height, board_type)
-        pictures = (
-            None if grid is None else collect_pictures(grid, frames, lambda row: numbers[lights[row]] if lights else 0)
-        )
-        if pictures is None:
-            swept[component.address] = 0 if grid is None else _count(grid, frames), None
-            continue
-        found = _sweep(places, pictures, highest)
-        swept[component.address] = len(pictures.images), found
-        if found is not None:
-            body = _refine(places, pictures, found)
-            if body is not None:
-                bodies[component.address] = body
+    pictures = collect_pictures(grid, frames, lambda row: numbers[lights[row]] if lights else 0)
+    if pictures is None:
+        return PartMeasure(_count(grid, frames), None, None, None)
+    views = len(pictures.images)
+    found = _sweep(places, pictures, _highest_mm(grid, component.body_height, places.board_type))
+    if found is None:
+        return PartMeasure(views, None, None, None)
+    return PartMeasure(views, _refine(places, pictures, found), *_interval(found))
+
+
+def combine_parts(parts: Mapping[str, PartMeasure], stitch: Stitch) -> dict[str, PartHeight]:
+    """Return the heights of all components of a run, by address, with the errors of matrices that they share."""
+    bodies = {address: part.body for address, part in parts.items() if part.body is not None}
     estimates = combine(bodies, _row_sigma_px(stitch))
     out = {}
-    for address, (views, found) in swept.items():
+    for address, part in parts.items():
         mm, sigma = estimates.get(address, (None, None))
-        out[address] = PartHeight(mm, sigma, None, None, views)
-        if mm is None:
-            low, high = _interval(found) if found is not None else (None, None)
-            out[address] = PartHeight(None, None, low, high, views)
+        low, high = (part.low_mm, part.high_mm) if mm is None else (None, None)
+        out[address] = PartHeight(mm, sigma, low, high, part.views)
     return out
 
 
-def _highest_mm(grid: PartGrid | None, body_height: float | None, board_type: BoardType) -> float:
+def _highest_mm(grid: PartGrid, body_height: float | None, board_type: BoardType) -> float:
     """Return the largest height that is searched for a component."""
-    longest_mm = max(grid.width, grid.height) * grid.mm_per_px if grid is not None else 0.0
+    longest_mm = max(grid.width, grid.height) * grid.mm_per_px
     slender = min(HIGHEST_MM, max(_LEAST_HIGHEST_MM, _SLENDER * longest_mm))
     return max(slender, 1.5 * (body_height or 0.0) * board_type.mm_per_unit)
 

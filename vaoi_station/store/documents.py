@@ -17,6 +17,7 @@ from typing import Literal
 from vaoi_station.errors import NotFoundError
 from vaoi_station.store.board_stitching import BoardStitching
 from vaoi_station.store.calibration_checks import CalibrationChecks
+from vaoi_station.store.component_heights import ComponentHeights
 from vaoi_station.store.configurations import Configurations
 from vaoi_station.store.database import Database
 from vaoi_station.store.retention import RunRetention
@@ -67,6 +68,7 @@ class Store:
         self._documents: OrderedDict[str, tuple[str, str, str, str]] = OrderedDict()
         """Rows of the latest documents, by digest: if the database has to begin anew, the next run needs them."""
         self.checks = CalibrationChecks(database)
+        self.heights = ComponentHeights(database)
         self.stitching = BoardStitching(database)
         self.retention = RunRetention(database)
         self.standing = StandingDocuments(database)

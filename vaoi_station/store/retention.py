@@ -71,7 +71,7 @@ class RunRetention:
         return [str(row["id"]) for row in rows]
 
     def forget_details(self, runs: Sequence[str]) -> Future[None]:
-        """Delete results, details and timelines of runs; their summaries stay."""
+        """Delete results, heights, details and timelines of runs; their summaries stay."""
 
         def write(connection: sqlite3.Connection) -> None:
             for run in runs:
@@ -79,6 +79,7 @@ class RunRetention:
                 if connection.execute("SELECT 1 FROM pins WHERE run = ?", (run,)).fetchone():
                     continue
                 connection.execute("DELETE FROM results WHERE run = ?", (run,))
+                connection.execute("DELETE FROM heights WHERE run = ?", (run,))
                 connection.execute(
                     """UPDATE runs SET detail = '', head = NULL, timeline = NULL, packed_detail = NULL,
                        packed_timeline = NULL WHERE id = ?""",

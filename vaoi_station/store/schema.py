@@ -113,6 +113,14 @@ STEPS: tuple[tuple[str, ...], ...] = (
         "ALTER TABLE configurations ADD COLUMN last_used TEXT",
         "UPDATE configurations SET last_used = strftime('%Y-%m-%dT%H:%M:%SZ', 'now')",
     ),
+    (
+        # Heights are measured after the result is written, which never changes.
+        """CREATE TABLE heights (
+            run TEXT PRIMARY KEY REFERENCES runs (id),
+            document TEXT NOT NULL,
+            packed BLOB
+        ) STRICT""",
+    ),
 )
 VERSION = len(STEPS)
 PACKED = "packed"

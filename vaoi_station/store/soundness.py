@@ -24,6 +24,7 @@ _TABLES: tuple[tuple[str, str, str, str, int], ...] = (
     ("runs", "id", "(packed_detail IS NOT NULL) = (detail = 'packed')", "packed_detail", LARGE_ROWS),
     ("runs", "id", "coalesce(timeline, 'packed') = 'packed' OR json_valid(timeline)", "packed_timeline", LARGE_ROWS),
     ("results", "run", "packed IS NOT NULL OR json_valid(document)", "packed", LARGE_ROWS),
+    ("heights", "run", "packed IS NOT NULL OR json_valid(document)", "packed", LARGE_ROWS),
     ("calibration_checks", "run", "json_valid(document)", "NULL", ROWS),
     ("documents", "digest", "json_valid(document)", "NULL", LARGE_ROWS),
     ("board_references", "board_type", "json_valid(document)", "NULL", LARGE_ROWS),

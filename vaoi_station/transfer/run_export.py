@@ -21,8 +21,9 @@ from vaoi_station.transfer.package import Entry, unpack_package, write_package
 from vaoi_station.version import __version__
 
 KIND = "vaoi-run"
-TIMELINE_FILE, HEAD_FILE, CONFIGURATION_FILE, CALIBRATION_FILE, BOARD_FILE = (
+TIMELINE_FILE, HEIGHTS_FILE, HEAD_FILE, CONFIGURATION_FILE, CALIBRATION_FILE, BOARD_FILE = (
     "timeline.json",
+    "heights.json",
     "head.json",
     "configuration.json",
     "calibration.json",
@@ -86,6 +87,7 @@ def _documents(database: sqlite3.Connection, detail: RunDetail) -> Iterator[Entr
     yield RUN_FILE, detail.model_dump_json(indent=1).encode()
     for name, query in (
         (RESULT_FILE, "SELECT document, packed FROM results WHERE run = ?"),
+        (HEIGHTS_FILE, "SELECT document, packed FROM heights WHERE run = ?"),
         (TIMELINE_FILE, "SELECT timeline, packed_timeline FROM runs WHERE id = ? AND timeline IS NOT NULL"),
         (HEAD_FILE, "SELECT head, NULL FROM runs WHERE id = ? AND head IS NOT NULL"),
         (

@@ -41,6 +41,7 @@ from vaoi_station.transfer.run_export import (
     CALIBRATION_FILE,
     CONFIGURATION_FILE,
     HEAD_FILE,
+    HEIGHTS_FILE,
     KIND,
     TIMELINE_FILE,
 )
@@ -69,6 +70,7 @@ class _Package:
     head: str
     result: str | None
     timeline: str | None
+    heights: str | None
     configuration: str | None
     frames_bytes: int
     """Size of the recording; 0 if the package has no frames."""
@@ -144,7 +146,8 @@ def _read(package: Path, folder: Path, manifest: dict[str, Any]) -> _Package:
         parse(Timeline, json.loads(timeline), f"{package}: {TIMELINE_FILE}")
     size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()) if recorded else 0
     configuration = _optional(package, folder, CONFIGURATION_FILE)
-    return _Package(marked, calibration, board_type, head, result, timeline, configuration, size)
+    heights = _optional(package, folder, HEIGHTS_FILE)
+    return _Package(marked, calibration, board_type, head, result, timeline, heights, configuration, size)
 
 
 def _head(package: Path, folder: Path, recorded: bool) -> str:
@@ -287,6 +290,8 @@ def _insert(connection: sqlite3.Connection, content: _Package) -> None:
         )
     if content.result is not None:
         connection.execute("INSERT INTO results VALUES (?, ?, ?)", (detail.id, *packed(content.result)))
+    if content.heights is not None:
+        connection.execute("INSERT INTO heights VALUES (?, ?, ?)", (detail.id, *packed(content.heights)))
     connection.execute("INSERT INTO pins VALUES (?, ?)", (detail.id, now))
 
 

@@ -22,10 +22,17 @@ class HeldMosaics(Mosaics):
     def __init__(self, station: Any) -> None:
         self._station = station
         self.jobs: list[str] = []
-        super().__init__(SimpleNamespace(get=self._finished), self._held, self._perform)  # type: ignore[arg-type]
+        kept: dict[str, str] = {}
+        heights = SimpleNamespace(document=kept.get, save=kept.__setitem__)
+        archive: Any = SimpleNamespace(get=self._finished, heights=heights)
+        super().__init__(archive, self._held, self._perform)
         # Heights of components are measured, and batches cut, by the same workers.
         station.batches = held_batches(station)
-        station.heights = MeasuredHeights(self._archive, self._lease, self._render)
+        station.heights = MeasuredHeights(self._archive, self._lease, self._render, self._bay, station)
+
+    def _bay(self, run: str) -> Any:
+        with self._held(run, "look-up") as bay:
+            return bay
 
     def _finished(self, run: str) -> Any:
         detail = self._station.run(run)

@@ -128,7 +128,7 @@ def test_heights_are_measured_once_and_refused_without_a_working_distance(client
     assert found["U1"]["views"] >= 2
     assert None not in found["U1"].values()
     assert client.get(f"{RUNS}/{run}/heights").content == answer.content
-    assert station.mosaics.jobs.count("heights") == 1
+    assert station.mosaics.jobs.count("table of heights") == 1
 
 
 def test_frames_that_are_gone_are_refused(client: Any, station: Any) -> None:

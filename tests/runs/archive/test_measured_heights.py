@@ -1,7 +1,9 @@
-"""Heights of finished runs: measured once each, refused before a worker is asked."""
+"""Heights of finished runs: measured once each, stored, refused before a worker is asked."""
 
 from __future__ import annotations
 
+import json
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import SimpleNamespace
@@ -10,15 +12,26 @@ from typing import Any
 import pytest
 
 from tests.heights.conftest import Filmed, make_film
-from vaoi_station.errors import StateError
+from vaoi_station.errors import GoneError, InternalError, StateError
+from vaoi_station.heights.estimates import PartMeasure
 from vaoi_station.runs.archive.measured_heights import MeasuredHeights
+from vaoi_station.runs.workers.heights_job import HeightsJob
+from vaoi_station.runs.workers.jobs import Priority
+
+PARTS = {"U1": ((0.0, 0.0, 3.0, 2.5), 1.0, 1.5), "U2": ((4.0, 0.0, 3.0, 2.5), 1.0, 0.8)}
+CONTENT = json.dumps({"heights": {"U1": {"height_mm": 1.5, "sigma_mm": 0.02, "views": 2}, "U2": {"views": 1}}}).encode()
 
 
 class Station:
-    """Holds one run; the worker counts its jobs."""
+    """Holds one run; the worker measures one component per slice and records its jobs."""
 
     def __init__(self, filmed: Filmed) -> None:
         self.jobs: list[Any] = []
+        self.held = 0
+        self.stored: dict[str, str] = {}
+        self.saved = threading.Event()
+        self.fault: Exception | None = None
+        self.events: list[dict[str, Any]] = []
         frames = tuple(SimpleNamespace(camera=0, row=j, slot=j, usable=j != 1) for j in range(3))
         self.finished = SimpleNamespace(
             detail=SimpleNamespace(id="r1", frames=frames),
@@ -30,28 +43,92 @@ class Station:
 
     @contextmanager
     def lease(self, run: str, purpose: str) -> Iterator[Any]:
-        yield SimpleNamespace(number=4, generation=2)
+        self.held += 1
+        yield self.bay_of(run)
 
-    def render(self, job: Any, name: str) -> bytes:
+    def bay_of(self, run: str) -> Any:
+        return SimpleNamespace(number=4, generation=2)
+
+    def render(self, job: Any, name: str) -> Any:
         self.jobs.append(job)
-        return f"heights of {job.run}".encode()
+        if self.fault is not None:
+            self.saved.set()
+            raise self.fault
+        if isinstance(job, HeightsJob):
+            return {job.board_type.components[0].address: PartMeasure(2, None, None, None)}
+        return CONTENT
+
+    def save(self, run: str, document: str) -> None:
+        self.stored[run] = document
+        self.saved.set()
+
+    def add(self, kind: str, message: str, **fields: Any) -> None:
+        self.events.append({"message": message, **fields})
 
     def heights(self) -> MeasuredHeights:
-        archive: Any = SimpleNamespace(get=lambda run: self.finished)
-        return MeasuredHeights(archive, self.lease, self.render)
+        kept = SimpleNamespace(document=self.stored.get, save=self.save)
+        archive: Any = SimpleNamespace(get=lambda run: self.finished, heights=kept)
+        events: Any = self
+        return MeasuredHeights(archive, self.lease, self.render, self.bay_of, events)
 
 
-def test_heights_are_measured_once_from_usable_frames() -> None:
-    station = Station(make_film({"U1": ((0.0, 0.0, 3.0, 2.5), 1.0, 1.5)}, rows=2))
+@pytest.fixture
+def station() -> Station:
+    return Station(make_film(PARTS, rows=2))
+
+
+def measured_after(station: Station) -> None:
+    """Let one run end, and wait until its heights were stored or refused."""
     heights = station.heights()
-    assert heights.document("r1") == heights.document("r1") == b"heights of r1"
-    [job] = station.jobs
-    assert (job.bay, job.generation, job.lights) == (4, 2, ("left", "right", "left"))
-    assert job.slots == {(0, 0): 0, (0, 2): 2}
+    heights.start()
+    heights.finished(station.finished.detail)
+    assert station.saved.wait(20)
+    heights.stop()
+    assert heights.thread.fault() is None
 
 
-def test_a_run_without_cad_mapping_occupies_no_worker() -> None:
-    station = Station(make_film({"U1": ((0.0, 0.0, 3.0, 2.5), 1.0, 1.5)}, rows=2))
+def test_heights_are_measured_once_from_usable_frames_under_a_lease(station: Station) -> None:
+    heights = station.heights()
+    assert heights.document("r1") == heights.document("r1") == CONTENT
+    *slices, combined = station.jobs
+    assert [s.board_type.components[0].address for s in slices] == ["U1", "U2"]
+    assert (slices[0].bay, slices[0].generation, slices[0].lights) == (4, 2, ("left", "right", "left"))
+    assert slices[0].slots == {(0, 0): 0, (0, 2): 2}
+    assert {job.priority for job in station.jobs} == {Priority.RENDER}
+    assert set(combined.parts) == {"U1", "U2"}
+    assert station.held == 1
+
+
+def test_stored_heights_need_no_frames(station: Station) -> None:
+    station.stored["r1"] = CONTENT.decode()
+    heights = station.heights()
+    assert heights.document("r1") == CONTENT
+    assert heights.known("r1") == {"U1": (1.5, 0.02)}
+    assert station.jobs == []
+
+
+def test_without_heights_none_are_known(station: Station) -> None:
+    assert station.heights().known("r1") is None
+
+
+def test_after_a_run_its_heights_are_measured_at_the_lowest_priority_and_stored(station: Station) -> None:
+    measured_after(station)
+    assert station.stored == {"r1": CONTENT.decode()}
+    assert {job.priority for job in station.jobs} == {Priority.HEIGHTS}
+    assert station.held == 0, "the next board may take the frames"
+
+
+@pytest.mark.parametrize(
+    ("fault", "events"), [(GoneError("a later run has this memory."), 0), (InternalError("broken."), 1)]
+)
+def test_a_run_whose_heights_cannot_be_measured_has_none(station: Station, fault: Exception, events: int) -> None:
+    station.fault = fault
+    measured_after(station)
+    assert station.stored == {}
+    assert [e["code"] for e in station.events] == ["heights-not-measured"] * events
+
+
+def test_a_run_without_cad_mapping_occupies_no_worker(station: Station) -> None:
     station.finished.stitch = station.finished.stitch.model_copy(update={"cad_matrix": None})
     with pytest.raises(StateError, match="no CAD mapping"):
         station.heights().document("r1")

@@ -13,9 +13,9 @@ from vaoi_station.runs.workers.jobs import GatherJob, Linked, Priority, Reply
 from vaoi_station.stitching.matching.evidence import Links
 
 
-def test_results_come_before_pictures_and_checks_last() -> None:
-    order = [Priority.CONCLUDE, Priority.LINK, Priority.GATHER, Priority.RENDER, Priority.CHECK]
-    assert sorted(Priority) == order
+def test_results_come_before_pictures_and_heights_last() -> None:
+    p = Priority
+    assert sorted(p) == [p.CONCLUDE, p.LINK, p.GATHER, p.RENDER, p.BATCH, p.CHECK, p.HEIGHTS]
 
 
 def test_evidence_is_packed_without_loss(ring_board: RingBoard) -> None:

@@ -8,13 +8,14 @@ from urllib.parse import quote
 from fastapi import APIRouter, Depends, Path, Request, Response
 
 from vaoi_station.api.encoders import MEDIA_TYPES, ImageFormat, choose_format, raw_from_npy
-from vaoi_station.api.http_caching import IMMUTABLE, LIVE, conditional_response
+from vaoi_station.api.http_caching import IMMUTABLE, LIVE, REVALIDATE, conditional_response
 from vaoi_station.api.images.image_queries import Wanted
 from vaoi_station.api.images.view_entries import covariances, picture_query, view_entry
 from vaoi_station.api.parameters import Address, FormatName, RunId
 from vaoi_station.api.rest_models import ComponentEntry, ComponentList, ComponentViews
 from vaoi_station.api.routes.frames import PICTURE, Accept
 from vaoi_station.api.routes.services import Services
+from vaoi_station.rendering import ImageRequest
 from vaoi_station.runs.states.schemas import ComponentSummary
 from vaoi_station.runs.states.schemas import ImageFormat as Rendered
 from vaoi_station.runs.states.tables import FINISHED
@@ -36,10 +37,17 @@ def router(services: Services) -> APIRouter:
     routes = APIRouter(prefix="/runs/{run}/components", tags=["pictures"])
     coordinator, ask = services.coordinator, services.commands.ask
 
-    async def answer(request: Request, run: str, content: ComponentList | ComponentViews) -> Response:
+    async def answer(
+        request: Request, run: str, content: ComponentList | ComponentViews, cache: str = IMMUTABLE
+    ) -> Response:
         done = (await ask(coordinator.run, run)).state in FINISHED
         body = content.model_dump_json(exclude_none=True).encode()
-        return conditional_response(request, body, "application/json", cache=IMMUTABLE if done else LIVE)
+        return conditional_response(request, body, "application/json", cache=cache if done else LIVE)
+
+    def caching(run: str, wanted: ImageRequest) -> str:
+        # Heights are measured after the result: until they are known, images on the tops of bodies may change.
+        final = wanted.framing.plane != "top" or coordinator.heights.known(run) is not None
+        return IMMUTABLE if final else REVALIDATE
 
     @routes.get("", response_model=ComponentList)
     async def list_components(request: Request, run: RunId) -> Response:
@@ -72,18 +80,20 @@ def router(services: Services) -> APIRouter:
         """
         image_format = choose_format(format, accept)
 
-        def picture() -> tuple[bytes, dict[str, str]]:
+        def picture() -> tuple[bytes, dict[str, str], str]:
+            cache = caching(run, wanted)
             content = coordinator.image(run, ref, k, wanted, format=RENDERED_AS[image_format])
-            return raw_from_npy(content) if image_format is ImageFormat.RAW else (content, {})
+            return (*(raw_from_npy(content) if image_format is ImageFormat.RAW else (content, {})), cache)
 
-        content, headers = await services.pictures.ask(picture)
-        return conditional_response(request, content, MEDIA_TYPES[image_format], headers=headers)
+        content, headers, cache = await services.pictures.ask(picture)
+        return conditional_response(request, content, MEDIA_TYPES[image_format], headers=headers, cache=cache)
 
     @routes.get("/{ref:path}", response_model=ComponentViews)
     async def get_component(request: Request, run: RunId, ref: Address, wanted: Wanted) -> Response:
         """List the frames that show a component, best first, with the addresses of their temporary images."""
         # Measuring reads pixels, like rendering; its callers wait in the same queue.
         reads = wanted.needs_pixels or wanted.choice.measure
+        cache = await ask(caching, run, wanted)
         found = await (services.pictures.ask if reads else ask)(lambda: coordinator.images(run, ref, wanted))
         address = quote(request.url.path)
         query = picture_query(wanted)
@@ -101,7 +111,15 @@ def router(services: Services) -> APIRouter:
         return await answer(
             request,
             run,
-            ComponentViews(address=ref, px_per_mm=resolution, remark=found.remark, views=entries),
+            ComponentViews(
+                address=ref,
+                px_per_mm=resolution,
+                remark=found.remark,
+                plane_source=None if found.height is None else found.height.source,
+                plane_sigma_mm=None if found.height is None else found.height.sigma_mm,
+                views=entries,
+            ),
+            cache,
         )
 
     return routes

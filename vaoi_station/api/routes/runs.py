@@ -74,9 +74,9 @@ def router(services: Services) -> APIRouter:
     async def get_heights(request: Request, run: RunId) -> Response:
         """Measure the heights of all components, and compare them with the board type's: data, not a verdict.
 
-        A worker measures them at the first request; later requests get the same document. 409: no CAD mapping, or a
-        calibration without working distance. 410: the frames are no longer in memory, and the heights were not
-        requested while they were.
+        They are measured after each run (`heights = "after-run"` in station.toml), else at the first request, and kept
+        with the result; all requests get the same document. 409: no CAD mapping, or a calibration without working
+        distance. 410: the frames are no longer in memory, and the heights were not measured while they were.
         """
         content = await services.pictures.ask(coordinator.heights.document, run)
         return conditional_response(request, content, "application/json", cache=IMMUTABLE)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from vaoi_station.errors import NotFoundError, StateError
-from vaoi_station.model import BoardType, Component, FrameRecord, Verdict
+from vaoi_station.model import BoardType, Component, FrameRecord, Stitch, Verdict
 from vaoi_station.rendering import ChosenImages, ChosenView, FrameFacts, ImageRequest, ViewCalculator, choose_images
 from vaoi_station.rendering.selection import Measure
 from vaoi_station.runs.archive.finished_runs import FinishedRun
@@ -39,10 +40,21 @@ def components_of(finished: FinishedRun) -> tuple[ComponentSummary, ...]:
     )
 
 
-def images_of_component(finished: FinishedRun, ref: str, wanted: ImageRequest, measure: Measure) -> ChosenImages:
+Heights = Mapping[str, tuple[float, float]]
+"""Measured heights of components and their standard deviations, mm, by address."""
+
+
+def images_of_component(
+    finished: FinishedRun, ref: str, wanted: ImageRequest, measure: Measure, heights_mm: Heights | None = None
+) -> ChosenImages:
     """Choose the images of a component in usable frames.
 
-    `measure` measures a view; it is called only if the request needs it.
+    Args:
+        finished: the run.
+        ref: address of the component.
+        wanted: the request.
+        measure: function that measures a view; it is called only if the request needs it.
+        heights_mm: heights that replace those of the result, which follow from few links.
 
     Raises:
         NotFoundError: the component is unknown.
@@ -55,14 +67,22 @@ def images_of_component(finished: FinishedRun, ref: str, wanted: ImageRequest, m
     whole = {(f.camera, f.row) for f in finished.detail.frames if f.usable}
     calculator = finished.view_calculator
     # The complete result is parsed only for a request that needs the height of a body.
-    stitch = finished.result if wanted.framing.plane == "top" else finished.stitch or finished.result
+    on_top = wanted.framing.plane == "top"
+    stitch = with_heights(finished.result, heights_mm or {}) if on_top else finished.stitch or finished.result
     frames = whole, frame_facts(finished)
     return choose_images(calculator, part, (finished.board_type, stitch), frames, wanted.check(), measure)
 
 
-def image_of_component(finished: FinishedRun, ref: str, k: int, wanted: ImageRequest, measure: Measure) -> ChosenView:
+def image_of_component(
+    finished: FinishedRun,
+    ref: str,
+    k: int,
+    wanted: ImageRequest,
+    measure: Measure,
+    heights_mm: Heights | None = None,
+) -> ChosenView:
     """Return image k of a component. Raise NotFoundError, with the number of images, if there is no image k."""
-    chosen = images_of_component(finished, ref, wanted.unmeasured(), measure).chosen
+    chosen = images_of_component(finished, ref, wanted.unmeasured(), measure, heights_mm).chosen
     if not 0 <= k < len(chosen):
         raise NotFoundError(
             f"Component {ref!r} of run {finished.detail.id} has {len(chosen)} images, "
@@ -71,6 +91,17 @@ def image_of_component(finished: FinishedRun, ref: str, k: int, wanted: ImageReq
             code="no-such-image",
         )
     return chosen[k]
+
+
+def with_heights(result: Stitch, heights_mm: Heights) -> Stitch:
+    """Return a result with heights in place of those that follow from its links."""
+    columns = {"heights_mm": 0, "height_sigma_mm": 1}
+    changed = {}
+    for key, column in columns.items():
+        table = result.quality.get(key)
+        own = table if isinstance(table, dict) else {}
+        changed[key] = {**own, **{ref: values[column] for ref, values in heights_mm.items()}}
+    return result.model_copy(update={"quality": {**result.quality, **changed}})
 
 
 def frame_facts(finished: FinishedRun) -> dict[tuple[int, int], FrameFacts]:

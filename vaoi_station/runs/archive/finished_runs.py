@@ -95,7 +95,7 @@ class Archive:
         self.statistics = RunStatistics()
         self.on_finished: Callable[[RunDetail], None] = lambda _detail: None
         """Function that is called before a run is announced, with its document. It must return at once."""
-        self.retention = store.retention
+        self.retention, self.heights = store.retention, store.heights
         self._changed = threading.Condition()
         self._recent: OrderedDict[str, FinishedRun] = OrderedDict()
         self._under_way: set[str] = set()

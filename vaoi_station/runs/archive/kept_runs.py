@@ -1,4 +1,4 @@
-"""Pins of runs, and the recordings that are kept of them, as callers see them."""
+"""Pins of runs, and the recordings and heights that are kept of them, as callers see them."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ from vaoi_station.config import StationConfig
 from vaoi_station.errors import NotFoundError, StateError
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
+from vaoi_station.runs.archive.measured_heights import MeasuredHeights
 from vaoi_station.runs.archive.recordings import DIRECTORY, FrameSource, Recordings
 from vaoi_station.runs.states.run_ids import utc
-from vaoi_station.runs.states.schemas import RunSummary, StationSnapshot
+from vaoi_station.runs.states.schemas import RunDetail, RunSummary, StationSnapshot
 
 R = TypeVar("R", bound=RunSummary)
 
@@ -18,18 +19,34 @@ R = TypeVar("R", bound=RunSummary)
 class KeptRuns:
     """Pins and unpins runs, and completes their documents. Its methods may be called from any thread."""
 
-    def __init__(self, config: StationConfig, archive: Archive, events: EventLog, frames: FrameSource) -> None:
+    def __init__(
+        self,
+        config: StationConfig,
+        archive: Archive,
+        events: EventLog,
+        frames: FrameSource,
+        heights: MeasuredHeights,
+    ) -> None:
         self._archive, self._events = archive, events
         self.recordings = Recordings(config.data / DIRECTORY, config.keep, archive, events, frames)
-        archive.on_finished = self.recordings.finished
+        self.heights, self._after_run = heights, config.heights == "after-run"
+        archive.on_finished = self._finished
 
     def start(self) -> None:
-        """Start the thread that writes recordings."""
+        """Start the threads that write recordings and have heights measured."""
         self.recordings.start()
+        self.heights.start()
 
     def stop(self) -> None:
-        """End the thread that writes recordings."""
+        """End these threads."""
+        self.heights.stop()
         self.recordings.stop()
+
+    def _finished(self, detail: RunDetail) -> None:
+        """Keep what is to be kept of a run that has just ended; it returns at once."""
+        self.recordings.finished(detail)
+        if self._after_run:
+            self.heights.finished(detail)
 
     def pin(self, run: str) -> None:
         """Keep a run until it is unpinned: its record and result, and its frames if they are in memory.

@@ -1,42 +1,84 @@
-"""Heights of the components of finished runs, which a worker measures when they are first requested."""
+"""Heights of the components of finished runs: measured by workers after each run or on request, and stored.
+
+After a run, one thread has them measured, in slices of the lowest priority. It holds no lease meanwhile: if the frames
+are needed for the next board before it has finished, the run gets no heights.
+"""
 
 from __future__ import annotations
 
+import json
 import threading
-from collections import OrderedDict
+from collections import OrderedDict, deque
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from typing import Any
 
+from vaoi_station.errors import BusyError, GoneError, NotFoundError, StateError, VaoiError
 from vaoi_station.heights.estimates import open_places
-from vaoi_station.runs.archive.finished_runs import Archive
+from vaoi_station.runs.archive.event_log import EventLog
+from vaoi_station.runs.archive.finished_runs import Archive, FinishedRun
 from vaoi_station.runs.run.memory import Bay
-from vaoi_station.runs.workers.heights_job import HeightsJob
-from vaoi_station.runs.workers.jobs import PictureJob
+from vaoi_station.runs.states.schemas import RunDetail
+from vaoi_station.runs.workers.heights_job import CombineHeightsJob, HeightsJob
+from vaoi_station.runs.workers.jobs import PictureJob, Priority
+from vaoi_station.supervised_thread import SupervisedThread
 
 _KEPT = 64
 """Number of runs whose heights are kept in memory."""
+_MOST_WAITING = 8
+"""Largest number of runs that wait for their heights; the oldest ones then get none."""
+_SLICE_PARTS = 48
+"""Number of components in the message of one slice: more than a worker measures in one slice."""
+_LOOK_S = 0.5
+"""Longest time in which the thread does not check whether it is to end."""
 
 
 class MeasuredHeights:
-    """Has heights measured by workers, and keeps those of the latest runs. Methods may be called from any thread."""
+    """Has heights measured by workers, and stores them. Methods may be called from any thread."""
 
     def __init__(
         self,
         archive: Archive,
         lease: Callable[[str, str], AbstractContextManager[Bay]],
         render: Callable[[PictureJob, str], Any],
+        bay_of: Callable[[str], Bay],
+        events: EventLog,
     ) -> None:
-        """Store the archive of runs and two functions.
+        """Store the archive of runs and functions.
 
         Args:
-            archive: the finished runs.
+            archive: the finished runs, and the stored heights.
             lease: keeps the frames of a run in memory in a `with` block; arguments are the run and the purpose.
             render: has a worker perform a job with this name in messages, and returns the reply's value.
+            bay_of: returns the bay of a run without a lease.
+            events: the event log.
         """
-        self._archive, self._lease, self._render = archive, lease, render
+        self._archive, self._lease, self._render, self._bay_of = archive, lease, render, bay_of
+        self._events = events
         self._known: OrderedDict[str, bytes] = OrderedDict()
         self._lock = threading.Lock()
+        self._waiting: deque[str] = deque(maxlen=_MOST_WAITING)
+        self._wake, self._stopping = threading.Condition(), False
+        self.thread = SupervisedThread(self._run, "heights")
+
+    def start(self) -> None:
+        """Start the thread that has heights measured after runs."""
+        self.thread.start()
+
+    def stop(self) -> None:
+        """End the thread; the slice under way is not awaited for longer than a worker needs for it."""
+        self.thread.expect_end()
+        with self._wake:
+            self._stopping = True
+            self._wake.notify_all()
+        if self.thread.is_alive():
+            self.thread.join()
+
+    def finished(self, detail: RunDetail) -> None:
+        """Have the heights of a run measured that has just ended; it returns at once."""
+        with self._wake:
+            self._waiting.append(detail.id)
+            self._wake.notify_all()
 
     def document(self, run: str) -> bytes:
         """Return the heights of a run's components as JSON.
@@ -48,21 +90,88 @@ class MeasuredHeights:
         """
         # One caller at a time: a second request for the same run finds the heights of the first.
         with self._lock:
-            if run not in self._known:
-                self._known[run] = self._measured(run)
-                if len(self._known) > _KEPT:
-                    self._known.popitem(last=False)
-            return self._known[run]
+            found = self._stored(run)
+            if found is None:
+                finished = _checked(self._archive.get(run))
+                with self._lease(run, "heights of components") as bay:
+                    found = self._keep(run, self._measured(finished, bay, Priority.RENDER))
+            return found
 
-    def _measured(self, run: str) -> bytes:
-        finished = self._archive.get(run)
-        stitch, head = finished.stitch or finished.result, finished.head
-        open_places(finished.board_type, stitch, finished.cameras)  # refuses before a worker is asked
+    def known(self, run: str) -> dict[str, tuple[float, float]] | None:
+        """Return the measured heights of a run and their standard deviations, mm, by address; None without any."""
+        with self._lock:
+            found = self._stored(run)
+        if found is None:
+            return None
+        entries = json.loads(found)["heights"]
+        return {ref: (e["height_mm"], e["sigma_mm"]) for ref, e in entries.items() if "height_mm" in e}
+
+    def _stored(self, run: str) -> bytes | None:
+        """Return the heights of a run from memory or the database."""
+        if run not in self._known:
+            text = self._archive.heights.document(run)
+            if text is None:
+                return None
+            self._remember(run, text.encode())
+        return self._known[run]
+
+    def _remember(self, run: str, content: bytes) -> None:
+        self._known[run] = content
+        if len(self._known) > _KEPT:
+            self._known.popitem(last=False)
+
+    def _keep(self, run: str, content: bytes) -> bytes:
+        self._remember(run, content)
+        self._archive.heights.save(run, content.decode())
+        return content
+
+    def _measured(self, finished: FinishedRun, bay: Bay, priority: Priority) -> bytes:
+        """Have the heights of all components measured, slice by slice, and combined."""
+        run, board_type, head = finished.detail.id, finished.board_type, finished.head
+        stitch = finished.stitch or finished.result
         slots = {(f.camera, f.row): f.slot for f in finished.detail.frames if f.usable and f.slot is not None}
         lights = (head.lights or ()) if head is not None else ()
-        with self._lease(run, "heights of components") as bay:
+        parts: dict[str, Any] = {}
+        while len(parts) < len(board_type.components) and not self._stopping:
+            some = board_type.components[len(parts) : len(parts) + _SLICE_PARTS]
+            slim = board_type.model_copy(update={"components": some})
             job = HeightsJob(
-                run, bay.number, bay.generation, finished.board_type, stitch, finished.cameras, lights, slots
+                run, bay.number, bay.generation, slim, stitch, finished.cameras, lights, slots, priority=priority
             )
-            content: bytes = self._render(job, "heights")
+            parts |= self._render(job, "heights")
+        if self._stopping:
+            raise StateError("The station is stopping; the heights were not measured.")
+        combine = CombineHeightsJob(run, bay.number, bay.generation, board_type, stitch, parts, priority=priority)
+        content: bytes = self._render(combine, "table of heights")
         return content
+
+    def _run(self) -> None:
+        """Have the heights of the waiting runs measured, until the station stops."""
+        while not self._stopping:
+            self.thread.beat()
+            with self._wake:
+                if not self._waiting:
+                    self._wake.wait(_LOOK_S)
+                run = self._waiting.popleft() if self._waiting else None
+            if run is not None:
+                with self.thread.waiting():
+                    self._measure_after(run)
+
+    def _measure_after(self, run: str) -> None:
+        """Measure the heights of a run that has just ended, if it can have any."""
+        try:
+            finished = _checked(self._archive.get(run))
+            # Callers who request the heights meanwhile wait for these.
+            with self._lock:
+                if self._stored(run) is None:
+                    self._keep(run, self._measured(finished, self._bay_of(run), Priority.HEIGHTS))
+        except (StateError, GoneError, NotFoundError, BusyError):
+            return  # It has no result, its frames were needed, or the station stops.
+        except VaoiError as fault:
+            self._events.add("trouble", f"Heights were not measured: {fault}", run=run, code="heights-not-measured")
+
+
+def _checked(finished: FinishedRun) -> FinishedRun:
+    """Return a run that can have heights; raise StateError or NotFoundError for another, before a worker is asked."""
+    open_places(finished.board_type, finished.stitch or finished.result, finished.cameras)
+    return finished

@@ -21,7 +21,7 @@ from vaoi_station.errors import GoneError, InputError, NotFoundError, VaoiError
 from vaoi_station.hdr.encoding import MergedFormat
 from vaoi_station.model import Component
 from vaoi_station.rendering import choose_images
-from vaoi_station.runs.archive.component_views import frame_facts
+from vaoi_station.runs.archive.component_views import Heights, frame_facts, with_heights
 from vaoi_station.runs.archive.finished_runs import FinishedRun
 from vaoi_station.runs.batches.batch_job import (
     MEDIA,
@@ -113,6 +113,8 @@ class BatchAccess:
     render: Callable[[BatchJob, str], CutPart]
     """Function that submits a job and waits for the reply's value."""
     merged: MergedAccess
+    heights: Callable[[str], Heights | None] = lambda _run: None
+    """Function that returns the measured heights of a run's components."""
 
     def open(self, run: str, request: BatchRequest, address: str, query: str = "") -> Batch:
         """Check a request, and prepare its batch.
@@ -133,6 +135,8 @@ class BatchAccess:
         resolution = float(np.mean([c.px_per_mm for c in finished.cameras]))
         components = request.parts(finished.board_type, resolution)
         facts, slots = frame_facts(finished), _slots(finished)
+        on_top = request.images.framing.plane == "top"
+        result = with_heights(finished.result, self.heights(run) or {}) if on_top else finished.result
         files = self._files(run, slots)
         if request.hdr:
             self._try_merging(run, request, components)
@@ -140,9 +144,9 @@ class BatchAccess:
             # A light or a direction that the run does not have is refused here, before the first byte.
             part = smallest(components)
             choose_images(
-                calculator, part, (finished.board_type, finished.result), (slots, facts), request.images, lambda _: None
+                calculator, part, (finished.board_type, result), (slots, facts), request.images, lambda _: None
             )
-        whole = finished.result.quality
+        whole = result.quality
         quality = {key: found for key in _OF_COMPONENTS if isinstance(found := whole.get(key), dict)}
         detail = finished.detail
         modified_s = int(datetime.fromisoformat(detail.finished or detail.started).timestamp())

@@ -104,8 +104,10 @@ class StationCoordinator:
         requests = PictureRequests(parts.workers)
         self._frames = FrameAccess(self._inbox, self._core, ring, parts.archive, requests)
         self.mosaics = Mosaics(parts.archive, self._frames.lease, requests.render)
-        self.heights = MeasuredHeights(parts.archive, self._frames.lease, requests.render)
-        self.kept = KeptRuns(parts.config, parts.archive, parts.events, self._frames)
+        access = self._frames
+        self.heights = MeasuredHeights(parts.archive, access.lease, requests.render, access.bay_of, parts.events)
+        self.kept = KeptRuns(parts.config, parts.archive, parts.events, access, self.heights)
+        access.heights = self.heights.known
         self._frames.recorded, self.merged = self.kept.recordings.frame_file, self._frames.merged(parts.config)
         self.batches = self._frames.batches(self.merged)
         teaching = ReferenceTeaching(references, parts.config.method)

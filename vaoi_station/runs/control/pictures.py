@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import replace
@@ -108,6 +108,8 @@ class FrameAccess:
         self.recorded: Callable[[str, int, int], Path | None] = lambda _run, _camera, _row: None
         """Function that returns the file of a frame (run, camera, row) in the run's recording; None if no recording of
         the run is kept. It raises GoneError if the recording does not have the frame."""
+        self.heights: Callable[[str], Mapping[str, tuple[float, float]] | None] = lambda _run: None
+        """Function that returns the measured heights of a run by address, with their standard deviations, mm."""
         self._uses = itertools.count(1)
 
     def frame(
@@ -130,8 +132,8 @@ class FrameAccess:
         """Have a worker render one temporary image, and return it as an encoded file."""
         finished = self._archive.get(detail.id)
         name = f"{wanted.ref}/{wanted.k}"
-        measure = self._measured_by(detail)
-        choice = component_views.image_of_component(finished, wanted.ref, wanted.k, wanted.images, measure)
+        measure, heights = self._measured_by(detail), self._heights(detail.id, wanted.images)
+        choice = component_views.image_of_component(finished, wanted.ref, wanted.k, wanted.images, measure, heights)
         try:
             with self.lease(detail.id, f"image {name}") as bay:
                 picture: bytes = self._requests.render(_job(detail, choice, format, bay), name)
@@ -151,8 +153,16 @@ class FrameAccess:
         Raises GoneError if the choice depends on pixels that are no longer available.
         """
         return component_views.images_of_component(
-            self._archive.get(detail.id), ref, wanted, self._measured_by(detail, optional=not wanted.needs_pixels)
+            self._archive.get(detail.id),
+            ref,
+            wanted,
+            self._measured_by(detail, optional=not wanted.needs_pixels),
+            self._heights(detail.id, wanted),
         )
+
+    def _heights(self, run: str, wanted: ImageRequest) -> Mapping[str, tuple[float, float]] | None:
+        """Return the measured heights of a run if images on the tops of bodies are requested."""
+        return self.heights(run) if wanted.framing.plane == "top" else None
 
     def _measured_by(self, detail: RunDetail, optional: bool = False) -> Callable[[View], Measures | None]:
         """Return a function that measures the frame of a view.
@@ -180,7 +190,7 @@ class FrameAccess:
 
     def batches(self, merged: MergedAccess) -> BatchAccess:
         """Return the access to batches of pictures, of which `merged` makes those that are merged."""
-        return BatchAccess(self._archive.get, self.lease, self.recorded, self._requests.render, merged)
+        return BatchAccess(self._archive.get, self.lease, self.recorded, self._requests.render, merged, self.heights)
 
     def bay_of(self, run: str) -> Bay:
         """Return the bay of a run, without a lease. Raise GoneError if the frames are no longer in memory."""

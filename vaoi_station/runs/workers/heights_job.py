@@ -1,8 +1,9 @@
-"""The job of measuring the heights of all components of a run, and its execution in a worker."""
+"""The jobs of measuring the heights of all components of a run, in slices, and their execution in a worker."""
 
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -11,43 +12,76 @@ from numpy.typing import NDArray
 
 from vaoi_station.geometry import Camera
 from vaoi_station.heights.comparison import heights_document
-from vaoi_station.heights.estimates import measure_heights
+from vaoi_station.heights.estimates import PartMeasure, combine_parts, measure_part, open_places
+from vaoi_station.heights.part_grids import Frames
 from vaoi_station.model import BoardType, Stitch
-from vaoi_station.runs.workers.jobs import FramesJob
+from vaoi_station.runs.workers.jobs import FramesJob, Priority
 from vaoi_station.stitching.matching.evidence import FrameKey
+
+SLICE_S = 0.03
+"""Time after which a slice ends with the component under way, so that no other job waits for long."""
 
 
 @dataclass(frozen=True)
 class HeightsJob(FramesJob):
-    """Measure the heights of all components of a run; the reply's value is their document (JSON).
+    """Measure components of a run until `SLICE_S` have passed, at least one.
 
-    It waits with the pictures, after all results.
+    The reply's value is a dict of `PartMeasure`s by address: those of the first components of `board_type`.
     """
 
     run: str
     bay: int
     generation: int
     board_type: BoardType
+    """The board type with the components of this slice only, so that the message is small."""
     stitch: Stitch
     cameras: tuple[Camera, ...]
     lights: tuple[str, ...]
     """Name of the light of every row; empty if all rows have one."""
     slots: Mapping[FrameKey, int]
     """Slots of the usable frames."""
+    priority: Priority = Priority.RENDER
     request: int = 0
 
-    def perform(self, frame: Callable[[int], NDArray[Any]]) -> bytes:
-        """Measure the heights; `frame` returns the pixels of a slot."""
+    def perform(self, frame: Callable[[int], NDArray[Any]]) -> dict[str, PartMeasure]:
+        """Measure components; `frame` returns the pixels of a slot."""
 
         def pixels(camera: int, row: int) -> NDArray[Any] | None:
             slot = self.slots.get((camera, row))
             return None if slot is None else frame(slot)
 
-        found = measure_heights(self.board_type, self.stitch, self.cameras, pixels, self.lights)
-        document = heights_document(found, self.board_type)
+        ends_s = time.monotonic() + SLICE_S
+        places, frames = open_places(self.board_type, self.stitch, self.cameras), Frames(pixels)
+        found: dict[str, PartMeasure] = {}
+        for component in self.board_type.components:
+            found[component.address] = measure_part(places, frames, component, self.lights)
+            if time.monotonic() > ends_s:
+                break
+        return found
+
+    def __str__(self) -> str:
+        return f"heights of components of run {self.run}"
+
+
+@dataclass(frozen=True)
+class CombineHeightsJob(FramesJob):
+    """Combine the measured components of a run; the reply's value is the document of their heights (JSON)."""
+
+    run: str
+    bay: int
+    generation: int
+    board_type: BoardType
+    stitch: Stitch
+    parts: Mapping[str, PartMeasure]
+    priority: Priority = Priority.RENDER
+    request: int = 0
+
+    def perform(self, frame: Callable[[int], NDArray[Any]]) -> bytes:  # noqa: ARG002  frames are not needed
+        """Combine the components; no frame is read."""
+        document = heights_document(combine_parts(self.parts, self.stitch), self.board_type)
         # Fields without a value are left out of replies.
         entries = {ref: {k: v for k, v in entry.items() if v is not None} for ref, entry in document.items()}
         return json.dumps({"heights": entries}).encode()
 
     def __str__(self) -> str:
-        return f"the heights of components of run {self.run}"
+        return f"the table of heights of run {self.run}"

@@ -23,7 +23,7 @@ from vaoi_station.stitching.work import StitchSetup
 class Priority(IntEnum):
     """Order in which waiting jobs are given to workers, lowest value first.
 
-    Results come before pictures, single pictures before batches.
+    Results come before pictures, single pictures before batches, heights last.
     """
 
     CONCLUDE = 0
@@ -32,6 +32,7 @@ class Priority(IntEnum):
     RENDER = 3
     BATCH = 4
     CHECK = 5
+    HEIGHTS = 6
 
 
 @dataclass(frozen=True)

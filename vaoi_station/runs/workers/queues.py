@@ -2,8 +2,8 @@
 
 Every queue has a bound. Link and gather jobs are at most those of the runs in the ring, and end with their run; each
 run has one conclude job; pictures are limited by `MAX_PICTURES`, parts of batches by the seats of their callers; checks
-are parts of conclude jobs and never wait. There is a separate queue for each assigned worker, so that the time for a
-choice does not depend on the number of waiting jobs.
+are parts of conclude jobs and never wait; of heights after runs at most one job waits. There is a separate queue for
+each assigned worker, so that the time for a choice does not depend on the number of waiting jobs.
 """
 
 from __future__ import annotations
@@ -158,9 +158,9 @@ class JobQueues:
         if isinstance(job, GatherJob):
             return False
         # A single waiting job is left to the assigned worker, which may have its frames prepared already. If more jobs
-        # wait, the wait would be too long. A check takes longer than a link job, so the first frames of the next board
-        # do not wait for it.
-        checking = own.job is not None and own.job.job.priority is Priority.CHECK
+        # wait, the wait would be too long. A check takes longer than a link job, and so do heights: the first frames of
+        # the next board do not wait for them.
+        checking = own.job is not None and own.job.job.priority >= Priority.CHECK
         return away or checking or len(queue) > 1
 
 
