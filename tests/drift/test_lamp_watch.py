@@ -67,9 +67,11 @@ def test_the_warning_ends_when_the_light_is_mended(run: Made) -> None:
     assert found_in(series(run, *grey, *[60.0] * BRIGHT_RUNS)) == ()
 
 
-def test_a_light_that_fails_entirely_is_dim(run: Made) -> None:
-    (found,) = found_in(series(run, *[60.0] * 5, *[0.0] * 3))
-    assert found.share == 0.0
+def test_a_light_that_fails_entirely_is_dim_with_its_first_board(run: Made) -> None:
+    (found,) = found_in(series(run, *[60.0] * 5, 1.0))
+    assert (found.light, found.cameras, found.since_run, found.runs) == ("left", (1,), "r005", 1)
+    (found,) = found_in(series(run, *[60.0] * 5, 48.0, 1.0))
+    assert (found.since_run, found.runs) == ("r005", 2)
 
 
 def test_slow_ageing_is_reported_once_it_is_beyond_the_limit(run: Made) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.store.conftest import MakeRun
+from tests.store.conftest import MakeRun, noise
 from vaoi_station.errors import InternalError, NotFoundError
 from vaoi_station.store import Database, EventRow, Store
 from vaoi_station.store import documents as module
@@ -163,3 +163,29 @@ def test_the_end_of_a_run_survives_a_power_failure_before_it_is_announced(store:
     store.save_run(row).result(10)
     store.save_run(make_run("r2")).result(10)
     assert levels == [2, 1], "FULL for a run that ended, NORMAL for one that began"
+
+
+@pytest.mark.parametrize("document", ["{}", noise(4000)])
+def test_heights_are_kept_as_they_are_first_written(store: Store, make_run: MakeRun, document: str) -> None:
+    store.save_run(make_run("r1", "ready", 1))
+    store.heights.save("r1", document).result(10)
+    store.heights.save("r1", "other").result(10)
+    assert store.heights.document("r1") == document
+    assert store.heights.document("r2") is None
+
+
+def test_heights_are_deleted_with_the_result_and_do_not_come_back(store: Store, make_run: MakeRun) -> None:
+    store.save_run(make_run("r1", "ready", 1))
+    store.heights.save("r1", "{}").result(10)
+    store.retention.forget_details(["r1"]).result(10)
+    assert store.heights.document("r1") is None
+    store.heights.save("r1", "{}").result(10)
+    assert store.heights.document("r1") is None
+    store.retention.forget_runs(["r1"]).result(10)
+    assert store.run("r1") is None
+
+
+def test_heights_of_a_run_that_has_not_ended_are_not_written(store: Store, make_run: MakeRun) -> None:
+    store.save_run(make_run("r1"))
+    store.heights.save("r1", "{}").result(10)
+    assert store.heights.document("r1") is None

@@ -23,6 +23,8 @@ DIM_SHARE = 0.9
 """Share of the baseline's brightness below which a light is dim, if another light or camera is brighter as well."""
 DARK_BOARD_SHARE = 0.8
 """The same if all lights are dim in all cameras alike: boards of another lot may be darker by less than this."""
+DARK_SHARE = 0.3
+"""Share below which a single run suffices: an LED that is unplugged does not age."""
 DIM_RUNS, BRIGHT_RUNS = 3, 2
 """Numbers of successive runs after which a light counts as dim, and as bright again."""
 _SCATTERS = 3.0
@@ -168,8 +170,8 @@ def _dim_since(runs: Sequence[_Share]) -> int | None:
     dim = bright = 0
     for k, run in enumerate(runs):
         dim, bright = (dim + 1, 0) if run.dim else (0, bright + 1)
-        if since is None and dim == DIM_RUNS:
-            since = k - DIM_RUNS + 1
+        if since is None and (dim == DIM_RUNS or (run.dim and run.share < DARK_SHARE)):
+            since = k - dim + 1
         elif bright == BRIGHT_RUNS:
             since = None
     return since

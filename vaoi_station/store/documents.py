@@ -17,7 +17,6 @@ from typing import Literal
 from vaoi_station.errors import NotFoundError
 from vaoi_station.store.board_stitching import BoardStitching
 from vaoi_station.store.calibration_checks import CalibrationChecks
-from vaoi_station.store.component_heights import ComponentHeights
 from vaoi_station.store.configurations import Configurations
 from vaoi_station.store.database import Database
 from vaoi_station.store.retention import RunRetention
@@ -58,6 +57,35 @@ class EventRow:
 def digest_of(document: str) -> str:
     """Return the digest that identifies a document by its content: the first 16 hex digits of its SHA-256."""
     return hashlib.sha256(document.encode()).hexdigest()[:16]
+
+
+class ComponentHeights:
+    """Storage of the measured heights of one station's runs."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def save(self, run: str, document: str) -> Future[None]:
+        """Write the heights of a finished run. Later calls for the same run have no effect, as the heights are kept.
+
+        Nothing is written of a run whose result was deleted meanwhile.
+        """
+        text, content = packed(document)
+
+        def write(connection: sqlite3.Connection) -> None:
+            connection.execute(
+                """INSERT OR IGNORE INTO heights SELECT id, ?, ? FROM runs
+                   WHERE id = ? AND finish_number IS NOT NULL AND detail <> ''""",
+                (text, content, run),
+            )
+
+        return self._database.write(write, patient=True, durable=False, size=len(document))
+
+    def document(self, run: str) -> str | None:
+        """Return the heights of a run; None if it has none."""
+        with translated_errors(self._database.path):
+            rows = self._database.read("SELECT document, packed FROM heights WHERE run = ?", (run,))
+            return unpacked(*rows[0]) if rows else None
 
 
 class Store:

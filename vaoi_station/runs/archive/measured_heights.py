@@ -7,13 +7,14 @@ are needed for the next board before it has finished, the run gets no heights.
 from __future__ import annotations
 
 import json
+import logging
 import threading
 from collections import OrderedDict, deque
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from typing import Any
 
-from vaoi_station.errors import BusyError, GoneError, NotFoundError, StateError, VaoiError
+from vaoi_station.errors import BusyError, GoneError, NotFoundError, StateError
 from vaoi_station.heights.estimates import open_places
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive, FinishedRun
@@ -23,12 +24,16 @@ from vaoi_station.runs.workers.heights_job import CombineHeightsJob, HeightsJob
 from vaoi_station.runs.workers.jobs import PictureJob, Priority
 from vaoi_station.supervised_thread import SupervisedThread
 
+_log = logging.getLogger(__name__)
+
 _KEPT = 64
 """Number of runs whose heights are kept in memory."""
 _MOST_WAITING = 8
 """Largest number of runs that wait for their heights; the oldest ones then get none."""
 _SLICE_PARTS = 48
 """Number of components in the message of one slice: more than a worker measures in one slice."""
+_END_S = 5.0
+"""Longest wait for the end of the thread, which may wait for a worker."""
 _LOOK_S = 0.5
 """Longest time in which the thread does not check whether it is to end."""
 
@@ -72,7 +77,7 @@ class MeasuredHeights:
             self._stopping = True
             self._wake.notify_all()
         if self.thread.is_alive():
-            self.thread.join()
+            self.thread.join(_END_S)
 
     def finished(self, detail: RunDetail) -> None:
         """Have the heights of a run measured that has just ended; it returns at once."""
@@ -167,7 +172,8 @@ class MeasuredHeights:
                     self._keep(run, self._measured(finished, self._bay_of(run), Priority.HEIGHTS))
         except (StateError, GoneError, NotFoundError, BusyError):
             return  # It has no result, its frames were needed, or the station stops.
-        except VaoiError as fault:
+        except Exception as fault:  # noqa: BLE001  the thread must go on: later runs need it
+            _log.warning("heights of run %s failed", run, exc_info=True)
             self._events.add("trouble", f"Heights were not measured: {fault}", run=run, code="heights-not-measured")
 
 

@@ -120,12 +120,13 @@ class CalibrationWatch:
     def _dim_reason(self, lamp: DimLamp) -> Reason:
         cameras = ", ".join(self._names[i] for i in lamp.cameras)
         kind = "camera" if len(lamp.cameras) == 1 else "cameras"
+        shown = "1 board shows it" if lamp.runs == 1 else f"{lamp.runs} boards show it"
         also = " All cameras and lights show it, so the boards may be darker instead." if lamp.everywhere else ""
         return Reason(
             code="lamp-dim",
             message=f"{_light(lamp.light)} is dim in {kind} {cameras}: boards have {lamp.share:.0%} of the brightness "
             f"of the first {BASELINE_RUNS} of their type, since run {lamp.since_run} ({lamp.since_time}); "
-            f"{lamp.runs} boards show it.{also}",
+            f"{shown}.{also}",
             action=f"Call the engineer: check LEDs, cable and driver of the light, and the lens of {kind} {cameras}; "
             "after the repair film new flat fields (`vaoi flatfield`).",
         )
