@@ -15,7 +15,7 @@ import threading
 from pathlib import Path
 
 from tests.soak.line_files import Pace, write_line_files
-from vaoi_station.acquisition.process.filming import filming_plan
+from vaoi_station.acquisition.controller.filming_plan import filming_plan
 from vaoi_station.acquisition.process.main_loop import run_acquisition
 from vaoi_station.acquisition.process.messages import Arm, Grant, Ready, RunFinished, Shutdown
 from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
