@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import pytest
@@ -88,3 +89,13 @@ def test_unknown_query_parameters_are_refused(client: TestClient, method: str, a
     assert (refused.status_code, refused.json()["code"]) == (422, "unknown-parameter")
     assert offer in refused.json()["detail"]
     assert client.get("/api/v1/runs?limit=2&_=1").status_code == 200
+
+
+def test_each_operation_offers_the_query_parameters_of_the_document(client: TestClient) -> None:
+    for path, operations in client.get("/api/v1/openapi.json").json()["paths"].items():
+        for method, operation in operations.items():
+            names = sorted(p["name"] for p in operation.get("parameters", ()) if p["in"] == "query")
+            address = re.sub(r"\{\w+\}", "1", path)
+            refused = client.request(method, f"{address}?no_such_parameter=1").json()
+            assert refused["code"] == "unknown-parameter", (method, path)
+            assert refused["detail"].endswith(f"it has {', '.join(names)}." if names else "it has none."), path
