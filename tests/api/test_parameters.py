@@ -79,7 +79,7 @@ def test_numbers_are_limited(parameter: Any, lowest: float, highest: float, refu
         (
             "POST",
             "/api/v1/station/arm?type=demo-board",
-            "it has allow_lost_cameras, board_id, board_type, job_id, runs",
+            "it has allow_lost_cameras, board_id, board_type, job_id, passing, runs",
         ),
         ("GET", "/healthz?full=1", "it has none"),
     ],
