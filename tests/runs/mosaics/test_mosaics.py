@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 import tifffile
 
-from tests.mosaic.conftest import Film, Filmed, board, film
+from tests.mosaic.conftest import DARK, SIZE, Film, Filmed, board, film
 from vaoi_station.errors import InputError
-from vaoi_station.model import FrameRecord, Verdict
+from vaoi_station.model import CameraHead, FrameRecord, Verdict
+from vaoi_station.photometry.flat_fields import FlatFieldDocument, FlatFields, write_flat_fields
 from vaoi_station.runs.mosaics.mosaics import MOST_PLANS, Download, Mosaics
 from vaoi_station.runs.mosaics.picture_names import PictureName
 from vaoi_station.runs.workers.mosaic_jobs import PlanJob
@@ -22,7 +23,9 @@ from vaoi_station.runs.workers.mosaic_jobs import PlanJob
 __all__ = ["board", "film"]
 
 
-def mosaics_of(board: Filmed, jobs: list[Any], started: threading.Event | None = None) -> Mosaics:
+def mosaics_of(
+    board: Filmed, jobs: list[Any], started: threading.Event | None = None, flat_fields: Path | None = None
+) -> Mosaics:
     """Mosaics of the run "r1", whose jobs are performed at once and are noted in `jobs`."""
     keys = [(f.camera, f.row) for f in board.taken]
     frames = tuple(
@@ -36,7 +39,9 @@ def mosaics_of(board: Filmed, jobs: list[Any], started: threading.Event | None =
         board_type=board.board_type,
         cameras=board.cameras,
         stitch=board.stitch,
-        head=None,
+        head=SimpleNamespace(
+            cameras=[CameraHead(width=e.width_px, height=e.height_px, exposure_us=250.0) for e in board.cameras], rows=0
+        ),
     )
 
     def render(job: Any, name: str) -> Any:
@@ -46,7 +51,11 @@ def mosaics_of(board: Filmed, jobs: list[Any], started: threading.Event | None =
         return job.perform(lambda slot: board.frames[keys[slot]])
 
     archive = SimpleNamespace(get=lambda run: finished)
-    return Mosaics(archive, lambda run, purpose: nullcontext(SimpleNamespace(number=0, generation=1)), render)  # type: ignore[arg-type]
+
+    def held(run: str, purpose: str) -> Any:
+        return nullcontext(SimpleNamespace(number=0, generation=1))
+
+    return Mosaics(archive, held, render, flat_fields)  # type: ignore[arg-type]
 
 
 def test_run_with_one_light_and_one_exposure_has_one_mosaic(board: Filmed) -> None:
@@ -115,6 +124,37 @@ def test_region_that_no_frame_shows_is_refused(board: Filmed, tmp_path: Path) ->
     with pytest.raises(InputError, match="no frame of run r1 shows any of this region"):
         mosaics.write("r1", PictureName(), Download(None, 2.0), tmp_path / "m.tif")
     assert list(tmp_path.iterdir()) == []
+
+
+def write_fields(folder: Path, cameras: int) -> Path:
+    """Write flat fields of an array: those of odd cameras are brighter by a half."""
+    width, height = SIZE
+    camera = {"width": width, "height": height, "dark": DARK, "read": 1.0, "shot": 0.02}
+    heads = [{"camera": i, "file": f"fields/c{i}.tiff", "level": 1.0, "rows": 8} for i in range(cameras)]
+    document = {"format": "vaoi-flatfield", "version": 1, "cameras": [camera] * cameras, "fields": heads}
+    maps: dict[tuple[int, str | None], Any] = {}
+    for i in range(cameras):
+        maps[i, None] = np.full((height, width), 1.0 + i % 2 / 2, np.float32)
+    write_flat_fields(folder, FlatFields(FlatFieldDocument.model_validate(document), maps))
+    return folder
+
+
+def test_flat_fields_of_the_station_are_used(board: Filmed, tmp_path: Path) -> None:
+    jobs: list[Any] = []
+    mosaics = mosaics_of(board, jobs, flat_fields=write_fields(tmp_path, len(board.cameras)))
+    plan = mosaics._plan("r1", PictureName())
+    assert isinstance(jobs[0], PlanJob)
+    # The overlaps contradict these fields, and correct them in part.
+    assert float(plan.cameras[1].field.mean() / plan.cameras[0].field.mean()) > 1.08
+    assert plan.cameras[0].dark == pytest.approx(DARK, abs=0.1)
+
+
+def test_flat_fields_of_another_array_are_refused_before_a_job(board: Filmed, tmp_path: Path) -> None:
+    jobs: list[Any] = []
+    mosaics = mosaics_of(board, jobs, flat_fields=write_fields(tmp_path, len(board.cameras) + 1))
+    with pytest.raises(InputError, match="are of an array of 3 cameras, but 2 cameras were filming"):
+        mosaics.tile("r1", PictureName(), 1, (0, 0, 64, 64), "png")
+    assert jobs == []
 
 
 def _plan(board: Filmed) -> Any:

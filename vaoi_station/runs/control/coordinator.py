@@ -103,7 +103,7 @@ class StationCoordinator:
         parts.archive.on_announced = lambda run, until_s: self._inbox.post(self._core.announced, run, until_s)
         requests = PictureRequests(parts.workers)
         self._frames = FrameAccess(self._inbox, self._core, ring, parts.archive, requests)
-        self.mosaics = Mosaics(parts.archive, self._frames.lease, requests.render)
+        self.mosaics = Mosaics(parts.archive, self._frames.lease, requests.render, parts.config.flat_fields)
         access = self._frames
         self.heights = MeasuredHeights(parts.archive, access.lease, requests.render, access.bay_of, parts.events)
         self.kept = KeptRuns(parts.config, parts.archive, parts.events, access, self.heights)

@@ -21,6 +21,7 @@ from vaoi_station.mosaic.deep_zoom import Box
 from vaoi_station.mosaic.grid import Region
 from vaoi_station.mosaic.projection import FrameProjector
 from vaoi_station.mosaic.tiles import NODATA
+from vaoi_station.photometry import FlatFields
 from vaoi_station.runs.archive.finished_runs import Archive, FinishedRun
 from vaoi_station.runs.mosaics.picture_names import PictureName
 from vaoi_station.runs.run.memory import Bay
@@ -58,8 +59,10 @@ class _Planned:
 class Mosaics:
     """Renders mosaics of runs. Methods may be called from any thread."""
 
-    def __init__(self, archive: Archive, lease: Lease, render: Render) -> None:
+    def __init__(self, archive: Archive, lease: Lease, render: Render, flat_fields: Path | None = None) -> None:
+        """Create it; `flat_fields` is the directory of the station's flat fields."""
         self._archive, self._lease, self._render = archive, lease, render
+        self._flat_fields = flat_fields
         self._lock = threading.Lock()
         self._plans: OrderedDict[tuple[str, PictureName], _Planned] = OrderedDict()
 
@@ -98,6 +101,7 @@ class Mosaics:
 
         Raises:
             GoneError: the frames of the run are no longer in memory.
+            InputError: the flat fields do not fit the run.
         """
         plan = self._plan(run, name)
         finished = self._archive.get(run)
@@ -167,6 +171,10 @@ class Mosaics:
         projector = self._projector(finished)
         base = MosaicGrid.of_board(finished.board_type, projector.px_per_mm, most_px=float("inf"))
         run, stitch = finished.detail.id, finished.stitch or finished.result
+        if self._flat_fields is not None and finished.head is not None:
+            # Refused here, before a worker is asked.
+            lights = [choice.light] if choice.light is not None else None
+            FlatFields.peek(self._flat_fields).check(finished.head.cameras, lights)
         with self._lease(run, "plan of a mosaic") as bay:
             job = PlanJob(
                 run,
@@ -178,6 +186,7 @@ class Mosaics:
                 stitch,
                 finished.board_type,
                 base,
+                self._flat_fields,
             )
             plan: MosaicPlan = self._render(job, "plan of the mosaic")
         return plan

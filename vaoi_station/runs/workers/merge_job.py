@@ -47,7 +47,7 @@ class MergeJob(RenderJob):
 
 def merge(job: MergeJob, frame: Callable[[int], NDArray[Any]]) -> bytes:
     """Perform a job. `frame` returns the frame in a slot of the ring, which is not copied."""
-    fields = _fields(job.flat_fields)
+    fields = opened_fields(job.flat_fields)
     exposed = [
         Exposed(f.view, f.taken, fields.maps(f.view.camera, f.taken.light), f.size, partial(_pixels, f, frame))
         for f in job.frames
@@ -60,7 +60,7 @@ def _pixels(wanted: MergedFrame, frame: Callable[[int], NDArray[Any]]) -> NDArra
     return frame(wanted.slot) if wanted.file is None else read_kept_image(wanted.file)
 
 
-def _fields(directory: Path | None) -> FlatFields:
+def opened_fields(directory: Path | None) -> FlatFields:
     """Return flat fields, which are read again when their document changes."""
     if directory is None:
         return FlatFields.none()

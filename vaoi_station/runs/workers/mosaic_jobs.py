@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -18,6 +19,7 @@ from vaoi_station.mosaic.projection import FrameProjector
 from vaoi_station.mosaic.tile_specs import TileSpec
 from vaoi_station.mosaic.tiles import render_tile
 from vaoi_station.runs.workers.jobs import FramesJob
+from vaoi_station.runs.workers.merge_job import opened_fields
 
 Slots = Mapping[tuple[int, int], int]
 """Slots of frames (camera, row)."""
@@ -38,6 +40,8 @@ class PlanJob(FramesJob):
     stitch: Stitch
     board_type: BoardType
     base: MosaicGrid
+    flat_fields: Path | None = None
+    """Directory of the flat fields; None: brightness follows from the overlaps of the frames alone."""
     request: int = 0
 
     def perform(self, frame: ReadSlot) -> MosaicPlan:
@@ -49,6 +53,7 @@ class PlanJob(FramesJob):
             board_type=self.board_type,
             stitch=self.stitch,
             base=self.base,
+            fields=opened_fields(self.flat_fields),
         )
 
     def __str__(self) -> str:
