@@ -46,7 +46,7 @@ _SURE = 0.99
 """Least probability of a height that is given as a number; else there is an interval of this probability."""
 _COMMON = 0.25
 """Share of the differences beyond noise that is the same in all tiles of a body."""
-_ONE_LINE = 0.3
+_ONE_LINE = 0.25
 """Relative standard deviation of a height from a single row or column of tiles, or from two of many."""
 _EDGE_PX = 0.08
 """Standard deviation of the displacement, px of a frame, that tiles at the edges of a body have in common.
