@@ -196,10 +196,7 @@ class HeldStation(StationCoordinator):
         self.board_type(board_type)
         if self.lost and not allow_lost_cameras:
             raise DeviceError("The array is not complete.", action="Check its cable.", code="camera-lost")
-        if self.state == StationState.FILMING and passing == "after":
-            order = ArmedWith(board_type=board_type, board_id=board_id, job_id=job_id, runs_left=runs)
-            return self.snapshot().model_copy(update={"next_order": order})
-        if self.state == StationState.FILMING:
+        if self.state == StationState.FILMING and passing == "refuse":
             raise StateError("A board is passing.", action="Wait until it has left, then arm again.")
         self.armed = ArmedWith(board_type=board_type, board_id=board_id, job_id=job_id, runs_left=runs)
         self.state = StationState.ARMED
@@ -215,14 +212,13 @@ class HeldStation(StationCoordinator):
         return tuple(BoardTypeSummary(name=n, components=len(t.components)) for n, t in sorted(self.types.items()))
 
     def board_type(self, name: str) -> BoardType:
-        if name not in self.types:
-            raise NotFoundError(f"There is no board type {name!r}.", action="Teach it.", code="unknown-board-type")
-        return self.types[name]
+        if name in self.types:
+            return self.types[name]
+        raise NotFoundError(f"There is no board type {name!r}.", action="Teach it.", code="unknown-board-type")
 
     def put_board_type(self, board_type: BoardType) -> bool:
-        new = board_type.name not in self.types
-        self.types[board_type.name] = board_type
-        return new
+        known, self.types[board_type.name] = board_type.name in self.types, board_type
+        return not known
 
     def delete_board_type(self, name: str) -> None:
         self.board_type(name)

@@ -167,7 +167,11 @@ def test_every_answer_is_one_that_the_document_states(service: tuple[TestClient,
         if count % 3 == 0:
             asked.headers["Authorization"] = f"Bearer {secret}"
         answer = client.request(
-            asked.method, asked.path, params=httpx2.QueryParams(asked.query), headers=asked.headers, content=asked.body
+            asked.method,
+            asked.path,
+            params=httpx2.QueryParams(tuple(asked.query)),
+            headers=asked.headers,
+            content=asked.body,
         )
         fault = wrong_with(answer, operation, document, exact=asked.exact)
         assert not fault, f"request {count}: {asked}: {answer.status_code} {fault}: {answer.text[:300]}"

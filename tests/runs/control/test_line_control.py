@@ -85,12 +85,15 @@ def test_an_order_while_a_board_passes_takes_effect_after_it(line: Line) -> None
     filming(line)
     armed = line.arm(runs=2)
     assert not armed.done()
-    assert line.control.orders.runs_left is None
-    assert line.control.next_order is not None
-    assert line.control.next_order.runs_left == 2
+    before, coming = line.control.orders.shown(), line.control.next_order
+    assert before is not None
+    assert coming is not None
+    assert (before.runs_left, coming.runs_left) == (None, 2)
     board_leaves(line)
     armed.result(0)
-    assert (line.control.orders.runs_left, line.control.next_order, line.state) == (2, None, "armed")
+    assert line.state == "armed"
+    assert line.control.orders.shown() == coming
+    assert not line.control.next_order
 
 
 def test_a_disarm_refuses_the_orders_that_wait_for_a_board_to_leave(line: Line) -> None:

@@ -81,11 +81,13 @@ class RepeatedRequests:
             await self._perform(name, _Kept(fingerprint, self._clock()), work, send)
         elif known.fingerprint != fingerprint:
             detail = f"{HEADER} {name.key!r:.80} was sent before with another command or other values."
-            answer = problem_response(scope["path"], "key-of-another-request", detail, status=422, action=_NEW_KEY)
+            answer = problem_response(
+                scope["path"], code="key-of-another-request", detail=detail, status=422, action=_NEW_KEY
+            )
             await answer(scope, _no_body, send)
         elif not known.reply:
             detail = f"The command with {HEADER} {name.key!r:.80} is still under way."
-            answer = problem_response(scope["path"], "request-under-way", detail, status=409, action=_AGAIN)
+            answer = problem_response(scope["path"], code="request-under-way", detail=detail, status=409, action=_AGAIN)
             await answer(scope, _no_body, send)
         else:
             for message in known.reply:

@@ -23,7 +23,7 @@ def add_examples(operation: dict[str, Any]) -> None:
     for parameter in operation.get("parameters", ()):
         for key in (parameter["name"], f"{name}.{parameter['name']}"):
             value = known["parameters"].get(key)
-            # A general example is not one where the name has its own few values.
+            # A general example does not fit a parameter of the same name with other values.
             if value is not None and value in parameter.get("schema", {}).get("enum", [value]):
                 parameter["example"] = value
     for kind in operation.get("requestBody", {}).get("content", {}).values():

@@ -17,7 +17,7 @@ def downgraded(document: dict[str, Any]) -> dict[str, Any]:
 
 
 def _converted(part: Any, *, is_schema: bool = False) -> Any:
-    """Convert a part of the document; `is_schema` tells a schema from the objects around it."""
+    """Convert a part of the document; `is_schema`: it is a schema, not one of the objects around it."""
     if isinstance(part, list):
         return [_converted(inner, is_schema=is_schema) for inner in part]
     if not isinstance(part, dict):
