@@ -6,6 +6,7 @@ from typing import Annotated
 
 from fastapi import Header, Path, Query, Request
 from fastapi.routing import APIRoute
+from pydantic import BaseModel
 
 from vaoi_station.errors import InputError
 
@@ -89,6 +90,11 @@ def _query_names(route: APIRoute) -> set[str]:
     names, left = set[str](), [route.dependant]
     while left:
         dependant = left.pop()
-        names.update(field.alias for field in dependant.query_params)
         left += dependant.dependencies
+        for field in dependant.query_params:
+            model = field.field_info.annotation
+            if isinstance(model, type) and issubclass(model, BaseModel):  # one parameter per field of the model
+                names.update(own.alias or name for name, own in model.model_fields.items())
+            else:
+                names.add(field.alias)
     return names
