@@ -23,7 +23,11 @@ BoardTypeName = Annotated[
     ),
 ]
 Revision = Annotated[
-    str, Path(description="Id of a version, as listed by `revisions`.", pattern=r"^[0-9]{8}T[0-9]{9}Z-[0-9a-f]{8}$")
+    str,
+    Path(
+        description="Id of a version, as listed by `revisions`, or `latest`.",
+        pattern=r"^([0-9]{8}T[0-9]{9}Z-[0-9a-f]{8}|latest)$",
+    ),
 ]
 Camera = Annotated[int, Path(description="Camera, from 0.", ge=0, le=9999)]
 Row = Annotated[int, Path(description="Row, from 0.", ge=0, le=99999)]

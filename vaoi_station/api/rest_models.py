@@ -11,6 +11,7 @@ from pydantic import BaseModel, Field
 
 from vaoi_station.config import MethodName
 from vaoi_station.model import Strict
+from vaoi_station.model.board_type import BoardTypeState
 from vaoi_station.runs.archive.board_type_history import BoardTypeVersion
 from vaoi_station.runs.run.order import Passing
 from vaoi_station.runs.states.schemas import BoardTypeSummary, RunSummary
@@ -46,6 +47,15 @@ class BoardTypeVersions(Strict):
     """The versions of a board type that were replaced or deleted, newest first."""
 
     revisions: list[BoardTypeVersion]
+
+
+class StateRequest(Strict):
+    """A request to set the state of a board type."""
+
+    state: BoardTypeState = Field(description="A draft is armed with a warning, a retired board type is not armed.")
+    revision: str | None = Field(
+        default=None, min_length=1, max_length=40, pattern=r"^[^\x00-\x1f\x7f]+$", description="Revision of the data."
+    )
 
 
 class TeachRequest(Strict):

@@ -26,6 +26,7 @@ _MAX_ENTRIES = {
 """Largest number of entries in each list of a board type."""
 _MOST_HEIGHT_MM = 1000.0
 _MOST_CUT_OUT_CORNERS = 20_000
+BoardTypeState = Literal["draft", "approved", "retired"]
 FoundBy = Literal["element", "attribute", "package", "name", "place"]
 MM_PER_UNIT = {"mm": 1.0, "inch": 25.4, "mil": 0.0254}
 
@@ -143,6 +144,10 @@ class BoardType(FrozenModel):
     """The content of board.json: one side of a product, in its CAD unit and axes."""
 
     name: Annotated[str, Field(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]+$")]
+    revision: Annotated[str, Field(min_length=1, max_length=40, pattern=r"^[^\x00-\x1f\x7f]+$")] | None = None
+    """Revision of the product's data, as its owner names it."""
+    state: BoardTypeState | None = None
+    """Draft: armed with a warning; retired: not armed; None counts as approved."""
     unit: Literal["mm", "inch", "mil"] = "mm"
     y_axis: Literal["up", "down"] = "up"
     side: Literal["top", "bottom"] = "top"

@@ -18,6 +18,8 @@ from typing import NamedTuple
 from vaoi_station.errors import DeviceError, NotFoundError
 from vaoi_station.files.durability import make_directories, sync_directory, sync_file
 
+LATEST = "latest"
+"""Name of the version that ended last: the one before the present."""
 FOLDER = ".revisions"
 MOST_OF_TYPE, MOST_REVISIONS, MOST_BYTES = 20, 2000, 128 * 2**20
 """Limits: versions of one board type, versions of all, and their size in all."""
@@ -109,7 +111,7 @@ class BoardTypeRevisions:
 
     def get(self, stem: str, revision: str) -> BoardTypeRevision:
         """Return one version; raise `NotFoundError` if it does not exist."""
-        found = next((r for r in self.list(stem) if r.id == revision), None)
+        found = next((r for r in self.list(stem) if revision in (r.id, LATEST)), None)
         if found is None:
             raise NotFoundError(
                 f"There is no version {revision!r:.80} of this board type.",

@@ -40,6 +40,7 @@ EXPECTED = {
         "DELETE /board-types/{name}/reference",
         "POST /board-types/{name}/revisions/{revision}/restore",
         "PUT /board-types/{name}/method",
+        "PUT /board-types/{name}/state",
         "DELETE /board-types/{name}/method",
     },
     None: {"POST /session", "DELETE /session"},

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from vaoi_station.errors import NotFoundError
 from vaoi_station.model import BoardType
+from vaoi_station.model.board_type import BoardTypeState
 from vaoi_station.runs.archive.board_type_history import BoardTypeVersion
 
 TIME = "2026-01-01T12:00:00.000Z"
@@ -47,9 +48,17 @@ class HeldHistory:
 
     def get(self, name: str, revision: str) -> BoardType:
         try:
-            return self._types.before[name][revision]
+            versions = self._types.before[name]
+            return versions[max(versions) if revision == "latest" else revision]
         except KeyError:
             raise NotFoundError(f"There is no version {revision!r}.", code="unknown-revision") from None
+
+    def set_state(self, name: str, state: BoardTypeState, revision: str | None = None) -> BoardType:
+        if name not in self._types:
+            raise NotFoundError(f"There is no board type {name!r}.", code="unknown-board-type")
+        changes = {"state": state} | ({} if revision is None else {"revision": revision})
+        self._types[name] = self._types[name].model_copy(update=changes)
+        return self._types[name]
 
     def restore(self, name: str, revision: str) -> BoardType:
         self._types[name] = self.get(name, revision)

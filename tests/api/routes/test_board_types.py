@@ -158,3 +158,13 @@ def test_unknown_versions_are_refused(client: Any) -> None:
     assert client.get(unknown).json()["code"] == "unknown-revision"
     assert client.post(f"{unknown}/restore").status_code == 404
     assert client.get(f"{TYPES}/demo-board/revisions/..%2F..%2Fx").status_code in (404, 422)
+
+
+def test_the_state_is_set_and_the_version_before_restored(client: Any) -> None:
+    address = f"{TYPES}/demo-board"
+    answer = client.put(f"{address}/state", json={"state": "draft", "revision": "B"})
+    assert (answer.json()["state"], answer.json()["revision"]) == ("draft", "B")
+    assert client.put(f"{address}/state", json={"state": "old"}).status_code == 422
+    assert "state" not in client.get(f"{address}/revisions/latest").json()
+    assert "state" not in client.post(f"{address}/revisions/latest/restore").json()
+    assert client.put(f"{TYPES}/none/state", json={"state": "draft"}).status_code == 404

@@ -49,6 +49,11 @@ def test_a_deleted_board_type_is_restored_with_a_key(
     done = vaoi("board-types", "restore", "demo-board", version, "--key-file", tmp_path / "teach")
     assert (done.code, done.out) == (0, f"demo-board: version {version} is in force, 3 components.\n")
     assert station.types["demo-board"] == before
+    secret = ("--key-file", tmp_path / "teach")
+    done = vaoi("board-types", "state", "demo-board", "draft", "--revision", "B", *secret)
+    assert done.out == "demo-board: draft, revision B.\n", done.err
+    assert "demo-board: version latest" in vaoi("board-types", "restore", "demo-board", *secret).out
+    assert vaoi("board-types", "state", "demo-board", "old", *secret).code == 2
 
 
 def test_board_data_is_imported_shown_and_confirmed(

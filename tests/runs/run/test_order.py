@@ -5,10 +5,11 @@ from __future__ import annotations
 import pytest
 
 from vaoi_station.config import StationConfig
-from vaoi_station.errors import InputError
+from vaoi_station.errors import InputError, StateError
 from vaoi_station.model import BoardType, Calibration, Visibility
 from vaoi_station.runs.run.order import Order, OrderFactory, Orders
 from vaoi_station.runs.run.reference_store import ReferenceStore
+from vaoi_station.runs.run.run_views import made_with
 from vaoi_station.runs.run.salvage import camera_heads
 from vaoi_station.store import Store
 
@@ -113,3 +114,17 @@ def test_a_board_type_outside_the_limits_is_not_armed(
     fast = BoardType.model_validate({**board_type.model_dump(), "line": {"speed_mm_s": 500.0}})
     with pytest.raises(InputError, match=r"line\.speed_mm_s is 500\.0, but must be"):
         make_desk(config, calibration, store)(fast, None, None)
+
+
+def test_a_draft_is_armed_with_a_warning_and_a_retired_board_type_is_not(
+    config: StationConfig, calibration: Calibration, store: Store, board_type: BoardType
+) -> None:
+    desk = make_desk(config, calibration, store)
+    draft = order_of(desk, board_type.model_copy(update={"state": "draft", "revision": "B"}), "b")
+    assert [note.code for note in draft.notes] == ["board-type-draft"]
+    made = made_with(draft)
+    assert (made.board_type_revision, made.board_type_state) == ("B", "draft")
+    approved = order_of(desk, board_type.model_copy(update={"state": "approved"}), "b")
+    assert (approved.notes, approved.draft) == ((), None)
+    with pytest.raises(StateError, match="is retired"):
+        order_of(desk, board_type.model_copy(update={"state": "retired"}), "b")

@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from vaoi_station.api.event_hub import ThreadLimit
 from vaoi_station.api.http_caching import LIVE, REVALIDATE, conditional_response, require_unchanged
 from vaoi_station.api.parameters import BoardTypeName, IfMatch, IfNoneMatch, Revision
-from vaoi_station.api.rest_models import BoardTypeList, BoardTypeVersions
+from vaoi_station.api.rest_models import BoardTypeList, BoardTypeVersions, StateRequest
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import InputError, VaoiError
 from vaoi_station.model import BoardType
@@ -95,6 +95,16 @@ def router(services: Services) -> APIRouter:
         async with changing:
             require_unchanged(request, await present(name), f"Board type {name!r}")
             await ask(coordinator.delete_board_type, name)
+
+    @routes.put("/{name}/state", response_model=BoardType)
+    async def set_board_type_state(name: BoardTypeName, body: StateRequest) -> Response:
+        """Set the state of a board type, and its revision if given. The version before can be restored.
+
+        An armed line keeps the state with which it was armed; the new one applies from the next arming on.
+        """
+        async with changing:
+            board_type = await ask(coordinator.board_type_history.set_state, name, body.state, body.revision)
+        return Response(_document(board_type), media_type="application/json", headers={"Cache-Control": LIVE})
 
     @routes.get("/{name}/revisions")
     async def list_revisions(response: Response, name: BoardTypeName) -> BoardTypeVersions:

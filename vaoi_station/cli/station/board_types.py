@@ -23,7 +23,7 @@ def list_board_types(station: STATION = DEFAULT_STATION, key_file: KEY_FILE = No
     """List the board types, and those that were deleted and can be restored."""
     reply = _client(station, key_file, ca).get("/board-types")
     for entry in reply["board_types"]:
-        typer.echo(f"{entry['name']:40} {entry['components']:6} components")
+        typer.echo(f"{entry['name']:40} {entry['components']:6} components  {entry['state']}")
     for name in reply["deleted"]:
         typer.echo(f"{name:40} deleted")
 
@@ -38,7 +38,9 @@ def revisions(name: NAME, station: STATION = DEFAULT_STATION, key_file: KEY_FILE
 @board_types.command()
 def restore(
     name: NAME,
-    revision: Annotated[str, typer.Argument(help="Id of the version, as `revisions` lists it.")],
+    revision: Annotated[
+        str, typer.Argument(help="Id of the version, as `revisions` lists it; by default the one before the present.")
+    ] = "latest",
     station: STATION = DEFAULT_STATION,
     key_file: KEY_FILE = None,
     ca: CA = None,
@@ -47,6 +49,21 @@ def restore(
     path = f"/board-types/{quote(name, safe='')}/revisions/{quote(revision, safe='')}/restore"
     reply = _client(station, key_file, ca).post(path)
     typer.echo(f"{name}: version {revision} is in force, {len(reply['components'])} components.")
+
+
+@board_types.command()
+def state(
+    name: NAME,
+    state: Annotated[str, typer.Argument(help="draft (armed with a warning), approved, or retired (not armed).")],
+    revision: Annotated[str | None, typer.Option(help="Revision of the data; by default it stays.")] = None,
+    station: STATION = DEFAULT_STATION,
+    key_file: KEY_FILE = None,
+    ca: CA = None,
+) -> None:
+    """Set the state of a board type, from the next arming on."""
+    document = {"state": state} | ({} if revision is None else {"revision": revision})
+    reply = _client(station, key_file, ca).put_document(f"/board-types/{quote(name, safe='')}/state", document)
+    typer.echo(f"{name}: {reply['state']}, revision {reply.get('revision', 'not stated')}.")
 
 
 @board_types.command("import")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from vaoi_station.model import BoardType
+from vaoi_station.model.board_type import BoardTypeState
 from vaoi_station.runs.states.run_ids import utc
 from vaoi_station.runs.states.schemas import Schema
 from vaoi_station.store import BoardTypeDirectory
@@ -43,6 +44,14 @@ class BoardTypeHistory:
     def get(self, name: str, revision: str) -> BoardType:
         """Return one version of a board type; `NotFoundError` if there is none."""
         return self._directory.revision(name, revision)
+
+    def set_state(self, name: str, state: BoardTypeState, revision: str | None = None) -> BoardType:
+        """Store a board type in another state, with another revision if one is given, and return it."""
+        present = self._directory.get(name)
+        changes: dict[str, str] = {"state": state} | ({} if revision is None else {"revision": revision})
+        board_type = present.model_copy(update=changes)
+        self._put(board_type, f": it is now {state}")
+        return board_type
 
     def restore(self, name: str, revision: str) -> BoardType:
         """Put an earlier version in force again, as if it were stored now, and return it.

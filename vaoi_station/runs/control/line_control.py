@@ -297,8 +297,9 @@ class LineControl:
             self._machine.advance(StationStep.MEMORY_FREED)
 
     def warnings(self) -> tuple[Reason, ...]:
-        """Return warnings about the next board: callers hold too much memory, or the board id is not certain."""
+        """Return warnings about the next board: memory that callers hold, a doubtful board id, a draft."""
         found = [self._not_resumed, self._memory.warning() if self._machine.state in _TAKING_BOARDS else None]
+        found.append(self.orders.order.draft if self.orders.order is not None else None)
         if (why := self.orders.present_doubt) is not None and self.orders.order is not None:
             found.append(
                 Reason(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple
 
 from vaoi_station.acquisition.controller.filming_plan import filming_plan, line_of_board
@@ -47,6 +47,17 @@ class Order:
     """The trigger plan of the board type; None: that of the station."""
     line: Line | None = None
     """The line as the board type needs it; None: as in station.toml."""
+
+    @property
+    def draft(self) -> Reason | None:
+        """The warning about a board type that was not approved; None if it was."""
+        if self.board_type.state != "draft":
+            return None
+        return Reason(
+            code="board-type-draft",
+            message=f"Board type {self.board_type.name!r} is a draft: its data were not approved.",
+            action="Check positions on a run, then approve the board type.",
+        )
 
     def shown(self, runs_left: int | None) -> ArmedWith:
         """Return the part of the order that `GET station` and the page show."""
@@ -191,8 +202,14 @@ class OrderFactory:
         Raises:
             InputError: the board type has too few fiducials to be placed, or its light program, speed or lengths do not
                 fit the station.
-            StateError: the method needs a reference that is missing or unusable.
+            StateError: the board type is retired, or the method needs a reference that is missing or unusable.
         """
+        if board_type.state == "retired":
+            raise StateError(
+                f"Board type {board_type.name!r} is retired.",
+                action="Arm another board type, or approve this one again.",
+                code="board-type-retired",
+            )
         # Files in the directory may be older than this rule, or written by hand.
         refuse_unplaceable(board_type, "board type")
         line = line_of_board(self._config, board_type)
@@ -213,7 +230,7 @@ class OrderFactory:
         # Runs refer to their documents by digest, so a later change of the board type does not affect old results.
         digest = self._store.keep_document("board-type", board_type.model_dump_json(), utc())
         present = self._store.configurations.present
-        return Order(
+        order = Order(
             board_type=board_type,
             board_id=board_id,
             job_id=job_id,
@@ -226,6 +243,7 @@ class OrderFactory:
             plan=plan,
             line=line,
         )
+        return replace(order, notes=(*notes, order.draft)) if order.draft else order
 
     def _reference(
         self, board_type: BoardType, method: MethodName

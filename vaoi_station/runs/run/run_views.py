@@ -91,6 +91,8 @@ def made_with(order: Order) -> MadeWith:
     return MadeWith(
         configuration=order.configuration_digest,
         board_type=order.board_type_digest,
+        board_type_revision=order.board_type.revision,
+        board_type_state=order.board_type.state,
         method=order.setup.method,
         reference=reference.run if reference else None,
         reference_digest=reference.digest if reference else None,

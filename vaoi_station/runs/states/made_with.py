@@ -5,6 +5,7 @@ from __future__ import annotations
 from pydantic import BaseModel, ConfigDict
 
 from vaoi_station.config import MethodName
+from vaoi_station.model.board_type import BoardTypeState
 
 
 class MadeWith(BaseModel):
@@ -16,6 +17,9 @@ class MadeWith(BaseModel):
     """Digest of the station's configuration; empty if it was not stored."""
     board_type: str
     """Digest of the board type as it was when the line was armed."""
+    board_type_revision: str | None = None
+    """The revision that the board type stated."""
+    board_type_state: BoardTypeState | None = None
     method: MethodName
     reference: str | None = None
     """Id of the run against which the board was placed; None: without a reference."""

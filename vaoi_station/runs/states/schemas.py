@@ -1,7 +1,6 @@
 """Schemas of the documents about the station and its runs. The documents are immutable and become JSON as they are.
 
-Points in time are strings, RFC 3339 in UTC. Durations are numbers, in seconds (`_s`) or milliseconds (`_ms`). Cameras
-and rows count from 0.
+Points in time are strings, RFC 3339 in UTC. Durations are numbers (`_s`, `_ms`). Cameras and rows count from 0.
 """
 
 from __future__ import annotations
@@ -210,6 +209,7 @@ class BoardTypeSummary(Schema):
     """One entry of the list of board types; `fault` is set if its file cannot be used."""
 
     name: str
+    state: str = "approved"
     side: str = "top"
     unit: str = "mm"
     components: int = 0
