@@ -93,8 +93,7 @@ class StationCoordinator:
             show_status: receives the station's state in one line at every tick.
         """
         self._parts, self._ring = parts, ring
-        self._make_order, self._processes, self._show_status = make_order, processes, show_status
-        self.faults = faults
+        self._make_order, self._processes, self._show_status, self.faults = make_order, processes, show_status, faults
         self._inbox = Inbox(self._tick, after=lambda: renew_permit(self._core, parts, processes, self.faults()))
         self.thread = self._inbox.thread
         """The coordinator's thread."""
@@ -102,17 +101,16 @@ class StationCoordinator:
         self._core, self.storage = Core(parts), parts.archive.storage
         parts.archive.on_announced = lambda run, until_s: self._inbox.post(self._core.announced, run, until_s)
         requests = PictureRequests(parts.workers)
-        self._frames = FrameAccess(self._inbox, self._core, ring, parts.archive, requests)
-        self.mosaics = Mosaics(parts.archive, self._frames.lease, requests.render, parts.config.flat_fields)
-        access = self._frames
+        access = self._frames = FrameAccess(self._inbox, self._core, ring, parts.archive, requests)
+        self.mosaics = Mosaics(parts.archive, access.lease, requests.render, parts.config.flat_fields)
         self.heights = MeasuredHeights(parts.archive, access.lease, requests.render, access.bay_of, parts.events)
         self.kept = KeptRuns(parts.config, parts.archive, parts.events, access, self.heights)
         access.heights = self.heights.known
-        self._frames.recorded, self.merged = self.kept.recordings.frame_file, self._frames.merged(parts.config)
-        self.batches = self._frames.batches(self.merged)
+        access.recorded, self.merged = self.kept.recordings.frame_file, access.merged(parts.config)
+        self.batches = access.batches(self.merged)
         teaching = ReferenceTeaching(references, parts.config.method)
         self._board_types = BoardTypeService(
-            board_types, teaching, parts.archive, parts.events, self._core, self._inbox, self._frames
+            board_types, teaching, parts.archive, parts.events, self._core, self._inbox, access
         )
         self.board_type_history = BoardTypeHistory(board_types, self._board_types.put)
         self.process_events: StationEvents = InboxEvents(self._inbox, self._core, requests)
