@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import tempfile
 from pathlib import Path as File
@@ -15,10 +16,11 @@ from starlette.datastructures import Headers
 from starlette.types import Receive, Scope, Send
 
 from vaoi_station.api.callers.picture_seats import FileSeats
-from vaoi_station.api.http_caching import IMMUTABLE, conditional_response
+from vaoi_station.api.http_caching import IMMUTABLE, REVALIDATE, conditional_response
 from vaoi_station.api.parameters import RunId
 from vaoi_station.api.rest_models import MosaicEntry, MosaicList
 from vaoi_station.api.routes.services import Services
+from vaoi_station.errors import InputError
 from vaoi_station.mosaic.deep_zoom import (
     dzi_document,
     dzi_reduction,
@@ -94,7 +96,8 @@ def router(services: Services) -> APIRouter:
             return mosaics.tile(run, name, reduction, box, format)
 
         content = await services.pictures.ask(rendered)
-        return conditional_response(request, content, MEDIA[format])
+        # Other flat fields give other pixels of the same run.
+        return conditional_response(request, content, MEDIA[format], cache=REVALIDATE)
 
     @routes.get("", response_model=MosaicList)
     async def list_mosaics(request: Request, run: RunId) -> Response:
@@ -158,8 +161,6 @@ def router(services: Services) -> APIRouter:
     @routes.get("/{picture}/info.json", response_class=Response, responses=IIIF)
     async def get_iiif(request: Request, run: RunId, picture: Picture) -> Response:
         """Return the description of a mosaic for the IIIF Image API 3, level 0."""
-        import json
-
         grid = await ask(mosaics.grid, run, parse_name(picture))
         address = str(request.url.replace(query="")).removesuffix("/info.json")
         body = json.dumps(iiif_document(grid, address), indent=1).encode()
@@ -215,7 +216,7 @@ def router(services: Services) -> APIRouter:
             path,
             media_type="image/tiff",
             filename=f"{run}-{name}.tif",
-            headers={"Cache-Control": IMMUTABLE},
+            headers={"Cache-Control": REVALIDATE},
             background=BackgroundTask(folder.cleanup),
         )
 
@@ -224,8 +225,6 @@ def router(services: Services) -> APIRouter:
 
 def _download(corners: tuple[float | None, ...], px_per_mm: float | None) -> Download:
     """Check that a region has all four coordinates or none."""
-    from vaoi_station.errors import InputError
-
     given = [value for value in corners if value is not None]
     if len(given) not in (0, 4):
         raise InputError.field(
