@@ -11,7 +11,7 @@ from tests.api.held.batches import held_batches
 from tests.api.held.unpacked import documents, unpacked
 from tests.api.held_station import HeldStation
 from vaoi_station.api.images.view_entries import view_entry
-from vaoi_station.errors import InputError
+from vaoi_station.errors import GoneError, InputError
 from vaoi_station.model import Component
 from vaoi_station.rendering import ImageRequest, render_chosen
 from vaoi_station.runs.batches import batch_job
@@ -93,6 +93,26 @@ def test_a_part_ends_when_it_has_taken_long(station: HeldStation, monkeypatch: p
     assert found.images == 1
     assert rest is not None
     assert rest.image == 1
+
+
+def test_a_batch_ends_although_every_choice_takes_longer_than_a_part(
+    station: HeldStation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wanted = BatchRequest(images=ImageRequest.of({"measure": True}), format="raw", container="zip")
+    whole = files_of(station, wanted)
+    monkeypatch.setattr(batch_job, "PART_S", -1.0)
+    assert files_of(station, wanted).keys() == whole.keys()
+
+
+def test_frames_that_are_lost_are_no_refusal_of_components(
+    station: HeldStation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def lost(*_: object) -> None:
+        raise GoneError("The recording was deleted.")
+
+    monkeypatch.setattr(batch_job, "measure", lost)
+    with pytest.raises(GoneError):
+        files_of(station, BatchRequest(images=ImageRequest.of({"measure": True}), container="zip"))
 
 
 def test_batches_come_after_single_pictures() -> None:

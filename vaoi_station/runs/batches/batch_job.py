@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic_core import to_json
 
-from vaoi_station.errors import VaoiError
+from vaoi_station.errors import InputError, NotFoundError, StateError, VaoiError
 from vaoi_station.files.images import read_kept_image
 from vaoi_station.geometry import Camera
 from vaoi_station.model import BoardType, Component, Stitch
@@ -155,8 +155,11 @@ class _Cutting:
     def _work(self) -> Resume | None:
         """Make members until the part is full; return where the rest begins."""
         first, image = self._job.start
-        for start in range(first, len(self._job.components), CHUNK):
-            parts = self._job.components[start : start + CHUNK]
+        wanted = self._setup.wanted
+        # A part that ends early must measure again what it had chosen and not rendered.
+        chunk = 1 if wanted.needs_pixels or wanted.choice.measure else CHUNK
+        for start in range(first, len(self._job.components), chunk):
+            parts = self._job.components[start : start + chunk]
             for n, (part, chosen) in enumerate(zip(parts, self._choose(parts), strict=True), start):
                 if (stopped := self._component(part, chosen, image)) is not None:
                     return Resume(n, stopped)
@@ -172,7 +175,7 @@ class _Cutting:
         """Choose the images of each component. One that is refused does not prevent the others."""
         try:
             yield from self._chosen(parts)
-        except VaoiError as error:
+        except (InputError, NotFoundError, StateError) as error:  # frames that are lost end the batch
             if len(parts) == 1:
                 yield error
                 return
@@ -198,7 +201,8 @@ class _Cutting:
         if first == 0:
             self._add(views_member(folder, self._entry(part, chosen, folder, suffix)))
         for k, choice in enumerate(chosen.chosen[first:], first):
-            if k and self._full():
+            # Every job renders a picture, also if the choice alone has taken its time: otherwise a batch may never end.
+            if k > first and self._full():
                 return k
             self._add(picture_member(f"{folder}/{k}.{suffix}", media, self._render(choice), self._setup.format))
             self._images += 1

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
@@ -212,11 +212,9 @@ class BatchAccess:
 
     def _try_merging(self, run: str, request: BatchRequest, components: tuple[Component, ...]) -> None:
         """Refuse a request that no component can fulfil; one that no frame shows does not count."""
-        for part in components[:1]:
-            try:
-                self.merged.pictures(run, _merge_request(request, part))
-            except NotFoundError:
-                return
+        if components:
+            with suppress(NotFoundError):
+                self.merged.pictures(run, _merge_request(request, smallest(components)))
 
     def _merge(self, batch: Batch, part: Component) -> CutPart:
         """Have the merged picture of one component made."""
