@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import threading
 from collections.abc import AsyncIterator
 from functools import partial
 from types import SimpleNamespace
@@ -10,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from vaoi_station.api.batch.batch_stream import PARTS_AHEAD, stream
+from vaoi_station.api.batch.batch_stream import PARTS_AHEAD, CutThreads, stream
 from vaoi_station.errors import GoneError
 from vaoi_station.runs.batches.batch_job import CutPart
 from vaoi_station.runs.batches.batches import Batch, BatchPart
@@ -101,5 +102,30 @@ def test_a_fault_ends_the_stream_with_a_last_file(fault: Exception) -> None:
         *_, end, closing = await read(stream(batch(9), cut))
         assert b'"complete":false' in end
         assert closing == bytes(1024)
+
+    asyncio.run(check())
+
+
+def test_a_part_whose_reader_has_gone_keeps_its_thread() -> None:
+    async def check() -> None:
+        begun, ready, may_end = [], threading.Event(), threading.Event()
+
+        def cut(_: Batch, part: BatchPart) -> tuple[CutPart, None]:
+            begun.append(part.image)
+            ready.set()
+            may_end.wait()
+            return reply(b"x"), None
+
+        threads, whole = CutThreads(1), batch(3)
+        left = asyncio.ensure_future(threads.ask(cut, whole, BatchPart((), 0)))
+        await asyncio.to_thread(ready.wait)
+        left.cancel()
+        waiting, last = (asyncio.ensure_future(threads.ask(cut, whole, BatchPart((), k))) for k in (1, 2))
+        await asyncio.wait([left])
+        waiting.cancel()
+        assert begun == [0]
+        may_end.set()
+        assert (await last)[0].images == 1
+        assert begun == [0, 2]
 
     asyncio.run(check())

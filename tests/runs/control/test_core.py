@@ -17,9 +17,9 @@ from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.control.calibration_watch import CalibrationWatch
 from vaoi_station.runs.control.core import Core, Parts
-from vaoi_station.runs.control.line_control import Completion
 from vaoi_station.runs.run.order import Order
 from vaoi_station.runs.run.progress import Progress
+from vaoi_station.runs.run.waiting_orders import Completion
 from vaoi_station.runs.states.run_ids import RunIds
 from vaoi_station.runs.workers.jobs import LinkJob, RenderJob, Reply
 from vaoi_station.store import Store

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 from typing import Any
 
@@ -14,12 +15,13 @@ from vaoi_station.config import StationConfig
 from vaoi_station.errors import BusyError, DeviceError, StateError
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
-from vaoi_station.runs.control.line_control import Completion, LineControl
+from vaoi_station.runs.control.line_control import LineControl
 from vaoi_station.runs.control.station_state import StationStateMachine
 from vaoi_station.runs.run.leases import Leases
 from vaoi_station.runs.run.memory import Memory
 from vaoi_station.runs.run.order import Order
 from vaoi_station.runs.run.progress import Progress
+from vaoi_station.runs.run.waiting_orders import Completion
 from vaoi_station.runs.states.run_ids import RunIds
 from vaoi_station.runs.states.tables import StationStep
 from vaoi_station.store import Store
@@ -116,6 +118,33 @@ def test_an_order_after_a_disarm_while_a_board_passes_arms_again(line: Line) -> 
     line.control.on_armed()
     armed.result(0)
     assert (line.state, line.control.orders.runs_left) == ("armed", 1)
+
+
+def test_a_disarm_refuses_the_orders_that_wait_for_a_disarm(line: Line) -> None:
+    line.armed()
+    line.control.disarm(Completion())
+    armed, disarmed = line.arm(), Completion()
+    line.control.disarm(disarmed)
+    with pytest.raises(StateError, match="was disarmed before it was armed"):
+        armed.result(0)
+    line.control.on_disarmed(messages.Disarmed(()), None)
+    disarmed.result(0)
+    assert line.state == "idle"
+
+
+def test_a_board_at_the_barrier_keeps_its_order_when_several_wait(line: Line) -> None:
+    filming(line)
+    before = line.control.orders.order
+    early = time.monotonic()
+    line.order = replace(line.order, board_id="A")
+    first = line.arm(runs=2)
+    line.order = replace(line.order, board_id="B")
+    second = line.arm(runs=3)
+    board_leaves(line)
+    first.result(0)
+    second.result(0)
+    assert line.control.orders.runs_left == 3
+    assert line.control.orders.take(early) is before
 
 
 def test_an_order_that_waits_is_withdrawn_or_refused_with_a_fault(line: Line) -> None:

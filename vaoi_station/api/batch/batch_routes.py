@@ -9,10 +9,9 @@ from urllib.parse import quote
 from fastapi import APIRouter, Depends, Query, Request, Response
 from fastapi.responses import StreamingResponse
 
-from vaoi_station.api.batch.batch_stream import PARTS_AHEAD, stream
+from vaoi_station.api.batch.batch_stream import PARTS_AHEAD, CutThreads, stream
 from vaoi_station.api.callers.caller import caller_of
 from vaoi_station.api.callers.seats import QueuedSeats
-from vaoi_station.api.event_hub import ThreadLimit
 from vaoi_station.api.images.image_queries import Wanted
 from vaoi_station.api.images.view_entries import picture_query
 from vaoi_station.api.parameters import RunId
@@ -79,7 +78,7 @@ def _request(
 def router(services: Services) -> APIRouter:
     """Create the route of batches."""
     routes = APIRouter(prefix="/runs/{run}", tags=["pictures"])
-    batches, threads = services.coordinator.batches, ThreadLimit(BATCHES * PARTS_AHEAD)
+    batches, threads = services.coordinator.batches, CutThreads(BATCHES * PARTS_AHEAD)
     seats = QueuedSeats("batches of pictures", BATCHES, BATCHES_OF_CALLER, BATCHES_WAITING, BATCH_WAIT_S)
 
     async def seat(request: Request) -> AsyncIterator[None]:

@@ -11,6 +11,7 @@ import logging
 from collections import deque
 from collections.abc import AsyncIterator, Awaitable, Callable
 
+from vaoi_station.api.event_hub import ThreadLimit
 from vaoi_station.errors import InternalError, VaoiError
 from vaoi_station.runs.batches.batch_job import CutPart
 from vaoi_station.runs.batches.batches import Batch, BatchPart
@@ -20,8 +21,29 @@ PARTS_AHEAD = 4
 """Number of parts of a batch that are being cut or wait for its reader."""
 _log = logging.getLogger(__name__)
 
-Cut = Callable[[BatchPart], Awaitable[tuple[CutPart, BatchPart | None]]]
+Done = tuple[CutPart, BatchPart | None]
+"""A part that was cut, and what remains of it."""
+Cut = Callable[[BatchPart], Awaitable[Done]]
 """Function that has a part cut, and returns what remains of it."""
+
+
+class CutThreads:
+    """A limited number of threads that cut parts. A part whose reader has gone keeps its thread until it is cut."""
+
+    def __init__(self, threads: int) -> None:
+        self._places, self._limit = asyncio.Semaphore(threads), ThreadLimit(threads)
+
+    async def ask(self, cut: Callable[[Batch, BatchPart], Done], batch: Batch, part: BatchPart) -> Done:
+        """Have a part cut in a thread. A cancelled call gives up its turn, or leaves the thread to its end."""
+        await self._places.acquire()
+        work = asyncio.ensure_future(self._limit.ask(cut, batch, part))
+        work.add_done_callback(self._ended)
+        return await asyncio.shield(work)
+
+    def _ended(self, work: asyncio.Task[Done]) -> None:
+        self._places.release()
+        if not work.cancelled():
+            work.exception()  # read, because no caller may wait for it any more
 
 
 async def stream(batch: Batch, cut: Cut) -> AsyncIterator[bytes]:
@@ -33,7 +55,7 @@ async def stream(batch: Batch, cut: Cut) -> AsyncIterator[bytes]:
     yield writer.add(batch.pack(batch.head))
     images = refused = 0
     error: VaoiError | None = None
-    waiting, tasks = deque(batch.parts()), set[asyncio.Task[tuple[CutPart, BatchPart | None]]]()
+    waiting, tasks = deque(batch.parts()), set[asyncio.Future[Done]]()
     try:
         while (waiting or tasks) and error is None:
             while waiting and len(tasks) < PARTS_AHEAD:

@@ -24,7 +24,7 @@ from vaoi_station.api.problems import problem_response
 HEADER, REPLAYED = "Idempotency-Key", "Idempotency-Replayed"
 KEEP_S = 3600.0
 """Time for which the reply to a command is kept, s."""
-MOST_OF_CALLER, MOST_BYTES = 200, 16 * 2**20
+MOST_OF_CALLER, MOST_BYTES, MOST_BYTES_OF_CALLER = 200, 16 * 2**20, 2 * 2**20
 """Number of commands of one caller, and total size of all replies in bytes, that are kept; the oldest go first."""
 _MOST_CALLERS = 64
 _KEY = re.compile(r'"[\x20-\x21\x23-\x5b\x5d-\x7e]{1,200}"|[\x21\x23-\x2b\x2d-\x3a\x3c-\x5b\x5d-\x7e]{1,200}')
@@ -120,10 +120,13 @@ class RepeatedRequests:
                 del self._kept[name]
 
     def _make_room(self, caller: tuple[str, str]) -> None:
-        """Forget the oldest replies: of this caller beyond its number, of all beyond their size."""
+        """Forget the oldest replies: of this caller beyond its number and size, of all beyond their size."""
         own = [name for name, kept in self._kept.items() if name.caller == caller and kept.reply]
-        for name in own[:-MOST_OF_CALLER]:
-            del self._kept[name]
+        spent = sum(self._kept[name].size for name in own)
+        for left, name in zip(range(len(own), 0, -1), own, strict=True):
+            if left <= MOST_OF_CALLER and spent <= MOST_BYTES_OF_CALLER:
+                break
+            spent -= self._kept.pop(name).size
         done = [name for name, kept in self._kept.items() if kept.reply]
         spare = len(done) - _MOST_CALLERS * MOST_OF_CALLER
         size = sum(kept.size for kept in self._kept.values())

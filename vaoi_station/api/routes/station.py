@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import AsyncIterator
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Body, Path, Query, Response
+from fastapi import APIRouter, Body, Depends, Path, Query, Request, Response
 
+from vaoi_station.api.callers.caller import caller_of
+from vaoi_station.api.callers.seats import Seats
+from vaoi_station.api.event_hub import ThreadLimit
 from vaoi_station.api.http_caching import LIVE
 from vaoi_station.api.rest_models import ArmRequest
 from vaoi_station.api.routes.services import Services
@@ -13,6 +17,8 @@ from vaoi_station.errors import InputError
 from vaoi_station.runs.run.order import Passing
 from vaoi_station.runs.states.schemas import StationSnapshot
 
+ARMING, ARMING_OF_CALLER = 8, 4
+"""Limits of requests to arm at a time, in total and of one caller: they may wait for a board that passes."""
 Text = Annotated[str | None, Query(max_length=200)]
 
 
@@ -20,6 +26,13 @@ def router(services: Services) -> APIRouter:
     """Create the routes for the station."""
     routes = APIRouter(prefix="/station", tags=["station"])
     coordinator, ask = services.coordinator, services.commands.ask
+    # Requests that wait must not take the threads that disarming needs, also when their callers have gone.
+    arming, arms = ThreadLimit(ARMING), Seats("requests to arm that wait", ARMING, ARMING_OF_CALLER)
+
+    async def seat(request: Request) -> AsyncIterator[None]:
+        """Hold a seat for a request to arm."""
+        with arms.take(caller_of(request).name):
+            yield
 
     @routes.get("", response_model_exclude_none=True)
     async def get_station(response: Response) -> StationSnapshot:
@@ -27,7 +40,7 @@ def router(services: Services) -> APIRouter:
         response.headers["Cache-Control"] = LIVE
         return await ask(coordinator.snapshot)
 
-    @routes.post("/arm", response_model_exclude_none=True)
+    @routes.post("/arm", response_model_exclude_none=True, dependencies=[Depends(seat)])
     async def arm_station(
         *,
         response: Response,
@@ -57,7 +70,8 @@ def router(services: Services) -> APIRouter:
         order = _merged(request, given)
         response.headers["Cache-Control"] = LIVE
         despite, passing = bool(order.allow_lost_cameras), order.passing or "wait"
-        return await ask(coordinator.arm, order.board_type, order.board_id, order.job_id, order.runs, despite, passing)
+        wanted = order.board_type, order.board_id, order.job_id, order.runs, despite, passing
+        return await arming.ask(coordinator.arm, *wanted)
 
     @routes.post("/disarm", response_model_exclude_none=True)
     async def disarm_station(response: Response) -> StationSnapshot:

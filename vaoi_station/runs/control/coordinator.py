@@ -172,24 +172,24 @@ class StationCoordinator:
         order = self._make_order(self._board_types.get(board_type), board_id, job_id)
         order = replace(order, despite_lost_cameras=allow_lost_cameras)
         armed: Future[None] = Future()
-        if not self._inbox.ask(self._core.arm, order, runs, armed, passing):
-            return self.snapshot()
-        try:
-            self._inbox.wait(armed, lambda: None, ARM_LIMIT_S)
-        except TimeoutError:
-            if self._inbox.ask(self._core.withdraw, armed):
-                raise StateError(
-                    f"Boards have passed without a gap for {ARM_LIMIT_S:.0f} s; the order before stays in force.",
-                    action="Arm with passing=after, which takes effect in the next gap.",
-                ) from None
-            self._inbox.post(self._core.disarm, Future())
-            raise DeviceError(
-                f"Cameras and controller were not ready within {ARM_LIMIT_S:.0f} s; the line was disarmed.",
-                action="Check the health of cameras and controller.",
-                code="arming-failed",
-            ) from None
-        for note in order.notes:
-            self._parts.events.add("trouble", note.message, code=note.code, action=note.action)
+        waits = self._inbox.ask(self._core.arm, order, runs, armed, passing)
+        for left in reversed(range(waits)):
+            try:
+                self._inbox.wait(armed, lambda: None, ARM_LIMIT_S)
+                break
+            except TimeoutError:
+                if self._inbox.ask(self._core.withdraw, armed):
+                    raise StateError(
+                        f"Boards have passed without a gap for {ARM_LIMIT_S:.0f} s; the order before stays in force.",
+                        action="Arm with passing=after, which takes effect in the next gap.",
+                    ) from None
+                if not left:
+                    self._inbox.post(self._core.disarm, Future())
+                    raise DeviceError(
+                        f"Cameras and controller were not ready within {ARM_LIMIT_S:.0f} s; the line was disarmed.",
+                        action="Check the health of cameras and controller.",
+                        code="arming-failed",
+                    ) from None
         return self.snapshot()
 
     def disarm(self) -> StationSnapshot:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from functools import partial
 from typing import assert_never
 
 from vaoi_station.acquisition.process import messages
@@ -14,7 +15,7 @@ from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.control import readiness
 from vaoi_station.runs.control.active_runs import ActiveRuns, Workers
 from vaoi_station.runs.control.calibration_watch import CalibrationWatch
-from vaoi_station.runs.control.line_control import Acquisition, Completion, LineControl
+from vaoi_station.runs.control.line_control import Acquisition, LineControl
 from vaoi_station.runs.control.reasons import sentence
 from vaoi_station.runs.control.station_state import StationStateMachine
 from vaoi_station.runs.run.board_account import UNWATCHED, BoardAccount
@@ -26,6 +27,7 @@ from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.run.salvage import early_end_reason, salvage_recording
 from vaoi_station.runs.run.standing_order import Resumed, StandingOrder
 from vaoi_station.runs.run.trigger_watch import TriggerWatch
+from vaoi_station.runs.run.waiting_orders import Completion
 from vaoi_station.runs.states.run_ids import RunIds
 from vaoi_station.runs.states.schemas import Reason
 from vaoi_station.runs.states.tables import RunState, RunStep, StationState, StationStep
@@ -87,23 +89,27 @@ class Core:
 
     # --- requests of callers
 
-    def arm(self, order: Order, runs: int | None, completion: Completion, passing: Passing = "wait") -> bool:
+    def arm(self, order: Order, runs: int | None, completion: Completion, passing: Passing = "wait") -> int:
         """Arm the line. The completion is set once the order is in force, or carries the refusal.
 
-        Returns False if the caller is not to wait for it: the order takes effect when a board that passes has left.
+        Returns for how many things the caller waits in turn: a board that passes, then cameras and controller. 0: the
+        order takes effect when the board has left, and the caller does not wait for it.
         """
         board_passes = self.machine.state is StationState.FILMING
         if board_passes and passing == "refuse":
             self.machine.require(StationStep.ARM)
-        if board_passes and passing == "after":
-            completion.add_done_callback(self._report_refusal)
+        later = board_passes and passing == "after"
+        completion.add_done_callback(partial(self._report_order, order, later))
         self.line.arm(order, runs, self.health, completion)
-        return not (board_passes and passing == "after")
+        return 0 if later else 2 if board_passes else 1
 
-    def _report_refusal(self, completion: Completion) -> None:
-        """Publish why an order for which no caller waits did not take effect."""
+    def _report_order(self, order: Order, later: bool, completion: Completion) -> None:
+        """Publish the notes of an order that is in force, and why one did not take effect if no caller waits for it."""
         refusal = completion.exception()
-        if isinstance(refusal, VaoiError):
+        if refusal is None:
+            for note in order.notes:
+                self._events.add("trouble", note.message, code=note.code, action=note.action)
+        elif later and isinstance(refusal, VaoiError):
             message = f"The order given while a board passed did not take effect: {refusal.message}"
             self._events.add("trouble", message, code=refusal.code, action=refusal.action)
 

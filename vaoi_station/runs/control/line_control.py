@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from concurrent.futures import Future
 from typing import Protocol
 
 from vaoi_station.acquisition.controller.interface import TriggerPlan
@@ -17,12 +16,10 @@ from vaoi_station.runs.control.station_state import StationStateMachine
 from vaoi_station.runs.run.memory import Memory
 from vaoi_station.runs.run.order import Order, Orders
 from vaoi_station.runs.run.standing_order import Resumed, StandingOrder
+from vaoi_station.runs.run.waiting_orders import Completion, WaitingOrders, WaitingRequest
 from vaoi_station.runs.states.run_ids import RunIds
 from vaoi_station.runs.states.schemas import ArmedWith, Reason
 from vaoi_station.runs.states.tables import RunState, RunStep, StationState, StationStep
-
-Completion = Future[None]
-"""A future that is set when a request has taken effect, or carries the refusal of the request."""
 
 
 class Acquisition(Protocol):
@@ -63,10 +60,7 @@ class LineControl:
         """Numbers of the bays that the cameras hold for coming runs, by run id."""
         self._arming: list[Completion] = []
         self._disarming: list[Completion] = []
-        self._after_disarm: list[tuple[Order, int | None, Completion]] = []
-        """Requests to arm (order, number of runs, completion) that came while the line was being disarmed."""
-        self._after_board: list[tuple[Order, int | None, Completion]] = []
-        """Requests to arm that came while a board was passing, which keeps the order before."""
+        self._waiting = WaitingOrders()
         self._disarm_sent = False
         self._plan: TriggerPlan | None = None
         """The trigger plan of the newest Arm command."""
@@ -101,14 +95,17 @@ class LineControl:
         """
         # While a Disarm is not confirmed, a new request to arm waits, because that Disarm would undo it.
         if self._disarm_sent and self._machine.state in _ARMED_STATES:
-            self._after_disarm.append((order, runs, completion))
+            self._waiting.wait_for_disarm(WaitingRequest(order, runs, completion))
             return
         if self._machine.state is StationState.FILMING:
-            self._after_board.append((order, runs, completion))
+            self._waiting.wait_for_board(WaitingRequest(order, runs, completion))
             return
         if self._machine.state in _WITH_PLAN and self._plan_of(order) != self._plan:
+            if (refusal := self._refusal(order, health)) is not None:
+                completion.set_exception(refusal)
+                return
             # Cameras and controller take another plan only when they are disarmed.
-            self._after_disarm.append((order, runs, completion))
+            self._waiting.wait_for_disarm(WaitingRequest(order, runs, completion))
             self.orders.cancel(time.monotonic())
             self._send_disarm()
             return
@@ -134,32 +131,36 @@ class LineControl:
             self._arming.append(completion)
             self._send_arm()
 
+    def _refusal(self, order: Order, health: messages.Health | None) -> DeviceError | None:
+        """Return why the line cannot be armed for an order; None if the cameras are ready."""
+        try:
+            if not order.despite_lost_cameras:
+                readiness.require(health, self._config.cameras)
+        except DeviceError as refusal:
+            return refusal
+        return None
+
     def withdraw(self, completion: Completion) -> bool:
         """Withdraw a request to arm that waits until a board has passed. Return False if it does not wait any more."""
-        kept = [request for request in self._after_board if request[2] is not completion]
-        waited, self._after_board = len(kept) < len(self._after_board), kept
-        return waited
+        return self._waiting.withdraw(completion)
 
     def board_left(self, health: messages.Health | None) -> None:
         """Serve the requests to arm that waited until the boards at the barrier had passed."""
-        waiting, self._after_board = self._after_board, []
-        for order, runs, completion in waiting:
-            self.arm(order, runs, health, completion)
+        self._serve(self._waiting.board_left(), health)
+
+    def _serve(self, request: WaitingRequest | None, health: messages.Health | None) -> None:
+        if request is not None:
+            self.arm(request.order, request.runs, health, request.completion)
 
     @property
     def next_order(self) -> ArmedWith | None:
         """The order that takes effect when the board that passes has left; None if there is none."""
-        if not self._after_board:
-            return None
-        order, runs, _ = self._after_board[-1]
-        return order.shown(runs)
+        return self._waiting.next_order
 
     def disarm(self, completion: Completion) -> None:
         """Disarm the line. The completion is set once the acquisition process ignores the barrier."""
         # An order that was given before the disarm must not arm the line after it.
-        waiting, self._after_board = self._after_board, []
-        for _, _, armed in waiting:
-            armed.set_exception(StateError("The line was disarmed before it was armed."))
+        self._waiting.refuse(StateError("The line was disarmed before it was armed."))
         self.orders.cancel(time.monotonic())
         self._keep_order()
         if self._machine.state in _ARMED_STATES:
@@ -369,14 +370,13 @@ class LineControl:
         waited for the Disarm are served.
         """
         self._disarm_sent = False
-        arming, disarming, waiting = self._arming, self._disarming, [*self._after_board, *self._after_disarm]
-        self._arming, self._disarming, self._after_disarm, self._after_board = [], [], [], []
+        arming, disarming = self._arming, self._disarming
+        self._arming, self._disarming = [], []
         for completion in arming:
             completion.set_exception(refusal)
         for completion in disarming:
             completion.set_result(None)
-        for order, runs, completion in waiting:
-            self.arm(order, runs, health, completion)
+        self._serve(self._waiting.disarmed(), health)
 
 
 _S = StationState
