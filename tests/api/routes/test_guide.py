@@ -6,6 +6,7 @@ import os
 import re
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -32,18 +33,25 @@ def sample(language: str) -> str:
 def boards_pass(served: Any, count: int) -> Iterator[None]:
     """Let boards pass whenever a request waits for one."""
 
+    over = threading.Event()
+
     def pass_by() -> None:
         for _ in range(count):
             seen = len(served.station.filmed)
             while served.app.state.hub.waiting == 0:
+                if over.is_set():
+                    return
                 served.client.get("/healthz")
             served.station.film()
             assert len(served.station.filmed) == seen + 1
 
     with ThreadPoolExecutor(1) as pool:
         passing = pool.submit(pass_by)
-        yield
-        passing.result()
+        try:
+            yield
+            passing.result()
+        finally:
+            over.set()
 
 
 def run(command: list[str], served: Any, directory: Path) -> str:

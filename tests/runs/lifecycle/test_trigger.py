@@ -53,7 +53,7 @@ def test_a_free_running_camera_makes_the_run_degraded_and_its_frames_are_not_use
     (reason,) = [r for r in run.reasons if r.code == "trigger-runs-freely"]
     assert reason.message == "Camera 1: it sends a frame every 33.3 ms. Its frames are not used."
     assert "vaoi doctor" in reason.action
-    assert {shot.view.camera for shot in rig.coordinator.images(run.id, "U1").shots} <= {0}
+    assert {choice.view.camera for choice in rig.coordinator.images(run.id, "U1").chosen} <= {0}
     with pytest.raises(StateError, match="may show another row: it sends a frame every") as refusal:
         rig.coordinator.frame(run.id, 1, 0)
     assert refusal.value.code == "frame-unproven"
