@@ -15,7 +15,7 @@ from vaoi_station.api.http_caching import LIVE, REVALIDATE, conditional_response
 from vaoi_station.api.parameters import BoardTypeName, IfMatch, IfNoneMatch, Revision
 from vaoi_station.api.rest_models import BoardTypeList, BoardTypeVersions, StateRequest
 from vaoi_station.api.routes.services import Services
-from vaoi_station.errors import InputError, VaoiError
+from vaoi_station.errors import InputError, NotFoundError, VaoiError
 from vaoi_station.model import BoardType
 
 BODY = {
@@ -35,13 +35,6 @@ def router(services: Services) -> APIRouter:
     parsing = ThreadLimit(1)
     # Between the check of If-Match and the change no other caller may change the board type.
     changing = asyncio.Lock()
-
-    async def present(name: str) -> bytes | None:
-        """Return the document of a board type as it is now; None if there is none, or none that can be used."""
-        try:
-            return _document(await ask(coordinator.board_type, name))
-        except VaoiError:
-            return None
 
     @routes.get("", response_model_exclude_none=True)
     async def list_board_types(response: Response) -> BoardTypeList:
@@ -78,7 +71,7 @@ def router(services: Services) -> APIRouter:
             raise InputError.field("body", "name", board_type.name, f"{name!r}, as in the address")
         content = _document(board_type)
         async with changing:
-            require_unchanged(request, await present(name), f"Board type {name!r}")
+            require_unchanged(request, await _present(services, request, name), f"Board type {name!r}")
             new = await ask(coordinator.put_board_type, board_type)
         answer = conditional_response(request, content, "application/json", cache=REVALIDATE)
         if new:
@@ -93,7 +86,7 @@ def router(services: Services) -> APIRouter:
         With `If-Match: ETAG` only the version that the caller has read: else 412 `changed`.
         """
         async with changing:
-            require_unchanged(request, await present(name), f"Board type {name!r}")
+            require_unchanged(request, await _present(services, request, name), f"Board type {name!r}")
             await ask(coordinator.delete_board_type, name)
 
     @routes.put("/{name}/state", response_model=BoardType)
@@ -127,7 +120,7 @@ def router(services: Services) -> APIRouter:
         The reference and the method of a board type that was deleted have to be set again.
         """
         async with changing:
-            require_unchanged(request, await present(name), f"Board type {name!r}")
+            require_unchanged(request, await _present(services, request, name), f"Board type {name!r}")
             content = _document(await ask(coordinator.board_type_history.restore, name, revision))
         return Response(content, media_type="application/json", headers={"Cache-Control": LIVE})
 
@@ -146,6 +139,18 @@ def _parsed(body: bytes) -> BoardType:
     except (ValueError, RecursionError) as error:
         faults = error.errors() if isinstance(error, ValidationError) else [{"type": "json_invalid", "msg": str(error)}]
         raise RequestValidationError([{**f, "loc": ("body", *f.get("loc", ()))} for f in faults]) from error
+
+
+async def _present(services: Services, request: Request, name: str) -> bytes | None:
+    """Return the document of a board type as it is now; None if there is none, or the request has no condition."""
+    if not {"if-match", "if-none-match"} & set(request.headers.keys()):
+        return None
+    try:
+        return await services.commands.ask(lambda: _document(services.coordinator.board_type(name)))
+    except NotFoundError:
+        return None
+    except VaoiError:
+        return b""  # there is a file, which cannot be used: no caller has read it
 
 
 def _document(board_type: BoardType) -> bytes:
