@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import threading
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from types import SimpleNamespace
 from typing import Any
@@ -29,7 +30,8 @@ class Station:
         self.jobs: list[Any] = []
         self.held = 0
         self.stored: dict[str, str] = {}
-        self.saved = threading.Event()
+        self.saved, self.asked, self.free = threading.Event(), threading.Event(), threading.Event()
+        self.free.set()
         self.fault: Exception | None = None
         self.events: list[dict[str, Any]] = []
         frames = tuple(SimpleNamespace(camera=0, row=j, slot=j, usable=j != 1) for j in range(3))
@@ -51,6 +53,8 @@ class Station:
 
     def render(self, job: Any, name: str) -> Any:
         self.jobs.append(job)
+        self.asked.set()
+        assert self.free.wait(20)
         if self.fault is not None:
             self.saved.set()
             raise self.fault
@@ -105,6 +109,27 @@ def test_stored_heights_need_no_frames(station: Station) -> None:
     assert heights.document("r1") == CONTENT
     assert heights.known("r1") == {"U1": (1.5, 0.02)}
     assert station.jobs == []
+
+
+def test_stored_heights_are_served_while_those_of_another_run_are_measured(station: Station) -> None:
+    """A measurement may wait for minutes behind later boards; readers would occupy all threads for commands."""
+    station.stored["r1"] = CONTENT.decode()
+    station.free.clear()
+    heights, detail = station.heights(), station.finished.detail
+    detail.id = "r2"
+    heights.start()
+    heights.finished(detail)
+    with ThreadPoolExecutor(1) as readers:
+        try:
+            assert station.asked.wait(20)
+            assert readers.submit(heights.known, "r1").result(10) == {"U1": (1.5, 0.02)}
+            assert readers.submit(heights.document, "r1").result(10) == CONTENT
+            assert readers.submit(heights.known, "r2").result(10) is None
+        finally:
+            station.free.set()
+    assert station.saved.wait(20)
+    heights.stop()
+    assert heights.known("r2") == {"U1": (1.5, 0.02)}
 
 
 def test_without_heights_none_are_known(station: Station) -> None:

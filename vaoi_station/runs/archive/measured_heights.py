@@ -61,7 +61,10 @@ class MeasuredHeights:
         self._archive, self._lease, self._render, self._bay_of = archive, lease, render, bay_of
         self._events = events
         self._known: OrderedDict[str, bytes] = OrderedDict()
+        self._memory = threading.Lock()
+        """Guards `_known`; never held while a worker or the disk is awaited."""
         self._lock = threading.Lock()
+        """Held during a measurement, which may wait for minutes behind later boards."""
         self._waiting: deque[str] = deque(maxlen=_MOST_WAITING)
         self._wake, self._stopping = threading.Condition(), False
         self.thread = SupervisedThread(self._run, "heights")
@@ -93,7 +96,9 @@ class MeasuredHeights:
             StateError: the run has no CAD mapping, or its calibration no working distance.
             GoneError: the frames are no longer in memory, and the heights were not measured while they were.
         """
-        # One caller at a time: a second request for the same run finds the heights of the first.
+        if (found := self._stored(run)) is not None:
+            return found
+        # One measurement at a time: a second request for the same run finds the heights of the first.
         with self._lock:
             found = self._stored(run)
             if found is None:
@@ -103,27 +108,29 @@ class MeasuredHeights:
             return found
 
     def known(self, run: str) -> dict[str, tuple[float, float]] | None:
-        """Return the measured heights of a run and their standard deviations, mm, by address; None without any."""
-        with self._lock:
-            found = self._stored(run)
-        if found is None:
+        """Return the measured heights of a run and their standard deviations, mm, by address; None without any.
+
+        It waits for no measurement.
+        """
+        if (found := self._stored(run)) is None:
             return None
         entries = json.loads(found)["heights"]
         return {ref: (e["height_mm"], e["sigma_mm"]) for ref, e in entries.items() if "height_mm" in e}
 
     def _stored(self, run: str) -> bytes | None:
         """Return the heights of a run from memory or the database."""
-        if run not in self._known:
-            text = self._archive.heights.document(run)
-            if text is None:
-                return None
-            self._remember(run, text.encode())
-        return self._known[run]
+        with self._memory:
+            if (found := self._known.get(run)) is not None:
+                return found
+        text = self._archive.heights.document(run)
+        return None if text is None else self._remember(run, text.encode())
 
-    def _remember(self, run: str, content: bytes) -> None:
-        self._known[run] = content
-        if len(self._known) > _KEPT:
-            self._known.popitem(last=False)
+    def _remember(self, run: str, content: bytes) -> bytes:
+        with self._memory:
+            self._known[run] = content
+            if len(self._known) > _KEPT:
+                self._known.popitem(last=False)
+        return content
 
     def _keep(self, run: str, content: bytes) -> bytes:
         self._remember(run, content)
