@@ -131,7 +131,7 @@ class Station:
                 StatusNotice(),
             )
             if (remount := self._remount) is not None:
-                housekeeping.add(lambda: remount.check(archive.count_unstored()), REMOUNT_S, code="storage-read-only")
+                housekeeping.add(lambda: remount.check(archive.count_at_risk()), REMOUNT_S, code="storage-read-only")
             housekeeping.add(coordinator.sweep_references, RETENTION_S, code="retention")
             housekeeping.add(coordinator.kept.recordings.tend, RETENTION_S, code="retention")
             # The exit stack calls in reverse order: the link stops first, then the workers, then the coordinator, which

@@ -31,6 +31,7 @@ def test_results_and_records_survive_a_restart_and_frames_do_not(
     half = rig.peer.expect(Grant)
     rig.begin(half)
     rig.wait_run(half.run, lambda run: run.state == "filming", "the second board")
+    assert (rig.archive.count_unstored(), rig.archive.count_at_risk()) == (0, 1)
     store.set_state("no run", "gone").result(10)
 
     later = Store(Database(tmp_path / "data" / "station.db"))

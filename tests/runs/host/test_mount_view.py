@@ -41,8 +41,8 @@ def test_a_service_starts_again_when_the_disk_is_writable_and_nothing_is_lost(tm
     watch.check()
     write_mounts(mounts, "ro", "rw", str(tmp_path.resolve()))
     with pytest.raises(DeviceError, match="mounted read-only where the service sees it") as refusal:
-        watch.check(unstored=3)
-    assert "3 runs that wait in memory are lost" in refusal.value.action
+        watch.check(at_risk=3)
+    assert "3 runs that wait in memory or are under way are lost" in refusal.value.action
     assert refusal.value.code == "storage-read-only"
     assert starts == []
     watch.check()

@@ -120,7 +120,7 @@ class Archive:
         """Store the record of a run that has begun, so that it is known even if the station crashes during the run."""
         with self._changed:
             self._under_way.add(progress.run)
-        self._store.save_run(_row(progress, detail_of(progress), None))
+        self._store.save_run(stored_documents.row_of(progress, detail_of(progress), None))
 
     def finish(self, progress: Progress) -> RunDetail:
         """Store a run that has ended, and return its document. The run is announced once it is written."""
@@ -144,7 +144,7 @@ class Archive:
             self._unannounced[progress.run] = finished.finish_number
             self._cache(finished)
         self.statistics.add(detail, finished.timeline)
-        row = _row(progress, detail.model_copy(update={"stored": True}), self._finished)
+        row = stored_documents.row_of(progress, detail.model_copy(update={"stored": True}), self._finished)
         saved = self._store.save_run(row, finished.timeline.model_dump_json(), finished.document)
         saved.add_done_callback(lambda future: self._written(finished, future))
         return detail
@@ -213,6 +213,11 @@ class Archive:
     def count_unstored(self) -> int:
         """Return the number of finished runs that are in memory only."""
         return len(self._unstored)
+
+    def count_at_risk(self) -> int:
+        """Return the number of runs that an end of the station would lose if the disk refuses writes."""
+        with self._changed:
+            return len(self._unstored) + len(self._under_way)
 
     def latest(self) -> FinishedRun | None:
         """Return the run that was announced last; None if no run was announced yet."""
@@ -385,16 +390,3 @@ class Archive:
 
 
 _EMPTY = Timeline(frames_settled_s=(), tasks=(), last_frame_s=0.0, ready_s=None)
-
-
-def _row(progress: Progress, detail: RunDetail, finish_number: int | None) -> RunRow:
-    return RunRow(
-        id=detail.id,
-        state=detail.state,
-        finish_number=finish_number,
-        board_type_digest=progress.order.board_type_digest,
-        calibration_digest=progress.order.calibration_digest,
-        summary=summary_of(detail).model_dump_json(),
-        detail=detail.model_dump_json(),
-        head=progress.head.model_dump_json() if progress.head else None,
-    )

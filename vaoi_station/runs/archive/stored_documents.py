@@ -8,6 +8,7 @@ from typing import TypeVar
 from pydantic import ValidationError
 
 from vaoi_station.errors import DeviceError, GoneError
+from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.run.run_views import summary_of
 from vaoi_station.runs.states.schemas import Reason, RunDetail, RunSummary, VerdictCounts
 from vaoi_station.runs.states.tables import IN_MEMORY, RunState
@@ -20,6 +21,20 @@ _UNREADABLE = Reason(
     message="The record of this run cannot be read by this version of the station.",
     action="Read it with the version that wrote it.",
 )
+
+
+def row_of(progress: Progress, detail: RunDetail, finish_number: int | None) -> RunRow:
+    """Return the row of a run; `finish_number` is None while it is under way."""
+    return RunRow(
+        id=detail.id,
+        state=detail.state,
+        finish_number=finish_number,
+        board_type_digest=progress.order.board_type_digest,
+        calibration_digest=progress.order.calibration_digest,
+        summary=summary_of(detail).model_dump_json(),
+        detail=detail.model_dump_json(),
+        head=progress.head.model_dump_json() if progress.head else None,
+    )
 
 
 def state_of(row: RunRow) -> RunState:

@@ -58,8 +58,8 @@ class RemountWatch:
         self._path, self._start_again, self._mounts = path, start_again, mounts
         self._was_read_only = False
 
-    def check(self, unstored: int = 0) -> None:
-        """Check the mount; `unstored` is the number of runs in memory, which a new start would lose.
+    def check(self, at_risk: int = 0) -> None:
+        """Check the mount; `at_risk` is the number of runs that a new start would lose.
 
         Raises:
             DeviceError: only a new start helps, and a person must decide on it: it would lose runs, or the mount has
@@ -70,11 +70,11 @@ class RemountWatch:
             self._was_read_only = False
         elif view.disk_read_only:
             self._was_read_only = True
-        elif self._was_read_only and not unstored:
+        elif self._was_read_only and not at_risk:
             _log.warning("%s: is writable again; the service starts again, to see it so", self._path)
             self._start_again()
         else:
-            lost = f"; {unstored} runs that wait in memory are lost by it" if unstored else ""
+            lost = f"; {at_risk} runs that wait in memory or are under way are lost by it" if at_risk else ""
             raise DeviceError(
                 f"{self._path}: its disk is writable, but mounted read-only where the service sees it.",
                 action=f"systemctl restart vaoi-station{lost}. If that does not help, remove the read-only mount.",
