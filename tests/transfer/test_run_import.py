@@ -197,6 +197,8 @@ def test_runs_that_do_not_fit_the_history_are_refused(
         ((), {"calibration": {"unit": "inch"}}, r"calibration.json"),
         ((), {"board": {"name": "another"}}, r"board.json has the digest \w+, but the run was made with"),
         ((), {"result": {"method": 7}}, r"result.json"),
+        ((), {"heights": {"heights": {"U1": {"views": 2, "height_mm": 1}}}}, r"heights.json: heights.U1: has only one"),
+        ((), {"heights": {"heights": [1]}}, r"heights.json: heights: .*Export the run again"),
     ):
         changed = rewritten(package, leave_out, **changes)
         with pytest.raises(InputError, match=message):

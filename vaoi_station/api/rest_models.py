@@ -236,24 +236,3 @@ class Health(Strict):
     state: str
     version: str
     codes: list[str] = Field(default=[], description="Codes of the station's reasons and warnings.")
-
-
-class HeightEntry(Strict):
-    """The height of one component above the board."""
-
-    height_mm: float | None = Field(None, description="Absent where several heights are probable.")
-    sigma_mm: float | None = Field(None, description="Standard deviation of `height_mm`.")
-    views: int = Field(description="Number of frames that show the component; a height needs two.")
-    low_mm: float | None = Field(None, description="Interval that contains the height with a probability of 0.99:")
-    high_mm: float | None = Field(None, description="absent if `height_mm` is known, or if nothing can be said.")
-    expected_mm: float | None = Field(None, description="`body_height` of the board type.")
-    comparison: Literal["agrees", "lower", "higher", "unknown"] | None = Field(
-        None, description="Statement about `expected_mm` with a probability of at least 0.95."
-    )
-    probability: float | None = Field(None, description="Probability of the statement, or of the best one.")
-
-
-class HeightList(Strict):
-    """The heights of a run's components, by address."""
-
-    heights: dict[str, HeightEntry]

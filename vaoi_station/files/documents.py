@@ -55,12 +55,12 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: not valid TOML: {error}.") from error
 
 
-def parse(model: type[M], data: Any, where: str | Path) -> M:
-    """Validate parsed data; raise InputError with file, key, value and limit of the first five faults."""
+def parse(model: type[M], data: Any, where: str | Path, action: str = "") -> M:
+    """Validate parsed data; raise InputError with file, key, value and limit of the first five faults, and `action`."""
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        raise InputError(describe(error, where)) from error
+        raise InputError(describe(error, where), action=action) from error
 
 
 def check_format(data: Any, path: Path, name: str, version: int) -> None:

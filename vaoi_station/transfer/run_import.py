@@ -25,6 +25,7 @@ from vaoi_station.runs.archive.recordings import DISK_RESERVE, RESULT_FILE, RUN_
 from vaoi_station.runs.archive.recordings import HEAD_FILE as RECORDING_FILE
 from vaoi_station.runs.archive.stored_documents import in_state
 from vaoi_station.runs.run.run_views import summary_of
+from vaoi_station.runs.states.height_schemas import HeightList
 from vaoi_station.runs.states.made_with import Origin
 from vaoi_station.runs.states.run_ids import assigned_s, is_run_id, utc
 from vaoi_station.runs.states.schemas import RunDetail
@@ -146,8 +147,17 @@ def _read(package: Path, folder: Path, manifest: dict[str, Any]) -> _Package:
         parse(Timeline, json.loads(timeline), f"{package}: {TIMELINE_FILE}")
     size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()) if recorded else 0
     configuration = _optional(package, folder, CONFIGURATION_FILE)
-    heights = _optional(package, folder, HEIGHTS_FILE)
-    return _Package(marked, calibration, board_type, head, result, timeline, heights, configuration, size)
+    return _Package(
+        marked, calibration, board_type, head, result, timeline, _heights(package, folder), configuration, size
+    )
+
+
+def _heights(package: Path, folder: Path) -> str | None:
+    """Return the heights of a run; the station reads them for every image on the top of a body."""
+    if (text := _optional(package, folder, HEIGHTS_FILE)) is None:
+        return None
+    heights = parse(HeightList, json.loads(text), f"{package}: {HEIGHTS_FILE}", action="Export the run again.")
+    return heights.model_dump_json(exclude_none=True)
 
 
 def _head(package: Path, folder: Path, recorded: bool) -> str:

@@ -10,9 +10,10 @@ from fastapi import APIRouter, Depends, Query, Request, Response
 from vaoi_station.api.callers.caller import caller_of
 from vaoi_station.api.http_caching import IMMUTABLE, LIVE, REVALIDATE, conditional_response
 from vaoi_station.api.parameters import RunId, TimeoutS
-from vaoi_station.api.rest_models import HeightList, Matrices, RunPage
+from vaoi_station.api.rest_models import Matrices, RunPage
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import NotFoundError
+from vaoi_station.runs.states.height_schemas import HeightList
 from vaoi_station.runs.states.schemas import LeaseStatus, RunDetail
 from vaoi_station.runs.states.tables import IN_MEMORY
 
