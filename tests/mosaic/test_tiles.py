@@ -10,6 +10,7 @@ import pytest
 
 from tests.mosaic.conftest import BOARD_MM, DARK, Film, Filmed, radiance
 from tests.mosaic.test_plan import plan_of
+from vaoi_station.errors import InputError
 from vaoi_station.geometry import apply
 from vaoi_station.model import BoardType
 from vaoi_station.mosaic import MosaicGrid
@@ -78,6 +79,18 @@ def test_pixel_types_and_colour(film: Film, dtype: Any, channels: int) -> None:
     ratio = grey / (257.0 if dtype == np.uint16 else 1.0) / expected(grid)
     assert ratio.std() < 0.03
     assert ratio.mean() == pytest.approx(0.95, abs=0.08)
+
+
+@pytest.mark.parametrize(
+    ("dtype", "channels", "names"),
+    [(np.uint16, 1, "8 bits grey, 16 bits grey"), (np.uint8, 3, "8 bits grey, 8 bits in colour")],
+)
+def test_cameras_of_different_pixel_formats_are_refused(film: Film, dtype: Any, channels: int, names: str) -> None:
+    board, other = film(), film(dtype=dtype, channels=channels)
+    mixed = {key: (other.frames if key[0] else board.frames)[key] for key in board.frames}
+    with pytest.raises(InputError, match="same pixel_format") as refusal:
+        picture_of(replace(board, frames=mixed))
+    assert f"have different pixel formats ({names})" in refusal.value.message
 
 
 def test_hdr_is_radiance_where_the_long_exposure_saturates(film: Film) -> None:

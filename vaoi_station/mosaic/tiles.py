@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from vaoi_station.errors import InputError
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.mosaic.blending import Cells, Nodes, Pictures, blend, nodes_along
 from vaoi_station.mosaic.projection import between, shrunk
@@ -54,6 +55,9 @@ def render_tile(spec: TileSpec, read: ReadFrame, scratch: Scratch | None = None)
 
     Returns pixels (h, w) or (h, w, 3) of the type of the frames; with HDR radiance (h, w), float32. With `scratch`, the
     pixels are valid until the next tile is rendered in it.
+
+    Raises:
+        InputError: frames differ in pixel type or number of channels.
     """
     memory = Scratch() if scratch is None else scratch
     if spec.hdr:
@@ -62,6 +66,7 @@ def render_tile(spec: TileSpec, read: ReadFrame, scratch: Scratch | None = None)
     if not found:
         return None
     first = found[0][1]
+    _refuse_different_formats([frame for _, frame, _ in found])
     channels = 1 if first.ndim == 2 else first.shape[2]
     cells = _cells([part for part, _, _ in found])
     m = spec.cells_from_tile
@@ -74,6 +79,17 @@ def render_tile(spec: TileSpec, read: ReadFrame, scratch: Scratch | None = None)
     if not out.any():
         return None
     return out if channels == 1 else out.reshape(spec.height, spec.width, channels)
+
+
+def _refuse_different_formats(frames: Sequence[NDArray[Any]]) -> None:
+    """Refuse frames of which one would be read as if it had the pixels of another."""
+    formats = {(frame.dtype, frame.shape[2:]): None for frame in frames}
+    if len(formats) > 1:
+        names = ", ".join(f"{d.itemsize * 8} bits {'in colour' if channels else 'grey'}" for d, channels in formats)
+        raise InputError(
+            f"The cameras of this mosaic have different pixel formats ({names}).",
+            action="Give all cameras the same pixel_format.",
+        )
 
 
 def _cells(parts: Sequence[FramePart]) -> Cells:
