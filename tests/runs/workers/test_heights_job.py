@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import pickle
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -34,3 +36,19 @@ def test_slices_and_their_combination_can_be_sent_to_a_worker(monkeypatch: pytes
     assert heights["U1"]["views"] == 2
     assert heights["U1"]["comparison"] == "agrees"
     assert set(heights) == {"U1", "U2"}
+
+
+def test_a_slice_uses_the_frames_that_it_has_converted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Else each slice would convert the frames again, and measure one component."""
+    filmed, now_s = make_film(PARTS, rows=2), [0.0]
+    monkeypatch.setattr(heights_job, "time", SimpleNamespace(monotonic=lambda: now_s[0]))
+    read: list[int] = []
+
+    def frame(slot: int) -> Any:
+        read.append(slot)
+        now_s[0] += 10 * heights_job.SLICE_S
+        return filmed.frames[0, slot - 7]
+
+    job = HeightsJob("r1", 0, 1, filmed.board_type, filmed.stitch, filmed.cameras, (), SLOTS)
+    assert list(job.perform(frame)) == ["U1", "U2"]
+    assert sorted(read) == [7, 8]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -19,12 +20,15 @@ from vaoi_station.runs.workers.jobs import FramesJob, Priority
 from vaoi_station.stitching.matching.evidence import FrameKey
 
 SLICE_S = 0.03
-"""Time after which a slice ends with the component under way, so that no other job waits for long."""
+"""Time after the first component in which further ones are begun, so that no other job waits for long.
+
+The first component is not counted: with it, frames of 16 bits or colour are converted, which later components use.
+"""
 
 
 @dataclass(frozen=True)
 class HeightsJob(FramesJob):
-    """Measure components of a run until `SLICE_S` have passed, at least one.
+    """Measure a component of a run, and further ones until `SLICE_S` have passed.
 
     The reply's value is a dict of `PartMeasure`s by address: those of the first components of `board_type`.
     """
@@ -50,12 +54,14 @@ class HeightsJob(FramesJob):
             slot = self.slots.get((camera, row))
             return None if slot is None else frame(slot)
 
-        ends_s = time.monotonic() + SLICE_S
         places, frames = open_places(self.board_type, self.stitch, self.cameras), Frames(pixels)
         found: dict[str, PartMeasure] = {}
+        ends_s = math.inf
         for component in self.board_type.components:
             found[component.address] = measure_part(places, frames, component, self.lights)
-            if time.monotonic() > ends_s:
+            now_s = time.monotonic()
+            ends_s = min(ends_s, now_s + SLICE_S)
+            if now_s > ends_s:
                 break
         return found
 
