@@ -18,26 +18,55 @@ from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
 from vaoi_station.stitching.matching.scene import Scene
 
 C = np.array([[1.0, 0, -15.0], [0, 1, -10.0], [0, 0, 1]])
+WRONG = np.array([[1 - 0.15 / 25, 0, -0.08], [0, 1 - 0.15 / 25, -0.05], [0, 0, 1]])
+"""As with two fiducials, 25 mm apart, one of which is off by 0.15 mm along their line."""
 STILL = nominal_motion(np.array([0.0]), np.zeros(2), np.zeros(2))
 
 
-def board(count: int) -> BoardType:
+def board(count: int, body_height: float | None = None) -> BoardType:
     places = [(3 + 4.9 * (n % 6), 3 + 4.6 * (n // 6)) for n in range(count)]
     parts = [
-        {"ref": f"R{n}", "center": [x, y], "width": 2.0, "height": 1.2, "rotation": 90.0 * (n % 2)}
+        {
+            "ref": f"R{n}",
+            "center": [x, y],
+            "width": 2.0,
+            "height": 1.2,
+            "rotation": 90.0 * (n % 2),
+            "body_height": body_height,
+        }
         for n, (x, y) in enumerate(places)
     ]
     return BoardType.model_validate({"name": "b", "y_axis": "down", "outline": [[0, 0], [30, 20]], "components": parts})
 
 
-def measured(workshop: Any, count: int = 18, wrong: Any = None) -> ComponentShift | None:
-    """Draw the board where C puts it, and measure its components at the places of a wrong C."""
-    board_type, camera = board(count), workshop.camera((0.0, 0.0), size_px=(480, 320), px_per_mm=15.0)
+def measured(
+    workshop: Any,
+    count: int = 18,
+    wrong: Any = None,
+    *,
+    distance_mm: float | None = None,
+    leaning_mm: float = 0.0,
+    body_height: float | None = None,
+) -> ComponentShift | None:
+    """Draw the board where C puts it, and measure its components at the places of a wrong C.
+
+    Args:
+        workshop: builders of scenes.
+        count: number of components.
+        wrong: (3, 3) what is wrong in C; None for nothing.
+        distance_mm: working distance of the camera.
+        leaning_mm: height at which the components are seen.
+        body_height: height of the components that the board type states.
+    """
+    board_type = board(count, body_height)
+    camera = workshop.camera((0.0, 0.0), size_px=(480, 320), px_per_mm=15.0, distance_mm=distance_mm)
     y, x = np.mgrid[:320, :480].astype(float)
     cad = apply(np.linalg.inv(C), camera.ground(np.stack([x, y], -1).reshape(-1, 2))).reshape(320, 480, 2)
     levels = 70 + 10 * np.sin(3 * cad[..., 0] + cad[..., 1])
     for part in board_type.components:
-        local = np.abs(cad - part.center)
+        place = apply(C, np.array([part.center]))
+        seen = camera.ground(camera.project(place, np.full(1, leaning_mm)))
+        local = np.abs(cad - part.center - (seen - place)[0])
         local = local[..., ::-1] if part.rotation == 90 else local
         levels[(local <= (1.0, 0.6)).all(-1)] = 190.0
         levels[(local <= (0.6, 0.5)).all(-1)] = 35.0
@@ -58,14 +87,33 @@ def test_components_in_their_places_show_no_shift(workshop: Any) -> None:
 
 
 def test_a_wrong_cad_matrix_is_measured(workshop: Any) -> None:
-    """As with two fiducials, 25 mm apart, one of which is off by 0.15 mm along their line."""
-    scale = 1 - 0.15 / 25
-    wrong = np.array([[scale, 0, -0.08], [0, scale, -0.05], [0, 0, 1]])
-    found = measured(workshop, wrong=wrong)
+    found = measured(workshop, wrong=WRONG)
     assert found is not None
     assert found.contradicts
     ends = apply(C, np.array([[3.0, 3.0], [27.0, 17.0]]))
-    assert found.at(apply(wrong, ends)) == pytest.approx(ends - apply(wrong, ends), abs=0.02)
+    assert found.at(apply(WRONG, ends)) == pytest.approx(ends - apply(WRONG, ends), abs=0.02)
+
+
+@pytest.mark.parametrize("body_height", [None, 1.5])
+@pytest.mark.parametrize("leaning_mm", [0.75, 1.5])
+def test_components_that_lean_under_one_camera_are_no_contradiction(
+    workshop: Any, leaning_mm: float, body_height: float | None
+) -> None:
+    """Components of 1.5 mm lean by up to 0.13 mm, as far as a stretch of 1 %."""
+    found = measured(workshop, distance_mm=150.0, leaning_mm=leaning_mm, body_height=body_height)
+    assert found is not None
+    assert found.components >= 12
+    assert not found.contradicts
+    assert found.measured[:3] == pytest.approx(np.zeros(3), abs=0.03)
+
+
+def test_a_wrong_cad_matrix_is_measured_if_stated_heights_do_not_explain_it(workshop: Any) -> None:
+    found = measured(workshop, wrong=WRONG, distance_mm=300.0, leaning_mm=0.2, body_height=0.35)
+    assert found is not None
+    assert found.contradicts
+    unknown = measured(workshop, wrong=WRONG, distance_mm=300.0, leaning_mm=0.2)
+    assert unknown is not None
+    assert unknown.covariance[3, 3] > 4 * found.covariance[3, 3]
 
 
 def test_few_components_show_nothing(workshop: Any) -> None:

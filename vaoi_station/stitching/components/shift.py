@@ -3,6 +3,9 @@
 Fiducials define where the CAD data lie on the board. An error of one fiducial of two, or of three under one camera,
 leaves no residual: height and scale of the board explain it. The components are mounted on pads of the same artwork.
 The centres of some of them are measured in the frames, and shift, turn and stretch of all together are estimated.
+
+What is seen of a component follows its pads on the board and its top, which leans away from the camera's foot. Under
+one camera this looks like a stretch of the board. The height that explains the lean is therefore a fifth unknown.
 """
 
 from __future__ import annotations
@@ -25,6 +28,10 @@ _PLACING_MM = np.array([0.012, 0.012, 0.008, 0.008])
 """Standard deviations of what placement and light change in all components alike: shift, turn and stretch, mm.
 
 Turn and stretch are the displacement that they cause at the rms distance of the components from their middle."""
+_HEIGHT_MM = (0.0, 1.0)
+"""Mean and standard deviation of the seen height of components, if the board type does not state all heights, mm."""
+_HEIGHT_SHARE = (0.5, 0.5)
+"""Mean and standard deviation of the seen height as a share of the stated heights: between pads and top."""
 _KNEE, _ROUNDS = 2.0, 12
 _LIMIT = 20.0
 """Largest χ² of shift, turn and stretch (4 degrees of freedom) that is no contradiction: 1 in 2000 exceeds it."""
@@ -75,7 +82,7 @@ def measure_component_shift(
         return None
     part, corners = views.point[best], apply(cad_matrix, plane.components.corners)
     half_mm = np.ptp(corners, axis=1)[part] / 2
-    off_mm = np.full((len(best), 2), np.nan)
+    off_mm, lean_mm = np.full((len(best), 2), np.nan), np.zeros((len(best), 2))
     # frame by frame, so that each frame is fetched only once
     for n in np.lexsort((views.row[best], views.camera[best])).tolist():
         view = best[n]
@@ -89,10 +96,26 @@ def measure_component_shift(
         if off is not None:
             ends = camera.ground(np.array([px, px + off]))
             off_mm[n] = motion.turned(np.array([j]), np.diff(ends, axis=0))[0]
+            # a raised point is seen away from its real position, so the offset is the negative of the parallax
+            lean_mm[n] = -motion.turned(np.array([j]), camera.parallax(ends[:1]))[0]
     found = np.isfinite(off_mm).all(1)
     if found.sum() < _LEAST:
         return None
-    return _fitted(apply(cad_matrix, plane.components.center)[part[found]], off_mm[found])
+    heights, prior = _heights(plane, part[found])
+    lean_mm = lean_mm[found] * heights[:, None]
+    return _fitted(apply(cad_matrix, plane.components.center)[part[found]], off_mm[found], lean_mm, prior)
+
+
+def _heights(plane: BoardPlane, part: np.ndarray) -> tuple[Floats, tuple[float, float]]:
+    """Return the heights (k,) of components and the prior (mean, standard deviation) of their common factor.
+
+    The heights are 1 mm, and the factor is the height in mm, unless the board type states the height of all k.
+    """
+    stated = [plane.board_type.components[n].body_height for n in part.tolist()]
+    known = [height * plane.board_type.mm_per_unit for height in stated if height is not None]
+    if len(known) < len(stated):
+        return np.ones(len(stated)), _HEIGHT_MM
+    return np.array(known), _HEIGHT_SHARE
 
 
 def _best_views(scene: Scene, views: FootprintViews) -> np.ndarray:
@@ -116,18 +139,29 @@ def _equations(board_mm: Floats, middle_mm: Floats, arm_mm: float) -> Floats:
     return out
 
 
-def _fitted(board_mm: Floats, off_mm: Floats) -> ComponentShift | None:
-    """Estimate the common shift from the offsets (k, 2) of components at k places; wrong centres lose their weight."""
+def _fitted(board_mm: Floats, off_mm: Floats, lean_mm: Floats, prior: tuple[float, float]) -> ComponentShift | None:
+    """Estimate the common shift of k components; wrong centres lose their weight.
+
+    Args:
+        board_mm: (k, 2) places of the components, tester coordinates.
+        off_mm: (k, 2) offsets of their centres from these places.
+        lean_mm: (k, 2) offsets that a height factor of 1 causes.
+        prior: mean and standard deviation of the height factor.
+    """
     middle = board_mm.mean(0)
     arm = max(float(np.sqrt(((board_mm - middle) ** 2).sum(1).mean())), 1e-6)
-    j, weight = _equations(board_mm, middle, arm), np.ones(len(board_mm))
-    solved, inverse, scatter = np.zeros(4), np.eye(4), 1.0
+    j = np.concatenate([_equations(board_mm, middle, arm), lean_mm[:, :, None]], 2)
+    weight = np.ones(len(board_mm))
+    solved, inverse, scatter, (height, sigma) = np.zeros(5), np.eye(5), 1.0, prior
     for _ in range(_ROUNDS):
         normal = np.einsum("k,kia,kib->ab", weight, j, j)
-        if np.linalg.cond(normal) > 1e8:
+        if np.linalg.cond(normal[:4, :4]) > 1e8:
             return None
+        vector = np.einsum("k,kia,ki->a", weight, j, off_mm)
+        normal[4, 4] += (scatter / sigma) ** 2
+        vector[4] += (scatter / sigma) ** 2 * height
         inverse = np.linalg.inv(normal)
-        solved = inverse @ np.einsum("k,kia,ki->a", weight, j, off_mm)
+        solved = inverse @ vector
         length = np.hypot(*(off_mm - j @ solved).T)
         # 1.1774: median of the length of a normal error in the plane, in standard deviations per axis
         scatter = max(float(np.median(length)) / 1.1774, _LEAST_SCATTER_MM)
@@ -136,4 +170,5 @@ def _fitted(board_mm: Floats, off_mm: Floats) -> ComponentShift | None:
         return None
     # Few centres show their scatter badly: four unknowns were fitted to two coordinates of each.
     freedom = len(board_mm) / (len(board_mm) - 4)
-    return ComponentShift(solved, freedom * inverse * scatter**2 + np.diag(_PLACING_MM**2), middle, arm, len(board_mm))
+    covariance = freedom * inverse[:4, :4] * scatter**2 + np.diag(_PLACING_MM**2)
+    return ComponentShift(solved[:4], covariance, middle, arm, len(board_mm))
