@@ -17,6 +17,7 @@ from vaoi_station.drift.lamp_watch import (
     DIM_SHARE,
     DimLamp,
     find_dim_lamps,
+    only_baselines,
     with_baselines,
 )
 
@@ -101,12 +102,38 @@ def test_fewer_runs_than_a_baseline_report_nothing(run: Made) -> None:
     assert found_in([]) == ()
 
 
-def test_every_board_type_has_a_baseline_and_all_together_show_a_dim_light(run: Made) -> None:
+def test_every_board_type_has_a_baseline_and_shows_a_dim_light_for_itself(run: Made) -> None:
     usual = [run(k, lamp(0, (80.0, 30.0)[k % 2]), board_type="ab"[k % 2]) for k in range(2 * BASELINE_RUNS + 10)]
     assert not any(found_in(usual[:k]) for k in range(len(usual) + 1)), "types differ in brightness"
-    dark = [run(k, lamp(0, (40.0, 15.0)[k % 2]), board_type="ab"[k % 2]) for k in range(20, 23)]
+    dark = [run(k, lamp(0, (40.0, 15.0)[k % 2]), board_type="ab"[k % 2]) for k in range(20, 26)]
+    assert found_in(usual + dark[:4]) == ()
+    (found,) = found_in(usual + dark[:5])
+    assert (found.cameras, found.runs, found.since_run) == ((0,), 3, "r020")
     (found,) = found_in(usual + dark)
-    assert (found.runs, found.since_run, found.everywhere) == (3, "r020", True)
+    assert (found.cameras, found.runs, found.since_run, found.everywhere) == ((0,), 6, "r020", True)
+
+
+def test_a_board_type_that_does_not_show_it_is_no_repair(run: Made) -> None:
+    """Boards of type b differ so much among themselves that 85 % of their brightness is usual."""
+    differing = (80.0, 60.0, 100.0, 75.0, 95.0)
+    usual = [run(2 * k + n, lamp(0, (80.0, g)[n]), board_type="ab"[n]) for k, g in enumerate(differing) for n in (0, 1)]
+    first = [run(k, lamp(1, 80.0), board_type="ab"[k % 2]).lamps[0] for k in range(30)]
+    aged = [run(k, lamp(0, 68.0), board_type="ab"[k % 2]) for k in range(10, 30)]
+    runs = [c.model_copy(update={"lamps": (*c.lamps, first[k])}) for k, c in enumerate(usual + aged)]
+    assert found_in(runs[:14]) == ()
+    for k in range(15, 31):
+        assert [found.cameras for found in found_in(runs[:k])] == [(0,)]
+
+
+@pytest.mark.parametrize("odd", [(4.0,), (12.0, 8.0), (200.0,)])
+def test_an_odd_first_board_does_not_hide_an_unplugged_led(run: Made, odd: tuple[float, ...]) -> None:
+    (found,) = found_in(series(run, *odd, *[60.0] * (BASELINE_RUNS - len(odd)), 1.0))
+    assert (found.light, found.cameras, found.runs) == ("left", (1,), 1)
+
+
+def test_one_odd_first_board_leaves_the_limit_as_it_is(run: Made) -> None:
+    (found,) = found_in(series(run, 20.0, 60.0, 60.0, 60.0, 60.0, *[51.0] * DIM_RUNS))
+    assert (found.light, found.cameras) == ("left", (1,))
 
 
 def test_another_exposure_is_not_compared(run: Made) -> None:
@@ -176,3 +203,15 @@ def test_a_baseline_outlives_the_runs_it_was_made_from(run: Made) -> None:
 
 def test_a_run_without_lamps_stays_as_it_is(run: Made) -> None:
     assert with_baselines(run(0), []) == run(0)
+
+
+def test_the_latest_baselines_of_lights_are_kept_if_a_run_does_not_show_them(run: Made) -> None:
+    watched: list[RunCheck] = []
+    for k in range(7):
+        watched.append(with_baselines(run(k, lamp(0, 80.0), lamp(1, 60.0)), watched))
+    assert only_baselines(watched[0], None).lamps == ()
+    kept = only_baselines(with_baselines(run(7, lamp(1, 61.0), lamp(1, 9.0, "new")), watched), watched[-1])
+    assert kept.board_type == "a"
+    assert [(one.camera, one.light, one.grey) for one in kept.lamps] == [(1, "even", 61.0), (0, "even", 80.0)]
+    later = with_baselines(run(8, lamp(0, 40.0), lamp(1, 30.0)), [kept])
+    assert [one.baseline.brightness for one in later.lamps if one.baseline] == [0.4, 0.3]

@@ -57,7 +57,7 @@ class LampBaseline(Strict):
     brightness: Annotated[float, Field(gt=0)]
     """Median of grey level / (exposure · gain)."""
     scatter: float
-    """Largest deviation of the logarithm of a run's brightness from that of the median."""
+    """Second-largest deviation of the logarithm of a run's brightness from that of the median."""
     grey: float
     """Median grey level."""
     points: float

@@ -1,7 +1,7 @@
 """Watch of the lamps: lights under which successive boards are darker than the first boards of their type.
 
 The brightness of a camera, light and exposure is divided by its baseline, the median of the first runs of the board
-type. A light is dim if this share is too low in several runs in a row, and no longer after some runs that are not.
+type. A light is dim if this share is too low in several runs of a type in a row, and no longer after some that are not.
 Only boards of one type are compared, at the same places, so the darkness of a board or its parts has no influence.
 """
 
@@ -28,14 +28,14 @@ DARK_SHARE = 0.3
 DIM_RUNS, BRIGHT_RUNS = 3, 2
 """Numbers of successive runs after which a light counts as dim, and as bright again."""
 _SCATTERS = 3.0
-"""A dim run is darker than the median of the baseline by at least this multiple of the baseline's largest deviation."""
+"""A dim run is darker than the median of the baseline by at least this multiple of the baseline's scatter."""
 _LEAST_SHOWN = 0.5
 """A run is compared if it has at least this share of the samples of the baseline: the board is as much in view."""
 _RECENT_RUNS = 50
 """A light that none of this number of latest runs shows, because the program has changed, is not reported."""
 
-Key = tuple[int, str]
-"""A camera and the name of a light."""
+Key = tuple[int, str, str]
+"""A camera, the name of a light, and a board type: types differ in scatter, so one may show what another does not."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class DimLamp:
     runs: int
     """Number of runs, since the light is dim, that show it."""
     everywhere: bool
-    """Whether every camera under every light that recent runs compare is dim: the boards may be darker instead."""
+    """Whether, of the board types that show it, all lights are dim in all cameras: the boards may be darker instead."""
 
 
 def find_dim_lamps(checks: Sequence[RunCheck]) -> tuple[DimLamp, ...]:
@@ -64,20 +64,22 @@ def find_dim_lamps(checks: Sequence[RunCheck]) -> tuple[DimLamp, ...]:
     """
     series = {key: runs for key, runs in _shares(checks).items() if runs[-1].run >= len(checks) - _RECENT_RUNS}
     dim = {key: since for key, runs in series.items() if (since := _dim_since(runs)) is not None}
+    types = {board_type for *_, board_type in dim}
+    everywhere = all(key in dim for key in series if key[2] in types)
     found: list[DimLamp] = []
-    for light in sorted({light for _, light in dim}):
+    for light in sorted({light for _, light, _ in dim}):
         keys = [key for key in sorted(dim) if key[1] == light]
-        first = min(series[key][dim[key]].run for key in keys)
-        shares = [s.share for key in keys for s in series[key][dim[key] :]]
+        shown = [s for key in keys for s in series[key][dim[key] :]]
+        first = min(s.run for s in shown)
         found.append(
             DimLamp(
                 light=light,
-                cameras=tuple(camera for camera, _ in keys),
-                share=float(np.median(shares)),
+                cameras=tuple(sorted({camera for camera, *_ in keys})),
+                share=float(np.median([s.share for s in shown])),
                 since_run=checks[first].run,
                 since_time=checks[first].time,
-                runs=max(len(series[key]) - dim[key] for key in keys),
-                everywhere=len(dim) == len(series),
+                runs=len({s.run for s in shown}),
+                everywhere=everywhere,
             )
         )
     return tuple(found)
@@ -103,7 +105,7 @@ def with_baselines(check: RunCheck, earlier: Sequence[RunCheck]) -> RunCheck:
     """
     if not check.lamps:
         return check
-    kept: dict[Key, list[LampCheck]] = defaultdict(list)
+    kept: dict[tuple[int, str], list[LampCheck]] = defaultdict(list)
     for other in earlier:
         if other.board_type == check.board_type:
             for lamp in other.lamps:
@@ -112,6 +114,19 @@ def with_baselines(check: RunCheck, earlier: Sequence[RunCheck]) -> RunCheck:
         lamp.model_copy(update={"baseline": _baseline(lamp, kept[lamp.camera, lamp.light])}) for lamp in check.lamps
     )
     return check.model_copy(update={"lamps": lamps})
+
+
+def only_baselines(check: RunCheck, before: RunCheck | None) -> RunCheck:
+    """Return a check with only those lamps that have baselines, and those of `before` that the check does not show.
+
+    Args:
+        check: check of a run.
+        before: what this function returned for the run before of the same board type; None for its first run.
+    """
+    lamps = [lamp for lamp in check.lamps if lamp.baseline is not None]
+    shown = {(lamp.camera, lamp.light) for lamp in lamps}
+    lamps += [lamp for lamp in (before.lamps if before else ()) if (lamp.camera, lamp.light) not in shown]
+    return check.model_copy(update={"lamps": tuple(lamps)})
 
 
 def _baseline(lamp: LampCheck, earlier: Sequence[LampCheck]) -> LampBaseline | None:
@@ -125,21 +140,23 @@ def _baseline(lamp: LampCheck, earlier: Sequence[LampCheck]) -> LampBaseline | N
         return known
     brightness = np.array([e.grey / e.exposure for e in first])
     middle = float(np.median(brightness))
+    # The largest deviation may be that of one odd board, which says nothing about the others.
+    scatter = float(np.sort(np.abs(np.log(brightness / middle)))[-2])
     return LampBaseline(
         brightness=middle,
-        scatter=float(np.abs(np.log(brightness / middle)).max()),
+        scatter=scatter,
         grey=float(np.median([e.grey for e in first])),
         points=float(np.median([e.points for e in first])),
     )
 
 
 def _shares(checks: Sequence[RunCheck]) -> dict[Key, list[_Share]]:
-    """Return for every camera and light the comparisons with the baseline, in the order of the runs."""
+    """Return for every camera, light and board type the comparisons with the baseline, in the order of the runs."""
     series: dict[Key, list[_Share]] = defaultdict(list)
     for k, check in enumerate(checks):
         best: dict[Key, tuple[float, _Share]] = {}
         for lamp in check.lamps:
-            key, baseline = (lamp.camera, lamp.light), lamp.baseline
+            key, baseline = (lamp.camera, lamp.light, check.board_type), lamp.baseline
             if baseline is None or lamp.points < _LEAST_SHOWN * baseline.points:
                 continue
             # Of several exposures, the one with the largest grey levels is the least disturbed by the dark level.
@@ -152,7 +169,9 @@ def _shares(checks: Sequence[RunCheck]) -> dict[Key, list[_Share]]:
 
 
 def _compare(run: int, lamp: LampCheck, baseline: LampBaseline) -> _Share:
-    return _Share(run, lamp.grey / lamp.exposure / baseline.brightness, math.exp(-_SCATTERS * baseline.scatter))
+    # A baseline of boards that differ much must not hide an LED that is unplugged.
+    limit = max(math.exp(-_SCATTERS * baseline.scatter), DARK_SHARE)
+    return _Share(run, lamp.grey / lamp.exposure / baseline.brightness, limit)
 
 
 def _is_dim(lamp: _Share, brightest: float) -> bool:
