@@ -12,6 +12,7 @@ from vaoi_station.acquisition.process import messages
 from vaoi_station.drift.checks import LampCheck
 from vaoi_station.errors import InternalError, StateError, VaoiError
 from vaoi_station.runs.archive.event_log import EventLog
+from vaoi_station.runs.control import calibration_watch
 from vaoi_station.runs.control.calibration_watch import CalibrationWatch
 from vaoi_station.runs.workers.jobs import CheckJob, ConcludeJob, Reply
 from vaoi_station.store import RunRow, Store
@@ -91,6 +92,35 @@ def test_a_dim_light_is_a_warning_until_it_is_mended(store: Store, calibration: 
     pass_board(11, 60.0)
     assert watch.warnings() == ()
     assert [e.message for e in events.read(events.last - 1, 0.0, 1)] == ["Light left is as bright as before again."]
+
+
+@pytest.mark.parametrize("restarted", [False, True])
+def test_a_board_type_that_pauses_keeps_its_baseline(
+    store: Store, calibration: Any, monkeypatch: pytest.MonkeyPatch, restarted: bool
+) -> None:
+    monkeypatch.setattr(calibration_watch, "FIRST_CHECKS", 2)
+    monkeypatch.setattr(calibration_watch, "LATEST_CHECKS", 8)
+    now = "2026-01-01T00:00:00Z"
+    kept = store.keep_document("calibration", calibration.model_dump_json(), now)
+    board_type = store.keep_document("board-type", '{"name": "b"}', now)
+    watches = [CalibrationWatch(store.checks, EventLog(store), calibration, ["a", "b"])]
+
+    def pass_boards(runs: range, name: str, grey: float) -> None:
+        for k in runs:
+            lamp = LampCheck(camera=0, light="left", exposure=200.0, grey=grey, points=900)
+            check = ScriptedWorkers().check(f"r{k:02d}")
+            check = check.model_copy(update={"lamps": (lamp,), "board_type": name})
+            store.save_run(RunRow(check.run, "ready", None, board_type, kept, "{}", "{}"))
+            watches[-1].checked(CheckJob(check.run, check.time, name, watches[-1].digest), Reply(check, None, 0.0))
+
+    pass_boards(range(8), "paused", 60.0)
+    if restarted:
+        store.save_run(RunRow("r99", "ready", None, board_type, kept, "{}", "{}")).result(10)  # after the checks
+        watches.append(CalibrationWatch(store.checks, EventLog(store), calibration, ["a", "b"]))
+    pass_boards(range(8, 28), "other", 80.0)
+    pass_boards(range(28, 31), "paused", 30.0)
+    (warning,) = watches[-1].warnings()
+    assert "50% of the brightness" in warning.message
 
 
 def test_another_calibration_begins_anew(rig: Any, calibration: Any) -> None:

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pydantic import ValidationError
 
 from vaoi_station.drift.checks import CameraCheck, RunCheck
-from vaoi_station.drift.lamp_watch import BASELINE_RUNS, DimLamp, find_dim_lamps, with_baselines
+from vaoi_station.drift.lamp_watch import BASELINE_RUNS, DimLamp, find_dim_lamps, only_baselines, with_baselines
 from vaoi_station.drift.watch import VANISHED_RUNS, Drift, find_drifts, find_vanished_cameras
 from vaoi_station.errors import StateError
 from vaoi_station.model import Calibration
@@ -49,6 +49,10 @@ class CalibrationWatch:
             if (check := _parsed(text)) is not None
         ]
         self._first, self._latest = known[:FIRST_CHECKS], deque(known[FIRST_CHECKS:], LATEST_CHECKS)
+        # A board type may pause for more runs than are evaluated; its baselines stay those of its first runs.
+        self._last_of: dict[str, RunCheck] = {}
+        for check in known:
+            self._remember(check)
         self._runs = checks.count(self.digest)
         self._drifts, self._vanished = find_drifts(known), find_vanished_cameras(known)
         self._dim = find_dim_lamps(known)
@@ -77,10 +81,11 @@ class CalibrationWatch:
             return
         check: RunCheck = reply.value
         if digest == self.digest:
-            check = with_baselines(check, [*self._first, *self._latest])
+            check = with_baselines(check, [*self._last_of.values(), *self._first, *self._latest])
         self._kept.save(run, digest, check.model_dump_json())
         if digest != self.digest:
             return  # The run was stitched with another calibration, so its check is not about the present one.
+        self._remember(check)
         self._runs += 1
         (self._first if len(self._first) < FIRST_CHECKS else self._latest).append(check)
         checks = [*self._first, *self._latest]
@@ -93,6 +98,10 @@ class CalibrationWatch:
         self._publish_changes(before, run)
         dim, self._dim = self._dim, find_dim_lamps(checks)
         self._publish_lamps(dim, run)
+
+    def _remember(self, check: RunCheck) -> None:
+        """Keep the latest baselines of the check's board type."""
+        self._last_of[check.board_type] = only_baselines(check, self._last_of.get(check.board_type))
 
     def _publish_changes(self, before: tuple[Drift, ...], run: str) -> None:
         """Publish an event for each new or ended drift. `before` lists the drifts before this check."""
