@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -60,6 +61,21 @@ def test_two_uploads_are_joined(kept: Previews) -> None:
     assert places.reply.overview.format == "centroid + kicad"
     with pytest.raises(NotFoundError, match="There is no preview '0000000000000000'"):
         kept.change(places.id, ImportOptions(join="0" * 16))
+
+
+def test_an_upload_that_cannot_be_imported_leaves_no_file(kept: Previews) -> None:
+    with kept.uploading("p.csv") as (_, path):
+        pass
+    with pytest.raises(NotFoundError):
+        kept.add(path, ImportOptions(join="0" * 16))
+    assert not path.parent.exists()
+
+
+def test_uploads_go_on_after_the_system_has_deleted_their_folder(kept: Previews) -> None:
+    old = upload(kept).file
+    shutil.rmtree(old.parent.parent)
+    assert upload(kept).reply is not None
+    kept.close()
 
 
 def test_the_least_recently_used_go_first_and_old_ones_go(kept: Previews) -> None:

@@ -64,9 +64,11 @@ class Previews:
     def uploading(self, filename: str) -> Iterator[tuple[IO[bytes], Path]]:
         """Open a new file for an upload, which is deleted if the block fails."""
         with self._lock:
-            if self._files.folder is None:
-                self._files.folder = Path(tempfile.mkdtemp(prefix="vaoi-board-data-"))
-            folder = self._files.folder / secrets.token_hex(8)
+            folder = self._files.folder
+            # The system may delete temporary folders that nobody has used for days.
+            if folder is None or not folder.is_dir():
+                folder = self._files.folder = Path(tempfile.mkdtemp(prefix="vaoi-board-data-"))
+            folder /= secrets.token_hex(8)
         folder.mkdir()
         path = folder / _safe_name(filename)
         try:
@@ -78,7 +80,11 @@ class Previews:
 
     def add(self, path: Path, options: ImportOptions) -> Preview:
         """Import an uploaded file. A file that is refused is kept too: other options may make it readable."""
-        preview = self._imported(Preview(path.parent.name, path, path.stat().st_size, options))
+        try:
+            preview = self._imported(Preview(path.parent.name, path, path.stat().st_size, options))
+        except BaseException:  # no preview refers to the file, so nothing would delete it; the error is raised again
+            shutil.rmtree(path.parent, ignore_errors=True)
+            raise
         with self._lock:
             self._files.kept[preview.id] = preview
             self._bound(preview.id)
