@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import json
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -140,3 +142,18 @@ def test_cut_outs_and_other_marks_are_kept_and_change_no_extent() -> None:
 def test_wrong_cut_outs_are_refused(change: dict[str, Any], message: str) -> None:
     with pytest.raises(ValidationError, match=message):
         board(**change)
+
+
+def test_the_digest_of_what_is_filmed_stays_when_a_board_type_is_approved() -> None:
+    before = board(fiducials=[fiducial()], components=[component()])
+    approved = board(
+        state="approved",
+        revision="B",
+        fiducials=[fiducial(kind="local", found_by="name", components=["U1"])],
+        components=[component(size_from="file", package="QFP")],
+    )
+    assert approved.filmed_digest() == before.filmed_digest()
+    assert board(fiducials=[fiducial(x=6)], components=[component()]).filmed_digest() != before.filmed_digest()
+    older = json.loads((Path(__file__).parents[1] / "fuzz" / "corpus" / "board" / "tiny").read_text())
+    # The digest of the whole document in the version before the keys were added.
+    assert board(**older).filmed_digest() == "42fe5793c1d34326"

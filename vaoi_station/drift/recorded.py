@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-
 from vaoi_station.drift.check_run import check_run
 from vaoi_station.drift.checks import RunCheck
 from vaoi_station.stitching.recordings.opening import OpenedRun
@@ -17,10 +15,9 @@ def check_recording(opened: OpenedRun) -> RunCheck:
     evidence = [runner.perform(task) for task in all_tasks(present, dict(enumerate(times_s)), opened.setup)]
     _, findings = runner.conclude_with_findings(times_s, present, evidence)
     board_type = opened.setup.board_type
-    known = "" if board_type is None else board_type.model_dump_json()
     return check_run(
         str(opened.recording.directory),
         "",
-        hashlib.sha256(known.encode()).hexdigest()[:16],
+        "" if board_type is None else board_type.filmed_digest(),
         findings,
     )

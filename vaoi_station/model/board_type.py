@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections import Counter
 from collections.abc import Iterator
@@ -25,9 +26,21 @@ _MAX_ENTRIES = {
 }
 """Largest number of entries in each list of a board type."""
 _MOST_HEIGHT_MM = 1000.0
-_MOST_CUT_OUT_CORNERS = 20_000
+MOST_CUT_OUT_CORNERS = 20_000
+"""Largest number of corners of all cut-outs together."""
 BoardTypeState = Literal["draft", "approved", "retired"]
 FoundBy = Literal["element", "attribute", "package", "name", "place"]
+OF_IMPORT: dict[str, Any] = {"fiducials": {"__all__": {"kind", "found_by", "components"}}}
+"""Keys of the fiducials that say where they are from; no position depends on them."""
+_NOT_FILMED: dict[str, Any] = OF_IMPORT | {
+    "revision": True,
+    "state": True,
+    "cut_outs": True,
+    "other_marks": True,
+    "components": {"__all__": {"package", "size_from", "fitted"}},
+}
+"""Keys on which no run depends. Without them the digest is that of versions that did not have them, so that drift is
+watched on across an update."""
 MM_PER_UNIT = {"mm": 1.0, "inch": 25.4, "mil": 0.0254}
 
 
@@ -205,6 +218,13 @@ class BoardType(FrozenModel):
         """
         return (self.y_axis == "up") != (self.side == "bottom")
 
+    def filmed_digest(self) -> str:
+        """Return a digest of everything on which runs depend.
+
+        It stays when a board type is approved, or when its fiducials are described differently.
+        """
+        return hashlib.sha256(self.model_dump_json(exclude=_NOT_FILMED).encode()).hexdigest()[:16]
+
     def extent(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the lowest and the highest corner of the board's extent, in CAD units.
 
@@ -276,8 +296,8 @@ def _check_cut_outs(board: BoardType) -> None:
     cut_outs = board.cut_outs or ()
     if cut_outs and board.outline is None:
         raise ValueError("cut_outs are given, but outline is missing")
-    if (count := sum(map(len, cut_outs))) > _MOST_CUT_OUT_CORNERS:
-        raise ValueError(f"cut_outs have {count} corners, the limit is {_MOST_CUT_OUT_CORNERS}")
+    if (count := sum(map(len, cut_outs))) > MOST_CUT_OUT_CORNERS:
+        raise ValueError(f"cut_outs have {count} corners, the limit is {MOST_CUT_OUT_CORNERS}")
     if not cut_outs:
         return
     low, high = board.extent()

@@ -79,6 +79,7 @@ def test_a_whole_run_is_evidence_of_drift(progress: Progress, make_head: Callabl
     check = concluded(progress, make_head(ROWS), "clear").check
     assert check is not None
     assert check.run == "r1"
+    assert check.board_type == progress.order.board_type.filmed_digest()
 
 
 def test_a_task_is_requested_once_both_of_its_frames_are_there(progress: Progress) -> None:

@@ -15,7 +15,7 @@ from vaoi_station.files.images import encode_tiff, read_image
 from vaoi_station.model import Status, Stitch
 from vaoi_station.simulation import Twin, read_scenario, scenario_path
 from vaoi_station.simulation.recording_writer import write_passage
-from vaoi_station.stitching.recordings.origin import KEY, check_origin, with_origin
+from vaoi_station.stitching.recordings.origin import KEY, cad_digest, check_origin, with_origin
 
 RESULT = Stitch(method="auto", image_matrices=((), ()), cad_matrix=None, row_motion=(), status=Status.OK)
 
@@ -75,6 +75,20 @@ def test_cad_data_on_which_the_mapping_depends_must_agree(boards: tuple[Path, Pa
     fewer = board_type.model_copy(update={"components": board_type.components[:1]})
     check_origin(result, recording, calibration, fewer, "r.json")
     check_origin(result, recording, calibration, None, "r.json")
+
+
+def test_where_fiducials_are_from_does_not_matter(boards: tuple[Path, Path]) -> None:
+    recording, calibration, board_type = parts(boards[0])
+    fiducials = [f.model_copy(update={"kind": "global", "found_by": "name"}) for f in board_type.fiducials]
+    described = board_type.model_copy(update={"fiducials": tuple(fiducials)})
+    check_origin(stamped(boards[0]), recording, calibration, described, "r.json")
+
+
+def test_a_result_of_a_version_without_kinds_of_fiducials_is_accepted() -> None:
+    """The result was made by such a version; newer keys must not change the digest of its CAD data."""
+    corpus = Path(__file__).parents[2] / "fuzz" / "corpus"
+    older = json.loads((corpus / "result" / "tiny").read_text())
+    assert cad_digest(read_board_type(corpus / "board" / "tiny")) == older["quality"][KEY]["cad_data"]
 
 
 def test_a_result_of_an_older_version_is_accepted(boards: tuple[Path, Path]) -> None:

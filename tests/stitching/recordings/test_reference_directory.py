@@ -132,6 +132,14 @@ def test_an_opened_reference_has_the_kept_result(taught: Path) -> None:
     assert len(stored.reference.name) == 16
 
 
+def test_a_reference_stays_usable_when_the_kind_of_a_fiducial_is_corrected(taught: Path) -> None:
+    fiducials = json.loads((taught / "board.json").read_text())["fiducials"]
+    opened(taught, changed(taught / "board.json", fiducials=[f | {"kind": "global"} for f in fiducials]))
+    fiducials[0]["x"] += 1
+    with pytest.raises(InputError, match="had other fiducials"):
+        opened(taught, changed(taught / "board.json", fiducials=fiducials))
+
+
 def test_a_reference_without_a_result_is_stitched_when_opened(recording: Path, taught: Path) -> None:
     np.testing.assert_allclose(
         opened(recording).reference.stitch.row_motion, opened(taught).reference.stitch.row_motion, atol=1e-9

@@ -36,6 +36,8 @@ class Order:
     setup: StitchSetup
     board_type_digest: str
     calibration_digest: str
+    filmed_digest: str
+    """Digest of what drift checks of one board type have in common (`BoardType.filmed_digest`)."""
     reference: StoredReference | None = None
     """The reference against which boards of this order are placed; None: no reference is used."""
     notes: tuple[Reason, ...] = ()
@@ -237,6 +239,7 @@ class OrderFactory:
             setup=setup,
             board_type_digest=digest,
             calibration_digest=self._calibration_digest,
+            filmed_digest=board_type.filmed_digest(),
             reference=reference,
             notes=notes,
             configuration_digest=present,

@@ -199,7 +199,7 @@ class Progress:
         assert self.recorded is not None, "a run is concluded after it was filmed"
         if len(self.order.setup.cameras) < 2 or self.recorded.reason not in WHOLE:
             return None
-        return CheckJob(self.run, utc(), self.order.board_type_digest, self.order.calibration_digest)
+        return CheckJob(self.run, utc(), self.order.filmed_digest, self.order.calibration_digest)
 
     @property
     def canonical_evidence(self) -> dict[Task, Linked]:

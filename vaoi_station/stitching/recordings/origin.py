@@ -17,6 +17,7 @@ from vaoi_station.errors import InputError
 from vaoi_station.files import Recording
 from vaoi_station.files.documents import parse
 from vaoi_station.model import BoardType, Calibration, Stitch, Strict, Whole
+from vaoi_station.model.board_type import OF_IMPORT
 
 KEY = "recording"
 """Key under which the origin is stored in `quality`."""
@@ -80,6 +81,16 @@ def check_origin(
     )
 
 
+def cad_terms(board_type: BoardType) -> dict[str, Any]:
+    """Return the values on which C depends, by the names of their keys."""
+    return board_type.model_dump(include=set(CAD_TERMS), exclude=OF_IMPORT)
+
+
+def cad_digest(board_type: BoardType) -> str:
+    """Return the digest of the values on which C depends; newer optional keys do not change it."""
+    return _digest(board_type.model_dump_json(include=set(CAD_TERMS), exclude=OF_IMPORT))
+
+
 def _origin(
     recording: Recording, calibration: Calibration, board_type: BoardType | None, frame: tuple[int, int] | None
 ) -> Origin:
@@ -89,7 +100,7 @@ def _origin(
         pixels=_pixel_digest(recording, frame),
         calibration=_digest(calibration.model_dump_json(include=set(_OPTICS))),
         board_type=None if board_type is None else board_type.name,
-        cad_data=None if board_type is None else _digest(board_type.model_dump_json(include=set(CAD_TERMS))),
+        cad_data=None if board_type is None else cad_digest(board_type),
     )
 
 

@@ -31,7 +31,7 @@ from vaoi_station.stitching.board.placeable import refuse_unplaceable
 from vaoi_station.stitching.board.reference import Reference
 from vaoi_station.stitching.quality.quality_document import AMBIGUOUS
 from vaoi_station.stitching.recordings.offline import stitch_frames
-from vaoi_station.stitching.recordings.origin import CAD_TERMS, with_origin
+from vaoi_station.stitching.recordings.origin import cad_terms, with_origin
 from vaoi_station.stitching.work import StitchSetup
 
 RESULT = "result.json"
@@ -203,7 +203,8 @@ def _check_board_type(directory: Path, theirs: BoardType, ours: BoardType) -> No
             action="Teach a reference of this board type.",
         )
     # Components may change freely as long as their addresses stay; C depends on these keys only.
-    changed = [key for key in sorted(CAD_TERMS) if getattr(theirs, key) != getattr(ours, key)]
+    before, now = cad_terms(theirs), cad_terms(ours)
+    changed = sorted(key for key in now if before[key] != now[key])
     if changed:
         raise InputError(
             f"{directory}: was taught when the board type {ours.name!r} had other {', '.join(changed)}.",
