@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 
+from vaoi_station.board_data import conversion
 from vaoi_station.board_data.conversion import to_board_type
 from vaoi_station.board_data.design import Box, Design, Mark, Part
 from vaoi_station.errors import InputError
@@ -73,6 +74,29 @@ def test_parts_outside_fiducials_outside_and_unfitted_parts() -> None:
     assert [c.size_from for c in board.components] == ["file", "file", "guess"]
     assert any("1 parts lie outside the outline: R1" in note for note in notes)
     assert any("is a guess for C2" in note for note in notes)
+
+
+def test_cut_outs_that_leave_the_outline_or_exceed_the_limit_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    hole = ((5.0, 5.0), (9.0, 5.0), (9.0, 9.0), (5.0, 9.0))
+    notch = ((20.0, 39.0), (21.0, 41.0), (22.0, 39.0), (21.0, 38.0))
+    board, notes = to_board_type(design(part("R1"), cut_outs=(notch, hole)), "top")
+    assert board.cut_outs == (hole,)
+    assert any(note.startswith("1 contours lie outside the outline") for note in notes)
+    monkeypatch.setattr(conversion, "MOST_CUT_OUT_CORNERS", 6)
+    smaller = tuple((x / 2, y / 2) for x, y in hole)
+    assert to_board_type(design(part("R1"), cut_outs=(smaller, hole)), "top")[0].cut_outs == (hole,)
+
+
+def test_a_diameter_that_no_mark_has_counts_as_not_stated() -> None:
+    marks = (Mark("G1", "top", (1.0, 1.0), 0.0254), Mark("G2", "top", (5.0, 1.0), 60.0))
+    board, notes = to_board_type(design(part("R1"), marks=marks), "top")
+    assert [f.diameter for f in board.fiducials] == [1.0, 1.0]
+    assert any("no diameter of G1, G2" in note for note in notes)
+
+
+def test_a_limit_of_board_types_is_a_refusal() -> None:
+    with pytest.raises(InputError, match=r"design 'd' makes no board type: .*component 'R1' is at \(20000, 10\)"):
+        to_board_type(design(part("R1", origin=(20_000.0, 10.0))), "top")
 
 
 def test_fiducials_outside_the_outline_drop_it() -> None:

@@ -6,6 +6,8 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 
+from pydantic import ValidationError
+
 from vaoi_station.board_data.contours import area
 from vaoi_station.board_data.design import XY, Design, Mark, Part, Side
 from vaoi_station.board_data.marks import find_marks
@@ -13,12 +15,14 @@ from vaoi_station.board_data.package_sizes import GUESS_MM
 from vaoi_station.errors import InputError
 from vaoi_station.geometry.polygon import encloses, find_crossing_edges
 from vaoi_station.model import BoardType
-from vaoi_station.model.board_type import Component, Fiducial, OtherMark
+from vaoi_station.model.board_type import MOST_CUT_OUT_CORNERS, Component, Fiducial, OtherMark
 
 SAME_PLACE_MM = 1e-3
 """A body whose centre is nearer to the origin of its part than this is at it."""
 USUAL_MARK_MM = 1.0
 """Diameter of a fiducial of which the file states none: IPC-7351 recommends 1 mm."""
+LEAST_MARK_MM, MOST_MARK_MM = 0.05, 50.0
+"""A mark of another diameter is not possible in a board type; its diameter counts as not stated."""
 MOST_OUTLINE_POINTS = 2_000
 MOST_CUT_OUTS = 200
 """Largest number of cut-outs that are kept, the largest first; drill holes that are drawn as contours exceed it."""
@@ -32,7 +36,19 @@ _FOUND_BY = {
 
 
 def to_board_type(design: Design, side: Side, name: str | None = None) -> tuple[BoardType, tuple[str, ...]]:
-    """Return the board type of one side, in mm with y up, and sentences on what the user should check."""
+    """Return the board type of one side, in mm with y up, and sentences on what the user should check.
+
+    Raises:
+        InputError: the side has no part, or the design exceeds a limit of board types.
+    """
+    try:
+        return _converted(design, side, name)
+    except ValidationError as error:
+        faults = "; ".join(str(fault["msg"]) for fault in error.errors()[:3])
+        raise InputError(f"design {design.name!r} makes no board type: {faults}.") from error
+
+
+def _converted(design: Design, side: Side, name: str | None) -> tuple[BoardType, tuple[str, ...]]:
     chosen = [part for part in design.parts if part.side == side]
     if not chosen:
         others = Counter(part.side for part in design.parts)
@@ -99,14 +115,14 @@ def _marks_of(
         names = [m.name + _belongs(m) for m in found if (m.kind, m.found_by) == (kind, by)]
         noun = "bad-board marks" if kind == "bad-board" else f"{kind} fiducials"
         notes.append(f"{count} {noun} by {_FOUND_BY[by]}: {_some(names)}.")
-    if unknown := [mark.name for mark in found if not mark.diameter]:
+    if unknown := [mark.name for mark in found if _stated_mm(mark) is None]:
         notes.append(f"the file states no diameter of {_some(unknown)}; {USUAL_MARK_MM:g} mm is assumed.")
     fiducials, others = [], []
     counts: Counter[str] = Counter()
     for mark in found:
         counts[mark.name] += 1
         name = mark.name if counts[mark.name] == 1 else f"{mark.name}-{counts[mark.name]}"
-        (x, y), diameter = _rounded(mark.at), round(mark.diameter or USUAL_MARK_MM, 4)
+        (x, y), diameter = _rounded(mark.at), round(_stated_mm(mark) or USUAL_MARK_MM, 4)
         if mark.kind in ("panel", "bad-board"):
             others.append(OtherMark(name=name, x=x, y=y, diameter=diameter, kind=mark.kind, found_by=mark.found_by))
             continue
@@ -117,29 +133,44 @@ def _marks_of(
     return fiducials, others
 
 
+def _stated_mm(mark: Mark) -> float | None:
+    """Return the diameter that the file states, if it is one of a mark."""
+    return mark.diameter if mark.diameter and LEAST_MARK_MM <= mark.diameter <= MOST_MARK_MM else None
+
+
 def _belongs(mark: Mark) -> str:
     return f" (of {', '.join(mark.components)})" if mark.components else ""
 
 
 def _cut_outs(design: Design, outline: Sequence[XY] | None, notes: list[str]) -> tuple[tuple[XY, ...], ...]:
     """Return the cut-outs within the outline; other contours are of no use for one board."""
-    found, left_out = [], 0
+    found: list[tuple[XY, ...]] = []
+    left_out = count = 0
     contours = sorted(design.cut_outs, key=lambda c: -abs(area(c))) if outline is not None else ()
     for contour in contours:
         corners = [_rounded(p) for p in contour]
         corners = [p for n, p in enumerate(corners) if p != corners[n - 1]]
-        usable = 3 <= len(corners) <= MOST_OUTLINE_POINTS and not find_crossing_edges(corners)
-        if usable and outline and all(encloses(outline, p) for p in (corners[0], corners[len(corners) // 2])):
+        fits = len(found) < MOST_CUT_OUTS and count + len(corners) <= MOST_CUT_OUT_CORNERS
+        usable = fits and 3 <= len(corners) <= MOST_OUTLINE_POINTS and not find_crossing_edges(corners)
+        if usable and outline and _within(outline, corners):
             found.append(tuple(corners))
+            count += len(corners)
         else:
             left_out += 1
-    if left_out or len(found) > MOST_CUT_OUTS:
-        left_out += max(0, len(found) - MOST_CUT_OUTS)
+    if left_out:
         notes.append(
             f"{left_out} contours lie outside the outline or cannot be used as cut-outs; they were left out. "
             "Check whether the file is of a panel."
         )
-    return tuple(found[:MOST_CUT_OUTS])
+    return tuple(found)
+
+
+def _within(outline: Sequence[XY], corners: Sequence[XY]) -> bool:
+    """Return whether a contour lies inside an outline: all corners in its extent, two of them inside its polygon."""
+    # The distance from the polygon is tested for few corners only, since it takes long for many contours.
+    (left, right), (low, high) = ((min(values), max(values)) for values in zip(*outline, strict=True))
+    inside = all(left <= x <= right and low <= y <= high for x, y in corners)
+    return inside and all(encloses(outline, p) for p in (corners[0], corners[len(corners) // 2]))
 
 
 def _outline(

@@ -11,7 +11,8 @@ from vaoi_station.board_data.marks import kind_by_name
 _USAGES: dict[str, MarkKind] = {"2": "global", "g_fiducial": "global", "3": "local", "l_fiducial": "local"}
 """Values of `.pad_usage` that mark fiducials; files state the number of the option."""
 _COPPER = ("SIGNAL", "POWER_GROUND", "MIXED")
-_SYMBOL = re.compile(r"[a-z_]+(\d+(?:\.\d+)?)", re.IGNORECASE)
+_SYMBOL = re.compile(r"(?:r|s|di|rect|oval|oct|hex_[ls]|donut_[a-z]+)(\d+(?:\.\d+)?)(?=$|x)", re.IGNORECASE)
+"""Standard symbols, whose name states their size; `fid_100` of a design may have any."""
 MOST_MARKS = 1_000
 
 
