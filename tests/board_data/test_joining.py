@@ -99,3 +99,18 @@ def test_conflicts_are_listed_and_the_places_of_the_first_file_are_kept() -> Non
 def test_files_that_do_not_fit_are_refused(first: Design, message: str) -> None:
     with pytest.raises(InputError, match=message):
         join_designs(first, bodies(), "top")
+
+
+def test_designators_that_repeat_on_a_side_are_left_out_and_named() -> None:
+    twice = (Part("U1", "top", (1.0, 1.0), 0.0), Part("U2", "bottom", (1.0, 1.0), 0.0))
+    found = join_designs(replace(places(), parts=(*places().parts, *twice)), bodies(), "top")
+    assert [p.ref for p in found.parts] == ["U2", "U3", "U4", "R1"]
+    assert "designators that occur more than once in the first file were left out: U1." in found.notes
+
+
+def test_a_guess_of_the_second_file_does_not_replace_a_size_of_the_table() -> None:
+    known = Box((-1.0, -1.0), (1.0, 1.0))
+    first = tuple(replace(p, box=known, size_from="table") for p in places().parts)
+    second = tuple(replace(p, size_from="guess") for p in bodies().parts)
+    found = join_designs(replace(places(), parts=first), replace(bodies(), parts=second), "top")
+    assert {(p.box, p.size_from, p.body_height) for p in found.parts} == {(known, "table", 1.5)}

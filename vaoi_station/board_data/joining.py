@@ -57,6 +57,8 @@ def join_designs(places: Design, bodies: Design, side: Side) -> Design:
     pairs = [(placed[ref], drawn[ref]) for ref in common]
     by_center, found = _best(pairs)
     notes = []
+    if repeated := _repeated(places, side):
+        notes.append(f"designators that occur more than once in the first file were left out: {_some(repeated)}.")
     if found.mirrored:
         # The board type describes both sides as seen from the top, so the places are mirrored back.
         placed, found = _unmirrored(placed, drawn, common, found)
@@ -93,14 +95,22 @@ def join_designs(places: Design, bodies: Design, side: Side) -> Design:
 
 
 def _by_ref(design: Design, side: Side) -> dict[str, Part]:
-    """Return the parts of a side; designators that stand several times match nothing."""
-    counts = Counter(part.ref for part in design.parts)
-    return {part.ref: part for part in design.parts if part.side == side and counts[part.ref] == 1}
+    """Return the parts of a side; designators that stand several times there match nothing."""
+    twice = set(_repeated(design, side))
+    return {part.ref: part for part in design.parts if part.side == side and part.ref not in twice}
+
+
+def _repeated(design: Design, side: Side) -> list[str]:
+    counts = Counter(part.ref for part in design.parts if part.side == side)
+    return sorted(ref for ref, count in counts.items() if count > 1)
 
 
 def _sides(places: Design, bodies: Design) -> dict[str, tuple[Side, Side]]:
     """Return the designators that lie on different sides in both files."""
-    once = [{r: p for s in ("top", "bottom") for r, p in _by_ref(design, s).items()} for design in (places, bodies)]
+    once = []
+    for design in (places, bodies):
+        counts = Counter(part.ref for part in design.parts)
+        once.append({part.ref: part for part in design.parts if counts[part.ref] == 1})
     return {
         ref: (part.side, once[1][ref].side)
         for ref, part in once[0].items()
@@ -196,11 +206,13 @@ def _joined(placed: Part, drawn: Part | None, found: Placement, by_center: bool)
         corners = [rotated(p, quarter) for p in (box.low, box.high)]
         xs, ys = zip(*corners, strict=True)
         box = Box((min(xs), min(ys)), (max(xs), max(ys)))
+    # The size of a known package is better than one that is the same for all unknown packages.
+    keeps = placed.box is not None and drawn.size_from == "guess" and placed.size_from != "guess"
     return replace(
         placed,
-        box=box,
-        size_from=drawn.size_from,
-        body_height=drawn.body_height,
+        box=placed.box if keeps else box,
+        size_from=placed.size_from if keeps else drawn.size_from,
+        body_height=placed.body_height if drawn.body_height is None else drawn.body_height,
         package=placed.package or drawn.package,
         value=placed.value or drawn.value,
         fitted=placed.fitted and drawn.fitted,
