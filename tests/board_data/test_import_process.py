@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from tests.board_data.readers import samples
-from vaoi_station.board_data.import_process import ImportTask, run_import
+from vaoi_station.board_data import import_process
+from vaoi_station.board_data.import_process import ImportReply, ImportTask, reply_text, run_import
 from vaoi_station.model import BoardType
 
 
@@ -24,3 +27,13 @@ def test_refusals_and_limits_of_board_types_are_sentences(tmp_path: Path) -> Non
     refusal = run_import(ImportTask(file=file)).refusal
     assert "makes no board type: Value error, component 'R1' is at (20000, 1) mm" in refusal
     assert "No such file" in run_import(ImportTask(file=tmp_path / "none")).refusal
+
+
+def test_a_reply_that_is_too_long_is_a_refusal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = tmp_path / "b.kicad_pcb"
+    file.write_text(samples.KICAD)
+    assert ImportReply.model_validate_json(reply_text(ImportTask(file=file))).picture
+    monkeypatch.setattr(import_process, "MOST_REPLY", 100)
+    reply = ImportReply.model_validate_json(reply_text(ImportTask(file=file)))
+    assert "million characters, the limit is" in reply.refusal
+    assert not reply.picture

@@ -11,7 +11,7 @@ import resource
 import sys
 from pathlib import Path
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from vaoi_station.board_data.conversion import to_board_type
 from vaoi_station.board_data.design import Side
@@ -20,11 +20,15 @@ from vaoi_station.board_data.overview import ImportOverview, overview
 from vaoi_station.board_data.picture import board_picture
 from vaoi_station.board_data.readers.placement_table import TableOptions
 from vaoi_station.board_data.reading import Options, read_design
-from vaoi_station.errors import InputError, VaoiError
+from vaoi_station.errors import VaoiError
 from vaoi_station.model import Strict
 
 NICE = 10
 """Priority below that of the station, whose workers stitch meanwhile."""
+
+
+MOST_REPLY = 32 * 2**20
+"""Largest reply, in characters: the station keeps the replies of all previews in memory."""
 
 
 class ImportTask(Strict):
@@ -71,15 +75,24 @@ def run_import(task: ImportTask) -> ImportReply:
         if task.join is not None:
             bodies = read_design(task.join, Options(step=task.step, sizes=task.sizes))
             design = join_designs(design, bodies, task.side)
-        try:
-            board, notes = to_board_type(design, task.side, task.name)
-        except ValidationError as error:  # a limit of board types
-            faults = "; ".join(str(fault["msg"]) for fault in error.errors()[:3])
-            raise InputError(f"{task.file}: makes no board type: {faults}.") from error
+        board, notes = to_board_type(design, task.side, task.name)
         document = board.model_dump_json(exclude_none=True)
         return ImportReply(overview=overview(design, board, notes), board_type=document, picture=board_picture(board))
     except VaoiError as error:
         return ImportReply(refusal=error.message, action=error.action)
+
+
+def reply_text(task: ImportTask) -> str:
+    """Import a file, and return the reply as JSON; a reply that is too long becomes a refusal."""
+    text = run_import(task).model_dump_json(exclude_none=True)
+    if len(text) <= MOST_REPLY:
+        return text
+    long = (
+        f"{task.file}: makes a board type with picture and overview of {len(text) / 1e6:.1f} million characters, the "
+        f"limit is {MOST_REPLY / 1e6:.1f} million; the file is refused."
+    )
+    action = "Export the board without its drill holes and text, or import it by `vaoi import`, which has no limit."
+    return ImportReply(refusal=long, action=action).model_dump_json(exclude_none=True)
 
 
 def main() -> None:
@@ -92,11 +105,12 @@ def main() -> None:
     resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
     os.nice(NICE)
     try:
-        reply = run_import(task)
+        text = reply_text(task)
     except MemoryError:
         mb = limits.memory_bytes >> 20
-        reply = ImportReply(refusal=f"{task.file}: needs more than {mb} MB of memory; the file is refused.")
-    sys.stdout.write(reply.model_dump_json(exclude_none=True))
+        refusal = ImportReply(refusal=f"{task.file}: needs more than {mb} MB of memory; the file is refused.")
+        text = refusal.model_dump_json(exclude_none=True)
+    sys.stdout.write(text)
 
 
 if __name__ == "__main__":
