@@ -68,7 +68,6 @@ _HEAD = "vaoi.head"
 
 CSP = "default-src 'self'; img-src 'self' blob: data:; object-src 'none'; base-uri 'none'; frame-ancestors 'self'"
 SAFETY = {
-    "Content-Security-Policy": CSP,
     "X-Content-Type-Options": "nosniff",
     "Cross-Origin-Resource-Policy": "same-origin",
     "Referrer-Policy": "no-referrer",
@@ -112,6 +111,8 @@ class RequestGuard:
                 if self._access is not None:
                     self._access.note(scope, message["status"], begun)
                 headers = MutableHeaders(scope=message)
+                # A route may set a stricter policy for a document that may contain anything, such as a picture.
+                headers.setdefault("Content-Security-Policy", CSP)
                 for name, value in SAFETY.items():
                     headers[name] = value
                 # What no route has said about caches holds for no other moment.

@@ -15,6 +15,7 @@ from tests.board_data.readers import samples
 from vaoi_station.api import create_app, request_guard
 from vaoi_station.api.access.scopes import scope_needed
 from vaoi_station.api.board_data import previews
+from vaoi_station.model import BoardType
 
 PREVIEWS = "/api/v1/board-data/previews"
 TABLE = "Ref,X(mm),Y(mm),Rot\nR1,110,10,0\nJ1,130,20,90\nFID1,105,5,0\nFID2,140,5,0\n"
@@ -49,6 +50,7 @@ def test_from_upload_to_board_type(client: Any, held: HeldStation) -> None:
     picture = client.get(listed["picture"])
     assert picture.headers["content-type"] == "image/svg+xml"
     assert "R1</text>" in picture.text
+    assert picture.headers["content-security-policy"] == "default-src 'none'; style-src 'unsafe-inline'; sandbox"
     assert client.get(listed["board_type"]).json()["name"] == "new"
     answer = client.post(f"{PREVIEWS}/{listed['id']}/confirm")
     assert (answer.status_code, answer.headers["location"]) == (201, "/api/v1/board-types/new")
@@ -97,6 +99,20 @@ def test_a_repeated_key_is_content_of_an_upload(client: Any) -> None:
     text = samples.HTML_BOM.replace('"edges_bbox": {}', '"edges_bbox": {}, "edges_bbox": {}')
     assert upload(client, text, "b.json")["found"]["format"] == "html-bom"
     assert json.loads(text)
+
+
+def test_a_preview_that_is_deleted_while_it_is_confirmed_is_stored(
+    client: Any, held: HeldStation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    preview, put = upload(client, name="gone"), held.put_board_type
+
+    def put_and_delete(board_type: BoardType) -> bool:
+        new = put(board_type)
+        assert client.delete(f"{PREVIEWS}/{preview['id']}").status_code == 204
+        return new
+
+    monkeypatch.setattr(held, "put_board_type", put_and_delete)
+    assert client.post(f"{PREVIEWS}/{preview['id']}/confirm").status_code == 201
 
 
 def test_uploads_need_the_scope_teach() -> None:

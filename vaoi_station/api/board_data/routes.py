@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from contextlib import suppress
 from typing import Annotated, Any
 from urllib.parse import quote
 
@@ -22,7 +23,7 @@ from vaoi_station.api.event_hub import ThreadLimit
 from vaoi_station.api.http_caching import LIVE
 from vaoi_station.api.parameters import BOARD_TYPE_NAME
 from vaoi_station.api.routes.services import Services
-from vaoi_station.errors import InputError
+from vaoi_station.errors import InputError, NotFoundError
 from vaoi_station.model import BoardType
 
 PreviewId = Annotated[str, Path(description="Id of a preview.", pattern=PREVIEW_ID)]
@@ -42,8 +43,8 @@ _SVG_POLICY = "default-src 'none'; style-src 'unsafe-inline'; sandbox"
 def router(services: Services, previews: Previews) -> APIRouter:
     """Create the routes for imports of board data."""
     routes = APIRouter(prefix="/board-data", tags=["board types"])
-    # One import at a time: each may take a whole core and much memory.
-    importing, quick = ThreadLimit(1), services.commands
+    # One import at a time: each may take a whole core and much memory. Confirming does not wait for it.
+    importing, checking, quick = ThreadLimit(1), ThreadLimit(1), services.commands
     seats = Seats("imports of board data", 6, 3)
 
     def document(request: Request, preview: object) -> ImportPreview:
@@ -117,14 +118,16 @@ def router(services: Services, previews: Previews) -> APIRouter:
     async def confirm_import(request: Request, preview: PreviewId) -> Response:
         """Store the board type of a preview, as `PUT board-types/{name}` does, and delete the preview."""
         reply = await quick.ask(previews.reply, preview)
-        board_type = await importing.ask(BoardType.model_validate_json, reply.board_type)
+        board_type = await checking.ask(BoardType.model_validate_json, reply.board_type)
         if not re.fullmatch(BOARD_TYPE_NAME, board_type.name):
             raise InputError.field(
                 "preview", "name", board_type.name, "1 to 80 characters without slashes and leading dot",
                 action="Set `name` by PUT of the preview.",
             )  # fmt: skip
-        new = await quick.ask(services.coordinator.put_board_type, board_type)
-        await quick.ask(previews.drop, preview)
+        async with services.changing:
+            new = await quick.ask(services.coordinator.put_board_type, board_type)
+        with suppress(NotFoundError):  # deleted meanwhile: by another caller, or because others are newer
+            await quick.ask(previews.drop, preview)
         prefix = request.url.path.partition("/board-data")[0]
         headers = {"Location": f"{prefix}/board-types/{quote(board_type.name)}"} if new else {}
         return Response(reply.board_type, 201 if new else 200, headers, "application/json")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 from urllib.parse import quote
 
@@ -34,7 +33,7 @@ def router(services: Services) -> APIRouter:
     # Only one is parsed at a time, because parsing holds the interpreter's lock.
     parsing = ThreadLimit(1)
     # Between the check of If-Match and the change no other caller may change the board type.
-    changing = asyncio.Lock()
+    changing = services.changing
 
     @routes.get("", response_model_exclude_none=True)
     async def list_board_types(response: Response) -> BoardTypeList:

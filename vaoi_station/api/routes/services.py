@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from dataclasses import dataclass, field
 
 from vaoi_station.api.callers.picture_seats import PICTURE_THREADS, PictureSeats
@@ -18,3 +19,5 @@ class Services:
     commands: ThreadLimit = field(default_factory=lambda: ThreadLimit(COMMAND_THREADS))
     pictures: ThreadLimit = field(default_factory=lambda: ThreadLimit(PICTURE_THREADS))
     picture_seats: PictureSeats = field(default_factory=PictureSeats)
+    changing: asyncio.Lock = field(default_factory=asyncio.Lock)
+    """Held while a board type is changed: between the check of If-Match and the change no other caller may do so."""
