@@ -65,7 +65,7 @@ class Previews:
         """Open a new file for an upload, which is deleted if the block fails."""
         with self._lock:
             folder = self._files.folder
-            # The system may delete temporary folders that nobody has used for days.
+            # The system may delete temporary folders that were not used for days.
             if folder is None or not folder.is_dir():
                 folder = self._files.folder = Path(tempfile.mkdtemp(prefix="vaoi-board-data-"))
             folder /= secrets.token_hex(8)
