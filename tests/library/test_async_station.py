@@ -3,22 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterator
 
 import pytest
 
 import vaoi_station as vaoi
 from tests.api.conftest import Served
-from tests.api.held_station import HeldStation
-
-
-@pytest.fixture
-def served() -> Iterator[Served]:
-    station = HeldStation()
-    station.film(board_id="SN-1")
-    served = Served(station)
-    yield served
-    served.stop()
 
 
 async def whole_cycle(served: Served) -> None:

@@ -16,15 +16,6 @@ from vaoi_station.api.access.audit import AuditLog
 from vaoi_station.files.access_keys import KeyFile
 
 
-@pytest.fixture
-def served() -> Iterator[Served]:
-    station = HeldStation()
-    station.film(board_id="SN-1")
-    served = Served(station)
-    yield served
-    served.stop()
-
-
 def test_the_latest_run_gives_images_of_a_component(served: Served) -> None:
     run = vaoi.connect(served.url).run()
     assert run.summary["board_id"] == "SN-1"

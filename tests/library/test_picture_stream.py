@@ -4,25 +4,14 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Iterator
 
 import numpy as np
 import pytest
 
 import vaoi_station as vaoi
 from tests.api.conftest import Served
-from tests.api.held_station import HeldStation
 from vaoi_station.library.picture_stream import ComponentPictures, read_pictures
 from vaoi_station.runs.batches.containers import ContainerWriter, Member, pack
-
-
-@pytest.fixture(scope="module")
-def served() -> Iterator[Served]:
-    station = HeldStation()
-    station.film(board_id="SN-1")
-    served = Served(station)
-    yield served
-    served.stop()
 
 
 def test_pictures_of_all_components_are_those_of_single_requests(served: Served) -> None:
