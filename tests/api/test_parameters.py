@@ -10,6 +10,7 @@ from fastapi.testclient import TestClient
 from pydantic import TypeAdapter, ValidationError
 
 from vaoi_station.api import parameters as p
+from vaoi_station.errors import InputError
 
 
 def accepts(parameter: Any, value: Any) -> bool:
@@ -99,3 +100,11 @@ def test_each_operation_offers_the_query_parameters_of_the_document(client: Test
             refused = client.request(method, f"{address}?no_such_parameter=1").json()
             assert refused["code"] == "unknown-parameter", (method, path)
             assert refused["detail"].endswith(f"it has {', '.join(names)}." if names else "it has none."), path
+
+
+@pytest.mark.parametrize("text", ["1,2,3", "1,2,3,4,5", "1,2,x,3", ""])
+def test_a_box_is_four_numbers(text: str) -> None:
+    assert p.parse_box("within", "1,2.5,-3,4") == (1.0, 2.5, -3.0, 4.0)
+    assert p.parse_box("within", None) is None
+    with pytest.raises(InputError, match=r"within is .*must be four numbers x0,y0,x1,y1"):
+        p.parse_box("within", text)

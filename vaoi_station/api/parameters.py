@@ -68,6 +68,18 @@ FOR_CACHES = "_"
 """Name of a query parameter without a meaning."""
 
 
+def parse_box(name: str, text: str | None) -> tuple[float, float, float, float] | None:
+    """Parse a parameter that states a box, `x0,y0,x1,y1`; None without one. Raise InputError unless it is 4 numbers."""
+    if text is None:
+        return None
+    try:
+        x0, y0, x1, y1 = map(float, text.split(","))
+    except ValueError:
+        limit = "four numbers x0,y0,x1,y1 in CAD coordinates"
+        raise InputError.field("query", name, text, limit) from None
+    return x0, y0, x1, y1
+
+
 def refuse_unknown_parameters(request: Request) -> None:
     """Raise InputError if the query has a parameter that the route does not have.
 

@@ -14,12 +14,12 @@ from vaoi_station.api.callers.caller import caller_of
 from vaoi_station.api.callers.seats import QueuedSeats
 from vaoi_station.api.images.image_queries import Wanted
 from vaoi_station.api.images.view_entries import picture_query
-from vaoi_station.api.parameters import RunId
+from vaoi_station.api.parameters import RunId, parse_box
 from vaoi_station.api.request_guard import is_head
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import InputError
 from vaoi_station.runs.batches.batch_job import CutPart
-from vaoi_station.runs.batches.batch_request import BatchRequest, Corners
+from vaoi_station.runs.batches.batch_request import BatchRequest
 from vaoi_station.runs.batches.batches import BatchPart
 from vaoi_station.runs.batches.containers import MEDIA_TYPES, SUFFIXES, ContainerName
 
@@ -35,7 +35,6 @@ STREAMS: dict[int | str, dict[str, Any]] = {
     }
 }
 _LONGEST_ADDRESS = 200
-_SIDES = 4
 
 
 def _request(
@@ -66,8 +65,8 @@ def _request(
             raise InputError.field("query", "component", ref, f"1 to {_LONGEST_ADDRESS} characters long")
     return BatchRequest(
         components=tuple(component or ()),
-        within=_corners("within", within),
-        region=_corners("region", region),
+        within=parse_box("within", within),
+        region=parse_box("region", region),
         images=wanted,
         hdr=hdr,
         format=format or ("npy" if container == "npz" else "png"),
@@ -111,17 +110,3 @@ def router(services: Services) -> APIRouter:
         return StreamingResponse(stream(batch, cut), media_type=media, headers=headers)
 
     return routes
-
-
-def _corners(name: str, text: str | None) -> Corners | None:
-    """Parse a box; None if none is given. Raise InputError unless it is four numbers."""
-    if text is None:
-        return None
-    try:
-        values = [float(part) for part in text.split(",")]
-    except ValueError:
-        values = []
-    if len(values) != _SIDES:
-        raise InputError.field("query", name, text, "four numbers x0,y0,x1,y1 in CAD coordinates")
-    x0, y0, x1, y1 = values
-    return x0, y0, x1, y1

@@ -10,12 +10,11 @@ from pydantic import Field
 
 from vaoi_station.api.encoders import MEDIA_TYPES, ImageFormat, choose_format, raw_from_npy
 from vaoi_station.api.http_caching import REVALIDATE, conditional_response
-from vaoi_station.api.parameters import FOR_CACHES, FormatName, PxPerMm, RunId
+from vaoi_station.api.parameters import FOR_CACHES, FormatName, PxPerMm, RunId, parse_box
 from vaoi_station.api.rest_models import Matrix3
 from vaoi_station.api.routes.components import RENDERED_AS
 from vaoi_station.api.routes.frames import PICTURE, Accept
 from vaoi_station.api.routes.services import Services
-from vaoi_station.errors import InputError
 from vaoi_station.model import Strict
 from vaoi_station.runs.batches.batches import merged_entry
 from vaoi_station.runs.merging.merged_pictures import MergedChoice, MergeRequest
@@ -40,7 +39,6 @@ Index = Annotated[
 Sigma = Annotated[
     bool, Query(description="Return the standard deviation of every pixel in place of the radiance (npy, tiff, raw).")
 ]
-_CORNERS = 4
 
 
 class MergedEntry(Strict):
@@ -73,7 +71,7 @@ def _wanted(
     min_coverage: LeastCoverage = 0.02,
 ) -> MergeRequest:
     """Return what the query asks for."""
-    return MergeRequest(component, _corners(region), light, px_per_mm, min_coverage)
+    return MergeRequest(component, parse_box("region", region), light, px_per_mm, min_coverage)
 
 
 Wanted = Annotated[MergeRequest, Depends(_wanted)]
@@ -138,20 +136,6 @@ def router(services: Services) -> APIRouter:
         return conditional_response(request, content, MEDIA_TYPES[image_format], cache=REVALIDATE, headers=headers)
 
     return routes
-
-
-def _corners(region: str | None) -> tuple[float, float, float, float] | None:
-    """Parse a region; None if none is given. Raise InputError unless it is four numbers."""
-    if region is None:
-        return None
-    try:
-        values = [float(part) for part in region.split(",")]
-    except ValueError:
-        values = []
-    if len(values) != _CORNERS:
-        raise InputError.field("merged pictures", "region", region, "four numbers x0,y0,x1,y1 in CAD coordinates")
-    x0, y0, x1, y1 = values
-    return x0, y0, x1, y1
 
 
 def _entry(k: int, choice: MergedChoice, url: str) -> MergedEntry:
