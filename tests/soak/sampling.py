@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from contextlib import suppress
 from pathlib import Path
@@ -41,7 +42,9 @@ def station_usage(pid: int, station: dict[str, Any]) -> dict[str, dict[str, floa
 
 def file_usage(data: Path, shm: Path) -> dict[str, float]:
     """Return the sizes in MB of the database with its log, of all files of the data directory, and of the ring."""
-    sizes = {path: size for path in data.rglob("*") if (size := _size(path)) is not None}
+    # os.walk passes over folders that are deleted meanwhile; Path.rglob of Python 3.11 raises.
+    files = (Path(folder, name) for folder, _, names in os.walk(data) for name in names)
+    sizes = {path: size for path in files if (size := _size(path)) is not None}
     database = sum(size for path, size in sizes.items() if path.name.startswith("station.db"))
     rings = [size for path in shm.iterdir() if (size := _size(path)) is not None]
     return {

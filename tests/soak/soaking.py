@@ -83,8 +83,9 @@ class Soak:
         self.record = Record()
         self._station: dict[str, Any] = {}
         self._done = threading.Event()
+        self._failure: Exception | None = None
         self._service = Service(config, folder / "log.txt", self._disk.prefix if self._disk else ())
-        self._follower = threading.Thread(target=self._follow, name="follower", daemon=True)
+        self._follower = threading.Thread(target=self._follow_or_fail, name="follower", daemon=True)
 
     def run(self) -> Record:
         """Let all boards pass; return what was measured."""
@@ -110,6 +111,13 @@ class Soak:
     def log(self) -> str:
         """Return everything that the station has written."""
         return self._service.log()
+
+    def _follow_or_fail(self) -> None:
+        """Follow until the end; keep an error for the thread that injects faults, which would wait for samples."""
+        try:
+            self._follow()
+        except Exception as error:  # noqa: BLE001 - every error ends the soak
+            self._failure = error
 
     def _follow(self) -> None:
         """Receive every announcement once, and sample the station after each."""
@@ -148,6 +156,8 @@ class Soak:
         }
 
     def _boards(self) -> int:
+        if self._failure is not None:
+            raise RuntimeError(f"boards are not followed any more after {len(self.record.samples)}") from self._failure
         return len(self.record.samples)
 
     def _inject(self, began_s: float) -> None:
@@ -173,7 +183,7 @@ class Soak:
         """Wait for a board that has begun after the end of a fault, and whose result is announced."""
         ended, ended_s = datetime.now().astimezone(), time.monotonic()
         while time.monotonic() - ended_s < STALLED_S:
-            newest = self.record.samples[-1]
+            newest = self.record.samples[self._boards() - 1]
             if newest["started"] > ended.timestamp() and newest["result_ms"] is not None:
                 fault.recovered_s = newest["t"] - ended.timestamp()
                 return fault
