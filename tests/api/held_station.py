@@ -36,18 +36,17 @@ from vaoi_station.runs.states.schemas import (
     LeaseStatus,
     ProcessStatus,
     Reason,
-    ReferenceStatus,
     Retention,
     RingStatus,
     RunDetail,
     RunSummary,
     StationSnapshot,
-    StitchingMethod,
     Timings,
     VerdictCounts,
     Versions,
 )
 from vaoi_station.runs.states.schemas import ImageFormat as Rendered
+from vaoi_station.runs.states.stitching_schemas import ReferenceStatus, StitchingMethod
 from vaoi_station.runs.states.tables import RunState, StationState
 from vaoi_station.runs.states.timeline_schemas import Timeline
 

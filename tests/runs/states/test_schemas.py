@@ -9,13 +9,14 @@ import pytest
 from pydantic import ValidationError
 
 from vaoi_station.errors import BusyError
-from vaoi_station.runs.states import calibration_schemas, schemas
-from vaoi_station.runs.states.schemas import EventRecord, Reason, ReferenceStatus, RunDetail, RunSummary, Schema
+from vaoi_station.runs.states import calibration_schemas, schemas, stitching_schemas
+from vaoi_station.runs.states.schemas import EventRecord, Reason, RunDetail, RunSummary, Schema
+from vaoi_station.runs.states.stitching_schemas import ReferenceStatus
 
 ALL = sorted(
     {
         cls
-        for module in (schemas, calibration_schemas)
+        for module in (schemas, calibration_schemas, stitching_schemas)
         for _, cls in inspect.getmembers(module, inspect.isclass)
         if issubclass(cls, Schema)
     },
@@ -47,4 +48,4 @@ def test_documents_survive_json_and_cannot_be_changed() -> None:
 
 def test_a_detail_has_all_fields_of_a_summary_and_a_status_those_of_its_record() -> None:
     assert RunSummary.model_fields.keys() < RunDetail.model_fields.keys()
-    assert schemas.ReferenceRecord.model_fields.keys() < ReferenceStatus.model_fields.keys()
+    assert stitching_schemas.ReferenceRecord.model_fields.keys() < ReferenceStatus.model_fields.keys()

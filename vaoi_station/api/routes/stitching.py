@@ -12,7 +12,7 @@ from vaoi_station.api.http_caching import LIVE, require_unchanged, tag_of
 from vaoi_station.api.parameters import BoardTypeName, IfMatch
 from vaoi_station.api.rest_models import MethodRequest, TeachRequest
 from vaoi_station.api.routes.services import Services
-from vaoi_station.runs.states.schemas import ReferenceStatus, StitchingMethod
+from vaoi_station.runs.states.stitching_schemas import ReferenceStatus, StitchingMethod
 
 
 def router(services: Services) -> APIRouter:

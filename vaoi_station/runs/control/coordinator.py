@@ -45,12 +45,11 @@ from vaoi_station.runs.states.schemas import (
     LeaseStatus,
     ProcessStatus,
     Reason,
-    ReferenceStatus,
     RunDetail,
     RunSummary,
     StationSnapshot,
-    StitchingMethod,
 )
+from vaoi_station.runs.states.stitching_schemas import ReferenceStatus, StitchingMethod
 from vaoi_station.runs.states.timeline_schemas import Timeline
 from vaoi_station.store import BoardTypeDirectory
 

@@ -17,7 +17,8 @@ from vaoi_station.runs.control.inbox import Inbox
 from vaoi_station.runs.control.pictures import FrameAccess
 from vaoi_station.runs.run.reference_store import ReferenceStore
 from vaoi_station.runs.states.run_ids import utc
-from vaoi_station.runs.states.schemas import BoardTypeSummary, Reason, ReferenceRecord, ReferenceStatus, StitchingMethod
+from vaoi_station.runs.states.schemas import BoardTypeSummary, Reason
+from vaoi_station.runs.states.stitching_schemas import ReferenceRecord, ReferenceStatus, StitchingMethod
 from vaoi_station.stitching.board.placeable import refuse_unplaceable
 from vaoi_station.stitching.recordings.reference_directory import (
     CONFIRM,
