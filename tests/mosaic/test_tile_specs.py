@@ -23,6 +23,12 @@ def test_parts_are_the_frames_of_the_cells_of_a_tile(board: Filmed) -> None:
 
 def test_parts_of_a_large_picture_are_whole_tiles(board: Filmed) -> None:
     renderer = TileRenderer(plan_of(board), board.projector, board.base)
-    assert renderer.block_px in (256, 512, 1024, 2048, 4096)
+    assert renderer.block_px[0] in (256, 512, 1024, 2048, 4096)
     wide = TileRenderer(plan_of(board, hdr=True), board.projector, board.base)
-    assert wide.block_px <= 1024
+    assert wide.block_px[0] <= 1024
+
+
+def test_parts_are_high_where_one_has_the_whole_width(board: Filmed) -> None:
+    """The board of 520 × 400 px is one part, but not with HDR, where a part has at most 1024 × 256 px."""
+    assert TileRenderer(plan_of(board), board.projector, board.base).block_px[1] >= 400
+    assert TileRenderer(plan_of(board, hdr=True), board.projector, board.base).block_px[1] <= 512

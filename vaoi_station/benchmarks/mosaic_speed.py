@@ -80,7 +80,7 @@ def _measure(board: BenchmarkBoard, repetitions: int, stitch: Stitch | None) -> 
     boxes = _boxes(grid, renderer.block_px)
     warps = []
     # Wider parts lie beside the frame for the most part, where a warp has nothing to sample.
-    for box in _boxes(grid, min(renderer.block_px, _WARP_PX)):
+    for box in _boxes(grid, (min(renderer.block_px[0], _WARP_PX), TILE_PX)):
         spec = renderer.spec(box)
         # The frame that shows most of the tile: all warps of a tile cost the same.
         part = max(spec.parts, key=lambda p: 1.0 if p.mine is None else float(p.mine.mean()), default=None)
@@ -119,11 +119,12 @@ def _measure(board: BenchmarkBoard, repetitions: int, stitch: Stitch | None) -> 
     )
 
 
-def _boxes(grid: MosaicGrid, width: int = TILE_PX) -> list[tuple[int, int, int, int]]:
-    """Return all tiles of a grid, or parts that are wider."""
+def _boxes(grid: MosaicGrid, size: tuple[int, int] = (TILE_PX, TILE_PX)) -> list[tuple[int, int, int, int]]:
+    """Return all tiles of a grid, or parts of another width and height."""
+    width, height = size
     return [
-        (x, y, min(x + width, grid.width), min(y + TILE_PX, grid.height))
-        for y in range(0, grid.height, TILE_PX)
+        (x, y, min(x + width, grid.width), min(y + height, grid.height))
+        for y in range(0, grid.height, height)
         for x in range(0, grid.width, width)
     ]
 

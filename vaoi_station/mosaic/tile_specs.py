@@ -25,7 +25,8 @@ from vaoi_station.photometry import NoiseModel
 Box = tuple[int, int, int, int]
 """Part x0, y0, x1, y1 of a mosaic in pixels, ends excluded."""
 _LINEAR = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-_NARROW_PX = 256
+_WIDEST_PX, _WIDEST_HDR_PX, _NARROW_PX = 4096, 1024, 256
+"""Largest width of a part of a large picture, the same with HDR, and its smallest sides: those of a tile."""
 _STRAIGHT_PX = 0.03
 """Largest deviation, px, of a matrix from lens and surface in parts that are wider than 256 px."""
 _BORDER_PX = 3
@@ -82,28 +83,39 @@ class TileRenderer:
         self._reduction = 2 ** max(int(np.floor(np.log2(max(per_base_px, 1.0)) + 0.01)), 0)
 
     @cached_property
-    def block_px(self) -> int:
-        """Width of the parts in which a large picture is rendered: a multiple of 256 px.
+    def block_px(self) -> tuple[int, int]:
+        """Width and height of the parts in which a large picture is rendered: multiples of 256 px.
 
-        The wider, the faster; but within one part a frame is resampled by one matrix, which must represent lens and
-        surface to `_STRAIGHT_PX`. With HDR, several arrays of floats must fit into memory.
+        Every part has a fixed cost, so they are as wide as possible, and higher than a tile where one part has the
+        whole width of the picture. But within one part a frame is resampled by one matrix, which must represent lens
+        and surface to `_STRAIGHT_PX`. With HDR, several arrays of floats must fit into memory.
         """
-        for width in (1024, 512) if self._plan.hdr else (4096, 2048, 1024, 512):
-            bent = 0.0
-            for taken, _ in self._plan.frames:
-                x0, y0, x1, y1 = self._projector.seen_box(taken.camera, taken.row, self.grid)
-                if min(x1 - x0, y1 - y0) >= _NARROW_PX:
-                    shown = min(width, x1 - x0)
-                    y = (y0 + y1 - _NARROW_PX) // 2
-                    for x in (x0, (x0 + x1 - shown) // 2, x1 - shown):
-                        bent = max(bent, self._bend(taken, (x, y, x + shown, y + _NARROW_PX)))
-            if bent <= _STRAIGHT_PX:
-                return width
-        return _NARROW_PX
+        widest = _WIDEST_HDR_PX if self._plan.hdr else _WIDEST_PX
+        width = widest
+        while width > _NARROW_PX and self._bent(width, _NARROW_PX):
+            width //= 2
+        if width < self.grid.width:
+            return width, _NARROW_PX
+        tiles = max(widest // self.grid.width, 1)
+        while tiles > 1 and self._bent(width, tiles * _NARROW_PX):
+            tiles //= 2
+        return width, tiles * _NARROW_PX
+
+    def _bent(self, width: int, height: int) -> bool:
+        """Return whether one matrix for a part of this size would deviate too much in some frame."""
+        for taken, _ in self._plan.frames:
+            x0, y0, x1, y1 = self._projector.seen_box(taken.camera, taken.row, self.grid)
+            if min(x1 - x0, y1 - y0) >= _NARROW_PX:
+                across, down = min(width, x1 - x0), min(height, y1 - y0)
+                y = (y0 + y1 - down) // 2
+                for x in (x0, (x0 + x1 - across) // 2, x1 - across):
+                    if self._bend(taken, (x, y, x + across, y + down)) > _STRAIGHT_PX:
+                        return True
+        return False
 
     def _bend(self, taken: TakenFrame, box: Box) -> float:
         """Return how far the matrix of a part deviates from the projection on a grid of points, px."""
-        x, y = np.linspace(box[0], box[2], 5) - 0.5, np.linspace(box[1], box[3], 3) - 0.5
+        x, y = np.linspace(box[0], box[2], 5) - 0.5, np.linspace(box[1], box[3], 5) - 0.5
         at = np.stack(np.meshgrid(x, y), -1)
         matrix = self._projector.raw_from_mosaic(taken.camera, taken.row, self.grid, box)
         exact = self._projector.raw_px(taken.camera, taken.row, apply(self.grid.cad_from_mosaic, at))
