@@ -13,6 +13,7 @@ class ReasonCode(StrEnum):
     CAMERA_ABSENT = "camera-absent"
     TRIGGER_DOUBTFUL = "trigger-doubtful"
     NO_TEXTURE = "no-texture"
+    LIGHT_DARK = "light-dark"
     ROWS_LOST = "rows-lost"
     ROWS_NOT_CONNECTED = "rows-not-connected"
     ROWS_REPETITIVE = "rows-repetitive"

@@ -6,8 +6,8 @@ then the position of the board from its fiducials. Last, all unknowns are estima
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import cv2
@@ -32,6 +32,7 @@ from vaoi_station.stitching.matching.relinking import RowLinks, relink_rows
 from vaoi_station.stitching.matching.scene import Scene
 from vaoi_station.stitching.method import METHODS, Method
 from vaoi_station.stitching.quality.findings import Findings
+from vaoi_station.stitching.quality.missing.dark_lights import RowLights, dark_lights
 from vaoi_station.stitching.quality.quality_document import quality_document
 from vaoi_station.stitching.quality.verdict import decide_verdict
 from vaoi_station.stitching.result import build_result
@@ -58,6 +59,8 @@ class PriorKnowledge:
     """A function that returns a prepared frame of the reference; None if its frames cannot be read."""
     lights: tuple[str, ...] = ()
     """Name of the light of every row; empty if all rows have one."""
+    channels: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+    """LED channels of every light, as far as they are known."""
 
     def reference_scene(self, cameras: tuple[Camera, ...]) -> Scene | None:
         """Return the frames of the reference, filmed by the same cameras.
@@ -122,6 +125,10 @@ def conclude(
         prior.reference.sigma_px if prior.reference else 0.0,
         copies=copies,
     )
+    # Before rows are left out: a dark row has no links, so nothing but the belt's nominal speed places it.
+    if prior.lights:
+        lights = RowLights(prior.lights, prior.channels)
+        findings = replace(findings, dark=dark_lights(findings.scene, lights, findings.confirmed))
     findings = _without_unknown_rows(findings)
     status, reasons = decide_verdict(findings)
     quality = quality_document(findings) | _provenance(prior, stages)

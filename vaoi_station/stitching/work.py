@@ -63,6 +63,8 @@ class StitchSetup:
     """How much of every component the frames must show, unless the board type states something else."""
     lights: tuple[str, ...] = ()
     """Names of the lights of the rows, in turn: row j has light j modulo their number. Empty if all rows have one."""
+    channels: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+    """LED channels of every light, which the reason for a dark light names; empty if they are not known."""
 
     @cached_property
     def plane(self) -> BoardPlane | None:
@@ -200,6 +202,7 @@ class TaskRunner:
                 s.visibility,
                 self._reference if self._reference_frame is not None else None,
                 tuple(s.light(row) for row in range(len(times_s))) if s.lights else (),
+                s.channels,
             ),
             np.asarray(times_s, dtype=np.float64),
             list(evidence),

@@ -140,19 +140,6 @@ def test_a_board_larger_than_its_data_is_a_reason(filmed: Any) -> None:
     assert any("larger than its CAD data" in r or "px from its place" in r for r in result.reasons)
 
 
-def test_unconnected_rows_are_a_reason(filmed: Any) -> None:
-    """Two blank rows: only the belt gives the distance of the second half from the first, and belts stop."""
-    frames = {key: np.full_like(p, 20) if key[1] in (2, 3) else p for key, p in filmed.frames.items()}
-    result = filmed.stitched(frames=frames)
-    assert result.status is not Status.OK
-    assert any("no links connect the rows 0–3 with the rows" in r for r in result.reasons), result.reasons
-    assert any("other rows are not placed: film the board again" in r for r in result.reasons), result.reasons
-    assert result.quality["unplaced_rows"] == [0, 1, 2, 3]
-    assert [m is not None for m in result.image_matrices[0]] == [False] * 4 + [True] * 2
-    assert result.components is not None
-    assert {row for views in result.components.values() for _, row, *_ in views} <= {4, 5}
-
-
 def test_a_board_whose_fiducials_no_links_connect_is_not_placed(filmed: Any) -> None:
     """Every fiducial is in rows that only the belt's nominal speed connects to those of the others."""
     lone = [f for f in filmed.board_type.fiducials if f.name in ("FID1", "FID2")]
@@ -194,16 +181,6 @@ def test_an_absent_camera_is_the_first_reason_with_its_fiducials(filmed: Any) ->
     assert "1 place(s) look like fiducials" in result.reasons[1]
     anywhere = filmed.stitched(frames=left)
     assert anywhere.reasons[0] == f"{nothing}: fiducials that only this camera shows cannot be found"
-
-
-@pytest.mark.parametrize("lost", [(1, 2), (2, 3), (3, 4)])
-def test_lost_rows_are_blamed_before_the_fiducials(filmed: Any, lost: tuple[int, ...]) -> None:
-    """Rows beside the gap do not overlap: only the belt's speed, here wrong by 3 %, places one part by the other."""
-    there = {key: p for key, p in filmed.frames.items() if key[1] not in lost}
-    slow = tuple(0.97 * v for v in filmed.setup.conveyor_mm_s)
-    reasons = decide_verdict(findings_of(filmed, there, conveyor_mm_s=slow))[1]
-    assert reasons[0].code == "rows-lost", reasons
-    assert f"of rows {', '.join(map(str, lost))}" in reasons[0].text
 
 
 def test_a_row_that_never_arrived_is_not_placed(filmed: Any) -> None:

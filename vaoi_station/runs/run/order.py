@@ -228,6 +228,7 @@ class OrderFactory:
             reference=reference.reference if reference else None,
             visibility=self._config.visibility,
             lights=tuple(plan.lights) or self._lights,
+            channels={name: light.channels for name, light in self._config.controller.lights.items()},
         )
         # Runs refer to their documents by digest, so a later change of the board type does not affect old results.
         digest = self._store.keep_document("board-type", board_type.model_dump_json(), utc())

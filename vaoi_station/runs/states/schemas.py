@@ -16,7 +16,7 @@ from vaoi_station.model import FrameRecord, Status
 from vaoi_station.runs.states.made_with import MadeWith, Origin
 from vaoi_station.runs.states.storage_schemas import SetAsideFile
 from vaoi_station.runs.states.tables import RunState, StationState
-from vaoi_station.stitching.quality.unseen import Cause as UnseenCause
+from vaoi_station.stitching.quality.missing.unseen import Cause as UnseenCause
 
 ImageFormat = Literal["png", "jpeg", "tiff", "npy"]
 

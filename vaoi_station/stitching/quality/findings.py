@@ -28,18 +28,17 @@ from vaoi_station.stitching.method import Method
 from vaoi_station.stitching.quality.covariances import largest_sigma
 from vaoi_station.stitching.quality.heights import Height, component_heights
 from vaoi_station.stitching.quality.lens_errors import LensError, lens_errors
+from vaoi_station.stitching.quality.missing.dark_lights import DarkLight
+from vaoi_station.stitching.quality.missing.unseen import FilmedBoard, SeenFrames, UnseenComponent, find_unseen
 from vaoi_station.stitching.quality.reference_share import reference_share, with_camera_errors, with_common_error
 from vaoi_station.stitching.quality.row_offsets import row_offset
 from vaoi_station.stitching.quality.seam_causes import LIFT_LIMIT_MM, Lift, measure_lift
 from vaoi_station.stitching.quality.uncertainty import PredictedSigma, predict_sigma, seam_sigma_px
-from vaoi_station.stitching.quality.unseen import FilmedBoard, SeenFrames, UnseenComponent, find_unseen
 
 _USED = 0.1
 """Weight above which a link counts as used."""
 _SAME_HEIGHT_PX = 0.5
-"""Two heights of a component agree if their difference causes a displacement of at most this at the seam, px.
-
-One height comes from links across the seam, the other one from other links."""
+"""Two heights of a component, by links across the seam and by others, agree up to this displacement at the seam, px."""
 SEAM_LIMIT_PX = 0.30
 """Largest accepted disagreement of two cameras at their seam, px."""
 DISPLACED_PX = 0.20
@@ -53,8 +52,7 @@ _OTHER_LIFT_MM = 1.0
 _LEAST_FITTING, _LEAST_SHARE, _SURELY = 3, 0.25, 5
 """Least number and share of a frame's links that must fit the board's motion; number that always suffices.
 
-In sound frames of the recordings and of the twin, a share of 0.7 or more fits. In a repeated frame, one link may fit by
-chance."""
+In sound frames of recordings and twin, a share of 0.7 or more fits. In a repeated one, one link may fit by chance."""
 _BORDER_PX = 6.0
 """Least distance of a fiducial's bare rim from the border of a frame: nearer to the border it may not be detected."""
 _SEAM_LINKS = 12
@@ -81,11 +79,11 @@ class Findings:
     reference_sigma_px: float = 0.0
     """Standard deviation of positions on account of the reference's own CAD mapping, px; 0 without a reference."""
     unplaced: tuple[int, ...] = ()
-    """Rows with good frames that have no known position, because nothing shows where the board was; not part of
-    `scene`."""
+    """Rows with good frames, not part of `scene`, that have no known position: nothing shows where the board was."""
     copies: frozenset[FrameKey] = frozenset()
-    """Good frames that equal the preceding frame of their camera in every pixel: they do not show the board of their
-    row."""
+    """Good frames that equal the frame before in every pixel, and so do not show the board of their row."""
+    dark: tuple[DarkLight, ...] = ()
+    """Lights with rows that are black while the rows beside them are bright."""
 
     @property
     def mapping(self) -> CadMapping | None:
@@ -301,8 +299,7 @@ class Findings:
     def seams_px(self) -> dict[tuple[int, int], float]:
         """For each pair of neighbouring cameras, the length of the median residual of links on the bare board, px.
 
-        A large value means that a camera has moved, or that the board has a shape that the surface model cannot
-        express.
+        If it is large, a camera has moved, or the board has a shape that the surface model cannot express.
         """
         # Links on components are left out, since the height of a component is no error of the seam.
         bare = np.flatnonzero((self.seam_of_link >= 0) & (self.problem.component < 0))

@@ -8,7 +8,6 @@ it contains no component positions.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -16,13 +15,11 @@ import numpy as np
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Reason, ReasonCode, Status
-from vaoi_station.stitching.adjustment.observations import Ints
 from vaoi_station.stitching.adjustment.problem import FiducialPoints
 from vaoi_station.stitching.adjustment.row_motion import board_texture
 from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.cad_mapping import CadMapping
 from vaoi_station.stitching.board.fiducial_assignment import outside_share
-from vaoi_station.stitching.quality.absent_cameras import absent_camera_reasons
 from vaoi_station.stitching.quality.agreement import (
     component_reasons,
     fiducial_reasons,
@@ -33,10 +30,13 @@ from vaoi_station.stitching.quality.agreement import (
 from vaoi_station.stitching.quality.fiducial_sizes import wrong_size
 from vaoi_station.stitching.quality.findings import DISPLACED_PX, SEAM_LIMIT_PX, Findings
 from vaoi_station.stitching.quality.lens_errors import lens_reasons
+from vaoi_station.stitching.quality.missing.absent_cameras import absent_camera_reasons
+from vaoi_station.stitching.quality.missing.dark_lights import dark_light_reasons
+from vaoi_station.stitching.quality.missing.unseen import unconfirmed_reasons, unseen_reasons
+from vaoi_station.stitching.quality.row_connections import repeated_rows, unconnected_rows
 from vaoi_station.stitching.quality.row_offsets import shifted_cameras
 from vaoi_station.stitching.quality.seam_causes import explain_seam, repeated_overlap
 from vaoi_station.stitching.quality.uncertainty import uncertain_calibration
-from vaoi_station.stitching.quality.unseen import unconfirmed_reasons, unseen_reasons
 
 _OK_SIGMA_PX = 0.20
 _FLOOR_LIMIT_PX = 0.30
@@ -113,97 +113,8 @@ def _no_texture(f: Findings) -> Iterator[Reason]:
         yield Reason(ReasonCode.NO_TEXTURE, "no texture was found in any frame: is there a board?")
 
 
-def _unconnected_rows(f: Findings) -> Iterator[Reason]:
-    if f.unplaced:
-        yield from _unplaced_rows(f)
-        return
-    groups = _groups_of_rows(f)
-    if len(groups) < 2:
-        return
-    parts = ", ".join(f"{g.min()}–{g.max()}" for g in groups)
-    unlinked = f"no links connect the rows {parts} with one another: the belt's nominal speed gives their distance"
-    ends = [(int(a.max()), int(b.min())) for a, b in pairwise(groups)]
-    lost = [row for last, first in ends for row in range(last + 1, first) if not f.placed[row]]
-    if not lost:
-        yield Reason(ReasonCode.ROWS_NOT_CONNECTED, unlinked)
-        return
-    yield Reason(
-        ReasonCode.ROWS_LOST,
-        f"no camera delivered a good frame of row{'s' if len(lost) > 1 else ''} {', '.join(map(str, lost))}, and "
-        f"{unlinked}. Fiducials on both sides of the gap may not fit together for that reason: repair what lost these "
-        "frames and film the board again",
-    )
-
-
-def _groups_of_rows(f: Findings) -> list[Ints]:
-    """Return the groups of rows between which there is no connection by links or marks."""
-    if len(f.connected_groups) > 1:
-        return f.connected_groups
-    # A single row without links to other rows is in no group.
-    o, points = f.problem.links, f.problem.fiducials
-    seen, placed = np.append(o.p, o.q), np.flatnonzero(f.placed)
-    marked = points.row if points is not None else np.zeros(0, dtype=np.int_)
-    for last, first in pairwise(placed.tolist()):
-        sides = [((rows <= last).any(), (rows >= first).any()) for rows in (seen, marked)]
-        spanned = ((o.p <= last) & (o.q >= first) | (o.q <= last) & (o.p >= first)).any()
-        if first > last + 1 and not spanned and all(sides[0]) and not all(sides[1]):
-            return [placed[placed <= last], placed[placed >= first]]
-    return f.connected_groups
-
-
-def _unplaced_rows(f: Findings) -> Iterator[Reason]:
-    """Yield a reason for the rows without known position; rows at the board's ends that hardly show it do not count."""
-    if not f.unseen and not any(set(f.unplaced) & set(g.tolist()) for g in f.connected_groups):
-        return
-    rows = ", ".join(f"{a}" if a == b else f"{a}–{b}" for a, b in _ranges(f.unplaced))
-    unlinked = (
-        f"no links connect the rows {rows} with the rows in which the board is placed: how far the belt moved "
-        "in between is not known, and these rows have no matrices and no views"
-    )
-    lost = [row for row, placed in enumerate(f.placed) if not placed and row not in f.unplaced]
-    if not lost:
-        yield Reason(ReasonCode.ROWS_NOT_CONNECTED, f"{unlinked}. Check the belt, and film the board again")
-        return
-    yield Reason(
-        ReasonCode.ROWS_LOST,
-        f"no camera delivered a good frame of row{'s' if len(lost) > 1 else ''} {', '.join(map(str, lost))}, and "
-        f"{unlinked}: repair what lost these frames and film the board again",
-    )
-
-
-def _ranges(rows: tuple[int, ...]) -> list[tuple[int, int]]:
-    """Return the first and the last row of each group of consecutive rows."""
-    ends = [(a, b) for a, b in pairwise(rows) if b > a + 1]
-    return list(zip((rows[0], *(b for _, b in ends)), (*(a for a, _ in ends), rows[-1]), strict=True))
-
-
-def _repeated_rows(f: Findings) -> Iterator[Reason]:
-    """Yield a reason for rows that only a repeated pattern connects with the others, where no mark confirms the motion.
-
-    If every group of rows shows a mark, the motion is confirmed: a motion that is wrong by a period of the pattern
-    would displace one of these marks.
-    """
-    present = {row for _, row in f.scene.present}
-    cuts = {(e.task.a[1], e.task.b[1]) for e in f.links if e.ambiguous and e.task.b is not None}
-    if not cuts & set(pairwise(sorted(present))):
-        return
-    points = f.problem.fiducials
-    marked = set(points.row.tolist()) if points is not None else set()
-    rows = sorted(present)
-    groups = [[rows[0]]]
-    for p, q in pairwise(rows):
-        if (p, q) in cuts:
-            groups.append([])
-        groups[-1].append(q)
-    unsure = [row for group in groups if not marked & set(group) for row in group]
-    if unsure or not marked:
-        named = ", ".join(f"{a}" if a == b else f"{a}–{b}" for a, b in _ranges(tuple(unsure or rows)))
-        yield Reason(
-            ReasonCode.ROWS_REPETITIVE,
-            f"a repeated pattern connects the rows {named} with the others at several motions of the belt, and no "
-            "fiducial in these rows decides between them: the motion nearest to the nominal speed is used; use a "
-            "reference, or fiducials that every row shows",
-        )
+def _dark_lights(f: Findings) -> Iterable[Reason]:
+    return dark_light_reasons(f.dark)
 
 
 def _scattered_links(f: Findings) -> Iterator[Reason]:
@@ -359,7 +270,9 @@ def _uncertain_positions(b: _Placed) -> Iterator[Reason]:
 
 def _unconfirmed_frames(b: _Placed) -> Iterable[Reason]:
     # In such a frame, the picture of a component may show anything, even if other frames show the component well.
-    return unconfirmed_reasons(b.findings.unconfirmed, b.findings.copies)
+    f = b.findings
+    dark = {row for light in f.dark for row in light.rows}
+    return unconfirmed_reasons([key for key in f.unconfirmed if key[1] not in dark], f.copies)
 
 
 def _distorted_pictures(b: _Placed) -> Iterable[Reason]:
@@ -375,8 +288,9 @@ def _unseen_components(b: _Placed) -> Iterable[Reason]:
 _RUN_CHECKS: tuple[Callable[[Findings], Iterable[Reason]], ...] = (
     _doubtful_frames,
     _no_texture,
-    _unconnected_rows,
-    _repeated_rows,
+    _dark_lights,
+    unconnected_rows,
+    repeated_rows,
     _scattered_links,
     _cameras_in_wrong_rows,
     _disagreeing_cameras,

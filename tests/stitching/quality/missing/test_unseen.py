@@ -11,7 +11,7 @@ import pytest
 
 from vaoi_station.model import VISIBILITY, BoardType, ReasonCode, Status, Visibility
 from vaoi_station.stitching.board.component_index import ComponentIndex
-from vaoi_station.stitching.quality.unseen import (
+from vaoi_station.stitching.quality.missing.unseen import (
     FilmedBoard,
     SeenFrames,
     find_unseen,

@@ -1,0 +1,106 @@
+"""Reasons for rows whose distance from the others is not known: no links connect them, or only a repeated pattern."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import pairwise
+
+import numpy as np
+
+from vaoi_station.model import Reason, ReasonCode
+from vaoi_station.stitching.adjustment.observations import Ints
+from vaoi_station.stitching.quality.findings import Findings
+
+
+def unconnected_rows(f: Findings) -> Iterator[Reason]:
+    """Yield a reason for rows that no links connect with the others."""
+    if f.unplaced:
+        yield from _unplaced_rows(f)
+        return
+    groups = _groups_of_rows(f)
+    if len(groups) < 2:
+        return
+    parts = ", ".join(f"{g.min()}–{g.max()}" for g in groups)
+    unlinked = f"no links connect the rows {parts} with one another: the belt's nominal speed gives their distance"
+    ends = [(int(a.max()), int(b.min())) for a, b in pairwise(groups)]
+    lost = [row for last, first in ends for row in range(last + 1, first) if not f.placed[row]]
+    if not lost:
+        yield Reason(ReasonCode.ROWS_NOT_CONNECTED, unlinked)
+        return
+    yield Reason(
+        ReasonCode.ROWS_LOST,
+        f"no camera delivered a good frame of row{'s' if len(lost) > 1 else ''} {', '.join(map(str, lost))}, and "
+        f"{unlinked}. Fiducials on both sides of the gap may not fit together for that reason: repair what lost these "
+        "frames and film the board again",
+    )
+
+
+def _groups_of_rows(f: Findings) -> list[Ints]:
+    """Return the groups of rows between which there is no connection by links or marks."""
+    if len(f.connected_groups) > 1:
+        return f.connected_groups
+    # A single row without links to other rows is in no group.
+    o, points = f.problem.links, f.problem.fiducials
+    seen, placed = np.append(o.p, o.q), np.flatnonzero(f.placed)
+    marked = points.row if points is not None else np.zeros(0, dtype=np.int_)
+    for last, first in pairwise(placed.tolist()):
+        sides = [((rows <= last).any(), (rows >= first).any()) for rows in (seen, marked)]
+        spanned = ((o.p <= last) & (o.q >= first) | (o.q <= last) & (o.p >= first)).any()
+        if first > last + 1 and not spanned and all(sides[0]) and not all(sides[1]):
+            return [placed[placed <= last], placed[placed >= first]]
+    return f.connected_groups
+
+
+def _unplaced_rows(f: Findings) -> Iterator[Reason]:
+    """Yield a reason for the rows without known position; rows at the board's ends that hardly show it do not count."""
+    if not f.unseen and not any(set(f.unplaced) & set(g.tolist()) for g in f.connected_groups):
+        return
+    rows = ", ".join(f"{a}" if a == b else f"{a}–{b}" for a, b in _ranges(f.unplaced))
+    unlinked = (
+        f"no links connect the rows {rows} with the rows in which the board is placed: how far the belt moved "
+        "in between is not known, and these rows have no matrices and no views"
+    )
+    lost = [row for row, placed in enumerate(f.placed) if not placed and row not in f.unplaced]
+    if not lost:
+        yield Reason(ReasonCode.ROWS_NOT_CONNECTED, f"{unlinked}. Check the belt, and film the board again")
+        return
+    yield Reason(
+        ReasonCode.ROWS_LOST,
+        f"no camera delivered a good frame of row{'s' if len(lost) > 1 else ''} {', '.join(map(str, lost))}, and "
+        f"{unlinked}: repair what lost these frames and film the board again",
+    )
+
+
+def _ranges(rows: tuple[int, ...]) -> list[tuple[int, int]]:
+    """Return the first and the last row of each group of consecutive rows."""
+    ends = [(a, b) for a, b in pairwise(rows) if b > a + 1]
+    return list(zip((rows[0], *(b for _, b in ends)), (*(a for a, _ in ends), rows[-1]), strict=True))
+
+
+def repeated_rows(f: Findings) -> Iterator[Reason]:
+    """Yield a reason for rows that only a repeated pattern connects with the others, where no mark confirms the motion.
+
+    If every group of rows shows a mark, the motion is confirmed: a motion that is wrong by a period of the pattern
+    would displace one of these marks.
+    """
+    present = {row for _, row in f.scene.present}
+    cuts = {(e.task.a[1], e.task.b[1]) for e in f.links if e.ambiguous and e.task.b is not None}
+    if not cuts & set(pairwise(sorted(present))):
+        return
+    points = f.problem.fiducials
+    marked = set(points.row.tolist()) if points is not None else set()
+    rows = sorted(present)
+    groups = [[rows[0]]]
+    for p, q in pairwise(rows):
+        if (p, q) in cuts:
+            groups.append([])
+        groups[-1].append(q)
+    unsure = [row for group in groups if not marked & set(group) for row in group]
+    if unsure or not marked:
+        named = ", ".join(f"{a}" if a == b else f"{a}–{b}" for a, b in _ranges(tuple(unsure or rows)))
+        yield Reason(
+            ReasonCode.ROWS_REPETITIVE,
+            f"a repeated pattern connects the rows {named} with the others at several motions of the belt, and no "
+            "fiducial in these rows decides between them: the motion nearest to the nominal speed is used; use a "
+            "reference, or fiducials that every row shows",
+        )
