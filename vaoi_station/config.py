@@ -53,6 +53,9 @@ class CameraConfig(Section):
     offset_px: tuple[Pixels, Pixels] = (0, 0)
     """Column and row of the sensor's pixel at which the frame begins."""
     gain_db: Finite = 0.0
+    exposure_by: Literal["auto", "register", "trigger-width"] = "auto"
+    """What sets the exposure of a real camera under a light program: its register, the same for all rows, or the width
+    of the trigger, row by row. `auto`: the register unless the program has rows of different exposure."""
     trigger_line: Word | None = None
     """Input of the camera to which the trigger is wired; None for the usual one of its vendor."""
     packet_bytes: Annotated[Whole, Field(ge=576, le=65535)] | None = None

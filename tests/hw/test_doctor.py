@@ -71,7 +71,7 @@ def test_a_controller_that_is_fit_and_stays_as_it_is(paced: PacedChip) -> None:
     clock = found.pop("clock")
     assert (clock.level is Level.OK) == ("but the limit" not in clock.message), clock
     assert {finding.level for finding in found.values()} == {Level.OK}, found
-    assert found["firmware"].figures["firmware"] == "1.2.0"
+    assert found["firmware"].figures["firmware"] == "1.3.0"
     assert found["limits"].figures["channel_2_longest_us"] == 500.0
     for name in ("state", "boots", "config_crc", "events_first", "events_next", "run", "row", "events_lost"):
         assert getattr(after, name) == getattr(before, name), name
@@ -168,7 +168,7 @@ def foreign_device(terminal: int, payload: bytes | None) -> Iterator[None]:
     ("payload", "said"),
     [
         (None, "no message of the trigger controller's protocol"),
-        (bytes([9, 3]) + bytes(46), "speaks protocol 9.3, this station 1.2"),
+        (bytes([9, 3]) + bytes(46), "speaks protocol 9.3, this station 1.3"),
         (bytes([1, 0, 1, 0, 0, 4, 16, 1]) + bytes(16) + b"coffee\0\0" + bytes(16), "calls itself b'coffee'"),
     ],
 )

@@ -41,6 +41,7 @@ from vaoi_station.acquisition.controller.protocol.messages import (
     arm,
     config_crc,
     configuration,
+    set_width,
 )
 from vaoi_station.acquisition.controller.trigger_rule import TriggerRule
 
@@ -199,6 +200,33 @@ def test_light_beyond_the_limits_is_refused(logic: ctypes.CDLL, step: Step, limi
     logic.bridge_start(0)
     *_, reply = talk(logic, configuration(timing, [step]))
     assert Nak.unpack(reply.payload) == Nak(Type.COMMIT, Reason.LED_LIMIT, 16, limit)
+
+
+@pytest.mark.parametrize(
+    ("period", "width", "limit"),
+    [(ms(20), us(50) - 1, us(50)), (ms(20), us(10000) + 1, us(10000)), (ms(5), us(2000) + 1, us(2000))],
+)
+def test_a_width_of_the_trigger_beyond_the_limits_is_refused(
+    logic: ctypes.CDLL, period: int, width: int, limit: int
+) -> None:
+    """50 µs, 10 ms, and 3 ms before the next row."""
+    timing = replace(RULE, period=period, steps=2)
+    logic.bridge_start(0)
+    *_, reply = talk(logic, configuration(timing, LIGHT * 2, [timing.trigger_width, width]))
+    assert Nak.unpack(reply.payload) == Nak(Type.COMMIT, Reason.RANGE, 33, limit)
+    *_, reply = talk(logic, configuration(timing, LIGHT * 2, [timing.trigger_width, limit]))
+    assert reply.type == Type.COMMIT | 0x80
+
+
+def test_timing_takes_the_widths_of_the_steps_back(logic: ctypes.CDLL) -> None:
+    """A host that does not know WIDTH finds no width that another one has left behind."""
+    timing = replace(RULE, steps=2)
+    logic.bridge_start(0)
+    talk(logic, configuration(timing, LIGHT * 2, [us(200), us(300)]))
+    *_, reply = talk(logic, configuration(timing, LIGHT * 2))
+    assert int.from_bytes(reply.payload, "little") == config_crc(timing, LIGHT * 2)
+    *_, reply = talk(logic, [set_width(16, us(100))])
+    assert Nak.unpack(reply.payload) == Nak(Type.WIDTH, Reason.RANGE, 16, 15)
 
 
 def test_a_configuration_with_another_checksum_is_not_taken_over(logic: ctypes.CDLL) -> None:

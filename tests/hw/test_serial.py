@@ -323,3 +323,9 @@ def test_a_light_program_on_the_firmware(host: Host) -> None:
     rows = (ProgramRow("low", (250.0,), (0.0,), 60.0), ProgramRow("top", (250.0,), (0.0,), 120.5))
     host.controller.arm(replace(PLAN, program=rows, lights=("low", "top")))
     assert [(p.light, p.on_us) for p in host.run()] == [("low", 60.0), ("top", 120.5)] * 3
+
+
+def test_exposures_by_the_width_of_the_trigger_on_the_firmware(host: Host) -> None:
+    rows = tuple(ProgramRow("low", (us,), (0.0,), 60.0, us) for us in (250.0, 75.5))
+    host.controller.arm(replace(PLAN, program=rows, lights=("low", "low"), by_trigger=(0,)))
+    assert [(p.on_us, p.trigger_us) for p in host.run()] == [(60.0, 250.0), (60.0, 75.5)] * 3

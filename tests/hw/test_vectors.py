@@ -85,13 +85,15 @@ def test_crc16(logic: ctypes.CDLL, vector: dict[str, Any]) -> None:
 def test_checksum_of_a_configuration(logic: ctypes.CDLL, vector: dict[str, Any]) -> None:
     """Python counts it, and the firmware echoes it when it takes the configuration over."""
     timing, steps = Timing(**vector["timing"]), [Step(**step) for step in vector["steps"]]
-    assert config_crc(timing, steps) == vector["crc32"]
+    widths = vector.get("widths", [])
+    assert config_crc(timing, steps, widths) == vector["crc32"]
     logic.bridge_start(0)
-    requests = b"".join(encode(Message(r.type, k, r.payload)) for k, r in enumerate(configuration(timing, steps)))
+    sent = configuration(timing, steps, widths)
+    requests = b"".join(encode(Message(r.type, k, r.payload)) for k, r in enumerate(sent))
     replies = ctypes.create_string_buffer(1000)
     size = logic.bridge_talk(requests, len(requests), replies, 0)
     *_, last = FrameReader().feed(replies.raw[:size])
-    assert last == Message(0x87, len(steps) + 1, vector["crc32"].to_bytes(4, "little"))
+    assert last == Message(0x87, len(sent) - 1, vector["crc32"].to_bytes(4, "little"))
 
 
 @pytest.mark.parametrize("vector", VECTORS["crc32"])

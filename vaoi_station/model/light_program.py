@@ -50,6 +50,8 @@ class ProgramRow:
     gains_db: tuple[float, ...]
     on_us: float | None = None
     """On-time of the LEDs, µs; None if the light shines for the whole exposure."""
+    trigger_us: float | None = None
+    """Width of the camera trigger, µs, where cameras expose for as long; None: that of station.toml."""
 
     @property
     def lit_us(self) -> tuple[float, ...]:

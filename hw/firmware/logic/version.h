@@ -3,7 +3,7 @@
 #define VERSION_H
 
 #define FIRMWARE_MAJOR 1
-#define FIRMWARE_MINOR 2
+#define FIRMWARE_MINOR 3
 #define FIRMWARE_PATCH 0
 
 #ifndef FIRMWARE_BUILD

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from vaoi_station.acquisition.cameras.interface import CameraExposure
 from vaoi_station.acquisition.controller.filming_plan import exposures_of, filming_plan, line_of_board, require_time
 from vaoi_station.acquisition.controller.interface import TriggerPlan
 from vaoi_station.config import StationConfig
@@ -48,8 +49,28 @@ def test_the_program_of_the_board_type_goes_before_that_of_the_station(serial: S
 
 def test_each_camera_has_its_exposure_and_gain(serial: StationConfig) -> None:
     plan = filming_plan(serial, board(program=[{"light": "left", "exposure_us": [200.0, 300.0], "gain_db": 6.0}]))
-    assert exposures_of(plan, serial) == [(200.0, 6.0), (300.0, 6.0)]
-    assert exposures_of(filming_plan(serial), serial) == [(c.exposure_us, c.gain_db) for c in serial.cameras]
+    assert exposures_of(plan, serial) == [CameraExposure((200.0,), 6.0), CameraExposure((300.0,), 6.0)]
+    own = [CameraExposure((c.exposure_us,), c.gain_db) for c in serial.cameras]
+    assert exposures_of(filming_plan(serial), serial) == own
+
+
+def test_the_width_of_the_trigger_makes_exposures_that_differ(serial: StationConfig) -> None:
+    steps = [{"light": "left", "exposure_us": [200.0, 300.0]}, {"light": "ring", "exposure_us": [50.5, 300.0]}]
+    plan = filming_plan(serial, board(program=steps))
+    assert plan.by_trigger == (0,)
+    assert [row.trigger_us for row in plan.program] == [200.0, 50.5]
+    assert [(e.exposures_us, e.by_trigger) for e in exposures_of(plan, serial)] == [
+        ((200.0, 50.5), True),
+        ((300.0, 300.0), False),
+    ]
+    fixed = _with_cameras(serial, exposure_by="trigger-width")
+    with pytest.raises(
+        InputError, match=r"program\.0\.exposure_us is 300\.0, but must be 200 µs as for camera c0: the"
+    ):
+        filming_plan(fixed, board(program=steps))
+    same = filming_plan(fixed, board(program=[{"light": "left", "exposure_us": 80.0}]))
+    assert (same.by_trigger, same.program[0].trigger_us) == ((0, 1), 80.0)
+    assert filming_plan(fixed).by_trigger == ()
 
 
 @pytest.mark.parametrize(
@@ -79,8 +100,9 @@ def test_each_camera_has_its_exposure_and_gain(serial: StationConfig) -> None:
 def test_what_does_not_fit_is_refused_with_the_numbers(
     serial: StationConfig, program: list[dict[str, Any]], words: str
 ) -> None:
+    registers = _with_cameras(serial, exposure_by="register")
     with pytest.raises(InputError, match=f"board type 'b': {words}"):
-        filming_plan(serial, board(program=program), RESOLUTION)
+        filming_plan(registers, board(program=program), RESOLUTION)
 
 
 def test_simulated_cameras_change_their_exposure_from_row_to_row(make_config: Make) -> None:
@@ -135,6 +157,10 @@ def test_what_the_line_cannot_do_is_refused_with_the_numbers(
 def test_a_rail_needs_a_line_with_a_rail(serial: StationConfig) -> None:
     with pytest.raises(InputError, match=r"line\.rail_mm is 3\.0, but must be absent"):
         line_of_board(serial, board(line={"rail_mm": 3.0}))
+
+
+def _with_cameras(config: StationConfig, **keys: Any) -> StationConfig:
+    return config.model_copy(update={"cameras": tuple(c.model_copy(update=keys) for c in config.cameras)})
 
 
 def _with_line(config: StationConfig, **keys: Any) -> StationConfig:

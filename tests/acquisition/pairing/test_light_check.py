@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from vaoi_station.acquisition.pairing.light_check import contradicted_rows, contradiction
@@ -36,6 +38,14 @@ def pulse(
 )
 def test_a_pulse_agrees_with_its_step_or_the_difference_is_stated(reported: ObservedPulse, words: str) -> None:
     assert contradiction(reported, LEFT) == words
+
+
+def test_the_width_of_the_trigger_is_the_exposure() -> None:
+    by_width = ProgramRow("left", (200.0,), (0.0,), 80.0, 200.0)
+    assert contradiction(replace(pulse("left"), trigger_us=200.5), by_width) == ""
+    assert contradiction(pulse("left"), by_width) == "", "the controller did not report it"
+    words = "its trigger was high for 100 µs, but the light program has an exposure of 200 µs"
+    assert contradiction(replace(pulse("left"), trigger_us=100.0), by_width) == words
 
 
 def test_rows_are_compared_with_the_step_of_their_turn() -> None:

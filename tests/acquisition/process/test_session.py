@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from vaoi_station.acquisition.cameras.interface import Arrival, CameraHealth, Slot
+from vaoi_station.acquisition.cameras.interface import Arrival, CameraExposure, CameraHealth, Slot
 from vaoi_station.acquisition.clocks import ClockModel, ClockReading
 from vaoi_station.acquisition.controller.interface import (
     BarrierBlocked,
@@ -45,8 +45,8 @@ class ScriptedDevice:
     fired: int = 0
     exposures: list[tuple[float, float]] = field(default_factory=list)
 
-    def set_exposure(self, exposure_us: float, gain_db: float) -> None:
-        self.exposures.append((exposure_us, gain_db))
+    def set_exposure(self, wanted: CameraExposure) -> None:
+        self.exposures.append((wanted.exposures_us[0], wanted.gain_db))
 
     def queue(self, slot: Slot) -> None:
         self.slots.append(slot)

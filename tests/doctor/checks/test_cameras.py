@@ -40,6 +40,7 @@ def test_suitable_camera_is_ok() -> None:
     [
         ({"trigger_line": "Line7"}, "has no trigger input Line7; it has Line0, Line1"),
         ({"pixel_format": "Mono16"}, "has no pixel format Mono16; it has Mono8, Mono12"),
+        ({"exposure_by": "trigger-width"}, "for the width of the trigger, as exposure_by states: it has none."),
         ({"exposure_us": 5.0}, "cannot expose for 5 µs; its range is 10 … 1e+06 µs"),
         (
             {"width": 2000, "offset_px": (100, 0)},

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vaoi_station.errors import InternalError
-from vaoi_station.rig.devices.camera_description import with_line0_trigger
+from vaoi_station.rig.devices.camera_description import EXPOSURE_MODE_ADDRESS, TIMED, TRIGGER_WIDTH, with_line0_trigger
 
 DESCRIPTION = """<RegisterDescription>
 <Enumeration Name="Other"><EnumEntry Name="Line0"><Value>0</Value></EnumEntry></Enumeration>
@@ -47,16 +47,23 @@ def test_any_two_numbers_are_exchanged(line: int, software: int) -> None:
     }
 
 
-def test_a_thermometer_is_added_at_the_end() -> None:
+def test_a_thermometer_and_the_exposure_mode_are_added_at_the_end() -> None:
     root = ET.fromstring(with_line0_trigger(DESCRIPTION, celsius=37.25))
     [thermometer] = [e for e in root if e.get("Name") == "DeviceTemperature"]
     assert float(thermometer.findtext("Value") or "") == 37.25
-    assert list(root)[-1] is thermometer
+    names = [e.get("Name") for e in root][-3:]
+    assert names == ["DeviceTemperature", "ExposureMode", "ExposureModeRegister"]
+
+
+def test_the_exposure_mode_lies_in_a_register_of_its_own() -> None:
+    changed = with_line0_trigger(DESCRIPTION)
+    assert numbers(changed, "ExposureMode") == {"Timed": TIMED, "TriggerWidth": TRIGGER_WIDTH}
+    assert f"<Address>{EXPOSURE_MODE_ADDRESS}</Address>" in changed
 
 
 def test_everything_else_stays_as_it_was() -> None:
     changed = with_line0_trigger(DESCRIPTION)
-    without = re.sub(r"\s*<Float Name=\"DeviceTemperature\".*?</Float>\s*", "\n", changed, flags=re.DOTALL)
+    without = re.sub(r"\s*<Float Name=\"DeviceTemperature\".*</IntReg>\s*", "\n", changed, flags=re.DOTALL)
     assert re.sub(r"<Value>\d</Value>", "", without) == re.sub(r"<Value>\d</Value>", "", DESCRIPTION)
 
 

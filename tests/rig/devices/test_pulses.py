@@ -15,13 +15,13 @@ def play(*edges: tuple[float, str, int]) -> list[Pulse]:
 
 def test_a_shot_is_known_when_its_light_is_out() -> None:
     edges = [(0, "PD5", 1), (2000, "PB1", 1), (2000, "PB2", 1), (2100, "PB1", 0), (2250, "PB2", 0), (2300, "PD5", 0)]
-    assert play(*edges) == [Pulse(32000, 2_000_000, (1,), 250.0)]
+    assert play(*edges) == [Pulse(32000, 2_000_000, (1,), 250.0, 100.0)]
     assert play(*edges[:4]) == []
 
 
 def test_a_flash_may_end_before_the_trigger() -> None:
-    [pulse] = play((0, "PD4", 1), (10, "PB2", 1), (10, "PB1", 1), (60, "PB2", 0), (110, "PB1", 0))
-    assert (pulse.channels, pulse.on_us) == ((0,), 50.0)
+    [pulse] = play((0, "PD4", 1), (10, "PB2", 1), (10, "PB1", 1), (60, "PB2", 0), (410, "PB1", 0))
+    assert (pulse.channels, pulse.on_us, pulse.width_us) == ((0,), 50.0, 400.0)
 
 
 def test_a_trigger_without_light_is_a_dark_shot() -> None:

@@ -92,3 +92,19 @@ def test_a_program_lights_each_row_for_its_time() -> None:
     assert [lighting.brightness(pulse((0,), on_us), 0, 0) for on_us in (100.0, 50.0)] == [1.0, 0.5]
     assert lighting.brightness(pulse((1,), 250.0), 0, 1) == 1.0
     assert lighting.brightness(pulse((0,), 200.0), 0, 2) == 2.0
+
+
+def test_a_camera_whose_exposures_differ_follows_the_width_of_the_trigger() -> None:
+    steps = [{"light": "left", "exposure_us": 100.0}, {"light": "left", "exposure_us": 400.0}]
+    scenario = Scenario.model_validate(
+        {"lights": {"left": LightSection()}, "line": {"lights": ["left"]}, "program": steps}
+    )
+    lighting = lighting_of(scenario)
+    register_us = lighting.exposures_us[0]
+    for row, width_us in enumerate((100.0, 400.0)):
+        fired = Pulse(0, 0, (0,), 1000.0, width_us)
+        assert lighting.brightness(fired, 0, row) == 1.0
+        timed, by_width = lighting.brightnesses(fired, 0, row)
+        assert timed == pytest.approx(register_us / width_us)
+        assert by_width == 1.0
+    assert lighting.brightness(Pulse(0, 0, (0,), 1000.0, 200.0), 0, 1) == 0.5

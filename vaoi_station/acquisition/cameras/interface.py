@@ -48,6 +48,17 @@ class Arrival:
 
 
 @dataclass(frozen=True)
+class CameraExposure:
+    """How a camera exposes the rows of a run."""
+
+    exposures_us: tuple[float, ...]
+    """Exposure of the rows, in turn. They are equal unless the width of the trigger sets them."""
+    gain_db: float
+    by_trigger: bool = False
+    """Whether the camera exposes for as long as the trigger is high."""
+
+
+@dataclass(frozen=True)
 class CameraHealth:
     """The state of one camera, for `GET station`, the page and `vaoi doctor`."""
 
@@ -110,11 +121,12 @@ class CameraDevice(Protocol):
     def start(self, events: SimpleQueue[CameraEvent]) -> None:
         """Begin to deliver frames; put every delivered slot and every change of state into the queue `events`."""
 
-    def set_exposure(self, exposure_us: float, gain_db: float) -> None:
+    def set_exposure(self, wanted: CameraExposure) -> None:
         """Expose with these values from now on. Called while no pulse is fired.
 
         Raises:
-            DeviceError: the camera refuses or ignores a value. A camera that is lost takes the values when it is back.
+            DeviceError: the camera refuses or ignores a value, or cannot expose for the width of the trigger. A camera
+                that is lost takes the values when it is back.
         """
 
     def queue(self, slot: Slot) -> None:

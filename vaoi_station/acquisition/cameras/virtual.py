@@ -19,7 +19,7 @@ from queue import SimpleQueue
 import numpy as np
 from numpy.typing import NDArray
 
-from vaoi_station.acquisition.cameras.interface import Arrival, CameraEvent, CameraHealth, Slot
+from vaoi_station.acquisition.cameras.interface import Arrival, CameraEvent, CameraExposure, CameraHealth, Slot
 from vaoi_station.acquisition.clocks import ClockReading
 from vaoi_station.supervised_thread import DEVICE_LIMIT_S, SupervisedThread
 
@@ -67,7 +67,7 @@ class VirtualCamera:
             heapq.heappush(self._coming, (exposure.begin_s, next(self._order), exposure))
             self._change.notify()
 
-    def set_exposure(self, exposure_us: float, gain_db: float) -> None:
+    def set_exposure(self, wanted: CameraExposure) -> None:
         """Do nothing: the frames that callers pass to `expose` have their exposure already."""
 
     def queue(self, slot: Slot) -> None:

@@ -7,7 +7,9 @@ cameras have further limits, which they state when the line is armed.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
+from vaoi_station.acquisition.cameras.interface import CameraExposure
 from vaoi_station.acquisition.controller.interface import TriggerPlan
 from vaoi_station.config import CameraConfig, StationConfig
 from vaoi_station.errors import InputError
@@ -37,7 +39,10 @@ def filming_plan(
     rows = tuple(_row(where, n, step, config) for n, step in enumerate(steps))
     for camera in range(len(config.cameras)):
         _check_camera(where, rows, config, line, camera, px_per_mm)
-    return TriggerPlan.of(line, program=rows)
+    by_trigger = _cameras_by_trigger(where, rows, config)
+    if by_trigger:
+        rows = tuple(replace(row, trigger_us=row.exposures_us[by_trigger[0]]) for row in rows)
+    return replace(TriggerPlan.of(line, program=rows), by_trigger=by_trigger)
 
 
 def line_of_board(config: StationConfig, board_type: BoardType) -> Line:
@@ -102,11 +107,16 @@ def _named(board_type: BoardType) -> str:
     return f"board type {board_type.name!r}"
 
 
-def exposures_of(plan: TriggerPlan, config: StationConfig) -> list[tuple[float, float]]:
-    """Return exposure (µs) and gain (dB) of every camera: of the first row of the program, else of station.toml."""
-    if plan.program:
-        return list(zip(plan.program[0].exposures_us, plan.program[0].gains_db, strict=True))
-    return [(camera.exposure_us, camera.gain_db) for camera in config.cameras]
+def exposures_of(plan: TriggerPlan, config: StationConfig) -> list[CameraExposure]:
+    """Return exposures and gain of every camera: of the rows of the program, else of station.toml."""
+    if not plan.program:
+        return [CameraExposure((camera.exposure_us,), camera.gain_db) for camera in config.cameras]
+    return [
+        CameraExposure(
+            tuple(r.exposures_us[n] for r in plan.program), plan.program[0].gains_db[n], n in plan.by_trigger
+        )
+        for n in range(len(config.cameras))
+    ]
 
 
 def require_time(plan: TriggerPlan, config: StationConfig) -> None:
@@ -171,15 +181,47 @@ def _check_camera(
     _check_register(where, rows, camera, number)
 
 
+def _cameras_by_trigger(where: str, rows: Sequence[ProgramRow], config: StationConfig) -> tuple[int, ...]:
+    """Return the cameras whose exposure the width of the trigger sets.
+
+    Raises:
+        InputError: they have different exposures in one row, although one trigger line fires all of them.
+    """
+    cameras = tuple(
+        n
+        for n, camera in enumerate(config.cameras)
+        if camera.backend == "aravis" and rows and _is_by_trigger(camera, [row.exposures_us[n] for row in rows])
+    )
+    for n, row in enumerate(rows):
+        for other in cameras[1:]:
+            first, exposure_us = row.exposures_us[cameras[0]], row.exposures_us[other]
+            if exposure_us != first:
+                label, limit = config.cameras[other].label, f"{first:g} µs as for {config.cameras[cameras[0]].label}"
+                raise InputError.field(
+                    where,
+                    f"program.{n}.exposure_us",
+                    exposure_us,
+                    f"{limit}: the width of one trigger is the exposure of both",
+                    f'Or give {label} one exposure for all rows, with exposure_by = "register".',
+                )
+    return cameras
+
+
+def _is_by_trigger(camera: CameraConfig, exposures_us: Sequence[float]) -> bool:
+    if camera.exposure_by == "auto":
+        return len(set(exposures_us)) > 1
+    return camera.exposure_by == "trigger-width"
+
+
 def _check_register(where: str, rows: Sequence[ProgramRow], camera: CameraConfig, number: int) -> None:
-    """Raise InputError if a real camera would have to change its exposure or its gain from row to row."""
+    """Raise InputError if a real camera would have to change a register from row to row."""
     if camera.backend != "aravis":
         return
     # A value that is written to the camera between two rows may take effect before or after the next pulse.
-    for key, unit, values in (
-        ("exposure_us", "µs", [row.exposures_us[number] for row in rows]),
-        ("gain_db", "dB", [row.gains_db[number] for row in rows]),
-    ):
+    registers = [("gain_db", "dB", [row.gains_db[number] for row in rows])]
+    if camera.exposure_by == "register":
+        registers.append(("exposure_us", "µs", [row.exposures_us[number] for row in rows]))
+    for key, unit, values in registers:
         other = next((n for n, value in enumerate(values) if value != values[0]), None)
         if other is not None:
             raise InputError.field(

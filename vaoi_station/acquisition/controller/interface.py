@@ -37,6 +37,8 @@ class TriggerPlan:
     program: tuple[ProgramRow, ...] = ()
     """What the rows are filmed with, in turn. Empty: as station.toml states for lights and cameras."""
 
+    by_trigger: tuple[int, ...] = ()
+    """Cameras that expose for as long as the trigger is high, in each row for `trigger_us` of the program."""
     conveyor_mm_s: tuple[float, float] | None = None
     """Velocity of the belt that the plan expects, tester coordinates; None: that of station.toml."""
 
@@ -134,6 +136,8 @@ class PulseFired(ControllerEvent):
     """Linear gain of each camera, if the backend reports it."""
     on_us: float | None = None
     """On-time of the LEDs, µs, as the controller reports it; None if it does not."""
+    trigger_us: float | None = None
+    """Width of the camera trigger, µs, as the controller reports it; None if it does not."""
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from vaoi_station.model import ProgramRow
 from vaoi_station.model.light_program import row_of
 
 ON_TOLERANCE_US = 1.0
-"""Accepted difference of an on-time, µs: the firmware rounds it to ticks of 0.5 µs."""
+"""Accepted difference of an on-time or a width of the trigger, µs: the firmware rounds it to ticks of 0.5 µs."""
 SHARE_TOLERANCE = 0.01
 """Accepted relative difference of a reported exposure or gain."""
 
@@ -33,6 +33,9 @@ def contradiction(pulse: ObservedPulse, expected: ProgramRow) -> str:
         return (
             f"light {expected.light!r} was on for {pulse.on_us:g} µs, but the light program has {expected.on_us:g} µs"
         )
+    is_us, must_us = pulse.trigger_us, expected.trigger_us
+    if is_us is not None and must_us is not None and abs(is_us - must_us) > ON_TOLERANCE_US:
+        return f"its trigger was high for {is_us:g} µs, but the light program has an exposure of {must_us:g} µs"
     for name, unit, reported, stated in (
         ("exposure", " µs", pulse.exposures_us, expected.lit_us),
         ("gain", "", pulse.gains, expected.gains),

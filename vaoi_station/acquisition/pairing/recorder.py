@@ -148,7 +148,7 @@ class Recorder:
         self.note_controller_time(event.time_s)
         pulse = Pulse(index=event.index, time_s=event.time_s, light=event.light)
         host_s = self._controller_clock.host_s(event.time_s)
-        reported = (event.exposures_us, now_s, event.gains, event.on_us)
+        reported = (event.exposures_us, now_s, event.gains, event.on_us, event.trigger_us)
         self._runs[-1].pulses[event.index] = ObservedPulse(pulse, host_s, *reported)
         return pulse, self.settle(now_s)
 

@@ -25,6 +25,8 @@ class ObservedPulse:
     """Linear gain of every camera; empty if the controller does not report it."""
     on_us: float | None = None
     """On-time of the LEDs that the controller reported, µs."""
+    trigger_us: float | None = None
+    """Width of the camera trigger that the controller reported, µs."""
 
 
 @dataclass(frozen=True)

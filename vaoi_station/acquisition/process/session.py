@@ -164,8 +164,8 @@ class Session:
                 # Slots are queued only with a plan set, and before the controller may fire.
                 self._plan = plan
                 self._load_next()
-                for camera, values in zip(self._devices.cameras, exposures_of(plan, self._config), strict=True):
-                    camera.set_exposure(*values)
+                for camera, wanted in zip(self._devices.cameras, exposures_of(plan, self._config), strict=True):
+                    camera.set_exposure(wanted)
                 self._devices.controller.arm(plan)
             except BaseException as error:  # after any failure the station is not armed; raised again
                 # The controller has already given up its previous plan. If it stayed here, it would count as armed.

@@ -15,7 +15,7 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any
 
-from vaoi_station.acquisition.cameras.interface import Arrival, CameraEvent, CameraHealth, Slot
+from vaoi_station.acquisition.cameras.interface import Arrival, CameraEvent, CameraExposure, CameraHealth, Slot
 from vaoi_station.acquisition.clocks import ClockReading
 from vaoi_station.acquisition.controller.replay import RecordedRow, ReplayController
 from vaoi_station.acquisition.device_clock import DeviceClock
@@ -112,7 +112,7 @@ class SenderCamera:
         self._delivered += 1
         self._sender.request(FillRequest(self.number, row, slot.number), frame_id, time_s)
 
-    def set_exposure(self, exposure_us: float, gain_db: float) -> None:
+    def set_exposure(self, wanted: CameraExposure) -> None:
         """Do nothing: the frames were rendered before."""
 
     def queue(self, slot: Slot) -> None:

@@ -23,6 +23,7 @@ from vaoi_station.acquisition.cameras.aravis.discovery import (
     search,
 )
 from vaoi_station.acquisition.cameras.aravis.library import glib_error
+from vaoi_station.acquisition.cameras.aravis.settings import TRIGGER_WIDTH
 from vaoi_station.acquisition.cameras.aravis.trigger import FRAME_TRIGGERS, recipe_for
 from vaoi_station.config import CameraConfig
 from vaoi_station.doctor.check_context import CheckContext
@@ -52,6 +53,8 @@ class Offered:
     """Network interface of this computer that leads to the camera; empty for a USB camera."""
     address: str = ""
     packets: network.PacketLimits | None = None
+    exposure_modes: tuple[str, ...] = ()
+    """Entries of the feature ExposureMode; empty if the camera does not have it."""
 
 
 def cameras(context: CheckContext) -> Iterator[Finding]:
@@ -124,12 +127,19 @@ def ask(camera: CameraConfig) -> Offered:
             sources=tuple(opened.dup_available_enumerations_as_strings("TriggerSource")),
             formats=tuple(opened.dup_available_pixel_formats_as_strings()),
             exposure_us=(low, high),
+            exposure_modes=_exposure_modes(opened),
             sensor=(width, height),
             trigger_mode=device.get_string_feature_value("TriggerMode"),
             port=port,
             address=address,
             packets=packets,
         )
+
+
+def _exposure_modes(opened: Any) -> tuple[str, ...]:
+    if not opened.get_device().is_feature_available("ExposureMode"):
+        return ()
+    return tuple(opened.dup_available_enumerations_as_strings("ExposureMode"))
 
 
 @contextmanager
@@ -181,6 +191,12 @@ def _shortcomings(camera: CameraConfig, offered: Offered) -> Iterator[tuple[str,
         yield (
             f"cannot expose for {camera.exposure_us:g} µs; its range is {low:g} … {high:g} µs.",
             "Set exposure_us in station.toml within this range.",
+        )
+    if camera.exposure_by == "trigger-width" and TRIGGER_WIDTH not in offered.exposure_modes:
+        has = f"its exposure modes are {', '.join(offered.exposure_modes)}" if offered.exposure_modes else "it has none"
+        yield (
+            f"cannot expose for the width of the trigger, as exposure_by states: {has}.",
+            'Set exposure_by = "auto" or "register" in station.toml.',
         )
     needed = (camera.offset_px[0] + camera.width, camera.offset_px[1] + camera.height)
     if needed[0] > offered.sensor[0] or needed[1] > offered.sensor[1]:

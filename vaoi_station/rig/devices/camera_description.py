@@ -1,9 +1,10 @@
-"""Change the GenICam description of Aravis' fake camera so that the fake waits for a hardware trigger on Line0.
+"""Change the GenICam description of Aravis' fake camera: a hardware trigger on Line0, and exposure by its width.
 
 The fake accepts a trigger only while its trigger source register holds the number of the entry *Software*; a program
 then triggers it by writing a register. This module exchanges the numbers of the entries *Line0* and *Software*. A
 client that selects Line0 reads Line0 back, but has selected the source that the rig triggers. A client that triggers by
-software has no effect.
+software has no effect. The feature ExposureMode (SFNC) lies in a register that the fake does not use, and that the rig
+reads.
 """
 
 from __future__ import annotations
@@ -21,9 +22,30 @@ _TEMPERATURE = """
 	</Float>
 """
 
+EXPOSURE_MODE_ADDRESS = 0x9000
+"""Address of the register that holds the ExposureMode, in the fake's memory beyond its own registers."""
+TIMED, TRIGGER_WIDTH = 0, 1
+"""Values of that register."""
+_EXPOSURE_MODE = f"""
+	<Enumeration Name="ExposureMode" NameSpace="Standard">
+		<DisplayName>Exposure Mode</DisplayName>
+		<EnumEntry Name="Timed" NameSpace="Standard"><Value>{TIMED}</Value></EnumEntry>
+		<EnumEntry Name="TriggerWidth" NameSpace="Standard"><Value>{TRIGGER_WIDTH}</Value></EnumEntry>
+		<pValue>ExposureModeRegister</pValue>
+	</Enumeration>
+	<IntReg Name="ExposureModeRegister" NameSpace="Custom">
+		<Address>{EXPOSURE_MODE_ADDRESS}</Address>
+		<Length>4</Length>
+		<AccessMode>RW</AccessMode>
+		<pPort>Device</pPort>
+		<Sign>Unsigned</Sign>
+		<Endianess>BigEndian</Endianess>
+	</IntReg>
+"""
+
 
 def with_line0_trigger(description: str, celsius: float = 41.5) -> str:
-    """Return the fake's GenICam description with Line0 as the working trigger source, and with a temperature feature.
+    """Return the fake's GenICam description with Line0 as the working trigger source, a temperature and ExposureMode.
 
     Raises:
         InternalError: this version of Aravis describes its fake camera differently.
@@ -33,7 +55,7 @@ def with_line0_trigger(description: str, celsius: float = 41.5) -> str:
     # Between the two replacements both entries have the same number, so each entry is found by its name.
     source = _with_number(_with_number(source, "Line0", software), "Software", line)
     end = rest.rindex("</RegisterDescription>")
-    return head + source + rest[:end] + _TEMPERATURE.format(celsius=celsius) + rest[end:]
+    return head + source + rest[:end] + _TEMPERATURE.format(celsius=celsius) + _EXPOSURE_MODE + rest[end:]
 
 
 def _split(description: str) -> tuple[str, str, str]:

@@ -1,7 +1,6 @@
 """Decode the edges of the chip's pins into pulses. A pulse is a trigger with its LED strobe. No I/O.
 
-A pulse with light is complete at the falling edge of the LED gate; a pulse without light is complete at the falling
-edge of the trigger.
+A pulse is complete when both the trigger and the LED gate have fallen.
 """
 
 from __future__ import annotations
@@ -27,6 +26,8 @@ class Pulse:
     """Indices of the LED channels that were on; empty: no light."""
     on_us: float
     """Time, µs, for which the LED channels were on after the trigger's rising edge."""
+    width_us: float = 0.0
+    """Time, µs, for which the trigger was high."""
 
 
 class PulseDecoder:
@@ -36,8 +37,11 @@ class PulseDecoder:
         self._high: dict[str, Edge] = {}
         self._trigger: Edge | None = None
         """Rising edge of the trigger whose pulse is not complete; None: no pulse has begun."""
+        self._fallen: Edge | None = None
+        """Falling edge of that trigger; None while it is high."""
         self._gate: Edge | None = None
         self._lit: tuple[int, ...] = ()
+        self._on_us = 0.0
 
     def process(self, edge: Edge) -> Pulse | None:
         """Process the next edge, in the order of cycles. Return a pulse if this edge completes one."""
@@ -46,29 +50,27 @@ class PulseDecoder:
         else:
             self._high.pop(edge.pin, None)
         if edge.pin == TRIGGER and edge.level:
-            self._trigger = edge
+            self._trigger, self._fallen, self._on_us = edge, None, 0.0
         elif edge.pin == GATE and edge.level:
             self._gate = edge
             # The firmware sets the channels before it opens the gate, so they are complete here.
             self._lit = tuple(n for n, pin in enumerate(CHANNELS) if pin in self._high)
         elif edge.pin == TRIGGER:
-            return self._trigger_falls()
+            self._fallen = edge
+            return self._complete()
         elif edge.pin == GATE:
-            return self._gate_falls(edge)
+            gate, self._gate = self._gate, None
+            if gate is not None and self._trigger is not None:
+                # Light before the trigger's rising edge is not counted, because the exposure starts at this edge.
+                self._on_us = (edge.cycle - max(gate.cycle, self._trigger.cycle)) / CYCLES_PER_US
+            return self._complete()
         return None
 
-    def _trigger_falls(self) -> Pulse | None:
-        return None if self._gate is not None else self._pulse(0.0)
-
-    def _gate_falls(self, edge: Edge) -> Pulse | None:
-        gate, self._gate = self._gate, None
-        if gate is None or self._trigger is None:
+    def _complete(self) -> Pulse | None:
+        """Return the pulse if the trigger and the gate have fallen."""
+        trigger, fallen, on_us = self._trigger, self._fallen, self._on_us
+        if trigger is None or fallen is None or self._gate is not None:
             return None
-        # Light before the trigger's rising edge is not counted, because the exposure starts at this edge.
-        return self._pulse((edge.cycle - max(gate.cycle, self._trigger.cycle)) / CYCLES_PER_US)
-
-    def _pulse(self, on_us: float) -> Pulse | None:
-        trigger, self._trigger = self._trigger, None
-        if trigger is None:
-            return None
-        return Pulse(trigger.cycle, trigger.host_ns, self._lit if on_us else (), on_us)
+        self._trigger = self._fallen = None
+        width_us = (fallen.cycle - trigger.cycle) / CYCLES_PER_US
+        return Pulse(trigger.cycle, trigger.host_ns, self._lit if on_us else (), on_us, width_us)

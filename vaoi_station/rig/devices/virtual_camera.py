@@ -7,12 +7,13 @@ Standard input takes one command per line:
 
     film PATH                          raw frames in one file, each as large as the client's payload;
                                        used by the triggers that follow
-    fire PICTURE STAMP LIGHT LOST      a rising edge of the trigger line: send this picture of the file (-1: black)
+    fire PICTURE STAMP LIGHT LOST WIDE a rising edge of the trigger line: send this picture of the file (-1: black)
 
 STAMP is the start of the exposure in the camera's clock in ns (CLOCK_REALTIME, as in Aravis' fake camera; 0: now).
-LIGHT is a factor on the brightness. LOST is the share of this frame's packets that are not sent. Standard output has
-the line `ready ADDRESS`, then `sent PICTURE ID` for every frame, and `ignored PICTURE` for a trigger that came while no
-client had armed the camera. The program ends at the end of its standard input.
+LIGHT is a factor on the brightness; WIDE is that in the ExposureMode TriggerWidth, or None for the same. LOST is the
+share of this frame's packets that are not sent. Standard output has the line `ready ADDRESS`, then `sent PICTURE ID`
+for every frame, and `ignored PICTURE` for a trigger that came while no client had armed the camera. The program ends at
+the end of its standard input.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from numpy.typing import NDArray
 from vaoi_station.acquisition.cameras.aravis.library import aravis, shared_library
 from vaoi_station.errors import DeviceError, VaoiError
 from vaoi_station.rig.devices.camera_commands import DARK, TriggerCommand
-from vaoi_station.rig.devices.camera_description import with_line0_trigger
+from vaoi_station.rig.devices.camera_description import EXPOSURE_MODE_ADDRESS, TRIGGER_WIDTH, with_line0_trigger
 
 POLL_HZ = 50.0
 """Frequency at which Aravis' fake camera polls its trigger register. A higher frequency costs CPU time, because the
@@ -117,6 +118,10 @@ class VirtualCamera:
             and self._fake.is_in_software_trigger_mode()
         )
 
+    def _exposes_by_width(self) -> bool:
+        """Whether the client has selected the exposure mode TriggerWidth."""
+        return bool(self._fake.read_register(EXPOSURE_MODE_ADDRESS)[1] == TRIGGER_WIDTH)
+
     def _write(self, register: str, value: int) -> None:
         self._fake.write_register(getattr(self._aravis, f"FAKE_CAMERA_REGISTER_{register}"), value)
 
@@ -129,7 +134,9 @@ class VirtualCamera:
         address = self._library.arv_buffer_get_data(buffer, ctypes.byref(unused))
         size = self._fake.get_payload()
         target = np.ctypeslib.as_array((ctypes.c_ubyte * size).from_address(address))
-        target[:] = frames.picture(command.picture, command.brightness, size, pixel_format)
+        by_width = command.by_width is not None and self._exposes_by_width()
+        brightness = command.by_width if by_width and command.by_width is not None else command.brightness
+        target[:] = frames.picture(command.picture, brightness, size, pixel_format)
         self._server.set_property("gvsp-lost-ratio", command.lost_share)
         if command.timestamp_ns:
             self._library.arv_buffer_set_timestamp(buffer, command.timestamp_ns)

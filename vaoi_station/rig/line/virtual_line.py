@@ -74,13 +74,31 @@ class Lighting:
 
         A frame is rendered for a light that is on for the whole exposure, or as long as the program has for its row.
         """
+        timed, by_width = self.brightnesses(pulse, camera, row)
+        return timed if by_width is None else by_width
+
+    def brightnesses(self, pulse: Pulse, camera: int, row: int | None = None) -> tuple[float, float | None]:
+        """Return the brightness of a frame in the exposure modes Timed and TriggerWidth.
+
+        The second is None if the program has one exposure for all rows of the camera, so that it stays in Timed. In
+        Timed the exposure is that of the camera's register, which the program of such a camera does not set.
+        """
         if self.light_of(pulse) is None:
-            return 0.0
+            return 0.0, None
         expected = None if row is None else row_of(self.program, row)
-        exposure_us = self.exposures_us[camera] if expected is None else expected.exposures_us[camera]
-        rendered_us = exposure_us if expected is None else expected.lit_us[camera]
-        share = min(pulse.on_us, exposure_us) / rendered_us
-        return 1.0 if abs(share - 1) < BRIGHTNESS_TOLERANCE else share
+        if expected is None:
+            exposure_us = rendered_us = self.exposures_us[camera]
+        else:
+            exposure_us, rendered_us = expected.exposures_us[camera], expected.lit_us[camera]
+        if len({step.exposures_us[camera] for step in self.program}) < 2:
+            return _share(min(pulse.on_us, exposure_us) / rendered_us), None
+        timed = _share(min(pulse.on_us, self.exposures_us[camera]) / rendered_us)
+        return timed, _share(min(pulse.on_us, pulse.width_us) / rendered_us)
+
+
+def _share(share: float) -> float:
+    """Return a brightness, and exactly 1 if it is as good as the rendered one."""
+    return 1.0 if abs(share - 1) < BRIGHTNESS_TOLERANCE else share
 
 
 @dataclass
@@ -280,7 +298,8 @@ class VirtualLine:
         fired.outcomes[camera], lost = self._outcome(passage, row, camera)
         picture = row * len(self._cameras) + camera
         timestamp_ns += self._frame_faults.stamp_delay_ns(passage.board, camera)
-        if not self._cameras[camera].trigger(TriggerCommand(picture, timestamp_ns, fired.brightness[camera], lost)):
+        timed, by_width = self._lighting.brightnesses(fired.pulse, camera, row)
+        if not self._cameras[camera].trigger(TriggerCommand(picture, timestamp_ns, timed, lost, by_width)):
             fired.outcomes[camera] = "dead"
 
     def _outcome(self, passage: BoardPassage, row: int, camera: int) -> tuple[FrameOutcome, float]:

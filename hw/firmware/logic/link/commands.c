@@ -29,7 +29,7 @@ static void reply_ident(const struct controller *c, struct reply *reply)
         .build = FIRMWARE_BUILD, .board = "m328p16",
         .tick_ns = 1000 / TICKS_PER_US, .led_shortest = LED_SHORTEST, .led_longest = LED_LONGEST,
         .led_bucket = LED_BUCKET, .led_duty_shift = LED_DUTY_SHIFT, .heartbeat_s = HEARTBEAT / MS(1000),
-        .ready_longest_ms = READY_LONGEST_MS,
+        .ready_longest_ms = READY_LONGEST_MS, .trigger_longest = STEP_TRIGGER_LONGEST,
     };
     put(reply, &ident, sizeof ident);
 }
@@ -53,6 +53,13 @@ static struct refusal set_step(struct controller *c, const struct step_request *
 {
     if (request->index >= PROGRAM_STEPS) return (struct refusal){NAK_RANGE, request->index, PROGRAM_STEPS - 1};
     c->configuration.staged.steps[request->index] = request->step;
+    return (struct refusal){NAK_NONE, 0, 0};
+}
+
+static struct refusal set_width(struct controller *c, const struct width_request *request)
+{
+    if (request->index >= PROGRAM_STEPS) return (struct refusal){NAK_RANGE, request->index, PROGRAM_STEPS - 1};
+    c->configuration.staged.widths[request->index] = request->width;
     return (struct refusal){NAK_NONE, 0, 0};
 }
 
@@ -91,6 +98,7 @@ static int8_t payload_size(uint8_t type)
     case MSG_CLOCK: case MSG_COMMIT: case MSG_READ_EVENT: case MSG_ACK_EVENTS: return 4;
     case MSG_TIMING: return sizeof(struct timing);
     case MSG_STEP: return sizeof(struct step_request);
+    case MSG_WIDTH: return sizeof(struct width_request);
     case MSG_ARM: return sizeof(struct arm_request);
     case MSG_FIRE_ONE: return sizeof(struct fire_request);
     case MSG_READY: return sizeof(struct ready_request);
@@ -106,6 +114,7 @@ void handle_request(struct controller *c, const struct receiver *message, ticks_
         uint32_t number;
         struct timing timing;
         struct step_request step;
+        struct width_request width;
         struct arm_request arm;
         struct fire_request fire;
         struct ready_request ready;
@@ -130,8 +139,9 @@ void handle_request(struct controller *c, const struct receiver *message, ticks_
     case MSG_BEAT: c->last_beat = now; /* fall through */
     case MSG_STATUS: reply_status(c, message->bad, now, reply); break;
     case MSG_CLOCK: put(reply, &(struct clock_reply){request.number, now}, sizeof(struct clock_reply)); break;
-    case MSG_TIMING: c->configuration.staged.timing = request.timing; break;
+    case MSG_TIMING: config_set_timing(&c->configuration.staged, &request.timing); break;
     case MSG_STEP: why = set_step(c, &request.step); break;
+    case MSG_WIDTH: why = set_width(c, &request.width); break;
     case MSG_COMMIT:
         why = commit(c, request.number);
         put(reply, &c->configuration.crc, 4);

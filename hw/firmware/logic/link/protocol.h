@@ -1,4 +1,4 @@
-/* The messages of hw/protocol.md, version 1.2: little-endian, packed; sizes are part of the protocol. */
+/* The messages of hw/protocol.md, version 1.3: little-endian, packed; sizes are part of the protocol. */
 #ifndef PROTOCOL_H
 #define PROTOCOL_H
 
@@ -8,7 +8,7 @@
 #include "limits.h"
 
 #define PROTOCOL_MAJOR 1
-#define PROTOCOL_MINOR 2
+#define PROTOCOL_MINOR 3
 
 #define PAYLOAD_LONGEST 58
 #define CONTENT_LONGEST (2 + PAYLOAD_LONGEST + 2) /* type, sequence, payload, CRC-16 */
@@ -29,6 +29,7 @@ enum message {
     MSG_READ_EVENT = 0x0C,
     MSG_ACK_EVENTS = 0x0D,
     MSG_READY = 0x0E,
+    MSG_WIDTH = 0x0F,
     MSG_REPLY = 0x80, /* added to the type of the request */
     MSG_EVENT = 0xC0,
     MSG_NAK = 0xFF,
@@ -56,7 +57,7 @@ enum pacing { PACING_TIME = 0, PACING_DISTANCE = 1 };
 enum event_kind {
     EVENT_BOOT = 1,       /* detail: reset cause (MCUSR), value: boot counter */
     EVENT_BARRIER = 2,    /* detail: 1 blocked, 0 clear; index: run */
-    EVENT_PULSE = 3,      /* detail: LED channels, index: row, value: on-time in ticks */
+    EVENT_PULSE = 3,      /* detail: LED channels, index: row, value: on-time in ticks; see PULSE_VALUE */
     EVENT_SUPPRESSED = 4, /* detail: enum suppressed, index: row, value: see there */
     EVENT_RUN_END = 5,    /* detail: enum run_end, index: pulses fired, value: rows suppressed */
     EVENT_FAULT = 6,      /* detail: enum fault */
@@ -84,6 +85,9 @@ enum hold {
 };
 
 #define PERMIT_TEST 0 /* of MSG_READY: sets the output without a board, in STATE_IDLE only */
+
+/* Value of EVENT_PULSE: below, the on-time of the LEDs; above, since 1.3, the trigger's width if MSG_WIDTH has set it. */
+#define PULSE_VALUE(on, own_width) ((uint32_t)(own_width) << 16 | (on))
 
 #define ROW_NONE 0xFFFFu /* the pulse of FIRE_ONE belongs to no row */
 
@@ -113,6 +117,10 @@ static_assert(sizeof(struct step) == 4, "part of the protocol");
 struct WIRE step_request { uint8_t index; struct step step; };
 static_assert(sizeof(struct step_request) == 5, "part of the protocol");
 
+/* Since 1.3: the trigger's width of one step, which cameras may expose for. TIMING sets that of all steps. */
+struct WIRE width_request { uint8_t index, reserved; uint16_t width; };
+static_assert(sizeof(struct width_request) == 4, "part of the protocol");
+
 struct WIRE ident {
     uint8_t major, minor;
     uint8_t firmware[3];
@@ -130,8 +138,9 @@ struct WIRE ident {
     uint8_t led_duty_shift; /* lit at most 1 / 2^shift of the time */
     uint8_t heartbeat_s;
     uint16_t ready_longest_ms; /* since 1.2: how long one READY keeps the output high at most */
+    uint16_t trigger_longest;  /* since 1.3: ticks, the longest width of MSG_WIDTH and FIRE_ONE */
 };
-static_assert(sizeof(struct ident) == 50, "part of the protocol");
+static_assert(sizeof(struct ident) == 52, "part of the protocol");
 
 struct WIRE status {
     uint8_t state;

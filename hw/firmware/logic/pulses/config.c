@@ -2,14 +2,28 @@
 
 #include "checksum.h"
 
-enum field { PACING, STEPS, MAX_ROWS, START_DELAY, PERIOD, TAIL, MIN_PERIOD, DEBOUNCE, MIN_GAP, TRIGGER_WIDTH, STEP_0 = 16 };
+enum field { PACING, STEPS, MAX_ROWS, START_DELAY, PERIOD, TAIL, MIN_PERIOD, DEBOUNCE, MIN_GAP, TRIGGER_WIDTH, STEP_0 = 16, WIDTH_0 = 32 };
 
 static const struct refusal FINE = {NAK_NONE, 0, 0};
 
 uint32_t config_crc(const struct config *c)
 {
     uint32_t crc = crc32_of(0, &c->timing, sizeof c->timing);
-    return crc32_of(crc, c->steps, (uint8_t)(c->timing.steps * sizeof *c->steps));
+    crc = crc32_of(crc, c->steps, (uint8_t)(c->timing.steps * sizeof *c->steps));
+    for (uint8_t k = 0; k < c->timing.steps; k++)
+        if (config_own_width(c, k)) return crc32_of(crc, c->widths, (uint8_t)(c->timing.steps * sizeof *c->widths));
+    return crc;
+}
+
+void config_set_timing(struct config *c, const struct timing *timing)
+{
+    c->timing = *timing;
+    for (uint8_t k = 0; k < PROGRAM_STEPS; k++) c->widths[k] = timing->trigger_width;
+}
+
+uint16_t config_own_width(const struct config *c, uint8_t step)
+{
+    return c->widths[step] == c->timing.trigger_width ? 0 : c->widths[step];
 }
 
 static struct refusal within(uint8_t field, uint32_t value, uint32_t least, uint32_t most)
@@ -49,11 +63,22 @@ static struct refusal check_step(const struct step *step, uint8_t k, uint32_t mi
     return FINE;
 }
 
+/* The trigger must have fallen before the next row is prepared. */
+static struct refusal check_width(const struct config *c, uint8_t k, uint32_t shortest)
+{
+    if (!config_own_width(c, k)) return FINE;
+    uint32_t most = shortest - TRIGGER_CLEARANCE;
+    return within(WIDTH_0 + k, c->widths[k], TRIGGER_SHORTEST, most < STEP_TRIGGER_LONGEST ? most : STEP_TRIGGER_LONGEST);
+}
+
 struct refusal config_check(const struct config *c)
 {
     REQUIRE(check_timing(&c->timing));
     uint32_t shortest = c->timing.pacing == PACING_TIME ? c->timing.period : c->timing.min_period;
-    for (uint8_t k = 0; k < c->timing.steps; k++) REQUIRE(check_step(&c->steps[k], k, shortest));
+    for (uint8_t k = 0; k < c->timing.steps; k++) {
+        REQUIRE(check_step(&c->steps[k], k, shortest));
+        REQUIRE(check_width(c, k, shortest));
+    }
     return FINE;
 }
 

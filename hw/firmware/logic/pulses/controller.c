@@ -16,7 +16,8 @@ static void report(struct controller *c, ticks_t tick, uint8_t kind, uint8_t det
 static void report_pulse(struct controller *c)
 {
     c->pulse.under_way = 0;
-    report(c, c->pulse.due, EVENT_PULSE, c->pulse.light.channels, c->pulse.row, c->pulse.light.width);
+    report(c, c->pulse.due, EVENT_PULSE, c->pulse.light.channels, c->pulse.row,
+           PULSE_VALUE(c->pulse.light.width, c->pulse.own_width));
     if (c->pulse.row != ROW_NONE) c->passage.fired++;
 }
 
@@ -131,22 +132,24 @@ static uint8_t run_is_over(const struct controller *c)
 static uint8_t start_pulse(struct controller *c, ticks_t due, uint16_t trigger_width, const struct step *light, uint16_t row)
 {
     if (!pulse_start(due, trigger_width, light)) return 0;
-    c->pulse = (struct pulse_under_way){1, row, due, *light};
+    c->pulse = (struct pulse_under_way){1, row, due, *light, 0};
     return 1;
 }
 
 static void prepare_row(struct controller *c, ticks_t due, ticks_t now)
 {
     struct passage *p = &c->passage;
-    const struct step *light = &c->configuration.active.steps[p->row % timing(c)->steps];
+    const uint8_t step = (uint8_t)(p->row % timing(c)->steps);
+    const struct step *light = &c->configuration.active.steps[step];
     if (ticks_since(due, now) < (int32_t)TOO_LATE) {
         suppress(c, due, SUPPRESSED_LATE, 0);
         return;
     }
     uint8_t hot_channel = budget_take(&c->budget, now, light);
     if (hot_channel != CHANNEL_NONE) suppress(c, due, SUPPRESSED_LED_BUDGET, hot_channel);
-    else if (!start_pulse(c, due, timing(c)->trigger_width, light, p->row)) suppress(c, due, SUPPRESSED_LATE, 0);
+    else if (!start_pulse(c, due, c->configuration.active.widths[step], light, p->row)) suppress(c, due, SUPPRESSED_LATE, 0);
     else {
+        c->pulse.own_width = config_own_width(&c->configuration.active, step);
         p->last_due = due;
         next_row(c);
     }
@@ -235,7 +238,7 @@ struct refusal controller_fire(struct controller *c, const struct fire_request *
     if (channel != CHANNEL_NONE)
         return (struct refusal){NAK_LED_LIMIT, channel, channel < LED_CHANNELS ? led_longest[channel] : LED_CHANNELS};
     if (request->trigger_width < TRIGGER_SHORTEST) return (struct refusal){NAK_RANGE, 0, TRIGGER_SHORTEST};
-    if (request->trigger_width > TRIGGER_LONGEST) return (struct refusal){NAK_RANGE, 0, TRIGGER_LONGEST};
+    if (request->trigger_width > STEP_TRIGGER_LONGEST) return (struct refusal){NAK_RANGE, 0, STEP_TRIGGER_LONGEST};
     channel = budget_take(&c->budget, now, &request->step);
     if (channel != CHANNEL_NONE) return (struct refusal){NAK_LED_BUDGET, channel, 0};
     if (!start_pulse(c, now + PREPARE, request->trigger_width, &request->step, ROW_NONE))

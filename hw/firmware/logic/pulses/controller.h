@@ -17,7 +17,13 @@ struct passage {
     ticks_t last_due;   /* of the last pulse, if fired */
 };
 
-struct pulse_under_way { uint8_t under_way; uint16_t row; ticks_t due; struct step light; };
+struct pulse_under_way {
+    uint8_t under_way;
+    uint16_t row;
+    ticks_t due;
+    struct step light;
+    uint16_t own_width; /* of the trigger, if the row's step has one of its own, else 0 */
+};
 
 struct controller {
     uint8_t state, fault, reset_cause;

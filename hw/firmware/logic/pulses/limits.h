@@ -19,6 +19,10 @@
 #define PROGRAM_STEPS 16
 #define TRIGGER_SHORTEST US(50)
 #define TRIGGER_LONGEST US(2000)
+/* Of a step with a width of its own, for which cameras may expose. Less than half the range of 16-bit compare times. */
+#define STEP_TRIGGER_LONGEST US(10000)
+/* The trigger has fallen this long before the next row is due: PREPARE, and the time of the main loop to get round. */
+#define TRIGGER_CLEARANCE MS(3)
 
 #define PERIOD_SHORTEST MS(5)
 /* Half the range in which two times can be compared. */

@@ -181,6 +181,8 @@ class StandInCamera:
     def __init__(self, vendor: str = "Acme", *, is_gige: bool = False) -> None:
         self.vendor, self.is_gige = vendor, is_gige
         self.triggers = ["FrameStart", "AcquisitionStart"]
+        self.choices: dict[str, list[str]] = {}
+        """Entries of enumerations."""
         self.device = StandInDevice(
             {
                 "PixelFormat": "Mono16",
@@ -228,6 +230,9 @@ class StandInCamera:
 
     def dup_available_triggers(self) -> list[str]:
         return self.triggers
+
+    def dup_available_enumerations_as_strings(self, feature: str) -> list[str]:
+        return self.choices.get(feature, [])
 
     def is_gain_available(self) -> bool:
         return "Gain" in self.device.features

@@ -16,7 +16,14 @@ from vaoi_station.acquisition.cameras.aravis.camera import AravisCamera
 from vaoi_station.acquisition.cameras.aravis.connection import Identity, PortShare
 from vaoi_station.acquisition.cameras.aravis.discovery import FoundDevice
 from vaoi_station.acquisition.cameras.aravis.stream import SlotResult
-from vaoi_station.acquisition.cameras.interface import Arrival, CameraBack, CameraEvent, CameraLost, Slot
+from vaoi_station.acquisition.cameras.interface import (
+    Arrival,
+    CameraBack,
+    CameraEvent,
+    CameraExposure,
+    CameraLost,
+    Slot,
+)
 from vaoi_station.acquisition.clocks import ClockReading
 from vaoi_station.backoff import BackoffPolicy
 from vaoi_station.config import CameraConfig
@@ -255,18 +262,19 @@ def test_closing_releases_the_connection(bench: Bench) -> None:
 
 
 def test_exposure_is_set_now_or_when_the_camera_is_back(bench: Bench) -> None:
-    bench.camera.set_exposure(80.0, 6.0)
+    bench.camera.set_exposure(CameraExposure((80.0,), 6.0))
     assert (bench.connection.config.exposure_us, bench.connection.config.gain_db) == (80.0, 6.0)
     bench.camera.start(bench.events)
     bench.lose()
-    bench.camera.set_exposure(120.0, 0.0)
+    bench.camera.set_exposure(CameraExposure((120.0, 60.0), 0.0, by_trigger=True))
     bench.next(CameraBack)
     bench.wait(lambda: bench.connection.config.exposure_us == 120.0)
+    assert bench.connection.config.exposure_by == "trigger-width"
 
 
 def test_a_refused_exposure_leaves_the_one_before(bench: Bench) -> None:
     bench.connection.exposure_refusal = DeviceError("camera c0: ignores a setting.")
     before = bench.camera.config
     with pytest.raises(DeviceError, match="ignores"):
-        bench.camera.set_exposure(1.0, 0.0)
+        bench.camera.set_exposure(CameraExposure((1.0,), 0.0))
     assert bench.camera.config == before

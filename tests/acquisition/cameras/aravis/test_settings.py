@@ -173,3 +173,34 @@ def test_exposure_and_gain_alone_are_written_and_compared() -> None:
     camera.device.ignored.add("Gain")
     with pytest.raises(DeviceError, match="camera c0: ignores a setting: Gain was set to"):
         settings.apply_exposure(camera, camera_config(gain_db=20.0))
+
+
+def test_the_exposure_mode_is_that_of_the_way_and_is_left_alone_otherwise() -> None:
+    camera = StandInCamera()
+    camera.device.features["ExposureMode"] = "Timed"
+    camera.choices["ExposureMode"] = ["Timed", "TriggerWidth"]
+    settings.apply_exposure(camera, camera_config(exposure_by="trigger-width", exposure_us=80.0))
+    assert camera.device.features["ExposureMode"] == "TriggerWidth"
+    assert camera.device.features["ExposureTime"] == 10_000.0, "cameras lock it in this mode"
+    settings.apply_exposure(camera, camera_config(exposure_by="register", exposure_us=80.0))
+    assert (camera.device.features["ExposureMode"], camera.device.features["ExposureTime"]) == ("Timed", 80.0)
+    camera.device.features["ExposureMode"] = "Vendor"
+    settings.apply_exposure(camera, camera_config())
+    assert camera.device.features["ExposureMode"] == "Vendor"
+    camera.device.features["ExposureMode"] = "TriggerWidth"
+    settings.apply_exposure(camera, camera_config(features={"ExposureMode": "TriggerWidth"}))
+    assert camera.device.features["ExposureMode"] == "TriggerWidth", "station.toml states it"
+
+
+@pytest.mark.parametrize(
+    ("modes", "words"), [([], "it has no feature ExposureMode"), (["Timed"], "its ExposureMode offers Timed")]
+)
+def test_a_camera_that_cannot_expose_for_the_width_is_refused(modes: list[str], words: str) -> None:
+    camera = StandInCamera()
+    if modes:
+        camera.device.features["ExposureMode"] = "Timed"
+        camera.choices["ExposureMode"] = modes
+    wanted = camera_config(exposure_by="trigger-width", exposure_us=80.0)
+    with pytest.raises(DeviceError, match=rf"width of the trigger \({words}\).* the first 80 µs") as caught:
+        settings.apply_exposure(camera, wanted)
+    assert caught.value.code == "exposure-mode"

@@ -41,7 +41,7 @@ def test_timings_survive_packing(timing: Timing) -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "size"), [(Timing, 30), (Step, 4), (Ident, 50), (Status, 48), (Event, 16), (ClockReply, 8), (Nak, 8)]
+    ("kind", "size"), [(Timing, 30), (Step, 4), (Ident, 52), (Status, 48), (Event, 16), (ClockReply, 8), (Nak, 8)]
 )
 def test_sizes_are_those_of_the_protocol(kind: Any, size: int) -> None:
     """The firmware asserts the same numbers at compile time (protocol.h)."""

@@ -19,7 +19,7 @@ def test_our_own_controller_is_accepted() -> None:
 
 
 def test_another_major_version_is_refused_with_the_remedy() -> None:
-    with pytest.raises(DeviceError, match=r"speaks protocol 2\.0, this station 1\.2") as caught:
+    with pytest.raises(DeviceError, match=r"speaks protocol 2\.0, this station 1\.3") as caught:
         check_ident(b"\2\0 and whatever that version says")
     assert caught.value.code == "protocol-version"
     assert "flash" in caught.value.action
@@ -31,7 +31,7 @@ def test_a_foreign_device_is_named() -> None:
 
 
 def test_old_firmware_is_refused_with_the_remedy() -> None:
-    with pytest.raises(DeviceError, match=r"has firmware 0\.9\.3 with protocol 1\.2, but needs 1\.1\.0") as caught:
+    with pytest.raises(DeviceError, match=r"has firmware 0\.9\.3 with protocol 1\.3, but needs 1\.1\.0") as caught:
         check_ident(replace(IDENT, firmware_major=0, firmware_minor=9, firmware_patch=3).pack())
     assert caught.value.code == "firmware-too-old"
     assert "flash" in caught.value.action

@@ -45,7 +45,7 @@ class FakeFirmware:
         """Payloads of READY."""
         self.ident = IDENT
         self._events: list[Event] = []
-        self._timing, self._steps = Timing.unpack(bytes(30)), [Step(0, 0)] * 16
+        self._timing, self._steps, self._widths = Timing.unpack(bytes(30)), [Step(0, 0)] * 16, [0] * 16
         self._tick = 0
         self._terminal, self._reader = terminal, FrameReader()
 
@@ -96,13 +96,8 @@ class FakeFirmware:
                 reply = self._status()
             case Type.CLOCK:
                 reply = ClockReply(int.from_bytes(payload, "little"), self._tick).pack()
-            case Type.TIMING:
-                self._timing = Timing.unpack(payload)
-            case Type.STEP:
-                self._steps[payload[0]] = Step.unpack(payload[1:])
-            case Type.COMMIT:
-                self.crc = config_crc(self._timing, self._steps[: self._timing.steps])
-                reply = payload
+            case Type.TIMING | Type.STEP | Type.WIDTH | Type.COMMIT:
+                reply = self._configure(kind, payload)
             case Type.ARM:
                 self.state, self.run = State.ARMED, int.from_bytes(payload[:2], "little")
             case Type.DISARM:
@@ -112,6 +107,20 @@ class FakeFirmware:
             case Type.READ_EVENT:
                 reply = self._events[int.from_bytes(payload, "little")].pack()
         return reply
+
+    def _configure(self, kind: Type, payload: bytes) -> bytes:
+        if kind == Type.TIMING:
+            self._timing = Timing.unpack(payload)
+            self._widths = [self._timing.trigger_width] * 16
+        elif kind == Type.STEP:
+            self._steps[payload[0]] = Step.unpack(payload[1:])
+        elif kind == Type.WIDTH:
+            self._widths[payload[0]] = int.from_bytes(payload[2:], "little")
+        else:
+            used = slice(self._timing.steps)
+            self.crc = config_crc(self._timing, self._steps[used], self._widths[used])
+            return payload
+        return b""
 
     def _is_high(self) -> bool:
         test, held = (not any(p) for p in (self.permits[-1][:2], self.permits[-1][2:])) if self.permits else (0, 1)

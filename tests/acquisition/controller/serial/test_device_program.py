@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from tests.hw.emulated.vectors import IDENT
 from vaoi_station.acquisition.controller.interface import TriggerPlan
-from vaoi_station.acquisition.controller.protocol.messages import Nak, Reason, Step, Type
+from vaoi_station.acquisition.controller.protocol.messages import Ident, Nak, Reason, Step, Type
 from vaoi_station.acquisition.controller.serial.device_program import DARK, explain_refusal, make_program
 from vaoi_station.config import ControllerConfig, LightConfig
 from vaoi_station.errors import InputError
@@ -91,6 +91,49 @@ def test_a_program_beyond_the_firmware_is_refused_with_its_numbers() -> None:
     long = replace(PLAN, program=(replace(row, on_us=9000.0),), lights=("low",))
     with pytest.raises(InputError, match=r"on_us of light 'low' is 9000\.0, but must be .* … .* \(the longest pulse"):
         make_program(long, SERIAL, IDENT)
+
+
+BY_WIDTH = replace(
+    PLAN,
+    program=tuple(ProgramRow("low", (us,), (0.0,), 60.0, us) for us in (100.0, 400.5)),
+    lights=("low", "low"),
+    by_trigger=(0,),
+)
+
+
+def test_exposures_are_widths_of_the_trigger() -> None:
+    program = make_program(BY_WIDTH, SERIAL, IDENT)
+    assert program.widths == (200, 801)
+    assert sum(request.type == Type.WIDTH for request in program.requests()) == 1, "the other is that of the timing"
+    assert program.crc != make_program(replace(BY_WIDTH, by_trigger=()), SERIAL, IDENT).crc
+
+
+@pytest.mark.parametrize(
+    ("period_s", "us", "ident", "words"),
+    [
+        (
+            0.12,
+            20.0,
+            IDENT,
+            r"program\.0\.exposure_us is 20\.0, but must be 50 … 10000 .* \(the shortest trigger of its",
+        ),
+        (0.12, 11e3, IDENT, r"program\.0\.exposure_us is 11000\.0, but must be 50 … 10000 .* \(the longest trigger of"),
+        (0.01, 8e3, IDENT, r"8000\.0, but must be 50 … 7000 .* \(the period of 0\.01 s less 3 ms\)"),
+        (
+            0.12,
+            80.0,
+            replace(IDENT, trigger_longest=0),
+            r"is '80 µs', but must be one for all rows: firmware 1\.2\.3 has",
+        ),
+    ],
+)
+def test_exposures_that_the_trigger_cannot_make_are_refused(
+    period_s: float, us: float, ident: Ident, words: str
+) -> None:
+    rows = (ProgramRow("low", (us,), (0.0,), 60.0, us),)
+    plan = replace(BY_WIDTH, period_s=period_s, program=rows, lights=("low",))
+    with pytest.raises(InputError, match=words):
+        make_program(plan, SERIAL, ident)
 
 
 def test_what_was_lit_is_named() -> None:

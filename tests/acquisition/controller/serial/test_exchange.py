@@ -93,7 +93,7 @@ def test_a_controller_is_identified_although_it_was_reset(bench: Bench, device: 
     """Opening a port may itself reset the board."""
     bench.exchange.read_status()
     device[1].reset()
-    assert bench.exchange.identify()[:2] == b"\1\2"
+    assert bench.exchange.identify()[:2] == b"\1\3"
 
 
 def test_nothing_is_identified_where_nothing_replies(

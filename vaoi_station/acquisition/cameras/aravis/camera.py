@@ -20,6 +20,7 @@ from vaoi_station.acquisition.cameras.interface import (
     Arrival,
     CameraBack,
     CameraEvent,
+    CameraExposure,
     CameraHealth,
     CameraLost,
     Slot,
@@ -102,11 +103,17 @@ class AravisCamera:
         self._arrivals = arrivals
         self._thread.start()
 
-    def set_exposure(self, exposure_us: float, gain_db: float) -> None:
+    def set_exposure(self, wanted: CameraExposure) -> None:
         """Write exposure and gain, read them back and compare. A lost camera gets them when it is opened again."""
         before = self.config
         # A connection that is opened later writes the settings of this configuration.
-        self.config = before.model_copy(update={"exposure_us": exposure_us, "gain_db": gain_db})
+        self.config = before.model_copy(
+            update={
+                "exposure_us": wanted.exposures_us[0],
+                "gain_db": wanted.gain_db,
+                "exposure_by": "trigger-width" if wanted.by_trigger else "register",
+            }
+        )
         connection = self._connection
         try:
             if connection is not None and connection.config != self.config:

@@ -30,7 +30,8 @@ def open_aravis_cameras(config: StationConfig) -> tuple[AravisCamera, ...]:
     with OPENING_LOCK:
         try:
             for camera, where in zip(config.cameras, _locate_cameras(config.cameras), strict=True):
-                connections.append(Connection(camera, where))
+                # Until a light program is armed, the register holds the exposure: `vaoi view` fires without a program.
+                connections.append(Connection(camera.model_copy(update={"exposure_by": "register"}), where))
             _check_distinct(connections)
             shares = _port_shares(config, connections)
             for connection, share in zip(connections, shares, strict=True):

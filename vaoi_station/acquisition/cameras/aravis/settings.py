@@ -7,7 +7,7 @@ another exposure or region would be worse than no frames. A camera may round num
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -22,6 +22,8 @@ the time of a line of pixels.
 """
 GAIN_TOLERANCE_DB = 0.3
 """Accepted difference of the gain. Cameras have coarse steps of gain."""
+TRIGGER_WIDTH = "TriggerWidth"
+"""The ExposureMode in which a camera exposes for as long as the trigger is high (SFNC)."""
 FEATURE_TOLERANCE = 0.01
 """Accepted relative difference of a feature that station.toml sets by name."""
 
@@ -148,16 +150,43 @@ def _picture(camera: Any, config: CameraConfig) -> Iterator[Setting]:
 
 def _exposure(camera: Any, config: CameraConfig) -> Iterator[Setting]:
     """Yield the settings of exposure and gain."""
-    yield Setting(
-        "ExposureTime",
-        config.exposure_us,
-        lambda: camera.set_exposure_time(config.exposure_us),
-        camera.get_exposure_time,
-        max(EXPOSURE_TOLERANCE_US, EXPOSURE_TOLERANCE * config.exposure_us),
-    )
+    device, by_trigger = camera.get_device(), config.exposure_by == "trigger-width"
+    has_modes = device.is_feature_available("ExposureMode")
+    if by_trigger:
+        _require_trigger_width(
+            config, camera.dup_available_enumerations_as_strings("ExposureMode") if has_modes else ()
+        )
+        yield feature_setting(device, "ExposureMode", TRIGGER_WIDTH)
+    elif (
+        has_modes
+        and "ExposureMode" not in config.features
+        and device.get_string_feature_value("ExposureMode") == TRIGGER_WIDTH
+    ):
+        # Written only to end the other mode: cameras have further modes, which station.toml does not know.
+        yield feature_setting(device, "ExposureMode", "Timed")
+    if not by_trigger:
+        yield Setting(
+            "ExposureTime",
+            config.exposure_us,
+            lambda: camera.set_exposure_time(config.exposure_us),
+            camera.get_exposure_time,
+            max(EXPOSURE_TOLERANCE_US, EXPOSURE_TOLERANCE * config.exposure_us),
+        )
     if config.gain_db or camera.is_gain_available():
         gain_db = config.gain_db
         yield Setting("Gain", gain_db, lambda: camera.set_gain(gain_db), camera.get_gain, GAIN_TOLERANCE_DB)
+
+
+def _require_trigger_width(config: CameraConfig, modes: Sequence[str]) -> None:
+    """Raise DeviceError if a camera cannot expose for as long as the trigger is high."""
+    if TRIGGER_WIDTH not in modes:
+        offered = f"its ExposureMode offers {', '.join(modes)}" if modes else "it has no feature ExposureMode"
+        raise DeviceError(
+            f"{config.label}: cannot expose for the width of the trigger ({offered}), which the light program needs: "
+            f"its rows have different exposures, the first {config.exposure_us:g} µs.",
+            action="Give all rows one exposure for this camera, and let on_us of the lights make the difference.",
+            code="exposure-mode",
+        )
 
 
 def _region(camera: Any) -> tuple[int, int, int, int]:

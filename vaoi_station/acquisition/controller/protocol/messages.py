@@ -1,4 +1,4 @@
-"""The binary messages of the protocol, version 1.2: little-endian, without padding, in ticks of 0.5 µs.
+"""The binary messages of the protocol, version 1.3: little-endian, without padding, in ticks of 0.5 µs.
 
 `hw/firmware/logic/link/protocol.h` defines the same structs in C. `hw/protocol_vectors.json` has examples that both
 must encode to the same bytes.
@@ -13,7 +13,7 @@ from enum import IntEnum
 from struct import Struct
 from typing import Any, ClassVar, TypeVar
 
-VERSION = (1, 2)
+VERSION = (1, 3)
 TICK_S = 0.5e-6
 ROW_NONE = 0xFFFF
 """Index of a pulse that belongs to no row."""
@@ -40,6 +40,7 @@ class Type(IntEnum):
     READ_EVENT = 0x0C
     ACK_EVENTS = 0x0D
     READY = 0x0E
+    WIDTH = 0x0F
     EVENT = 0xC0
     NAK = 0xFF
 
@@ -184,7 +185,7 @@ class Step(_Wire):
 class Ident(_Wire):
     """The identity of the controller, the versions of its hardware and firmware, and its limits."""
 
-    LAYOUT = Struct("<8BII8s8sHH4HHBBH")
+    LAYOUT = Struct("<8BII8s8sHH4HHBBHH")
     GROWS = True
     OLDEST_BYTES = 48
     major: int
@@ -210,6 +211,8 @@ class Ident(_Wire):
     heartbeat_s: int
     ready_longest_ms: int = 0
     """How long one READY keeps the output "line ready" high at most; 0 before 1.2, which has no such output."""
+    trigger_longest: int = 0
+    """Longest width of the trigger by which a step can set the exposure, in ticks; 0 before 1.3, which has no WIDTH."""
 
 
 @dataclass(frozen=True)
@@ -255,6 +258,16 @@ class Event(_Wire):
     index: int
     value: int
 
+    @property
+    def on_ticks(self) -> int:
+        """On-time of the LEDs that a PULSE states."""
+        return self.value & 0xFFFF
+
+    @property
+    def width_ticks(self) -> int:
+        """Width of the trigger that a PULSE states if its step has one of its own; otherwise 0."""
+        return self.value >> 16
+
 
 @dataclass(frozen=True)
 class ClockReply(_Wire):
@@ -289,6 +302,11 @@ def set_step(index: int, step: Step) -> Request:
     return Request(Type.STEP, bytes([index]) + step.pack())
 
 
+def set_width(index: int, width: int) -> Request:
+    """Return the request that sets the trigger's width of step number `index`, in ticks."""
+    return Request(Type.WIDTH, bytes([index, 0]) + width.to_bytes(2, "little"))
+
+
 def number_request(kind: Type, number: int) -> Request:
     """Return a request whose content is one number: CLOCK, COMMIT, READ_EVENT or ACK_EVENTS."""
     return Request(kind, number.to_bytes(4, "little"))
@@ -312,18 +330,34 @@ def ready(permit: int, hold_ms: int) -> Request:
     return Request(Type.READY, permit.to_bytes(2, "little") + hold_ms.to_bytes(2, "little"))
 
 
-def config_crc(timing: Timing, steps: Sequence[Step]) -> int:
-    """Return the checksum (CRC-32 as in zlib) of the timing and the steps, computed from the bytes that are sent."""
-    return zlib.crc32(b"".join([timing.pack(), *(step.pack() for step in steps)]))
+def config_crc(timing: Timing, steps: Sequence[Step], widths: Sequence[int] = ()) -> int:
+    """Return the checksum (CRC-32 as in zlib) of a configuration, computed from the bytes that are sent.
+
+    Args:
+        timing: the timing.
+        steps: the steps that it uses.
+        widths: the trigger's width of each step, ticks; empty if all have that of the timing.
+    """
+    own = widths if any(width != timing.trigger_width for width in widths) else ()
+    parts = (step.pack() for step in steps), (width.to_bytes(2, "little") for width in own)
+    return zlib.crc32(b"".join([timing.pack(), *parts[0], *parts[1]]))
 
 
-def configuration(timing: Timing, steps: Sequence[Step]) -> list[Request]:
-    """Return all requests that set and activate a configuration; ValueError if there are too many or too few steps."""
+def configuration(timing: Timing, steps: Sequence[Step], widths: Sequence[int] = ()) -> list[Request]:
+    """Return all requests that set and activate a configuration, with the arguments of `config_crc`.
+
+    Raises:
+        ValueError: there are too many or too few steps or widths.
+    """
     if timing.steps != len(steps):
         raise ValueError(f"timing.steps is {timing.steps}, but there are {len(steps)} steps")
+    if len(widths) not in (0, len(steps)):
+        raise ValueError(f"there are {len(widths)} widths, but {len(steps)} steps")
+    own = [set_width(k, width) for k, width in enumerate(widths) if width != timing.trigger_width]
     # COMMIT comes last: until then, the firmware keeps its old configuration, so that an incomplete one has no effect.
     return [
         Request(Type.TIMING, timing.pack()),
         *(set_step(k, step) for k, step in enumerate(steps)),
-        number_request(Type.COMMIT, config_crc(timing, steps)),
+        *own,  # after TIMING, which sets the widths of all steps
+        number_request(Type.COMMIT, config_crc(timing, steps, widths)),
     ]

@@ -16,10 +16,12 @@ from vaoi_station.acquisition.controller.protocol.messages import (
     Nak,
     Pacing,
     Reason,
+    Request,
     Step,
     Timing,
     Type,
     config_crc,
+    configuration,
 )
 from vaoi_station.config import ControllerConfig
 from vaoi_station.errors import InputError
@@ -41,6 +43,8 @@ _FIELDS = {
 """For each field of a refused COMMIT: the file or plan that states it, its name there, and the size of its unit."""
 _FIRST_STEP = 16
 """Fields of a refused COMMIT from this number on are steps."""
+_NARROWEST, _CLEARANCE = 100, 6000
+"""Shortest width of the trigger, and time from its end to the next row, in ticks (hw/protocol.md)."""
 _LARGEST = {2: 0xFFFF, 9: 0xFFFF}
 """Largest values of those fields of a COMMIT that have 16 bits, by the index of the field."""
 
@@ -52,13 +56,19 @@ class DeviceProgram:
     timing: Timing
     steps: tuple[Step, ...]
     lights: tuple[str, ...]
+    widths: tuple[int, ...] = ()
+    """Width of the trigger of each step, in ticks; empty if all have that of `timing`."""
     known: tuple[tuple[str, int], ...] = ()
     """Names of all lights of station.toml, with their LED channels as bits."""
 
     @property
     def crc(self) -> int:
         """The checksum by which the firmware identifies this configuration."""
-        return config_crc(self.timing, self.steps)
+        return config_crc(self.timing, self.steps, self.widths)
+
+    def requests(self) -> list[Request]:
+        """Return the requests that set and activate this configuration."""
+        return configuration(self.timing, self.steps, self.widths)
 
     def light(self, row: int) -> str:
         """Return the name of a row's light; an empty text if the lights have no names."""
@@ -110,7 +120,37 @@ def make_program(plan: TriggerPlan, config: ControllerConfig, ident: Ident) -> D
     # Values that do not fit are sent as the largest number. The firmware then refuses them with its own limit.
     timing = Timing(*(min(v, _LARGEST.get(k, 0xFFFFFFFF)) for k, v in enumerate(values)))
     known = tuple((name, _mask(light.channels)) for name, light in config.lights.items())
-    return DeviceProgram(timing, steps, lights, known)
+    return DeviceProgram(timing, steps, lights, _widths(plan, ident), known)
+
+
+def _widths(plan: TriggerPlan, ident: Ident) -> tuple[int, ...]:
+    """Return the width of the trigger of each step, in ticks; empty if no camera exposes for it.
+
+    Raises:
+        InputError: the firmware cannot make a width.
+    """
+    if not plan.by_trigger:
+        return ()
+    if not ident.trigger_longest:
+        firmware = f"{ident.firmware_major}.{ident.firmware_minor}.{ident.firmware_patch}"
+        exposures = ", ".join(f"{row.trigger_us:g}" for row in plan.program)
+        limit = f"one for all rows: firmware {firmware} has one width of the trigger, from 1.3.0 on one per row"
+        raise InputError.field(_PLAN, "exposures by the width of the trigger", f"{exposures} µs", limit)
+    # The trigger must have fallen before the next row is prepared.
+    spare = _ticks(plan.period_s) - _CLEARANCE
+    limits = {
+        ident.trigger_longest: "the longest trigger of its firmware",
+        spare: f"the period of {plan.period_s} s less 3 ms",
+    }
+    most, widths = min(limits), []
+    for n, row in enumerate(plan.program):
+        assert row.trigger_us is not None
+        widths.append(_ticks(row.trigger_us * 1e-6))
+        if not _NARROWEST <= widths[-1] <= most:
+            why = limits[most] if widths[-1] > most else "the shortest trigger of its firmware"
+            limit = f"{_NARROWEST * TICK_S * 1e6:g} … {most * TICK_S * 1e6:g} where the trigger's width sets it ({why})"
+            raise InputError.field(_PLAN, f"program.{n}.exposure_us", row.trigger_us, limit)
+    return tuple(widths)
 
 
 def light_step(

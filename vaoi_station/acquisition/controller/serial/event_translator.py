@@ -142,8 +142,9 @@ class EventTranslator:
         # If the barrier event of a run was lost, its first pulse begins it.
         self._running, self._rows = True, event.index + 1
         light = self._light(event.index, event.detail)
-        on_us = round(event.value * TICK_S * 1e6, 3)
-        self._emit(PulseFired(next(self._numbers), time_s, event.index, light, on_us=on_us))
+        on_us = round(event.on_ticks * TICK_S * 1e6, 3)
+        trigger_us = round(event.width_ticks * TICK_S * 1e6, 3) or None
+        self._emit(PulseFired(next(self._numbers), time_s, event.index, light, on_us=on_us, trigger_us=trigger_us))
 
     def _suppressed(self, event: Event, time_s: float) -> None:
         if event.detail == Suppressed.BOUNCE:

@@ -26,7 +26,6 @@ from vaoi_station.acquisition.controller.protocol.messages import (
     Status,
     Type,
     arm,
-    configuration,
     fire_one,
     number_request,
 )
@@ -98,6 +97,8 @@ class Supervisor:
         self._status_s = time.monotonic()
         """Monotonic time, s, at which the newest status arrived."""
         self._number = randrange(0x10000)
+        self._single_width: int | None = None
+        """Width of the trigger of a single pulse, ticks, for cameras that the last plan lets expose for it."""
 
     # --- connecting and disconnecting
 
@@ -173,7 +174,7 @@ class Supervisor:
         if status.state != State.IDLE:
             exchange.request(Request(Type.DISARM))
         if status.config_crc != program.crc:
-            for request in configuration(program.timing, program.steps):
+            for request in program.requests():
                 exchange.request(request)
         exchange.request(arm(arming.number, program.crc))
 
@@ -217,6 +218,7 @@ class Supervisor:
         with self.lock:
             self.arming, self.guard_tripped = arming, False
             self.translator.set_lights(program.lit, program.light(0))
+            self._single_width = program.widths[0] if program.widths else None
         self.link.heartbeat = True
         self._checked_status = exchange.read_status()
 
@@ -237,7 +239,7 @@ class Supervisor:
         step = light_step(name, self._config, self.ident) if name else DARK
         self.translator.set_lights(lambda _row, _channels: "", name)
         self._number = (self._number + 1) % 0x10000
-        width = min(round(self._config.trigger_us * 2), 0xFFFF)
+        width = self._single_width or min(round(self._config.trigger_us * 2), 0xFFFF)
         try:
             self._exchange_or_error().request(fire_one(self._number, step, width))
         except RefusalError as refusal:

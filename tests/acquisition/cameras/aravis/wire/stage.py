@@ -63,9 +63,9 @@ class Device:
         self._film.write_bytes(b"".join(p.tobytes() for p in pictures))
         self.order(f"film {self._film}")
 
-    def fire(self, picture: int = -1, lost: float = 0.0) -> int:
+    def fire(self, picture: int = -1, lost: float = 0.0, by_width: float | None = None) -> int:
         """Fire one trigger; return the id of the frame that was sent."""
-        self.order(f"fire {picture} 0 1 {lost}")
+        self.order(f"fire {picture} 0 1 {lost} {by_width}")
         sent, number, frame_id = self.read_line().split()
         assert (sent, int(number)) == ("sent", picture)
         return int(frame_id)

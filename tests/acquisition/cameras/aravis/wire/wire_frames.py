@@ -13,6 +13,7 @@ import pytest
 from tests.acquisition.cameras.aravis.wire.stage import HEIGHT, WIDTH, Device, Stage, noise, thread_names
 from vaoi_station.acquisition.cameras.aravis import stream
 from vaoi_station.acquisition.cameras.aravis.library import aravis
+from vaoi_station.acquisition.cameras.interface import CameraExposure
 from vaoi_station.acquisition.ring.ring import Ring
 from vaoi_station.config import StationConfig
 from vaoi_station.pixel_formats import PIXEL_FORMATS, picture
@@ -46,6 +47,26 @@ def test_aravis_writes_where_the_stitcher_reads(
             arrival = stage.arrival()
             assert arrival.complete, arrival.fault
             assert (reader.frame(arrival.slot).ravel() == noise(number + 1)).all()
+
+
+def test_a_camera_exposes_for_the_width_of_the_trigger_while_that_is_set(
+    device: Plug, station: Make, opened: Open
+) -> None:
+    """The feature ExposureMode over GVCP, and the brightness of frames that follow from it over GVSP."""
+    camera = device(0)
+    camera.show(noise(1))
+    stage = opened(station(camera))
+    stage.load()
+    means = []
+    for exposures_us in ((100.0,), (100.0, 25.0), (100.0,)):
+        wanted = CameraExposure(exposures_us, 0.0, by_trigger=len(exposures_us) > 1)
+        stage.cameras[0].set_exposure(wanted)
+        camera.fire(0, by_width=0.25)
+        arrival = stage.arrival()
+        assert arrival.complete, arrival.fault
+        means.append(stage.slot(arrival.slot).memory.mean())
+    assert means[0] == means[2] == noise(1).mean()
+    assert means[1] == pytest.approx(means[0] / 4, rel=0.05)
 
 
 def test_every_frame_has_its_own_number_and_pixels_over_the_wrap(device: Plug, station: Make, opened: Open) -> None:
