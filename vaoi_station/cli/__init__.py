@@ -16,6 +16,7 @@ from vaoi_station.cli.recordings.calibrate import calibrate
 from vaoi_station.cli.recordings.cut import cut
 from vaoi_station.cli.recordings.flatfield import flatfield
 from vaoi_station.cli.recordings.heights import heights
+from vaoi_station.cli.recordings.identify import identify
 from vaoi_station.cli.recordings.mosaic import mosaic
 from vaoi_station.cli.recordings.recalibrate import recalibrate
 from vaoi_station.cli.recordings.report import report
@@ -95,6 +96,7 @@ app.command()(teach)
 app.command()(cut)
 app.command()(mosaic)
 app.command()(heights)
+app.command()(identify)
 app.command()(bench)
 app.command()(demo)
 app.command()(view)

@@ -4,6 +4,7 @@ Shapes, units and names follow docs/formats.md; the room `files` reads and write
 are free for the user: the software keeps them and does not interpret them. Cameras and rows count from 0.
 """
 
+from vaoi_station.model.board_identity import BoardCode, BoardIdentity, BoardReading, CodePlace
 from vaoi_station.model.board_type import (
     MM_PER_UNIT,
     VISIBILITY,
@@ -26,10 +27,14 @@ from vaoi_station.model.stitch_result import Status, Stitch, Surface
 __all__ = [
     "MM_PER_UNIT",
     "VISIBILITY",
+    "BoardCode",
+    "BoardIdentity",
     "BoardLine",
+    "BoardReading",
     "BoardType",
     "Calibration",
     "CameraHead",
+    "CodePlace",
     "Component",
     "Distortion",
     "Fiducial",

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from vaoi_station.geometry.polygon import encloses, find_crossing_edges
+from vaoi_station.model.board_identity import BoardIdentity, check_places
 from vaoi_station.model.frozen_model import MOST_MM, Finite, FrozenModel, Millimetres, Point, Positive, Whole
 from vaoi_station.model.light_program import Program
 
@@ -37,6 +38,7 @@ _NOT_FILMED: dict[str, Any] = OF_IMPORT | {
     "state": True,
     "cut_outs": True,
     "other_marks": True,
+    "identity": True,
     "components": {"__all__": {"package", "size_from", "fitted"}},
 }
 """Keys on which no run depends. Without them the digest is that of versions that did not have them, so that drift is
@@ -177,6 +179,8 @@ class BoardType(FrozenModel):
     """Light, exposure and gain of the rows, in turn; None: as station.toml states."""
     line: BoardLine | None = None
     """Belt speed, rail, tail and longest board, where they differ from station.toml."""
+    identity: BoardIdentity | None = None
+    """The codes that state the id of a board; None: boards of this type have none."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -201,6 +205,8 @@ class BoardType(FrozenModel):
                         f"{low.tolist()} … {high.tolist()} {self.unit}"
                     )
         _check_cut_outs(self)
+        if self.identity is not None and self.identity.places:
+            check_places(self.identity, *self.extent(), 1.0 / self.mm_per_unit)
         if self.fixture_marks and self.fixture_mark is None:
             raise ValueError("fixture_marks are given, but not their shape: fixture_mark is missing")
         return self

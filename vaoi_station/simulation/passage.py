@@ -17,6 +17,8 @@ from vaoi_station.errors import InputError
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import ProgramRow, RecordingHead
 from vaoi_station.model.light_program import row_of
+from vaoi_station.simulation.board.bodies import Body
+from vaoi_station.simulation.board.printed_code import code_text, draw_label
 from vaoi_station.simulation.imaging.pinholes import Pinhole
 from vaoi_station.simulation.imaging.scene import Placement
 from vaoi_station.simulation.imaging.sensor import expose, generator
@@ -106,6 +108,18 @@ class Passage:
             result[part.ref] = None if self.faults.absent(part.ref) else placed
         return result
 
+    @cached_property
+    def code_texts(self) -> tuple[str, ...]:
+        """The texts of this board's codes, in the order of the scenario."""
+        board = self.twin.scenario.board
+        return tuple(code_text(code, board.name, self.board_number) for code in board.codes)
+
+    @cached_property
+    def labels(self) -> tuple[Body, ...]:
+        """The labels of this board."""
+        board, px_per_mm = self.twin.scenario.board, self.twin.artwork.px_per_mm
+        return tuple(draw_label(code, board.name, self.board_number, px_per_mm) for code in board.codes)
+
     def pose(self, t_s: float) -> Floats:
         """Return tester_from_board at a time: a rigid transform (3, 3) from board mm to tester mm.
 
@@ -141,6 +155,7 @@ class Passage:
             light=light,
             placements=self.placements,
             belt_pose=self._times.motion.belt_pose(t_s, self.twin.scenario.texture.follows),
+            labels=self.labels,
         )
         exposure_us = array.exposure_us(camera) if filmed is None else filmed.lit_us[camera]
         gain = 1.0 if filmed is None else filmed.gains[camera]

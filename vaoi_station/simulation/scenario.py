@@ -26,7 +26,7 @@ from vaoi_station.simulation.camera_array import (
     Section,
     Share,
 )
-from vaoi_station.simulation.surroundings import CarrierSection, FiducialMark, TextureSection
+from vaoi_station.simulation.surroundings import CarrierSection, CodeSection, FiducialMark, TextureSection
 
 _SHIPPED = Path(str(resources.files("vaoi_station.simulation") / "scenarios"))
 """Folder of the scenarios that come with the software."""
@@ -74,6 +74,7 @@ class BoardSection(Section):
     grid_mm: Annotated[float, Field(ge=1.5, le=100)] | None = None
     height_scale: NotNegative = 1.0
     fiducials: tuple[FiducialMark, ...] | None = None
+    codes: tuple[CodeSection, ...] = ()
     placement_sigma_mm: NotNegative = 0.03
     turned_deg: Literal[0, 90, 180, 270] = 0
     lift_mm: Finite = 0.0
@@ -93,6 +94,18 @@ class BoardSection(Section):
                     f"a fiducial at ({mark.x_mm}, {mark.y_mm}) mm lies off the board "
                     f"of {self.width_mm} × {self.length_mm} mm"
                 )
+        return self
+
+    @model_validator(mode="after")
+    def _codes_on_board(self) -> Self:
+        for code in self.codes:
+            if not (0 < code.x_mm < self.width_mm and 0 < code.y_mm < self.length_mm):
+                raise ValueError(
+                    f"a code at ({code.x_mm}, {code.y_mm}) mm lies off the board "
+                    f"of {self.width_mm} × {self.length_mm} mm"
+                )
+            if "{serial}" not in code.text:
+                raise ValueError(f"the text of a code is {code.text!r}, must contain {{serial}}")
         return self
 
     @property

@@ -1,4 +1,4 @@
-"""The tables of a scenario about the surroundings of the board: the texture of the belt, and a carrier with marks."""
+"""Tables of a scenario: marks and codes of the board, and its surroundings, the texture of the belt and a carrier."""
 
 from __future__ import annotations
 
@@ -16,6 +16,19 @@ class FiducialMark(Section):
     y_mm: Finite
     diameter_mm: Positive = 1.0
     shape: Literal["circle", "cross", "square", "diamond"] = "circle"
+
+
+class CodeSection(Section):
+    """A code that is printed on every board, with its serial number. Its position is that of its middle."""
+
+    x_mm: Finite
+    y_mm: Finite
+    module_mm: Annotated[float, Field(ge=0.05, le=2)] = 0.3
+    symbology: Literal["datamatrix", "qr"] = "datamatrix"
+    text: Annotated[str, Field(min_length=1, max_length=200)] = "{name};{serial}"
+    turned_deg: Annotated[float, Field(ge=-360, le=360)] = 0.0
+    inverted: bool = False
+    panel: str | int | None = None
 
 
 class TextureSection(Section):

@@ -14,6 +14,7 @@ from vaoi_station.model import BoardType, Calibration, CameraHead, Distortion, P
 from vaoi_station.simulation.board.artwork import Artwork, draw
 from vaoi_station.simulation.board.canvas import Plane
 from vaoi_station.simulation.board.layout import Part, board_type
+from vaoi_station.simulation.board.printed_code import identity_of
 from vaoi_station.simulation.imaging.pinholes import Pinhole, mount_cameras
 from vaoi_station.simulation.imaging.scene import LitTextures, Scene
 from vaoi_station.simulation.imaging.sensor import vignette
@@ -102,7 +103,7 @@ class World:
     @cached_property
     def board_type(self) -> BoardType:
         """The CAD description of the boards."""
-        return board_type(self.scenario.board, self.parts)
+        return board_type(self.scenario.board, self.parts, identity_of(self.scenario.board))
 
     @cached_property
     def scene(self) -> Scene:

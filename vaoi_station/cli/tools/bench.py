@@ -20,6 +20,10 @@ def bench(
         bool, typer.Option("--marks", help="Measure accuracy and speed of the detection of marks.")
     ] = False,
     links: Annotated[bool, typer.Option("--links", help="Measure the bias of links towards whole pixels.")] = False,
+    codes: Annotated[
+        int | None,
+        typer.Option(min=1, max=10_000, help="Read printed codes in this number of views for each size of modules."),
+    ] = None,
     plot: Annotated[
         Path | None,
         typer.Option(help="With --marks, --links or --consistency: write a plot to this SVG file."),
@@ -54,14 +58,15 @@ def bench(
 ) -> None:
     """Measure stitching and rendering on frames in memory, in one thread, and compare with the paper's method.
 
-    With --marks, --links, --consistency, --station, --growth or --storage, measure marks, links, the predicted
-    uncertainty, a whole station, the growth of time and memory, or the cost of keeping runs instead.
+    With --marks, --links, --codes, --consistency, --station, --growth or --storage, measure marks, links, printed
+    codes, the predicted uncertainty, a whole station, the growth of time and memory, or the cost of keeping runs.
     """
     from vaoi_station.files.documents import write_json
 
-    if marks + links + station + growth + (consistency is not None) + (storage is not None) > 1:
+    numbered = [given is not None for given in (codes, consistency, storage)]
+    if marks + links + station + growth + sum(numbered) > 1:
         raise InputError(
-            "--marks, --links, --consistency, --station, --growth and --storage exclude each other.",
+            "--marks, --links, --codes, --consistency, --station, --growth and --storage exclude each other.",
             action="Give one of them.",
         )
     if plot is not None and not marks and not links and consistency is None:
@@ -70,6 +75,8 @@ def bench(
         document = _marks(plot)
     elif links:
         document = _links(plot)
+    elif codes is not None:
+        document = _codes(codes)
     elif consistency is not None:
         document = _consistency(consistency, recordings, plot)
     elif station:
@@ -137,6 +144,12 @@ def _links(plot: Path | None) -> dict[str, Any]:
     if plot is not None:
         write_bytes(plot, figures.plot().encode())
     return figures.document()
+
+
+def _codes(views: int) -> dict[str, Any]:
+    from vaoi_station.benchmarks.accuracy.code_reading import document, measure_code_reading
+
+    return document(measure_code_reading(views, report=typer.echo))
 
 
 def _consistency(count: int, recordings: Path | None, plot: Path | None) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vaoi_station.geometry.transforms import Floats, apply
-from vaoi_station.model import MM_PER_UNIT, BoardType, Component, Fiducial
+from vaoi_station.model import MM_PER_UNIT, BoardIdentity, BoardType, Component, Fiducial
 from vaoi_station.simulation.board.packages import BIG, MIDDLE, SMALL, Package, light_emitting_diode
 from vaoi_station.simulation.scenario import BoardSection
 
@@ -64,8 +64,8 @@ def board_from_cad(section: BoardSection) -> Floats:
     )
 
 
-def board_type(section: BoardSection, parts: tuple[Part, ...]) -> BoardType:
-    """Describe a generated board as CAD data, in the unit and axes that the scenario states."""
+def board_type(section: BoardSection, parts: tuple[Part, ...], identity: BoardIdentity | None = None) -> BoardType:
+    """Describe a generated board, and its codes, as CAD data, in the unit and axes that the scenario states."""
     k = MM_PER_UNIT[section.unit]
     back = np.linalg.inv(board_from_cad(section))
     # CAD data describe a board as seen from its top side, so rotations on the bottom side have the opposite sign.
@@ -105,6 +105,7 @@ def board_type(section: BoardSection, parts: tuple[Part, ...]) -> BoardType:
         outline=(cad(0, 0), cad(section.width_mm, section.length_mm)),
         fiducials=tuple(fiducials),
         components=tuple(components),
+        identity=identity,
     )
 
 

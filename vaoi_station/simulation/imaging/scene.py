@@ -6,7 +6,7 @@ Textures are sampled bilinearly on the supersampled grid. Cubic and Lanczos inte
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -119,6 +119,7 @@ class Scene:
         light: LightSection,
         placements: Mapping[str, Placement | None],
         belt_pose: Floats | None = None,
+        labels: Sequence[Body] = (),
     ) -> Plane:
         """Render the grey values (2h, 2w) that one camera sees, with two samples per pixel and axis.
 
@@ -132,14 +133,17 @@ class Scene:
             light: the light.
             placements: placement of each part by its name; None for an absent part.
             belt_pose: (3, 3) from coordinates of the belt's texture to tester coordinates; needed with surroundings.
+            labels: labels of this board, without height.
         """
         image = self._surface(camera, pose, paint.surface, belt_pose)
+        back: Floats = np.asarray(np.linalg.inv(pose), np.float64)
+        for label in labels:
+            _draw_top(image, camera, back, self._placed(label, camera, pose, label.top, Placement((0.0, 0.0), 0.0)))
         visible = self._visible(camera, pose, paint, placements)
         if light.shadow:
             for body in visible:
                 end = camera.project(body.outline_mm - body.reach_mm(light), body.z_mm)
                 _cast_shadow(image, end, body.low_px, light.shadow)
-        back: Floats = np.asarray(np.linalg.inv(pose), np.float64)
         for body in visible:
             _draw_sides(image, body, light)
             _draw_top(image, camera, back, body)
@@ -156,13 +160,18 @@ class Scene:
             placement = placements[body.ref]
             if placement is None:
                 continue
-            outline = apply(pose, placement.to_board(body.outline_mm, body.center_mm))
-            z = float(self.surface_z(np.array([body.center_mm]))[0])
-            low, top = camera.project(outline, z), camera.project(outline, z + body.height_mm)
-            both, margin = np.vstack([low, top]), 2 * body.height_mm * body.px_per_mm + 2
+            placed = self._placed(body, camera, pose, texture, placement)
+            both, margin = np.vstack([placed.low_px, placed.top_px]), 2 * body.height_mm * body.px_per_mm + 2
             if (both.max(0) > -margin).all() and (both.min(0) < size + margin).all():
-                found.append(VisibleBody(body, placement, texture, outline, z, low, top))
+                found.append(placed)
         return sorted(found, key=lambda b: -float(np.hypot(*(b.outline_mm.mean(0) - camera.foot_mm))))
+
+    def _placed(self, body: Body, camera: Pinhole, pose: Floats, texture: Bytes, placement: Placement) -> VisibleBody:
+        """Return a body with its position in tester coordinates and in a frame."""
+        outline = apply(pose, placement.to_board(body.outline_mm, body.center_mm))
+        z = float(self.surface_z(np.array([body.center_mm]))[0])
+        low, top = camera.project(outline, z), camera.project(outline, z + body.height_mm)
+        return VisibleBody(body, placement, texture, outline, z, low, top)
 
     @cached_property
     def _body_extents(self) -> tuple[Floats, Floats]:

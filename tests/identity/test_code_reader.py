@@ -1,0 +1,84 @@
+"""Codes are read where the board type says, or anywhere, with their places; work is done in slices."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+from tests.identity.conftest import Filmed
+from vaoi_station.identity import code_reader
+from vaoi_station.identity.code_reader import CodeReader, Found, Progress, read_codes
+from vaoi_station.identity.region_pictures import RegionPictures
+from vaoi_station.model import BoardCode, BoardReading
+
+MIL = 0.0254
+
+
+def read(filmed: Filmed, **changes: object) -> BoardReading:
+    return read_codes(filmed.with_identity(**changes), filmed.stitch, filmed.cameras, filmed.frame)
+
+
+def test_codes_are_read_at_their_places_with_module_and_symbology(coded: Filmed) -> None:
+    found = read(coded)
+    assert [(c.symbology, c.text, c.board_id) for c in found.codes] == [
+        ("datamatrix", coded.texts[0], "SN000007"),
+        ("qr", coded.texts[1], "SN000007"),
+    ]
+    assert coded.board_type.identity is not None
+    for code, place in zip(found.codes, coded.board_type.identity.places, strict=True):
+        assert np.hypot(*np.subtract(code.center, place.center)) * MIL < 0.06
+        assert abs(code.module_mm - 0.25) < 0.01
+        assert code.error_correction_used <= 0.2
+        assert np.abs(np.mean(code.corners, axis=0) - code.center).max() * MIL < 0.001
+    assert (found.unread_places, found.complete) == ((), True)
+
+
+def test_codes_are_found_anywhere_and_by_kind(coded: Filmed) -> None:
+    assert {c.symbology for c in read(coded, places=()).codes} == {"datamatrix", "qr"}
+    assert {c.symbology for c in read(coded, places=(), symbology="qr").codes} == {"qr"}
+
+
+def test_place_without_a_code_is_named_and_panel_positions_are_kept(coded: Filmed) -> None:
+    assert coded.board_type.identity is not None
+    first, second = coded.board_type.identity.places
+    empty = first.model_copy(update={"center": (700.0, 120.0), "width": 200.0, "height": 200.0, "panel": "3"})
+    found = read(coded, places=(second.model_copy(update={"panel": 2}), empty))
+    assert [c.panel for c in found.codes] == [2]
+    assert found.unread_places == (empty,)
+
+
+def test_slices_continue_where_the_last_one_ended(coded: Filmed) -> None:
+    keys = [*coded.frames]
+    board_type = coded.with_identity(places=())
+    progress, slices = Progress(), 0
+    while not progress.ended:
+        # A new reader for every slice, as in a worker.
+        reader = CodeReader(board_type, RegionPictures(board_type, coded.stitch, coded.cameras, keys, coded.frame))
+        before = progress.next_try
+        progress = reader.work(progress, lambda: False)
+        assert progress.next_try > before
+        assert reader.reading(progress).complete == progress.ended
+        slices += 1
+    assert slices > 1
+    assert reader.reading(progress) == read(coded, places=())
+
+
+def test_text_that_needed_most_of_its_correction_must_be_read_twice(coded: Filmed) -> None:
+    pictures = RegionPictures(coded.board_type, coded.stitch, coded.cameras, [*coded.frames], coded.frame)
+    reader = CodeReader(coded.board_type, pictures)
+    corners = ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0))
+    code = BoardCode(
+        text="x", symbology="qr", center=(0.5, 0.5), corners=corners, module_mm=0.2, error_correction_used=0.9
+    )
+    once = Progress((Found(code, 0, 3),))
+    assert reader.reading(once).codes == ()
+    assert reader.reading(Progress((*once.readings, Found(code, 0, 3)))).codes == ()
+    assert reader.reading(Progress((*once.readings, Found(code, 0, 5)))).codes == (code,)
+
+
+def test_board_is_covered_by_squares_that_overlap_by_the_largest_code() -> None:
+    spans = code_reader._spans(-5.0, 95.0, 24.0, 10.0)
+    assert (spans[0][0], spans[-1][1]) == (-5.0, 95.0)
+    assert all(b[0] <= a[1] - 10.0 for a, b in itertools.pairwise(spans))
+    assert code_reader._spans(0.0, 7.0, 24.0, 10.0) == [(0.0, 7.0)]

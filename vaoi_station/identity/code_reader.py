@@ -1,0 +1,183 @@
+"""The codes of one run: where they are searched, in which order pictures are tried, and when a code counts as read."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.geometry import Camera, apply
+from vaoi_station.geometry.transforms import Floats
+from vaoi_station.identity.region_pictures import FrameKey, RegionPictures
+from vaoi_station.identity.symbols import Symbol, read_symbols
+from vaoi_station.model import BoardCode, BoardIdentity, BoardReading, BoardType, Stitch
+from vaoi_station.mosaic.grid import MosaicGrid, Region
+
+SEARCH_PX_PER_MM = 25.0
+"""Resolution at which a whole board is searched: modules of 0.2 mm are then 5 px."""
+_TILE_MM, _LARGEST_MM = 24.0, 10.0
+"""Side of the squares in which a whole board is searched, and how far they overlap: the largest code that is found."""
+_TRIES = ((0, 1), (0, 2), (1, 1), (1, 2), (2, 1), (2, 2))
+"""Pictures of a region in the order in which they are tried: number of the frame, and enlargement."""
+_SURE = 0.5
+"""Share of the error correction above which a second picture must yield the same text."""
+_SAME_MODULES = 3.0
+"""Distance of two readings of one code, in modules."""
+
+
+class _Try(NamedTuple):
+    """One picture of one region."""
+
+    region: int
+    choice: int
+    enlarged: int
+
+
+class Found(NamedTuple):
+    """A code that was read in one picture."""
+
+    code: BoardCode
+    region: int
+    tried: int
+    """Number of the picture."""
+
+
+class Progress(NamedTuple):
+    """The readings so far, and the number of the next picture. It is sent from one slice of the work to the next."""
+
+    readings: tuple[Found, ...] = ()
+    next_try: int = 0
+    ended: bool = False
+
+
+class CodeReader:
+    """Reads the codes of one run, in slices that the caller ends."""
+
+    def __init__(self, board_type: BoardType, pictures: RegionPictures) -> None:
+        """Plan the pictures. A board type without `identity` is searched everywhere for codes of any text."""
+        self._board_type, self._pictures = board_type, pictures
+        self.identity = board_type.identity or BoardIdentity()
+        self._regions = _regions_of(board_type, self.identity)
+        self._tries = tuple(_Try(n, *t) for t, n in itertools.product(_TRIES, range(len(self._regions))))
+        self._stated = bool(self.identity.places)
+
+    def work(self, progress: Progress, more: Callable[[], bool]) -> Progress:
+        """Try further pictures while `more()` is True, at least one; return the new progress."""
+        readings, number = list(progress.readings), progress.next_try
+        while number < len(self._tries):
+            wanted = self._tries[number]
+            if not self._is_read(wanted, readings):
+                readings += self._read(wanted, number)
+                if not more():
+                    number += 1
+                    break
+            number += 1
+        return Progress(tuple(readings), number, ended=number >= len(self._tries))
+
+    def reading(self, progress: Progress) -> BoardReading:
+        """Return the codes that count as read, in the order of the regions."""
+        codes = [found for found in self._merged(progress.readings) if found is not None]
+        places = self.identity.places
+        there = {found.region for found in codes}
+        return BoardReading(
+            codes=tuple(found.code for found in sorted(codes, key=lambda f: (f.region, f.code.center))),
+            unread_places=tuple(place for n, place in enumerate(places) if n not in there),
+            complete=progress.ended,
+        )
+
+    def _is_read(self, wanted: _Try, readings: Sequence[Found]) -> bool:
+        """Return whether a picture need not be tried, because its region or the board is read."""
+        merged = self._merged(readings)
+        if self._stated:
+            return any(found.region == wanted.region and found.code.board_id is not None for found in merged)
+        # The first picture of every region is tried in any case: a panel has several codes.
+        return (wanted.choice, wanted.enlarged) != _TRIES[0] and any(f.code.board_id is not None for f in merged)
+
+    def _read(self, wanted: _Try, number: int) -> list[Found]:
+        grid = self._grid(wanted.region)
+        drawn = self._pictures.draw(grid, wanted.choice)
+        if drawn is None:
+            return []
+        picture, frame = drawn
+        found = read_symbols(picture, self.identity.symbology, enlarged=wanted.enlarged)
+        return [Found(self._code(symbol, grid, wanted.region, frame), wanted.region, number) for symbol in found]
+
+    def _grid(self, region: int) -> MosaicGrid:
+        finest = self._pictures.px_per_mm
+        return self._pictures.grid(self._regions[region], finest if self._stated else min(finest, SEARCH_PX_PER_MM))
+
+    def _code(self, symbol: Symbol, grid: MosaicGrid, region: int, frame: FrameKey | None) -> BoardCode:
+        corners: Floats = apply(grid.cad_from_mosaic, symbol.corners_px)
+        camera, row = (None, None) if frame is None else frame
+        x, y = corners.mean(0)
+        return BoardCode(
+            text=symbol.text,
+            symbology=symbol.symbology,
+            board_id=self.identity.board_id(symbol.text),
+            panel=self.identity.places[region].panel if self._stated else None,
+            center=(round(float(x), 4), round(float(y), 4)),
+            corners=tuple((round(float(u), 4), round(float(v), 4)) for u, v in corners),
+            module_mm=round(symbol.module_px / grid.px_per_mm, 4),
+            error_correction_used=symbol.error_correction_used,
+            camera=camera,
+            row=row,
+        )
+
+    def _merged(self, readings: Sequence[Found]) -> list[Found]:
+        """Return one reading of each code: that with the least error correction, if the readings suffice."""
+        groups: list[list[Found]] = []
+        for found in readings:
+            group = next((g for g in groups if self._same(g[0].code, found.code)), None)
+            if group is None:
+                groups.append([found])
+            else:
+                group.append(found)
+        # A text that needed most of its error correction may be another code's: it counts if two pictures agree.
+        sure = [g for g in groups if len({f.tried for f in g}) > 1 or g[0].code.error_correction_used <= _SURE]
+        return [min(group, key=lambda f: (f.code.error_correction_used, f.tried)) for group in sure]
+
+    def _same(self, a: BoardCode, b: BoardCode) -> bool:
+        apart = float(np.hypot(a.center[0] - b.center[0], a.center[1] - b.center[1])) * self._board_type.mm_per_unit
+        return (a.text, a.symbology) == (b.text, b.symbology) and apart <= _SAME_MODULES * a.module_mm
+
+
+def _regions_of(board_type: BoardType, identity: BoardIdentity) -> tuple[Region, ...]:
+    """Return the regions in which codes are searched: the places of the board type, or squares over the board."""
+    if identity.places:
+        return tuple(
+            (x - p.width / 2, y - p.height / 2, x + p.width / 2, y + p.height / 2)
+            for p in identity.places
+            for x, y in (p.center,)
+        )
+    low, high = board_type.extent()
+    mm = board_type.mm_per_unit
+    spans = [_spans(float(a), float(b), _TILE_MM / mm, _LARGEST_MM / mm) for a, b in zip(low, high, strict=True)]
+    return tuple((x0, y0, x1, y1) for y0, y1 in spans[1] for x0, x1 in spans[0])
+
+
+def _spans(low: float, high: float, side: float, overlap: float) -> list[tuple[float, float]]:
+    """Return intervals of at most `side` that cover low to high and overlap by at least `overlap`."""
+    if high - low <= side:
+        return [(low, high)]
+    count = int(np.ceil((high - low - overlap) / (side - overlap)))
+    starts = np.linspace(low, high - side, count)
+    return [(float(s), float(s) + side) for s in starts]
+
+
+def read_codes(
+    board_type: BoardType,
+    stitch: Stitch,
+    cameras: Sequence[Camera],
+    frame: Callable[[int, int], NDArray[np.generic] | None],
+) -> BoardReading:
+    """Read the codes of a run with all pictures that may be needed; `frame` returns None for a missing frame.
+
+    Raises:
+        StateError: the run has no CAD mapping.
+    """
+    keys = [(i, j) for i, rows in enumerate(stitch.image_matrices) for j in range(len(rows))]
+    reader = CodeReader(board_type, RegionPictures(board_type, stitch, cameras, keys, frame))
+    return reader.reading(reader.work(Progress(), lambda: True))

@@ -1,0 +1,129 @@
+"""Comparison of the ids of one board: that the line was armed with, that was read, and that of the next machine."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from vaoi_station.model.board_identity import (
+    ID,
+    BoardIdentity,
+    BoardReading,
+    IdentityDocument,
+    IdentityReason,
+    IdentityState,
+    ReportedId,
+)
+
+_SHOWN = 60
+"""Largest number of characters of a text in a message."""
+
+
+def compare(
+    identity: BoardIdentity | None,
+    reading: BoardReading | None,
+    armed: str | None,
+    reported: ReportedId | None = None,
+    *,
+    without: IdentityState = "not-read",
+) -> IdentityDocument:
+    """Compare the ids of one board. They are equal only if all their characters are.
+
+    Args:
+        identity: the codes that the board type states; None: it states none.
+        reading: the codes that were read; None: they were not read.
+        armed: the id that the line was armed with.
+        reported: the id of the next machine.
+        without: state without a reading.
+    """
+    read = reading or BoardReading()
+    whole = sorted({c.board_id for c in read.codes if c.panel is None and c.board_id is not None})
+    boards = {str(c.panel): c.board_id for c in read.codes if c.panel is not None and c.board_id is not None}
+    board_id = whole[0] if len(whole) == 1 else None
+    differing = [*_contradictions(identity, read, whole), *_differences(board_id, armed, reported)]
+    missing = [] if identity is None or reading is None else [*_unread(identity, read, whole, boards)]
+    state: IdentityState
+    if differing:
+        state = "differs"
+    elif identity is None:
+        state = "not-expected"
+    elif reading is None:
+        state = without
+    elif missing:
+        state = "unread"
+    else:
+        state = "agrees" if board_id is not None and (armed or reported) is not None else "not-compared"
+    return IdentityDocument(
+        state=state,
+        board_id=board_id,
+        boards=boards,
+        armed_board_id=armed,
+        next_machine=reported,
+        required=identity is not None and identity.required,
+        reasons=tuple(differing + missing),
+        codes=read.codes,
+        unread_places=read.unread_places,
+        complete=read.complete,
+    )
+
+
+def _contradictions(identity: BoardIdentity | None, read: BoardReading, whole: list[str]) -> Iterator[IdentityReason]:
+    """Yield what contradicts itself on the board, or shows another product."""
+    if len(whole) > 1:
+        names = ", ".join(_shown(name) for name in whole)
+        yield IdentityReason(
+            code="codes-disagree",
+            message=f"The codes of the board state {len(whole)} ids: {names}.",
+            action="Check the labels, and whether the board is of this type.",
+        )
+    # Anywhere on a board there may be codes of its components as well.
+    foreign = [c.text for c in read.codes if c.board_id is None] if identity is not None and identity.places else []
+    if identity is not None and foreign:
+        yield IdentityReason(
+            code="product-differs",
+            message=f"A code at a place of the type is {_shown(foreign[0])}, not {_shown(identity.pattern or ID)}.",
+            action="Check which product passes, and arm for its board type.",
+        )
+
+
+def _differences(board_id: str | None, armed: str | None, reported: ReportedId | None) -> Iterator[IdentityReason]:
+    """Yield which ids from different sources differ."""
+    if board_id is not None and armed is not None and board_id != armed:
+        yield IdentityReason(
+            code="board-id-differs",
+            message=f"The board's code states {_shown(board_id)}, the line was armed with {_shown(armed)}.",
+            action="Identify the board; arm again with the id of the next one.",
+        )
+    known, source = (board_id, "the board's code") if board_id is not None else (armed, "the order of the line")
+    if reported is not None and known is not None and reported.board_id != known:
+        machine = reported.machine or "the next machine"
+        yield IdentityReason(
+            code="next-machine-differs",
+            message=f"The id of {machine} is {_shown(reported.board_id)}, that of {source} {_shown(known)}.",
+            action="Identify the board, and check whether a board was taken out or put in between the machines.",
+        )
+
+
+def _unread(
+    identity: BoardIdentity, read: BoardReading, whole: list[str], boards: dict[str, str]
+) -> Iterator[IdentityReason]:
+    """Yield which boards have no id, because none of their codes was read."""
+    panels = {str(place.panel) for place in identity.places if place.panel is not None} - set(boards)
+    named = any(place.panel is None for place in identity.places) or not identity.places
+    without = [
+        *(["the board"] if named and not whole else []),
+        *(f"position {name} of the panel" for name in sorted(panels)),
+    ]
+    if without:
+        cut = "" if read.complete else " before the time for reading ended"
+        others = [] if identity.places else [c.text for c in read.codes]
+        found = f" Codes without an id of this product: {', '.join(map(_shown, others[:3]))}." if others else ""
+        yield IdentityReason(
+            code="code-unread",
+            message=f"No code was read of {', '.join(without)}{cut}.{found}",
+            action="Check label, focus and light; state the places of codes in the board type.",
+        )
+
+
+def _shown(text: str) -> str:
+    """Return a text as it is shown in messages: in quotes, with control characters escaped, and not too long."""
+    return repr(text if len(text) <= _SHOWN else f"{text[:_SHOWN]}…")

@@ -1,0 +1,96 @@
+"""Codes in one picture: read by zxing-cpp, with their corners, module size and error correction."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.geometry.transforms import Floats
+from vaoi_station.model.board_identity import Symbology
+
+_STRETCHED = (1.0, 99.5)
+"""Percentiles of the grey levels that become black and white."""
+_SIZE = re.compile(r"(\d+)x(\d+)")
+
+
+@dataclass(frozen=True, eq=False)
+class Symbol:
+    """A code in a picture."""
+
+    text: str
+    symbology: Symbology
+    corners_px: Floats
+    """(4, 2) corners, going round from the code's own top left one; right to about one pixel."""
+    module_px: float
+    error_correction_used: float
+
+
+def read_symbols(picture: NDArray[np.uint8], symbology: Symbology | None, *, enlarged: int = 1) -> list[Symbol]:
+    """Return the codes in a picture (h, w), upright or not, dark on light or inverted.
+
+    Args:
+        picture: grey levels.
+        symbology: read only codes of this kind; None: of all kinds.
+        enlarged: factor by which the picture is enlarged first, which helps with modules of few pixels.
+    """
+    # Imported here: its machine code is needed by few processes.
+    import zxingcpp
+
+    formats: dict[Symbology, Any] = {
+        "datamatrix": zxingcpp.BarcodeFormat.DataMatrix,
+        "qr": zxingcpp.BarcodeFormat.QRCode,
+    }
+    wanted: Any = [formats[symbology]] if symbology else [*formats.values()]
+    picture = _stretched(picture)
+    if enlarged > 1:
+        picture = np.asarray(
+            cv2.resize(picture, None, fx=enlarged, fy=enlarged, interpolation=cv2.INTER_CUBIC), np.uint8
+        )
+    found = zxingcpp.read_barcodes(
+        np.ascontiguousarray(picture), formats=wanted, text_mode=zxingcpp.TextMode.Plain, try_downscale=enlarged == 1
+    )
+    return [*_symbols(found, formats, enlarged)]
+
+
+def _stretched(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return a picture with its grey levels stretched to all of 0 to 255.
+
+    The reader takes squares of 8 × 8 px with less than 24 grey levels of contrast for even ground.
+    """
+    low, high = np.percentile(picture, _STRETCHED)
+    if high - low < 1:
+        return picture
+    levels = np.clip((np.arange(256) - low) * (255 / (high - low)), 0, 255)
+    return np.asarray(cv2.LUT(picture, levels.astype(np.uint8)), np.uint8)
+
+
+def _symbols(found: list[Any], formats: dict[Symbology, Any], enlarged: int) -> Iterator[Symbol]:
+    names = {value: key for key, value in formats.items()}
+    for code in found:
+        name, modules = names.get(code.format), _modules(code.extra)
+        if name is None or modules is None or not code.text:
+            continue
+        at = code.position
+        # The reader counts from the corner of the first pixel, pictures from its centre.
+        points = (at.top_left, at.top_right, at.bottom_right, at.bottom_left)
+        corners = (np.array([(p.x, p.y) for p in points], dtype=np.float64)) / enlarged - 0.5
+        sides = np.hypot(*(np.roll(corners, -1, axis=0) - corners).T)
+        module = float((sides[::2].sum() / modules[0] + sides[1::2].sum() / modules[1]) / 4)
+        used = min(max(1.0 - float(code.extra.get("UEC", 0.0)), 0.0), 1.0)
+        if module > 0:
+            yield Symbol(code.text, name, corners, module, round(used, 4))
+
+
+def _modules(extra: dict[str, Any]) -> tuple[int, int] | None:
+    """Return the numbers of modules across and down; None if the reader does not state them."""
+    version = str(extra.get("Version", ""))
+    if (size := _SIZE.fullmatch(version)) is not None:
+        # A rectangular DataMatrix is stated as rows x columns.
+        return int(size[2]), int(size[1])
+    return (17 + 4 * int(version),) * 2 if version.isdigit() else None
