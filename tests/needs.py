@@ -30,18 +30,22 @@ FILMS = Path(__file__).resolve().parents[2] / "shared" / "cases"
 _PACKAGES = {
     "avr-gcc": "gcc-avr avr-libc",
     "cc": "gcc",
+    "System.Net.Http.dll": "libmono-system-net-http4.0-cil",
+    "System.Runtime.Serialization.dll": "libmono-system-runtime-serialization4.0-cil",
     "chromium": "chromium",
     "curl": "curl",
     "curl/curl.h": "libcurl4-openssl-dev",
     "gcc": "gcc",
     "make": "make",
+    "mcs": "mono-mcs",
+    "mono": "mono-runtime",
     "nginx": "nginx-light",
     "prometheus": "prometheus",
     "promtool": "prometheus",
     "simavr/sim_avr.h": "libsimavr-dev libelf-dev",
     "systemd-analyze": "systemd",
 }
-"""Packages of the distribution, by the program or header that they provide."""
+"""Packages of the distribution, by the program, header or assembly that they provide."""
 
 
 def lacking(what: str) -> NoReturn:
@@ -52,7 +56,7 @@ def lacking(what: str) -> NoReturn:
 
 
 def need(*wanted: str) -> None:
-    """Require programs and headers."""
+    """Require programs, headers and assemblies."""
     missing = [_PACKAGES[name] for name in wanted if not _is_there(name)]
     if missing:
         lacking(f"install the distribution's packages {' '.join(missing)}")
@@ -88,6 +92,8 @@ def chromium() -> str:
 def _is_there(name: str) -> bool:
     if name.endswith(".h"):
         return any(Path("/usr/include").glob(f"**/{name}"))
+    if name.endswith(".dll"):
+        return any(Path("/usr/lib/mono").glob(f"*/{name}"))
     return program(name) is not None
 
 

@@ -15,6 +15,7 @@ import cv2
 import httpx2
 import pytest
 
+from tests.clients import bare_connection, compiled_csharp, make_plain_calls, run_csharp
 from tests.needs import need
 from tests.system.conftest import config_of
 from vaoi_station.config import ReplayConfig
@@ -23,7 +24,7 @@ from vaoi_station.demo.service import Service
 from vaoi_station.demo.station_files import to_toml
 from vaoi_station.demo.waiting import wait_until_idle
 from vaoi_station.errors import BusyError, NotFoundError, StateError
-from vaoi_station.simulation import Twin, read_scenario, scenario_path
+from vaoi_station.simulation import Twin
 
 TIMEOUT_S = 150.0
 
@@ -128,9 +129,23 @@ def test_the_guide_runs_as_printed_while_boards_come(client: Client, tmp_path: P
     assert re.search(r"^run \S+: ok\n  camera \d row \d+: \d+ x \d+, mean ", said)
 
 
-def test_the_demo_has_the_board_type_that_the_guide_names() -> None:
-    name = read_scenario(scenario_path("demo")).board.name
-    assert f"board_type={name}&" in guide("csharp")
+def test_the_csharp_client_reads_a_board(client: Client, tmp_path: Path) -> None:
+    done = run_csharp(compiled_csharp(tmp_path), client.address, "small", "U1")
+    assert done.returncode == 0, done.stderr
+    assert re.match(r"run \S+: ok\n  C: scale 1.00\n  camera \d row \d+: \d+ x \d+, grey level \d+ in", done.stdout)
+    pictures, components = map(int, re.findall(r"best pictures: (\d+) of (\d+) components", done.stdout)[0])
+    assert pictures == components == len(client.get("/board-types/small")["components"])
+    assert cv2.imread(str(tmp_path / "0.png")) is not None
+
+
+def test_the_calls_for_labview_work_over_a_bare_connection(client: Client) -> None:
+    with bare_connection(client.address) as connection:
+        answers = make_plain_calls(connection, "small")
+    assert {call: a.status for call, a in answers.items()} == dict.fromkeys(answers, 200)
+    assert len(answers) == 11
+    [raw] = [a for call, a in answers.items() if call.endswith("format=raw")]
+    assert len(raw.body) == int(raw.headers["x-image-width"]) * int(raw.headers["x-image-height"])
+    assert any(a.body.startswith(b"\x89PNG") for a in answers.values())
 
 
 def test_unknown_board_type_is_refused(client: Client) -> None:

@@ -1,0 +1,91 @@
+"""The C# client of docs/examples: keys, TLS, refusals, and commands whose reply is lost."""
+
+from __future__ import annotations
+
+import re
+import socket
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.api.held_station import HeldStation
+from tests.certificates import make_certificate
+from tests.clients import compiled_csharp, run_csharp
+from vaoi_station.api.access.access_control import AccessControl
+from vaoi_station.api.access.audit import AuditLog
+from vaoi_station.files.access_keys import KeyFile
+
+
+@pytest.fixture(scope="module")
+def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return compiled_csharp(tmp_path_factory.mktemp("csharp"))
+
+
+@pytest.fixture
+def guarded(tmp_path: Path, serve: Callable[..., Any]) -> Iterator[tuple[Any, Path, KeyFile]]:
+    """Return a station that needs a key and has a certificate of its own, that certificate, and the keys."""
+    keys, audit = KeyFile(tmp_path / "keys.json"), AuditLog(tmp_path / "audit.jsonl")
+    certificate = make_certificate(tmp_path)
+    served = serve(HeldStation(), access=AccessControl(keys, audit, open_loopback=False), certificate=certificate)
+    yield served, certificate.certificate, keys
+    served.stop()
+    audit.close()
+
+
+def test_a_key_and_the_certificate_of_the_station_let_it_in(program: Path, guarded: Any) -> None:
+    served, certificate, keys = guarded
+    reader = keys.create("reader", ["read"]).secret
+    # Armed with a key of the scope read: it is let in, and refused by the name of what it lacks.
+    done = run_csharp(program, served.url, "demo-board", "U1", VAOI_KEY=reader, VAOI_CA=str(certificate))
+    assert (done.returncode, done.stdout) == (1, "")
+    assert re.match(r"missing-scope: POST /api/v1/station/arm needs the scope operate; key reader has", done.stderr)
+
+
+def test_without_a_key_it_is_refused(program: Path, guarded: Any) -> None:
+    served, certificate, _ = guarded
+    done = run_csharp(program, served.url, "demo-board", "U1", VAOI_CA=str(certificate))
+    assert done.stderr.startswith("no-key: GET /api/v1/runs/latest needs a key with the scope read")
+
+
+def test_another_certificate_is_not_trusted(program: Path, guarded: Any, tmp_path: Path) -> None:
+    served, _, keys = guarded
+    other = make_certificate(tmp_path, "other").certificate
+    secret = keys.create("tester", ["operate"]).secret
+    done = run_csharp(program, served.url, "demo-board", "U1", VAOI_KEY=secret, VAOI_CA=str(other))
+    assert done.returncode == 1
+    assert done.stderr.startswith("The station does not reply: ")
+
+
+def test_a_refusal_has_code_detail_and_action(program: Path, served: Any) -> None:
+    done = run_csharp(program, served.url, "unheard", "U1")
+    assert done.stderr == "unknown-board-type: There is no board type 'unheard'. Teach it.\n"
+
+
+def test_a_command_whose_reply_is_lost_is_repeated_with_its_key(program: Path) -> None:
+    """A scripted station that closes the connection in place of the first reply to each request."""
+    received: list[str] = []
+
+    def answer(listener: socket.socket) -> None:
+        with listener:  # closed after the last reply, so that further requests fail at once
+            for reply in (b'{"id":"r1"}', b'{"state":"armed"}'):
+                for sent in (b"", reply):
+                    connection, _ = listener.accept()
+                    with connection:
+                        received.append(connection.recv(10_000).decode("ascii"))
+                        if sent:
+                            head = f"HTTP/1.1 200 OK\r\nConnection: close\r\nContent-Length: {len(sent)}\r\n\r\n"
+                            connection.sendall(head.encode() + sent)
+
+    listener = socket.create_server(("127.0.0.1", 0))
+    port = listener.getsockname()[1]
+    with ThreadPoolExecutor(1) as pool:
+        answering = pool.submit(answer, listener)
+        run_csharp(program, f"http://127.0.0.1:{port}", "demo-board", "U1")
+        answering.result()
+    armed = [r for r in received if r.startswith("POST /api/v1/station/arm?board_type=demo-board&job_id=guide ")]
+    keys = {key for r in armed for key in re.findall(r'^Idempotency-Key: ("[0-9a-f-]{36}")\r$', r, re.MULTILINE)}
+    assert len(armed) == 2
+    assert len(keys) == 1
