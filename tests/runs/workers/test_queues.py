@@ -88,9 +88,9 @@ def test_urgent_jobs_are_chosen_first(hall: Hall) -> None:
     gather = GatherJob(hall.board.context, {})
     hall.add(hall.picture(), gather, hall.link(2), conclusion)
     chosen = []
-    for _ in range(4):
-        chosen.append(hall.choose(2))
-        hall.workers[2].jobs.clear()
+    for worker in (2, 2, 2, 0):
+        chosen.append(hall.choose(worker))
+        hall.workers[worker].jobs.clear()
     assert chosen == [conclusion, hall.link(2), gather, hall.picture()]
 
 
@@ -221,15 +221,47 @@ def test_every_job_is_given_out_exactly_once(
 
 def test_a_picture_leaves_one_worker_free_for_a_conclusion(hall: Hall) -> None:
     hall.add(*(hall.picture() for _ in range(5)))
-    assert [hall.choose(k) is not None for k in (2, 1, 0)] == [True, True, False]
+    assert [hall.choose(k) is not None for k in (2, 1, 0)] == [False, True, True], "the one with the evidence"
     hall.add(hall.board.conclusion({}))
-    assert isinstance(hall.choose(0), ConcludeJob)
+    assert isinstance(hall.choose(2), ConcludeJob)
+
+
+def test_the_last_frame_of_a_board_does_not_wait_for_a_large_picture(hall: Hall) -> None:
+    hall.add(hall.picture())
+    assert hall.choose(0) == hall.picture()
+    hall.add(hall.link(0))
+    assert hall.choose(1) == hall.link(0)
+
+
+def test_small_pictures_and_links_take_turns_on_the_workers_that_do_not_conclude(ring_board: RingBoard) -> None:
+    hall = Hall(ring_board, 2)
+    small = replace(hall.picture(), priority=Priority.SMALL_RENDER)
+    hall.add(*(hall.link(k, row) for k in (0, 1, 2) for row in (0, 1)), small, small, hall.picture())
+    chosen = []
+    for _ in range(4):
+        chosen.append(hall.choose(0))
+        assert hall.queues.next_link(hall.workers[0]) is None or len(chosen) == 4, "the small one is next"
+        hall.workers[0].jobs.clear()
+    assert [job.priority for job in chosen if job] == [1, 3, 1, 3]
+    hall.add(small)
+    for _ in range(3):
+        assert isinstance(hall.choose(1), LinkJob)
+        hall.workers[1].jobs.clear()
+
+
+def test_a_small_picture_never_delays_a_conclusion_or_waits_for_large_ones(hall: Hall) -> None:
+    small = replace(hall.picture(), priority=Priority.SMALL_RENDER)
+    hall.add(hall.picture(), hall.picture(), small)
+    assert hall.choose(0) == small
+    hall.workers[0].jobs.clear()
+    hall.add(small, hall.board.conclusion({}))
+    assert isinstance(hall.choose(2), ConcludeJob)
 
 
 def test_a_worker_that_does_not_answer_is_not_the_one_left_free(hall: Hall) -> None:
     hall.workers[0].overdue = True
     hall.add(hall.picture(), hall.picture())
-    assert [hall.choose(k) is not None for k in (2, 1)] == [True, False]
+    assert [hall.choose(k) is not None for k in (2, 1)] == [False, True]
 
 
 def test_the_only_sound_worker_renders_too(ring_board: RingBoard) -> None:

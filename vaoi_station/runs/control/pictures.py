@@ -34,10 +34,12 @@ from vaoi_station.runs.run.leases import OWN, Lease
 from vaoi_station.runs.run.memory import Bay
 from vaoi_station.runs.states.schemas import ImageFormat, RunDetail
 from vaoi_station.runs.states.tables import FINISHED
-from vaoi_station.runs.workers.jobs import PictureJob, RenderJob, Reply
+from vaoi_station.runs.workers.jobs import PictureJob, Priority, RenderJob, Reply
 
 RENDER_LIMIT_S = 60.0
 """Longest wait of a caller for a rendered picture."""
+SMALL_PX = 100_000
+"""Largest number of pixels of a small picture: rendered and encoded, it takes no longer than a link."""
 
 
 class ViewRequest(NamedTuple):
@@ -237,9 +239,11 @@ def _job(
     number, generation = (0, 0) if bay is None else (bay.number, bay.generation)
     minus = None if choice.minus is None else _job(detail, choice.minus, format, bay, files[1:])
     file = files[0] if files else None
+    small = file is None and minus is None and choice.view.width * choice.view.height <= SMALL_PX
     return RenderJob(
-        detail.id, number, generation, record.slot, choice.view, format, file=file, minus=minus, ratio=choice.ratio
-    )
+        detail.id, number, generation, record.slot, choice.view, format, file=file, minus=minus, ratio=choice.ratio,
+        priority=Priority.SMALL_RENDER if small else Priority.RENDER,
+    )  # fmt: skip
 
 
 def frame_record(detail: RunDetail, camera: int, row: int) -> FrameRecord:

@@ -23,16 +23,18 @@ from vaoi_station.stitching.work import StitchSetup
 class Priority(IntEnum):
     """Order in which waiting jobs are given to workers, lowest value first.
 
-    Results come before pictures, single pictures before batches, heights last.
+    Results come before pictures, single pictures before batches, heights last. Small pictures also have turns between
+    links (`JobQueues.choose`).
     """
 
     CONCLUDE = 0
     LINK = 1
     GATHER = 2
-    RENDER = 3
-    BATCH = 4
-    CHECK = 5
-    HEIGHTS = 6
+    SMALL_RENDER = 3
+    RENDER = 4
+    BATCH = 5
+    CHECK = 6
+    HEIGHTS = 7
 
 
 @dataclass(frozen=True)
@@ -182,8 +184,9 @@ class RenderJob(PictureJob):
     """The picture that is subtracted from this one (`rendering.difference`); None for a plain picture."""
     ratio: float = 1.0
     """Factor on the grey levels of `minus`."""
+    priority: Priority = Priority.RENDER
+    """`SMALL_RENDER` for a picture that takes no longer than a link."""
 
-    priority = Priority.RENDER
     affinity: int | None = None
 
     def __str__(self) -> str:

@@ -112,7 +112,8 @@ class WorkerPool:
     def _refusal(self, job: Job) -> VaoiError | None:
         if self._stopping:
             return StateError("The station is stopping; its workers take no more jobs.")
-        if job.priority is Priority.RENDER and self._queues.waiting(Priority.RENDER) >= MAX_PICTURES:
+        single = (Priority.SMALL_RENDER, Priority.RENDER)
+        if job.priority in single and sum(map(self._queues.waiting, single)) >= MAX_PICTURES:
             return BusyError(
                 f"{MAX_PICTURES} pictures wait for a worker already, which is the limit.",
                 action="Request fewer pictures at a time, or request this one again in a moment.",

@@ -17,6 +17,8 @@ from vaoi_station.runs.workers.worker import Queued, Worker
 
 MAX_PICTURES = 64
 """Largest number of waiting render jobs. The station renders only a few at a time; further requests are refused."""
+_TURN_OF_PICTURES = sorted(Priority, key=lambda p: 0.5 if p is Priority.SMALL_RENDER else p)
+"""Order of priorities for a worker that has just made a link."""
 
 
 class JobQueues:
@@ -66,9 +68,10 @@ class JobQueues:
         """Take a second link job out of its queue for a worker that performs a link job.
 
         With a second job, the worker need not wait for the pool between the two. Return None if no job is suitable, and
-        while a conclude job waits, which is to go to the next free worker.
+        while a conclude job or a small picture waits, which is to go to the next free worker.
         """
-        if worker.jobs[0].job.priority is not Priority.LINK or self.waiting(Priority.CONCLUDE):
+        sooner = self.waiting(Priority.CONCLUDE) or self.waiting(Priority.SMALL_RENDER)
+        if worker.jobs[0].job.priority is not Priority.LINK or sooner:
             return None
         mine = self._queues[Priority.LINK][worker.index]
         # The set-up of a run is large. A worker without it receives it when it is idle.
@@ -93,28 +96,37 @@ class JobQueues:
     def choose(self, worker: Worker) -> Queued | None:
         """Take the most urgent job for an idle worker out of its queue and return it; None if there is none.
 
-        Within a priority, jobs that are assigned to this worker, or to no worker, come first.
+        Within a priority, jobs that are assigned to this worker, or to no worker, come first. After a link, a small
+        picture comes before the next one: the links of a row, which arrive together, would delay it by tens of
+        milliseconds, while it delays them by no more than another link. One worker, the one that concludes, keeps to
+        links, so that many callers cannot hold up a fast line.
         """
-        for priority, homes in self._queues.items():
+        has_turn = worker.linked_last and (worker.index != self.concluder or len(self._workers) == 1)
+        for priority in _TURN_OF_PICTURES if has_turn else Priority:
+            homes = self._queues[priority]
             if priority >= Priority.RENDER and not self.may_render(worker, priority):
                 continue
             mine = min((homes[h] for h in (None, worker.index) if homes[h]), key=_front, default=None)
             chosen = mine or min(self._of_others(homes, worker), key=_front, default=None)
             if chosen:
+                worker.linked_last = priority is Priority.LINK
                 return chosen.popleft()
         return None
 
     def may_render(self, worker: Worker, priority: Priority = Priority.RENDER) -> bool:
         """Return whether a worker may begin a picture: another sound one must stay free of pictures and checks.
 
-        A conclusion that comes meanwhile thus never waits for a picture. The only sound worker renders too: it would
-        make no pictures at all otherwise, and a conclusion waits for at most the one under way. Parts of batches may
-        take all workers while no run is open: they are short, and the conclusion of a board that comes now is seconds
-        away.
+        A conclusion that comes meanwhile thus never waits for a picture. While a run is open, the worker that gathers
+        its evidence stays free: another one would have to receive all of it first. The only sound worker renders too:
+        it would make no pictures at all otherwise, and a conclusion waits for at most the one under way. Small pictures
+        are no longer than links. Parts of batches may take all workers while no run is open: they are short, and the
+        conclusion of a board that comes now is seconds away.
         """
-        if priority is Priority.BATCH and not self.runs:
+        if priority is Priority.SMALL_RENDER or (priority is Priority.BATCH and not self.runs):
             return True
         others = [other for other in self._workers if other is not worker and other.ready and not other.overdue]
+        if others and self.runs and worker.index == self.concluder:
+            return False
         return not others or any(not _with_picture_or_check(other) for other in others)
 
     def _of_others(self, homes: defaultdict[int | None, deque[Queued]], worker: Worker) -> Iterator[deque[Queued]]:
@@ -154,20 +166,20 @@ class JobQueues:
         if isinstance(job, ConcludeJob):
             # Another worker must first receive all evidence. This takes less time than waiting until the assigned
             # worker has finished a picture or a check, but more than waiting for a link or gather job.
-            return away or (own.job is not None and own.job.job.priority > Priority.GATHER)
+            return away or (own.job is not None and own.job.job.priority > Priority.SMALL_RENDER)
         if isinstance(job, GatherJob):
             return False
         # A single waiting job is left to the assigned worker, which may have its frames prepared already. If more jobs
-        # wait, the wait would be too long. A check takes longer than a link job, and so do heights: the first frames of
-        # the next board do not wait for them.
-        checking = own.job is not None and own.job.job.priority >= Priority.CHECK
-        return away or checking or len(queue) > 1
+        # wait, the wait would be too long. Pictures that are not small, checks and heights take longer than a link job,
+        # up to seconds: no frame of the next board waits for them, least of all its last one.
+        longer = own.job is not None and own.job.job.priority > Priority.SMALL_RENDER
+        return away or longer or len(queue) > 1
 
 
 def _with_picture_or_check(worker: Worker) -> bool:
     """Return whether a worker renders a picture, or checks the calibration now or right after its conclusion."""
     jobs = (queued.job for queued in worker.jobs)
-    return any(j.check is not None if isinstance(j, ConcludeJob) else j.priority > Priority.GATHER for j in jobs)
+    return any(j.check is not None if isinstance(j, ConcludeJob) else j.priority > Priority.SMALL_RENDER for j in jobs)
 
 
 def _front(queue: deque[Queued]) -> int:

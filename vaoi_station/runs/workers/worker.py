@@ -28,6 +28,7 @@ OVERDUE_S: Mapping[Priority, float] = {
     Priority.LINK: 1.0,
     Priority.GATHER: 1.0,
     Priority.CONCLUDE: 3.0,
+    Priority.SMALL_RENDER: 3.0,
     Priority.RENDER: 3.0,
     Priority.BATCH: 3.0,
     Priority.CHECK: 5.0,
@@ -93,6 +94,8 @@ class Worker:
     """Progress of the warm-up as text; empty before the first report."""
     overdue: bool = False
     """Whether the job under way, or the reply to a ping, is overdue; see `update`."""
+    linked_last: bool = False
+    """Whether the last job that was chosen for it is a link."""
 
     @property
     def idle(self) -> bool:
