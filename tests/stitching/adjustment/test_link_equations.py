@@ -34,6 +34,7 @@ AT_CAMERAS = 3 * ROWS + BASIS
 SIZE = AT_CAMERAS + 3 * CAMERAS
 TOTAL = SIZE + PARTS
 NONE_RAISED = np.zeros(LINKS, np.bool_)
+FLAT = np.zeros(LINKS)
 
 
 @dataclass
@@ -184,7 +185,7 @@ def test_weights_follow_from_noise_noise_floor_and_length(scene: Scene) -> None:
     state.residual[:] = np.random.default_rng(7).normal(0, 0.1, (LINKS, 2))
     kind = (scene.links.p == scene.links.q).astype(np.int_)
     floor, shared = np.array([0.3, 0.6]), np.array([0.1, 0.2])
-    compute_weights(scene.links, NoiseModel(kind, floor, shared, 2.0, 6.0, NONE_RAISED), int(group.max()) + 1, state)
+    compute_weights(scene.links, NoiseModel(kind, floor, shared, 2.0, 6.0, NONE_RAISED, FLAT), int(group.max()) + 1, state)
     information = 1 / (np.array([1e-4, 4e-4]) + ((floor[kind] / px) ** 2)[:, None])
     chi = np.sqrt((state.residual**2 * information).sum(1) / 2)
     assert state.sigma == pytest.approx(chi)
@@ -199,17 +200,17 @@ def test_weights_follow_from_noise_noise_floor_and_length(scene: Scene) -> None:
 def test_links_of_one_pair_never_weigh_more_than_their_common_error_allows(scene: Scene) -> None:
     state, group = LinkState.zeros(LINKS), scene.links.group
     shared_px = 0.4
-    noise = NoiseModel(np.zeros(LINKS, np.int_), np.array([0.01]), np.array([shared_px]), 2.0, 6.0, NONE_RAISED)
+    noise = NoiseModel(np.zeros(LINKS, np.int_), np.array([0.01]), np.array([shared_px]), 2.0, 6.0, NONE_RAISED, FLAT)
     compute_weights(scene.links, noise, int(group.max()) + 1, state)
     limit = 2 / (shared_px / 20.0) ** 2
     assert (np.bincount(group, state.weight[:, 0] + state.weight[:, 2]) <= limit * (1 + 1e-12)).all()
 
 
-def weights_of(scene: Scene, raised: NDArray[np.bool_], residual: Array) -> LinkState:
+def weights_of(scene: Scene, raised: NDArray[np.bool_], residual: Array, scatter_mm: Array = FLAT) -> LinkState:
     """Compute the weights of links whose residual changes by 0.1 mm in x per mm of height."""
     state = LinkState.zeros(LINKS)
     state.residual[:], state.lean[:] = residual, (0.1, 0.0)
-    noise = NoiseModel(np.zeros(LINKS, np.int_), np.array([0.01]), np.array([0.0]), 2.0, 6.0, raised)
+    noise = NoiseModel(np.zeros(LINKS, np.int_), np.array([0.01]), np.array([0.0]), 2.0, 6.0, raised, scatter_mm)
     compute_weights(scene.links, noise, int(scene.links.group.max()) + 1, state)
     return state
 
@@ -225,6 +226,14 @@ def test_only_a_point_above_the_modelled_height_loses_weight_along_its_lean(scen
     for state in ("sigma", "robust", "weight"):
         values = [getattr(weights_of(scene, flags, below), state) for flags in (every, NONE_RAISED)]
         assert values[0] == pytest.approx(values[1])
+
+
+def test_the_scatter_of_heights_on_a_component_is_noise_along_the_lean(scene: Scene) -> None:
+    """Heights that scatter by 0.3 mm move the ends of a link by 0.03 mm along the lean, and not across."""
+    still = np.zeros(2)
+    plain, body = weights_of(scene, NONE_RAISED, still), weights_of(scene, NONE_RAISED, still, np.full(LINKS, 0.3))
+    assert 1 / body.weight[:, 0] == pytest.approx(1 / plain.weight[:, 0] + 0.03**2)
+    assert body.weight[:, 1:] == pytest.approx(plain.weight[:, 1:])
 
 
 def test_the_weight_of_a_raised_link_falls_without_a_step(scene: Scene) -> None:

@@ -13,8 +13,8 @@ import numpy as np
 
 from vaoi_station.compiled import compiled, inlined
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.stitching.adjustment.envelope import NormalEquations
-from vaoi_station.stitching.adjustment.observations import CameraPairs, Ints, LinkArrays
+from vaoi_station.stitching.adjustment.envelope import Envelope, NormalEquations
+from vaoi_station.stitching.adjustment.observations import CameraPairs, Ints, LinkArrays, group_begins
 
 
 class HeightModel(NamedTuple):
@@ -67,6 +67,18 @@ class Coupling(NamedTuple):
         """
         normal = np.where(heights_mm < 0, 1 / sunk_mm**2, 1 / sigma_mm**2)
         return HeightEquations(np.zeros(int(self.at[-1])), normal, -heights_mm * normal)
+
+    def envelope(self, links: LinkArrays, rows: int, others: int) -> Envelope:
+        """Build the envelope of the normal equations of `rows` rows and `others` further unknowns.
+
+        Two rows are coupled if they are consecutive (prior of the belt), if a link connects them, or if both see the
+        same component, whose height is eliminated.
+        """
+        furthest, first = np.minimum(np.arange(rows) + 1, rows - 1), group_begins(links.group)
+        p, q = links.p[first], links.q[first]
+        np.maximum.at(furthest, np.minimum(p, q), np.maximum(p, q))
+        np.maximum.at(furthest, self.row, self.last)
+        return Envelope.of(furthest, others)
 
 
 class OtherColumns(NamedTuple):

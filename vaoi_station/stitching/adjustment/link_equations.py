@@ -78,6 +78,8 @@ class NoiseModel(NamedTuple):
     """Residuals beyond this number of standard deviations have no weight."""
     raised: NDArray[np.bool_]
     """(k,) whether each link may lie above the modelled height: on a component or on its leads."""
+    scatter_mm: Floats
+    """(k,) standard deviation of the height of each link's point about the modelled height; 0 on the bare board."""
 
 
 @compiled
@@ -108,6 +110,9 @@ def compute_weights(links: LinkArrays, noise: NoiseModel, groups: int, state: Li
     the point is treated as an unknown: the weight along the lean is reduced accordingly. If its residual shows a point
     below the modelled height, the link keeps its weight, since components stand above the board.
 
+    The points of one component have different heights: body, leads, solder, board in between. Their scatter
+    (`noise.scatter_mm`) is noise along the lean.
+
     The links of one pair of frames have an error in common. The sum of their weights is therefore limited to the
     inverse variance of this error.
 
@@ -127,10 +132,13 @@ def compute_weights(links: LinkArrays, noise: NoiseModel, groups: int, state: Li
         determinant = a * d - b * b
         xx, xy, yy = d / determinant, -b / determinant, a / determinant
         x, y = residual[n, 0], residual[n, 1]
-        if noise.raised[n]:
-            lx, ly = state.lean[n, 0], state.lean[n, 1]
-            wx, wy = xx * lx + xy * ly, xy * lx + yy * ly
-            information = lx * wx + ly * wy
+        lx, ly = state.lean[n, 0], state.lean[n, 1]
+        wx, wy = xx * lx + xy * ly, xy * lx + yy * ly
+        information = lx * wx + ly * wy
+        if noise.scatter_mm[n] > 0:
+            k = 1 / (information + 1 / noise.scatter_mm[n] ** 2)
+            xx, xy, yy = xx - k * wx * wx, xy - k * wx * wy, yy - k * wy * wy
+        elif noise.raised[n]:
             height = -(wx * x + wy * y)
             # In standard deviations. Noise alone makes a point of the bare board look raised by one.
             if height > math.sqrt(information):

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.adjustment.camera_equations import MovingCameras, row_changes
 from vaoi_station.stitching.adjustment.envelope import (
-    Envelope,
     NormalEquations,
     add_equations,
     factorise,
@@ -61,8 +60,6 @@ from vaoi_station.stitching.adjustment.motion import (
 from vaoi_station.stitching.adjustment.noise_floor import noise_floor
 from vaoi_station.stitching.adjustment.observations import (
     Ints,
-    Observations,
-    group_begins,
     index_in_group,
     linked_steps,
     median_noise_px,
@@ -105,6 +102,11 @@ It is `_SEAM_PX`, or the scatter divided by `_NARROWING`, whichever is larger. S
 agree with one another. Links on tall components beside the seam become outliers."""
 _HEIGHT_SIGMA_MM, _SUNK_MM = 3.0, 0.1
 """Prior standard deviation of a component's height, and of a height below the board: components do not lie there."""
+_BODY_SCATTER_MM = 0.3
+"""Standard deviation of the heights of a component's points about the component's height (body, leads, board between).
+
+Without it, links on components counted like those on the bare board, and estimated a bow of up to 0.8 mm that was not
+there (docs/measured/hostile.md)."""
 _FREE_STEPS = 3
 """Number of first steps in which heights may be below the board, and links near components count as links on the board.
 The initial motion may be that of the tops of components. Relative to these, the board seems to lie too low."""
@@ -186,12 +188,13 @@ class _Solver:
         columns = OtherColumns(self.n_surface, surface_column, self.cameras.first_column, 2 * self.n_parts)
         self.coupling = Coupling.of(component, links.arrays, links.pairs, columns)
         self.heights = HeightModel(basis, component)
-        self.envelope = _envelope(links, self.coupling, self.rows, shared + self.cameras.unknowns)
+        self.envelope = self.coupling.envelope(links.arrays, self.rows, shared + self.cameras.unknowns)
         self.factor: NormalEquations | None = None
         self.state = LinkState.zeros(len(links))
         self.linked_steps = linked_steps(links, self.rows)
         self.raised = (problem.component < 0) & problem.near if len(problem.near) else np.zeros(len(links), np.bool_)
         """(k,) whether each link may lie above the board although no component is under it."""
+        self.scatter_mm = np.where(problem.component >= 0, _BODY_SCATTER_MM, 0.0)
         bare = [self._bare(self.kind == kind) for kind in range(len(self.floor_px))]
         # Contiguous copies: for slices with a step, Numba would compile another variant while a board waits.
         self.floor_samples = [np.ascontiguousarray(at[:: max(len(at) // _FLOOR_SAMPLE, 1)]) for at in bare]
@@ -267,7 +270,7 @@ class _Solver:
         common_px[0], common_px[-1] = _PAIR_SIGMA_PX[0], _LIGHTS_SIGMA_PX
         shared_px = np.maximum(common_px, _PAIR_SHARE * self.floor_px)
         raised = self.raised if self.steps > _FREE_STEPS else np.zeros_like(self.raised)
-        noise = NoiseModel(self.kind, self.floor_px, shared_px, _KNEE, _CUT, raised)
+        noise = NoiseModel(self.kind, self.floor_px, shared_px, _KNEE, _CUT, raised, self.scatter_mm)
         compute_weights(links.arrays, noise, len(links.groups), self.state)
 
     def _update_noise_floor(self) -> None:
@@ -384,16 +387,3 @@ class _Solver:
         on = component >= 0
         used = np.bincount(component[on], self.state.robust[on] > _USED_WEIGHT, minlength=2 * self.n_parts)
         return np.where(used >= _HEIGHT_MIN_LINKS, self.heights_mm, np.nan).reshape(2, self.n_parts)
-
-
-def _envelope(links: Observations, coupling: Coupling, rows: int, others: int) -> Envelope:
-    """Build the envelope of the normal equations.
-
-    Two rows are coupled if they are consecutive (prior of the belt), if a link connects them, or if both see the same
-    component, whose height is eliminated.
-    """
-    furthest, first = np.minimum(np.arange(rows) + 1, rows - 1), group_begins(links.group)
-    p, q = links.p[first], links.q[first]
-    np.maximum.at(furthest, np.minimum(p, q), np.maximum(p, q))
-    np.maximum.at(furthest, coupling.row, coupling.last)
-    return Envelope.of(furthest, others)
