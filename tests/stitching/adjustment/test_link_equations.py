@@ -185,7 +185,9 @@ def test_weights_follow_from_noise_noise_floor_and_length(scene: Scene) -> None:
     state.residual[:] = np.random.default_rng(7).normal(0, 0.1, (LINKS, 2))
     kind = (scene.links.p == scene.links.q).astype(np.int_)
     floor, shared = np.array([0.3, 0.6]), np.array([0.1, 0.2])
-    compute_weights(scene.links, NoiseModel(kind, floor, shared, 2.0, 6.0, NONE_RAISED, FLAT), int(group.max()) + 1, state)
+    compute_weights(
+        scene.links, NoiseModel(kind, floor, shared, 2.0, 6.0, NONE_RAISED, FLAT), int(group.max()) + 1, state
+    )
     information = 1 / (np.array([1e-4, 4e-4]) + ((floor[kind] / px) ** 2)[:, None])
     chi = np.sqrt((state.residual**2 * information).sum(1) / 2)
     assert state.sigma == pytest.approx(chi)

@@ -21,6 +21,7 @@ from vaoi_station.stitching.quality.agreement import (
     fiducial_reasons,
     outline_reasons,
     reference_reasons,
+    seam_offset_px,
     uncertain_detections,
 )
 
@@ -184,3 +185,20 @@ def test_a_reference_that_agrees_or_has_only_false_links_is_no_reason() -> None:
     assert reference_reasons(seen, false_links) == []
     assert reference_reasons(None, off) == []
     assert reference_reasons(replace(seen, which=np.full(len(off), REFERENCE)), off + 4) == []
+
+
+def test_links_beside_components_show_no_offset_of_a_seam_along_their_lean() -> None:
+    """Of 30 links between two cameras, 18 reach sides of components and are off by 0.4 px along the lean."""
+    near, pairs, row = np.arange(30) < 18, np.zeros((30, 2)), np.zeros(30, dtype=np.int_)
+    lean = np.tile((0.1, 0.0), (30, 1))
+    covariance = np.zeros((30, 2, 2))
+    links = Observations(row, row, pairs, pairs, pairs, lean, covariance, np.full(30, 10.0), row, ())
+    problem = replace(NO_PROBLEM, links=links, component=np.full(30, -1), near=near)
+    of_sides = replace(adjusted(), link_px=np.where(near[:, None], (0.4, 0.0), (0.01, 0.02)))
+    every = np.arange(30)
+    assert seam_offset_px(problem, of_sides, every, least=12) == pytest.approx(0.01, abs=1e-9)
+    assert seam_offset_px(problem, of_sides, every, least=13) == pytest.approx(0.0, abs=1e-9)
+    across = replace(of_sides, link_px=np.tile((0.0, 0.4), (30, 1)))
+    assert seam_offset_px(problem, across, every, least=13) == pytest.approx(0.4)
+    flat = replace(problem, links=replace(links, b_lean=pairs))
+    assert seam_offset_px(flat, of_sides, every, least=12) == pytest.approx(0.4)

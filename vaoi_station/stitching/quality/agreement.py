@@ -11,7 +11,8 @@ from vaoi_station.geometry.robust import Failure, fit_similarity
 from vaoi_station.geometry.transforms import Floats, System, apply
 from vaoi_station.model import Reason, ReasonCode
 from vaoi_station.stitching.adjustment.motion import Motion
-from vaoi_station.stitching.adjustment.problem import REFERENCE, AdjustmentResult, FiducialPoints
+from vaoi_station.stitching.adjustment.observations import Ints
+from vaoi_station.stitching.adjustment.problem import REFERENCE, AdjustmentResult, FiducialPoints, Problem
 from vaoi_station.stitching.adjustment.surface import SIGMA_MM
 from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.outline import OutlineShift
@@ -173,6 +174,29 @@ def reference_reasons(points: FiducialPoints | None, residual_px: Floats) -> lis
             "the board is of another type, or the CAD data were changed; compare board and board type, or teach again",
         )
     ]
+
+
+def seam_offset_px(problem: Problem, adjusted: AdjustmentResult, at: Ints, least: int) -> float:
+    """Return the length of the median residual, px, of links between two cameras that lie beside components.
+
+    A link whose patch reaches a component may lie on its side. Its residual along the lean then shows the height of the
+    side, not an error of the seam. Only links on the bare board count along the lean, and only if there are enough.
+
+    Args:
+        problem: the problem of the adjustment.
+        adjusted: its solution.
+        at: indices of the links.
+        least: least number of links on the bare board that show an offset along the lean.
+    """
+    o, off_px = problem.links, adjusted.link_px[at]
+    lean = o.b_lean[at] - o.a_lean[at]
+    length = np.hypot(*lean.T)
+    if not (length > 0).all():
+        return float(np.hypot(*np.median(off_px, axis=0)))
+    (x, y), surely = (lean / length[:, None]).T, ~problem.near[at] if len(problem.near) else np.ones(len(at), np.bool_)
+    along, across = off_px[:, 0] * x + off_px[:, 1] * y, off_px[:, 1] * x - off_px[:, 0] * y
+    shown = float(np.median(along[surely])) if surely.sum() >= least else 0.0
+    return float(np.hypot(shown, np.median(across)))
 
 
 FiducialPlaces = dict[int, tuple[Floats, float]]

@@ -25,6 +25,7 @@ from vaoi_station.stitching.components.shift import ComponentShift, measure_comp
 from vaoi_station.stitching.matching.evidence import FrameKey, Links
 from vaoi_station.stitching.matching.scene import Scene
 from vaoi_station.stitching.method import Method
+from vaoi_station.stitching.quality.agreement import seam_offset_px
 from vaoi_station.stitching.quality.covariances import largest_sigma
 from vaoi_station.stitching.quality.heights import Height, component_heights
 from vaoi_station.stitching.quality.lens_errors import LensError, lens_errors
@@ -302,12 +303,11 @@ class Findings:
         If it is large, a camera has moved, or the board has a shape that the surface model cannot express.
         """
         # Links on components are left out, since the height of a component is no error of the seam.
-        bare = np.flatnonzero((self.seam_of_link >= 0) & (self.problem.component < 0))
-        seam, off_px, out = self.seam_of_link[bare], self.adjusted.link_px[bare], {}
+        bare, out = (self.seam_of_link >= 0) & (self.problem.component < 0), {}
         for i in range(len(self.scene.cameras) - 1):
-            mine = off_px[seam == i]
+            mine = np.flatnonzero(bare & (self.seam_of_link == i))
             if len(mine) >= _SEAM_LINKS:
-                out[i, i + 1] = float(np.hypot(*np.median(mine, axis=0)))
+                out[i, i + 1] = seam_offset_px(self.problem, self.adjusted, mine, _SEAM_LINKS)
         return out
 
     @cached_property
