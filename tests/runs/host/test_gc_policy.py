@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import gc
+import threading
 import weakref
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
+from vaoi_station.runs.host import gc_policy as module
 from vaoi_station.runs.host.gc_policy import IDLE_S, LONGEST_S, GcPolicy
 
 
@@ -76,6 +79,37 @@ def test_the_interpreter_runs_no_full_collection(policy: GcPolicy) -> None:
     kept = [[k] for k in range(400_000)]
     assert gc.get_stats()[2]["collections"] == collections
     assert len(kept) == 400_000
+
+
+def test_free_memory_goes_back_once_a_minute(policy: GcPolicy, clock: Clock, monkeypatch: pytest.MonkeyPatch) -> None:
+    returned: list[float] = []
+    monkeypatch.setattr(module, "return_free_memory", lambda: returned.append(clock.now_s))
+    begin_s = clock.now_s
+    for _ in range(13):
+        clock.now_s += IDLE_S
+        policy.tick(busy=False)
+    assert returned == [begin_s + LONGEST_S, begin_s + 2 * LONGEST_S]
+
+
+def anonymous_bytes() -> int:
+    text = Path("/proc/self/smaps_rollup").read_text()
+    (line,) = (line for line in text.splitlines() if line.startswith("Anonymous:"))
+    return int(line.split()[1]) * 1024
+
+
+def test_pages_of_the_heap_of_a_thread_go_back() -> None:
+    kept: list[bytearray] = []
+
+    def fill() -> None:
+        blocks = [bytearray(5000) for _ in range(10_000)]
+        kept.append(blocks[-1])  # behind all others, so the heap's end cannot shrink
+
+    thread = threading.Thread(target=fill)
+    thread.start()
+    thread.join()
+    before = anonymous_bytes()
+    module.return_free_memory()
+    assert anonymous_bytes() < before - 25_000_000
 
 
 @pytest.mark.usefixtures("_nothing_frozen")
