@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from vaoi_station.version import __version__
 
 if TYPE_CHECKING:
+    from vaoi_station.board_check.checked import CheckedBoardType
     from vaoi_station.errors import (
         BusyError,
         DeviceError,
@@ -48,6 +49,7 @@ _LOCATIONS = {
     "BusyError": "errors",
     "Calibration": "model",
     "Component": "model",
+    "CheckedBoardType": "board_check.checked",
     "ComponentImage": "library.component_images",
     "ComponentImages": "library.component_images",
     "ComponentPictures": "library.picture_stream",
@@ -88,6 +90,7 @@ __all__ = [
     "BoardType",
     "BusyError",
     "Calibration",
+    "CheckedBoardType",
     "Component",
     "ComponentImage",
     "ComponentImages",

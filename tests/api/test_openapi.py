@@ -115,7 +115,14 @@ def test_every_example_is_one_that_its_schema_allows(document: dict[str, Any]) -
 
 def test_answers_may_get_fields_and_requests_may_not(document: dict[str, Any]) -> None:
     closed = {n for n, s in document["components"]["schemas"].items() if s.get("additionalProperties") is False}
-    assert closed == {"ArmRequest", "ImportOptions", "MethodRequest", "StateRequest", "TeachRequest"}
+    assert closed == {
+        "ArmRequest",
+        "CorrectionRequest",
+        "ImportOptions",
+        "MethodRequest",
+        "StateRequest",
+        "TeachRequest",
+    }
 
 
 def test_the_older_document_is_served_without_a_key(client: Any) -> None:

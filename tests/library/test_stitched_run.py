@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import shutil
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 import vaoi_station as vaoi
+from vaoi_station.board_check.correction import Move, moved_board_type
 from vaoi_station.geometry import apply
 
 
@@ -171,3 +173,15 @@ def test_frames_that_never_arrived_give_no_images(recording: vaoi.RecordedRun, t
 def test_a_matrix_outside_the_run_is_refused(stitched: vaoi.StitchedRun, camera: int, row: int) -> None:
     with pytest.raises(vaoi.InputError, match="cameras are 0 … 1"):
         stitched.image_matrix(camera, row)
+
+
+def test_data_of_another_origin_are_corrected(stitched: vaoi.StitchedRun) -> None:
+    board = stitched.board_type
+    assert board is not None
+    move = Move(False, 90.0, 1.0, (30.0, 20.0), (7.0, -2.0))
+    checked = stitched.check_board_type(moved_board_type(board, move, ("components", "fiducials", "outline")))
+    assert {"turned", "shifted", "fiducials-elsewhere"} <= {w.code for w in checked.report.warnings}
+    assert checked.corrected is not None
+    pairs = zip(checked.corrected.components, board.components, strict=True)
+    assert max(math.dist(a.center, b.center) for a, b in pairs) < 0.02
+    assert checked.picture.shape[2] == 3

@@ -12,6 +12,7 @@ from fastapi.routing import APIRoute
 from vaoi_station.api import openapi, pages, problems
 from vaoi_station.api.access.access_control import AccessControl
 from vaoi_station.api.batch import batch_routes
+from vaoi_station.api.board_data import check_routes
 from vaoi_station.api.board_data import routes as board_data
 from vaoi_station.api.board_data.previews import Previews
 from vaoi_station.api.event_hub import EventHub
@@ -84,7 +85,7 @@ def create_app(
     app.state.hub = services.hub
     problems.install(app)
     pictures = (frames, components, batch_routes, merged, mosaics)
-    for module in (station, calibration, board_types, stitching, runs, *pictures, events):
+    for module in (station, calibration, board_types, stitching, runs, check_routes, *pictures, events):
         app.include_router(module.router(services), prefix=PREFIX)
     app.include_router(board_data.router(services, previews), prefix=PREFIX)
     if access is not None:

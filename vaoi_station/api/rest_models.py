@@ -58,6 +58,19 @@ class StateRequest(Strict):
     )
 
 
+class CorrectionRequest(Strict):
+    """A request to store the correction that a check against a run proposes."""
+
+    run: str = Field(min_length=1, max_length=64, description="Id of the finished run of the check.")
+    revision: str | None = Field(
+        default=None,
+        min_length=1,
+        max_length=40,
+        pattern=r"^[^\x00-\x1f\x7f]+$",
+        description="Revision of the corrected data [that of the data, with `corrected`].",
+    )
+
+
 class TeachRequest(Strict):
     """A request to make a run the reference of its board type."""
 

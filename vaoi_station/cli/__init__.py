@@ -13,6 +13,7 @@ from typing import Annotated
 import typer
 
 from vaoi_station.cli.recordings.calibrate import calibrate
+from vaoi_station.cli.recordings.check_board import check_board
 from vaoi_station.cli.recordings.cut import cut
 from vaoi_station.cli.recordings.flatfield import flatfield
 from vaoi_station.cli.recordings.heights import heights
@@ -97,6 +98,7 @@ app.command()(cut)
 app.command()(mosaic)
 app.command()(heights)
 app.command()(identify)
+app.command("check-board")(check_board)
 app.command()(bench)
 app.command()(demo)
 app.command()(view)

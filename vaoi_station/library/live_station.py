@@ -12,6 +12,7 @@ from urllib.parse import quote, urlsplit
 import numpy as np
 from numpy.typing import NDArray
 
+from vaoi_station.board_check.report import BoardCheck
 from vaoi_station.demo.client import Client, unusable_reply
 from vaoi_station.errors import InputError
 from vaoi_station.files.caller_credentials import caller_credentials
@@ -28,7 +29,7 @@ from vaoi_station.library.replies import (
     checked,
 )
 from vaoi_station.library.stitched_run import component_height
-from vaoi_station.model import Status, Stitch
+from vaoi_station.model import BoardType, Status, Stitch
 from vaoi_station.rendering.request import ImageOptions, ImageRequest
 
 
@@ -126,6 +127,17 @@ class StationRun:
         """
         query = f"?holder={quote(holder, safe='')}" if holder else ""
         self._client.post(f"/runs/{quote(self.id)}/release{query}")
+
+    def check_board_type(self, name: str | None = None) -> BoardCheck:
+        """Lay a board type of the station, by default that of the run, over the run's pictures; takes seconds."""
+        path = f"/runs/{quote(self.id, safe='')}/board-check"
+        return checked(BoardCheck, self._client.get(path, board_type=name), self._client.url(path))
+
+    def correct_board_type(self, name: str, revision: str | None = None) -> BoardType:
+        """Store the correction that `check_board_type` proposes, as a draft of the board type."""
+        path = f"/board-types/{quote(name, safe='')}/correct"
+        fields = {"run": self.id, "revision": revision}
+        return checked(BoardType, self._client.post(path, **fields), self._client.url(path))
 
     def _image(self, view: ViewReply) -> ComponentImage:
         def load() -> NDArray[Any]:

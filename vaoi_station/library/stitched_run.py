@@ -11,6 +11,8 @@ from typing import Any, Unpack
 import numpy as np
 from numpy.typing import NDArray
 
+from vaoi_station.board_check.checked import CheckedBoardType, checked_board_type
+from vaoi_station.board_check.run_frames import CheckedRun
 from vaoi_station.errors import InputError, NotFoundError, StateError
 from vaoi_station.files import Recording, write_stitch
 from vaoi_station.geometry import Camera, apply
@@ -135,6 +137,22 @@ class StitchedRun:
         """Return the centre of a component in CAD coordinates, in the unit of the board type."""
         require_text("center", "ref", ref)
         return self._part(ref).center
+
+    def check_board_type(self, board_type: BoardType) -> CheckedBoardType:
+        """Lay a board type over this run, which may have been stitched with another one, and compare it.
+
+        Returns:
+            Shift, rotation, mirror and scale of its components against the pictures, those that do not look as if they
+            were there, and the corrected board type.
+
+        Raises:
+            InputError: the board type has too few components, or is larger than what was filmed.
+            StateError: the run has no placed frame.
+        """
+        cameras, recording = self.result.cameras(self.cameras), self.recording
+        lights = recording.head.lights or ()
+        run = CheckedRun(self.result, cameras, recording.frame, lights, self.board_type)
+        return checked_board_type(run, board_type)
 
     def save(self, path: str | Path) -> None:
         """Write the result in the format of `docs/formats.md`, atomically: the file is complete or unchanged."""

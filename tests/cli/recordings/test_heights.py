@@ -13,22 +13,6 @@ import pytest
 from vaoi_station.files.images import read_image
 
 
-@pytest.fixture(scope="module")
-def case(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """A recording with its truth, and its result."""
-    from typer.testing import CliRunner
-
-    from vaoi_station.cli import app
-
-    folder = tmp_path_factory.mktemp("heights")
-    for command in (
-        ["simulate", "small", "--out", str(folder / "run")],
-        ["stitch", str(folder / "run"), "--out", str(folder / "result.json")],
-    ):
-        assert CliRunner().invoke(app, command).exit_code == 0
-    return folder / "run", folder / "result.json"
-
-
 def test_heights_agree_with_the_truth_of_the_twin(vaoi: Any, case: tuple[Path, Path], tmp_path: Path) -> None:
     run, result = case
     out = tmp_path / "heights.json"

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Callable
-from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,20 +21,14 @@ from vaoi_station.mosaic.projection import FrameProjector
 from vaoi_station.mosaic.tiles import NODATA
 from vaoi_station.photometry import FlatFields
 from vaoi_station.runs.archive.finished_runs import Archive, FinishedRun
+from vaoi_station.runs.mosaics.board_checks import BoardChecks, Lease, Render, slots_of
 from vaoi_station.runs.mosaics.picture_names import PictureName
-from vaoi_station.runs.run.memory import Bay
-from vaoi_station.runs.workers.jobs import PictureJob
-from vaoi_station.runs.workers.mosaic_jobs import PlanJob, Slots, TileJob
+from vaoi_station.runs.workers.mosaic_jobs import PlanJob, TileJob
 
 MOST_PLANS = 8
 """Number of plans that are kept; one of a board of 400 × 410 mm takes 2 MB per layer."""
 MOST_DOWNLOAD_PX = 64_000_000
 """Largest number of pixels of a mosaic that is sent as one file."""
-
-Lease = Callable[[str, str], AbstractContextManager[Bay]]
-"""Keeps the frames of a run in memory in a `with` block; arguments are the run and the purpose."""
-Render = Callable[[PictureJob, str], Any]
-"""Has a worker perform a job with this name in messages, and returns the reply's value."""
 
 
 class Download(NamedTuple):
@@ -63,6 +55,8 @@ class Mosaics:
         """Create it; `flat_fields` is the directory of the station's flat fields."""
         self._archive, self._lease, self._render = archive, lease, render
         self._flat_fields = flat_fields
+        self.board_checks = BoardChecks(archive, lease, render)
+        """Board types laid over these runs."""
         self._lock = threading.Lock()
         self._plans: OrderedDict[tuple[str, PictureName], _Planned] = OrderedDict()
 
@@ -146,7 +140,7 @@ class Mosaics:
         self, finished: FinishedRun, renderer: TileRenderer, box: Box, tone: tuple[float, float], format: str | None
     ) -> Any:
         spec = renderer.spec(box)
-        slots = _slots(finished)
+        slots = slots_of(finished)
         needed = {(p.camera, p.row): slots[p.camera, p.row] for p in spec.parts}
         run = finished.detail.id
         with self._lease(run, "tile of a mosaic") as bay:
@@ -180,7 +174,7 @@ class Mosaics:
                 run,
                 bay.number,
                 bay.generation,
-                _slots(finished),
+                slots_of(finished),
                 choice,
                 finished.cameras,
                 stitch,
@@ -197,10 +191,6 @@ class Mosaics:
 
 def _box(grid: MosaicGrid, x: int, y: int) -> Box:
     return x * TILE_PX, y * TILE_PX, min((x + 1) * TILE_PX, grid.width), min((y + 1) * TILE_PX, grid.height)
-
-
-def _slots(finished: FinishedRun) -> Slots:
-    return {(f.camera, f.row): f.slot for f in finished.detail.frames if f.usable and f.slot is not None}
 
 
 def _taken(finished: FinishedRun) -> tuple[TakenFrame, ...]:

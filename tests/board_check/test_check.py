@@ -1,0 +1,103 @@
+"""A drawn board, checked with right and wrong data: the truth is exact."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.board_check.conftest import ALL, MIDDLE, drawn_board, moved
+from vaoi_station.board_check import check
+from vaoi_station.board_check.check import check_board
+from vaoi_station.board_check.correction import Group, Move
+from vaoi_station.board_check.report import BoardCheck
+from vaoi_station.board_check.run_frames import CheckedRun
+from vaoi_station.errors import InputError
+from vaoi_station.model import BoardType
+
+
+def codes(report: BoardCheck) -> list[str]:
+    return [warning.code for warning in report.warnings]
+
+
+def worst_mm(proposal: BoardType | None, truth: BoardType) -> float:
+    assert proposal is not None
+    pairs = zip(proposal.components, truth.components, strict=True)
+    return max(math.dist(a.center, b.center) for a, b in pairs)
+
+
+def test_right_data_have_no_residual(run: CheckedRun, board: BoardType) -> None:
+    report = check_board(run, board)
+    assert codes(report) == [], report.warnings
+    assert report.proposal is None
+    assert report.residual is not None
+    (x, y), (sx, sy) = report.residual.shift_mm, report.residual.shift_sigma_mm
+    assert abs(x) < 3 * sx < 0.06
+    assert abs(y) < 3 * sy < 0.06
+    assert abs(report.residual.rotation_deg) < 3 * report.residual.rotation_sigma_deg
+    assert [f.off_mm is not None and f.off_mm < 0.02 for f in report.fiducials] == [True] * 3
+    assert len(report.unlikely) <= 2
+
+
+@pytest.mark.parametrize(
+    ("move", "groups", "expected"),
+    [
+        (Move(False, 0, 1, MIDDLE, (1.5, -3.0)), ("components",), {"shifted"}),
+        (Move(True, 90, 1, MIDDLE, (4.0, 2.0)), ALL, {"mirrored", "turned", "shifted", "fiducials-elsewhere"}),
+        (Move(False, 0.6, 1.008, MIDDLE, (0, 0)), ("components",), {"turned", "scaled"}),
+    ],
+)
+def test_wrong_data_are_corrected_to_the_truth(
+    run: CheckedRun, board: BoardType, move: Move, groups: tuple[Group, ...], expected: set[str]
+) -> None:
+    report = check_board(run, moved(board, move, groups))
+    assert expected <= set(codes(report))
+    assert "components-missing" not in codes(report)
+    assert report.residual is not None
+    assert report.residual.mirrored == move.mirrored
+    assert report.residual.scale == pytest.approx(1 / move.scale, abs=4 * report.residual.scale_sigma)
+    assert worst_mm(report.proposal, board) < 0.05
+    assert report.proposal is not None
+    assert (report.proposal.state, report.proposal.revision) == ("draft", "B corrected")
+    assert ("fiducials" in report.moved) == ("fiducials" in groups)
+    off = [(a.x - b.x, a.y - b.y) for a, b in zip(report.proposal.fiducials, board.fiducials, strict=True)]
+    assert np.abs(off).max() < 0.05
+
+
+def test_components_of_another_revision_are_named(run: CheckedRun, board: BoardType) -> None:
+    bare = [(6.0 + 2.3 * n, 1.2) for n in range(12)]
+    parts = list(board.components)
+    for n, place in enumerate(bare):
+        parts[n] = parts[n].model_copy(update={"center": place, "width": 1.6, "height": 0.8})
+    report = check_board(run, board.model_copy(update={"components": tuple(parts)}))
+    there = {f"U{n + 1}" for n in range(12, 40)}
+    assert len({entry.ref for entry in report.unlikely} & there) <= 2
+    assert len({entry.ref for entry in report.unlikely} - there) >= 5, "half of absent components are expected"
+    assert "components-missing" in codes(report)
+
+
+def test_data_of_another_board_are_not_found(run: CheckedRun) -> None:
+    report = check_board(run, drawn_board(seed=9))
+    assert codes(report) == ["not-found"]
+    assert "another board or side" in report.warnings[0].message
+    assert (report.tester_from_cad, report.proposal, report.residual) == (None, None, None)
+
+
+def test_a_run_without_c_gives_the_place_but_no_residual(
+    run: CheckedRun, board: BoardType, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(check, "_UNKNOWN_RAD", np.radians([-0.5, 0.0, 0.5]))
+    lost = replace(run, stitch=run.stitch.model_copy(update={"cad_matrix": None}), board_type=None)
+    report = check_board(lost, board)
+    assert codes(report) == ["no-cad-mapping"]
+    assert report.residual is None
+    np.testing.assert_allclose(np.array(report.tester_from_cad), np.array(run.stitch.cad_matrix), atol=0.06)
+
+
+def test_too_few_components_and_a_wrong_unit_are_refused(run: CheckedRun, board: BoardType) -> None:
+    with pytest.raises(InputError, match=r"2 entries.*at least 3"):
+        check_board(run, board.model_copy(update={"components": board.components[:2]}))
+    with pytest.raises(InputError, match="Check the unit of the data, 'inch'"):
+        check_board(run, board.model_copy(update={"unit": "inch"}))

@@ -1,0 +1,49 @@
+"""Moves of board data."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from tests.board_check.conftest import ALL, drawn_board
+from vaoi_station.board_check.correction import Move, moved_board_type
+from vaoi_station.geometry import apply
+from vaoi_station.model import BoardType
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_a_move_is_found_again_in_its_matrix(mirrored: bool) -> None:
+    move = Move(mirrored, -37.0, 1.02, (3.0, 4.0), (5.0, -6.0))
+    found = Move.of(move.matrix, np.array(move.middle_mm))
+    assert found.mirrored == mirrored
+    assert (found.degrees, found.scale, *found.shift_mm) == pytest.approx((-37.0, 1.02, 5.0, -6.0))
+
+
+def test_what_is_within_the_noise_is_no_part_of_a_correction() -> None:
+    move = Move(False, 90.02, 1.0004, (0.0, 0.0), (1.0, 0.0))
+    assert move.snapped(0.01, 0.0002) == Move(False, 90.0, 1.0, (0.0, 0.0), (1.0, 0.0))
+    assert move.snapped(0.001, 0.0001) == move
+
+
+@pytest.mark.parametrize("y_axis", ["up", "down"])
+def test_footprints_move_with_their_centres_in_every_unit(y_axis: str) -> None:
+    parts = [{"ref": "U1", "center": [1, 0.5], "origin": [1, 0.4], "width": 0.2, "height": 0.1, "rotation": 30}]
+    board = BoardType.model_validate({"name": "b", "unit": "inch", "y_axis": y_axis, "components": parts})
+    up = np.diag([25.4, 25.4 if y_axis == "up" else -25.4, 1.0])
+    for mirrored in (False, True):
+        move = Move(mirrored, 25.0, 1.0, (0.0, 0.0), (3.0, 1.0))
+        moved = moved_board_type(board, move, ALL)
+        there = apply(move.matrix @ up, board.footprint(board.components[0]))
+        corners = apply(up, moved.footprint(moved.components[0]))
+        # Mirrored corners come in another order.
+        assert all(min(math.dist(a, b) for b in corners) < 1e-3 for a in there)
+        assert moved.components[0].origin == pytest.approx(
+            tuple(apply(np.linalg.inv(up) @ move.matrix @ up, np.array([1, 0.4]))), abs=1e-5
+        )
+
+
+def test_an_outline_that_loses_its_fiducials_is_refused() -> None:
+    with pytest.raises(ValueError, match="outside the outline"):
+        moved_board_type(drawn_board(), Move(False, 0.0, 1.0, (0.0, 0.0), (40.0, 0.0)), ("components", "fiducials"))

@@ -1,0 +1,189 @@
+"""Find where the bodies of a board type lie in the overview: quarter turns, mirrored or not, any shift, small scale.
+
+Every pose is rated by the strength of the picture's edges along the edges of all bodies. All shifts are tried at
+once by a Fourier transform; the best ones are refined in shift, angle and scale at growing sharpness.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import cv2
+import numpy as np
+
+from vaoi_station.board_check.body_edges import BodyEdges
+from vaoi_station.board_check.overview import Floats32, Overview
+from vaoi_station.geometry.transforms import Floats
+
+_SEARCH_PX = 6e5
+"""Largest number of pixels of the picture in which all shifts are tried."""
+_SEARCH_BLUR_MM, _BLURS_MM = 0.35, (0.6, 0.3, 0.15)
+_STEPS_MM = {0.6: (0.8, 0.4, 0.2), 0.3: (0.2, 0.1), 0.15: (0.1, 0.05, 0.02)}
+"""Steps of the refinement at every blur: displacements at the rms distance of the bodies from their middle, mm."""
+_MOST_ROUNDS = 30
+_GROUPS = 8
+"""Number of groups of components, each of which is left out once to estimate the scatter of a pose."""
+
+
+@dataclass(frozen=True)
+class Pose:
+    """A similarity from CAD data in mm to tester coordinates."""
+
+    mirrored: bool
+    """Whether the y axis is negated first."""
+    angle_rad: float
+    scale: float
+    shift_mm: tuple[float, float]
+    """Where the origin of the CAD data lies."""
+    score: float = 0.0
+    """Standard deviations by which the edges at this pose exceed those at random shifts."""
+
+    @property
+    def matrix(self) -> Floats:
+        """Matrix (3, 3) from CAD data in mm to tester coordinates."""
+        c, s = self.scale * np.cos(self.angle_rad), self.scale * np.sin(self.angle_rad)
+        f = -1.0 if self.mirrored else 1.0
+        return np.array([[c, -s * f, self.shift_mm[0]], [s, c * f, self.shift_mm[1]], [0, 0, 1.0]])
+
+
+def find_poses(overview: Overview, edges: BodyEdges, angles_rad: Sequence[float]) -> list[Pose]:
+    """Return the best pose of every quarter turn of the given angles, as seen and mirrored; the best one first.
+
+    Args:
+        overview: what was filmed.
+        edges: the bodies.
+        angles_rad: angles of the CAD data in tester coordinates, of which also the quarter turns are tried.
+    """
+    small = _reduced(overview)
+    strength = small.edges(_SEARCH_BLUR_MM)
+    found: list[Pose] = []
+    for quarter, mirrored in product(range(4), (False, True)):
+        poses = [
+            _best_shift(small, strength, edges, Pose(mirrored, angle + quarter * np.pi / 2, 1.0, (0.0, 0.0)))
+            for angle in angles_rad
+        ]
+        found.append(max(poses, key=lambda pose: pose.score))
+    return sorted(found, key=lambda pose: -pose.score)
+
+
+def refine_pose(overview: Overview, edges: BodyEdges, pose: Pose) -> tuple[Pose, Floats]:
+    """Refine shift, angle and scale of a pose.
+
+    Returns:
+        The pose, and the covariance (4, 4) of shift x and y at the middle of the bodies, turn and stretch; turn and
+        stretch are displacements at the rms distance of the bodies from their middle, mm.
+    """
+    for blur in _BLURS_MM:
+        strength = overview.edges(blur)
+        pose = _climbed(overview, strength, edges, pose, _STEPS_MM[blur])
+    parts = np.unique(edges.part)
+    changes = []
+    if len(parts) >= _GROUPS:
+        for group in range(_GROUPS):
+            rest = edges.of_parts(parts[np.arange(len(parts)) % _GROUPS != group])
+            changes.append(
+                _difference(edges, pose, _climbed(overview, strength, rest, pose, _STEPS_MM[_BLURS_MM[-1]][1:]))
+            )
+        spread = np.array(changes) - np.mean(changes, axis=0)
+        covariance = (_GROUPS - 1) / _GROUPS * spread.T @ spread
+    else:
+        covariance = np.zeros((4, 4))
+    # The last step and the pixels of the picture bound what can be seen of a pose.
+    return pose, covariance + np.eye(4) * (_STEPS_MM[_BLURS_MM[-1]][-1] ** 2 + (0.1 / overview.px_per_mm) ** 2)
+
+
+def _reduced(overview: Overview) -> Overview:
+    factor = max(round(float(np.sqrt(overview.grey.size / _SEARCH_PX)) + 0.49), 2 if overview.px_per_mm > 5 else 1)
+    if factor == 1:
+        return overview
+    h, w = (n // factor for n in overview.grey.shape)
+    grey = cv2.resize(overview.grey[: h * factor, : w * factor], (w, h), interpolation=cv2.INTER_AREA)
+    seen = overview.seen[: h * factor : factor, : w * factor : factor]
+    low = overview.low_mm + (factor - 1) / 2 / overview.px_per_mm
+    return replace(overview, grey=grey, seen=seen, low_mm=low, px_per_mm=overview.px_per_mm / factor)
+
+
+def _best_shift(overview: Overview, strength: Floats32, edges: BodyEdges, pose: Pose) -> Pose:
+    """Return a pose with the shift at which the edges are strongest, and its score."""
+    turn, resolution = pose.matrix[:2, :2], overview.px_per_mm
+    points = edges.points @ turn.T * resolution
+    weights = (edges.normals @ turn.T) ** 2 * edges.weight[:, None]
+    start = np.floor(points.min(0))
+    at = np.rint(points - start).astype(np.int_)
+    size = at.max(0) + 1
+    h, w = overview.grey.shape
+    shape = cv2.getOptimalDFTSize(h + int(size[1])), cv2.getOptimalDFTSize(w + int(size[0]))
+    total = np.zeros((shape[0], shape[1] // 2 + 1), np.complex64)
+    for n in range(2):
+        template = np.zeros(shape, np.float32)
+        np.add.at(template, (at[:, 1], at[:, 0]), weights[:, n].astype(np.float32))
+        padded = np.zeros(shape, np.float32)
+        padded[:h, :w] = strength[n]
+        total += (np.fft.rfft2(padded) * np.conj(np.fft.rfft2(template))).astype(np.complex64)
+    score = np.fft.irfft2(total, shape)
+    # Shifts at which most bodies lie outside of what was filmed are no candidates. Negative ones stand at the end.
+    x_shifts, y_shifts = (
+        np.arange(-(n // 4), max(most - 3 * n // 4, 0) + 1) for n, most in zip(size, (w, h), strict=True)
+    )
+    values = score[np.ix_(y_shifts % shape[0], x_shifts % shape[1])]
+    y, x = np.unravel_index(int(values.argmax()), values.shape)
+    shift = (np.array([x_shifts[x], y_shifts[y]]) - start) / resolution + overview.low_mm
+    best = float((values[y, x] - values.mean()) / max(float(values.std()), 1e-9))
+    return replace(pose, shift_mm=(float(shift[0]), float(shift[1])), score=best)
+
+
+def _climbed(overview: Overview, strength: Floats32, edges: BodyEdges, pose: Pose, steps_mm: Sequence[float]) -> Pose:
+    """Improve a pose in steps of shift, turn and stretch until no step raises the score."""
+    middle, arm = middle_of(edges)
+    value = _rated(overview, strength, edges, pose)
+    for step in steps_mm:
+        for _ in range(_MOST_ROUNDS):
+            before = value
+            for axis, sign in product(range(4), (1, -1)):
+                change = np.zeros(4)
+                change[axis] = sign * step
+                tried = _changed(pose, change, middle, arm)
+                rated = _rated(overview, strength, edges, tried)
+                if rated > value:
+                    pose, value = tried, rated
+            if value == before:
+                break
+    return pose
+
+
+def middle_of(edges: BodyEdges) -> tuple[Floats, float]:
+    """Return the middle of the bodies and their rms distance from it."""
+    middle = edges.points.mean(0)
+    return middle, max(float(np.sqrt(((edges.points - middle) ** 2).sum(1).mean())), 1.0)
+
+
+def _changed(pose: Pose, change: Floats, middle: Floats, arm_mm: float) -> Pose:
+    """Return a pose changed by shift x and y, turn and stretch about the middle of the bodies, mm."""
+    there = pose.matrix[:2, :2] @ middle + pose.shift_mm + change[:2]
+    new = replace(pose, angle_rad=pose.angle_rad + change[2] / arm_mm, scale=pose.scale * (1 + change[3] / arm_mm))
+    x, y = there - new.matrix[:2, :2] @ middle
+    return replace(new, shift_mm=(float(x), float(y)))
+
+
+def _difference(edges: BodyEdges, before: Pose, after: Pose) -> Floats:
+    """Return the change of a pose as shift x and y, turn and stretch, mm; the inverse of `_changed`."""
+    middle, arm = middle_of(edges)
+    shift = (after.matrix - before.matrix)[:2] @ (*middle, 1.0)
+    return np.array([*shift, (after.angle_rad - before.angle_rad) * arm, (after.scale / before.scale - 1) * arm])
+
+
+def _rated(overview: Overview, strength: Floats32, edges: BodyEdges, pose: Pose) -> float:
+    """Return the sum of the strengths along all edges."""
+    return float(np.sum(edge_strengths(overview, strength, edges, pose.matrix) * edges.weight))
+
+
+def edge_strengths(overview: Overview, strength: Floats32, edges: BodyEdges, matrix: Floats) -> Floats:
+    """Return the strength (k,) of the picture's edges at the points of bodies, across their edges."""
+    px = (overview.px_from_tester @ matrix)[:2]
+    at = (edges.points @ px[:, :2].T + px[:, 2]).astype(np.float32)
+    turn = matrix[:2, :2] / np.sqrt(abs(np.linalg.det(matrix[:2, :2])))
+    across = (edges.normals @ turn.T) ** 2
+    values = [cv2.remap(s, at[:, :1], at[:, 1:], cv2.INTER_LINEAR, borderValue=0)[:, 0] for s in strength]
+    return np.asarray(values[0] * across[:, 0] + values[1] * across[:, 1], np.float64)
