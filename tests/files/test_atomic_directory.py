@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from vaoi_station.errors import InputError
-from vaoi_station.files.atomic_directory import new_directory, refuse_existing
+from vaoi_station.files.atomic_directory import new_directory, refuse_existing, remove_directory
 
 
 def test_directory_appears_complete(tmp_path: Path) -> None:
@@ -46,3 +48,27 @@ def test_existing_targets_of_any_kind_are_refused_as_input(tmp_path: Path) -> No
     for name in ("file", "link"):
         with pytest.raises(InputError, match=f"{name}: exists already. Choose another"):
             refuse_existing(tmp_path / "new", tmp_path / name)
+
+
+def test_the_name_of_a_directory_goes_before_its_content(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen, remove = list[list[str]](), shutil.rmtree
+
+    def look(path: Path, **options: Any) -> None:
+        seen.append([p.relative_to(tmp_path).as_posix() for p in sorted(tmp_path.rglob("*"))])
+        remove(path, **options)
+
+    monkeypatch.setattr(shutil, "rmtree", look)
+    (tmp_path / "kept").mkdir()
+    (tmp_path / "kept" / "file").write_text("whole")
+    remove_directory(tmp_path / "kept")
+    assert seen == [[".kept.deleted", ".kept.deleted/file"]]
+    assert list(tmp_path.iterdir()) == []
+    remove_directory(tmp_path / "kept")  # absent
+
+
+def test_a_directory_goes_although_what_was_left_of_one_is_in_the_way(tmp_path: Path) -> None:
+    for name in ("kept", ".kept.deleted"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "file").write_text("whole")
+    remove_directory(tmp_path / "kept")
+    assert [path.name for path in tmp_path.iterdir()] == [".kept.deleted"]

@@ -4,20 +4,25 @@ from __future__ import annotations
 
 import os
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
+from typing import IO, Any
 
 import pytest
 
 from tests.transfer.conftest import Site
 from vaoi_station.config import read_config
-from vaoi_station.errors import InputError
+from vaoi_station.errors import GoneError, InputError
 from vaoi_station.files import read_board_type, read_calibration
+from vaoi_station.files.atomic_directory import remove_directory
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.run.reference_store import ReferenceStore
 from vaoi_station.runs.run.salvage import camera_heads
 from vaoi_station.store import Database, Store
+from vaoi_station.transfer import backup
 from vaoi_station.transfer.backup import back_up, restore
+from vaoi_station.transfer.live_directories import open_files
 
 
 def test_everything_is_back_on_an_empty_machine(site: Site, tmp_path: Path) -> None:
@@ -59,6 +64,42 @@ def test_recordings_are_included_on_request(site: Site, tmp_path: Path) -> None:
     back_up(site.config, tmp_path / "backup", recordings=True)
     config = restore(tmp_path / "backup", tmp_path / "b" / "station.toml")
     assert (config.data / "recordings" / site.degraded / "recording.json").is_file()
+
+
+def test_recordings_deleted_meanwhile_are_named_and_not_restored(site: Site, tmp_path: Path) -> None:
+    recordings = site.rig.config.data / "recordings"
+    shutil.copytree(recordings / site.degraded, recordings / "0-early")
+    package, frames = tmp_path / "backup", 0
+
+    def delete_one(*given: Any) -> Iterator[Any]:
+        nonlocal frames
+        for name, content in open_files(*given):
+            yield name, content
+            if given[0].name == "0-early" and name.startswith("frames/"):
+                frames += 1
+                remove_directory(recordings / "0-early")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(backup, "open_files", delete_one)
+        summary = back_up(site.config, package, recordings=True)
+    assert (summary.deleted, frames) == (("0-early",), 1)
+    config = restore(package, tmp_path / "b" / "station.toml")
+    assert [path.name for path in (config.data / "recordings").iterdir()] == [site.degraded]
+
+
+def open_deleted(path: Path) -> Iterator[tuple[str, IO[bytes]]]:
+    """Stand in for `open_files` while the station deletes the directory."""
+    remove_directory(path)
+    return open_files(path)
+
+
+def test_a_reference_deleted_meanwhile_ends_the_backup(site: Site, tmp_path: Path) -> None:
+    (reference,) = (site.rig.config.data / "references").iterdir()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(backup, "open_files", open_deleted)
+        with pytest.raises(GoneError, match=f"{reference.name}: was deleted while"):
+            back_up(site.config, tmp_path / "backup")
+    assert not (tmp_path / "backup").exists()
 
 
 def test_only_the_service_reads_what_the_administrator_restores(

@@ -17,7 +17,8 @@ from vaoi_station.transfer.package import Entry, unpack_package, write_package
 
 def make(path: Path) -> Path:
     (path.parent / "big").write_bytes(bytes(range(256)) * 20_000)
-    write_package(path, "kind", [("a/b.json", b"{}"), ("big", path.parent / "big")], {"x": 1})
+    with (path.parent / "big").open("rb") as big:
+        write_package(path, "kind", [("a/b.json", b"{}"), ("big", big)], {"x": 1})
     return path
 
 
@@ -36,7 +37,7 @@ def test_contents_and_manifest_come_back(tmp_path: Path) -> None:
 def test_nothing_remains_of_a_package_that_fails(tmp_path: Path) -> None:
     def entries() -> Iterator[Entry]:
         yield "a", b"1"
-        yield "b", tmp_path / "absent"
+        raise OSError(28, "No space left on device")
 
     with pytest.raises(DeviceError, match="cannot be written"):
         write_package(tmp_path / "p", "kind", entries(), {})

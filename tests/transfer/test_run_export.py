@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
+from typing import IO
 
 import pytest
 
 from tests.transfer.conftest import Site
 from vaoi_station.errors import GoneError, InputError, NotFoundError
 from vaoi_station.files import open_recording, read_board_type, read_calibration, read_stitch
+from vaoi_station.files.atomic_directory import remove_directory
 from vaoi_station.model import Status
 from vaoi_station.runs.states.schemas import RunDetail
+from vaoi_station.transfer import run_export
+from vaoi_station.transfer.live_directories import open_files
 from vaoi_station.transfer.run_export import export_run, import_run
 
 
@@ -34,6 +39,23 @@ def test_a_run_without_frames_has_result_calibration_and_board_type(site: Site, 
     assert (tmp_path / "out" / "heights.json").read_text() == '{"heights":{}}'
     assert read_board_type(tmp_path / "out" / "board.json").name == "small"
     assert len(read_calibration(tmp_path / "out" / "calibration.json").camera_matrices) == 2
+
+
+def open_deleted(path: Path) -> Iterator[tuple[str, IO[bytes]]]:
+    """Stand in for `open_files` while the station deletes the directory."""
+    remove_directory(path)
+    return open_files(path)
+
+
+def test_frames_that_are_deleted_meanwhile_end_the_export(site: Site, tmp_path: Path) -> None:
+    recording = site.rig.config.data / "recordings" / site.degraded
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(run_export, "open_files", open_deleted)
+        with pytest.raises(GoneError, match=f"{site.degraded}: was deleted while"):
+            export_run(site.config, site.degraded, tmp_path / "run.vaoi")
+    assert not (tmp_path / "run.vaoi").exists()
+    assert not recording.exists()
+    assert not export_run(site.config, site.degraded, tmp_path / "run.vaoi"), "without frames"
 
 
 def test_runs_that_cannot_be_exported_are_refused(site: Site, tmp_path: Path) -> None:

@@ -149,12 +149,21 @@ def _all_events_read(content: bytes) -> bool:
 def _listing(config: StationConfig) -> Iterator[str]:
     """Yield size, time, digest and path of the files that the configuration names. Layouts of boards are not copied."""
     for file in (config.calibration, *sorted(config.board_types.glob("*.json"))):
-        state = file.stat()
-        digest = hashlib.sha256(file.read_bytes()).hexdigest()[:16]
-        changed = datetime.fromtimestamp(state.st_mtime, UTC).isoformat(timespec="seconds")
-        yield f"{state.st_size:>12} {changed} {digest} {file}"
+        yield _described(file, digest=True)
     for file in sorted(config.data.glob("*")):
-        yield f"{file.stat().st_size:>12} {'':<25} {'':<16} {file}"
+        yield _described(file)
+
+
+def _described(file: Path, *, digest: bool = False) -> str:
+    """Return the line of a file, also if it is absent: a running station deletes files meanwhile."""
+    try:
+        state, content = file.stat(), file.read_bytes() if digest else b""
+    except FileNotFoundError:
+        return f"{'absent':>12} {'':<25} {'':<16} {file}"
+    if not digest:
+        return f"{state.st_size:>12} {'':<25} {'':<16} {file}"
+    changed = datetime.fromtimestamp(state.st_mtime, UTC).isoformat(timespec="seconds")
+    return f"{state.st_size:>12} {changed} {hashlib.sha256(content).hexdigest()[:16]} {file}"
 
 
 def _database(path: Path) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""Create directories that appear complete, by a rename, or not at all."""
+"""Create and remove directories by a rename, so that a complete directory has the name, or none."""
 
 from __future__ import annotations
 
@@ -48,3 +48,16 @@ def new_directory(directory: Path) -> Iterator[Path]:
     except BaseException:  # also after Ctrl-C: remove the draft, then raise again
         shutil.rmtree(draft, ignore_errors=True)
         raise
+
+
+def remove_directory(directory: Path) -> None:
+    """Remove a directory with its content. Its name vanishes at once, so no reader finds a part of the content.
+
+    Nothing is raised. What cannot be deleted has a name with a leading dot, like the drafts of `new_directory`.
+    """
+    gone = directory.with_name(f".{directory.name}.deleted")
+    try:
+        directory.rename(gone)
+    except OSError:  # e.g. a full disk takes no new name; its space is needed in any case
+        gone = directory
+    shutil.rmtree(gone, ignore_errors=True)

@@ -7,18 +7,22 @@ import os
 import shutil
 import tempfile
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from vaoi_station.config import StationConfig, read_config
-from vaoi_station.errors import InputError
+from vaoi_station.errors import GoneError, InputError
 from vaoi_station.files.access_keys import KEY_FILE
 from vaoi_station.files.atomic_directory import refuse_existing
+from vaoi_station.files.directory_walk import files_below
 from vaoi_station.runs.archive.recordings import DIRECTORY as RECORDINGS
+from vaoi_station.runs.archive.recordings import HEAD_FILE
 from vaoi_station.runs.states.run_ids import utc
 from vaoi_station.store.database_file import MARK
 from vaoi_station.store.schema import VERSION as TABLES
 from vaoi_station.transfer.database_copy import check_database, copy_database
+from vaoi_station.transfer.live_directories import open_files
 from vaoi_station.transfer.package import Entry, unpack_package, write_package
 from vaoi_station.version import __version__
 
@@ -34,6 +38,8 @@ class BackupSummary:
 
     files: int
     size_bytes: int
+    deleted: tuple[str, ...]
+    """Runs whose recordings the station deleted while the backup was made, so that it does not have them."""
 
 
 def back_up(config_path: Path, out: Path, *, recordings: bool = False) -> BackupSummary:
@@ -43,6 +49,10 @@ def back_up(config_path: Path, out: Path, *, recordings: bool = False) -> Backup
         config_path: the station.toml.
         out: the file to write, which must not exist.
         recordings: whether to include the kept recordings of frames.
+
+    Raises:
+        InputError: the file exists.
+        GoneError: a reference was deleted while the backup was made, which has a database that names it.
     """
     refuse_existing(out)
     config = read_config(config_path)
@@ -52,9 +62,10 @@ def back_up(config_path: Path, out: Path, *, recordings: bool = False) -> Backup
         database = Path(scratch) / DATABASE
         copy_database(config.data / DATABASE, database)
         about = {"station": config.name, "made": utc(), "software": __version__, "tables": TABLES}
-        entries = _entries(config_path, config, database, with_recordings=recordings)
+        deleted: list[str] = []
+        entries = _entries(config_path, config, database, deleted if recordings else None)
         files = write_package(out, KIND, entries, about)
-    return BackupSummary(files, out.stat().st_size)
+    return BackupSummary(files, out.stat().st_size, tuple(deleted))
 
 
 def restore(package: Path, config_path: Path) -> StationConfig:
@@ -71,6 +82,7 @@ def restore(package: Path, config_path: Path) -> StationConfig:
         unpacked = Path(scratch)
         unpack_package(package, KIND, unpacked)
         check_database(unpacked / DATA / DATABASE)
+        _drop_deleted(unpacked / DATA / RECORDINGS)
         # Paths in the file are relative to its folder, so it is read as if it were there already.
         config = read_config(unpacked / CONFIG)
         # A file that exists already, such as a scenario of the package, is no problem.
@@ -85,31 +97,72 @@ def restore(package: Path, config_path: Path) -> StationConfig:
     return read_config(config_path)
 
 
-def _entries(config_path: Path, config: StationConfig, database: Path, *, with_recordings: bool) -> Iterator[Entry]:
-    yield CONFIG, config_path
-    yield f"{DATA}/{DATABASE}", database
-    if config.calibration.is_file():
-        yield CALIBRATION, config.calibration
-    if config.simulation is not None and config.simulation.scenario.is_file():
-        yield SCENARIO, config.simulation.scenario
+def _entries(config_path: Path, config: StationConfig, database: Path, deleted: list[str] | None) -> Iterator[Entry]:
+    """Yield everything of a backup; without the recordings if `deleted`, to which it adds those deleted, is None."""
+    yield from _file(config_path, CONFIG)
+    yield from _file(database, f"{DATA}/{DATABASE}")
+    yield from _file(config.calibration, CALIBRATION)
+    if config.simulation is not None:
+        yield from _file(config.simulation.scenario, SCENARIO)
     yield from _files(config.board_types, BOARD_TYPES)
-    for path in sorted(config.data.iterdir()):
+    for path in _visible(config.data):
+        name = f"{DATA}/{path.name}"
         # The files beside the database belong to it, or are damaged ones that were set aside. Only its marker file is
         # kept.
-        of_database = path.name.startswith(DATABASE) and not path.name.endswith(MARK)
-        if not of_database and (with_recordings or path.name != RECORDINGS):
-            yield from _files(path, f"{DATA}/{path.name}")
+        if path.name.startswith(DATABASE) and not path.name.endswith(MARK):
+            continue
+        if path.name == RECORDINGS and deleted is not None:
+            yield from _recordings(path, name, deleted)
+        elif path.name == REFERENCES:
+            for below in _visible(path):
+                yield from _whole(below, f"{name}/{below.name}")
+        elif path.name != RECORDINGS:
+            yield from _files(path, name)
+
+
+def _recordings(directory: Path, name: str, deleted: list[str]) -> Iterator[Entry]:
+    """Yield the files of all recordings. One that the station deletes meanwhile for want of space is no error."""
+    for recording in _visible(directory):
+        try:
+            yield from _whole(recording, f"{name}/{recording.name}")
+        except GoneError:
+            deleted.append(recording.name)
+
+
+def _whole(path: Path, name: str) -> Iterator[Entry]:
+    """Yield a file, or all files of a recording or reference; GoneError if it is deleted meanwhile."""
+    if path.is_file():
+        yield from _file(path, name)
+    else:
+        yield from ((f"{name}/{below}", content) for below, content in open_files(path))
+
+
+def _visible(directory: Path) -> list[Path]:
+    """Return what is in a directory, without unfinished work."""
+    return sorted(path for path in directory.iterdir() if not path.name.startswith("."))
 
 
 def _files(path: Path, name: str) -> Iterator[Entry]:
-    """Yield a file, or all files below a folder, except temporary ones and those that vanish meanwhile."""
-    if path.name.startswith("."):
-        return
+    """Yield a file, or all files below a folder, except temporary ones and those that are deleted meanwhile."""
     if path.is_dir():
-        for below in sorted(path.iterdir()):
-            yield from _files(below, f"{name}/{below.name}")
-    elif path.is_file():
-        yield name, path
+        for file in files_below(path, hidden=False):
+            yield from _file(file, f"{name}/{file.relative_to(path).as_posix()}")
+    else:
+        yield from _file(path, name)
+
+
+def _file(path: Path, name: str) -> Iterator[Entry]:
+    """Yield a regular file, unless it is absent."""
+    if path.is_file():
+        with suppress(FileNotFoundError), path.open("rb") as content:
+            yield name, content
+
+
+def _drop_deleted(recordings: Path) -> None:
+    """Remove what the backup has of recordings that the station deleted meanwhile; `open_files` says how they look."""
+    for recording in _visible(recordings) if recordings.is_dir() else ():
+        if not (recording / HEAD_FILE).is_file():
+            shutil.rmtree(recording)
 
 
 def _moves(unpacked: Path, config: StationConfig, base: Path) -> list[tuple[Path, Path]]:

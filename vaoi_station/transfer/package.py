@@ -29,8 +29,8 @@ _CHUNK = 1 << 20
 _MOST_MEMBERS = 1_000_000
 _LARGEST_MANIFEST = 200_000_000
 
-Entry = tuple[str, Path | bytes]
-"""Name in the package with "/" between its parts, and the file or content."""
+Entry = tuple[str, IO[bytes] | bytes]
+"""Name in the package with "/" between its parts, and the open file or the content."""
 
 
 def write_package(path: Path, kind: str, entries: Iterable[Entry], about: dict[str, Any]) -> int:
@@ -123,18 +123,17 @@ def unpack_package(path: Path, kind: str, directory: Path, *, spare_bytes: int =
 _ACTION = "Use a file that vaoi backup or vaoi export has written, or copy it again."
 
 
-def _add(tar: tarfile.TarFile, name: str, content: Path | bytes) -> str:
+def _add(tar: tarfile.TarFile, name: str, content: IO[bytes] | bytes) -> str:
     """Add one entry to the tar file, and return the digest of its content."""
     info = tarfile.TarInfo(name)
     if isinstance(content, bytes):
         info.size = len(content)
         tar.addfile(info, io.BytesIO(content))
         return hashlib.sha256(content).hexdigest()
-    with content.open("rb") as file:
-        status = os.fstat(file.fileno())
-        info.size, info.mtime = status.st_size, int(status.st_mtime)
-        reader = _Digesting(file)
-        tar.addfile(info, reader)
+    status = os.fstat(content.fileno())
+    info.size, info.mtime = status.st_size, int(status.st_mtime)
+    reader = _Digesting(content)
+    tar.addfile(info, reader)
     return reader.summary.hexdigest()
 
 

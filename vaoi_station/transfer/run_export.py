@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 
 from vaoi_station.config import read_config
@@ -17,6 +18,7 @@ from vaoi_station.runs.states.schemas import RunDetail
 from vaoi_station.store.schema import unpacked
 from vaoi_station.transfer.backup import DATABASE
 from vaoi_station.transfer.database_copy import reading
+from vaoi_station.transfer.live_directories import open_files
 from vaoi_station.transfer.package import Entry, unpack_package, write_package
 from vaoi_station.version import __version__
 
@@ -38,7 +40,7 @@ def export_run(config_path: Path, run: str, out: Path) -> bool:
         InputError: the file exists.
         NotFoundError: there is no such run.
         StateError: the run has not ended.
-        GoneError: at most a summary of the run is kept.
+        GoneError: at most a summary of the run is kept, or the station deleted the frames meanwhile.
     """
     refuse_existing(out)
     config = read_config(config_path)
@@ -47,11 +49,10 @@ def export_run(config_path: Path, run: str, out: Path) -> bool:
         detail = _detail(database, run)
         recorded = (recording / "recording.json").is_file()
         documents = dict(_documents(database, detail))
-        frames = {path.relative_to(recording).as_posix(): path for path in recording.rglob("*") if path.is_file()}
         # The record of the database is the newer one: it has the state of the frames.
-        entries: dict[str, Path | bytes] = {**(frames if recorded else {}), **documents}
+        frames = ((name, file) for name, file in open_files(recording) if name not in documents) if recorded else ()
         about = {"run": run, "station": config.name, "made": utc(), "software": __version__, "frames": recorded}
-        write_package(out, KIND, entries.items(), about)
+        write_package(out, KIND, chain[Entry](documents.items(), frames), about)
     return recorded
 
 

@@ -16,7 +16,7 @@ from typing import Any
 
 from vaoi_station.config import KeepConfig, read_config
 from vaoi_station.errors import DeviceError, InputError
-from vaoi_station.files.atomic_directory import new_directory
+from vaoi_station.files.atomic_directory import new_directory, remove_directory
 from vaoi_station.files.documents import parse, read_json
 from vaoi_station.files.recordings import open_recording
 from vaoi_station.model import BoardType, Calibration, RecordingHead, Status, Stitch
@@ -110,7 +110,7 @@ def import_into_history(package: Path, config_path: Path) -> ImportedRun:
                 connection.execute("COMMIT")
             except BaseException:  # the run is not in the history, whatever the reason: raise it again
                 if with_frames:
-                    shutil.rmtree(target, ignore_errors=True)
+                    remove_directory(target)
                 raise
     return ImportedRun(content.detail, target.exists())
 

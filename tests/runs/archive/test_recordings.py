@@ -14,7 +14,7 @@ from tests.runs.conftest import a_stitch
 from vaoi_station.config import KeepConfig
 from vaoi_station.errors import GoneError
 from vaoi_station.files import open_recording, read_board_type, read_calibration, read_stitch
-from vaoi_station.files.atomic_directory import new_directory
+from vaoi_station.files.atomic_directory import new_directory, remove_directory
 from vaoi_station.model import RecordingHead, Status, Verdict
 from vaoi_station.runs.archive import recordings as module
 from vaoi_station.runs.archive.recordings import Recordings, bytes_of_frames
@@ -224,7 +224,17 @@ def test_recordings_make_room_on_a_disk_that_is_nearly_full(
         (tmp_path / "kept" / name).mkdir(parents=True)
     keeper = a_keeper(rig, tmp_path, rig.coordinator._frames)
     monkeypatch.setattr(module, "DISK_RESERVE", 0)
-    keeper.tend()
+    shutil.copytree(tmp_path / "kept" / run.id, tmp_path / "kept" / "failing")
+    (tmp_path / "kept" / "failing" / module.HEAD_FILE).touch()
+    size_of = module._size_of
+
+    def import_fails(path: Path) -> int:
+        remove_directory(path)
+        return size_of(path)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(module, "_size_of", import_fails)
+        keeper.tend()
     assert keeper.runs == 2
     monkeypatch.setattr(module, "DISK_RESERVE", 10**18)
     keeper.tend()

@@ -20,6 +20,8 @@ def backup(
 
     summary = back_up(config, file, recordings=recordings)
     typer.echo(f"{file}: {summary.files} files, {summary.size_bytes / 1e6:.1f} MB")
+    if summary.deleted:
+        typer.echo(f"without recordings that the station deleted meanwhile: {', '.join(summary.deleted)}")
 
 
 def restore(

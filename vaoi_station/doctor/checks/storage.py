@@ -13,6 +13,7 @@ from vaoi_station.config import KeepConfig
 from vaoi_station.doctor.check_context import CheckContext
 from vaoi_station.doctor.finding import Figures, Finding, Level, fault, ok, warning
 from vaoi_station.doctor.machine import format_bytes, nearest, writable
+from vaoi_station.files.directory_walk import files_below
 from vaoi_station.runs.archive.recordings import DIRECTORY as RECORDINGS
 from vaoi_station.runs.archive.recordings import DISK_RESERVE
 from vaoi_station.station import DATABASE
@@ -113,7 +114,7 @@ def judge_space(space: os.statvfs_result, where: str) -> Finding:
 
 def bytes_in_use(directory: Path) -> int:
     """Return the size of the database, with its log, and of the recordings in a data directory, in bytes."""
-    files = (directory / DATABASE, directory / f"{DATABASE}-wal", *(directory / RECORDINGS).rglob("*"))
+    files = (directory / DATABASE, directory / f"{DATABASE}-wal", *files_below(directory / RECORDINGS))
     sizes = []
     for path in files:
         # Files of a running station may be deleted meanwhile.

@@ -11,6 +11,7 @@ import os
 import shutil
 import threading
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from queue import SimpleQueue
@@ -21,7 +22,8 @@ from numpy.typing import NDArray
 from vaoi_station.config import KeepConfig
 from vaoi_station.errors import DeviceError, GoneError, StateError, VaoiError
 from vaoi_station.files import write_board_type, write_calibration, write_recording
-from vaoi_station.files.atomic_directory import new_directory
+from vaoi_station.files.atomic_directory import new_directory, remove_directory
+from vaoi_station.files.directory_walk import files_below
 from vaoi_station.files.documents import write_bytes
 from vaoi_station.files.images import Image
 from vaoi_station.files.recordings import frame_file
@@ -145,8 +147,11 @@ class Recordings:
         self._archive.retention.refresh_pins()
         with self._lock:
             for path in self.directory.glob("[!.]*"):
-                if path.name not in self._sizes and (path / HEAD_FILE).is_file():
-                    self._sizes[path.name] = _size_of(path)
+                if path.name not in self._sizes:
+                    size = _size_of(path)
+                    # Asked afterwards: an import that failed meanwhile has removed its recording.
+                    if (path / HEAD_FILE).is_file():
+                        self._sizes[path.name] = size
         self._trim()
 
     def _trim(self) -> None:
@@ -233,7 +238,7 @@ class Recordings:
 
     def _delete(self, run: str) -> None:
         del self._sizes[run]
-        shutil.rmtree(self.directory / run, ignore_errors=True)
+        remove_directory(self.directory / run)
 
     def _late(self, run: str) -> None:
         with self._lock:
@@ -275,4 +280,9 @@ def bytes_of_frames(frames: Iterable[FrameRecord], head: RecordingHead, copy: Ca
 
 
 def _size_of(path: Path) -> int:
-    return sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
+    size = 0
+    for file in files_below(path):
+        # An import that fails removes its recording.
+        with suppress(FileNotFoundError):
+            size += file.stat().st_size
+    return size

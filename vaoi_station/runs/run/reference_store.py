@@ -7,7 +7,6 @@ types. A directory that is not assigned is removed when no order and no run uses
 from __future__ import annotations
 
 import hashlib
-import shutil
 import threading
 from collections.abc import Collection
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ from pathlib import Path
 from pydantic import TypeAdapter
 
 from vaoi_station.config import MethodName
+from vaoi_station.files.atomic_directory import remove_directory
 from vaoi_station.geometry import Camera
 from vaoi_station.model import BoardType
 from vaoi_station.runs.states.stitching_schemas import ReferenceRecord
@@ -124,7 +124,7 @@ class ReferenceStore:
             opened = {stored.run for _, stored in self._opened.values()}
             for path in self._directory.glob("*"):
                 if path.name not in named | opened | {*in_use}:
-                    shutil.rmtree(path, ignore_errors=True)  # This is tried again at the next sweep.
+                    remove_directory(path)  # What is left of it is removed by the next sweep.
 
 
 def _digest_of(directory: Path) -> str:
