@@ -118,6 +118,7 @@ def test_answers_may_get_fields_and_requests_may_not(document: dict[str, Any]) -
     assert closed == {
         "ArmRequest",
         "CorrectionRequest",
+        "DecisionRequest",
         "ImportOptions",
         "MethodRequest",
         "StateRequest",

@@ -25,7 +25,7 @@ from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.archive.recordings import Recordings
 from vaoi_station.runs.states import run_ids
 from vaoi_station.store import Database, Store
-from vaoi_station.store.retention import MOST_PINS
+from vaoi_station.store.history.retention import MOST_PINS
 from vaoi_station.store.soundness import DatabaseCheck
 from vaoi_station.transfer.package import write_package
 from vaoi_station.transfer.run_export import HEAD_FILE, KIND, export_run

@@ -14,6 +14,7 @@ from vaoi_station.model import Strict
 from vaoi_station.model.board_type import BoardTypeState
 from vaoi_station.runs.archive.board_type_history import BoardTypeVersion
 from vaoi_station.runs.run.order import Passing
+from vaoi_station.runs.states.decision_schemas import Choice
 from vaoi_station.runs.states.schemas import BoardTypeSummary, RunSummary
 
 Matrix3 = list[list[float]]
@@ -79,6 +80,14 @@ class TeachRequest(Strict):
         default=False,
         description="A person has checked that the board lay as its board type says, not turned by 180°.",
     )
+
+
+class DecisionRequest(Strict):
+    """What a person has decided about a run."""
+
+    choice: Choice = Field(description="Film the board again, or use its pictures in spite of the verdict.")
+    name: str = Field(min_length=1, max_length=80, description="Name of the person.")
+    reason: str = Field(min_length=1, max_length=400, description="Why.")
 
 
 class MethodRequest(Strict):

@@ -10,16 +10,19 @@ from __future__ import annotations
 import hashlib
 import sqlite3
 from collections import OrderedDict
+from collections.abc import Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Literal
 
 from vaoi_station.errors import NotFoundError
 from vaoi_station.store.board_stitching import BoardStitching
-from vaoi_station.store.calibration_checks import CalibrationChecks
 from vaoi_station.store.configurations import Configurations
 from vaoi_station.store.database import Database
-from vaoi_station.store.retention import RunRetention
+from vaoi_station.store.history.calibration_checks import CalibrationChecks
+from vaoi_station.store.history.decisions import RunDecisions
+from vaoi_station.store.history.retention import RunRetention
+from vaoi_station.store.history.run_search import RunSearch
 from vaoi_station.store.schema import PACKED, packed, unpacked
 from vaoi_station.store.standing import StandingDocuments
 from vaoi_station.store.storage_trouble import StorageTrouble, translated_errors
@@ -97,6 +100,7 @@ class Store:
         """Rows of the latest documents, by digest: if the database has to begin anew, the next run needs them."""
         self.checks = CalibrationChecks(database)
         self.heights = ComponentHeights(database)
+        self.decisions, self.search = RunDecisions(database), RunSearch(database)
         self.stitching = BoardStitching(database)
         self.retention = RunRetention(database)
         self.standing = StandingDocuments(database)
@@ -203,6 +207,14 @@ class Store:
                 (before, before, limit),
             )
         ]
+
+    def chosen_runs(self, ids: Sequence[str]) -> list[RunRow]:
+        """Return the runs with these ids, newest first; ids that do not exist are left out. Details stay packed."""
+        marks = ", ".join("?" * len(ids))
+        rows = self._database.read(
+            f"SELECT {_COLUMNS} FROM runs WHERE id IN ({marks}) ORDER BY id DESC", tuple(ids)
+        )  # fmt: skip
+        return [_packed_row(r, r["detail"]) for r in rows]
 
     def unfinished(self) -> list[RunRow]:
         """Return the runs that were never finished, oldest first."""

@@ -65,7 +65,7 @@ STEPS: tuple[tuple[str, ...], ...] = (
         ) STRICT""",
     ),
     (
-        # The table lists which finished runs still have details and results (`store/retention.py`). Triggers fill it,
+        # The table lists which finished runs still have details and results (`history/retention.py`). Triggers fill it,
         # so that no code that ends a run can leave it out.
         """CREATE TABLE whole_runs (
             run TEXT PRIMARY KEY REFERENCES runs (id),
@@ -119,6 +119,12 @@ STEPS: tuple[tuple[str, ...], ...] = (
             run TEXT PRIMARY KEY REFERENCES runs (id),
             document TEXT NOT NULL,
             packed BLOB
+        ) STRICT""",
+    ),
+    (
+        """CREATE TABLE decisions (
+            run TEXT PRIMARY KEY REFERENCES runs (id) ON DELETE CASCADE,
+            document TEXT NOT NULL
         ) STRICT""",
     ),
 )

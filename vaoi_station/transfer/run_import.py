@@ -32,7 +32,7 @@ from vaoi_station.runs.states.schemas import RunDetail
 from vaoi_station.runs.states.tables import RunState
 from vaoi_station.runs.states.timeline_schemas import Timeline
 from vaoi_station.store.documents import digest_of
-from vaoi_station.store.retention import MOST_PINS
+from vaoi_station.store.history.retention import MOST_PINS
 from vaoi_station.store.schema import packed
 from vaoi_station.transfer.backup import DATABASE
 from vaoi_station.transfer.database_copy import BUSY_S, reading

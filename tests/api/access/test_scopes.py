@@ -28,6 +28,7 @@ EXPECTED = {
         "DELETE /runs/{run}/hold",
         "PUT /runs/{run}/pin",
         "DELETE /runs/{run}/pin",
+        "PUT /runs/{run}/decision",
     },
     "teach": {
         "POST /board-data/previews",

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from vaoi_station.files.results import stitch_document
-from vaoi_station.model import Stitch
+from vaoi_station.model import Status, Stitch
 
 RUNS = "/api/v1/runs"
 
@@ -136,3 +136,37 @@ def test_frames_that_are_gone_are_refused(client: Any, station: Any) -> None:
     client.post(f"{RUNS}/{run}/release")
     assert client.get(f"{RUNS}/{run}/heights").status_code == 410
     assert client.get(f"{RUNS}/none/heights").status_code == 404
+
+
+def test_the_list_is_filtered_by_the_station(client: Any, station: Any) -> None:
+    good = station.film(board_id="SN-1")
+    bad = station.film(verdict=Status.FAILED, board_id="SN-2")
+
+    def found(**query: str) -> list[str]:
+        return [run["id"] for run in client.get(RUNS, params=query).json()["runs"]]
+
+    assert found(verdict="failed") == [bad]
+    assert found(board_id="SN-1", verdict="ok") == [good]
+    assert found(until="2000-01-01T00:00:00Z") == []
+    for query in ({"verdict": "fine"}, {"since": "yesterday"}, {"until": "2026-01-01T00:00:00"}):
+        assert client.get(RUNS, params=query).status_code == 422
+
+
+def test_boards_are_counted_since_a_time_with_its_zone(client: Any, station: Any) -> None:
+    station.film()
+    station.film(verdict=Status.DEGRADED)
+    counts = client.get(f"{RUNS}/counts", params={"since": "2000-01-01T00:00:00+02:00"}).json()
+    assert counts == {"since": "1999-12-31T22:00:00.000Z", "ok": 1, "degraded": 1, "failed": 0, "missed": 0}
+    assert client.get(f"{RUNS}/counts", params={"since": "today"}).status_code == 422
+    assert client.get(f"{RUNS}/counts").json()["ok"] == 1
+
+
+def test_a_decision_needs_a_name_and_a_reason_and_is_shown(client: Any, station: Any) -> None:
+    run = station.film(verdict=Status.DEGRADED)
+    decision = {"choice": "film-again", "name": "Ada", "reason": "Rows are missing."}
+    shown = client.put(f"{RUNS}/{run}/decision", json=decision).json()["decision"]
+    assert {key: shown[key] for key in decision} == decision
+    assert client.get(RUNS).json()["runs"][0]["decision"] == shown
+    for wrong in ({"choice": "scrap"}, {"name": ""}, {"reason": ""}):
+        assert client.put(f"{RUNS}/{run}/decision", json=decision | wrong).status_code == 422
+    assert client.put(f"{RUNS}/r999999/decision", json=decision).status_code == 404

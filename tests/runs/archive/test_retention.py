@@ -17,7 +17,7 @@ from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.archive.retention import DAY_S, Retention
 from vaoi_station.runs.states.run_ids import RunIds, earliest_id, utc
 from vaoi_station.store import RunRow, Store
-from vaoi_station.store import retention as store_module
+from vaoi_station.store.history import retention as store_module
 
 NOW_S = 1_700_000_000.0
 

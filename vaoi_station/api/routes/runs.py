@@ -3,22 +3,42 @@
 from __future__ import annotations
 
 import time
+from datetime import UTC, datetime
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, Query, Request, Response
+from pydantic import AwareDatetime
 
 from vaoi_station.api.callers.caller import caller_of
 from vaoi_station.api.http_caching import IMMUTABLE, LIVE, REVALIDATE, conditional_response
 from vaoi_station.api.parameters import RunId, TimeoutS
-from vaoi_station.api.rest_models import Matrices, RunPage
+from vaoi_station.api.rest_models import DecisionRequest, Matrices, RunPage
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import NotFoundError
+from vaoi_station.runs.archive.run_history import Wanted
+from vaoi_station.runs.states.decision_schemas import RunCounts
 from vaoi_station.runs.states.height_schemas import HeightList
+from vaoi_station.runs.states.run_ids import utc
 from vaoi_station.runs.states.schemas import LeaseStatus, RunDetail
 from vaoi_station.runs.states.tables import IN_MEMORY
+from vaoi_station.store.history.run_search import RunFilter
 
+Moment = Annotated[AwareDatetime | None, Query(description="A time with its zone, RFC 3339.")]
 Cursor = Annotated[str | None, Query(description="Id of a run.", min_length=1, max_length=64)]
 Holder = Annotated[str, Query(description="Name of the holder.", min_length=1, max_length=80)]
+
+
+def run_filter(
+    verdict: Annotated[Wanted | None, Query(description="Verdict; `none`: ended without a result.")] = None,
+    board_type: Annotated[str | None, Query(description="Name of the board type.", max_length=200)] = None,
+    board_id: Annotated[str | None, Query(description="The caller's id of the board.", max_length=200)] = None,
+    reason: Annotated[str | None, Query(description="Code or cause of a reason.", max_length=80)] = None,
+    since: Annotated[AwareDatetime | None, Query(description="Boards from this time on, RFC 3339.")] = None,
+    until: Annotated[AwareDatetime | None, Query(description="Boards before this time, RFC 3339.")] = None,
+) -> RunFilter:
+    """Return the filter that a query states."""
+    first, last = (None if moment is None else utc(moment.astimezone(UTC)) for moment in (since, until))
+    return RunFilter(verdict, board_type, board_id, reason, first, last)
 
 
 def router(services: Services) -> APIRouter:
@@ -28,14 +48,34 @@ def router(services: Services) -> APIRouter:
 
     @routes.get("", response_model_exclude_none=True)
     async def list_runs(
-        response: Response, limit: Annotated[int, Query(ge=1, le=500)] = 50, before: Cursor = None
+        response: Response,
+        wanted: Annotated[RunFilter, Depends(run_filter)],
+        limit: Annotated[int, Query(ge=1, le=500)] = 50,
+        before: Cursor = None,
     ) -> RunPage:
-        """List runs, newest first; `next` is the cursor of the next page."""
+        """List runs, newest first; `next` is the cursor of the next page.
+
+        With a filter, a reply may have fewer runs than `limit`, or none, although there are more: one request reads
+        20,000 runs at most. Go on while there is a `next`.
+        """
+        response.headers["Cache-Control"] = LIVE
+        if wanted != RunFilter():
+            runs, more = await ask(kept.history.find, wanted, limit, before)
+            return RunPage(runs=list(await ask(kept.all_shown, tuple(runs))), next=more)
         # One more than requested shows whether there is a further page.
         found = await ask(coordinator.runs, limit + 1, before)
-        response.headers["Cache-Control"] = LIVE
         shown = await ask(kept.all_shown, found[:limit])
         return RunPage(runs=list(shown), next=found[limit - 1].id if len(found) > limit else None)
+
+    @routes.get("/counts")
+    async def count_runs(response: Response, since: Moment = None) -> RunCounts:
+        """Count the boards since a time, by verdict, and the boards that passed without a run.
+
+        Without `since`: since the last midnight of the station's time zone.
+        """
+        response.headers["Cache-Control"] = LIVE
+        midnight = datetime.now().astimezone().replace(hour=0, minute=0, second=0, microsecond=0)
+        return await ask(kept.history.counts, since or midnight)
 
     @routes.get("/latest", response_model=RunDetail)
     async def get_latest_run(request: Request) -> Response:
@@ -124,6 +164,15 @@ def router(services: Services) -> APIRouter:
     async def unpin_run(run: RunId) -> None:
         """Remove the pin of a run; it is then deleted like other runs. Replies 404 `not-pinned` if it has none."""
         await ask(kept.unpin, run)
+
+    @routes.put("/{run}/decision", response_model=RunDetail)
+    async def decide_about_run(request: Request, run: RunId, wanted: DecisionRequest) -> Response:
+        """Keep what a person has decided about a run: film the board again, or use its pictures despite the verdict.
+
+        The verdict stays as it is. A later decision replaces an earlier one; the event log has both.
+        """
+        await ask(kept.history.decide, run, wanted.choice, wanted.name, wanted.reason)
+        return _detail(request, await ask(kept.shown, await ask(coordinator.run, run)), LIVE)
 
     return routes
 

@@ -11,7 +11,7 @@ import contextlib
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, wait
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -95,7 +95,9 @@ class Archive:
         self.statistics = RunStatistics()
         self.on_finished: Callable[[RunDetail], None] = lambda _detail: None
         """Function that is called before a run is announced, with its document. It must return at once."""
-        self.retention, self.heights = store.retention, store.heights
+        self.retention, self.heights, self.decisions, self.search = (
+            store.retention, store.heights, store.decisions, store.search
+        )  # fmt: skip
         self._changed = threading.Condition()
         self._recent: OrderedDict[str, FinishedRun] = OrderedDict()
         self._under_way: set[str] = set()
@@ -196,7 +198,7 @@ class Archive:
             return self._in_memory(run) or self._cache(finished)
 
     def _cached(self, run: str) -> FinishedRun | None:
-        """Return a finished run if it is in memory, else None. Raise StateError if the run has not ended."""
+        """Return a finished run if it is in memory. Raise StateError if the run has not ended."""
         with self._changed:
             if run in self._under_way:
                 raise StateError(f"Run {run} has no result yet.", action="Wait for it by runs/next.")
@@ -248,18 +250,21 @@ class Archive:
         return None if row is None else self.get(row.id)
 
     def list(self, limit: int, before: str | None) -> list[RunSummary]:
-        """Return summaries of at most `limit` runs, finished or not, newest first.
-
-        If `before` is given, return only runs older than the run with this id.
-        """
+        """Return the summaries of at most `limit` runs, newest first, below the id `before` (None: all)."""
         rows = self._store.runs(limit, before)
-        with self._changed:
-            # These are read after the rows, so that a run which is written meanwhile is in at least one of the two.
-            unstored = {
-                run: summary_of(d.detail) for run, d in self._unstored.items() if before is None or run < before
-            }
-        found = {row.id: stored_documents.summary(replace(row, state=self._state_of(row))) for row in rows} | unstored
+        # These are read after the rows, so that a run which is written meanwhile is in at least one of the two.
+        unstored = {run.id: run for run in self.unstored() if before is None or run.id < before}
+        found = self._summaries(rows) | unstored
         return [found[run] for run in sorted(found, reverse=True)[:limit]]
+
+    def summaries(self, runs: Sequence[str]) -> dict[str, RunSummary]:
+        """Return the summaries of the stored runs with these ids, by id."""
+        return self._summaries(self._store.chosen_runs(runs))
+
+    def unstored(self) -> tuple[RunSummary, ...]:
+        """Return the summaries of the finished runs that are in memory only, newest first."""
+        with self._changed:
+            return tuple(summary_of(self._unstored[run].detail) for run in sorted(self._unstored, reverse=True))
 
     def close(self) -> None:
         """Wake all callers that wait for a run, because no more runs will end."""
@@ -372,6 +377,9 @@ class Archive:
         state = state_of(row)
         earlier = row.finish_number is not None and row.finish_number <= self._before
         return RunState.GONE if earlier and state in IN_MEMORY else state
+
+    def _summaries(self, rows: Sequence[RunRow]) -> dict[str, RunSummary]:
+        return {row.id: stored_documents.summary(replace(row, state=self._state_of(row))) for row in rows}
 
     def _parsed(self, row: RunRow) -> FinishedRun:
         calibration = Calibration.model_validate_json(self._store.document(row.calibration_digest))

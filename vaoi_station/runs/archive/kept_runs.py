@@ -1,4 +1,4 @@
-"""Pins of runs, and the recordings and heights that are kept of them, as callers see them."""
+"""Pins of runs, decisions about them, and the recordings and heights that are kept of them, as callers see them."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.archive.measured_heights import MeasuredHeights
 from vaoi_station.runs.archive.recordings import DIRECTORY, FrameSource, Recordings
+from vaoi_station.runs.archive.run_history import RunHistory
 from vaoi_station.runs.states.run_ids import utc
 from vaoi_station.runs.states.schemas import RunDetail, RunSummary, StationSnapshot
 
@@ -30,6 +31,7 @@ class KeptRuns:
         self._archive, self._events = archive, events
         self.recordings = Recordings(config.data / DIRECTORY, config.keep, archive, events, frames)
         self.heights, self._after_run = heights, config.heights == "after-run"
+        self.history = RunHistory(archive, events)
         archive.on_finished = self._finished
 
     def start(self) -> None:
@@ -74,18 +76,20 @@ class KeptRuns:
         self._events.add("run", "The run was unpinned.", run=run)
 
     def shown(self, document: R) -> R:
-        """Return the document of a run with `pinned` and `recording` filled in."""
+        """Return the document of a run with `pinned`, `recording` and `decision` filled in."""
         return self.all_shown((document,))[0]
 
     def all_shown(self, documents: tuple[R, ...]) -> tuple[R, ...]:
-        """Return documents of runs with `pinned` and `recording` filled in."""
-        pins = self._archive.retention.pins()
-        return tuple(
-            d.model_copy(
-                update={"pinned": d.id in pins, "recording": self.recordings.path_of(d.id) is not None}
-            )
-            for d in documents
-        )  # fmt: skip
+        """Return documents of runs with `pinned`, `recording` and `decision` filled in."""
+        pins, decisions = self._archive.retention.pins(), self.history.decisions(documents)
+
+        def filled(document: R) -> R:
+            run = document.id
+            recording = self.recordings.path_of(run) is not None
+            update = {"pinned": run in pins, "recording": recording, "decision": decisions.get(run)}
+            return document.model_copy(update=update)
+
+        return tuple(filled(document) for document in documents)
 
     def with_counts(self, snapshot: StationSnapshot) -> StationSnapshot:
         """Return the snapshot with the numbers of recordings filled in."""

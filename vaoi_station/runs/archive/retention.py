@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 
 from vaoi_station.config import KeepConfig
 from vaoi_station.runs.states.run_ids import assigned_s, earliest_id, utc
-from vaoi_station.store.retention import RunRetention
+from vaoi_station.store.history.retention import RunRetention
 
 BATCH = 10
 """Number of runs that one transaction deletes. The result of a board waits for one such transaction at most."""

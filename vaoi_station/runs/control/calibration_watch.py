@@ -19,8 +19,8 @@ from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.states.calibration_schemas import CalibrationStatus, CameraCalibration, CameraDrift, CameraMoment
 from vaoi_station.runs.states.schemas import Reason
 from vaoi_station.runs.workers.jobs import CheckJob, Reply
-from vaoi_station.store.calibration_checks import CalibrationChecks
 from vaoi_station.store.documents import digest_of
+from vaoi_station.store.history.calibration_checks import CalibrationChecks
 
 FIRST_CHECKS, LATEST_CHECKS = 50, 200
 """Numbers of checks that are evaluated: the first ones since the calibration came into force, and the latest ones."""

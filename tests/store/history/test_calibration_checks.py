@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from tests.store.conftest import NOW, MakeRun
 from vaoi_station.errors import InternalError
 from vaoi_station.store import Database, RunRow, Store
-from vaoi_station.store import calibration_checks as module
-from vaoi_station.store.calibration_checks import CalibrationChecks
+from vaoi_station.store.history import calibration_checks as module
+from vaoi_station.store.history.calibration_checks import CalibrationChecks
 
 
 @pytest.fixture

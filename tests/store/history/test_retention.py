@@ -10,8 +10,9 @@ import pytest
 
 from tests.store.conftest import NOW, MakeRun, noise
 from vaoi_station.errors import StateError
-from vaoi_station.store import Database, Store, retention
-from vaoi_station.store.retention import RunRetention
+from vaoi_station.store import Database, Store
+from vaoi_station.store.history import retention
+from vaoi_station.store.history.retention import RunRetention
 from vaoi_station.store.schema import STEPS
 
 

@@ -1,0 +1,60 @@
+"""Search, counts and decisions, with runs that the disk has not taken yet."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
+from typing import Any
+
+import pytest
+
+from vaoi_station.errors import NotFoundError
+from vaoi_station.store.history.run_search import RunFilter
+
+LONG_AGO = datetime(2000, 1, 1, tzinfo=UTC)
+
+
+@pytest.fixture
+def filmed(make_rig: Callable[..., Any]) -> tuple[Any, str]:
+    rig = make_rig()
+    rig.ready()
+    grant = rig.arm()
+    rig.board(grant)
+    rig.result_of(grant.run)
+    return rig, grant.run
+
+
+def test_a_run_is_found_counted_and_decided_about(filmed: tuple[Any, str]) -> None:
+    rig, run = filmed
+    kept, detail = rig.coordinator.kept, rig.coordinator.run(run)
+    history = kept.history
+    wanted = RunFilter(verdict=detail.verdict, board_type=detail.board_type, since="2000-01-01T00:00:00.000Z")
+    runs, more = history.find(wanted, 9, None)
+    assert ([r.id for r in runs], more) == ([run], None)
+    assert history.find(RunFilter(board_id="another"), 9, None) == ([], None)
+    counts = history.counts(LONG_AGO)
+    assert (counts.ok + counts.degraded + counts.failed, counts.missed) == (1, 0)
+    assert history.counts(datetime.now(UTC) + timedelta(days=1)).ok == 0
+
+    history.decide(run, "use", "Ada", "Only R7 is hidden, and it is not tested.")
+    shown = kept.shown(detail).decision
+    assert shown is not None
+    assert (shown.choice, shown.name) == ("use", "Ada")
+    (event,) = [e for e in rig.coordinator.events() if e.kind == "decision"]
+    assert (event.run, event.state) == (run, "use")
+    with pytest.raises(NotFoundError):
+        history.decide("unknown", "use", "Ada", "x")
+
+
+def test_runs_in_memory_only_are_found_and_counted(filmed: tuple[Any, str], monkeypatch: pytest.MonkeyPatch) -> None:
+    rig, run = filmed
+    history = rig.coordinator.kept.history
+    waiting = rig.coordinator.run(run).model_copy(update={"id": run[:-1] + "~", "verdict": "failed"})
+    summary = type(rig.coordinator.runs()[0])(
+        **{k: getattr(waiting, k) for k in type(rig.coordinator.runs()[0]).model_fields}
+    )
+    monkeypatch.setattr(history._archive, "unstored", lambda: (summary,))
+    runs, _ = history.find(RunFilter(verdict="failed"), 9, None)
+    assert summary.id in [r.id for r in runs]
+    assert history.counts(LONG_AGO).failed >= 1
+    assert history.find(RunFilter(verdict="failed"), 9, run) == ([], None)
