@@ -1,6 +1,6 @@
 """Coordinate systems, plane transforms, calibrated cameras over the conveyor plane, and robust estimation.
 
-Pure mathematics: this package uses no files, frames or devices.
+Pure mathematics: this package uses no files or devices, and knows pictures as arrays only.
 """
 
 from vaoi_station.geometry.camera import Camera

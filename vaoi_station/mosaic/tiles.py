@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.errors import InputError
+from vaoi_station.geometry.shifting import shift
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.mosaic.blending import Cells, Nodes, Pictures, blend, nodes_along
 from vaoi_station.mosaic.projection import between, shrunk
-from vaoi_station.mosaic.shifting import is_shift, shift
 from vaoi_station.mosaic.survey import Floats32, ReadFrame
 from vaoi_station.mosaic.tile_specs import Box, FramePart, TileSpec
 from vaoi_station.photometry import Radiance, merge
@@ -136,10 +136,8 @@ def _resampled(
             moved = matrix.copy()
             moved[:, 2] += x0 * matrix[:, 0] + y0 * matrix[:, 1]
             w, h = x1 - x0, y1 - y0
-            if is_shift(moved, w, h):
-                first = start + ((y0 - top) * width + x0 - left) * depth
-                shift(lines, moved, depth, pixels, (first, width * depth, w, h))
-            else:
+            first = start + ((y0 - top) * width + x0 - left) * depth
+            if not shift(lines, moved, depth, pixels, (first, width * depth, w, h), False):
                 goal = area[y0 - top : y1 - top, x0 - left : x1 - left]
                 cv2.warpPerspective(frame, moved, (w, h), dst=goal, flags=_LINEAR)
     parts, unit = [part for part, _, _ in found], 1.0 if pixels.dtype == np.uint8 else 257.0

@@ -38,6 +38,8 @@ class Footprints(NamedTuple):
     """(k, 2) half the width and half the height before rotation."""
     along: Floats
     """(k, 2, 2) half the width (`[:, :, 0]`) and half the height (`[:, :, 1]`) as vectors in CAD."""
+    box: Floats
+    """(k, 2) half of the width and height of the bounding boxes."""
 
     @staticmethod
     def of(components: Sequence[Component], board_type: BoardType) -> Footprints:
@@ -47,13 +49,8 @@ class Footprints(NamedTuple):
         # Rotations count counter-clockwise as seen on the top of the board, wherever the y axis points.
         angle = np.radians(degrees) * (1.0 if board_type.y_axis == "up" else -1.0)
         c, s, w, h = np.cos(angle), np.sin(angle), width / 2, height / 2
-        along = np.stack([c * w, -s * h, s * w, c * h], -1).reshape(-1, 2, 2)
-        return Footprints(components, board_type, np.stack([x, y], -1), np.stack([w, h], -1), along)
-
-    @property
-    def box(self) -> Floats:
-        """Half of the width and height (k, 2) of the bounding boxes."""
-        return np.asarray(np.abs(self.along).sum(-1))
+        along = np.array([[c * w, -s * h], [s * w, c * h]]).transpose(2, 0, 1)
+        return Footprints(components, board_type, np.array([x, y]).T, np.array([w, h]).T, along, np.abs(along).sum(-1))
 
     def fitting(self, px_per_mm: float) -> Floats:
         """Return the resolutions (k,) of k pictures, px/mm: `px_per_mm`, or less where a picture would be too large."""
@@ -88,9 +85,9 @@ def compute_crops(footprints: Footprints, px_per_mm: float | Floats, framing: Fr
     Raises:
         InputError: a picture would have more than `MOST_PIXELS`.
     """
-    components, board_type, center, half, along = footprints
+    components, board_type, center, half, along, box = footprints
     turned, mm, count = framing.align == "part", board_type.mm_per_unit, len(components)
-    half = half if turned else footprints.box
+    half = half if turned else box
     resolution = np.array(np.broadcast_to(np.asarray(px_per_mm, dtype=np.float64), (count,)))
     reach = half + framing.margin_mm / mm
     size = np.maximum(np.round(2 * reach * resolution[:, None] * mm), 1)

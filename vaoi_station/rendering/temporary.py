@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import cv2
@@ -28,29 +30,50 @@ def render(view: View, frame: NDArray[Any]) -> NDArray[Any]:
     black. If lens distortion matters in this view, the image is made in tiles, with an error of at most 0.004 px for
     the lenses of such an array.
     """
-    if not view.tiles:
-        return _warp(frame, view.matrix, (view.width, view.height))
     picture = np.empty((view.height, view.width, *frame.shape[2:]), dtype=frame.dtype)
-    for t in view.tiles:
+    # In 16 bit, a run of shifted pixels would deviate by more than a grey level from its homography.
+    lines = _lines(frame) if frame.dtype == np.uint8 else None
+    for x0, y0, x1, y1, matrix in view.tiles or ((0, 0, view.width, view.height, view.matrix),):
+        if lines is not None:
+            channels = lines.shape[1] // frame.shape[1]
+            across = view.width * channels
+            place = y0 * across + x0 * channels, across, x1 - x0, y1 - y0
+            if _shift()(lines, matrix, channels, picture.reshape(-1), place, True):
+                continue
         # OpenCV writes into the picture itself: a copy of every tile would take a fifth of the time.
-        _warp(frame, t.matrix, (t.x1 - t.x0, t.y1 - t.y0), picture[t.y0 : t.y1, t.x0 : t.x1])
+        _warp(frame, matrix, picture[y0:y1, x0:x1])
     return picture
 
 
-def _warp(frame: NDArray[Any], matrix: Floats, size: tuple[int, int], out: NDArray[Any] | None = None) -> NDArray[Any]:
-    """Resample a frame by a matrix from pixels of the picture to pixels of the frame."""
+def _lines(frame: NDArray[np.uint8]) -> NDArray[np.uint8] | None:
+    """Return a frame as read-only lines (rows, columns · channels); None if its pixels have gaps in memory."""
+    if not frame.flags.c_contiguous:
+        return None
+    lines = frame.reshape(len(frame), -1)
+    # Numba compiles separate versions for writeable and read-only arrays, so all frames are passed as read-only.
+    lines.flags.writeable = False
+    return lines
+
+
+@cache
+def _shift() -> Callable[..., bool]:
+    """Return the compiled function. It is imported on first use, because Numba takes a moment to load."""
+    from vaoi_station.geometry.shifting import shift
+
+    return shift
+
+
+def _warp(frame: NDArray[Any], matrix: Floats, out: NDArray[Any]) -> None:
+    """Resample a frame by a matrix from pixels of the picture `out` to pixels of the frame."""
     if frame.dtype == np.uint16:
-        return _warp_in_parts(frame, matrix, size, out)
-    # WARP_INVERSE_MAP: `matrix` maps the picture to the frame already, so OpenCV must not invert it.
-    warped: NDArray[Any] = cv2.warpPerspective(frame, matrix, size, dst=out, flags=_FLAGS)
-    return warped
+        _warp_in_parts(frame, matrix, out)
+    else:
+        # WARP_INVERSE_MAP: `matrix` maps the picture to the frame already, so OpenCV must not invert it.
+        cv2.warpPerspective(frame, matrix, out.shape[1::-1], dst=out, flags=_FLAGS)
 
 
-def _warp_in_parts(
-    frame: NDArray[Any], matrix: Floats, size: tuple[int, int], out: NDArray[Any] | None
-) -> NDArray[Any]:
-    (width, height), limits = size, np.array(frame.shape[1::-1])
-    picture = np.empty((height, width, *frame.shape[2:]), dtype=frame.dtype) if out is None else out
+def _warp_in_parts(frame: NDArray[Any], matrix: Floats, picture: NDArray[Any]) -> None:
+    (height, width), limits = picture.shape[:2], np.array(frame.shape[1::-1])
     boxes = np.array(rectangles(width, height, -(-width // _EXACT_PX), -(-height // _EXACT_PX)))
     x0, y0, x1, y1 = boxes.T
     corners = np.stack([x0, y0, x1 - 1, y0, x1 - 1, y1 - 1, x0, y1 - 1], -1).reshape(-1, 4, 2).astype(np.float64)
@@ -66,4 +89,3 @@ def _warp_in_parts(
     ):
         part = frame[top:bottom, left:right]
         cv2.warpPerspective(part, m, (c - a, d - b), dst=picture[b:d, a:c], flags=_FLAGS)
-    return picture

@@ -128,8 +128,9 @@ class ViewCalculator:
             return {}
         crops = self._crops(components, framing)
         tops = heights_mm if framing.plane == "top" and heights_mm else {}
-        above_mm = np.array([tops.get(c.address, 0.0) for c in components])
-        on_top = np.array([c.address in tops for c in components])
+        addresses = [c.address for c in components]
+        above_mm = np.array([tops.get(address, 0.0) for address in addresses])
+        on_top = np.array([address in tops for address in addresses])
         surface = self._surface
         height_mm = above_mm if surface is None else above_mm + surface.height_mm(crops.footprints.center)
         pairs = self._pairs(crops, height_mm, min_coverage)
@@ -163,7 +164,7 @@ class ViewCalculator:
                     matrix, tiles.get(n, ()), corners, sight, shift, plane[k], height[k],
                 )
             )  # fmt: skip
-        return {c.address: tuple(views) for c, views in zip(components, found, strict=True)}
+        return {address: tuple(views) for address, views in zip(addresses, found, strict=True)}
 
     def _crops(self, components: Sequence[Component], framing: Framing) -> Crops:
         # A picture that would be too large at the cameras' resolution gets fewer pixels: one large component must not

@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.geometry import Camera, Lens, Projective, System
+from vaoi_station.geometry.shifting import shift
 from vaoi_station.hdr.kernels import accumulate, linearise
 from vaoi_station.heights.estimates import measure_heights
 from vaoi_station.marks.subpixel_localisation import locate_mark
 from vaoi_station.model import BoardType, Stitch
 from vaoi_station.mosaic.blending import Cells, Pictures, blend, nodes_along
 from vaoi_station.mosaic.seams import NO_FRAME, FrameCells, assign_cells
-from vaoi_station.mosaic.shifting import shift
 from vaoi_station.stitching.matching.prepared_frame import resample
 from vaoi_station.stitching.work import StitchSetup, TaskRunner, all_tasks
 
@@ -69,7 +69,7 @@ def _plan_and_blend() -> None:
     blend(pictures, cells, nodes, nodes, 1, 255.0, np.empty_like(pixels))
     shown = pixels.view()
     shown.flags.writeable = False
-    shift(shown, np.eye(3), 1, pixels.ravel(), (0, 4, 4, 4))
+    shift(shown, np.eye(3), 1, pixels.ravel(), (0, 4, 4, 4), False)
 
 
 def _merge() -> None:
