@@ -13,6 +13,7 @@ import pytest
 from vaoi_station.errors import DeviceError, InputError, InternalError, NotFoundError, StateError
 from vaoi_station.store import Database
 from vaoi_station.store import database as module
+from vaoi_station.store.database import READER_CACHE_KIB, READERS
 from vaoi_station.store.database_file import open_database
 from vaoi_station.store.schema import VERSION
 from vaoi_station.store.storage_trouble import StorageTrouble
@@ -47,6 +48,11 @@ def test_a_failed_write_is_rolled_back_and_the_next_succeeds(database: Database)
     with pytest.raises(InternalError, match="UNIQUE"):
         database.write(half).result(10)
     assert database.write(lambda c: add_event(c, 1)).result(10) == 1
+
+
+def test_readers_hold_few_pages_in_memory(database: Database) -> None:
+    held = [database.read("PRAGMA cache_size")[0][0] for _ in range(READERS)]
+    assert held == [-READER_CACHE_KIB] * READERS, "KiB, as a negative number"
 
 
 def test_readers_do_not_wait_for_the_writer(database: Database) -> None:

@@ -48,6 +48,9 @@ _log = logging.getLogger(__name__)
 T = TypeVar("T")
 READERS = 4
 """Number of connections for reading. Further simultaneous readers wait until a connection is free."""
+READER_CACHE_KIB = 256
+"""Pages that each of these connections holds in memory. A query that reads many rows fills it in the heap of its own
+thread; the pages are in the kernel's cache anyway."""
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.25, 2.0
 """Pauses before a refused write is tried again; each pause is twice the one before."""
 CHECK_S = 2.0
@@ -104,7 +107,7 @@ class Database:
         try:
             self._writer, notice = open_database(self.path)
             with translated_errors(self.path):
-                return [connect(self.path) for _ in range(READERS)], notice
+                return [connect(self.path, READER_CACHE_KIB) for _ in range(READERS)], notice
         except DeviceError as error:
             trouble = trouble_of(error, self.path)
             readers = None if trouble is None else stand_in(self.path, trouble, READERS)
@@ -354,7 +357,7 @@ class Database:
         # A notice that the file is absent adds no information to the notice that has led here.
         if notice is not None and notice.code != DELETED:
             self.notices = (*self.notices, notice)
-        self._replace_readers([connect(self.path) for _ in range(READERS)])
+        self._replace_readers([connect(self.path, READER_CACHE_KIB) for _ in range(READERS)])
 
     def _close_connections(self) -> None:
         self._replace_readers([None] * READERS)

@@ -138,12 +138,17 @@ def mark_acknowledged(kept: Path) -> None:
         sync_directory(kept.parent)
 
 
-def connect(path: Path) -> sqlite3.Connection:
-    """Open a connection whose transactions are begun and ended by the caller."""
+def connect(path: Path, cache_kib: int | None = None) -> sqlite3.Connection:
+    """Open a connection whose transactions are begun and ended by the caller.
+
+    It holds at most `cache_kib` KiB of pages in memory; with None as many as SQLite does, which reads nothing here.
+    """
     # isolation_level=None leaves BEGIN and COMMIT to the caller; readers are passed between threads, one at a time.
     connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=10)
     connection.row_factory = sqlite3.Row
     connection.execute("PRAGMA foreign_keys = ON")
+    if cache_kib is not None:
+        connection.execute(f"PRAGMA cache_size = -{cache_kib}")
     return connection
 
 
