@@ -108,6 +108,15 @@ class RunCheck(Strict):
         return matrix + np.tril(matrix, -1).T, np.array(self.vector)
 
 
+class KeptBaselines(Strict):
+    """The brightness of all board types under one calibration, as it is stored over restarts."""
+
+    calibration: str
+    """Digest of the calibration."""
+    types: tuple[RunCheck, ...]
+    """One entry for each board type, `only_baselines`; the type that was filmed last is the last one."""
+
+
 def make_run_check(
     run: str, time: str, board_type: str, estimate: DisplacementEstimate, lamps: tuple[LampCheck, ...] = ()
 ) -> RunCheck:

@@ -119,6 +119,8 @@ def with_baselines(check: RunCheck, earlier: Sequence[RunCheck]) -> RunCheck:
 def only_baselines(check: RunCheck, before: RunCheck | None) -> RunCheck:
     """Return a check with only those lamps that have baselines, and those of `before` that the check does not show.
 
+    It has nothing of the cameras, because it is kept for each board type.
+
     Args:
         check: check of a run.
         before: what this function returned for the run before of the same board type; None for its first run.
@@ -126,7 +128,9 @@ def only_baselines(check: RunCheck, before: RunCheck | None) -> RunCheck:
     lamps = [lamp for lamp in check.lamps if lamp.baseline is not None]
     shown = {(lamp.camera, lamp.light) for lamp in lamps}
     lamps += [lamp for lamp in (before.lamps if before else ()) if (lamp.camera, lamp.light) not in shown]
-    return check.model_copy(update={"lamps": tuple(lamps)})
+    return check.model_copy(
+        update={"lamps": tuple(lamps), "cameras": (), "rivals": (), "information": (), "vector": ()}
+    )
 
 
 def _baseline(lamp: LampCheck, earlier: Sequence[LampCheck]) -> LampBaseline | None:

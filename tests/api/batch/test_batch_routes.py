@@ -116,6 +116,7 @@ def test_head_cuts_nothing(shared_client: Any, monkeypatch: pytest.MonkeyPatch) 
     answer = shared_client.head(f"{RUNS}/r000001/images?container=tar")
     assert (answer.status_code, answer.content) == (200, b"")
     assert answer.headers["content-type"] == "application/x-tar"
+    assert "content-length" not in answer.headers, "GET states none"
 
 
 def test_only_a_few_parts_are_cut_ahead_of_the_reader() -> None:

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from typing import Any
 
 import pytest
 
 from tests.runs.conftest import ScriptedWorkers
 from vaoi_station.acquisition.process import messages
-from vaoi_station.drift.checks import LampCheck
+from vaoi_station.drift.checks import LampBaseline, LampCheck
 from vaoi_station.errors import InternalError, StateError, VaoiError
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.control import calibration_watch
 from vaoi_station.runs.control.calibration_watch import CalibrationWatch
 from vaoi_station.runs.workers.jobs import CheckJob, ConcludeJob, Reply
-from vaoi_station.store import RunRow, Store
+from vaoi_station.store import RunRow, Store, calibration_checks
 
 
 def film(rig: Any, grant: messages.Grant) -> messages.Grant:
@@ -94,12 +95,14 @@ def test_a_dim_light_is_a_warning_until_it_is_mended(store: Store, calibration: 
     assert [e.message for e in events.read(events.last - 1, 0.0, 1)] == ["Light left is as bright as before again."]
 
 
-@pytest.mark.parametrize("restarted", [False, True])
+@pytest.mark.parametrize("restarted", ["never", "before", "after"])
 def test_a_board_type_that_pauses_keeps_its_baseline(
-    store: Store, calibration: Any, monkeypatch: pytest.MonkeyPatch, restarted: bool
+    store: Store, calibration: Any, monkeypatch: pytest.MonkeyPatch, restarted: str
 ) -> None:
     monkeypatch.setattr(calibration_watch, "FIRST_CHECKS", 2)
     monkeypatch.setattr(calibration_watch, "LATEST_CHECKS", 8)
+    monkeypatch.setattr(calibration_checks, "FIRST_KEPT", 0)
+    monkeypatch.setattr(calibration_checks, "LATEST_KEPT", 10)
     now = "2026-01-01T00:00:00Z"
     kept = store.keep_document("calibration", calibration.model_dump_json(), now)
     board_type = store.keep_document("board-type", '{"name": "b"}', now)
@@ -113,14 +116,33 @@ def test_a_board_type_that_pauses_keeps_its_baseline(
             store.save_run(RunRow(check.run, "ready", None, board_type, kept, "{}", "{}"))
             watches[-1].checked(CheckJob(check.run, check.time, name, watches[-1].digest), Reply(check, None, 0.0))
 
-    pass_boards(range(8), "paused", 60.0)
-    if restarted:
+    def restart() -> None:
         store.save_run(RunRow("r99", "ready", None, board_type, kept, "{}", "{}")).result(10)  # after the checks
         watches.append(CalibrationWatch(store.checks, EventLog(store), calibration, ["a", "b"]))
+
+    pass_boards(range(8), "paused", 60.0)
+    if restarted == "before":
+        restart()
     pass_boards(range(8, 28), "other", 80.0)
+    if restarted == "after":
+        restart()
+        left = (json.loads(text) for text in store.checks.documents(watches[-1].digest, 0, 100))
+        assert {check["board_type"] for check in left} == {"other"}
     pass_boards(range(28, 31), "paused", 30.0)
     (warning,) = watches[-1].warnings()
     assert "50% of the brightness" in warning.message
+
+
+def test_the_board_types_that_paused_longest_are_forgotten(
+    store: Store, calibration: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(calibration_watch, "MOST_TYPES", 2)
+    watch = CalibrationWatch(store.checks, EventLog(store), calibration, ["a", "b"])
+    baseline = LampBaseline(brightness=0.3, scatter=0.01, grey=60.0, points=900.0)
+    lamp = LampCheck(camera=0, light="left", exposure=200.0, grey=60.0, points=900, baseline=baseline)
+    for name in ("a", "b", "a", "c"):
+        watch._remember(ScriptedWorkers().check("r").model_copy(update={"lamps": (lamp,), "board_type": name}))
+    assert list(watch._last_of) == ["a", "c"]
 
 
 def test_another_calibration_begins_anew(rig: Any, calibration: Any) -> None:

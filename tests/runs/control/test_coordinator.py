@@ -209,14 +209,15 @@ def test_disarming_gives_the_unused_memory_back(rig: Any) -> None:
 
 
 def test_board_types_are_taught_listed_and_forgotten(rig: Any, board_type: BoardType) -> None:
-    other = board_type.model_copy(update={"name": "other/board"})
+    other = board_type.model_copy(update={"name": "other/board", "revision": "B"})
     assert rig.coordinator.put_board_type(other) is True
     assert rig.coordinator.put_board_type(other) is False
     (rig.config.board_types / "broken.json").write_text("{")
     listed = {entry.name: entry for entry in rig.coordinator.board_types()}
     assert set(listed) == {"small", "other/board", "broken"}
     assert listed["broken"].fault is not None
-    assert listed["other/board"].components == 1
+    assert (listed["other/board"].components, listed["other/board"].revision) == (1, "B")
+    assert listed["small"].revision is None
     assert rig.coordinator.board_type("other/board") == other
     rig.arm()
     with pytest.raises(StateError, match="armed for board type 'small'"):

@@ -102,7 +102,8 @@ def router(services: Services) -> APIRouter:
         }
         media = MEDIA_TYPES[wanted.container]
         if is_head(request.scope):
-            return Response(media_type=media, headers=headers)
+            # A stream, because the length of an empty reply would be stated as 0.
+            return StreamingResponse(iter(()), media_type=media, headers=headers)
 
         async def cut(part: BatchPart) -> tuple[CutPart, BatchPart | None]:
             return await threads.ask(batches.cut, batch, part)

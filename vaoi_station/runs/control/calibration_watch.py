@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 from pydantic import ValidationError
 
-from vaoi_station.drift.checks import CameraCheck, RunCheck
+from vaoi_station.drift.checks import CameraCheck, KeptBaselines, LampBaseline, RunCheck
 from vaoi_station.drift.lamp_watch import BASELINE_RUNS, DimLamp, find_dim_lamps, only_baselines, with_baselines
 from vaoi_station.drift.watch import VANISHED_RUNS, Drift, find_drifts, find_vanished_cameras
 from vaoi_station.errors import StateError
@@ -24,6 +24,8 @@ from vaoi_station.store.history.calibration_checks import CalibrationChecks
 
 FIRST_CHECKS, LATEST_CHECKS = 50, 200
 """Numbers of checks that are evaluated: the first ones since the calibration came into force, and the latest ones."""
+MOST_TYPES = 200
+"""Number of board types whose brightness is kept. The type that was not filmed for the longest time is forgotten."""
 HISTORY_RUNS = 50
 """Largest number of runs in the history of each camera."""
 _UNSEEN_RUNS = 5
@@ -49,8 +51,8 @@ class CalibrationWatch:
             if (check := _parsed(text)) is not None
         ]
         self._first, self._latest = known[:FIRST_CHECKS], deque(known[FIRST_CHECKS:], LATEST_CHECKS)
-        # A board type may pause for more runs than are evaluated; its baselines stay those of its first runs.
-        self._last_of: dict[str, RunCheck] = {}
+        # A board type may pause for more runs than are evaluated or stored; its baselines stay those of its first runs.
+        self._last_of = {check.board_type: check for check in self._kept_baselines()}
         for check in known:
             self._remember(check)
         self._runs = checks.count(self.digest)
@@ -85,7 +87,9 @@ class CalibrationWatch:
         self._kept.save(run, digest, check.model_dump_json())
         if digest != self.digest:
             return  # The run was stitched with another calibration, so its check is not about the present one.
-        self._remember(check)
+        if self._remember(check):
+            kept = KeptBaselines(calibration=digest, types=tuple(self._last_of.values()))
+            self._kept.save_baselines(kept.model_dump_json())
         self._runs += 1
         (self._first if len(self._first) < FIRST_CHECKS else self._latest).append(check)
         checks = [*self._first, *self._latest]
@@ -99,9 +103,23 @@ class CalibrationWatch:
         dim, self._dim = self._dim, find_dim_lamps(checks)
         self._publish_lamps(dim, run)
 
-    def _remember(self, check: RunCheck) -> None:
-        """Keep the latest baselines of the check's board type."""
-        self._last_of[check.board_type] = only_baselines(check, self._last_of.get(check.board_type))
+    def _remember(self, check: RunCheck) -> bool:
+        """Keep the latest baselines of the check's board type; return whether they have changed."""
+        before = self._last_of.pop(check.board_type, None)
+        now = only_baselines(check, before)
+        if now.lamps:
+            self._last_of[check.board_type] = now
+        if len(self._last_of) > MOST_TYPES:
+            del self._last_of[next(iter(self._last_of))]
+        return _baselines_of(now) != _baselines_of(before)
+
+    def _kept_baselines(self) -> tuple[RunCheck, ...]:
+        """Return the stored baselines under this calibration."""
+        try:
+            kept = KeptBaselines.model_validate_json(self._kept.baselines() or "")
+        except ValidationError:  # none, or of another version
+            return ()
+        return kept.types if kept.calibration == self.digest else ()
 
     def _publish_changes(self, before: tuple[Drift, ...], run: str) -> None:
         """Publish an event for each new or ended drift. `before` lists the drifts before this check."""
@@ -176,6 +194,10 @@ class CalibrationWatch:
             drift=None if drift is None else _drift_of(drift),
             history=tuple(_moment(check, check.cameras[i]) for check in shown),
         )
+
+
+def _baselines_of(check: RunCheck | None) -> list[tuple[int, str, LampBaseline | None]]:
+    return [] if check is None else sorted(((p.camera, p.light, p.baseline) for p in check.lamps), key=str)
 
 
 def _light(name: str) -> str:

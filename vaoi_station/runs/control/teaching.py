@@ -46,6 +46,7 @@ def board_type_summary(stem: str, board_type: BoardType | None, fault: VaoiError
         return BoardTypeSummary(name=stem, fault=Reason.of(fault))
     return BoardTypeSummary(
         name=board_type.name,
+        revision=board_type.revision,
         state=board_type.state or "approved",
         side=board_type.side,
         unit=board_type.unit,

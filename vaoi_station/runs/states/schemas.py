@@ -210,6 +210,8 @@ class BoardTypeSummary(Schema):
     """One entry of the list of board types; `fault` is set if its file cannot be used."""
 
     name: str
+    revision: str | None = None
+    """Revision of the product's data, as its owner names it."""
     state: str = "approved"
     side: str = "top"
     unit: str = "mm"

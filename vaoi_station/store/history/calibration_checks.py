@@ -6,16 +6,18 @@ import sqlite3
 from concurrent.futures import Future
 
 from vaoi_station.store.database import Database
+from vaoi_station.store.standing import StandingDocuments
 
 FIRST_KEPT, LATEST_KEPT = 100, 2000
 """Numbers of checks kept per calibration: the first ones after the calibration came into force, and the latest ones."""
+_BASELINES = "lamp-baselines"
 
 
 class CalibrationChecks:
     """Storage of the calibration checks of one station."""
 
     def __init__(self, database: Database) -> None:
-        self._database = database
+        self._database, self._standing = database, StandingDocuments(database)
 
     def save(self, run: str, calibration_digest: str, document: str) -> Future[None]:
         """Save the check of a run. Delete checks of its calibration that are neither among the first nor the latest."""
@@ -53,3 +55,11 @@ class CalibrationChecks:
             "SELECT count(*) AS n FROM calibration_checks WHERE calibration_digest = ?", (calibration_digest,)
         )
         return int(rows[0]["n"])
+
+    def baselines(self) -> str | None:
+        """Return the document of all board types' brightness that was saved last; None if there is none."""
+        return self._standing.get(_BASELINES)
+
+    def save_baselines(self, document: str) -> Future[None]:
+        """Save the brightness of all board types in one document, whether or not the checks that it is of are kept."""
+        return self._standing.set(_BASELINES, document)
