@@ -15,6 +15,7 @@ from pydantic import BaseModel, Field, model_validator
 from vaoi_station.files.documents import parse, read_toml
 from vaoi_station.line_config import Line, NotNegative, Section
 from vaoi_station.model import CameraHead, Finite, Positive, Program, Visibility, Whole
+from vaoi_station.model.receivers import PushConfig
 from vaoi_station.pixel_formats import PIXEL_FORMATS, PixelFormatName
 
 MethodName = Literal["auto", "fiducials", "features", "reference"]
@@ -257,6 +258,7 @@ class StationConfig(Section):
     ring: RingConfig = RingConfig()
     api: ApiConfig = ApiConfig()
     keep: KeepConfig = KeepConfig()
+    push: PushConfig = PushConfig()
     program: Program = ()
     """Light, exposure and gain of the rows, in turn, unless the board type has a program."""
     visibility: Visibility = Visibility()
@@ -326,6 +328,10 @@ def absolute_paths(section: BaseModel, base: Path) -> dict[str, Any]:
             changed[key] = base / value
         elif isinstance(value, tuple) and value and isinstance(value[0], Path):
             changed[key] = tuple(base / p for p in value)
+        elif isinstance(value, tuple) and value and isinstance(value[0], BaseModel):
+            inside = [absolute_paths(part, base) for part in value]
+            if any(inside):
+                changed[key] = tuple(v.model_copy(update=u) for v, u in zip(value, inside, strict=True))
         elif isinstance(value, BaseModel) and (inner := absolute_paths(value, base)):
             changed[key] = value.model_copy(update=inner)
     return changed

@@ -20,6 +20,7 @@ from vaoi_station.config import StationConfig
 from vaoi_station.errors import DeviceError, StateError
 from vaoi_station.files import read_calibration
 from vaoi_station.files.access_keys import KEY_FILE, KeyFile
+from vaoi_station.push.push_service import PushService
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.archive.housekeeping import Housekeeping
@@ -82,6 +83,7 @@ class Station:
         self.config = config
         self._launch, self._on_fault, self._remount = launch, on_fault, remount
         self._supervisor: Supervisor | None = None
+        self._push: PushService | None = None
         self._parts = ExitStack()
         self._coordinator: StationCoordinator | None = None
         self._wound_down = False
@@ -92,6 +94,13 @@ class Station:
         if self._coordinator is None:
             raise StateError("The station is not running.", action="Start it.")
         return self._coordinator
+
+    @property
+    def push(self) -> PushService:
+        """The receivers of the running station. Access raises `StateError` while the station is not running."""
+        if self._push is None or self._coordinator is None:
+            raise StateError("The station is not running.", action="Start it.")
+        return self._push
 
     def start(self) -> None:
         """Build and start all parts. If one part fails, stop the parts that were started and raise its error."""
@@ -119,9 +128,10 @@ class Station:
             standing = StandingOrder(store.standing)
             resumed = standing.resume(board_types.get, make_order)
             run_ids = RunIds(store.newest_run())
+            push = PushService(config.data, config.push, config.name, events)
             supervisor = Supervisor(notify_watchdog, lambda faults: self._report(events, faults))
             coordinator = StationCoordinator(
-                Parts(config, ring, grants, workers, archive, events, run_ids, watch, standing, resumed),
+                Parts(config, ring, grants, workers, archive, events, run_ids, watch, standing, resumed, push.reasons),
                 ring,
                 board_types,
                 make_order,
@@ -153,7 +163,9 @@ class Station:
             supervisor.watch(grants.thread, coordinator.kept.recordings.thread, coordinator.heights.thread)
             parts.callback(supervisor.stop)
             supervisor.start()
-            self._supervisor = supervisor
+            # Receivers come last, and go first: the line waits for none of them.
+            parts.enter_context(push.running(supervisor.watch))
+            self._supervisor, self._push = supervisor, push
             self._parts, self._coordinator, self._wound_down = parts.pop_all(), coordinator, False
 
     def watch(self, thread: SupervisedThread) -> None:
@@ -232,7 +244,7 @@ def serve(config: StationConfig, port: int | None = None) -> None:
         audit = AuditLog(config.data / AUDIT_FILE)
         parts.callback(audit.close)  # what was noted last is written before the process ends
         access = AccessControl(keys, audit, open_loopback=api.open_loopback)
-        web = WebServer(create_app(station.coordinator, names, access), socket_, stop.request, tls=tls)
+        web = WebServer(create_app(station.coordinator, names, access, station.push), socket_, stop.request, tls=tls)
         web.start()
         station.watch(web.thread)
         station.watch(audit.thread)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ssl
 import threading
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import httpx2
 import pytest
@@ -12,11 +13,14 @@ from fastapi.testclient import TestClient
 
 from tests.api.held_station import HeldStation
 from tests.certificates import Certificate
+from tests.push.event_list import EventList
 from vaoi_station.api import create_app
 from vaoi_station.api.access.access_control import AccessControl
 from vaoi_station.api.listener.certificate import CertificateFiles
 from vaoi_station.api.listener.connections import ConnectionLimits
 from vaoi_station.api.web_server import WebServer, open_listener
+from vaoi_station.model.receivers import PushConfig
+from vaoi_station.push.push_service import PushService
 
 
 class Served:
@@ -56,8 +60,15 @@ def station() -> HeldStation:
 
 
 @pytest.fixture
-def client(station: HeldStation) -> Iterator[TestClient]:
-    with TestClient(create_app(station, ["testserver"]), raise_server_exceptions=False) as client:
+def push(tmp_path: Path) -> PushService:
+    """Receivers without threads: none is there yet, and messages are not sent."""
+    return PushService(tmp_path / "receivers", PushConfig(), "test", EventList())
+
+
+@pytest.fixture
+def client(station: HeldStation, push: PushService) -> Iterator[TestClient]:
+    app = create_app(station, ["testserver"], push=push)
+    with TestClient(app, raise_server_exceptions=False) as client:
         yield client
 
 

@@ -21,6 +21,9 @@ from vaoi_station.api import create_app
 from vaoi_station.api.access.access_control import AccessControl
 from vaoi_station.api.access.audit import AuditLog
 from vaoi_station.files.access_keys import KeyFile
+from vaoi_station.push import webhook_transport
+from vaoi_station.push.http_post import Reply
+from vaoi_station.push.push_service import PushService
 
 COUNT = 20_000 if LONG else 250
 """Number of requests; at full length by VAOI_LONG=1."""
@@ -145,12 +148,17 @@ class Requests:
 
 
 @pytest.fixture
-def service(tmp_path: Path) -> Iterator[tuple[TestClient, HeldStation, str]]:
+def service(
+    push: PushService, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[tuple[TestClient, HeldStation, str]]:
     station, audit = HeldStation(), AuditLog(tmp_path / "audit.jsonl")
     keys = KeyFile(tmp_path / "keys")
-    app = create_app(station, ["testserver"], AccessControl(keys, audit))
+    app = create_app(station, ["testserver"], AccessControl(keys, audit), push)
+    monkeypatch.setattr(webhook_transport, "post", lambda *_: Reply(204, 0.0))  # no message leaves this machine
+    push.start(lambda _: None)
     with TestClient(app, raise_server_exceptions=False, client=("127.0.0.1", 50000)) as client:
         yield client, station, keys.create("chief", ["admin", "teach", "operate"]).secret
+    push.stop()
     audit.close()
 
 

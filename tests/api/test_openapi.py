@@ -26,9 +26,10 @@ GOLDEN = Path(__file__).parent / "openapi.json"
 
 
 @pytest.fixture
-def document(station: Any, tmp_path: Path) -> Iterator[dict[str, Any]]:
+def document(station: Any, push: Any, tmp_path: Path) -> Iterator[dict[str, Any]]:
     audit = AuditLog(tmp_path / "audit.jsonl")
-    yield json.loads(json.dumps(create_app(station, access=AccessControl(KeyFile(tmp_path / "k"), audit)).openapi()))
+    app = create_app(station, access=AccessControl(KeyFile(tmp_path / "k"), audit), push=push)
+    yield json.loads(json.dumps(app.openapi()))
     audit.close()
 
 
@@ -77,7 +78,7 @@ def test_fields_have_one_type_except_where_the_file_format_has_null(document: di
         for schema in document["components"]["schemas"].values()
         if any("anyOf" in p or "oneOf" in p for p in parts(schema))
     }
-    assert found <= {"Component", "Matrices"}
+    assert found <= {"CodePlace", "Component", "Matrices"}
 
 
 def test_every_reference_exists(document: dict[str, Any]) -> None:
@@ -123,6 +124,7 @@ def test_answers_may_get_fields_and_requests_may_not(document: dict[str, Any]) -
         "MethodRequest",
         "StateRequest",
         "TeachRequest",
+        "WebhookRequest",
     }
 
 
@@ -141,6 +143,7 @@ def test_replies_match_their_schemas(
     client.post("/api/v1/station/arm?board_type=demo-board&board_id=B1")
     values = {"run": station.film(board_id="B1"), "camera": 0, "row": 0, "ref": "U1", "k": 0, "name": "demo-board"}
     values |= {"picture": "board", "level": 9, "column": 0, "suffix": "jpg", "region": "full", "size": "240,160"}
+    client.put("/api/v1/webhooks/demo-board", json={"url": "http://127.0.0.1:9/"})
     station.teach_reference("demo-board", values["run"])
     station.put_board_type(station.board_type("demo-board"))
     values["revision"] = station.board_type_history.list("demo-board")[0].id

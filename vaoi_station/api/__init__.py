@@ -18,6 +18,7 @@ from vaoi_station.api.board_data.previews import Previews
 from vaoi_station.api.event_hub import EventHub
 from vaoi_station.api.hosts import allowed_names
 from vaoi_station.api.parameters import refuse_unknown_parameters
+from vaoi_station.api.receivers import routes as webhooks
 from vaoi_station.api.request_guard import RequestGuard
 from vaoi_station.api.rest_models import Health
 from vaoi_station.api.routes import (
@@ -35,6 +36,7 @@ from vaoi_station.api.routes import (
     stitching,
 )
 from vaoi_station.api.routes.services import Services
+from vaoi_station.push.push_service import PushService
 from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.runs.control.readiness import EXPECTED, NOT_READY
 from vaoi_station.runs.states.schemas import StationSnapshot
@@ -46,17 +48,20 @@ NOT_OPERATIONAL = frozenset({StationState.STARTING, StationState.FAULTED, Statio
 
 
 def create_app(
-    coordinator: StationCoordinator, names: Iterable[str] = (), access: AccessControl | None = None
+    coordinator: StationCoordinator,
+    names: Iterable[str] = (),
+    access: AccessControl | None = None,
+    push: PushService | None = None,
 ) -> FastAPI:
     """Create the web application of a coordinator. The caller starts and stops the coordinator itself.
 
     Clients may address the application by any of `names`, by loopback, by the machine's names and by any IP address.
-    Without `access`, every caller may send every request, and there are no keys.
+    Without `access`, every caller may send every request, and there are no keys; without `push`, no webhooks.
 
     `app.state.hub.close()` ends streams and long polls, so that a server can stop without waiting for them. An event
     of kind "station" with state "stopping" has the same effect.
     """
-    services = Services(coordinator, EventHub(coordinator))
+    services = Services(coordinator, EventHub(coordinator), push)
 
     previews = Previews()
 
@@ -88,6 +93,8 @@ def create_app(
     for module in (station, calibration, board_types, stitching, runs, check_routes, *pictures, events):
         app.include_router(module.router(services), prefix=PREFIX)
     app.include_router(board_data.router(services, previews), prefix=PREFIX)
+    if push is not None:
+        app.include_router(webhooks.router(services, push), prefix=PREFIX)
     if access is not None:
         app.include_router(keys.router(services, access), prefix=PREFIX)
     _add_health(app, services)

@@ -58,6 +58,7 @@ _SECRETS = (
     re.compile(rf"(?i)(?P<before>[\"']?\b{_WORDS}[\"']?\s*[=:]\s*)(?P<secret>\[[^\]]*\]|\"[^\"]*\"|'[^']*'|[^\n]+)"),
     # A key of a station, and the cookie of a login, wherever they stand.
     re.compile(r"(?P<before>)(?P<secret>\bvaoi_[0-9a-f]{6,}_[\w-]+)"),
+    re.compile(r"(?P<before>)(?P<secret>\bwhsec_[A-Za-z0-9+/=]{8,})"),
     re.compile(r"(?i)(?P<before>\bvaoi-session[\"']?\s*[=:]\s*)(?P<secret>[^\s;,]+)"),
     re.compile(r"(?i)(?P<before>\b(?:bearer|basic)\s+)(?P<secret>[\w.~+/=-]{8,})"),
     re.compile(r"(?P<before>\w://)(?P<secret>[^/\s:@]+:[^/\s@]+)(?=@)"),

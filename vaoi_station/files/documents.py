@@ -100,20 +100,21 @@ def key_at(place: Place) -> str:
     return ".".join(map(str, place)) or "the document"
 
 
-def write_json(path: Path, data: Any) -> None:
+def write_json(path: Path, data: Any, *, mode: int = 0o644) -> None:
     """Write a JSON document atomically; raise InternalError if a number is not finite."""
     if (fault := _not_finite(data)) is not None:
         raise InternalError(f"{path}: {fault[0]} is {fault[1]}, which JSON cannot hold; nothing was written.")
-    write_bytes(path, (json.dumps(data, indent=1, allow_nan=False) + "\n").encode())
+    write_bytes(path, (json.dumps(data, indent=1, allow_nan=False) + "\n").encode(), mode=mode)
 
 
-def write_bytes(path: Path, content: bytes, *, durable: bool = True) -> None:
+def write_bytes(path: Path, content: bytes, *, durable: bool = True, mode: int = 0o644) -> None:
     """Write a file so that readers see the old or the new content, never a part.
 
     Args:
         path: the file. Its directory is created if it is absent.
         content: all bytes of the file.
         durable: return only when the file, under its name, survives a power failure.
+        mode: permissions of the file.
 
     Raises:
         InputError: the path is not a file, or cannot be written to.
@@ -131,7 +132,7 @@ def write_bytes(path: Path, content: bytes, *, durable: bool = True) -> None:
         with os.fdopen(handle, "wb") as file:
             file.write(content)
             file.flush()
-            os.fchmod(file.fileno(), 0o644)
+            os.fchmod(file.fileno(), mode)
             # Without fsync, a power failure after the rename can leave an empty file under the new name.
             if durable:
                 os.fsync(file.fileno())

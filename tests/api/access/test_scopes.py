@@ -16,6 +16,13 @@ from vaoi_station.files.access_keys import KeyFile
 EXPECTED = {
     "admin": {
         "POST /keys",
+        "PUT /webhooks/{name}",
+        "DELETE /webhooks/{name}",
+        "POST /webhooks/{name}/test",
+        "POST /webhooks/{name}/rotate",
+        "POST /webhooks/{name}/enable",
+        "POST /webhooks/{name}/dead-letters/{number}/retry",
+        "DELETE /webhooks/{name}/dead-letters/{number}",
         "POST /keys/{name}/rotate",
         "DELETE /keys/{name}",
         "POST /station/set-aside/{file}/acknowledge",
@@ -49,9 +56,10 @@ EXPECTED = {
 """Every command. A new one needs the scope admin until it is listed."""
 
 
-def test_every_command_has_its_scope(station: Any, tmp_path: Path) -> None:
+def test_every_command_has_its_scope(station: Any, push: Any, tmp_path: Path) -> None:
     audit = AuditLog(tmp_path / "audit.jsonl")
-    paths = create_app(station, access=AccessControl(KeyFile(tmp_path / "keys.json"), audit)).openapi()["paths"]
+    access = AccessControl(KeyFile(tmp_path / "keys.json"), audit)
+    paths = create_app(station, access=access, push=push).openapi()["paths"]
     audit.close()
     found: dict[Any, set[str]] = {scope: set() for scope in EXPECTED}
     for path, operations in paths.items():
@@ -73,6 +81,8 @@ def test_every_command_has_its_scope(station: Any, tmp_path: Path) -> None:
         ("GET", "/metrics", "read"),
         ("GET", "/api/v1/keys", "admin"),
         ("GET", "/api/v1/audit", "admin"),
+        ("GET", "/api/v1/webhooks", "admin"),
+        ("GET", "/api/v1/webhooks/mes/dead-letters", "admin"),
         ("POST", "/api/v1/unknown", "admin"),
         ("POST", "/api/v1/station/arm/", "admin"),
         ("GET", "/webx", "read"),

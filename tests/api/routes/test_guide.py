@@ -95,8 +95,8 @@ def test_c(served: Any, tmp_path: Path) -> None:
     assert found == "80 x 64, 80 bytes per line, 5120 bytes\n"
 
 
-def test_every_address_is_in_the_guide(served: Any) -> None:
+def test_every_address_is_in_the_guide(client: Any) -> None:
     guide = GUIDE.read_text()
-    for path in served.client.get("/api/v1/openapi.json").json()["paths"]:
+    for path in client.get("/api/v1/openapi.json").json()["paths"]:
         noun = path.removeprefix("/api/v1/").replace("{run}", "{id}")
         assert noun in guide, noun

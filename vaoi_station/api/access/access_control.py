@@ -32,7 +32,8 @@ from vaoi_station.files.access_keys import AccessKey, KeyFile
 OPEN_SCOPES = frozenset({"read", "operate", "teach"})
 """Scopes of callers on the station's own machine that have no key. Keys are made with `vaoi keys`."""
 LOCAL = "loopback"
-_FORWARDED = ("forwarded", "x-forwarded-for", "x-real-ip", "via")
+_FORWARDED = ("forwarded", "x-forwarded-for", "x-real-ip", "via", "webhook-id")
+"""Headers of a request that its sender made for another: by a proxy, or by a station as a webhook."""
 _REFUSALS_PER_MINUTE = 60
 _STILL_KNOWN = "still-known"
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,6 +13,7 @@ from fastapi import APIRouter, Response
 
 from vaoi_station.api.http_caching import LIVE
 from vaoi_station.api.routes.services import Services
+from vaoi_station.push.delivery import Delivery
 from vaoi_station.runs.archive.run_statistics import LATENCY_BOUNDS_S, RunFigures
 from vaoi_station.runs.states.schemas import StationSnapshot
 from vaoi_station.runs.states.tables import StationState
@@ -40,13 +41,16 @@ def router(services: Services) -> APIRouter:
     @routes.get("/metrics", include_in_schema=False)
     async def get_metrics() -> Response:
         snapshot = await ask(coordinator.snapshot)
-        text = await ask(lambda: as_text(metrics_of(snapshot, coordinator.run_figures())))
+        deliveries = () if services.push is None else services.push.deliveries()
+        text = await ask(lambda: as_text(metrics_of(snapshot, coordinator.run_figures(), deliveries)))
         return Response(text, media_type=MEDIA_TYPE, headers={"Cache-Control": LIVE})
 
     return routes
 
 
-def metrics_of(snapshot: StationSnapshot, figures: RunFigures) -> tuple[Metric, ...]:
+def metrics_of(
+    snapshot: StationSnapshot, figures: RunFigures, deliveries: Sequence[Delivery] = ()
+) -> tuple[Metric, ...]:
     """Return all metrics of the station."""
     free = sum(bay.use == "free" for bay in snapshot.ring.bays)
     return (
@@ -73,6 +77,7 @@ def metrics_of(snapshot: StationSnapshot, figures: RunFigures) -> tuple[Metric, 
         _metric("vaoi_leases", "gauge", "Holds of callers on frames.", ({}, len(snapshot.ring.leases))),
         *_cameras(snapshot),
         *_processes(snapshot),
+        *_receivers(deliveries),
     )  # fmt: skip
 
 
@@ -112,6 +117,22 @@ def _processes(snapshot: StationSnapshot) -> Iterable[Metric]:
     used = {name: usage for name, pid in pids.items() if (usage := _usage(pid)) is not None}
     for index, (name, kind, text) in enumerate(_USAGE):
         yield _metric(name, kind, text, *(({"process": process}, usage[index]) for process, usage in used.items()))
+
+
+def _receivers(deliveries: Sequence[Delivery]) -> Iterable[Metric]:
+    states = [({"receiver": d.name}, d, d.state) for d in deliveries]
+    yield _metric("vaoi_push_up", "gauge", "1 if the receiver accepts messages, 0 if it fails or is disabled.",
+                  *((label, not d.is_failing) for label, d, _ in states))  # fmt: skip
+    yield _metric("vaoi_push_waiting", "gauge", "Events that have not had their turn at the receiver.",
+                  *((label, d.waiting) for label, d, _ in states))  # fmt: skip
+    yield _metric("vaoi_push_delivered_total", "counter", "Messages that the receiver has accepted.",
+                  *((label, s.delivered) for label, _, s in states))  # fmt: skip
+    yield _metric("vaoi_push_failures_total", "counter", "Attempts to deliver a message that failed.",
+                  *((label, s.failures) for label, _, s in states))  # fmt: skip
+    yield _metric("vaoi_push_skipped_total", "counter", "Events that were not sent because too many waited.",
+                  *((label, s.skipped) for label, _, s in states))  # fmt: skip
+    yield _metric("vaoi_push_dead_letters", "gauge", "Events that were given up and are kept for a person.",
+                  *((label, len(s.letters)) for label, _, s in states))  # fmt: skip
 
 
 _USAGE = (

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from vaoi_station.api.callers.picture_seats import PICTURE_THREADS, PictureSeats
 from vaoi_station.api.event_hub import COMMAND_THREADS, EventHub, ThreadLimit
+from vaoi_station.push.push_service import PushService
 from vaoi_station.runs.control.coordinator import StationCoordinator
 
 
@@ -16,6 +17,7 @@ class Services:
 
     coordinator: StationCoordinator
     hub: EventHub
+    push: PushService | None = None
     commands: ThreadLimit = field(default_factory=lambda: ThreadLimit(COMMAND_THREADS))
     pictures: ThreadLimit = field(default_factory=lambda: ThreadLimit(PICTURE_THREADS))
     picture_seats: PictureSeats = field(default_factory=PictureSeats)

@@ -22,7 +22,7 @@ _log = logging.getLogger(__name__)
 RECENT = 1000
 """Number of the latest events that are kept in memory. Older events are read from the database."""
 _NOTHING: Mapping[str, str] = MappingProxyType({})
-_WARNINGS = frozenset({"trouble", "board-missed", "process"})
+_WARNINGS = frozenset({"trouble", "board-missed", "process", "push"})
 """Kinds of events that are logged at level WARNING. All others are logged at level INFO."""
 
 

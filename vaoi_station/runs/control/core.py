@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import assert_never
@@ -50,6 +51,8 @@ class Parts:
     """The object that stores the order in force for a restart; None if orders are not stored."""
     resumed: Resumed | None = None
     """The order that was in force when the station ended."""
+    receiver_warnings: Callable[[], tuple[Reason, ...]] = tuple
+    """Returns, at once, a warning for each receiver that does not accept the station's events."""
 
 
 class Core:
@@ -61,6 +64,7 @@ class Core:
     def __init__(self, parts: Parts) -> None:
         self._parts, self.watch, self.storage = parts, parts.watch, parts.archive.storage
         self._config, self._events, self._archive = parts.config, parts.events, parts.archive
+        self.receiver_warnings = parts.receiver_warnings
         self.leases = Leases(parts.config.ring.lease_s)
         self.memory = Memory(parts.ring, parts.config.ring.runs, self.leases)
         parts.archive.keep_s = parts.config.ring.keep_s

@@ -68,6 +68,7 @@ def snapshot_of(
             *address_warnings(config),
             *flat_field_warnings(config),
             *worker_warnings(processes),
+            *core.receiver_warnings(),
         ),
         set_aside=core.storage.set_aside(),
         armed_with=core.line.orders.shown(),
