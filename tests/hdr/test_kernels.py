@@ -3,28 +3,85 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vaoi_station.hdr.kernels import accumulate, linearise
+from tests.hdr.exposed_views import FRAME, NOISE, exposed
+from vaoi_station.hdr.kernels import Source, accumulate, add_shifted, linearise, mean
+from vaoi_station.hdr.merging import _block_scales, _source, _warped
+from vaoi_station.photometry import FieldMaps
+from vaoi_station.rendering.view import Tile
 
 ONE = np.ones((1, 1), np.float32)
 
 
-@pytest.mark.parametrize(("dtype", "full"), [(np.uint8, 255.0), (np.uint16, 65535.0)])
-def test_grey_levels_become_radiance_and_saturated_pixels_nan(dtype: type, full: float) -> None:
-    pixels = np.array([[0, 100, 254, 255]], dtype) * dtype(1 if dtype is np.uint8 else 257)
-    flat = np.array([[1.0, 0.5, 2.0, 1.0]] * 2, np.float32)[:1]
-    out = np.empty((1, 4), np.float32)
-    linearise(pixels, ONE * 2, flat[:1] * 1, (255 / full, 0.1, full), out)
-    np.testing.assert_allclose(out[0, :3], np.array([-2, 98, 252]) * 0.1, rtol=1e-5)
-    assert np.isnan(out[0, 3])
+def source(pixels: np.ndarray, dark: np.ndarray, flat: np.ndarray, exposure: float) -> Source:
+    full = 255.0 if pixels.dtype == np.uint8 else 65535.0
+    for array in (pixels, dark, flat):
+        array.flags.writeable = False
+    return Source(pixels, dark, flat, 255 / full, full, exposure, 2.25, 0.03)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_grey_levels_become_radiance_and_saturated_pixels_nan(dtype: type) -> None:
+    pixels = np.array([[0, 0, 0, 0], [0, 100, 254, 255]], dtype) * dtype(1 if dtype is np.uint8 else 257)
+    flat, out = np.array([[1.0] * 4, [1.0, 0.5, 2.0, 1.0]], np.float32), np.empty((1, 3), np.float32)
+    linearise(source(pixels, ONE * 2, flat, 10.0), (1, 1, 4, 2), out)
+    np.testing.assert_allclose(out[0, :2], np.array([196, 126]) * 0.1, rtol=1e-5)
+    assert np.isnan(out[0, 2])
 
 
 def test_maps_of_dark_and_flat_apply_pixel_by_pixel() -> None:
     pixels = np.full((2, 2), 50, np.uint8)
     dark, flat = np.array([[0, 10], [20, 0]], np.float32), np.array([[1, 1], [0.5, 0.0]], np.float32)
     out = np.empty((2, 2), np.float32)
-    linearise(pixels, dark, flat, (1.0, 1.0, 255.0), out)
+    linearise(source(pixels, dark, flat, 1.0), (0, 0, 2, 2), out)
     np.testing.assert_allclose(out[[0, 0, 1], [0, 1, 0]], [50, 40, 60])
     assert np.isnan(out[1, 1])
+
+
+@pytest.mark.parametrize("beside_px", [0.0, 30.0])
+def test_shifted_frames_are_merged_as_opencv_resamples_them(beside_px: float) -> None:
+    """One pass gives the same as the steps one by one, in the frame and at its border, block by block."""
+    plain = exposed(0, 0, 250.0)  # the right half is saturated
+    turned = np.array([[1.002, 0.011, 5.3 + beside_px], [-0.01, 0.997, 4.6], [1e-7, 2e-7, 1.0]])
+    width, height = 160, 57
+    plain.view.width, plain.view.height, plain.view.matrix = width, height, turned
+    frame = _source(plain)
+    sums = np.zeros((2, 3, height, width), np.float32)
+    assert add_shifted(frame, turned, (0, 0, width, height), np.array([0, 2]), sums)
+    value = _warped(plain.view, frame, [Tile(0, 0, width, height, turned)])
+    total, weight = np.zeros_like(value), np.zeros_like(value)
+    accumulate(value, _block_scales(plain.view, frame), (NOISE.read**2, NOISE.shot), total, weight)
+    assert not sums[:, 1].any()
+    np.testing.assert_array_equal(sums[:, 0], sums[:, 2])
+    both = (sums[1, 0] > 0) & (weight > 0)
+    assert 800 < both.sum() < 0.99 * width * height
+    # OpenCV counts pixels at the very border of the frame, and rounds places to a thousandth of a pixel or so.
+    assert ((sums[1, 0] > 0) != (weight > 0)).mean() < 0.01
+    (found, own), expected = sums[:, 0, both], total[both] / weight[both]
+    np.testing.assert_allclose(found / own, expected, rtol=0.01, atol=2e-3)
+    np.testing.assert_allclose(own, weight[both], rtol=0.02)
+
+
+def test_turned_frames_are_left_to_opencv() -> None:
+    quarter, sums = np.array([[0.0, 1, 10], [-1, 0, 60], [0, 0, 1]]), np.zeros((2, 1, 20, 20), np.float32)
+    assert not add_shifted(_source(exposed(0, 0, 50.0)), quarter, (0, 0, 20, 20), np.zeros(1, np.int64), sums)
+    assert not sums.any()
+
+
+def test_frames_have_the_arrays_of_their_flat_field() -> None:
+    flat, dark = FieldMaps(None, 3.0, NOISE).arrays
+    assert (flat.tolist(), dark.tolist()) == ([[1.0]], [[3.0]])
+    maps = np.full((FRAME[1], FRAME[0]), 2.0, np.float32)
+    flat, dark = FieldMaps(maps, maps, NOISE).arrays
+    assert flat.base is maps
+    assert maps.flags.writeable
+    assert not any(array.flags.writeable for array in (flat, dark))
+
+
+def test_means_have_no_value_without_a_weight() -> None:
+    out = np.empty((1, 2), np.float32)
+    mean(np.array([[6.0, 0.0]], np.float32), np.array([[2.0, 0.0]], np.float32), out)
+    assert out[0, 0] == 3
+    assert np.isnan(out[0, 1])
 
 
 def test_sums_are_weighted_by_the_inverse_variance_and_skip_nan() -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -19,18 +19,14 @@ from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.photometry import FieldMaps, Radiance, Taken
 from vaoi_station.photometry.noise import FULL_SCALE, Floats32
 from vaoi_station.rendering import View
+from vaoi_station.rendering.view import Tile
 
-_SHARPENING_PX2 = 0.25
-"""Second moment, px², by which frames are sharpened along each axis before they are interpolated.
+if TYPE_CHECKING:
+    from vaoi_station.hdr.kernels import Source
 
-Bilinear interpolation blurs by f (1 − f) at a fraction f of a pixel: 1/4 at most, 1/6 on average. Beside bright metal
-this blur would add light to dark places: by several per cent over two decades of radiance.
-"""
-_TAPS = np.array([-_SHARPENING_PX2 / 2, 1 + _SHARPENING_PX2, -_SHARPENING_PX2 / 2], np.float32)
 _MARGIN_PX = 4
 """Pixels around the used part of a frame, for interpolation and sharpening."""
 _FLAGS = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-_ONE = np.ones((1, 1), np.float32)
 _GRID = 12
 """Points per side of the grid on which coverage is compared."""
 _COMPLETE = 0.995
@@ -44,9 +40,11 @@ _EXPOSURES_DIFFER = 1.25
 """Least factor between two exposures · gains that count as different."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False, slots=True)
 class Exposed:
-    """A view with what its frame was taken with. Frames are read when they are needed."""
+    """A view with what its frame was taken with. Frames are read when they are needed. It is not changed later."""
+
+    # Not `frozen`, as views: `object.__setattr__` for every field would double the cost.
 
     view: View
     taken: Taken
@@ -106,13 +104,21 @@ def merge_views(views: Sequence[Exposed], *, groups: bool = True) -> list[Merged
     Returns:
         The pictures of the groups in the order of their rows, and last the picture of all views.
     """
-    parts = [*(exposure_groups(views) if groups else ()), list(views)]
-    shape = views[0].view.height, views[0].view.width
-    sums = [(np.zeros(shape, np.float32), np.zeros(shape, np.float32)) for _ in parts]
+    from vaoi_station.hdr.kernels import mean
+
+    parts = [*(exposure_groups(views) if groups else ()), views]
+    first, every = views[0].view, np.zeros(1, np.int64)
+    sums = np.zeros((2, len(parts), first.height, first.width), np.float32)
     for view in views:
         # Groups share frames, and each frame is resampled once.
-        _add(view, [sums[n] for n, part in enumerate(parts) if view in part])
-    return [_picture(part, *total) for part, total in zip(parts, sums, strict=True)]
+        mine = np.array([n for n, part in enumerate(parts) if part is views or view in part]) if groups else every
+        _add(view, mine, sums)
+    found = []
+    for n, part in enumerate(parts):
+        value = np.empty((first.height, first.width), np.float32)
+        mean(sums[0, n], sums[1, n], value)
+        found.append(MergedPicture(tuple(v.view for v in part), len(distinct_exposures(part)), value, sums[1, n]))
+    return found
 
 
 def exposure_groups(views: Sequence[Exposed]) -> list[list[Exposed]]:
@@ -165,51 +171,58 @@ def distinct_exposures(views: Sequence[Exposed]) -> list[float]:
     return found
 
 
-def _add(exposed: Exposed, sums: Sequence[tuple[Floats32, Floats32]]) -> None:
-    """Add a frame to the sums of several merges: of radiance weighted by 1/σ² (h, w), and of the weights (h, w)."""
-    from vaoi_station.hdr.kernels import accumulate
+def _add(exposed: Exposed, groups: NDArray[np.int64], sums: Floats32) -> None:
+    """Add a frame to the sums (2, n, h, w) of several merges: of radiance weighted by 1/σ², and of the weights."""
+    from vaoi_station.hdr.kernels import accumulate, add_shifted
 
-    noise, value, scales = exposed.maps.noise, _warped(exposed), _block_scales(exposed)
-    for total, weight in sums:
-        accumulate(value, scales, (noise.read**2, noise.shot * exposed.taken.gain), total, weight)
+    view, source = exposed.view, _source(exposed)
+    rest = []
+    for tile in view.tiles or (Tile(0, 0, view.width, view.height, view.matrix),):
+        x0, y0, x1, y1, matrix = tile
+        if not add_shifted(source, matrix, (x0, y0, x1 - x0, y1 - y0), groups, sums):
+            rest.append(tile)
+    if rest:
+        value, scales = _warped(view, source, rest), _block_scales(view, source)
+        for n in groups.tolist():
+            accumulate(value, scales, (source.read_variance, source.shot_variance), sums[0, n], sums[1, n])
 
 
-def _picture(views: Sequence[Exposed], total: Floats32, weight: Floats32) -> MergedPicture:
-    with np.errstate(divide="ignore", invalid="ignore"):
-        value = np.asarray(total / weight, dtype=np.float32)
-    return MergedPicture(tuple(v.view for v in views), len(distinct_exposures(views)), value, weight)
+def _source(exposed: Exposed) -> Source:
+    """Return the frame of a view for the compiled functions."""
+    from vaoi_station.hdr.kernels import Source
 
-
-def _warped(exposed: Exposed) -> Floats32:
-    """Resample one frame into the picture, as radiance (h, w); NaN outside the frame and beside saturated pixels."""
-    from vaoi_station.hdr.kernels import linearise
-
-    view, pixels = exposed.view, exposed.pixels()
+    pixels, maps, taken = exposed.pixels(), exposed.maps, exposed.taken
     if pixels.ndim == 3:
         pixels = np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY))
-    box = _used_part(view, pixels.shape)
-    if box is None:
-        return np.full((view.height, view.width), np.nan, np.float32)
-    maps = exposed.maps.part(*box)
-    flat = _ONE if maps.flat is None else maps.flat
-    dark = np.full((1, 1), maps.dark, np.float32) if isinstance(maps.dark, float) else maps.dark
+    # Numba compiles separate versions for writeable and read-only arrays, so all are passed as read-only.
+    pixels = pixels.view() if pixels.flags.c_contiguous else np.ascontiguousarray(pixels)
+    pixels.flags.writeable = False
     full = FULL_SCALE if pixels.dtype == np.uint8 else 65535.0
-    source = np.empty((box[0].stop - box[0].start, box[1].stop - box[1].start), np.float32)
-    linearise(pixels[box], dark, flat, (FULL_SCALE / full, 1 / exposed.scale, full), source)
-    # The taps turn NaN into NaN: the eight neighbours of a saturated pixel are out as well.
-    source = cv2.sepFilter2D(source, -1, _TAPS, _TAPS, borderType=cv2.BORDER_REPLICATE)
-    left, top = box[1].start, box[0].start
-    nan = (float("nan"),) * 4
-    if not view.tiles:
-        size = (view.width, view.height)
-        return np.asarray(
-            cv2.warpPerspective(source, _shifted(view.matrix, left, top), size, flags=_FLAGS, borderValue=nan)
-        )
-    out = np.empty((view.height, view.width), np.float32)
-    for t in view.tiles:
-        size = (t.x1 - t.x0, t.y1 - t.y0)
-        out[t.y0 : t.y1, t.x0 : t.x1] = cv2.warpPerspective(
-            source, _shifted(t.matrix, left, top), size, flags=_FLAGS, borderValue=nan
+    (flat, dark), noise = maps.arrays, maps.noise
+    return Source(pixels, dark, flat, FULL_SCALE / full, full, exposed.scale, noise.read**2, noise.shot * taken.gain)
+
+
+def _warped(view: View, source: Source, tiles: Sequence[Tile]) -> Floats32:
+    """Resample a frame into tiles of a picture, as radiance (h, w), with OpenCV.
+
+    NaN elsewhere, outside the frame and beside saturated pixels.
+    """
+    from vaoi_station.hdr.kernels import SHARPENING_PX2, linearise
+
+    out = np.full((view.height, view.width), np.nan, np.float32)
+    taps = np.array([-SHARPENING_PX2 / 2, 1 + SHARPENING_PX2, -SHARPENING_PX2 / 2], np.float32)
+    for x0, y0, x1, y1, matrix in tiles:
+        box = _used_part(matrix, (x1 - x0, y1 - y0), source.pixels.shape)
+        if box is None:
+            continue
+        left, top, right, bottom = box
+        part = np.empty((bottom - top, right - left), np.float32)
+        linearise(source, box, part)
+        # The taps turn NaN into NaN: the eight neighbours of a saturated pixel are out as well.
+        part = cv2.sepFilter2D(part, -1, taps, taps, borderType=cv2.BORDER_REPLICATE)
+        nan = (float("nan"),) * 4
+        out[y0:y1, x0:x1] = cv2.warpPerspective(
+            part, _shifted(matrix, left, top), (x1 - x0, y1 - y0), flags=_FLAGS, borderValue=nan
         )
     return out
 
@@ -222,20 +235,14 @@ def _shifted(matrix: Floats, left: int, top: int) -> Floats:
     return out
 
 
-def _used_part(view: View, shape: tuple[int, ...]) -> tuple[slice, slice] | None:
-    """Return the rows and columns of the frame that the picture needs; None if it needs none."""
-    parts = [(t.matrix, t.x1 - t.x0 - 1, t.y1 - t.y0 - 1) for t in view.tiles]
-    points = [
-        _point(m.tolist(), x, y)
-        for m, right, bottom in parts or [(view.matrix, view.width - 1, view.height - 1)]
-        for x in (0, right)
-        for y in (0, bottom)
-    ]
-    xs, ys = zip(*points, strict=True)
+def _used_part(matrix: Floats, size: tuple[int, int], shape: tuple[int, ...]) -> tuple[int, int, int, int] | None:
+    """Return the part of a frame, first column and row and those after the last, that a picture needs; None if none."""
+    rows = matrix.tolist()
+    xs, ys = zip(*(_point(rows, x, y) for x in (0, size[0] - 1) for y in (0, size[1] - 1)), strict=True)
     x0, y0 = max(math.floor(min(xs)) - _MARGIN_PX, 0), max(math.floor(min(ys)) - _MARGIN_PX, 0)
     x1, y1 = math.ceil(max(xs)) + _MARGIN_PX + 1, math.ceil(max(ys)) + _MARGIN_PX + 1
     x1, y1 = min(x1, shape[1]), min(y1, shape[0])
-    return None if x1 <= x0 or y1 <= y0 else (slice(y0, y1), slice(x0, x1))
+    return None if x1 <= x0 or y1 <= y0 else (x0, y0, x1, y1)
 
 
 def _point(matrix: list[list[float]], x: float, y: float) -> tuple[float, float]:
@@ -245,19 +252,18 @@ def _point(matrix: list[list[float]], x: float, y: float) -> tuple[float, float]
     return (a * x + b * y + c) / w, (d * x + e * y + f) / w
 
 
-def _block_scales(exposed: Exposed) -> NDArray[np.float64]:
+def _block_scales(view: View, source: Source) -> NDArray[np.float64]:
     """Return the grey levels per unit of radiance for each block of the picture, (rows, columns)."""
     from vaoi_station.hdr.kernels import BLOCK_SHIFT
 
-    view, side, flat = exposed.view, 1 << BLOCK_SHIFT, exposed.maps.flat
+    side = 1 << BLOCK_SHIFT
     rows, columns = -(-view.height // side), -(-view.width // side)
-    if flat is None:
-        return np.full((rows, columns), exposed.scale)
-    height, width = flat.shape
+    height, width = source.flat.shape
     matrix, found = view.matrix.tolist(), np.empty((rows, columns))
     for j in range(rows):
         for i in range(columns):
-            x, y = _point(matrix, (i + 0.5) * view.width / columns, (j + 0.5) * view.height / rows)
-            at = flat[min(max(int(y), 0), height - 1), min(max(int(x), 0), width - 1)]
-            found[j, i] = max(float(at), 0.02) * exposed.scale
+            right, bottom = min((i + 1) * side, view.width), min((j + 1) * side, view.height)
+            x, y = _point(matrix, (i * side + right) // 2, (j * side + bottom) // 2)
+            at = source.flat[min(max(int(y), 0), height - 1), min(max(int(x), 0), width - 1)]
+            found[j, i] = max(float(at), 0.02) * source.exposure
     return found

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from vaoi_station.geometry import Camera, Lens, Projective, System
 from vaoi_station.geometry.shifting import shift
-from vaoi_station.hdr.kernels import accumulate, linearise
+from vaoi_station.hdr.kernels import Source, accumulate, add_shifted, linearise, mean
 from vaoi_station.heights.estimates import measure_heights
 from vaoi_station.marks.subpixel_localisation import locate_mark
 from vaoi_station.model import BoardType, Stitch
@@ -73,13 +73,19 @@ def _plan_and_blend() -> None:
 
 
 def _merge() -> None:
-    """Call the functions that are compiled for merged pictures, with parts of frames and of flat fields as they are."""
+    """Call the functions that are compiled for merged pictures."""
     one, out = np.ones((1, 1), np.float32), np.ones((4, 4), np.float32)
+    sums, groups = np.zeros((2, 1, 4, 4), np.float32), np.zeros(1, np.int64)
+    for array in (one, flat := np.ones((6, 6), np.float32)):
+        array.flags.writeable = False
     for dtype in (np.uint8, np.uint16):
-        part = np.ones((6, 6), dtype)[1:5, 1:5]
-        for flat in (one, np.ones((6, 6), np.float32)[1:5, 1:5]):
-            linearise(part, one, flat, (1.0, 1.0, 255.0), out)
-    accumulate(out, np.ones((1, 1)), (1.0, 1.0), out.copy(), out.copy())
+        pixels = np.ones((6, 6), dtype)
+        pixels.flags.writeable = False
+        source = Source(pixels, one, flat, 1.0, 255.0, 1.0, 1.0, 1.0)
+        linearise(source, (1, 1, 5, 5), out)
+        add_shifted(source, np.eye(3), (0, 0, 4, 4), groups, sums)
+    accumulate(out, np.ones((1, 1)), (1.0, 1.0), sums[0, 0], sums[1, 0])
+    mean(sums[0, 0], sums[1, 0], out)
 
 
 def _setup() -> StitchSetup:
