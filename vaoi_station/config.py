@@ -302,12 +302,14 @@ def conflicts(
         needed = TABLE_OF.get(controller.backend)
         if needed is not None and needed not in tables:
             yield f"backend {controller.backend!r} needs a table [{needed}]"
+    if controller is not None and controller.backend == "replay" and line is not None and line.by_encoder:
+        yield 'pacing = "encoder" needs the backend "serial" or "simulated": a replay has no encoder'
     # A sensor that still exposes ignores the next trigger, and every second frame would be missing.
     for camera in cameras:
-        if line is not None and camera.exposure_us * 1e-6 >= line.trigger_period_s:
+        if line is not None and camera.exposure_us * 1e-6 >= line.shortest_period_s:
             yield (
                 f"camera {camera.name!r} exposes {camera.exposure_us} us, "
-                f"but pulses follow every {line.trigger_period_s * 1e6:.0f} us"
+                f"but pulses follow every {line.shortest_period_s * 1e6:.0f} us"
             )
 
 

@@ -3,11 +3,20 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from vaoi_station.model import Finite, Positive
+
+ENCODER_RESERVE = 1.25
+"""Fastest speed of a belt with an encoder, as a multiple of its nominal speed, unless station.toml states it."""
+MOST_COUNTS = 1 << 30
+"""Largest distance in counts of the encoder that the controller's firmware takes (hw/protocol.md)."""
+ENCODER_LATENCY_S = 1e-3
+"""Time from the count at which a row is due to its pulse (hw/protocol.md)."""
+MOST_COUNTS_PER_S = 12_000
+"""Fastest encoder, counts/s: four per period of 3 kHz, which the filters of the inputs let pass (hw/wiring.md)."""
 
 NotNegative = Annotated[Finite, Field(ge=0)]
 
@@ -41,6 +50,17 @@ class ExpectedBoard(Section):
         return self
 
 
+class Encoder(Section):
+    """The encoder on the belt, and the speed up to which rows may follow it."""
+
+    counts_per_mm: Positive
+    """Counts of the controller per mm of the belt: four per period of an encoder with two channels."""
+    row_mm: Positive | None = None
+    """Distance of the belt between two rows; it may replace `trigger_period_s` of the line."""
+    fastest_mm_s: Positive | None = None
+    """Fastest speed of the belt that cameras and LEDs must be able to follow; None: 1.25 times the nominal speed."""
+
+
 class Line(Section):
     """The geometry and the timing of the line: speed, barrier, distances."""
 
@@ -60,16 +80,44 @@ class Line(Section):
     """Shorter interruptions of the barrier are ignored as bounces."""
     max_blur_px: Positive = 3.0
     """Longest motion of a picture, px, while a row of a light program is lit."""
+    pacing: Literal["time", "encoder"] = "time"
+    """What spaces the rows: the controller's clock, or the belt's way as the encoder counts it. Then start delay,
+    period and tail stand for the distances that the belt covers in them at its nominal speed."""
+    encoder: Encoder | None = None
     speed_limits_mm_s: tuple[Positive, Positive] | None = None
     """Slowest and fastest speed of the belt that a board type may state; None: only that of `conveyor_mm_s`."""
     rail_limits_mm: tuple[Finite, Finite] | None = None
     """Lowest and highest place of the rail that a board type may state; None: only that of `expected_board`."""
     expected_board: ExpectedBoard = ExpectedBoard()
 
+    @model_validator(mode="before")
+    @classmethod
+    def _period_of_row(cls, data: Any) -> Any:
+        """Fill in the period at the nominal speed where the distance of the rows is given instead."""
+        encoder = data.get("encoder") if isinstance(data, dict) else None
+        row_mm = encoder.get("row_mm") if isinstance(encoder, dict) else getattr(encoder, "row_mm", None)
+        velocity = data.get("conveyor_mm_s") if row_mm is not None else None
+        try:
+            speed_mm_s = math.hypot(*velocity) if velocity is not None else 0.0
+            period_s = float(row_mm) / speed_mm_s if row_mm is not None and speed_mm_s else None
+        except (TypeError, ValueError):
+            return data  # the fields themselves are refused
+        if period_s is None:
+            return data
+        given_s = data.get("trigger_period_s", period_s)
+        if isinstance(given_s, int | float) and not math.isclose(given_s, period_s, rel_tol=1e-6):
+            raise ValueError(
+                f"trigger_period_s is {given_s}, but encoder.row_mm {row_mm} is {period_s:.6g} s at {speed_mm_s:g} "
+                "mm/s; give one of the two"
+            )
+        return {**data, "trigger_period_s": given_s}
+
     @model_validator(mode="after")
     def _moves(self) -> Self:
         if self.speed_mm_s == 0:
             raise ValueError("conveyor_mm_s is [0, 0], but must not be zero")
+        if fault := self.encoder_fault():
+            raise ValueError(fault)
         for key in ("speed_limits_mm_s", "rail_limits_mm"):
             limits = getattr(self, key)
             if limits is not None and limits[0] > limits[1]:
@@ -88,6 +136,57 @@ class Line(Section):
         return math.hypot(*self.conveyor_mm_s)
 
     @property
+    def by_encoder(self) -> bool:
+        """Whether the belt's way spaces the rows."""
+        return self.pacing == "encoder"
+
+    @property
+    def fastest_mm_s(self) -> float:
+        """The fastest speed at which rows are filmed: the nominal one, or that which the encoder may report."""
+        if not self.by_encoder or self.encoder is None:
+            return self.speed_mm_s
+        return self.encoder.fastest_mm_s or ENCODER_RESERVE * self.speed_mm_s
+
+    @property
+    def shortest_period_s(self) -> float:
+        """Shortest time between two rows that cameras, network and LEDs must be able to follow."""
+        return self.trigger_period_s * self.speed_mm_s / self.fastest_mm_s
+
+    def counts(self, nominal_s: float) -> int:
+        """Return the counts of the encoder for the distance that the belt covers in a time at its nominal speed."""
+        assert self.encoder is not None
+        return round(nominal_s * self.speed_mm_s * self.encoder.counts_per_mm)
+
+    def row_ways_mm(self, rows: int) -> tuple[float, ...] | None:
+        """Return the belt's way at each row since row 0 by the encoder; None if the clock spaces the rows."""
+        if not self.by_encoder or self.encoder is None:
+            return None
+        return row_ways_mm(self.counts(self.trigger_period_s) / self.encoder.counts_per_mm, rows)
+
+    def encoder_fault(self) -> str:
+        """Return why rows cannot follow the encoder; an empty text if they can, or if the clock spaces them."""
+        if not self.by_encoder:
+            return ""
+        if self.encoder is None:
+            return 'pacing is "encoder", but there is no table [line.encoder] with counts_per_mm'
+        per_mm, row_mm = self.encoder.counts_per_mm, self.trigger_period_s * self.speed_mm_s
+        if not 1 <= self.counts(self.trigger_period_s) <= MOST_COUNTS:
+            counts = row_mm * per_mm
+            return (
+                f"encoder.counts_per_mm is {per_mm:g}: rows lie {row_mm:g} mm, {counts:g} counts, apart, but must be "
+                f"1 … {MOST_COUNTS}"
+            )
+        if self.fastest_mm_s < self.speed_mm_s:
+            fastest = f"encoder.fastest_mm_s is {self.fastest_mm_s:g}"
+            return f"{fastest}, but must be at least the speed of the belt, {self.speed_mm_s:g}"
+        if (rate := per_mm * self.fastest_mm_s) > MOST_COUNTS_PER_S:
+            return (
+                f"encoder.counts_per_mm is {per_mm:g}: {rate:.0f} counts/s at {self.fastest_mm_s:g} mm/s, but must be "
+                f"at most {MOST_COUNTS_PER_S} counts/s, the limit of the controller's inputs"
+            )
+        return ""
+
+    @property
     def passing_s(self) -> float:
         """The time from the moment the longest board interrupts the barrier to the end of the tail time, in s."""
         return self.longest_board_mm / self.speed_mm_s + self.tail_s
@@ -96,3 +195,8 @@ class Line(Section):
     def rows_of_longest_board(self) -> int:
         """Number of pulses for the longest board, from start delay to end of tail (the paper's m)."""
         return 1 + math.ceil((self.passing_s - self.start_delay_s) / self.trigger_period_s)
+
+
+def row_ways_mm(row_mm: float, rows: int) -> tuple[float, ...]:
+    """Return the belt's way at each row since row 0, for rows at equal distances, rounded to nm."""
+    return tuple(round(row * row_mm, 6) for row in range(rows))

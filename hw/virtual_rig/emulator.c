@@ -173,6 +173,36 @@ static avr_cycle_count_t turn_encoder(avr_t *unused, avr_cycle_count_t when, voi
     return when + encoder_every;
 }
 
+/* The encoder's way of a passage: the cycles of all its counts, forwards. */
+static avr_cycle_count_t travel[1 << 16];
+static size_t travel_count, travel_next;
+
+static avr_cycle_count_t step_travel(avr_t *unused, avr_cycle_count_t when, void *param)
+{
+    if (travel_next == travel_count) return 0;
+    travel_next++;
+    encoder_left = 1;
+    turn_encoder(unused, when, param);
+    if (travel_next == travel_count) return 0;
+    return travel[travel_next] > when ? travel[travel_next] : when + 1;
+}
+
+/* Takes the cycle of the first count, and for each further one the cycles since the one before it. */
+static void plan_travel(const char *numbers)
+{
+    char *end;
+    avr_cycle_count_t at = 0;
+    travel_count = travel_next = 0;
+    while (travel_count < sizeof travel / sizeof *travel) {
+        unsigned long long more = strtoull(numbers, &end, 10);
+        if (end == numbers) break;
+        numbers = end;
+        travel[travel_count++] = at += more;
+    }
+    avr_cycle_timer_cancel(avr, step_travel, NULL);
+    if (travel_count) avr_cycle_timer_register(avr, travel[0] > avr->cycle ? travel[0] - avr->cycle : 1, step_travel, NULL);
+}
+
 /* The registers were cleared, but the inputs keep their levels: they belong to the world outside. */
 static void after_reset(void)
 {
@@ -227,6 +257,7 @@ static int execute(const char *line)
         set_input("PB0", 1);
     } else if (sscanf(line, "pin %3s %llu", name, &a) == 2) set_input(name, a != 0);
     else if (sscanf(line, "at %llu %3s %llu", &a, name, &b) == 3) schedule(a, name, b != 0);
+    else if (!strncmp(line, "travel ", 7)) plan_travel(line + 7);
     else if (sscanf(line, "encoder %ld %llu", &encoder_left, &a) == 2) {
         encoder_every = a;
         avr_cycle_timer_register(avr, a, turn_encoder, NULL);

@@ -9,6 +9,7 @@ import threading
 import tty
 from collections.abc import Iterable, Iterator
 from contextlib import closing, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from select import select
 from typing import Any
@@ -17,6 +18,7 @@ import pytest
 
 from tests.doctor.conftest import assert_problem, only, without_privileges
 from tests.hw.emulated.paced import PacedChip
+from tests.hw.emulated.vectors import IDENT
 from vaoi_station.acquisition.clocks import ClockReading
 from vaoi_station.acquisition.controller.protocol.framing import FrameReader, Message, encode
 from vaoi_station.acquisition.controller.protocol.link import Link
@@ -25,9 +27,17 @@ from vaoi_station.acquisition.controller.serial.exchange import Exchange
 from vaoi_station.acquisition.controller.serial.port import Port, Waker
 from vaoi_station.config import StationConfig
 from vaoi_station.doctor.check_context import CheckContext
-from vaoi_station.doctor.checks.controller import LATENCY, controller, judge_clock, judge_latency
+from vaoi_station.doctor.checks.controller import (
+    LATENCY,
+    ControllerReply,
+    controller,
+    judge_clock,
+    judge_encoder,
+    judge_latency,
+)
 from vaoi_station.doctor.finding import Finding, Level
 from vaoi_station.doctor.machine import Machine
+from vaoi_station.line_config import Line
 
 RING = {"ring": {"channels": [0, 1], "on_us": 250.0}}
 
@@ -88,6 +98,27 @@ def test_a_light_beyond_the_firmwares_limits(paced: PacedChip) -> None:
     lights = {"flash": {"channels": [2], "on_us": 800.0}}
     limits = by_subject(controller(context_of(paced.link, lights=lights)))["limits"]
     assert_problem(limits, Level.FAULT, "controller.lights.flash.on_us is 800", "500")
+
+
+def test_an_encoder_is_judged_by_what_it_counts() -> None:
+    line = Line.model_validate(
+        {
+            "conveyor_mm_s": [0.0, 100.0], "barrier_mm": -40.0, "start_delay_s": 0.32, "trigger_period_s": 0.125,
+            "tail_s": 0.48, "longest_board_mm": 60.0, "pacing": "encoder", "encoder": {"counts_per_mm": 20.0},
+        }
+    )  # fmt: skip
+    first = Status.unpack(bytes(48))
+
+    def judged(counts: int) -> Finding:
+        last = replace(first, position=counts % (1 << 32), tick=2_000_000)
+        return judge_encoder(ControllerReply(IDENT, last, (), first), line)
+
+    assert judged(2010).level is Level.OK
+    assert "2010 counts in 1.00 s, 100.5 mm/s" in judged(2010).message
+    assert (judged(0).level, judged(-500).level, judged(1500).level) == (Level.WARNING, Level.FAULT, Level.WARNING)
+    assert "at rest, or it does not count" in judged(0).message
+    assert "counts backwards" in judged(-500).message
+    assert "75.0 mm/s by encoder.counts_per_mm, but conveyor_mm_s is 100 mm/s" in judged(1500).message
 
 
 def test_a_controller_that_made_itself_safe(paced: PacedChip) -> None:

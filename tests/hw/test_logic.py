@@ -21,6 +21,7 @@ from vaoi_station.acquisition.controller.interface import (
     BarrierBlockedAgain,
     BarrierClear,
     BarrierClearAfterRun,
+    BeltPacing,
     ControllerEvent,
     PulseFired,
     RunEnded,
@@ -32,6 +33,7 @@ from vaoi_station.acquisition.controller.protocol.messages import (
     Event,
     Kind,
     Nak,
+    Pacing,
     Reason,
     Request,
     RunEnd,
@@ -157,6 +159,56 @@ def test_the_same_rule_as_the_simulated_controller(
         if isinstance(e, RunEnded)
     ]
     assert [(e.index, e.detail) for e in ours if e.kind == Kind.RUN_END] == ends
+
+
+class Counts:
+    """Counts of an encoder at these ticks."""
+
+    def __init__(self, ticks: list[int]) -> None:
+        self._ticks = ticks
+
+    def counts_at(self, time_s: float) -> int:
+        return sum(tick <= round(time_s / TICK_S) for tick in self._ticks)
+
+    def time_of(self, counts: int) -> float:
+        return self._ticks[counts - 1] * TICK_S if 0 < counts <= len(self._ticks) else float("inf")
+
+
+@pytest.mark.parametrize("tail", [2, 6])
+def test_the_same_rows_by_distance_as_the_simulated_controller(logic: ctypes.CDLL, tail: int) -> None:
+    """A belt that slows down, with counts in the middle between two turns of the main loop."""
+    turn = us(256)
+    ticks = [turn * (40 + 30 * k + max(k - 12, 0) * 20) for k in range(60)]
+    timing = replace(RULE, pacing=Pacing.DISTANCE, start_delay=3, period=4, tail=tail, max_rows=20, debounce=ms(2))
+    edges = [(turn * 50, True), (turn * 600, False)]
+    belt = BeltPacing(1.0, timing.start_delay, timing.period, timing.tail, timing.min_period * TICK_S)
+    plan = TriggerPlan(1.0, 1.0, 1.0, timing.max_rows, timing.debounce * TICK_S, belt=belt)
+    rule, theirs = TriggerRule(plan, count(), Counts(ticks)), []
+    for tick, blocked in edges:
+        theirs += rule.advance(tick * TICK_S)
+        rule.add_edge(tick * TICK_S, blocked)
+    theirs += rule.advance(1e6)
+    logic.bridge_start(0)
+    replies = talk(logic, [*configuration(timing, LIGHT), arm(1, config_crc(timing, LIGHT))])
+    assert all(reply.type != Type.NAK for reply in replies)
+    struct, ours, left, position = ctypes.create_string_buffer(16), [], list(edges), 0
+    for now in range(0, ticks[-1], turn):
+        if now % (turn * 900) == 0:
+            talk(logic, [Request(Type.BEAT)], now)
+        while left and left[0][0] <= now:
+            tick, blocked = left.pop(0)
+            logic.bridge_edge(ctypes.c_uint32(tick), int(blocked))
+        logic.bridge_poll(ctypes.c_uint32(now))
+        if (counted := sum(tick <= now for tick in ticks)) != position:
+            position = counted
+            logic.bridge_encoder(position)
+        while logic.bridge_event(struct) & 0xFF:
+            ours.append(Event.unpack(struct.raw))
+    rows = [(e.index, round(e.time_s / TICK_S)) for e in theirs if isinstance(e, PulseFired)]
+    assert [(e.index, e.tick) for e in ours if e.kind == Kind.PULSE] == rows
+    assert len(rows) > 3
+    end = next(e for e in theirs if isinstance(e, RunEnded))
+    assert [(e.detail, e.index) for e in ours if e.kind == Kind.RUN_END] == [(RunEnd.CLEAR, end.pulses)]
 
 
 @pytest.mark.parametrize(

@@ -189,6 +189,29 @@ def test_an_encoder_paces_rows_by_distance(chip: Chip) -> None:
     assert all(abs(cycle - at - latency) <= 20 * CYCLES_PER_US for cycle, at in zip(triggers, due, strict=True))
 
 
+def test_two_boards_on_a_belt_that_stops_and_goes(chip: Chip) -> None:
+    """The way of each passage as the virtual rig plans it; the belt rests between them."""
+    line = Line(chip)
+    timing = replace(TIMING, pacing=Pacing.DISTANCE, start_delay=10, period=20, tail=30, min_period=ms(5), steps=1)
+    line.arm(timing, [Step(1, us(200))])
+    every, halt = 4800, 320_000
+    for _ in range(2):
+        before, start = len(chip.rises("PB1")), chip.cycle + 16_000
+        deltas = [halt if k == 60 else every for k in range(1, 200)]
+        chip.do("travel " + " ".join(map(str, (start, *deltas))))
+        chip.do(f"at {start - 800} PB0 1")
+        chip.do(f"at {start + 79 * every + halt + 800} PB0 0")
+        line.run(120)
+        counts = [start + sum(deltas[:k]) for k in range(200)]
+        # Counts 10, 30 … from the edge on; clear between counts 81 and 82, and 30 more.
+        due = [counts[k - 1] + 1000 * CYCLES_PER_US for k in range(10, 112, 20)]
+        triggers = chip.rises("PB1")[before:]
+        assert len(triggers) == len(due)
+        assert all(abs(cycle - at) <= 20 * CYCLES_PER_US for cycle, at in zip(triggers, due, strict=True))
+    ends = line.events(Kind.RUN_END)
+    assert [(e.detail, e.index) for e in ends] == [(RunEnd.CLEAR, 6)] * 2
+
+
 def test_an_encoder_that_is_too_fast_is_reported(chip: Chip) -> None:
     line = Line(chip)
     line.arm(

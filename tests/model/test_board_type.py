@@ -157,3 +157,7 @@ def test_the_digest_of_what_is_filmed_stays_when_a_board_type_is_approved() -> N
     older = json.loads((Path(__file__).parents[1] / "fuzz" / "corpus" / "board" / "tiny").read_text())
     # The digest of the whole document in the version before the keys were added.
     assert board(**older).filmed_digest() == "42fe5793c1d34326"
+    slow = BoardType.model_validate({"name": "b", "line": {"speed_mm_s": 50.0}})
+    assert slow.filmed_digest() == "ebfebb527a91fff1"
+    by_belt = BoardType.model_validate({"name": "b", "line": {"speed_mm_s": 50.0, "pacing": "encoder"}})
+    assert by_belt.filmed_digest() != slow.filmed_digest()

@@ -34,6 +34,13 @@ def test_measured_times_replace_the_nominal_ones() -> None:
     assert head(trigger_times_s=[5.0, 5.2, 5.3]).row_times_s().tolist() == [5.0, 5.2, 5.3]
 
 
+def test_the_way_of_the_belt_replaces_the_times_in_the_prior_of_the_motion() -> None:
+    given = head(trigger_times_s=[5.0, 5.2, 5.3], belt_mm=[0.0, 8.0, 16.0], conveyor_mm_s=[0.0, -80.0])
+    assert given.row_times_s().tolist() == [5.0, 5.2, 5.3]
+    assert given.motion_times_s().tolist() == [0.0, 0.1, 0.2]
+    assert head(trigger_times_s=[5.0, 5.2, 5.3]).motion_times_s().tolist() == [5.0, 5.2, 5.3]
+
+
 def test_exposures_are_those_of_the_camera_unless_given_per_frame() -> None:
     assert [head().exposure_us(camera, 2) for camera in (0, 1)] == [200.0, 250.0]
     hdr = head(exposures_us=[[10.0, 20], [30, 40], [50, 60]])
@@ -55,6 +62,8 @@ def test_gains_are_1_and_rows_have_no_light_unless_given() -> None:
         ({"missing": [(-1, 0)]}, r"missing names \[-1, 0\]"),
         ({"trigger_times_s": [0, 1]}, "trigger_times_s has 2 entries, must have one per row: 3"),
         ({"trigger_times_s": [0, 2, 2]}, "must increase from row to row"),
+        ({"belt_mm": [0.0, 1.0]}, "belt_mm has 2 entries"),
+        ({"belt_mm": [0.0, 2.0, 2.0]}, "belt_mm must increase"),
         ({"exposures_us": [[1.0, 2.0]]}, "exposures_us has 1 entries"),
         ({"exposures_us": [[1.0, 2.0], [1.0], [1.0, 2.0]]}, "exposures_us must have 2 entries in every row"),
         ({"gains": [[1.0, 2.0]]}, "gains has 1 entries"),

@@ -10,7 +10,7 @@ from vaoi_station.stitching.work import all_tasks
 
 def check_recording(opened: OpenedRun) -> RunCheck:
     """Stitch a recording and check its cameras. The check has the recording's directory as its run id."""
-    times_s, present = opened.recording.head.row_times_s(), opened.present
+    times_s, present = opened.recording.head.motion_times_s(), opened.present
     runner = opened.runner()
     evidence = [runner.perform(task) for task in all_tasks(present, dict(enumerate(times_s)), opened.setup)]
     _, findings = runner.conclude_with_findings(times_s, present, evidence)

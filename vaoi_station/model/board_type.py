@@ -153,6 +153,10 @@ class BoardLine(FrozenModel):
     """Time for which pulses continue after the board has left the barrier."""
     longest_board_mm: Annotated[Positive, Field(le=MOST_MM)] | None = None
     """Longest board of this type, along the motion, with its carrier."""
+    pacing: Literal["time", "encoder"] | None = None
+    """What spaces the rows: the controller's clock, or the belt's way as the encoder counts it."""
+    row_mm: Annotated[Positive, Field(le=MOST_MM)] | None = None
+    """Distance of the belt between two rows."""
 
 
 class BoardType(FrozenModel):
@@ -229,7 +233,10 @@ class BoardType(FrozenModel):
 
         It stays when a board type is approved, or when its fiducials are described differently.
         """
-        return hashlib.sha256(self.model_dump_json(exclude=_NOT_FILMED).encode()).hexdigest()[:16]
+        # Keys that older versions did not have count only where a board type states them.
+        unset = {key for key in ("pacing", "row_mm") if self.line is not None and getattr(self.line, key) is None}
+        left_out = {**_NOT_FILMED, "line": unset} if unset else _NOT_FILMED
+        return hashlib.sha256(self.model_dump_json(exclude=left_out).encode()).hexdigest()[:16]
 
     def extent(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the lowest and the highest corner of the board's extent, in CAD units.

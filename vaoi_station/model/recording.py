@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Literal, Self
 
 import numpy as np
@@ -42,6 +43,8 @@ class RecordingHead(FrozenModel):
     conveyor_mm_s: tuple[MillimetresPerSecond, MillimetresPerSecond]
     missing: tuple[tuple[Whole, Whole], ...] = ()
     trigger_times_s: tuple[Finite, ...] | None = None
+    belt_mm: tuple[Finite, ...] | None = None
+    """Way of the belt at each row by its encoder, since row 0; None if the belt has none."""
     exposures_us: tuple[tuple[Microseconds, ...], ...] | None = None
     gains: tuple[tuple[Gain, ...], ...] | None = None
     lights: tuple[str, ...] | None = None
@@ -57,7 +60,7 @@ class RecordingHead(FrozenModel):
         for camera, row in self.missing:
             if not (0 <= camera < n and 0 <= row < m):
                 raise ValueError(f"missing names [{camera}, {row}], but there are {n} cameras and {m} rows (from 0)")
-        for key in ("trigger_times_s", "exposures_us", "gains", "lights"):
+        for key in ("trigger_times_s", "belt_mm", "exposures_us", "gains", "lights"):
             value = getattr(self, key)
             if value is not None and len(value) != m:
                 raise ValueError(f"{key} has {len(value)} entries, must have one per row: {m}")
@@ -66,6 +69,8 @@ class RecordingHead(FrozenModel):
                 raise ValueError(f"{key} must have {n} entries in every row, one per camera")
         if self.trigger_times_s and (np.diff(self.trigger_times_s) <= 0).any():
             raise ValueError("trigger_times_s must increase from row to row")
+        if self.belt_mm is not None and ((np.diff(self.belt_mm) <= 0).any() or not any(self.conveyor_mm_s)):
+            raise ValueError("belt_mm must increase from row to row, and conveyor_mm_s must not be zero")
         return self
 
     def row_times_s(self) -> NDArray[np.float64]:
@@ -74,6 +79,16 @@ class RecordingHead(FrozenModel):
         if self.trigger_times_s is not None:
             return np.array(self.trigger_times_s)
         return np.asarray(np.arange(self.rows) * self.trigger_period_s, dtype=np.float64)
+
+    def motion_times_s(self) -> NDArray[np.float64]:
+        """Return for each row the time in which a belt at its nominal speed would have got there, in seconds.
+
+        With `belt_mm` this follows from the measured way, whatever the belt's speed was; otherwise it is the time of
+        the pulse. The prior of the motion is nominal velocity · this time.
+        """
+        if self.belt_mm is None:
+            return self.row_times_s()
+        return np.array([motion_time_s(way_mm, self.conveyor_mm_s) for way_mm in self.belt_mm])
 
     def exposure_us(self, camera: int, row: int) -> float:
         """Return the exposure time of one frame in µs."""
@@ -86,3 +101,8 @@ class RecordingHead(FrozenModel):
     def light(self, row: int) -> str | None:
         """Return the name of the light pattern of one row; None if the recording states none."""
         return self.lights[row] if self.lights else None
+
+
+def motion_time_s(way_mm: float, conveyor_mm_s: tuple[float, float]) -> float:
+    """Return the time in which a belt at its nominal velocity covers a way, in s, rounded to ns."""
+    return round(way_mm / math.hypot(*conveyor_mm_s), 9)

@@ -111,7 +111,7 @@ def restitch(opened: OpenedRun) -> StitchedRun:
             thumbnails[camera, row] = thumbnail(pixels, width)
         return pixels
 
-    times_s = head.row_times_s()
+    times_s = head.motion_times_s()
     runner = opened.runner(frame)
     evidence, task_ms = [], defaultdict[str, float](float)
     for task in all_tasks(present, dict(enumerate(times_s)), opened.setup):

@@ -22,6 +22,7 @@ from vaoi_station.simulation.board.printed_code import code_text, draw_label
 from vaoi_station.simulation.imaging.pinholes import Pinhole
 from vaoi_station.simulation.imaging.scene import Placement
 from vaoi_station.simulation.imaging.sensor import expose, generator
+from vaoi_station.simulation.motion.encoder import EncoderTrack
 from vaoi_station.simulation.motion.faults import PassageFaults, knocked_pinholes
 from vaoi_station.simulation.motion.timetable import Timetable, timetable
 from vaoi_station.simulation.truth import passage_truth
@@ -67,6 +68,11 @@ class Passage:
         period, until the tail time after the board has cleared the barrier.
         """
         return self._times.pulse_times_s
+
+    @property
+    def encoder(self) -> EncoderTrack | None:
+        """Counts of the belt's encoder, which space the rows; None if the controller's clock spaces them."""
+        return self._times.encoder
 
     @property
     def rows(self) -> int:
@@ -196,6 +202,7 @@ class Passage:
             conveyor_mm_s=line.conveyor_mm_s,
             missing=tuple(cell for cell in cells if self.faults.received_share(*cell) < 1),
             trigger_times_s=tuple(round(t - self.pulse_times_s[0], 9) for t in self.pulse_times_s),
+            belt_mm=line.row_ways_mm(self.rows),
             lights=self.lights,
             exposures_us=tuple(row.lit_us for row in filmed) or None,
             gains=tuple(row.gains for row in filmed) or None,

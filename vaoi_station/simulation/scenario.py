@@ -134,6 +134,8 @@ class LineSection(Section):
     debounce_s: NotNegative = 0.005
     interval_s: Positive = 5.0
     lights: Annotated[tuple[str, ...], Field(min_length=1)] = ("ring",)
+    encoder_counts_per_mm: Positive | None = None
+    """Counts of the belt's encoder, which then spaces the rows; None: the controller's clock spaces them."""
 
 
 class CalibrationBoardSection(Section):

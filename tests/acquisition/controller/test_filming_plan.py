@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import pytest
 
 from vaoi_station.acquisition.cameras.interface import CameraExposure
 from vaoi_station.acquisition.controller.filming_plan import exposures_of, filming_plan, line_of_board, require_time
-from vaoi_station.acquisition.controller.interface import TriggerPlan
+from vaoi_station.acquisition.controller.interface import BeltPacing, TriggerPlan
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import InputError
 from vaoi_station.model import BoardType, ProgramRow
@@ -127,6 +128,35 @@ def test_rows_lie_at_the_same_places_at_another_speed(serial: StationConfig) -> 
     assert line.rows_of_longest_board == config.line.rows_of_longest_board
     plan = filming_plan(config, board(line={"speed_mm_s": 50.0}))
     assert (plan.period_s, plan.conveyor_mm_s) == (line.trigger_period_s, (0.0, 50.0))
+
+
+def test_the_belt_spaces_the_rows_where_station_or_board_type_ask_for_it(serial: StationConfig) -> None:
+    config = _with_line(serial, encoder={"counts_per_mm": 20.0})
+    assert filming_plan(config).belt is None
+    plan = filming_plan(config, board(line={"pacing": "encoder", "row_mm": 4.0}))
+    assert plan.belt is not None
+    assert (plan.belt.row, plan.row_mm, plan.period_s) == (80, 4.0, 0.04)
+    assert plan.shortest_period_s == pytest.approx(0.032)
+    assert plan.longest_period_s == pytest.approx(0.16)
+    by_station = _with_line(config, pacing="encoder")
+    assert filming_plan(by_station).belt == BeltPacing.of(by_station.line)
+    assert filming_plan(by_station, board(line={"pacing": "time"})).belt is None
+    with pytest.raises(InputError, match=r'board type .b.: line: pacing is "encoder", but there is no table'):
+        filming_plan(serial, board(line={"pacing": "encoder"}))
+    with pytest.raises(InputError, match=r"line: encoder\.counts_per_mm is 20: rows lie 0\.02 mm, 0\.4 counts, apart"):
+        filming_plan(config, board(line={"pacing": "encoder", "row_mm": 0.02}))
+
+
+def test_a_belt_too_fast_for_exposure_and_read_out_is_refused(serial: StationConfig) -> None:
+    config = _with_line(_with_cameras(serial, readout_us=30_000.0), pacing="encoder", encoder={"counts_per_mm": 20.0})
+    steps = [{"light": "left", "exposure_us": 9000.0, "on_us": 60.0}]
+    with pytest.raises(InputError, match=r"pulses follow every .* at 125 mm/s, the fastest of the encoder"):
+        filming_plan(_with_cameras(config, readout_us=35_000.0), board(program=steps, line={"row_mm": 5.0}))
+    plan = filming_plan(config, board(line={"row_mm": 5.0}))
+    assert plan.belt is not None
+    short = replace(plan, belt=replace(plan.belt, shortest_s=0.02))
+    with pytest.raises(InputError, match=r"at its fastest the belt brings a row every 0\.02 s"):
+        require_time(short, config)
 
 
 def test_rail_tail_and_longest_board_are_those_of_the_board_type(serial: StationConfig) -> None:

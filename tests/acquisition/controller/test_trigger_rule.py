@@ -15,8 +15,10 @@ from vaoi_station.acquisition.controller.interface import (
     BarrierBounce,
     BarrierClear,
     BarrierClearAfterRun,
+    BeltPacing,
     ControllerEvent,
     PulseFired,
+    PulseSkipped,
     RunEnded,
     TriggerPlan,
 )
@@ -164,3 +166,51 @@ def test_due_times_lead_from_one_event_to_the_next() -> None:
 def test_plans_that_cannot_be_carried_out_are_refused(change: dict[str, float], key: str) -> None:
     with pytest.raises(InputError, match=key):
         TriggerRule(replace(PLAN, **change), count())  # type: ignore[arg-type]
+
+
+class Belt:
+    """20 counts per mm at 100 mm/s; at half the speed from 1.5 s on, and at rest from 9 s on."""
+
+    def counts_at(self, time_s: float) -> int:
+        time_s = min(time_s, 9.0)
+        return int(2000 * min(time_s, 1.5) + 1000 * max(time_s - 1.5, 0.0) + 1e-6)
+
+    def time_of(self, counts: int) -> float:
+        time_s = counts / 2000 if counts <= 3000 else 1.5 + (counts - 3000) / 1000
+        return time_s if time_s <= 9.0 else float("inf")
+
+
+PACING = BeltPacing(counts_per_mm=20.0, start=600, row=200, tail=900, shortest_s=0.09)
+BELT = replace(PLAN, belt=PACING)
+
+
+def run_on_belt(plan: TriggerPlan, edges: list[tuple[float, bool]]) -> list[ControllerEvent]:
+    rule, events = TriggerRule(plan, count(), Belt()), []
+    for time_s, blocked in edges:
+        events += rule.advance(time_s)
+        rule.add_edge(time_s, blocked)
+    return events + rule.advance(1e6)
+
+
+def test_rows_keep_their_places_on_a_belt_that_slows_down() -> None:
+    events = run_on_belt(BELT, [(1.0, True), (1.52, False)])
+    # counts 2600 … 3800; the barrier was clear at 3020 and the tail ends at 3920
+    places = [1.3, 1.4, 1.5, 1.7, 1.9, 2.1, 2.3]
+    assert [p.time_s for p in pulses(events)] == pytest.approx([t + 1e-3 for t in places])
+    assert ended(events, pulses(events)[-1].time_s) == (7, "clear")
+    assert [p.time_s for p in pulses(run_on_belt(PLAN, [(1.0, True), (1.52, False)]))] == pytest.approx(
+        [1.3 + 0.1 * k for k in range(7)]
+    ), "without counts in the plan the clock spaces the rows"
+
+
+def test_rows_that_come_too_soon_are_skipped_and_keep_their_number() -> None:
+    dense = replace(BELT, belt=replace(PACING, row=120))
+    events = run_on_belt(dense, [(1.0, True), (1.2, False)])
+    rows = [(type(e), e.index) for e in events if isinstance(e, PulseFired | PulseSkipped)]
+    assert rows[:4] == [(PulseFired, 0), (PulseSkipped, 1), (PulseFired, 2), (PulseSkipped, 3)]
+    assert ended(events, events[-2].time_s)[0] == len(rows)
+
+
+def test_a_belt_that_stops_keeps_the_run_open() -> None:
+    events = run_on_belt(BELT, [(8.9, True)])
+    assert [type(e) for e in events] == [BarrierBlocked]

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from vaoi_station.acquisition.controller.interface import TriggerPlan
 from vaoi_station.acquisition.simulated.board import SimulatedBoard, barrier_edges, predict_pulses, to_bytes
 from vaoi_station.simulation import Twin, read_scenario
+from vaoi_station.simulation.scenario import SpeedChange
 
 BOUNCE = "[[faults.bounces]]\nat_s = 0.001\nduration_s = 0.001\n"
 PLAN = TriggerPlan(start_delay_s=0.1, period_s=0.05, tail_s=0.12, max_rows=4, debounce_s=0.002)
@@ -83,3 +84,15 @@ def test_a_frame_becomes_its_flat_little_endian_bytes(dtype: type, nbytes: int) 
     assert flat.dtype == np.uint8
     assert flat.size == nbytes
     assert np.array_equal(flat.view(dtype).reshape(3, 4), image[::-1])
+
+
+def test_pulses_follow_the_counts_of_a_belt_that_stops(make_twin: Callable[..., Twin]) -> None:
+    """The controller's rule and the twin's own timetable agree, row by row."""
+    twin = make_twin()
+    line = twin.scenario.line.model_copy(update={"encoder_counts_per_mm": 20.0})
+    belt = twin.scenario.belt.model_copy(update={"changes": (SpeedChange(at_s=0.12, for_s=0.3, factor=0.0),)})
+    passage = Twin(twin.scenario.model_copy(update={"line": line, "belt": belt})).passage(0)
+    pulses = predict_pulses(barrier_edges(passage), TriggerPlan.of(passage.twin.line), passage.encoder)
+    assert [p.time_s for p in pulses] == pytest.approx(passage.pulse_times_s, abs=1e-9)
+    assert len(pulses) == passage.rows > 2
+    assert max(np.diff([p.time_s for p in pulses])) > 0.3

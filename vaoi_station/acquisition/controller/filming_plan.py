@@ -70,15 +70,19 @@ def line_of_board(config: StationConfig, board_type: BoardType) -> Line:
         limit = f"at most {line.longest_board_mm:g}, line.longest_board_mm in station.toml"
         raise InputError.field(where, "line.longest_board_mm", longest_mm, limit)
     slower = line.speed_mm_s / speed_mm_s
+    period_s = line.trigger_period_s * slower if asked.row_mm is None else asked.row_mm / speed_mm_s
     changed = {
         "conveyor_mm_s": tuple(v / slower for v in line.conveyor_mm_s),
         "start_delay_s": line.start_delay_s * slower,
-        "trigger_period_s": line.trigger_period_s * slower,
+        "trigger_period_s": period_s,
         "tail_s": line.tail_s * slower if asked.tail_s is None else asked.tail_s,
         "longest_board_mm": longest_mm,
         "expected_board": expected,
+        "pacing": asked.pacing or line.pacing,
     }
     changed_line = line.model_copy(update=changed)
+    if fault := changed_line.encoder_fault():
+        raise InputError(f"{where}: line: {fault}.", action="Correct `line` of the board type, or [line.encoder].")
     _check_rows(where, changed_line, config)
     return changed_line
 
@@ -123,13 +127,15 @@ def require_time(plan: TriggerPlan, config: StationConfig) -> None:
     """Raise InputError if the period of a plan is too short for a camera's longest exposure and read-out."""
     for n, camera in enumerate(config.cameras):
         exposure_us = max((row.exposures_us[n] for row in plan.program), default=camera.exposure_us)
-        if spare_time_us(plan.period_s * 1e6, exposure_us, camera.readout_us) < 0:
+        if spare_time_us(plan.shortest_period_s * 1e6, exposure_us, camera.readout_us) < 0:
             needed_s = (exposure_us + camera.readout_us) * 1e-6
             limit = (
                 f"at least {needed_s:g}: camera {camera.name!r} exposes for {exposure_us:g} µs "
                 f"and is read out in {camera.readout_us:g} µs"
             )
-            raise InputError.field("trigger plan", "period_s", plan.period_s, limit)
+            if plan.belt is not None:
+                limit += f", and at its fastest the belt brings a row every {plan.shortest_period_s:g} s"
+            raise InputError.field("trigger plan", "period_s", plan.shortest_period_s, limit)
 
 
 def _row(where: str, number: int, step: ProgramStep, config: StationConfig) -> ProgramRow:
@@ -163,19 +169,20 @@ def _check_camera(
     """Raise InputError if a camera cannot follow the program, or if its pictures would be blurred by the motion."""
     camera = config.cameras[number]
     resolution = px_per_mm[number] if px_per_mm else camera.nominal_px_per_mm
-    longest_us = None if resolution is None else longest_exposure_us(line.max_blur_px, line.speed_mm_s, resolution)
+    longest_us = None if resolution is None else longest_exposure_us(line.max_blur_px, line.fastest_mm_s, resolution)
     for n, row in enumerate(rows):
         exposure_us, lit_us = row.exposures_us[number], row.lit_us[number]
-        if spare_time_us(line.trigger_period_s * 1e6, exposure_us, camera.readout_us) < 0:
+        if spare_time_us(line.shortest_period_s * 1e6, exposure_us, camera.readout_us) < 0:
             readout = f" minus {camera.readout_us:g} µs of read-out" if camera.readout_us else ""
-            most_us = line.trigger_period_s * 1e6 - camera.readout_us
-            limit = f"at most {most_us:g} for {camera.label}: pulses follow every {line.trigger_period_s:g} s{readout}"
+            most_us = line.shortest_period_s * 1e6 - camera.readout_us
+            limit = f"at most {most_us:g} for {camera.label}: pulses follow every {line.shortest_period_s:g} s{readout}"
+            limit += f" at {line.fastest_mm_s:g} mm/s, the fastest of the encoder" if line.by_encoder else ""
             raise InputError.field(where, f"program.{n}.exposure_us", exposure_us, limit)
         if longest_us is not None and lit_us > longest_us * (1 + 1e-9):
             key = "exposure_us" if lit_us == exposure_us else "on_us"
             limit = (
-                f"at most {longest_us:.1f} for {camera.label}: at {line.speed_mm_s:g} mm/s and {resolution:.4g} px/mm "
-                f"the picture moves {line.max_blur_px:g} px in that time (line.max_blur_px)"
+                f"at most {longest_us:.1f} for {camera.label}: at {line.fastest_mm_s:g} mm/s and {resolution:.4g} px/mm"
+                f" the picture moves {line.max_blur_px:g} px in that time (line.max_blur_px)"
             )
             raise InputError.field(where, f"program.{n}.{key}", lit_us, limit, "Shorten it, or raise the gain.")
     _check_register(where, rows, camera, number)

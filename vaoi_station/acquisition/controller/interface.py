@@ -17,6 +17,40 @@ from vaoi_station.line_config import Line
 from vaoi_station.model import ProgramRow
 from vaoi_station.supervised_thread import SupervisedThread
 
+SLOWEST = 4.0
+"""A belt whose way spaces the rows may need this many times its nominal time for a run."""
+
+
+@dataclass(frozen=True)
+class BeltPacing:
+    """Rows at equal distances of the belt: the distances of a plan in counts of the encoder."""
+
+    counts_per_mm: float
+    start: int
+    """From the edge of the barrier to row 0."""
+    row: int
+    tail: int
+    shortest_s: float
+    """Rows that the encoder asks for sooner than this after the row before are not fired."""
+
+    @classmethod
+    def of(cls, line: Line) -> BeltPacing | None:
+        """Return the distances of a line; None if the controller's clock spaces its rows."""
+        if not line.by_encoder or line.encoder is None:
+            return None
+        return cls(
+            counts_per_mm=line.encoder.counts_per_mm,
+            start=line.counts(line.start_delay_s),
+            row=line.counts(line.trigger_period_s),
+            tail=line.counts(line.tail_s),
+            shortest_s=line.shortest_period_s,
+        )
+
+    @property
+    def row_mm(self) -> float:
+        """Distance of the belt between two rows."""
+        return self.row / self.counts_per_mm
+
 
 @dataclass(frozen=True)
 class TriggerPlan:
@@ -41,6 +75,23 @@ class TriggerPlan:
     """Cameras that expose for as long as the trigger is high, in each row for `trigger_us` of the program."""
     conveyor_mm_s: tuple[float, float] | None = None
     """Velocity of the belt that the plan expects, tester coordinates; None: that of station.toml."""
+    belt: BeltPacing | None = None
+    """Distances of the rows if the encoder spaces them; the times above are then those at the nominal speed."""
+
+    @property
+    def shortest_period_s(self) -> float:
+        """Shortest time between two rows."""
+        return self.period_s if self.belt is None else self.belt.shortest_s
+
+    @property
+    def longest_period_s(self) -> float:
+        """Mean time between two rows on the slowest belt for which the end of a run is awaited."""
+        return self.period_s if self.belt is None else SLOWEST * self.period_s
+
+    @property
+    def row_mm(self) -> float | None:
+        """Distance of the rows by the encoder; None if the controller's clock spaces them."""
+        return None if self.belt is None else self.belt.row_mm
 
     @classmethod
     def of(cls, line: Line, lights: Sequence[str] = (), program: tuple[ProgramRow, ...] = ()) -> TriggerPlan:
@@ -57,6 +108,7 @@ class TriggerPlan:
             lights=tuple(row.light for row in program) or lights,
             program=program,
             conveyor_mm_s=line.conveyor_mm_s,
+            belt=BeltPacing.of(line),
         )
 
 

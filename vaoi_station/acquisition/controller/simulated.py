@@ -34,6 +34,12 @@ class DrivenLine(Protocol):
     def accept(self, plan: TriggerPlan) -> TriggerPlan:
         """Return the plan with the line's lights filled in. Raise InputError if the line cannot follow the plan."""
 
+    def counts_at(self, time_s: float) -> int:
+        """Return the counts of the belt's encoder up to a time of the controller's clock."""
+
+    def time_of(self, counts: int) -> float:
+        """Return the controller's time at which the encoder reaches a count; infinite if it does not."""
+
     def fire(self, event: PulseFired) -> None:
         """Expose all cameras for a pulse of a board."""
 
@@ -75,7 +81,7 @@ class SimulatedController:
 
     def arm(self, plan: TriggerPlan) -> None:
         """Film every board that passes the barrier from now on with this plan."""
-        rule = TriggerRule(self._line.accept(plan), self._numbers)
+        rule = TriggerRule(self._line.accept(plan), self._numbers, self._line)
         with self._changed:
             self._rule = rule
             # Edges of a board that entered before belong to no run of this arming.

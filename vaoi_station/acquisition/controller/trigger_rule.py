@@ -9,8 +9,10 @@ or another board that follows too closely) continues the same run. Every confirm
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from itertools import count
+from typing import Protocol
 
 from vaoi_station.acquisition.controller.interface import (
     BarrierBlocked,
@@ -20,11 +22,27 @@ from vaoi_station.acquisition.controller.interface import (
     BarrierClearAfterRun,
     ControllerEvent,
     PulseFired,
+    PulseSkipped,
     RunEnded,
     TriggerPlan,
 )
 from vaoi_station.errors import InputError
+from vaoi_station.line_config import ENCODER_LATENCY_S
 from vaoi_station.model.light_program import row_of
+
+TOO_FAST = "the controller did not fire it: the board was faster than the cameras can follow"
+"""Why a row was skipped that the encoder asked for too soon."""
+_SAME_S = 1e-7
+
+
+class BeltCounter(Protocol):
+    """The counts of the encoder over the time. Simulated controllers count; the firmware has an encoder."""
+
+    def counts_at(self, time_s: float) -> int:
+        """Return the counts up to a time."""
+
+    def time_of(self, counts: int) -> float:
+        """Return the time at which a count is reached; infinite if the belt stops before."""
 
 
 @dataclass
@@ -36,15 +54,28 @@ class _Passage:
     fired: int = 0
     clear_s: float | None = None
     """Time at which the board left the barrier; None while it interrupts the barrier."""
+    place: int = 0
+    """Count of the encoder at which the next row is due."""
+    confirmed_s: float = 0.0
+    """Time at which the beginning of the run was decided; no row is due before."""
+    pulse_s: float = -math.inf
+    """Time of the last pulse."""
 
 
 class TriggerRule:
     """The state machine from one arming to the next. It takes edges and the time, and returns events in their order."""
 
-    def __init__(self, plan: TriggerPlan, numbers: count[int]) -> None:
-        """Begin with a clear barrier. `numbers` gives the numbers of events, which continue over several armings."""
+    def __init__(self, plan: TriggerPlan, numbers: count[int], belt: BeltCounter | None = None) -> None:
+        """Begin with a clear barrier.
+
+        Args:
+            plan: the trigger plan.
+            numbers: gives the numbers of events, which continue over several armings.
+            belt: counts of the encoder, for a plan whose rows follow the belt.
+        """
         check_plan(plan)
         self.plan = plan
+        self._belt = belt if plan.belt is not None else None
         self._numbers = numbers
         self._raw = False
         self._blocked = False
@@ -104,7 +135,10 @@ class TriggerRule:
     def _pulse_s(self) -> float | None:
         if self._passage is None:
             return None
-        return self._passage.first_s + self._passage.fired * self.plan.period_s
+        if self._belt is None:
+            return self._passage.first_s + self._passage.fired * self.plan.period_s
+        reached_s = max(self._belt.time_of(self._passage.place), self._passage.confirmed_s)
+        return None if math.isinf(reached_s) else reached_s + ENCODER_LATENCY_S
 
     def _confirm(self) -> list[ControllerEvent]:
         """Accept the new level of the barrier, which has now lasted for the debounce time."""
@@ -115,7 +149,9 @@ class TriggerRule:
                 # A cut-out of the same board, or another one: cancel the tail.
                 self._passage.clear_s = None
                 return [BarrierBlockedAgain(next(self._numbers), edge_s)]
-            self._passage = _Passage(edge_s + self.plan.start_delay_s)
+            self._passage = _Passage(edge_s + self.plan.start_delay_s, confirmed_s=edge_s + self.plan.debounce_s)
+            if self._belt is not None and self.plan.belt is not None:
+                self._passage.place = self._belt.counts_at(edge_s) + self.plan.belt.start
             return [BarrierBlocked(next(self._numbers), edge_s)]
         if self._passage is None:
             return [BarrierClearAfterRun(next(self._numbers), edge_s)]
@@ -130,16 +166,26 @@ class TriggerRule:
         row = row_of(self.plan.program, index)
         taken = () if row is None else (row.lit_us, row.gains, row.on_us)
         self._passage.fired += 1
+        if self.plan.belt is not None:
+            self._passage.place += self.plan.belt.row
+            if time_s - self._passage.pulse_s < self.plan.belt.shortest_s - _SAME_S:
+                skipped = PulseSkipped(next(self._numbers), time_s, index, TOO_FAST)
+                return [skipped, *self._end_if_over(time_s)]
+        self._passage.pulse_s = time_s
         return [PulseFired(next(self._numbers), time_s, index, light, *taken), *self._end_if_over(time_s)]
 
     def _end_if_over(self, now_s: float) -> list[ControllerEvent]:
         assert self._passage is not None
-        next_s, clear_s = self._pulse_s(), self._passage.clear_s
-        assert next_s is not None
         # This is checked first, because a board that needed exactly `max_rows` rows has left.
-        if clear_s is not None and next_s > clear_s + self.plan.tail_s:
+        if self._passage.clear_s is not None and self._is_beyond_tail(self._passage, self._passage.clear_s):
             return self._end(now_s, "clear")
         return self._end(now_s, "max-rows") if self._passage.fired >= self.plan.max_rows else []
+
+    def _is_beyond_tail(self, passage: _Passage, clear_s: float) -> bool:
+        """Return whether the next row is due after the end of the tail."""
+        if self._belt is not None and self.plan.belt is not None:
+            return passage.place > self._belt.counts_at(clear_s) + self.plan.belt.tail
+        return passage.first_s + passage.fired * self.plan.period_s > clear_s + self.plan.tail_s
 
     def _end(self, now_s: float, reason: str) -> list[ControllerEvent]:
         assert self._passage is not None

@@ -6,6 +6,7 @@ from collections import defaultdict
 from dataclasses import dataclass, field
 from itertools import pairwise
 
+from vaoi_station.line_config import row_ways_mm
 from vaoi_station.model import FrameRecord, ProgramRow, Pulse
 from vaoi_station.model.light_program import row_of
 
@@ -97,6 +98,8 @@ class RunRecord:
     """What the rows should be filmed with, in turn; empty without a light program."""
     conveyor_mm_s: tuple[float, float] | None = None
     """Velocity of the belt that the plan of the run expects; None: that of station.toml."""
+    row_mm: float | None = None
+    """Distance of the rows by the belt's encoder; None if the controller's clock spaces the rows."""
 
     @property
     def first_s(self) -> float:
@@ -183,6 +186,10 @@ class RunRecord:
         """
         times = self._row_times_s()
         return tuple(round(times[r] - times[0], 9) for r in range(self.rows))
+
+    def belt_mm(self) -> tuple[float, ...] | None:
+        """Return the belt's way at each row since row 0; None without an encoder. Skipped rows have their place."""
+        return None if self.row_mm is None else row_ways_mm(self.row_mm, self.rows)
 
     def interruptions_s(self) -> tuple[Interruption, ...]:
         """Return the interruptions of the barrier, relative to row 0 and rounded to ns."""

@@ -28,6 +28,7 @@ def finished_report(config: StationConfig, finished: Finished, now_s: float) -> 
         rotation_deg=config.line.expected_board.rotation_deg or None,
         missing=tuple((f.camera, f.row) for f in finished.frames if not f.usable),
         trigger_times_s=record.times_s(),
+        belt_mm=record.belt_mm(),
         exposures_us=record.exposures_us(),
         gains=_gains(config, record),
         lights=record.lights(),

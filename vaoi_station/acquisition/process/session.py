@@ -304,7 +304,7 @@ class Session:
         period_s = plan.period_s if plan else self._config.line.trigger_period_s
         rows = plan.max_rows if plan else self._ring.layout.slots_per_camera
         grant, self._next = self._next, None
-        self._silent_s = now_s + rows * period_s + SILENCE_S
+        self._silent_s = now_s + rows * (plan.longest_period_s if plan else period_s) + SILENCE_S
         if grant is None:
             self._run = self._recorder.begin_run(None, None, period_s)
             self._send(BoardMissed(self._edge_s, "no memory was free for its frames: all bays of the ring are in use"))
@@ -317,6 +317,7 @@ class Session:
             self._barrier = BarrierLog()  # the report of this board's edge was lost
         if plan is not None:
             self._run.program, self._run.conveyor_mm_s = plan.program, plan.conveyor_mm_s
+            self._run.row_mm = plan.row_mm
         # This is the same list, not a copy: it grows until the end of the run.
         self._run.interruptions = self._barrier.interruptions
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.acquisition.controller.interface import ControllerEvent, PulseFired, TriggerPlan
-from vaoi_station.acquisition.controller.trigger_rule import TriggerRule
+from vaoi_station.acquisition.controller.trigger_rule import BeltCounter, TriggerRule
 from vaoi_station.model.light_program import row_of
 from vaoi_station.simulation import Passage
 
@@ -28,7 +28,7 @@ class SimulatedBoard:
     def __init__(self, passage: Passage, plan: TriggerPlan, cameras: int) -> None:
         self.passage = passage
         self.edges = barrier_edges(passage)
-        self.pulses = predict_pulses(self.edges, plan)
+        self.pulses = predict_pulses(self.edges, plan, passage.encoder)
         self._program = plan.program
         self._to_render = [(c, r) for r in range(len(self.pulses)) for c in range(cameras)]
         self._frames: dict[tuple[int, int], NDArray[np.uint8]] = {}
@@ -69,9 +69,11 @@ def barrier_edges(passage: Passage) -> list[tuple[float, bool]]:
     return [(0.0, False), *((t, n % 2 == 0) for n, t in enumerate(finite))]
 
 
-def predict_pulses(edges: list[tuple[float, bool]], plan: TriggerPlan) -> list[PulseFired]:
-    """Return the pulses that the controller will fire for these edges of the barrier."""
-    rule = TriggerRule(plan, count())
+def predict_pulses(
+    edges: list[tuple[float, bool]], plan: TriggerPlan, belt: BeltCounter | None = None
+) -> list[PulseFired]:
+    """Return the pulses that the controller will fire for these edges of the barrier, and this way of the belt."""
+    rule = TriggerRule(plan, count(), belt)
     events: list[ControllerEvent] = []
     for time_s, blocked in edges:
         events += rule.advance(time_s)

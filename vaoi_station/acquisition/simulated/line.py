@@ -47,6 +47,10 @@ def accept_plan(asked: TriggerPlan, expected: TriggerPlan, lights: Collection[st
         value, must = getattr(asked, key), getattr(expected, key)
         if not math.isclose(value, must, rel_tol=1e-9, abs_tol=1e-12):
             raise InputError.field("trigger plan", key, value, f"{must}, as in the scenario", "Adapt [line].")
+    if asked.belt != expected.belt:
+        raise InputError.field(
+            "trigger plan", "belt", asked.belt, f"{expected.belt}, as in the scenario", "Adapt [line]."
+        )
     for n, row in enumerate(asked.program):
         if row.light not in lights:
             limit = f"a light of the scenario, which has {', '.join(map(repr, lights))}"
@@ -118,6 +122,16 @@ class SimulatedLine:
                 self._change.notify()
             self._plan = accepted
         return accepted
+
+    def counts_at(self, time_s: float) -> int:
+        """Return the counts of the belt's encoder up to a time of the controller's clock; it rests between boards."""
+        track = self._board.passage.encoder if self._board is not None else None
+        return 0 if track is None else track.counts_at(time_s - self._start_s)
+
+    def time_of(self, counts: int) -> float:
+        """Return the controller's time at which the encoder reaches a count; infinite if the belt stops before."""
+        track = self._board.passage.encoder if self._board is not None else None
+        return math.inf if track is None else track.time_of(counts) + self._start_s
 
     def set_armed(self, armed: bool) -> None:
         """Let boards enter the belt if `armed`; otherwise hold them back."""

@@ -91,7 +91,7 @@ def of_real_cameras(context: CheckContext) -> Iterator[Finding]:
             message = f"{', '.join(names)} have the same serial number {serial!r}."
             yield fault(message, "Correct their addresses in station.toml.", subject=names[0])
     for port, members in ports.items():
-        yield judge_port(port, members, context.config.line.trigger_period_s)
+        yield judge_port(port, members, context.config.line.shortest_period_s)
 
 
 def _search_hint(camera: CameraConfig, error: VaoiError) -> str:

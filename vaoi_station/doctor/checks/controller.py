@@ -31,6 +31,7 @@ from vaoi_station.acquisition.controller.protocol.messages import (
 )
 from vaoi_station.acquisition.controller.protocol.refusals import check_ident, check_interlock
 from vaoi_station.acquisition.controller.serial.device_program import make_program
+from vaoi_station.acquisition.controller.serial.encoder_watch import BACKWARDS_COUNTS
 from vaoi_station.acquisition.controller.serial.exchange import Exchange
 from vaoi_station.acquisition.controller.serial.port import Port, Waker
 from vaoi_station.acquisition.controller.serial.timebase import Timebase
@@ -40,7 +41,11 @@ from vaoi_station.doctor.check_context import CheckContext
 from vaoi_station.doctor.finding import Figures, Finding, Level, fault, not_applicable, ok, warning
 from vaoi_station.doctor.machine import Machine
 from vaoi_station.errors import DeviceError, InputError
+from vaoi_station.line_config import Line
 
+SPEED_SHARE = 0.1
+"""Difference of the belt's speed by the encoder from the nominal one, from which on it is reported."""
+_WRAP = 1 << 32
 READINGS = 20
 """Number of clock readings. The best of them limits the error of the clock model."""
 LATENCY = "sys/bus/usb-serial/devices/{name}/latency_timer"
@@ -54,6 +59,8 @@ class ControllerReply:
     ident: Ident
     status: Status
     readings: tuple[ClockReading, ...]
+    first: Status
+    """The status before the clock readings: the belt may have moved since."""
 
 
 def controller(context: CheckContext) -> Iterator[Finding]:
@@ -79,6 +86,8 @@ def controller(context: CheckContext) -> Iterator[Finding]:
     yield judge_limits(reply.ident, context.config)
     if settings.interlock == "on":
         yield judge_interlock(reply.ident)
+    if context.config.line.by_encoder:
+        yield judge_encoder(reply, context.config.line)
     yield judge_status(reply.status)
     yield judge_clock(reply.readings, context.config.line.trigger_period_s)
 
@@ -103,9 +112,14 @@ def ask(settings: ControllerConfig) -> ControllerReply:
     with closing(Waker()) as waker, closing(Port(settings.port, settings.baud, waker)) as port:
         exchange = Exchange(port, Link(), lambda _news, _heard_s: None, settings.port)
         ident = check_ident(exchange.identify())
+        first = _status(exchange)
         timebase = Timebase(settings.baud)
         readings = tuple(_reading(exchange, timebase, nonce) for nonce in range(READINGS))
-        return ControllerReply(ident, Status.unpack(exchange.request(Request(Type.STATUS)).payload), readings)
+        return ControllerReply(ident, _status(exchange), readings, first)
+
+
+def _status(exchange: Exchange) -> Status:
+    return Status.unpack(exchange.request(Request(Type.STATUS)).payload)
 
 
 def _reading(exchange: Exchange, timebase: Timebase, nonce: int) -> ClockReading:
@@ -201,6 +215,29 @@ def judge_status(status: Status) -> Finding:
         action = "End the program that armed it; the controller enters its safe state three seconds later."
         return warning(f"{message}, although no station runs here.", action, subject="state", figures=figures)
     return ok(message, subject="state", figures=figures)
+
+
+def judge_encoder(reply: ControllerReply, line: Line) -> Finding:
+    """Judge whether the encoder counts, forwards and as many counts as station.toml states for the belt's speed."""
+    assert line.encoder is not None
+    first, last = reply.first, reply.status
+    counts = (last.position - first.position + _WRAP // 2) % _WRAP - _WRAP // 2
+    took_s = (last.tick - first.tick) % _WRAP * TICK_S
+    speed_mm_s = counts / took_s / line.encoder.counts_per_mm if took_s else 0.0
+    figures: Figures = {"counts": counts, "seconds": round(took_s, 3), "mm_s": round(speed_mm_s, 2)}
+    message = f"{counts} counts in {took_s:.2f} s, {speed_mm_s:.1f} mm/s by encoder.counts_per_mm"
+    if counts < -BACKWARDS_COUNTS:
+        action = "Exchange its channels A and B (hw/wiring.md), or check the direction of the belt."
+        return fault(f"{message}: it counts backwards.", action, subject="encoder", figures=figures)
+    if counts <= BACKWARDS_COUNTS:
+        action = "Let the belt run and repeat vaoi doctor; if no count arrives then, check encoder, supply and cable."
+        nothing = f"{message}: the belt is at rest, or it does not count."
+        return warning(nothing, action, subject="encoder", figures=figures)
+    if abs(speed_mm_s - line.speed_mm_s) > SPEED_SHARE * line.speed_mm_s:
+        action = "Correct counts_per_mm under [line.encoder], or conveyor_mm_s; the belt may not have its speed yet."
+        nominal = f"{message}, but conveyor_mm_s is {line.speed_mm_s:g} mm/s."
+        return warning(nominal, action, subject="encoder", figures=figures)
+    return ok(message, subject="encoder", figures=figures)
 
 
 def judge_clock(readings: Sequence[ClockReading], period_s: float) -> Finding:

@@ -19,7 +19,7 @@ def socket_buffers(context: CheckContext) -> Iterator[Finding]:
     # The kernel reduces a larger request to this limit and reports no error.
     yield judge_buffers(
         context.machine.sysctl("net.core.rmem_max"),
-        max(socket_bytes(camera, context.config.line.trigger_period_s) for camera in context.real_cameras),
+        max(socket_bytes(camera, context.config.line.shortest_period_s) for camera in context.real_cameras),
     )
 
 

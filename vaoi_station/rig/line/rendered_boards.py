@@ -51,6 +51,8 @@ class BoardMetadata(Strict):
     edges: tuple[tuple[float, bool], ...]
     """(time, interrupted) of each change of the light barrier; `interrupted` is its state after the change."""
     pulses_s: tuple[float, ...]
+    counts_s: tuple[float, ...] = ()
+    """Time of each count of the belt's encoder; empty if the controller's clock spaces the rows."""
     lights: tuple[str, ...]
     """Name of the light of every pulse."""
     lost: tuple[tuple[int, int], ...]
@@ -216,7 +218,7 @@ def _exit_with_parent() -> None:
 def _render_board(passage: Passage, directory: Path) -> None:
     twin, cameras = passage.twin, passage.twin.scenario.array.cameras
     edges = barrier_edges(passage)
-    pulses = predict_pulses(edges, TriggerPlan.of(twin.line, twin.scenario.line.lights, twin.program))
+    pulses = predict_pulses(edges, TriggerPlan.of(twin.line, twin.scenario.line.lights, twin.program), passage.encoder)
     array = twin.scenario.array
     frame_bytes = array.width_px * array.height_px * array.bits // 8
     directory.mkdir(parents=True, exist_ok=True)
@@ -241,6 +243,7 @@ def _render_board(passage: Passage, directory: Path) -> None:
         frame_bytes=frame_bytes,
         edges=tuple(edges),
         pulses_s=tuple(pulse.time_s for pulse in pulses),
+        counts_s=() if passage.encoder is None else tuple(passage.encoder.steps_s.round(9).tolist()),
         lights=tuple(pulse.light for pulse in pulses),
         lost=tuple((c, r) for r in range(len(pulses)) for c in range(cameras) if passage.faults.lost(c, r)),
         views=views(twin, passage.pinholes, [passage.pose(pulse.time_s) for pulse in pulses]),

@@ -14,6 +14,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Literal
 
@@ -35,6 +36,8 @@ PULSE_TOLERANCE_S = 5e-6
 """Largest difference between the time of a pulse and the time for which its frames were rendered, s.
 
 At 100 mm/s and 40 px/mm, it displaces the board by 0.02 px."""
+COUNT_TOLERANCE_S = 50e-6
+"""The same where a count of the encoder decides: its interrupt may wait for another one, up to 42 µs (limits.h)."""
 BRIGHTNESS_TOLERANCE = 0.005
 """Relative difference up to which a brightness counts as the rendered brightness. LED on-times are exact to 0.2 µs."""
 LOST_PACKET_SHARE = 0.05
@@ -249,6 +252,9 @@ class VirtualLine:
 
     def _plan_edges(self, passage: BoardPassage, after_cycle: int) -> None:
         assert self._chip is not None
+        counts = [passage.start_cycle + round(t * HZ) for t in passage.rendered.metadata.counts_s]
+        if counts := [cycle for cycle in counts if cycle >= after_cycle]:
+            self._chip.send("travel " + " ".join(map(str, (counts[0], *(b - a for a, b in pairwise(counts))))))
         for t, blocked in passage.rendered.metadata.edges:
             cycle = passage.start_cycle + round(t * HZ)
             if cycle >= after_cycle:
@@ -349,4 +355,5 @@ def _rendered_row(passage: BoardPassage, pulse: Pulse) -> tuple[int | None, floa
     # The row is found by time, not by counting pulses: after a reset or a bounce the count may be wrong.
     row = min(range(len(pulses)), key=lambda j: abs(pulses[j] - t))
     offset_s = t - pulses[row]
-    return (row if abs(offset_s) <= PULSE_TOLERANCE_S else None), offset_s
+    tolerance_s = COUNT_TOLERANCE_S if passage.rendered.metadata.counts_s else PULSE_TOLERANCE_S
+    return (row if abs(offset_s) <= tolerance_s else None), offset_s

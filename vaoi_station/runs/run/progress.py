@@ -12,6 +12,7 @@ from vaoi_station.acquisition.process.messages import FrameSettled, RunFinished,
 from vaoi_station.errors import VaoiError
 from vaoi_station.files.results import stitch_text
 from vaoi_station.model import FrameRecord, Pulse, RecordingHead, Status, Stitch, Verdict
+from vaoi_station.model.recording import motion_time_s
 from vaoi_station.runs.run.memory import Bay
 from vaoi_station.runs.run.order import Order
 from vaoi_station.runs.states.run_ids import utc
@@ -129,14 +130,21 @@ class Progress:
         self.advance(RunStep.FILMED)
         self.recorded = report
         self.frames = {(f.camera, f.row): f for f in report.frames}
-        self.canonical_tasks = self._select_canonical_tasks(dict(enumerate(report.head.row_times_s().tolist())))
+        self.canonical_tasks = self._select_canonical_tasks(dict(enumerate(report.head.motion_times_s().tolist())))
         missing = (task for task in self.canonical_tasks if task not in self.requested_s)
         jobs = [job for task in missing for job in self._jobs_for(task.a[0], (task,))]
         self.pending_canonical = self.pending.intersection(self.canonical_tasks)
         return jobs
 
     def _times_s(self) -> dict[int, float]:
-        """Return the time of each row after the first reported pulse, rounded to 1 ns as in the recording's head."""
+        """Return the time of each row after the first reported pulse, rounded to 1 ns as in the recording's head.
+
+        If the encoder spaces the rows, it is the time in which a belt at its nominal speed would have got there.
+        """
+        belt = self.order.plan.belt if self.order.plan is not None else None
+        if belt is not None:
+            velocity = self.order.setup.conveyor_mm_s
+            return {row: motion_time_s(round(row * belt.row_mm, 6), velocity) for row in self.pulses}
         first_s = self.pulses[min(self.pulses)].time_s
         return {row: round(pulse.time_s - first_s, 9) for row, pulse in self.pulses.items()}
 

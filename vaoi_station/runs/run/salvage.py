@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from vaoi_station.acquisition.process.messages import RunFinished
 from vaoi_station.config import StationConfig
+from vaoi_station.line_config import row_ways_mm
 from vaoi_station.model import CameraHead, FrameRecord, RecordingHead, Verdict
 from vaoi_station.model.light_program import row_of
 from vaoi_station.runs.run.progress import WHOLE, Progress
@@ -63,6 +64,7 @@ def salvage_recording(progress: Progress, config: StationConfig) -> RunFinished 
         rotation_deg=config.line.expected_board.rotation_deg or None,
         missing=tuple((f.camera, f.row) for f in frames if f.verdict is Verdict.MISSING),
         trigger_times_s=tuple(round(progress.pulses[row].time_s - first_s, 9) for row in range(rows)),
+        belt_mm=None if plan is None or plan.belt is None else row_ways_mm(plan.belt.row_mm, rows),
         exposures_us=tuple(row.lit_us for row in filmed) or None,
         gains=tuple(row.gains for row in filmed) or None,
         lights=lights if any(lights) else None,

@@ -176,7 +176,7 @@ class WorkerRuntime:
             job.context.bay,
             job.context.generation,
             lambda: opened.runner.conclude_with_findings(
-                job.head.row_times_s(), tuple(job.slots), evidence, job.head.doubts
+                job.head.motion_times_s(), tuple(job.slots), evidence, job.head.doubts
             ),
         )
         opened.concluded = findings, stitch, job.head

@@ -6,8 +6,9 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from vaoi_station.line_config import ExpectedBoard, Line
+from vaoi_station.line_config import ENCODER_LATENCY_S, Encoder, ExpectedBoard, Line
 from vaoi_station.simulation.motion.belt import BoardMotion, board_motion
+from vaoi_station.simulation.motion.encoder import EncoderTrack, encoder_track
 from vaoi_station.simulation.motion.faults import extra_turn_deg, stuck_row
 from vaoi_station.simulation.scenario import Scenario
 
@@ -24,13 +25,18 @@ class Timetable:
     clear_s: float
     """Time at which the board clears the barrier; infinite for a board that gets stuck in it."""
     pulse_times_s: tuple[float, ...]
+    encoder: EncoderTrack | None
+    """Counts of the belt's encoder; None if the line has none."""
     stuck: int | None
 
 
 def line_of(scenario: Scenario) -> Line:
     """Return the mechanics of the twin's line in the form of the `[line]` section of `station.toml`."""
     belt, line = scenario.belt, scenario.line
+    per_mm = line.encoder_counts_per_mm
     return Line(
+        pacing="time" if per_mm is None else "encoder",
+        encoder=None if per_mm is None else Encoder(counts_per_mm=per_mm),
         conveyor_mm_s=(0.0, belt.direction * belt.speed_mm_s),
         barrier_mm=line.barrier_mm,
         start_delay_s=line.start_delay_s,
@@ -72,13 +78,34 @@ def timetable(scenario: Scenario, board_number: int) -> Timetable:
         # A board that stops after it has cleared the barrier does not interrupt the barrier again.
         clear = math.inf if stop < clear else clear
         way = replace(way, stop_s=stop)
-    pulses = _pulses(scenario, blocked, clear)
-    return Timetable(way, turned, blocked, clear, pulses, stuck)
+    encoder = _encoder(scenario, replace(way, stop_s=math.inf), blocked)
+    pulses = _pulses(scenario, blocked, clear, encoder)
+    return Timetable(way, turned, blocked, clear, pulses, encoder, stuck)
 
 
-def _pulses(scenario: Scenario, blocked_s: float, clear_s: float) -> tuple[float, ...]:
+def _encoder(scenario: Scenario, way: BoardMotion, blocked_s: float) -> EncoderTrack | None:
+    """Return the counts of the belt from the start of the passage to the last row that a run may have."""
+    per_mm, line = scenario.line.encoder_counts_per_mm, line_of(scenario)
+    if per_mm is None:
+        return None
+
+    def way_mm(t_s: float) -> float:
+        return scenario.belt.direction * (way.center(t_s)[1] - way.center(0.0)[1])
+
+    rows_mm = (line.rows_of_longest_board + 1) * line.trigger_period_s * line.speed_mm_s
+    return encoder_track(way_mm, per_mm, way_mm(blocked_s) + line.start_delay_s * line.speed_mm_s + rows_mm)
+
+
+def _pulses(scenario: Scenario, blocked_s: float, clear_s: float, encoder: EncoderTrack | None) -> tuple[float, ...]:
     """Return the times of the pulses. Their number is limited to what the longest board needs."""
-    line, most = scenario.line, line_of(scenario).rows_of_longest_board
+    line, of_line = scenario.line, line_of(scenario)
+    most = of_line.rows_of_longest_board
+    if encoder is not None:
+        first, row = (of_line.counts(s) for s in (line.start_delay_s, line.period_s))
+        first += encoder.counts_at(blocked_s)
+        last = math.inf if math.isinf(clear_s) else encoder.counts_at(clear_s) + of_line.counts(line.tail_s)
+        places = (first + k * row for k in range(most))
+        return tuple(encoder.time_of(place) + ENCODER_LATENCY_S for place in places if place <= last)
     times = (blocked_s + line.start_delay_s + k * line.period_s for k in range(most))
     return tuple(t for t in times if t <= clear_s + line.tail_s)
 

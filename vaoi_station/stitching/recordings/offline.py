@@ -27,7 +27,7 @@ def stitch_frames(
     # A run with missing frames is stitched from the other frames. Only the tasks of the missing frames are left out.
     lost = set(head.missing)
     present = [(i, j) for i in range(len(head.cameras)) for j in range(head.rows) if (i, j) not in lost]
-    times_s = head.row_times_s()
+    times_s = head.motion_times_s()
     runner = TaskRunner(setup, frame, reference_frame)
     evidence = [runner.perform(task) for task in all_tasks(present, dict(enumerate(times_s)), setup)]
     return runner.conclude(times_s, present, evidence, head.doubts)

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.hw.emulated.vectors import IDENT
-from vaoi_station.acquisition.controller.interface import TriggerPlan
+from vaoi_station.acquisition.controller.interface import BeltPacing, TriggerPlan
 from vaoi_station.acquisition.controller.protocol.messages import Ident, Nak, Reason, Step, Type
 from vaoi_station.acquisition.controller.serial.device_program import DARK, explain_refusal, make_program
 from vaoi_station.config import ControllerConfig, LightConfig
@@ -91,6 +91,19 @@ def test_a_program_beyond_the_firmware_is_refused_with_its_numbers() -> None:
     long = replace(PLAN, program=(replace(row, on_us=9000.0),), lights=("low",))
     with pytest.raises(InputError, match=r"on_us of light 'low' is 9000\.0, but must be .* … .* \(the longest pulse"):
         make_program(long, SERIAL, IDENT)
+
+
+def test_rows_by_the_belt_are_counts_and_the_shortest_period_bounds_the_light() -> None:
+    belt = BeltPacing(counts_per_mm=20.0, start=640, row=160, tail=960, shortest_s=0.064)
+    program = make_program(replace(PLAN, belt=belt), SERIAL, IDENT)
+    t = program.timing
+    assert (t.pacing, t.start_delay, t.period, t.tail, t.min_period) == (1, 640, 160, 960, 128_000)
+    error = explain_refusal(Nak(Type.COMMIT, Reason.RANGE, 4, 100), program)
+    assert error is not None
+    assert "period_s in counts of the encoder is 160, but must be at most 100" in error.message
+    short = replace(PLAN, belt=replace(belt, shortest_s=0.004))
+    with pytest.raises(InputError, match=r"lights\.top\.on_us is 300\.0, but must be 50 … 250 \(1/16 of the period"):
+        make_program(short, SERIAL, IDENT)
 
 
 BY_WIDTH = replace(

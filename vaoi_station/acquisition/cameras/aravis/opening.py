@@ -89,7 +89,7 @@ def _port_shares(config: StationConfig, connections: Sequence[Connection]) -> li
     for connection in connections:
         camera, port = connection.config, connection.identity.interface
         link_mbit_s = camera.link_mbit_s or (network.link_mbit_s(port) if port else None)
-        shares.append(PortShare(on_port[port], link_mbit_s, socket_bytes(camera, config.line.trigger_period_s)))
+        shares.append(PortShare(on_port[port], link_mbit_s, socket_bytes(camera, config.line.shortest_period_s)))
     return shares
 
 
@@ -102,4 +102,4 @@ def _check_budgets(config: StationConfig, connections: Sequence[Connection], sha
     for port, members in ports.items():
         payloads = [connections[k].config.frame_bytes for k in members]
         packet = min(connections[k].packet_bytes for k in members)
-        network.check_budget(port, payloads, packet, shares[members[0]].link_mbit_s, config.line.trigger_period_s)
+        network.check_budget(port, payloads, packet, shares[members[0]].link_mbit_s, config.line.shortest_period_s)

@@ -41,6 +41,8 @@ _FIELDS = {
     9: (_WHERE, "controller.trigger_us", TICK_S * 1e6),
 }
 """For each field of a refused COMMIT: the file or plan that states it, its name there, and the size of its unit."""
+_DISTANCES = (3, 4, 5)
+"""Those fields that are counts of the encoder if it spaces the rows."""
 _FIRST_STEP = 16
 """Fields of a refused COMMIT from this number on are steps."""
 _NARROWEST, _CLEARANCE = 100, 6000
@@ -102,17 +104,18 @@ def make_program(plan: TriggerPlan, config: ControllerConfig, ident: Ident) -> D
         limit = f"at most {ident.program_steps} lights, the steps of the firmware's program"
         raise InputError.field(_WHERE, "controller.order", lights, limit)
     steps = tuple(
-        light_step(name, config, ident, plan.period_s, plan.program[n].on_us if plan.program else None)
+        light_step(name, config, ident, plan.shortest_period_s, plan.program[n].on_us if plan.program else None)
         for n, name in enumerate(lights)
     ) or (DARK,)
+    belt = plan.belt
     values = (
-        Pacing.TIME,
+        Pacing.TIME if belt is None else Pacing.DISTANCE,
         len(steps),
         plan.max_rows,
-        _ticks(plan.start_delay_s),
-        _ticks(plan.period_s),
-        _ticks(plan.tail_s),
-        _ticks(plan.period_s),
+        _ticks(plan.start_delay_s) if belt is None else belt.start,
+        _ticks(plan.period_s) if belt is None else belt.row,
+        _ticks(plan.tail_s) if belt is None else belt.tail,
+        _ticks(plan.shortest_period_s),
         _ticks(plan.debounce_s),
         _ticks(config.min_gap_s),
         _ticks(config.trigger_us * 1e-6),
@@ -137,10 +140,10 @@ def _widths(plan: TriggerPlan, ident: Ident) -> tuple[int, ...]:
         limit = f"one for all rows: firmware {firmware} has one width of the trigger, from 1.3.0 on one per row"
         raise InputError.field(_PLAN, "exposures by the width of the trigger", f"{exposures} µs", limit)
     # The trigger must have fallen before the next row is prepared.
-    spare = _ticks(plan.period_s) - _CLEARANCE
+    spare = _ticks(plan.shortest_period_s) - _CLEARANCE
     limits = {
         ident.trigger_longest: "the longest trigger of its firmware",
-        spare: f"the period of {plan.period_s} s less 3 ms",
+        spare: f"the period of {plan.shortest_period_s:g} s less 3 ms",
     }
     most, widths = min(limits), []
     for n, row in enumerate(plan.program):
@@ -194,6 +197,8 @@ def explain_refusal(nak: Nak, program: DeviceProgram) -> InputError | None:
         return None
     if nak.reason == Reason.RANGE and nak.field in _FIELDS:
         where, key, unit = _FIELDS[nak.field]
+        if program.timing.pacing == Pacing.DISTANCE and nak.field in _DISTANCES:
+            key, unit = f"{key} in counts of the encoder", 1
         sent = astuple(program.timing)[nak.field]
         bound = "at least" if sent < nak.limit else "at most"
         return InputError.field(

@@ -27,6 +27,7 @@ from vaoi_station.acquisition.controller.protocol.messages import (
     RunEnd,
     Suppressed,
 )
+from vaoi_station.acquisition.controller.trigger_rule import TOO_FAST
 from vaoi_station.errors import DeviceError
 
 _ENDS: dict[int, str] = {
@@ -38,7 +39,7 @@ _ENDS: dict[int, str] = {
 _SKIPPED: dict[int, str] = {
     Suppressed.LATE: "the controller did not fire it: it could not be prepared in time",
     Suppressed.LED_BUDGET: "the controller did not fire it: the LEDs had not cooled down",
-    Suppressed.TOO_FAST: "the controller did not fire it: the board was faster than the cameras can follow",
+    Suppressed.TOO_FAST: TOO_FAST,
 }
 _FAULTS: dict[int, tuple[str, str]] = {
     Fault.HEARTBEAT: (

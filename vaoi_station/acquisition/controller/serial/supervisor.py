@@ -37,6 +37,7 @@ from vaoi_station.acquisition.controller.serial.device_program import (
     light_step,
     make_program,
 )
+from vaoi_station.acquisition.controller.serial.encoder_watch import EncoderWatch
 from vaoi_station.acquisition.controller.serial.event_translator import EventTranslator
 from vaoi_station.acquisition.controller.serial.exchange import Exchange, RefusalError, SilentError
 from vaoi_station.acquisition.controller.serial.port import Port, Waker
@@ -97,6 +98,7 @@ class Supervisor:
         self._status_s = time.monotonic()
         """Monotonic time, s, at which the newest status arrived."""
         self._number = randrange(0x10000)
+        self._encoder_watch = EncoderWatch()
         self._single_width: int | None = None
         """Width of the trigger of a single pulse, ticks, for cameras that the last plan lets expose for it."""
 
@@ -293,6 +295,8 @@ class Supervisor:
         if status is None or status is self._checked_status or self.link.status_is_outdated or not self.link.up_to_date:
             return
         self._checked_status = status
+        if self.arming is not None and (error := self._encoder_watch.check(self.arming.program.timing, status)):
+            self.translator.report_fault(error)
         with self.lock:
             if status.state != State.RUNNING:
                 self.translator.end("the controller's report of its end was lost")
