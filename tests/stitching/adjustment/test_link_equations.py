@@ -238,6 +238,14 @@ def test_the_scatter_of_heights_on_a_component_is_noise_along_the_lean(scene: Sc
     assert body.weight[:, 1:] == pytest.approx(plain.weight[:, 1:])
 
 
+def test_a_point_beside_a_component_scatters_and_may_be_raised_besides(scene: Scene) -> None:
+    every, side = np.ones(LINKS, np.bool_), np.full(LINKS, 0.1)
+    plain, raised = (weights_of(scene, every, np.array([-0.01 * n, 0.0]), side) for n in (0, 5))
+    assert 1 / plain.weight[:, 0] == pytest.approx(1e-4 + (0.01 / 20) ** 2 + 0.01**2)
+    assert (raised.weight[:, 0] < 0.2 * plain.weight[:, 0]).all()
+    assert (raised.robust == 1).all()
+
+
 def test_the_weight_of_a_raised_link_falls_without_a_step(scene: Scene) -> None:
     every = np.ones(LINKS, np.bool_)
     heights = np.linspace(-0.05, 0.5, 400)

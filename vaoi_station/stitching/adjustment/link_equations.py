@@ -110,8 +110,8 @@ def compute_weights(links: LinkArrays, noise: NoiseModel, groups: int, state: Li
     the point is treated as an unknown: the weight along the lean is reduced accordingly. If its residual shows a point
     below the modelled height, the link keeps its weight, since components stand above the board.
 
-    The points of one component have different heights: body, leads, solder, board in between. Their scatter
-    (`noise.scatter_mm`) is noise along the lean.
+    The points of one component have different heights: body, leads, solder, board in between. Two cameras see different
+    sides of it. The scatter of heights (`noise.scatter_mm`) is noise along the lean.
 
     The links of one pair of frames have an error in common. The sum of their weights is therefore limited to the
     inverse variance of this error.
@@ -136,9 +136,11 @@ def compute_weights(links: LinkArrays, noise: NoiseModel, groups: int, state: Li
         wx, wy = xx * lx + xy * ly, xy * lx + yy * ly
         information = lx * wx + ly * wy
         if noise.scatter_mm[n] > 0:
-            k = 1 / (information + 1 / noise.scatter_mm[n] ** 2)
-            xx, xy, yy = xx - k * wx * wx, xy - k * wx * wy, yy - k * wy * wy
-        elif noise.raised[n]:
+            variance = noise.scatter_mm[n] ** 2
+            k = 1 / (1 + information * variance)
+            xx, xy, yy = xx - k * variance * wx * wx, xy - k * variance * wx * wy, yy - k * variance * wy * wy
+            wx, wy, information = k * wx, k * wy, k * information
+        if noise.raised[n]:
             height = -(wx * x + wy * y)
             # In standard deviations. Noise alone makes a point of the bare board look raised by one.
             if height > math.sqrt(information):

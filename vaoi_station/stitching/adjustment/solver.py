@@ -107,6 +107,8 @@ _BODY_SCATTER_MM = 0.3
 
 Without it, links on components counted like those on the bare board, and estimated a bow of up to 0.8 mm that was not
 there (docs/measured/hostile.md)."""
+_SIDE_SCATTER_MM = 0.1
+"""The same for links between two cameras beside a component: each camera sees another side of it, or its shadow."""
 _FREE_STEPS = 3
 """Number of first steps in which heights may be below the board, and links near components count as links on the board.
 The initial motion may be that of the tops of components. Relative to these, the board seems to lie too low."""
@@ -194,7 +196,9 @@ class _Solver:
         self.linked_steps = linked_steps(links, self.rows)
         self.raised = (problem.component < 0) & problem.near if len(problem.near) else np.zeros(len(links), np.bool_)
         """(k,) whether each link may lie above the board although no component is under it."""
-        self.scatter_mm = np.where(problem.component >= 0, _BODY_SCATTER_MM, 0.0)
+        of_sides = np.where(self.raised & (between > 0), _SIDE_SCATTER_MM, 0.0)
+        self.scatter_mm = np.where(problem.component >= 0, _BODY_SCATTER_MM, of_sides)
+        """(k,) standard deviation of the height of each link's point about the modelled height."""
         bare = [self._bare(self.kind == kind) for kind in range(len(self.floor_px))]
         # Contiguous copies: for slices with a step, Numba would compile another variant while a board waits.
         self.floor_samples = [np.ascontiguousarray(at[:: max(len(at) // _FLOOR_SAMPLE, 1)]) for at in bare]
