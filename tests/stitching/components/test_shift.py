@@ -118,3 +118,26 @@ def test_a_wrong_cad_matrix_is_measured_if_stated_heights_do_not_explain_it(work
 
 def test_few_components_show_nothing(workshop: Any) -> None:
     assert measured(workshop, count=8) is None
+
+
+def test_a_smaller_error_of_one_of_two_fiducials_may_go_unnoticed() -> None:
+    """Errors of the stated size, in every direction, give a χ² that is two standard deviations beyond the limit."""
+    covariance = np.diag([0.02, 0.015, 0.01, 0.012]) ** 2
+    shift = ComponentShift(np.zeros(4), covariance, np.array([4.0, -1.0]), 9.0, 20)
+    fiducials = np.array([[-12.0, -7.0], [13.0, 6.0]])
+    limit = shift.unnoticed_mm(fiducials)
+    places = np.random.default_rng(2).normal(0, 9, (40, 2))
+    each = [shift.__class__(unit, covariance, shift.middle_mm, 9.0, 20).at(places).ravel() for unit in np.eye(4)]
+    lengths = []
+    for wrong, right in (fiducials, fiducials[::-1]):
+        for angle in np.linspace(0, np.pi, 60):
+            error = limit * np.array([np.cos(angle), np.sin(angle)])
+            # the similarity that leaves `right` in place and moves `wrong` by the error
+            slope = complex(*error) / complex(*(wrong - right))
+            moved = slope * ((places - right) @ (1, 1j))
+            unknowns = np.linalg.lstsq(np.array(each).T, np.column_stack([moved.real, moved.imag]).ravel(), rcond=None)[
+                0
+            ]
+            lengths.append(np.sqrt(unknowns @ np.linalg.solve(covariance, unknowns)))
+    assert min(lengths) == pytest.approx(np.sqrt(20) + 2, rel=1e-3)
+    assert shift.unnoticed_mm(5 * fiducials) > limit, "fiducials further out are shown less well by the same components"

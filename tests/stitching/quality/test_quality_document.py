@@ -16,6 +16,7 @@ KEYS = {
     "seams_px",
     "fiducials",
     "scale_error",
+    "fiducial_check",
     "outline_contrast",
     "outline_shift_mm",
     "row_sigma_px",
@@ -57,6 +58,14 @@ def test_fiducials_are_listed_in_the_order_of_the_board_type(quality: Any, filme
         assert np.hypot(*fiducial["residual_px"]) < 0.1
 
 
+def test_the_check_of_the_fiducials_counts_what_is_redundant(quality: Any, filmed: Any) -> None:
+    check = quality["fiducial_check"]
+    seen = sum(f["sightings"] > 0 for f in quality["fiducials"])
+    assert (check["fiducials"], check["redundant"]) == (seen, 2 * seen - 4)
+    assert not check["other_points"]
+    assert check["unnoticed_mm"] is None or (seen == 2 and 0 < check["unnoticed_mm"] < 1)
+
+
 def test_row_0_has_no_uncertainty(quality: Any) -> None:
     assert not np.array(quality["row_covariance"][0]).any()
     assert all(camera[0] == [0, 0] for camera in quality["matrix_sigma_px"])
@@ -85,7 +94,14 @@ def test_a_row_without_frames_has_no_matrix_sigma(filmed: Any) -> None:
 def test_without_a_board_type_numbers_of_the_board_are_none_or_empty(filmed: Any) -> None:
     quality = replace(filmed, setup=replace(filmed.setup, board_type=None)).stitched().quality
     assert set(quality) >= KEYS
-    for key in ("scale_error", "outline_contrast", "outline_shift_mm", "cad_sigma_px", "surface_sigma_mm"):
+    for key in (
+        "scale_error",
+        "fiducial_check",
+        "outline_contrast",
+        "outline_shift_mm",
+        "cad_sigma_px",
+        "surface_sigma_mm",
+    ):
         assert quality[key] is None, key
     for key in ("fiducials", "component_sigma_px", "component_covariance_px2", "heights_mm"):
         assert not quality[key], key

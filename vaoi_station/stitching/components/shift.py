@@ -10,6 +10,7 @@ one camera this looks like a stretch of the board. The height that explains the 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,6 +34,8 @@ _HEIGHT_MM = (0.0, 1.0)
 _HEIGHT_SHARE = (0.5, 0.5)
 """Mean and standard deviation of the seen height as a share of the stated heights: between pads and top."""
 _KNEE, _ROUNDS = 2.0, 12
+_SURELY = 2.0
+"""Number of standard deviations beyond the limit at which an error is shown with a probability of 98 %."""
 _LIMIT = 20.0
 """Largest χ² of shift, turn and stretch (4 degrees of freedom) that is no contradiction: 1 in 2000 exceeds it."""
 
@@ -56,6 +59,22 @@ class ComponentShift:
     def contradicts(self) -> bool:
         """Whether the components lie elsewhere than C puts them, by more than noise and placement explain."""
         return float(self.measured @ np.linalg.solve(self.covariance, self.measured)) > _LIMIT
+
+    def unnoticed_mm(self, fiducials_mm: Floats) -> float:
+        """Return the error of one of two fiducials (2, 2), tester coordinates, mm, that these components surely show.
+
+        A smaller error in the least favourable direction may leave all checks silent. An error of one fiducial shifts,
+        turns and stretches what C predicts, and leaves the other fiducial in place.
+        """
+        place, middle = fiducials_mm @ (1, 1j), complex(*self.middle_mm)
+        weakest = np.inf
+        for own, other in (place, place[::-1]):
+            slope = np.array([1, 1j]) / (own - other)
+            shift, arm = slope * (middle - other), slope * self.arm_mm
+            effect = np.stack([shift.real, shift.imag, arm.imag, arm.real])
+            information = effect.T @ np.linalg.solve(self.covariance, effect)
+            weakest = min(weakest, float(np.linalg.eigvalsh(information)[0]))
+        return (math.sqrt(_LIMIT) + _SURELY) / math.sqrt(max(weakest, 1e-12))
 
     def at(self, board_mm: Floats) -> Floats:
         """Return the displacement (k, 2) of points (k, 2) in tester coordinates, mm."""

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from vaoi_station.geometry.transforms import apply
 from vaoi_station.stitching.adjustment.motion import measured_velocity
 from vaoi_station.stitching.adjustment.problem import FIXTURE, REFERENCE
 from vaoi_station.stitching.quality.covariances import matrix_sigmas, row_covariances
@@ -51,6 +52,7 @@ def quality_document(f: Findings) -> dict[str, Any]:
         "fiducials": _fiducials(f),
         "orientation": None if f.mapping is None else AMBIGUOUS if f.mapping.ambiguous else "certain",
         "scale_error": _scale_error(f),
+        "fiducial_check": _fiducial_check(f),
         "outline_contrast": _rounded(f.mapping.outline.contrast, 1) if f.mapping and f.mapping.outline else None,
         "outline_shift_mm": _outline_shift(f),
         "row_sigma_px": [_rounded(v) for v in sigma.rows_px],
@@ -94,6 +96,28 @@ def _points_used(f: Findings) -> dict[str, dict[str, int]]:
     kinds = {"fiducials": which >= 0, "fixture": which == FIXTURE, "reference": which == REFERENCE}
     return {
         kind: {"found": int(mine.sum()), "used": int((mine & (off <= _OUTLIER)).sum())} for kind, mine in kinds.items()
+    }
+
+
+def _fiducial_check(f: Findings) -> dict[str, Any] | None:
+    """Return what would show that a fiducial is not at its CAD position; None without C.
+
+    Two fiducials determine the four numbers of C and leave no residual.
+    """
+    points = f.mapping.problem.fiducials if f.mapping else None
+    if f.plane is None or f.cad_matrix is None or points is None:
+        return None
+    used = np.unique(points.which[points.which >= 0])
+    shift = f.component_shift
+    unnoticed = None
+    if shift is not None and len(used) == 2:
+        unnoticed = _rounded(shift.unnoticed_mm(apply(f.cad_matrix, f.plane.cad(f.plane.fiducials[used]))))
+    return {
+        "fiducials": len(used),
+        "redundant": max(2 * len(used) - 4, 0),
+        "other_points": bool((points.which < 0).any()),
+        "components": 0 if shift is None else shift.components,
+        "unnoticed_mm": unnoticed,
     }
 
 
