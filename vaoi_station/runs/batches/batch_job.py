@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any, NamedTuple, cast
 from urllib.parse import quote
 
-import numpy as np
 from numpy.typing import NDArray
 from pydantic_core import to_json
 
@@ -283,7 +282,8 @@ def picture_member(name: str, media: str, image: NDArray[Any], format: str) -> M
     ]
     # OpenCV stores colours as blue, green, red.
     pixels = image if image.ndim == 2 else image[..., ::-1]
-    return Member(name, media, np.ascontiguousarray(pixels).tobytes(), tuple(headers))
+    # One copy only: the largest picture in colour has 96 MB.
+    return Member(name, media, pixels.tobytes(), tuple(headers))
 
 
 def _pixel_layout(frame: NDArray[Any]) -> dict[str, Any]:
