@@ -39,6 +39,7 @@ _PACKAGES = {
     "make": "make",
     "mcs": "mono-mcs",
     "mono": "mono-runtime",
+    "mosquitto": "mosquitto",
     "nginx": "nginx-light",
     "prometheus": "prometheus",
     "promtool": "prometheus",

@@ -164,7 +164,7 @@ class Station:
             parts.callback(supervisor.stop)
             supervisor.start()
             # Receivers come last, and go first: the line waits for none of them.
-            parts.enter_context(push.running(supervisor.watch))
+            parts.enter_context(push.running(supervisor.watch, lambda: str(coordinator.snapshot().state)))
             self._supervisor, self._push = supervisor, push
             self._parts, self._coordinator, self._wound_down = parts.pop_all(), coordinator, False
 

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
-from vaoi_station.model.receivers import RETRY_AFTER_S, PushConfig, WebhookConfig
+from vaoi_station.model.receivers import RETRY_AFTER_S, MqttConfig, PushConfig, WebhookConfig
 
 
 def webhook(**more: Any) -> WebhookConfig:
@@ -47,6 +47,24 @@ def test_the_schedule_is_that_of_the_specification_unless_another_is_given() -> 
 def test_what_cannot_work_is_refused(fields: dict[str, Any], words: str) -> None:
     with pytest.raises(ValidationError, match=words):
         webhook(**fields)
+
+
+@pytest.mark.parametrize(
+    ("fields", "words"),
+    [
+        ({"host": "a b"}, "should match pattern"),
+        ({"port": 0}, "greater than or equal to 1"),
+        ({"prefix": "plant/#"}, "should match pattern"),
+        ({"prefix": "plant/"}, "should match pattern"),
+        ({"ca": "ca.pem"}, "need tls = true"),
+        ({"tls": True, "certificate": "a.pem"}, "belong together"),
+        ({"password_file": "p"}, "needs a user"),
+    ],
+)
+def test_a_broker_that_cannot_be_reached_is_refused(fields: dict[str, Any], words: str) -> None:
+    assert MqttConfig(host="broker.plant", prefix="plant/line-3").port is None
+    with pytest.raises(ValidationError, match=words):
+        MqttConfig.model_validate({"host": "broker.plant"} | fields)
 
 
 def test_names_differ_and_networks_are_networks() -> None:

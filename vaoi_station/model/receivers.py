@@ -9,7 +9,7 @@ from urllib.parse import urlsplit
 
 from pydantic import AfterValidator, Field, model_validator
 
-from vaoi_station.model.frozen_model import Finite, Strict
+from vaoi_station.model.frozen_model import Finite, Strict, Whole
 
 RETRY_AFTER_S = (5.0, 300.0, 1800.0, 7200.0, 18000.0, 36000.0, 50400.0, 72000.0, 86400.0)
 """Pauses between the attempts to deliver one message, s: the schedule of the Standard Webhooks specification."""
@@ -62,10 +62,41 @@ class WebhookConfig(WebhookSettings):
     """File with the signing secrets, `whsec_…`, one in each line; each of them signs."""
 
 
+class MqttConfig(Strict):
+    """An MQTT broker to which the events are published."""
+
+    host: Annotated[str, Field(pattern=r"^[A-Za-z0-9._:-]{1,253}$")]
+    port: Annotated[Whole, Field(ge=1, le=65535)] | None = None
+    """None: 8883 with TLS, 1883 without."""
+    prefix: Annotated[str, Field(pattern=r"^[^+#/\x00-\x1f]+(/[^+#/\x00-\x1f]+)*$", max_length=200)] | None = None
+    """First part of all topics; None: `vaoi/` and the name of the station."""
+    events: Annotated[tuple[EventType, ...], Field(max_length=50)] = ()
+    """Types of events; empty for all."""
+    user: Annotated[str, Field(min_length=1, max_length=200)] | None = None
+    password_file: Path | None = None
+    tls: bool = False
+    ca: Path | None = None
+    """PEM file with the authorities that are trusted; None: those of the system."""
+    certificate: Path | None = None
+    """Certificate by which the broker knows the station (PEM)."""
+    private_key: Path | None = None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if (self.certificate is None) != (self.private_key is None):
+            raise ValueError("certificate and private_key belong together; give both or none")
+        if not self.tls and (self.ca is not None or self.certificate is not None):
+            raise ValueError("ca and certificate need tls = true")
+        if self.password_file is not None and self.user is None:
+            raise ValueError("password_file needs a user")
+        return self
+
+
 class PushConfig(Strict):
     """Receivers to which the station sends its events."""
 
     webhooks: Annotated[tuple[WebhookConfig, ...], Field(max_length=MOST_WEBHOOKS)] = ()
+    mqtt: MqttConfig | None = None
     networks: tuple[Network, ...] = ()
     """Networks in which receivers may be; empty: everywhere except link-local and multicast addresses."""
     ca: Path | None = None

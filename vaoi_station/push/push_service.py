@@ -13,9 +13,10 @@ from functools import partial
 from pathlib import Path
 
 from vaoi_station.errors import NotFoundError, StateError
-from vaoi_station.model.receivers import MOST_WEBHOOKS, PushConfig, WebhookSettings
+from vaoi_station.model.receivers import MOST_WEBHOOKS, MqttConfig, PushConfig, WebhookSettings
 from vaoi_station.push.delivery import Delivery, Events, Rules, Words
 from vaoi_station.push.messages import message_of
+from vaoi_station.push.mqtt_transport import MqttTransport
 from vaoi_station.push.signing import new_secret, read_secrets
 from vaoi_station.push.transport import Outcome
 from vaoi_station.push.webhook_file import Secret, StoredWebhook, WebhookFile
@@ -37,6 +38,15 @@ WEBHOOK_WORDS = Words(
     ),
     skipped=Reason(code="events-not-pushed", message="", action="Read them with GET events?after=."),
 )
+
+
+_LOST = Reason(
+    code="mqtt-lost", message="", action="Check broker, address, user and certificate; it is tried again by itself."
+)
+MQTT_WORDS = Words("MQTT broker", failing=_LOST, disabled=_LOST, skipped=WEBHOOK_WORDS.skipped)
+MQTT_PAUSES_S = (1.0, 2.0, 5.0, 10.0, 30.0, 60.0)
+MQTT_MOST_WAITING = 10_000
+"""Number of events that wait for a broker that is away."""
 
 
 @dataclass(frozen=True)
@@ -75,35 +85,43 @@ class PushService:
         for stored in self._file.all():
             if stored.name not in self._fixed:
                 self._set_stored(stored)
+        self._state: Callable[[], str] = str
+        self._broker = None if config.mqtt is None else self._publisher(config.mqtt)
 
-    def start(self, watch: Callable[[SupervisedThread], object]) -> None:
-        """Start the threads; `watch` supervises them, and those of later webhooks."""
+    def start(self, watch: Callable[[SupervisedThread], object], state: Callable[[], str] = str) -> None:
+        """Start the threads.
+
+        Args:
+            watch: supervises the threads, and those of later webhooks.
+            state: returns the state of the station.
+        """
         with self._lock:
-            self._watch = watch
-            for delivery in self._deliveries.values():
+            self._watch, self._state = watch, state
+            for delivery in self.deliveries():
                 self._begin(delivery)
 
     def stop(self) -> None:
         """End the threads; an attempt that is under way is awaited for `STOP_S`."""
         with self._lock:
-            for delivery in self._deliveries.values():
+            for delivery in self.deliveries():
                 delivery.stop()
             until = time.monotonic() + STOP_S
-            for delivery in self._deliveries.values():
+            for delivery in self.deliveries():
                 delivery.join(max(0.0, until - time.monotonic()))
 
     @contextmanager
-    def running(self, watch: Callable[[SupervisedThread], object]) -> Iterator[None]:
+    def running(self, watch: Callable[[SupervisedThread], object], state: Callable[[], str] = str) -> Iterator[None]:
         """Run the threads during a `with` block."""
         try:
-            self.start(watch)
+            self.start(watch, state)
             yield
         finally:
             self.stop()
 
     def deliveries(self) -> tuple[Delivery, ...]:
         """Return the deliveries of all receivers."""
-        return tuple(self._deliveries.values())
+        webhooks = tuple(self._deliveries.values())
+        return webhooks if self._broker is None else (*webhooks, self._broker)
 
     def reasons(self) -> tuple[Reason, ...]:
         """Return a warning for each receiver that fails or is disabled."""
@@ -207,6 +225,16 @@ class PushService:
             self._begin(delivery)
         elif not is_new:
             delivery.enable()
+
+    def _publisher(self, broker: MqttConfig) -> Delivery:
+        # No webhook can have a name with a colon.
+        delivery = Delivery(f"mqtt:{broker.host}", self._folder / "mqtt.json", self._events, self._station, MQTT_WORDS)
+        transport = MqttTransport(broker, self._station, self._station_state)
+        delivery.set(transport, Rules(broker.events, MQTT_PAUSES_S, gives_up=False, most_waiting=MQTT_MOST_WAITING))
+        return delivery
+
+    def _station_state(self) -> str:
+        return self._state()
 
     def _begin(self, delivery: Delivery) -> None:
         assert self._watch is not None, "start() sets it"

@@ -1,0 +1,125 @@
+"""Events over a real MQTT broker: topics, retained state, last will, TLS, and a broker that goes and comes back."""
+
+from __future__ import annotations
+
+import json
+import socket
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.push.broker import PASSWORD, USER, Broker, Subscriber
+from tests.push.event_list import EventList
+from tests.push.test_delivery import until
+from vaoi_station.model.receivers import MqttConfig, PushConfig
+from vaoi_station.push import push_service
+from vaoi_station.push.messages import message_of
+from vaoi_station.push.mqtt_transport import MqttTransport
+from vaoi_station.push.push_service import PushService
+
+STATE = "vaoi/line_3/station/state"
+
+
+@pytest.fixture(scope="module")
+def broker(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Broker]:
+    made = Broker(tmp_path_factory.mktemp("broker"))
+    made.start()
+    yield made
+    made.stop()
+
+
+@pytest.fixture
+def subscriber(broker: Broker) -> Iterator[Subscriber]:
+    made = Subscriber(broker.port)
+    yield made
+    made.close()
+
+
+def transport(broker: Broker, **more: Any) -> MqttTransport:
+    config = MqttConfig(**{"host": "127.0.0.1", "port": broker.port} | more)
+    return MqttTransport(config, "line/3", lambda: "idle", limit_s=20.0)
+
+
+def test_topics_retained_state_and_last_will(broker: Broker, subscriber: Subscriber, events: EventList) -> None:
+    made = transport(broker)
+    records = [
+        events.add("run", "a", state="ready", run="r1"),
+        events.add("board-missed", "b"),
+        events.add("station", "c", state="armed"),
+    ]
+    assert all(made.send(message_of(record, "line/3")).delivered for record in records)
+    topics = ["vaoi/line_3/runs/r1", "vaoi/line_3/events/board_missed", "vaoi/line_3/events/station"]
+    found = [subscriber.next() for _ in range(5)]
+    assert [m.topic for m in found] == [STATE, *topics, STATE]
+    assert [json.loads(m.body)["state"] for m in found if m.topic == STATE] == ["idle", "armed"]
+    assert json.loads(found[1].body) == json.loads(message_of(records[0], "line/3").body)
+    late = Subscriber(broker.port)
+    assert (retained := late.next()).topic == STATE
+    assert retained.retained
+    assert json.loads(retained.body)["state"] == "armed"
+    late.close()
+    assert made.idle() is None
+    # The connection breaks without a farewell: the broker publishes the will, and the transport connects again.
+    client: Any = made._client
+    client.socket().shutdown(socket.SHUT_RDWR)
+    assert json.loads(subscriber.next().body) == {"station": "line/3", "state": "offline"}
+    until(lambda: not client.is_connected())
+    outcome = made.idle()
+    assert outcome is not None
+    assert outcome.delivered
+    assert json.loads(subscriber.next().body)["state"] == "idle"
+    made.close()
+    assert json.loads(subscriber.next().body)["state"] == "offline"
+
+
+# The library leaves the socket of a handshake that failed to the garbage collector, which warns of it.
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_tls_and_password(broker: Broker, tmp_path: Path) -> None:
+    password = tmp_path / "password"
+    password.write_text(f"{PASSWORD}\n")
+    secure = {"port": broker.tls_port, "tls": True, "user": USER, "password_file": password}
+    known = transport(broker, ca=broker.ca, **secure)
+    assert known.idle() == (True, "connected", 0.0, False)
+    known.close()
+    untrusted = transport(broker, **secure).idle()
+    assert untrusted is not None
+    assert "certificate verify failed" in untrusted.detail
+    password.write_text("wrong")
+    refused = transport(broker, ca=broker.ca, **secure).idle()
+    assert refused is not None
+    assert "the broker refuses the connection (Not authorized)" in refused.detail
+
+
+def test_a_broker_that_goes_and_comes_back_gets_what_waited(
+    tmp_path: Path, events: EventList, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(push_service, "MQTT_PAUSES_S", (0.05,))
+    broker = Broker(tmp_path)
+    config = PushConfig(mqtt=MqttConfig(host="127.0.0.1", port=broker.port, prefix="plant/line-3"))
+    push = PushService(tmp_path, config, "line-3", events)
+    push.start(lambda _: None, lambda: "armed")
+    events.add("run", "while the broker is away", run="r1")
+    until(push.reasons)
+    assert [reason.code for reason in push.reasons()] == ["mqtt-lost"]
+    assert "MQTT broker 'mqtt:127.0.0.1' does not accept messages" in push.reasons()[0].message
+    broker.start()
+    until(lambda: push.deliveries()[0].state.delivered == 1)
+    assert push.reasons() == ()
+    subscriber = Subscriber(broker.port)
+    assert json.loads(subscriber.next().body)["state"] == "armed"
+    events.add("run", "now", run="r2")
+    assert subscriber.next().topic == "plant/line-3/runs/r2"
+    push.stop()
+    assert json.loads(subscriber.next().body)["state"] == "offline"
+    subscriber.close()
+    broker.stop()
+
+
+def test_an_absent_package_is_a_failed_attempt(broker: Broker, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "paho.mqtt.client", None)
+    outcome = transport(broker).idle()
+    assert outcome is not None
+    assert "pip install 'vaoi-station[mqtt]'" in outcome.detail

@@ -1,0 +1,147 @@
+"""Publishes messages to an MQTT broker, each with QoS 1; a retained topic has the state of the station.
+
+A connection is made anew after each failure, with a client that knows nothing of the one before. So no message waits in
+the library: what was not acknowledged is sent again by the delivery.
+"""
+
+from __future__ import annotations
+
+import json
+import ssl
+import threading
+import uuid
+from collections.abc import Callable
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any
+
+from vaoi_station.model.receivers import MqttConfig
+from vaoi_station.push.messages import Message
+from vaoi_station.push.transport import Outcome
+from vaoi_station.runs.states.run_ids import utc
+
+if TYPE_CHECKING:
+    from paho.mqtt.client import Client
+
+LIMIT_S = 10.0
+"""Longest wait for the broker's reply to a connection or a message, s."""
+KEEPALIVE_S = 15
+"""Time of silence after which broker and station ask whether the other is there, s."""
+OFFLINE = "offline"
+"""State that the broker publishes when the connection breaks."""
+_MISSING = "The package paho-mqtt is absent. Install it: pip install 'vaoi-station[mqtt]'."
+
+
+class MqttTransport:
+    """Publishes to one broker. One thread calls it; the library has a thread of its own for the connection."""
+
+    def __init__(self, broker: MqttConfig, station: str, state: Callable[[], str], limit_s: float = LIMIT_S) -> None:
+        """Prepare a transport; `state` returns the state of the station."""
+        self._broker, self._station, self._state, self._limit_s = broker, station, state, limit_s
+        # A name may have characters that have a meaning in topics.
+        name = "".join("_" if c in "+#/" else c for c in station)
+        self._prefix = broker.prefix or f"vaoi/{name}"
+        self._client: Client | None = None
+
+    def send(self, message: Message) -> Outcome:
+        """Publish one message; return when the broker has acknowledged it."""
+        record = message.record
+        topic = f"runs/{record.run}" if record.run else f"events/{message.type.partition('.')[0]}"
+        try:
+            client = self._connected()
+            self._publish(client, topic, message.body, retain=False)
+            if record.kind == "station" and record.state:
+                self._publish(client, "station/state", self._state_body(record.state), retain=True)
+        except (OSError, ValueError, ImportError) as error:
+            return self._failed(error)
+        return Outcome(True, "acknowledged")
+
+    def idle(self) -> Outcome | None:
+        """Connect again if the connection was lost, so that the retained state is right."""
+        if self._client is not None and self._client.is_connected():
+            return None
+        try:
+            self._connected()
+        except (OSError, ValueError, ImportError) as error:
+            return self._failed(error)
+        return Outcome(True, "connected")
+
+    def close(self) -> None:
+        """Publish that the station is off, and disconnect."""
+        if self._client is not None and self._client.is_connected():
+            with suppress(OSError, ValueError):
+                self._publish(self._client, "station/state", self._state_body(OFFLINE), retain=True)
+        self._drop()
+
+    def _connected(self) -> Client:
+        """Return a client that is connected; connect if there is none."""
+        if self._client is not None and self._client.is_connected():
+            return self._client
+        self._drop()
+        self._client = client = self._new_client()
+        replied, refusal = threading.Event(), []
+
+        def on_connect(_client: object, _data: object, _flags: object, reason: Any, _properties: object) -> None:
+            if reason.is_failure:
+                refusal.append(str(reason))
+            replied.set()
+
+        client.on_connect = on_connect
+        broker = self._broker
+        client.connect(broker.host, broker.port or (8883 if broker.tls else 1883), KEEPALIVE_S)
+        client.loop_start()
+        if not replied.wait(self._limit_s):
+            raise TimeoutError(f"no reply within {self._limit_s:.0f} s")
+        if refusal:
+            raise ConnectionRefusedError(f"the broker refuses the connection ({refusal[0]})")
+        self._publish(client, "station/state", self._state_body(self._state()), retain=True)
+        return client
+
+    def _new_client(self) -> Client:
+        try:
+            from paho.mqtt.client import Client
+            from paho.mqtt.enums import CallbackAPIVersion
+        except ImportError as error:
+            raise ImportError(_MISSING) from error
+        broker = self._broker
+        client = Client(
+            CallbackAPIVersion.VERSION2, client_id=f"vaoi-{uuid.uuid4().hex[:12]}", reconnect_on_failure=False
+        )
+        client.connect_timeout = self._limit_s / 2
+        client.will_set(f"{self._prefix}/station/state", self._state_body(OFFLINE), qos=1, retain=True)
+        if broker.user is not None:
+            password = None if broker.password_file is None else broker.password_file.read_text("utf-8").strip()
+            client.username_pw_set(broker.user, password)
+        if broker.tls:
+            context = ssl.create_default_context(cafile=broker.ca)
+            if broker.certificate is not None and broker.private_key is not None:
+                context.load_cert_chain(broker.certificate, broker.private_key)
+            client.tls_set_context(context)
+        return client
+
+    def _publish(self, client: Client, topic: str, body: bytes, *, retain: bool) -> None:
+        info = client.publish(f"{self._prefix}/{topic}", body, qos=1, retain=retain)
+        try:
+            info.wait_for_publish(self._limit_s)
+        except RuntimeError as error:  # the library's word for a message that it could not send
+            raise ConnectionError(str(error)) from error
+        if not info.is_published():
+            raise TimeoutError(f"the broker has not acknowledged a message within {self._limit_s:.0f} s")
+
+    def _state_body(self, state: str) -> bytes:
+        # The will is given before it takes effect, so its time would mean nothing.
+        time = {} if state == OFFLINE else {"time": utc()}
+        return json.dumps({"station": self._station, "state": state, **time}).encode()
+
+    def _failed(self, error: Exception) -> Outcome:
+        self._drop()
+        text = getattr(error, "strerror", None) or str(error) or type(error).__name__
+        return Outcome(False, f"{self._broker.host}: {text}.".replace("..", "."))
+
+    def _drop(self) -> None:
+        client, self._client = self._client, None
+        if client is not None:
+            with suppress(OSError, ValueError):
+                client.disconnect()
+            client.loop_stop()
+            if (connection := client.socket()) is not None:
+                connection.close()
