@@ -160,7 +160,12 @@ class Station:
             if ring.lock_note:
                 events.add("trouble", ring.lock_note, code="ring-not-locked")
             supervisor.watch(database.thread, coordinator.thread, workers.thread, link.thread, housekeeping.thread)
-            supervisor.watch(grants.thread, coordinator.kept.recordings.thread, coordinator.heights.thread)
+            supervisor.watch(
+                grants.thread,
+                coordinator.kept.recordings.thread,
+                coordinator.kept.identities.thread,
+                coordinator.heights.thread,
+            )
             parts.callback(supervisor.stop)
             supervisor.start()
             # Receivers come last, and go first: the line waits for none of them.

@@ -35,6 +35,7 @@ def site(make_rig: Callable[..., Any], tmp_path: Path) -> Site:
     rig.store.configurations.begin('{"name": "test"}', "2026")
     sound = filmed(rig)
     rig.store.heights.save(sound, '{"heights":{}}').result(10)
+    rig.store.identities.save(sound, '{"state":"not-compared","board_id":"SN-1"}', ["SN-1"]).result(10)
     rig.coordinator.teach_reference("small", sound)
     rig.workers.result = lambda head: a_stitch(head, Status.DEGRADED)
     degraded = filmed(rig)

@@ -103,6 +103,13 @@ class RunPage(Strict):
     next: str | None = Field(default=None, description="Value of `before` for the next page; absent on the last page.")
 
 
+class IdentityReport(Strict):
+    """The id that the next machine of the line has read of the board of a run."""
+
+    board_id: str = Field(min_length=1, max_length=200, description="The id, exactly as the station's codes state it.")
+    machine: str = Field(default="", max_length=80, description="Name of the machine.")
+
+
 class ComponentEntry(Strict):
     """One component of a run's board type, with its position."""
 

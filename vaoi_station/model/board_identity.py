@@ -161,6 +161,14 @@ class IdentityDocument(Strict):
     """False if the time for reading ended before every picture was tried."""
 
     @property
+    def board_ids(self) -> tuple[str, ...]:
+        """The ids by which the run is found: all that were read, and that of the next machine."""
+        found = {self.board_id, *self.boards.values(), *(code.board_id for code in self.codes)}
+        if self.next_machine is not None:
+            found.add(self.next_machine.board_id)
+        return tuple(sorted(name for name in found if name is not None))
+
+    @property
     def degrades(self) -> bool:
         """Whether a run with this identity is degraded."""
         return self.required and self.state in ("differs", "unread", "not-read")

@@ -21,6 +21,7 @@ from vaoi_station.store.configurations import Configurations
 from vaoi_station.store.database import Database
 from vaoi_station.store.history.calibration_checks import CalibrationChecks
 from vaoi_station.store.history.decisions import RunDecisions
+from vaoi_station.store.history.identities import RunIdentities
 from vaoi_station.store.history.retention import RunRetention
 from vaoi_station.store.history.run_search import RunSearch
 from vaoi_station.store.schema import PACKED, packed, unpacked
@@ -101,6 +102,7 @@ class Store:
         self.checks = CalibrationChecks(database)
         self.heights = ComponentHeights(database)
         self.decisions, self.search = RunDecisions(database), RunSearch(database)
+        self.identities = RunIdentities(database)
         self.stitching = BoardStitching(database)
         self.retention = RunRetention(database)
         self.standing = StandingDocuments(database)

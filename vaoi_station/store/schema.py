@@ -127,6 +127,20 @@ STEPS: tuple[tuple[str, ...], ...] = (
             document TEXT NOT NULL
         ) STRICT""",
     ),
+    (
+        # Identities are kept as long as the summaries of their runs, so that a board is found by its id.
+        """CREATE TABLE identities (
+            run TEXT PRIMARY KEY REFERENCES runs (id) ON DELETE CASCADE,
+            document TEXT NOT NULL,
+            packed BLOB
+        ) STRICT""",
+        """CREATE TABLE board_ids (
+            board_id TEXT NOT NULL,
+            run TEXT NOT NULL REFERENCES runs (id) ON DELETE CASCADE,
+            PRIMARY KEY (board_id, run)
+        ) STRICT, WITHOUT ROWID""",
+        "CREATE INDEX board_ids_by_run ON board_ids (run)",
+    ),
 )
 VERSION = len(STEPS)
 PACKED = "packed"

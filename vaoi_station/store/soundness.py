@@ -25,6 +25,8 @@ _TABLES: tuple[tuple[str, str, str, str, int], ...] = (
     ("runs", "id", "coalesce(timeline, 'packed') = 'packed' OR json_valid(timeline)", "packed_timeline", LARGE_ROWS),
     ("results", "run", "packed IS NOT NULL OR json_valid(document)", "packed", LARGE_ROWS),
     ("heights", "run", "packed IS NOT NULL OR json_valid(document)", "packed", LARGE_ROWS),
+    ("identities", "run", "packed IS NOT NULL OR json_valid(document)", "packed", ROWS),
+    ("board_ids", "run", "board_id IS NOT NULL", "NULL", ROWS),
     ("calibration_checks", "run", "json_valid(document)", "NULL", ROWS),
     ("documents", "digest", "json_valid(document)", "NULL", LARGE_ROWS),
     ("board_references", "board_type", "json_valid(document)", "NULL", LARGE_ROWS),

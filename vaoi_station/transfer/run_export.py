@@ -23,9 +23,10 @@ from vaoi_station.transfer.package import Entry, unpack_package, write_package
 from vaoi_station.version import __version__
 
 KIND = "vaoi-run"
-TIMELINE_FILE, HEIGHTS_FILE, HEAD_FILE, CONFIGURATION_FILE, CALIBRATION_FILE, BOARD_FILE = (
+TIMELINE_FILE, HEIGHTS_FILE, IDENTITY_FILE, HEAD_FILE, CONFIGURATION_FILE, CALIBRATION_FILE, BOARD_FILE = (
     "timeline.json",
     "heights.json",
+    "identity.json",
     "head.json",
     "configuration.json",
     "calibration.json",
@@ -89,6 +90,7 @@ def _documents(database: sqlite3.Connection, detail: RunDetail) -> Iterator[Entr
     for name, query in (
         (RESULT_FILE, "SELECT document, packed FROM results WHERE run = ?"),
         (HEIGHTS_FILE, "SELECT document, packed FROM heights WHERE run = ?"),
+        (IDENTITY_FILE, "SELECT document, packed FROM identities WHERE run = ?"),
         (TIMELINE_FILE, "SELECT timeline, packed_timeline FROM runs WHERE id = ? AND timeline IS NOT NULL"),
         (HEAD_FILE, "SELECT head, NULL FROM runs WHERE id = ? AND head IS NOT NULL"),
         (

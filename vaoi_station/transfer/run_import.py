@@ -20,6 +20,7 @@ from vaoi_station.files.atomic_directory import new_directory, remove_directory
 from vaoi_station.files.documents import parse, read_json
 from vaoi_station.files.recordings import open_recording
 from vaoi_station.model import BoardType, Calibration, RecordingHead, Status, Stitch
+from vaoi_station.model.board_identity import IdentityDocument
 from vaoi_station.runs.archive.recordings import DIRECTORY as RECORDINGS
 from vaoi_station.runs.archive.recordings import DISK_RESERVE, RESULT_FILE, RUN_FILE
 from vaoi_station.runs.archive.recordings import HEAD_FILE as RECORDING_FILE
@@ -32,6 +33,7 @@ from vaoi_station.runs.states.schemas import RunDetail
 from vaoi_station.runs.states.tables import RunState
 from vaoi_station.runs.states.timeline_schemas import Timeline
 from vaoi_station.store.documents import digest_of
+from vaoi_station.store.history.identities import write_identity
 from vaoi_station.store.history.retention import MOST_PINS
 from vaoi_station.store.schema import packed
 from vaoi_station.transfer.backup import DATABASE
@@ -43,6 +45,7 @@ from vaoi_station.transfer.run_export import (
     CONFIGURATION_FILE,
     HEAD_FILE,
     HEIGHTS_FILE,
+    IDENTITY_FILE,
     KIND,
     TIMELINE_FILE,
 )
@@ -72,6 +75,7 @@ class _Package:
     result: str | None
     timeline: str | None
     heights: str | None
+    identity: IdentityDocument | None
     configuration: str | None
     frames_bytes: int
     """Size of the recording; 0 if the package has no frames."""
@@ -148,8 +152,16 @@ def _read(package: Path, folder: Path, manifest: dict[str, Any]) -> _Package:
     size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()) if recorded else 0
     configuration = _optional(package, folder, CONFIGURATION_FILE)
     return _Package(
-        marked, calibration, board_type, head, result, timeline, _heights(package, folder), configuration, size
-    )
+        marked, calibration, board_type, head, result, timeline, _heights(package, folder),
+        _identity(package, folder), configuration, size,
+    )  # fmt: skip
+
+
+def _identity(package: Path, folder: Path) -> IdentityDocument | None:
+    """Return the identity of a run; packages of earlier versions have none."""
+    if (text := _optional(package, folder, IDENTITY_FILE)) is None:
+        return None
+    return parse(IdentityDocument, json.loads(text), f"{package}: {IDENTITY_FILE}", action="Export the run again.")
 
 
 def _heights(package: Path, folder: Path) -> str | None:
@@ -302,6 +314,9 @@ def _insert(connection: sqlite3.Connection, content: _Package) -> None:
         connection.execute("INSERT INTO results VALUES (?, ?, ?)", (detail.id, *packed(content.result)))
     if content.heights is not None:
         connection.execute("INSERT INTO heights VALUES (?, ?, ?)", (detail.id, *packed(content.heights)))
+    if content.identity is not None:
+        text = content.identity.model_dump_json(exclude_none=True)
+        write_identity(connection, detail.id, packed(text), content.identity.board_ids)
     connection.execute("INSERT INTO pins VALUES (?, ?)", (detail.id, now))
 
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from typing import Any, Protocol
 
-from vaoi_station.errors import NotFoundError
-from vaoi_station.model import Status
+from vaoi_station.errors import NotFoundError, StateError
+from vaoi_station.identity.comparison import compare
+from vaoi_station.model import BoardCode, BoardIdentity, BoardReading, Status
+from vaoi_station.model.board_identity import IdentityDocument, IdentityState, ReportedId
 from vaoi_station.runs.archive.run_history import RunHistory
 from vaoi_station.runs.states.decision_schemas import Choice, Decision, RunCounts
 from vaoi_station.runs.states.run_ids import utc
@@ -48,11 +50,47 @@ class HeldDecisions:
         self._station.publish("decision", f"{name}: {reason}", run=run, state=choice)
 
 
+class HeldIdentities:
+    """The identities of a held station: readings by run; a run in `pending` is being read."""
+
+    def __init__(self, station: Runs) -> None:
+        self._station = station
+        self.identity = BoardIdentity(pattern="demo;{id}")
+        self.readings: dict[str, BoardReading] = {}
+        self.pending: set[str] = set()
+        self._reported: dict[str, ReportedId] = {}
+
+    def document(self, run: str) -> IdentityDocument:
+        armed, read = self._station.run(run).board_id, self.readings.get(run)
+        without: IdentityState = "pending" if run in self.pending else "not-read"
+        return compare(self.identity, read, armed, self._reported.get(run), without=without)
+
+    def report(self, run: str, reported: ReportedId) -> IdentityDocument:
+        if self.document(run).state == "pending":
+            raise StateError(f"The codes of run {run} are being read.", code="identity-pending")
+        self._reported[run] = reported
+        return self.document(run)
+
+    def read(self, run: str, *texts: str) -> None:
+        corners = ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0))
+        codes = [
+            BoardCode(
+                text=text, symbology="qr", board_id=self.identity.board_id(text), center=(0.5, 0.5), corners=corners,
+                module_mm=0.2, error_correction_used=0.0,
+            )
+            for text in texts
+        ]  # fmt: skip
+        self.readings[run] = BoardReading(codes=tuple(codes))
+        self.pending.discard(run)
+        self._station.publish("identity", state=self.document(run).state, run=run)
+
+
 class HeldPins:
     """The pins of a held station; it keeps no recordings."""
 
     def __init__(self, station: Runs) -> None:
         self._station = station
+        self.identities = HeldIdentities(station)
         self._pins: set[str] = set()
         self.history = HeldDecisions(station)
 
@@ -64,6 +102,14 @@ class HeldPins:
         if run not in self._pins:
             raise NotFoundError(f"Run {run!r} is not pinned.", code="not-pinned")
         self._pins.discard(run)
+
+    def with_id(
+        self, board_id: str, wanted: RunFilter, limit: int, before: str | None
+    ) -> tuple[tuple[Any, ...], str | None]:
+        read = [r for r in self.identities.readings if self.identities.document(r).board_id == board_id]
+        runs = [r for r in sorted(read, reverse=True) if before is None or r < before]
+        found = [run for run in map(self._station.run, runs[:limit]) if RunHistory.admits(wanted, run)]
+        return tuple(found), runs[limit - 1] if len(runs) > limit else None
 
     def shown(self, document: Any) -> Any:
         decision = self.history.made.get(document.id)

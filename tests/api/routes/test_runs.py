@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import replace
 from typing import Any
 
@@ -170,3 +171,42 @@ def test_a_decision_needs_a_name_and_a_reason_and_is_shown(client: Any, station:
     for wrong in ({"choice": "scrap"}, {"name": ""}, {"reason": ""}):
         assert client.put(f"{RUNS}/{run}/decision", json=decision | wrong).status_code == 422
     assert client.put(f"{RUNS}/r999999/decision", json=decision).status_code == 404
+
+
+def test_identity_is_waited_for_and_compared(client: Any, station: Any) -> None:
+    run = station.film(board_id="SN-1")
+    address = f"{RUNS}/{run}/identity"
+    assert client.get(address).json()["state"] == "not-read"
+    station.kept.identities.pending.add(run)
+    assert client.get(address).json()["state"] == "pending"
+    refused = client.put(f"{address}/next-machine", json={"board_id": "SN-1"})
+    assert (refused.status_code, refused.json()["code"]) == (409, "identity-pending")
+    reader = threading.Timer(0.1, station.kept.identities.read, (run, "demo;SN-1"))
+    reader.start()
+    found = client.get(address, params={"timeout": 30}).json()
+    reader.join()
+    assert (found["state"], found["board_id"], found["armed_board_id"]) == ("agrees", "SN-1", "SN-1")
+    assert found["codes"][0]["text"] == "demo;SN-1"
+
+
+def test_next_machine_reports_its_id(client: Any, station: Any) -> None:
+    run = station.film(board_id="SN-1")
+    station.kept.identities.read(run, "demo;SN-1")
+    report = {"board_id": "SN-2", "machine": "prober"}
+    found = client.put(f"{RUNS}/{run}/identity/next-machine", json=report).json()
+    assert (found["state"], found["reasons"][0]["code"]) == ("differs", "next-machine-differs")
+    assert found["next_machine"].items() >= report.items()
+    assert found["next_machine"]["time"].endswith("Z")
+    assert client.get(f"{RUNS}/{run}/identity").json() == found
+    assert client.put(f"{RUNS}/{run}/identity/next-machine", json={"board_id": ""}).status_code == 422
+
+
+def test_runs_are_found_by_the_id_that_was_read(client: Any, station: Any) -> None:
+    runs = [station.film() for _ in range(3)]
+    for run, text in zip(runs, ("demo;A", "demo;B", "demo;A"), strict=True):
+        station.kept.identities.read(run, text)
+    page = client.get(RUNS, params={"read_id": "A", "limit": 1}).json()
+    assert [r["id"] for r in page["runs"]] == [runs[2]]
+    rest = client.get(RUNS, params={"read_id": "A", "before": page["next"]}).json()
+    assert ([r["id"] for r in rest["runs"]], "next" in rest) == ([runs[0]], False)
+    assert client.get(RUNS, params={"read_id": "C"}).json()["runs"] == []

@@ -13,7 +13,7 @@ PUBLIC = re.compile(
 _ADMIN = re.compile(r"/api/v1/(keys|audit|webhooks)(/.*)?")
 _COMMANDS: tuple[tuple[re.Pattern[str], Scope], ...] = (
     (re.compile(r"/api/v1/station/(arm|disarm)"), "operate"),
-    (re.compile(r"/api/v1/runs/[^/]+/(release|hold|pin|decision)"), "operate"),
+    (re.compile(r"/api/v1/runs/[^/]+/(release|hold|pin|decision|identity/next-machine)"), "operate"),
     (re.compile(r"/api/v1/board-(types|data)/.+"), "teach"),
 )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import Annotated
 
@@ -12,14 +13,15 @@ from pydantic import AwareDatetime
 from vaoi_station.api.callers.caller import caller_of
 from vaoi_station.api.http_caching import IMMUTABLE, LIVE, REVALIDATE, conditional_response
 from vaoi_station.api.parameters import RunId, TimeoutS
-from vaoi_station.api.rest_models import DecisionRequest, Matrices, RunPage
+from vaoi_station.api.rest_models import DecisionRequest, IdentityReport, Matrices, RunPage
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import NotFoundError
+from vaoi_station.model.board_identity import IdentityDocument, ReportedId
 from vaoi_station.runs.archive.run_history import Wanted
 from vaoi_station.runs.states.decision_schemas import RunCounts
 from vaoi_station.runs.states.height_schemas import HeightList
 from vaoi_station.runs.states.run_ids import utc
-from vaoi_station.runs.states.schemas import LeaseStatus, RunDetail
+from vaoi_station.runs.states.schemas import LeaseStatus, RunDetail, RunSummary
 from vaoi_station.runs.states.tables import IN_MEMORY
 from vaoi_station.store.history.run_search import RunFilter
 
@@ -52,16 +54,22 @@ def router(services: Services) -> APIRouter:
         wanted: Annotated[RunFilter, Depends(run_filter)],
         limit: Annotated[int, Query(ge=1, le=500)] = 50,
         before: Cursor = None,
+        read_id: Annotated[
+            str | None,
+            Query(description="Id that was read from a board, or reported.", min_length=1, max_length=200),
+        ] = None,
     ) -> RunPage:
         """List runs, newest first; `next` is the cursor of the next page.
 
         With a filter, a reply may have fewer runs than `limit`, or none, although there are more: one request reads
-        20,000 runs at most. Go on while there is a `next`.
+        20,000 runs at most. Go on while there is a `next`. With `read_id`, runs are listed of which this id was read
+        from a code, or reported by the next machine.
         """
         response.headers["Cache-Control"] = LIVE
+        if read_id is not None:
+            return await _page(services, *await ask(kept.with_id, read_id, wanted, limit, before))
         if wanted != RunFilter():
-            runs, more = await ask(kept.history.find, wanted, limit, before)
-            return RunPage(runs=list(await ask(kept.all_shown, tuple(runs))), next=more)
+            return await _page(services, *await ask(kept.history.find, wanted, limit, before))
         # One more than requested shows whether there is a further page.
         found = await ask(coordinator.runs, limit + 1, before)
         shown = await ask(kept.all_shown, found[:limit])
@@ -174,7 +182,14 @@ def router(services: Services) -> APIRouter:
         await ask(kept.history.decide, run, wanted.choice, wanted.name, wanted.reason)
         return _detail(request, await ask(kept.shown, await ask(coordinator.run, run)), LIVE)
 
+    _add_identity(routes, services)
     return routes
+
+
+async def _page(services: Services, runs: Sequence[RunSummary], more: str | None) -> RunPage:
+    """Return a page of the list of runs; `more` is the cursor of the next one."""
+    shown = await services.commands.ask(services.coordinator.kept.all_shown, tuple(runs))
+    return RunPage(runs=list(shown), next=more)
 
 
 def _detail(request: Request, run: RunDetail, cache: str = REVALIDATE) -> Response:
@@ -182,6 +197,50 @@ def _detail(request: Request, run: RunDetail, cache: str = REVALIDATE) -> Respon
     # Even a finished run changes its state when its frames are released, so clients must revalidate.
     content = run.model_dump_json(exclude_none=True).encode()
     return conditional_response(request, content, "application/json", cache=cache)
+
+
+def _add_identity(routes: APIRouter, services: Services) -> None:
+    """Add the routes for the identity of a run."""
+    ask, kept = services.commands.ask, services.coordinator.kept
+
+    @routes.get("/{run}/identity", response_model_exclude_none=True)
+    async def get_identity(
+        request: Request,
+        response: Response,
+        run: RunId,
+        timeout: Annotated[float, Query(description="Longest wait for the codes, s.", ge=0, le=60)] = 0.0,
+    ) -> IdentityDocument:
+        """Return which board a run shows: the ids that were armed, read and reported, and whether they agree.
+
+        Codes are read after the result, if the board type has `identity`: until then `state` is `pending`; with
+        `timeout`, the call waits for the end of the reading.
+        """
+        response.headers["Cache-Control"] = LIVE
+        return await _identity(services, caller_of(request).name, run, timeout)
+
+    @routes.put("/{run}/identity/next-machine", response_model_exclude_none=True)
+    async def report_identity(response: Response, run: RunId, reported: IdentityReport) -> IdentityDocument:
+        """Report the id that the next machine has read of the same board; the ids are compared, none is replaced.
+
+        A further report replaces the one before. Replies 409 `identity-pending` while the codes are being read.
+        """
+        response.headers["Cache-Control"] = LIVE
+        report = ReportedId(board_id=reported.board_id, machine=reported.machine, time=utc())
+        return await ask(kept.identities.report, run, report)
+
+
+async def _identity(services: Services, caller: str, run: str, timeout_s: float) -> IdentityDocument:
+    """Wait until the codes of a run are read, without occupying a thread; return its identity, read or not."""
+    hub, ask, identities = services.hub, services.commands.ask, services.coordinator.kept.identities
+    until, seen = time.monotonic() + timeout_s, hub.newest
+    found = await ask(identities.document, run)
+    if found.state != "pending" or timeout_s <= 0:
+        return found
+    with hub.polls.take(caller):
+        while found.state == "pending" and (records := await hub.events(seen, until - time.monotonic())):
+            seen = records[-1].number
+            found = await ask(identities.document, run)
+    return found
 
 
 async def _next(services: Services, caller: str, after: str | None, timeout_s: float) -> RunDetail | None:

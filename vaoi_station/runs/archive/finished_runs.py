@@ -95,8 +95,8 @@ class Archive:
         self.statistics = RunStatistics()
         self.on_finished: Callable[[RunDetail], None] = lambda _detail: None
         """Function that is called before a run is announced, with its document. It must return at once."""
-        self.retention, self.heights, self.decisions, self.search = (
-            store.retention, store.heights, store.decisions, store.search
+        self.retention, self.heights, self.decisions, self.search, self.identities = (
+            store.retention, store.heights, store.decisions, store.search, store.identities
         )  # fmt: skip
         self._changed = threading.Condition()
         self._recent: OrderedDict[str, FinishedRun] = OrderedDict()

@@ -1,18 +1,22 @@
-"""Pins of runs, decisions about them, and the recordings and heights that are kept of them, as callers see them."""
+"""Pins of runs, decisions about them, and the recordings, heights and identities kept of them, as callers see them."""
 
 from __future__ import annotations
 
-from typing import TypeVar
+from collections.abc import Callable
+from typing import Any, TypeVar
 
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import NotFoundError, StateError
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.archive.measured_heights import MeasuredHeights
+from vaoi_station.runs.archive.read_identities import ReadIdentities
 from vaoi_station.runs.archive.recordings import DIRECTORY, FrameSource, Recordings
 from vaoi_station.runs.archive.run_history import RunHistory
 from vaoi_station.runs.states.run_ids import utc
 from vaoi_station.runs.states.schemas import RunDetail, RunSummary, StationSnapshot
+from vaoi_station.runs.workers.jobs import PictureJob
+from vaoi_station.store.history.run_search import RunFilter
 
 R = TypeVar("R", bound=RunSummary)
 
@@ -27,26 +31,32 @@ class KeptRuns:
         events: EventLog,
         frames: FrameSource,
         heights: MeasuredHeights,
+        render: Callable[[PictureJob, str], Any],
     ) -> None:
+        """Store the parts. `frames` are those in the ring; `render` has a worker perform a job for callers."""
         self._archive, self._events = archive, events
         self.recordings = Recordings(config.data / DIRECTORY, config.keep, archive, events, frames)
         self.heights, self._after_run = heights, config.heights == "after-run"
         self.history = RunHistory(archive, events)
+        self.identities = ReadIdentities(archive, render, frames.bay_of, events)
         archive.on_finished = self._finished
 
     def start(self) -> None:
-        """Start the threads that write recordings and have heights measured."""
+        """Start the threads that write recordings, and have codes read and heights measured."""
         self.recordings.start()
+        self.identities.start()
         self.heights.start()
 
     def stop(self) -> None:
         """End these threads."""
         self.heights.stop()
+        self.identities.stop()
         self.recordings.stop()
 
     def _finished(self, detail: RunDetail) -> None:
         """Keep what is to be kept of a run that has just ended; it returns at once."""
         self.recordings.finished(detail)
+        self.identities.finished(detail)
         if self._after_run:
             self.heights.finished(detail)
 
@@ -76,11 +86,11 @@ class KeptRuns:
         self._events.add("run", "The run was unpinned.", run=run)
 
     def shown(self, document: R) -> R:
-        """Return the document of a run with `pinned`, `recording` and `decision` filled in."""
+        """Return the document of a run with `pinned`, `recording`, `decision` and `identity` filled in."""
         return self.all_shown((document,))[0]
 
     def all_shown(self, documents: tuple[R, ...]) -> tuple[R, ...]:
-        """Return documents of runs with `pinned`, `recording` and `decision` filled in."""
+        """Return documents of runs with `pinned`, `recording`, `decision` and `identity` filled in."""
         pins, decisions = self._archive.retention.pins(), self.history.decisions(documents)
 
         def filled(document: R) -> R:
@@ -89,7 +99,19 @@ class KeptRuns:
             update = {"pinned": run in pins, "recording": recording, "decision": decisions.get(run)}
             return document.model_copy(update=update)
 
-        return tuple(filled(document) for document in documents)
+        return self.identities.shown(tuple(map(filled, documents)))
+
+    def with_id(
+        self, board_id: str, wanted: RunFilter, limit: int, before: str | None
+    ) -> tuple[tuple[RunSummary, ...], str | None]:
+        """Return summaries of runs of which an id was read or reported, newest first, and the cursor of the next page.
+
+        At most `limit` runs are checked against the filter.
+        """
+        runs = self.identities.runs_of(board_id, limit + 1, before)
+        found = self._archive.summaries(runs[:limit])
+        shown = tuple(found[run] for run in runs[:limit] if run in found and RunHistory.admits(wanted, found[run]))
+        return shown, runs[limit - 1] if len(runs) > limit else None
 
     def with_counts(self, snapshot: StationSnapshot) -> StationSnapshot:
         """Return the snapshot with the numbers of recordings filled in."""

@@ -103,7 +103,7 @@ class StationCoordinator:
         access = self._frames = FrameAccess(self._inbox, self._core, ring, parts.archive, requests)
         self.mosaics = Mosaics(parts.archive, access.lease, requests.render, parts.config.flat_fields)
         self.heights = MeasuredHeights(parts.archive, access.lease, requests.render, access.bay_of, parts.events)
-        self.kept = KeptRuns(parts.config, parts.archive, parts.events, access, self.heights)
+        self.kept = KeptRuns(parts.config, parts.archive, parts.events, access, self.heights, requests.render)
         access.heights = self.heights.known
         access.recorded, self.merged = self.kept.recordings.frame_file, access.merged(parts.config)
         self.batches = access.batches(self.merged)

@@ -14,6 +14,7 @@ from vaoi_station.config import MethodName
 from vaoi_station.errors import VaoiError
 from vaoi_station.model import FrameRecord, Status
 from vaoi_station.runs.states.decision_schemas import Decision
+from vaoi_station.runs.states.identity_schemas import IdentitySummary
 from vaoi_station.runs.states.made_with import MadeWith, Origin
 from vaoi_station.runs.states.storage_schemas import SetAsideFile
 from vaoi_station.runs.states.tables import RunState, StationState
@@ -286,6 +287,8 @@ class RunSummary(Schema):
     """Whether its frames are kept on disk as a recording."""
     decision: Decision | None = None
     """What a person has decided about its pictures; None if there is no decision."""
+    identity: IdentitySummary | None = None
+    """Which board the run shows by its code; None if boards of its type have no codes."""
     origin: Origin | None = None
     """The station that filmed an imported run; None for runs of this station."""
 

@@ -23,8 +23,8 @@ from vaoi_station.stitching.work import StitchSetup
 class Priority(IntEnum):
     """Order in which waiting jobs are given to workers, lowest value first.
 
-    Results come before pictures, single pictures before batches, heights last. Small pictures also have turns between
-    links (`JobQueues.choose`).
+    Results come before pictures, single pictures before batches, codes of boards before heights. Small pictures also
+    have turns between links (`JobQueues.choose`).
     """
 
     CONCLUDE = 0
@@ -34,7 +34,8 @@ class Priority(IntEnum):
     RENDER = 4
     BATCH = 5
     CHECK = 6
-    HEIGHTS = 7
+    IDENTITY = 7
+    HEIGHTS = 8
 
 
 @dataclass(frozen=True)

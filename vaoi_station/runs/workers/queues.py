@@ -2,8 +2,8 @@
 
 Every queue has a bound. Link and gather jobs are at most those of the runs in the ring, and end with their run; each
 run has one conclude job; pictures are limited by `MAX_PICTURES`, parts of batches by the seats of their callers; checks
-are parts of conclude jobs and never wait; of heights after runs at most one job waits. There is a separate queue for
-each assigned worker, so that the time for a choice does not depend on the number of waiting jobs.
+are parts of conclude jobs and never wait; of codes and of heights after runs at most one job each waits. There is a
+separate queue for each assigned worker, so that the time for a choice does not depend on the number of waiting jobs.
 """
 
 from __future__ import annotations

@@ -1,0 +1,205 @@
+"""Identities of finished runs: read after the result, stored, compared, and shown in the documents of runs."""
+
+from __future__ import annotations
+
+import threading
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from vaoi_station.errors import GoneError, InternalError, StateError
+from vaoi_station.identity.code_reader import Progress
+from vaoi_station.model import BoardCode, BoardIdentity, BoardReading, BoardType, Status
+from vaoi_station.model.board_identity import ReportedId
+from vaoi_station.runs.archive import read_identities
+from vaoi_station.runs.archive.read_identities import ReadIdentities
+from vaoi_station.runs.states.schemas import RunSummary, VerdictCounts
+from vaoi_station.runs.states.tables import RunState
+from vaoi_station.runs.workers.identity_job import IdentitySlice
+from vaoi_station.runs.workers.jobs import Priority
+
+CORNERS = ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0))
+IDENTITY = BoardIdentity(pattern="b;{id}", required=True)
+
+
+def reading(text: str) -> BoardReading:
+    code = BoardCode(
+        text=text, symbology="qr", board_id=IDENTITY.board_id(text), center=(0.5, 0.5), corners=CORNERS,
+        module_mm=0.2, error_correction_used=0.0,
+    )  # fmt: skip
+    return BoardReading(codes=(code,), complete=False)
+
+
+class Station:
+    """Holds runs; the worker needs two slices for each and reads the code `b;1`."""
+
+    def __init__(self, identity: BoardIdentity | None = IDENTITY) -> None:
+        self.jobs: list[Any] = []
+        self.saved: dict[str, tuple[str, tuple[str, ...]]] = {}
+        self.events: list[dict[str, Any]] = []
+        self.done, self.free = threading.Event(), threading.Event()
+        self.free.set()
+        self.fault: Exception | None = None
+        self.worker_s = 0.1
+        frames = tuple(SimpleNamespace(camera=0, row=j, slot=j, usable=j != 1) for j in range(3))
+        self.finished = SimpleNamespace(
+            detail=SimpleNamespace(id="r1", frames=frames, board_id="1"),
+            board_type=BoardType(name="b", outline=((0, 0), (9, 9)), identity=identity),
+            cameras=(),
+            stitch=SimpleNamespace(cad_matrix=[[1.0]]),
+        )
+        archive: Any = SimpleNamespace(get=self.get, identities=self)
+        events: Any = self
+        self.identities = ReadIdentities(archive, self.render, self.bay_of, events)
+
+    def get(self, run: str) -> Any:
+        return self.finished
+
+    def documents(self, runs: list[str]) -> dict[str, str]:
+        return {run: self.saved[run][0] for run in runs if run in self.saved}
+
+    def save(self, run: str, document: str, board_ids: tuple[str, ...]) -> None:
+        self.saved[run] = (document, board_ids)
+
+    def bay_of(self, run: str) -> Any:
+        return SimpleNamespace(number=4, generation=2)
+
+    def render(self, job: Any, name: str) -> Any:
+        self.jobs.append(job)
+        assert self.free.wait(20)
+        if self.fault is not None:
+            raise self.fault
+        return IdentitySlice(
+            Progress((), job.progress.next_try + 1, job.progress.next_try > 0), reading("b;1"), self.worker_s
+        )
+
+    def add(self, kind: str, message: str, **fields: Any) -> None:
+        self.events.append({"kind": kind, "message": message, **fields})
+        self.done.set()
+
+    def read(self) -> None:
+        """Let the run end, and wait until its identity is published."""
+        self.identities.start()
+        self.identities.finished(self.finished.detail)
+        assert self.done.wait(20)
+        self.identities.stop()
+        assert self.identities.thread.fault() is None
+
+    def shown(self) -> RunSummary:
+        summary = RunSummary(
+            id="r1", board_type="b", board_id="1", job_id=None, state=RunState.READY, verdict=Status.OK, started="",
+            finished="", rows=3, cameras=1, counts=VerdictCounts(ok=3, incomplete=0, missing=0), reasons=(), belt=None,
+            timings=None, frames_available=True,
+        )  # fmt: skip
+        [found] = self.identities.shown((summary,))
+        return found
+
+
+def test_codes_are_read_in_slices_of_their_own_priority_and_stored() -> None:
+    station = Station()
+    station.read()
+    assert [job.progress.next_try for job in station.jobs] == [0, 1]
+    assert {job.priority for job in station.jobs} == {Priority.IDENTITY}
+    assert station.jobs[0].slots == {(0, 0): 0, (0, 2): 2}
+    found = station.identities.document("r1")
+    assert (found.state, found.board_id, found.armed_board_id) == ("agrees", "1", "1")
+    assert list(station.saved["r1"][1]) == ["1"]
+    assert [(e["kind"], e["state"], e["code"]) for e in station.events] == [("identity", "agrees", "")]
+    shown = station.shown()
+    assert shown.identity is not None
+    assert (shown.identity.state, shown.verdict) == ("agrees", Status.OK)
+
+
+def test_another_id_degrades_a_run_whose_type_demands_it() -> None:
+    station = Station()
+    station.finished.detail.board_id = "2"
+    station.read()
+    shown = station.shown()
+    assert (shown.verdict, shown.state) == (Status.DEGRADED, RunState.DEGRADED)
+    assert [r.code for r in shown.reasons] == ["board-id-differs"]
+    assert shown.board_id == "1", "no id replaces another"
+    assert station.events[0]["code"] == "board-id-differs"
+    easy = Station(IDENTITY.model_copy(update={"required": False}))
+    easy.finished.detail.board_id = "2"
+    easy.read()
+    assert easy.shown().verdict is Status.OK
+
+
+def test_run_is_pending_until_its_codes_are_read() -> None:
+    station = Station()
+    station.free.clear()
+    station.identities.start()
+    station.identities.finished(station.finished.detail)
+    try:
+        assert station.identities.document("r1").state == "pending"
+        pending = station.shown()
+        assert pending.identity is not None
+        assert (pending.identity.state, pending.verdict) == ("pending", Status.OK)
+        with pytest.raises(StateError) as refused:
+            station.identities.report("r1", ReportedId(board_id="1"))
+        assert refused.value.code == "identity-pending"
+    finally:
+        station.free.set()
+    assert station.done.wait(20)
+    station.identities.stop()
+    assert station.identities.document("r1").state == "agrees"
+
+
+def test_reading_ends_with_its_budget(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(read_identities, "BUDGET_S", 0.05)
+    station = Station()
+    station.read()
+    assert len(station.jobs) == 1
+    assert not station.identities.document("r1").complete
+
+
+@pytest.mark.parametrize(
+    ("fault", "codes"),
+    [(GoneError("taken."), [""]), (InternalError("b"), [""]), (ValueError(), ["", "identity-not-read"])],
+)
+def test_run_whose_frames_were_needed_has_no_id(fault: Exception, codes: list[str]) -> None:
+    station = Station()
+    station.fault = fault
+    station.read()
+    assert station.identities.document("r1").state == "not-read"
+    assert [e["code"] for e in station.events] == codes
+    shown = station.shown()
+    assert (shown.verdict, [r.code for r in shown.reasons]) == (Status.DEGRADED, ["identity-not-read"])
+
+
+def test_board_type_without_codes_occupies_no_worker() -> None:
+    station = Station(None)
+    station.identities.finished(station.finished.detail)
+    assert station.identities.document("r1").state == "not-expected"
+    assert station.shown().identity is None
+    assert (station.jobs, station.events) == ([], [])
+
+
+def test_report_of_the_next_machine_is_compared_and_kept_with_the_reading() -> None:
+    station = Station()
+    station.read()
+    found = station.identities.report("r1", ReportedId(board_id="7", machine="prober"))
+    assert (found.state, [r.code for r in found.reasons]) == ("differs", ["next-machine-differs"])
+    assert list(station.saved["r1"][1]) == ["1", "7"]
+    again = station.identities.report("r1", ReportedId(board_id="1"))
+    assert (again.state, len(again.codes), again.complete) == ("agrees", 1, False)
+    assert list(station.saved["r1"][1]) == ["1"]
+
+
+def test_stored_identities_are_read_after_a_restart() -> None:
+    station = Station()
+    station.read()
+    later = Station()
+    later.saved = station.saved
+    assert later.identities.document("r1") == station.identities.document("r1")
+    assert later.shown().identity == station.shown().identity
+
+
+def test_runs_that_wait_too_long_are_not_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(read_identities, "_MOST_WAITING", 1)
+    station = Station()
+    for run in ("r1", "r2"):
+        station.identities.finished(SimpleNamespace(id=run))  # type: ignore[arg-type]
+    assert [(e["run"], e["state"]) for e in station.events] == [("r1", "not-read")]
+    assert station.identities.document("r2").state == "pending"

@@ -1,0 +1,265 @@
+"""Identities of runs: their codes are read by workers after each run, stored, and compared with ids from elsewhere.
+
+One thread has the codes read after the result of a run, in slices, so that no result waits for them. It holds no lease
+meanwhile: if the frames are needed for the next board before it has finished, the codes were not read.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import threading
+from collections import OrderedDict, deque
+from collections.abc import Callable, Collection
+from typing import Any, TypeVar
+
+from vaoi_station.errors import BusyError, GoneError, NotFoundError, StateError, VaoiError
+from vaoi_station.identity.comparison import compare
+from vaoi_station.model import BoardReading, Status
+from vaoi_station.model.board_identity import IdentityDocument, IdentityState, ReportedId
+from vaoi_station.runs.archive.event_log import EventLog
+from vaoi_station.runs.archive.finished_runs import Archive, FinishedRun
+from vaoi_station.runs.run.memory import Bay
+from vaoi_station.runs.states.identity_schemas import IdentitySummary
+from vaoi_station.runs.states.schemas import Reason, RunDetail, RunSummary
+from vaoi_station.runs.states.tables import RunState
+from vaoi_station.runs.workers.identity_job import IdentityJob, IdentitySlice
+from vaoi_station.runs.workers.jobs import PictureJob
+from vaoi_station.supervised_thread import SupervisedThread
+
+_log = logging.getLogger(__name__)
+
+R = TypeVar("R", bound=RunSummary)
+BUDGET_S = 3.0
+"""Time of workers after which no further pictures of a run are tried."""
+_KEPT = 256
+"""Number of runs whose identities are kept in memory."""
+_MOST_WAITING = 8
+"""Largest number of runs that wait for their codes to be read; the oldest ones are then not read."""
+_END_S = 5.0
+"""Longest wait for the end of the thread, which may wait for a worker."""
+_LOOK_S = 0.5
+"""Longest time in which the thread does not check whether it is to end."""
+
+
+class ReadIdentities:
+    """Has codes read by workers, stores and compares ids. Methods may be called from any thread."""
+
+    def __init__(
+        self,
+        archive: Archive,
+        render: Callable[[PictureJob, str], Any],
+        bay_of: Callable[[str], Bay],
+        events: EventLog,
+    ) -> None:
+        """Store the archive of runs and functions.
+
+        Args:
+            archive: the finished runs, and the stored identities.
+            render: has a worker perform a job with this name in messages, and returns the reply's value.
+            bay_of: returns the bay of a run without a lease.
+            events: the event log.
+        """
+        self._archive, self._render, self._bay_of, self._events = archive, render, bay_of, events
+        self._known: OrderedDict[str, IdentityDocument | None] = OrderedDict()
+        """Identities of the latest runs; None for a run that has none."""
+        self._pending: set[str] = set()
+        self._lock = threading.Lock()
+        """Guards `_known` and `_pending`; never held while a worker or the disk is awaited."""
+        self._changing = threading.Lock()
+        """Held while a stored identity is changed, so that no report is lost."""
+        self._waiting: deque[str] = deque()
+        self._wake, self._stopping = threading.Condition(), False
+        self.thread = SupervisedThread(self._run, "identity")
+
+    def start(self) -> None:
+        """Start the thread that has codes read after runs."""
+        self.thread.start()
+
+    def stop(self) -> None:
+        """End the thread; the slice under way is not awaited for longer than a worker needs for it."""
+        self.thread.expect_end()
+        with self._wake:
+            self._stopping = True
+            self._wake.notify_all()
+        if self.thread.is_alive():
+            self.thread.join(_END_S)
+
+    def finished(self, detail: RunDetail) -> None:
+        """Have the codes of a run read that has just ended, if its board type has any; it returns at once."""
+        finished = self._archive.get(detail.id)
+        if finished.board_type.identity is None:
+            self._remember(detail.id, None)
+            return
+        with self._lock:
+            self._pending.add(detail.id)
+        with self._wake:
+            self._waiting.append(detail.id)
+            left_out = self._waiting.popleft() if len(self._waiting) > _MOST_WAITING else None
+            self._wake.notify_all()
+        if left_out is not None:
+            self._not_read(left_out)
+
+    def document(self, run: str) -> IdentityDocument:
+        """Return the identity of a run.
+
+        Raises:
+            NotFoundError: the run is unknown.
+            StateError: the run has not ended.
+            GoneError: at most a summary of the run is kept.
+        """
+        finished = self._archive.get(run)
+        found = self._stored([run]).get(run)
+        if found is not None:
+            return found
+        with self._lock:
+            without: IdentityState = "pending" if run in self._pending else "not-read"
+        return compare(finished.board_type.identity, None, finished.detail.board_id, without=without)
+
+    def report(self, run: str, reported: ReportedId) -> IdentityDocument:
+        """Store the id that the next machine has read, compare it, and publish the result; return the identity."""
+        with self._changing:
+            before = self.document(run)
+            if before.state == "pending":
+                raise StateError(
+                    f"The codes of run {run} are being read.",
+                    action="Wait for it by runs/{id}/identity?timeout=5, then report again.",
+                    code="identity-pending",
+                )
+            finished = self._archive.get(run)
+            read = None
+            if before.codes or before.state not in ("not-read", "not-expected"):
+                read = BoardReading(codes=before.codes, unread_places=before.unread_places, complete=before.complete)
+            return self._keep(run, compare(finished.board_type.identity, read, finished.detail.board_id, reported))
+
+    def runs_of(self, board_id: str, limit: int, before: str | None) -> list[str]:
+        """Return the ids of the runs of which this id was read or reported, newest first."""
+        return self._archive.identities.runs_of(board_id, limit, before)
+
+    def shown(self, documents: tuple[R, ...]) -> tuple[R, ...]:
+        """Return documents of runs with their identities; where the board type demands it, the verdict is lowered."""
+        found = self._stored([d.id for d in documents if d.finished is not None])
+        with self._lock:
+            pending = self._pending & {d.id for d in documents}
+        return tuple(_with_identity(d, found.get(d.id), d.id in pending) for d in documents)
+
+    def _stored(self, runs: Collection[str]) -> dict[str, IdentityDocument]:
+        """Return the identities of runs from memory or the database; runs without one are left out."""
+        with self._lock:
+            found = {run: self._known[run] for run in runs if run in self._known}
+        missing = [run for run in runs if run not in found]
+        if missing:
+            texts = self._archive.identities.documents(missing)
+            for run, text in texts.items():
+                found[run] = IdentityDocument.model_validate_json(text)
+                self._remember(run, found[run])
+        return {run: document for run, document in found.items() if document is not None}
+
+    def _remember(self, run: str, document: IdentityDocument | None) -> None:
+        with self._lock:
+            self._known[run] = document
+            self._known.move_to_end(run)
+            while len(self._known) > _KEPT:
+                self._known.popitem(last=False)
+
+    def _not_read(self, run: str) -> None:
+        """Record that the codes of a run were not read, if the run is known."""
+        with contextlib.suppress(VaoiError):
+            finished = self._archive.get(run)
+            self._keep(run, compare(finished.board_type.identity, None, finished.detail.board_id))
+        with self._lock:
+            self._pending.discard(run)
+
+    def _keep(self, run: str, document: IdentityDocument) -> IdentityDocument:
+        """Store an identity, then publish it."""
+        self._remember(run, document)
+        with self._lock:
+            self._pending.discard(run)
+        self._archive.identities.save(run, document.model_dump_json(exclude_none=True), document.board_ids)
+        first = document.reasons[0] if document.reasons else None
+        message = "; ".join(reason.message for reason in document.reasons) or _sentence(document)
+        self._events.add(
+            "identity", message, state=document.state, run=run, code=first.code if first else "",
+            action=first.action if first else "",
+        )  # fmt: skip
+        return document
+
+    def _run(self) -> None:
+        """Have the codes of the waiting runs read, until the station stops."""
+        while not self._stopping:
+            self.thread.beat()
+            with self._wake:
+                if not self._waiting:
+                    self._wake.wait(_LOOK_S)
+                run = self._waiting.popleft() if self._waiting else None
+            if run is not None:
+                with self.thread.waiting():
+                    self._read_after(run)
+
+    def _read_after(self, run: str) -> None:
+        """Read the codes of a run that has just ended, compare its ids and store both."""
+        try:
+            finished = self._archive.get(run)
+            reading = self._reading(finished)
+            with self._changing:
+                self._keep(run, compare(finished.board_type.identity, reading, finished.detail.board_id))
+        except VaoiError:
+            self._not_read(run)  # The run was forgotten, or the station stops.
+        except Exception as fault:  # noqa: BLE001  the thread must go on: later runs need it
+            self._not_read(run)
+            _log.warning("codes of run %s were not read", run, exc_info=True)
+            self._events.add("trouble", f"Codes were not read: {fault}", run=run, code="identity-not-read")
+
+    def _reading(self, finished: FinishedRun) -> BoardReading | None:
+        """Have the codes read, slice by slice; None if the run has no result, or its frames were needed."""
+        run = finished.detail.id
+        slots = {(f.camera, f.row): f.slot for f in finished.detail.frames if f.usable and f.slot is not None}
+        slim = finished.board_type.model_copy(update={"components": ()})
+        if slim.outline is None:
+            low, high = finished.board_type.extent()
+            slim = slim.model_copy(update={"outline": (tuple(low.tolist()), tuple(high.tolist()))})
+        spent_s, done = 0.0, None
+        try:
+            stitch = finished.stitch or finished.result
+            if stitch.cad_matrix is None:
+                return None
+            bay = self._bay_of(run)
+            job = IdentityJob(run, bay.number, bay.generation, slim, stitch, finished.cameras, slots)
+            while not self._stopping:
+                done = self._render(job, "codes")
+                assert isinstance(done, IdentitySlice)
+                spent_s += done.worker_s
+                if done.progress.ended or spent_s > BUDGET_S:
+                    return done.reading
+                job = IdentityJob(run, bay.number, bay.generation, slim, stitch, finished.cameras, slots, done.progress)
+        except (GoneError, NotFoundError, BusyError):
+            pass  # It has no result, or its frames were needed; what was read until then counts.
+        if self._stopping:
+            raise StateError("The station is stopping; the codes were not read.")
+        return done.reading if done is not None and done.reading.codes else None
+
+
+def _with_identity(document: R, identity: IdentityDocument | None, pending: bool) -> R:
+    if identity is None:
+        return document.model_copy(update={"identity": IdentitySummary(state="pending")}) if pending else document
+    update: dict[str, Any] = {"identity": IdentitySummary.of(identity)}
+    if identity.degrades and document.verdict is Status.OK:
+        more = [Reason(code=r.code, message=r.message, action=r.action) for r in identity.reasons] or [
+            Reason(code="identity-not-read", message="The codes of the board were not read.", action=_NOT_READ)
+        ]
+        update |= {"verdict": Status.DEGRADED, "reasons": (*document.reasons, *more)}
+        if document.state is RunState.READY:
+            update["state"] = RunState.DEGRADED
+    return document.model_copy(update=update)
+
+
+_NOT_READ = "Identify the board; give the station more memory for runs if its frames were needed (ring.runs)."
+
+
+def _sentence(document: IdentityDocument) -> str:
+    """Return the message of the event of an identity without reasons."""
+    if document.state == "not-read":
+        return "The codes of the board were not read: the run has no CAD mapping, or its frames were needed."
+    ids = [document.board_id] if document.board_id is not None else [*document.boards.values()]
+    names = ", ".join(repr(name) for name in ids) or "no id"
+    return f"Read {names}." if document.state == "not-compared" else f"Read {names}, as expected."
