@@ -18,7 +18,7 @@ from vaoi_station.board_data.readers.placement_table import TableOptions, read_p
 from vaoi_station.board_data.source_text import read_bytes
 from vaoi_station.errors import InputError
 
-FORMATS = ("kicad", "gencad", "ipc2581", "odb++", "eagle", "html-bom", "centroid")
+FORMATS = ("kicad", "gencad", "ipc2581", "odb", "eagle", "html-bom", "centroid")
 _HEAD_BYTES = 4096
 _BY_HEAD: tuple[tuple[str, Callable[[bytes], bool]], ...] = (
     ("kicad", is_kicad),
@@ -63,7 +63,7 @@ def read_design(path: Path, options: Options | None = None) -> Design:
 
 
 def _read(path: Path, options: Options) -> Design:
-    if options.format == "odb++" or (options.format is None and _may_be_archive(path) and is_odb(path)):
+    if options.format == "odb" or (options.format is None and _may_be_archive(path) and is_odb(path)):
         return read_odb(path, options.step)
     if path.is_dir():
         raise InputError(f"{path}: is a folder without matrix/matrix. Of folders, only ODB++ designs can be read.")

@@ -6,6 +6,8 @@ import json
 from pathlib import Path
 from typing import Any
 
+from pydantic_core import from_json
+
 from vaoi_station.files.documents import check_format, parse, read_json, write_json
 from vaoi_station.model import Stitch
 
@@ -50,6 +52,12 @@ def without_components(stitch: Stitch) -> Stitch:
     """Return a result without its entries per component. For a large board this leaves a tenth of the size."""
     quality = {key: value for key, value in stitch.quality.items() if key not in _OF_COMPONENTS}
     return stitch.model_copy(update={"components": None, "quality": quality})
+
+
+def component_tables(text: str) -> dict[str, dict[str, Any]]:
+    """Return the quality's tables of components from the text of a result, without building the complete result."""
+    quality = from_json(text)["quality"]
+    return {key: table for key in _OF_COMPONENTS if isinstance(table := quality.get(key), dict)}
 
 
 def write_stitch(path: Path, stitch: Stitch) -> None:

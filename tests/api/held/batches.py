@@ -40,6 +40,7 @@ class _Archive:
             cameras=cameras,
             stitch=stitch,
             result=stitch,
+            component_tables=stitch.quality,
             head=SimpleNamespace(row_times_s=lambda: 0.1 * np.arange(ROWS)),
             view_calculator=ViewCalculator(board_type, stitch, cameras),
         )

@@ -16,11 +16,11 @@ FILES: dict[str, tuple[str, Callable[[], bytes]]] = {
     "kicad": ("b.kicad_pcb", samples.KICAD.encode),
     "gencad": ("b.cad", samples.GENCAD.encode),
     "ipc2581": ("b.xml", samples.IPC2581.encode),
-    "odb++": ("b.zip", samples.odb_zip),
+    "odb": ("b.zip", samples.odb_zip),
     "eagle": ("b.brd", samples.EAGLE.encode),
     "html-bom": ("b.json", samples.HTML_BOM.encode),
 }
-CENTRES_OF_C1 = {"gencad": (15, 21), "ipc2581": (15, 29), "odb++": (15, 29), "eagle": (15, 21)}
+CENTRES_OF_C1 = {"gencad": (15, 21), "ipc2581": (15, 29), "odb": (15, 29), "eagle": (15, 21)}
 """Where the body of C1 lies that the sample of a format describes: on the bottom, beside its origin."""
 
 
@@ -54,7 +54,7 @@ def test_outlines_with_arcs_and_cut_outs(kind: str, tmp_path: Path) -> None:
     rectangle, half_circle, segment = 2000.0, 981.7, 168.7
     expected = {"kicad": rectangle + segment, "gencad": rectangle}.get(kind, rectangle + half_circle)
     assert abs(area(design.outline)) == pytest.approx(expected, rel=2e-3)
-    holes = {"kicad": [28.3], "odb++": [50.0]}.get(kind, [])
+    holes = {"kicad": [28.3], "odb": [50.0]}.get(kind, [])
     assert [abs(area(c)) for c in design.cut_outs] == pytest.approx(holes, rel=0.02)
 
 
@@ -74,7 +74,7 @@ def test_parts_that_are_not_fitted_are_marked(kind: str, tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize(
-    ("kind", "ref", "height"), [("odb++", "R1", 0.55), ("ipc2581", "R1", 0.508), ("gencad", "J1", 3)]
+    ("kind", "ref", "height"), [("odb", "R1", 0.55), ("ipc2581", "R1", 0.508), ("gencad", "J1", 3)]
 )
 def test_body_heights_of_the_file(kind: str, ref: str, height: float, tmp_path: Path) -> None:
     part = next(p for p in design_of(kind, tmp_path).parts if p.ref == ref)

@@ -38,7 +38,7 @@ def test_a_board_type_is_written_and_what_to_check_is_printed(vaoi: Vaoi, board:
     [
         (["--side", "left"], "the side is 'left', but must be top or bottom"),
         (["--units", "cm"], "the unit is 'cm'"),
-        (["--format", "odb++"], "is no readable folder, zip or tar file"),
+        (["--format", "odb"], "is no readable folder, zip or tar file"),
     ],
 )
 def test_wrong_options_are_refused(vaoi: Vaoi, board: Path, tmp_path: Path, options: list[str], message: str) -> None:

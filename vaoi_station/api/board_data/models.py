@@ -9,7 +9,7 @@ from pydantic import Field
 from vaoi_station.board_data.overview import ImportOverview
 from vaoi_station.model import Strict
 
-FormatName = Literal["kicad", "gencad", "ipc2581", "odb++", "eagle", "html-bom", "centroid"]
+FormatName = Literal["kicad", "gencad", "ipc2581", "odb", "eagle", "html-bom", "centroid"]
 PREVIEW_ID = r"^[0-9a-f]{16}$"
 
 

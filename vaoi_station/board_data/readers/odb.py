@@ -146,7 +146,7 @@ def _step(archive: Archive, root: str, path: Path, name: str) -> Design:
     profile = _file(archive, path, f"{folder}/profile", default)
     contours = list(_contours(profile)) if profile else []
     outline = contours[0] if contours else []
-    return Design(name, "odb++", tuple(parts), tuple(outline), tuple(map(tuple, contours[1:])), marks=tuple(marks))
+    return Design(name, "odb", tuple(parts), tuple(outline), tuple(map(tuple, contours[1:])), marks=tuple(marks))
 
 
 def _file(archive: Archive, path: Path, name: str, default: float | None) -> _File | None:

@@ -23,7 +23,7 @@ def import_file(
     format: Annotated[
         str | None,
         typer.Option(
-            help="Board data: kicad, gencad, ipc2581, odb++, eagle, html-bom or centroid; by default recognised."
+            help="Board data: kicad, gencad, ipc2581, odb, eagle, html-bom or centroid; by default recognised."
         ),
     ] = None,
     name: Annotated[

@@ -136,7 +136,9 @@ class BatchAccess:
         components = request.parts(finished.board_type, resolution)
         facts, slots = frame_facts(finished), _slots(finished)
         on_top = request.images.framing.plane == "top"
-        result = with_heights(finished.result, self.heights(run) or {}) if on_top else finished.result
+        result = (
+            with_heights(finished.result, self.heights(run) or {}) if on_top else finished.stitch or finished.result
+        )
         files = self._files(run, slots)
         if request.hdr:
             self._try_merging(run, request, components)
@@ -146,8 +148,9 @@ class BatchAccess:
             choose_images(
                 calculator, part, (finished.board_type, result), (slots, facts), request.images, lambda _: None
             )
-        whole = result.quality
-        quality = {key: found for key in _OF_COMPONENTS if isinstance(found := whole.get(key), dict)}
+        quality = finished.component_tables
+        if on_top:
+            quality = quality | {key: result.quality[key] for key in ("heights_mm", "height_sigma_mm")}
         detail = finished.detail
         modified_s = int(datetime.fromisoformat(detail.finished or detail.started).timestamp())
         setup = BatchSetup(
@@ -233,9 +236,6 @@ class BatchAccess:
         entry = {"address": part.address, "views": [{"file": file, **merged_entry(choice)}]}
         members = [views_member(folder, entry), Member(file, media, content)]
         return CutPart(pack(request.container, members, batch.modified_s), 1, 0, None)
-
-
-_OF_COMPONENTS = ("component_covariance_px2", "heights_mm", "height_sigma_mm")
 
 
 def merged_entry(choice: MergedChoice) -> dict[str, Any]:
