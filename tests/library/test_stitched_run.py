@@ -175,6 +175,34 @@ def test_a_matrix_outside_the_run_is_refused(stitched: vaoi.StitchedRun, camera:
         stitched.image_matrix(camera, row)
 
 
+def test_local_fiducials_place_their_components(recording: vaoi.RecordedRun) -> None:
+    """The data put a fiducial and the components beside it 0.18 mm (3 px) from where they are."""
+    board = vaoi.read_board_type(recording.directory / "board.json")
+    near = tuple(c.address for c in board.components if math.dist(c.center, (53.6, 35.6)) < 22)[:6]
+    assert near
+    document = board.model_dump(mode="json", exclude_none=True)
+    for part in (*document["fiducials"][2:], *(c for c in document["components"] if c["ref"] in near)):
+        if "center" in part:
+            part["center"] = [part["center"][0] + 0.15, part["center"][1] - 0.1]
+        else:
+            part |= {"x": part["x"] + 0.15, "y": part["y"] - 0.1, "kind": "local", "components": near}
+    changed = vaoi.BoardType.model_validate(document)
+    run = vaoi.open_recording(recording.directory, board_type=changed).stitch()
+    assert run.status == vaoi.Status.OK, run.reasons
+    assert set(run.result.local_matrices or ()) == set(near)
+    assert run.result.quality["local_fiducials"][near[0]]["sigma_mm"] < 0.003
+    truth = json.loads((recording.directory / "truth.json").read_text())
+    for ref in near:
+        where = {(i, j): (x, y) for i, j, x, y in truth["views"][ref]}
+        found = {(i, j): (x, y) for i, j, x, y in (run.result.components or {})[ref]}
+        assert max(math.dist(found[key], where[key]) for key in found.keys() & where.keys()) < 0.1
+        # The pictures are cut where the component is: the middle of each maps to its true place in the frame.
+        for image in run.component(ref, min_coverage=1.0):
+            middle = apply(image.crop_from_cad, np.array(run.center(ref)))
+            there = apply(image.image_from_crop, middle)
+            assert math.dist(there, where[image.camera, image.row]) < 0.1
+
+
 def test_data_of_another_origin_are_corrected(stitched: vaoi.StitchedRun) -> None:
     board = stitched.board_type
     assert board is not None

@@ -248,6 +248,9 @@ class Matrices(BaseModel):
     quality: dict[str, Any]
     surface: dict[str, Any] | None = None
     components: dict[str, list[tuple[int, int, float, float]]] | None = None
+    local_matrices: dict[str, Matrix3] | None = Field(
+        default=None, description="C of the components that local fiducials place, by address."
+    )
 
 
 class Heartbeat(Strict):

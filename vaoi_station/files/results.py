@@ -12,7 +12,7 @@ from vaoi_station.files.documents import check_format, parse, read_json, write_j
 from vaoi_station.model import Stitch
 
 _OF_COMPONENTS = ("component_sigma_px", "component_covariance_px2", "heights_mm", "height_sigma_mm")
-_LEFT_OUT_IF_NONE = ("surface", "components", "camera_matrices")
+_LEFT_OUT_IF_NONE = ("surface", "components", "camera_matrices", "local_matrices")
 
 
 def read_stitch(path: Path) -> Stitch:

@@ -117,7 +117,9 @@ class Places:
 
         Its longest side is at most `longest_px`.
         """
-        corners = apply(self.tester_from_cad, corners_cad)
+        matrix = self.stitch.component_matrix(address)
+        assert matrix is not None
+        corners = apply(matrix, corners_cad)
         side = corners[1] - corners[0], corners[3] - corners[0]
         length = [float(np.hypot(*s)) for s in side]
         longest = max(length) * self._px_per_mm

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import math
 from collections import Counter
 from collections.abc import Iterator
@@ -32,7 +33,7 @@ MOST_CUT_OUT_CORNERS = 20_000
 BoardTypeState = Literal["draft", "approved", "retired"]
 FoundBy = Literal["element", "attribute", "package", "name", "place"]
 OF_IMPORT: dict[str, Any] = {"fiducials": {"__all__": {"kind", "found_by", "components"}}}
-"""Keys of the fiducials that say where they are from; no position depends on them."""
+"""Keys of the fiducials that are left out of digests; `BoardType.local_terms` has those of local ones."""
 _NOT_FILMED: dict[str, Any] = OF_IMPORT | {
     "revision": True,
     "state": True,
@@ -59,7 +60,7 @@ class Fiducial(FrozenModel):
     found_by: FoundBy | None = None
     """How the import has recognised the mark."""
     components: tuple[str, ...] | None = None
-    """Addresses of the components that a local fiducial belongs to."""
+    """Addresses of the components that a local fiducial places."""
 
 
 class OtherMark(FrozenModel):
@@ -228,6 +229,18 @@ class BoardType(FrozenModel):
         """
         return (self.y_axis == "up") != (self.side == "bottom")
 
+    @property
+    def local_fiducials(self) -> frozenset[int]:
+        """Numbers of the fiducials that place components only; none if fewer than two others would place the board."""
+        local = frozenset(n for n, f in enumerate(self.fiducials) if f.kind == "local" and f.components)
+        return local if len(self.fiducials) - len(local) >= 2 else frozenset()
+
+    @property
+    def local_terms(self) -> str:
+        """Text of what positions owe to local fiducials; empty without any, so that digests stay those of before."""
+        local = {self.fiducials[n].name: self.fiducials[n].components for n in sorted(self.local_fiducials)}
+        return json.dumps(local) if local else ""
+
     def filmed_digest(self) -> str:
         """Return a digest of everything on which runs depend.
 
@@ -236,7 +249,8 @@ class BoardType(FrozenModel):
         # Keys that older versions did not have count only where a board type states them.
         unset = {key for key in ("pacing", "row_mm") if self.line is not None and getattr(self.line, key) is None}
         left_out = {**_NOT_FILMED, "line": unset} if unset else _NOT_FILMED
-        return hashlib.sha256(self.model_dump_json(exclude=left_out).encode()).hexdigest()[:16]
+        text = self.model_dump_json(exclude=left_out) + self.local_terms
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
 
     def extent(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the lowest and the highest corner of the board's extent, in CAD units.

@@ -33,6 +33,7 @@ class ReasonCode(StrEnum):
     FIDUCIAL_MISSING = "fiducial-missing"
     FIDUCIAL_OFF_PLACE = "fiducial-off-place"
     FIDUCIAL_WRONG = "fiducial-wrong"
+    LOCAL_FIDUCIAL_UNUSABLE = "local-fiducial-unusable"
     SCALE_WRONG = "scale-wrong"
     SURFACE_UNLIKELY = "surface-unlikely"
     OUTLINE_SHIFTED = "outline-shifted"

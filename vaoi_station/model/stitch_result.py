@@ -70,6 +70,9 @@ class Stitch(FrozenModel):
 
     It is None in results of older versions, which assumed that the calibrated N_i are exact."""
 
+    local_matrices: dict[str, Matrix] | None = None
+    """C of each component that its local fiducials place, by address; other components follow `cad_matrix`."""
+
     @model_validator(mode="after")
     def _one_code_per_reason(self) -> Self:
         if self.reason_codes and len(self.reason_codes) != len(self.reasons):
@@ -98,6 +101,10 @@ class Stitch(FrozenModel):
             replace(camera, image_from_row=Projective(np.asarray(n), System.IMAGE, System.ROW))
             for camera, n in zip(calibrated, self.camera_matrices, strict=True)
         )
+
+    def component_matrix(self, address: str) -> NDArray[np.float64] | None:
+        """Return the matrix (3, 3) from CAD to tester coordinates that holds for a component; None without C."""
+        return (self.local_matrices or {}).get(address, self.cad_matrix)
 
     @property
     def tester_from_cad(self) -> Projective | None:

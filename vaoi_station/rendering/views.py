@@ -85,6 +85,9 @@ class ViewCalculator:
         self._scale = _NEAR * np.array([c.px_per_mm for c in cameras])[i] * board_type.mm_per_unit
         self._lensed = np.array([not c.lens.ideal for c in cameras])
         self._bend = np.array([_bend(c) for c in cameras])[i]
+        back = np.linalg.inv(stitch.tester_from_cad.matrix)
+        self._own = {ref: back @ matrix for ref, matrix in (stitch.local_matrices or {}).items()}
+        """(3, 3) by address, for components with a C of their own: CAD coordinates → those of the same place by C."""
 
     @property
     def knows_heights(self) -> bool:
@@ -134,6 +137,9 @@ class ViewCalculator:
         surface = self._surface
         height_mm = above_mm if surface is None else above_mm + surface.height_mm(crops.footprints.center)
         pairs = self._pairs(crops, height_mm, min_coverage)
+        if own := {n: self._own[c.address] for n, c in enumerate(components) if c.address in self._own}:
+            moved = np.array([own.get(n, np.eye(3)) for n in range(len(components))])
+            pairs = pairs._replace(image_from_cad=pairs.image_from_cad @ moved[pairs.component])
         matrices = pairs.image_from_cad @ crops.cad_from_crop[pairs.component]
         picture = through(matrices, _grid(crops.size[pairs.component], 3))
         picture = self._distorted(pairs.frame, picture)

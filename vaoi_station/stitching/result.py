@@ -31,6 +31,7 @@ def build_result(
         quality=quality,
         surface=findings.surface,
         components=_component_views(findings),
+        local_matrices=_local_matrices(findings),
     )
 
 
@@ -48,6 +49,12 @@ def _component_views(findings: Findings) -> dict[str, tuple[tuple[int, int, floa
         return None
     addresses = findings.plane.components.addresses
     return views_by_address(addresses, findings.views) if addresses else {}
+
+
+def _local_matrices(findings: Findings) -> dict[str, Floats] | None:
+    """Return C of the components that local fiducials place, by address; None without any."""
+    places = findings.local_places.items()
+    return {ref: _read_only(place.matrix) for ref, place in places if place.matrix is not None} or None
 
 
 def _read_only(matrices: Floats) -> Floats:

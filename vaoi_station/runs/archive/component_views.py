@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from vaoi_station.errors import NotFoundError, StateError
+from vaoi_station.geometry import apply
 from vaoi_station.model import BoardType, Component, FrameRecord, Stitch, Verdict
 from vaoi_station.rendering import ChosenImages, ChosenView, FrameFacts, ImageRequest, ViewCalculator, choose_images
 from vaoi_station.rendering.selection import Measure
@@ -21,16 +22,15 @@ from vaoi_station.stitching.board.coverage import Coverage, component_coverage
 def components_of(finished: FinishedRun) -> tuple[ComponentSummary, ...]:
     """Return a summary of every component of the run's board type. Without a CAD mapping, positions are None."""
     board_type, stitch = finished.board_type, finished.stitch
-    from_cad = stitch.tester_from_cad if stitch else None
     views, seen = _view_counts(finished), _coverages(finished)
     parts = board_type.components
-    positions = from_cad(np.array([c.center for c in parts])) if from_cad and parts else [None] * len(parts)
+    positions = [_tester_mm(stitch, c) for c in parts]
     unseen = {u.address for u in finished.detail.unseen}
     return tuple(
         _summary(
             part,
             board_type.mm_per_unit,
-            None if at is None else (float(at[0]), float(at[1])),
+            at,
             views=views[part.address],
             coverage=None if seen is None else round(float(seen.share[n]), 4),
             in_one_frame=None if seen is None else bool(seen.in_one_frame[n]),
@@ -38,6 +38,15 @@ def components_of(finished: FinishedRun) -> tuple[ComponentSummary, ...]:
         )
         for n, (part, at) in enumerate(zip(parts, positions, strict=True))
     )
+
+
+def _tester_mm(stitch: Stitch | None, part: Component) -> tuple[float, float] | None:
+    """Return the centre of a component in tester coordinates; None without a CAD mapping."""
+    matrix = None if stitch is None else stitch.component_matrix(part.address)
+    if matrix is None:
+        return None
+    x, y = apply(matrix, np.array(part.center))
+    return float(x), float(y)
 
 
 Heights = Mapping[str, tuple[float, float]]

@@ -28,6 +28,8 @@ from vaoi_station.stitching.board.fiducial_detection import fixture_kind, kind_o
 from vaoi_station.stitching.matching.evidence import Detections
 
 _SAME_PLACE_MM = 0.4
+LOCAL_MM = 0.5
+"""Standard deviation of local fiducials against C: they state where their components are, not where the board is."""
 _SCALE_SIGMA = 1.0e-3
 _SCORE_SIGMA = 0.02
 _TEXTURE_MARGIN_MM = 1.0
@@ -211,6 +213,8 @@ def assign_fiducials(
         lean[mine] = cameras[i].parallax(ground[mine])
         resolution[mine] = [cameras[i].image_from_row.scale_at(p) for p in ground[mine]]
     sigma = np.concatenate([s.sigma_px for s in seen])[at] / resolution
+    local = np.isin(number[mark], sorted(board_type.local_fiducials))
+    sigma = np.where(local, np.hypot(sigma, LOCAL_MM), sigma)
     return FiducialPoints(row, ground, lean, flat[mark], sigma, resolution, number[mark], camera)
 
 

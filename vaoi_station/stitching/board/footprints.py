@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -11,13 +11,18 @@ from numpy.typing import NDArray
 
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats, apply
-from vaoi_station.model import Surface
+from vaoi_station.marks.candidate_search import SURROUND
+from vaoi_station.model import BoardType, Surface
 from vaoi_station.stitching.adjustment.motion import points_in_box
 from vaoi_station.stitching.adjustment.observations import Ints
 from vaoi_station.stitching.board.board_plane import BoardPlane
+from vaoi_station.stitching.matching.evidence import FrameKey
 
 _BEYOND_PX = 3.0
 """A footprint's centre up to this far outside a frame still counts as a view."""
+
+_BORDER_PX = 6.0
+"""Least distance of a fiducial's bare rim from the border of a frame: nearer to the border it may not be detected."""
 
 View = tuple[int, int, float, float]
 """One view of a point: camera, row, and raw pixels x and y."""
@@ -100,3 +105,15 @@ def views_by_address(addresses: Sequence[str], views: FootprintViews) -> dict[st
     every = list(zip(views.camera.tolist(), views.row.tolist(), x, y, strict=True))
     ends = [0, *np.cumsum(np.bincount(views.point, minlength=len(addresses))).tolist()]
     return {address: tuple(every[a:b]) for address, (a, b) in zip(addresses, pairwise(ends), strict=True)}
+
+
+def frames_of_marks(
+    board_type: BoardType, views: FootprintViews, cameras: Sequence[Camera], confirmed: Collection[FrameKey]
+) -> dict[int, FrameKey]:
+    """Return one frame for each fiducial that a confirmed frame shows with its bare rim, by number of the fiducial."""
+    found: dict[int, FrameKey] = {}
+    for n, i, j, px in zip(views.point.tolist(), views.camera.tolist(), views.row.tolist(), views.px, strict=True):
+        reach_px = SURROUND / 2 * board_type.fiducials[n].diameter * board_type.mm_per_unit * cameras[i].px_per_mm
+        if (i, j) in confirmed and cameras[i].sees(px[None], reach_px + _BORDER_PX)[0]:
+            found.setdefault(n, (i, j))
+    return found

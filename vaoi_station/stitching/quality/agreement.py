@@ -62,7 +62,7 @@ def fiducial_reasons(
         return []
     out = []
     fiducials = plane.board_type.fiducials
-    seen = _places(adjusted, points, moved)
+    seen = {n: of for n, of in _places(adjusted, points, moved).items() if n not in plane.board_type.local_fiducials}
     for n, (_, off_px) in seen.items():
         if off_px > _FIDUCIAL_LIMIT_PX:
             text = f"fiducial {fiducials[n].name} lies {off_px:.2f} px from its place (limit {_FIDUCIAL_LIMIT_PX})"
@@ -82,8 +82,8 @@ def uncertain_detections(plane: BoardPlane, points: FiducialPoints | None, limit
     if points is None:
         return ""
     sigma_px = points.sigma_mm * points.px_per_mm
-    numbers = np.unique(points.which[points.which >= 0]).tolist()
-    unsure = [n for n in numbers if sigma_px[points.which == n].min() > limit_px]
+    numbers = set(points.which[points.which >= 0].tolist()) - plane.board_type.local_fiducials
+    unsure = [n for n in sorted(numbers) if sigma_px[points.which == n].min() > limit_px]
     if not unsure:
         return ""
     names = ", ".join(

@@ -12,7 +12,6 @@ from vaoi_station.geometry import Camera
 from vaoi_station.geometry.displacement import rms_displacement_px
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.marks.candidate_search import SURROUND
 from vaoi_station.model import VISIBILITY, Surface, Visibility
 from vaoi_station.stitching.adjustment.initial_motion import connected_rows
 from vaoi_station.stitching.adjustment.problem import AdjustmentResult, Problem
@@ -20,18 +19,24 @@ from vaoi_station.stitching.adjustment.surface import to_surface
 from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.cad_mapping import CadMapping
 from vaoi_station.stitching.board.expectation import Expectation
-from vaoi_station.stitching.board.footprints import FootprintViews, landmarks
+from vaoi_station.stitching.board.footprints import FootprintViews, frames_of_marks
+from vaoi_station.stitching.components.local_fiducials import LocalPlace, local_places, placed_landmarks
 from vaoi_station.stitching.components.shift import ComponentShift, measure_component_shift
 from vaoi_station.stitching.matching.evidence import FrameKey, Links
 from vaoi_station.stitching.matching.scene import Scene
 from vaoi_station.stitching.method import Method
+from vaoi_station.stitching.quality.added_errors import (
+    reference_share,
+    with_camera_errors,
+    with_common_error,
+    with_component_errors,
+)
 from vaoi_station.stitching.quality.agreement import seam_offset_px
 from vaoi_station.stitching.quality.covariances import largest_sigma
 from vaoi_station.stitching.quality.heights import Height, component_heights
 from vaoi_station.stitching.quality.lens_errors import LensError, lens_errors
 from vaoi_station.stitching.quality.missing.dark_lights import DarkLight
 from vaoi_station.stitching.quality.missing.unseen import FilmedBoard, SeenFrames, UnseenComponent, find_unseen
-from vaoi_station.stitching.quality.reference_share import reference_share, with_camera_errors, with_common_error
 from vaoi_station.stitching.quality.row_offsets import row_offset
 from vaoi_station.stitching.quality.seam_causes import LIFT_LIMIT_MM, Lift, measure_lift
 from vaoi_station.stitching.quality.uncertainty import PredictedSigma, predict_sigma, seam_sigma_px
@@ -54,8 +59,6 @@ _LEAST_FITTING, _LEAST_SHARE, _SURELY = 3, 0.25, 5
 """Least number and share of a frame's links that must fit the board's motion; number that always suffices.
 
 In sound frames of recordings and twin, a share of 0.7 or more fits. In a repeated one, one link may fit by chance."""
-_BORDER_PX = 6.0
-"""Least distance of a fiducial's bare rim from the border of a frame: nearer to the border it may not be detected."""
 _SEAM_LINKS = 12
 """Least number of links between two cameras from which it can be decided whether the cameras agree."""
 
@@ -112,6 +115,7 @@ class Findings:
         predicted = predict_sigma(self.scene, self.plane, self.adjusted, self.views)
         share = reference_share(self.problem.fiducials, self.adjusted.fiducial_px) * self.reference_sigma_px
         predicted = with_common_error(predicted, share) if share > 0 else predicted
+        predicted = with_component_errors(predicted, self.local_places, self.scene.cameras)
         return with_camera_errors(predicted, {i: error.position_px for i, error in self.lens_errors.items()})
 
     @cached_property
@@ -135,12 +139,20 @@ class Findings:
         return None if self.plane is None or self.mapping is None or c is None else self.plane.matrix(c)
 
     @cached_property
+    def local_places(self) -> dict[str, LocalPlace]:
+        """Places of components by their local fiducials, by address; empty without C."""
+        if self.plane is None or self.cad_matrix is None:
+            return {}
+        return local_places(self.plane, self.adjusted, self.problem.fiducials, self.cad_matrix)
+
+    @cached_property
     def views(self) -> FootprintViews | None:
         """Views of the components, or of two corners of the board if it has no components; None without C."""
         if self.plane is None or self.cad_matrix is None:
             return None
         rows = self.adjusted.motion.rows_from_tester
-        views = FootprintViews.of(landmarks(self.plane)[1], self.cad_matrix, self.scene.cameras, rows, self.surface)
+        cad = placed_landmarks(self.plane, self.cad_matrix, self.local_places)
+        views = FootprintViews.of(cad, self.cad_matrix, self.scene.cameras, rows, self.surface)
         return views.without_rows(self.unplaced) if self.unplaced else views
 
     @cached_property
@@ -152,22 +164,13 @@ class Findings:
 
     @cached_property
     def fiducials_in_view(self) -> dict[int, FrameKey]:
-        """One frame for each fiducial that a frame shows with its bare rim, by number of the fiducial; empty without C.
-
-        Only frames whose pictures fit the board's motion count.
-        """
+        """One confirmed frame for each fiducial that a frame shows with its bare rim, by number; empty without C."""
         if self.plane is None or self.cad_matrix is None:
             return {}
-        fiducials, rows = self.plane.board_type.fiducials, self.adjusted.motion.rows_from_tester
-        at = np.array([(f.x, f.y) for f in fiducials]).reshape(-1, 2)
+        board_type, rows = self.plane.board_type, self.adjusted.motion.rows_from_tester
+        at = self.plane.cad(self.plane.fiducials)
         views = FootprintViews.of(at, self.cad_matrix, self.scene.cameras, rows, self.surface)
-        found: dict[int, FrameKey] = {}
-        for n, i, j, px in zip(views.point.tolist(), views.camera.tolist(), views.row.tolist(), views.px, strict=True):
-            camera = self.scene.cameras[i]
-            reach_px = SURROUND / 2 * fiducials[n].diameter * self.plane.board_type.mm_per_unit * camera.px_per_mm
-            if (i, j) in self.confirmed and camera.sees(px[None], reach_px + _BORDER_PX)[0]:
-                found.setdefault(n, (i, j))
-        return found
+        return frames_of_marks(board_type, views, self.scene.cameras, self.confirmed)
 
     @cached_property
     def confirmed(self) -> frozenset[FrameKey]:

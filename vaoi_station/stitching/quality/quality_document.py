@@ -50,6 +50,7 @@ def quality_document(f: Findings) -> dict[str, Any]:
         "camera_displacement_px": displacement,
         "camera_displacement_sigma_px": displacement_sigma,
         "fiducials": _fiducials(f),
+        **_local_places(f),
         "orientation": None if f.mapping is None else AMBIGUOUS if f.mapping.ambiguous else "certain",
         "scale_error": _scale_error(f),
         "fiducial_check": _fiducial_check(f),
@@ -84,6 +85,21 @@ def quality_document(f: Findings) -> dict[str, Any]:
             "speed_error": None if velocity is None else _rounded(float(np.hypot(*velocity)) / nominal - 1, 6),
         },
     }
+
+
+def _local_places(f: Findings) -> dict[str, Any]:
+    """Return what local fiducials show of their components, by address; no entry without any."""
+    places = {
+        ref: {
+            "fiducials": list(place.fiducials),
+            "shift_mm": [_rounded(float(v)) for v in place.shift_mm],
+            "turn_deg": _rounded(float(np.degrees(place.turn_rad))),
+            "sigma_mm": _rounded(place.sigma_mm),
+            "refusal": place.refusal or None,
+        }
+        for ref, place in f.local_places.items()
+    }
+    return {"local_fiducials": places} if places else {}
 
 
 def _points_used(f: Findings) -> dict[str, dict[str, int]]:

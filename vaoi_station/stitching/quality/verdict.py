@@ -186,12 +186,13 @@ def _missing_fiducials(b: _Placed) -> Iterator[Reason]:
     if not b.findings.method.marks:
         return
     which = b.points.which if b.points is not None else np.zeros(0, dtype=np.int_)
-    seen = {int(w) for w in which if w >= 0}
+    local = b.plane.board_type.local_fiducials
+    seen = {int(w) for w in which if w >= 0} - local
     if (which < 0).any() or len(seen) >= _ENOUGH_FIDUCIALS:
         return
     in_view = b.findings.fiducials_in_view
     for n, fiducial in enumerate(b.plane.board_type.fiducials):
-        if n in seen:
+        if n in seen or n in local:
             continue
         if len(seen) < 2:
             alone = f"fiducial {fiducial.name} was not found; one fiducial alone does not locate the board"
@@ -203,6 +204,15 @@ def _missing_fiducials(b: _Placed) -> Iterator[Reason]:
                 f"shows that place in row {in_view[n][1]}: two fiducials do not show an error of one of them. Check "
                 f"whether {fiducial.name} is covered or dirty, and whether the board is of this type",
             )
+
+
+def _unusable_local_fiducials(b: _Placed) -> Iterator[Reason]:
+    refused = [(ref, place) for ref, place in b.findings.local_places.items() if place.refusal]
+    if refused:
+        shown = "; ".join(f"{ref}: {place.refusal}" for ref, place in refused[:4])
+        more = f" and {len(refused) - 4} more" if len(refused) > 4 else ""
+        text = f"local fiducials do not place {len(refused)} components, which follow the board: {shown}{more}"
+        yield Reason(ReasonCode.LOCAL_FIDUCIAL_UNUSABLE, text)
 
 
 def _disagreeing_fiducials(b: _Placed) -> Iterator[Reason]:
@@ -299,6 +309,7 @@ _RUN_CHECKS: tuple[Callable[[Findings], Iterable[Reason]], ...] = (
 )
 _BOARD_CHECKS: tuple[Callable[[_Placed], Iterable[Reason]], ...] = (
     _missing_fiducials,
+    _unusable_local_fiducials,
     _disagreeing_fiducials,
     _shifted_board,
     _ambiguous_orientation,

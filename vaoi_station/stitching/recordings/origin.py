@@ -88,7 +88,7 @@ def cad_terms(board_type: BoardType) -> dict[str, Any]:
 
 def cad_digest(board_type: BoardType) -> str:
     """Return the digest of the values on which C depends; newer optional keys do not change it."""
-    return _digest(board_type.model_dump_json(include=set(CAD_TERMS), exclude=OF_IMPORT))
+    return _digest(board_type.model_dump_json(include=set(CAD_TERMS), exclude=OF_IMPORT) + board_type.local_terms)
 
 
 def _origin(

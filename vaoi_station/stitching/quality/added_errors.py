@@ -1,20 +1,22 @@
-"""The error that a reference adds to the result of a run placed against it.
+"""Errors that the covariance of the adjustment does not contain, added to the prediction.
 
 The CAD coordinates of all links to a reference come from the reference's own CAD mapping. So they all have the error of
 that mapping. No residual shows this error, and it does not average out. Its effect on the result is proportional to the
-weight of the reference in the estimate of C.
+weight of the reference in the estimate of C. Components that local fiducials place have the errors of these.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.adjustment.problem import REFERENCE, FiducialPoints
 from vaoi_station.stitching.board.reference import inliers
+from vaoi_station.stitching.components.local_fiducials import LocalPlace
 from vaoi_station.stitching.quality.covariances import largest_sigma
 from vaoi_station.stitching.quality.uncertainty import PredictedSigma
 
@@ -50,13 +52,31 @@ def with_camera_errors(predicted: PredictedSigma, sigma_px: Mapping[int, float])
     """Return a prediction with an additional error for each camera, px per axis; none for cameras without an entry."""
     if predicted.worst_px is None or not any(sigma_px.values()):
         return predicted
-    camera, row = predicted.seen_in.T
+    camera = predicted.seen_in[:, 0]
     added = np.zeros(int(camera.max(initial=0)) + 1)
     for i, px in sigma_px.items():
         if i < len(added):
             added[i] = px
-    covariance = predicted.covariance_px2 + (added[camera] ** 2)[:, None, None] * np.eye(2)
+    return _with_added(predicted, added[camera])
+
+
+def with_component_errors(
+    predicted: PredictedSigma, places: Mapping[str, LocalPlace], cameras: Sequence[Camera]
+) -> PredictedSigma:
+    """Return a prediction with the error of local fiducials, for the components that they place."""
+    sigma_mm = {ref: place.sigma_mm for ref, place in places.items() if place.matrix is not None}
+    if predicted.worst_px is None or not sigma_mm:
+        return predicted
+    camera = predicted.seen_in[:, 0]
+    px_per_mm = np.array([c.px_per_mm for c in cameras])[camera]
+    added = np.array([sigma_mm.get(name, 0.0) for name in predicted.names])[predicted.part] * px_per_mm
+    return _with_added(predicted, added)
+
+
+def _with_added(predicted: PredictedSigma, sigma_px: Floats) -> PredictedSigma:
+    """Return a prediction with an additional error (k,) of each of k views, px per axis."""
+    covariance = predicted.covariance_px2 + (sigma_px**2)[:, None, None] * np.eye(2)
     length, rows = largest_sigma(covariance), np.array(predicted.rows_px)
-    np.maximum.at(rows, row, length)
-    worst = max(float(length.max(initial=0)), predicted.worst_px)
+    np.maximum.at(rows, predicted.seen_in[:, 1], length)
+    worst = max(float(length.max(initial=0)), predicted.worst_px or 0.0)
     return replace(predicted, rows_px=tuple(rows.tolist()), worst_px=worst, covariance_px2=covariance)

@@ -1,0 +1,96 @@
+"""Places of components by local fiducials, from known displacements."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vaoi_station.geometry import apply
+from vaoi_station.geometry.transforms import Floats
+from vaoi_station.model import BoardType
+from vaoi_station.stitching.adjustment.problem import FiducialPoints
+from vaoi_station.stitching.board.board_plane import BoardPlane
+from vaoi_station.stitching.board.fiducial_assignment import LOCAL_MM
+from vaoi_station.stitching.components.local_fiducials import LocalPlace, local_places, placed_landmarks
+
+C = np.array([[0.0, 1.0, 5.0], [1.0, 0.0, -2.0], [0, 0, 1]])
+PX_PER_MM = 20.0
+
+
+def board(count: int) -> BoardType:
+    """A board of two components, one of which has `count` local fiducials around it."""
+    places = [(26.0, 14.0), (34.0, 26.0)][:count]
+    local = [
+        {"name": f"L{n}", "x": x, "y": y, "diameter": 1, "kind": "local", "components": ["U1"]}
+        for n, (x, y) in enumerate(places)
+    ]
+    two = [{"name": "F1", "x": 2, "y": 2, "diameter": 1}, {"name": "F2", "x": 58, "y": 38, "diameter": 1}]
+    parts = [{"ref": ref, "center": at, "width": 4, "height": 4} for ref, at in (("U1", [30, 20]), ("U2", [50, 20]))]
+    return BoardType.model_validate({"name": "b", "fiducials": [*two, *local], "components": parts})
+
+
+def placed(count: int, off_mm: list[tuple[float, float]], noise_px: float = 0.02) -> dict[str, LocalPlace]:
+    """Places of components if the local fiducials lie `off_mm` from C, in five views each."""
+    which = np.repeat(np.arange(len(off_mm)) + 2, 5)
+    random = np.random.default_rng(2)
+    residual = np.array(off_mm).reshape(-1, 2)[which - 2] * PX_PER_MM + random.normal(0, noise_px, (len(which), 2))
+    k = len(which)
+    sigma, lean = np.full(k, np.hypot(noise_px / PX_PER_MM, LOCAL_MM)), np.zeros((k, 2))
+    points = FiducialPoints(which * 0, lean, lean, lean, sigma, np.full(k, PX_PER_MM), which, which * 0)
+    adjusted: Any = SimpleNamespace(fiducial_px=residual)
+    return local_places(BoardPlane(board(count), True), adjusted, points, C)
+
+
+def at_center(place: LocalPlace) -> Floats:
+    assert place.matrix is not None
+    return np.asarray(apply(place.matrix, np.array([30.0, 20.0])) - apply(C, np.array([30.0, 20.0])))
+
+
+def test_one_local_fiducial_shifts_its_component() -> None:
+    (ref, place), *others = placed(1, [(0.1, -0.05)]).items()
+    assert (ref, others) == ("U1", []), "U2 follows C"
+    assert place.fiducials == ("L0",)
+    assert at_center(place) == pytest.approx([0.1, -0.05], abs=3 * place.sigma_mm)
+    assert 0.0002 < place.sigma_mm < 0.001
+    assert place.turn_rad == 0.0
+
+
+def test_two_local_fiducials_turn_their_component_too() -> None:
+    turn = 0.004
+    arms = np.array([(-6.0, -4.0), (6.0, 4.0)])  # about the component, tester coordinates
+    off = [(0.03 - turn * y, -0.02 + turn * x) for x, y in arms.tolist()]
+    place = placed(2, off)["U1"]
+    assert place.turn_rad == pytest.approx(turn, abs=3e-4)
+    assert at_center(place) == pytest.approx([0.03, -0.02], abs=4 * place.sigma_mm)
+
+
+def test_large_and_contradicting_displacements_are_refused() -> None:
+    far = placed(1, [(0.3, 0.2)])["U1"]
+    assert far.matrix is None
+    assert far.refusal == "L0 would displace it by 0.36 mm (limit 0.3 mm)"
+    apart = placed(2, [(0.15, 0.1), (-0.15, -0.1)])["U1"]
+    assert apart.matrix is None
+    assert "disagree" in apart.refusal
+    lost = placed(2, [])["U1"]
+    assert lost.refusal == "L0, L1 was not found"
+
+
+def test_landmarks_move_with_the_components_that_are_placed() -> None:
+    plane = BoardPlane(board(1), True)
+    moved = placed_landmarks(plane, C, placed(1, [(0.1, -0.05)], noise_px=0.0))
+    assert apply(C, moved[0]) - apply(C, np.array([30.0, 20.0])) == pytest.approx([0.1, -0.05])
+    assert moved[1] == pytest.approx([50, 20])
+
+
+def test_fiducials_are_local_only_if_others_place_the_board() -> None:
+    two = board(2)
+    assert two.local_fiducials == {2, 3}
+    assert two.local_terms == '{"L0": ["U1"], "L1": ["U1"]}'
+    few = two.model_copy(update={"fiducials": two.fiducials[1:]})
+    assert few.local_fiducials == frozenset()
+    plain = board(0)
+    assert plain.local_terms == ""
+    assert two.filmed_digest() != plain.filmed_digest()

@@ -1,0 +1,144 @@
+"""Places of components by their local fiducials, in place of C.
+
+Artwork stretches and bends, so C puts a fine-pitch component hundredths of a millimetre from its pads. Local fiducials
+lie beside these pads. They have no part in C (`fiducial_assignment.LOCAL_MM`): what remains between their pictures and
+C is the displacement of their component.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from vaoi_station.geometry.transforms import Floats, apply
+from vaoi_station.stitching.adjustment.problem import AdjustmentResult, FiducialPoints
+from vaoi_station.stitching.board.board_plane import BoardPlane
+from vaoi_station.stitching.board.fiducial_assignment import LOCAL_MM
+from vaoi_station.stitching.board.footprints import landmarks
+
+LIMIT_MM = 0.3
+"""Largest displacement of a component that is accepted: artwork does not bend by more; a wrong mark may lie so far."""
+AGREEMENT_MM = 0.1
+"""Largest difference of one local fiducial from the others of its component."""
+_COMMON_PX = 0.004
+"""Error that all detections of a mark have in common (docs/measured/uncertainty.md)."""
+
+
+@dataclass(frozen=True, eq=False)
+class LocalPlace:
+    """The displacement of a component against C, as its local fiducials show it."""
+
+    fiducials: tuple[str, ...]
+    """Names of the local fiducials that were found."""
+    shift_mm: Floats
+    """(2,) displacement of the component's centre, tester coordinates."""
+    turn_rad: float
+    """Turn of the component; 0 with one fiducial."""
+    sigma_mm: float
+    """Standard deviation of the displacement, per axis."""
+    matrix: Floats | None
+    """C of this component (3, 3); None if the displacement is refused."""
+    refusal: str = ""
+    """Why it is refused."""
+
+
+def local_places(
+    plane: BoardPlane, adjusted: AdjustmentResult, points: FiducialPoints | None, cad_matrix: Floats
+) -> dict[str, LocalPlace]:
+    """Return the places of components that have local fiducials, by address.
+
+    Args:
+        plane: plane of the board type.
+        adjusted: solution of the adjustment.
+        points: fiducial points of that adjustment.
+        cad_matrix: C, (3, 3).
+    """
+    board = plane.board_type
+    if points is None:
+        return {}
+    measured = {n: _displacement(points, adjusted.fiducial_px, n) for n in sorted(board.local_fiducials)}
+    at = apply(cad_matrix, np.array([(f.x, f.y) for f in board.fiducials]).reshape(-1, 2))
+    wanted: dict[str, list[int]] = {}
+    for n in sorted(board.local_fiducials):
+        for address in board.fiducials[n].components or ():
+            wanted.setdefault(address, []).append(n)
+    out = {}
+    for component in board.components:
+        numbers = wanted.get(component.address)
+        if numbers is None:
+            continue
+        found = [n for n in numbers if measured[n] is not None]
+        names = tuple(board.fiducials[n].name for n in found)
+        if not found:
+            lost = ", ".join(board.fiducials[n].name for n in numbers)
+            out[component.address] = LocalPlace((), np.zeros(2), 0.0, 0.0, None, f"{lost} was not found")
+            continue
+        values = [value for n in found if (value := measured[n]) is not None]
+        shifts, sigmas = np.array([shift for shift, _ in values]), np.array([sigma for _, sigma in values])
+        out[component.address] = _placed(names, at[found], shifts, sigmas, cad_matrix, np.array(component.center))
+    return out
+
+
+def placed_landmarks(plane: BoardPlane, cad_matrix: Floats, places: Mapping[str, LocalPlace]) -> Floats:
+    """Return the `landmarks` (n, 2) of a board such that C puts each where it lies.
+
+    A component that its local fiducials displace is where C puts another point of the board.
+    """
+    names, cad = landmarks(plane)
+    moved, back = cad.copy(), np.linalg.inv(cad_matrix)
+    for n, name in enumerate(names):
+        place = places.get(name)
+        if place is not None and place.matrix is not None:
+            moved[n] = apply(back @ place.matrix, cad[n])
+    return moved
+
+
+def _displacement(points: FiducialPoints, residual_px: Floats, number: int) -> tuple[Floats, float] | None:
+    """Return the mean displacement (2,) of a fiducial against C, mm, and its standard deviation; None if not found."""
+    mine = points.which == number
+    if not mine.any():
+        return None
+    off = residual_px[mine] / points.px_per_mm[mine, None]
+    own = np.maximum(points.sigma_mm[mine] ** 2 - LOCAL_MM**2, 0.0).mean()
+    scatter = float(off.var(axis=0, ddof=1).mean()) if len(off) > 1 else 0.0
+    common = (_COMMON_PX / float(points.px_per_mm[mine].mean())) ** 2
+    return off.mean(0), float(np.sqrt(max(own, scatter) / len(off) + common))
+
+
+def _placed(
+    names: tuple[str, ...], at: Floats, shifts: Floats, sigmas: Floats, cad_matrix: Floats, center: Floats
+) -> LocalPlace:
+    """Fit a shift, and with several fiducials a turn, to the displacements of a component's fiducials.
+
+    Args:
+        names: the fiducials.
+        at: (k, 2) where C puts them, tester coordinates.
+        shifts: (k, 2) their displacements, mm.
+        sigmas: (k,) standard deviations.
+        cad_matrix: C.
+        center: (2,) centre of the component, CAD coordinates.
+    """
+    middle, shift = at.mean(0), shifts.mean(0)
+    arm = at - middle
+    spread, turn = float((arm**2).sum()), 0.0
+    if len(at) > 1:
+        turn = float((arm[:, 0] * shifts[:, 1] - arm[:, 1] * shifts[:, 0]).sum()) / spread
+    rest = shifts - shift - turn * np.column_stack([-arm[:, 1], arm[:, 0]])
+    matrix = np.eye(3)
+    c, s = np.cos(turn), np.sin(turn)
+    matrix[:2, :2] = ((c, -s), (s, c))
+    matrix[:2, 2] = middle + shift - matrix[:2, :2] @ middle
+    own = matrix @ cad_matrix
+    sigma = float(np.sqrt((sigmas**2).sum())) / len(at)
+    if len(at) > 1:
+        reach = float(np.hypot(*(apply(cad_matrix, center) - middle)))
+        sigma = float(np.hypot(sigma, float(np.sqrt((sigmas**2).mean() / spread)) * reach))
+    moved = apply(own, center) - apply(cad_matrix, center)
+    refusal = ""
+    if (off := float(np.hypot(*moved))) > LIMIT_MM:
+        refusal = f"{', '.join(names)} would displace it by {off:.2f} mm (limit {LIMIT_MM:g} mm)"
+    elif (apart := float(np.hypot(*rest.T).max())) > AGREEMENT_MM:
+        refusal = f"{', '.join(names)} disagree by {apart:.2f} mm (limit {AGREEMENT_MM:g} mm)"
+    return LocalPlace(names, moved, turn, sigma, None if refusal else own, refusal)
