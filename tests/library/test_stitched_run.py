@@ -175,7 +175,7 @@ def test_a_matrix_outside_the_run_is_refused(stitched: vaoi.StitchedRun, camera:
         stitched.image_matrix(camera, row)
 
 
-def test_local_fiducials_place_their_components(recording: vaoi.RecordedRun) -> None:
+def test_local_fiducials_place_their_components(recording: vaoi.RecordedRun, tmp_path: Path) -> None:
     """The data put a fiducial and the components beside it 0.18 mm (3 px) from where they are."""
     board = vaoi.read_board_type(recording.directory / "board.json")
     near = tuple(c.address for c in board.components if math.dist(c.center, (53.6, 35.6)) < 22)[:6]
@@ -186,7 +186,8 @@ def test_local_fiducials_place_their_components(recording: vaoi.RecordedRun) -> 
             part["center"] = [part["center"][0] + 0.15, part["center"][1] - 0.1]
         else:
             part |= {"x": part["x"] + 0.15, "y": part["y"] - 0.1, "kind": "local", "components": near}
-    changed = vaoi.BoardType.model_validate(document)
+    changed = tmp_path / "board.json"
+    changed.write_text(json.dumps(document))
     run = vaoi.open_recording(recording.directory, board_type=changed).stitch()
     assert run.status == vaoi.Status.OK, run.reasons
     assert set(run.result.local_matrices or ()) == set(near)
