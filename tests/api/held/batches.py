@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from tests.api.held.merged import HeldMerged
 from vaoi_station.errors import GoneError
+from vaoi_station.files.results import stitch_text
 from vaoi_station.rendering import ViewCalculator
 from vaoi_station.runs.batches.batch_job import BatchJob, CutPart
 from vaoi_station.runs.batches.batches import BatchAccess
@@ -40,7 +41,7 @@ class _Archive:
             cameras=cameras,
             stitch=stitch,
             result=stitch,
-            component_tables=stitch.quality,
+            text=stitch_text(stitch),
             head=SimpleNamespace(row_times_s=lambda: 0.1 * np.arange(ROWS)),
             view_calculator=ViewCalculator(board_type, stitch, cameras),
         )

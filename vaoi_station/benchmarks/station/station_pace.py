@@ -6,7 +6,7 @@ import math
 import os
 import statistics
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -31,7 +31,7 @@ from vaoi_station.station import Station
 
 PAUSE_S = 1.0
 """Pause between two boards at rate 1. At a higher rate the pause is divided by the rate."""
-READY_S = 120.0
+READY_S = 300.0
 """Time limit until the station is ready: processes start, workers compile and warm up."""
 RUN_LIMIT_S = 180.0
 """Time limit for one run to end; after it the benchmark does not wait for further runs."""
@@ -124,14 +124,14 @@ def measure_station_pace(
         folder: folder for the station's files, which are not deleted.
         ring: directory for the file of the ring.
     """
-    config, load = _config(run, rate, workers, folder, ring), os.getloadavg()[0]
+    config, load = pace_config(run, rate, workers, folder, ring), os.getloadavg()[0]
     playback = Playback(run, rate, PAUSE_S / rate)
     with run_frame_sender(run) as sender:
         launch = acquisition_launcher(config, ring_path(config), playback, sender.connection)
         with Station(config, launch) as station:
             coordinator = station.coordinator
             # Compilation and warm-up happen once per start of the station and would count as CPU time per frame.
-            _wait_until(coordinator, lambda: _all_ready(coordinator), READY_S)
+            wait_until_ready(coordinator, READY_S)
             pids = {"station": os.getpid(), "sender": sender.pid}
             pids |= {p.name: p.pid for p in coordinator.snapshot().processes if p.pid is not None}
             meter = CpuMeter(pids)
@@ -145,7 +145,7 @@ def measure_station_pace(
     return rate_figures(run.head, rate, each, StationUsage(load, missed, cpu, memory))
 
 
-def _config(run: PrerenderedRun, rate: float, workers: int, folder: Path, ring: Path) -> StationConfig:
+def pace_config(run: PrerenderedRun, rate: float, workers: int, folder: Path, ring: Path) -> StationConfig:
     """Return the configuration of a station with the run's array over a line that is `rate` times as fast."""
     head = run.head
     write_calibration(folder / "calibration.json", run.calibration)
@@ -186,10 +186,10 @@ def _all_ready(coordinator: StationCoordinator) -> bool:
     return snapshot.state == "idle" and not any(p.doing == "starting" for p in snapshot.processes)
 
 
-def _wait_until(coordinator: StationCoordinator, holds: Callable[[], bool], limit_s: float) -> None:
-    """Wait until the function `holds` returns True; raise StateError after `limit_s` seconds."""
+def wait_until_ready(coordinator: StationCoordinator, limit_s: float) -> None:
+    """Wait until all processes of the station are ready; raise StateError after `limit_s` seconds."""
     deadline, seen = time.monotonic() + limit_s, 0
-    while not holds():
+    while not _all_ready(coordinator):
         if time.monotonic() > deadline:
             raise StateError(f"The station was not ready within {limit_s:.0f} s: {coordinator.snapshot().reasons}.")
         # Workers become ready without an event, so the condition is also checked twice a second.

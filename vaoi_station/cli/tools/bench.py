@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -37,6 +38,9 @@ def bench(
     station: Annotated[
         bool, typer.Option("--station", help="Measure a whole station with boards in real time.")
     ] = False,
+    rest: Annotated[
+        bool, typer.Option("--rest", help="Measure callers of the REST interface while boards pass.")
+    ] = False,
     growth: Annotated[
         bool, typer.Option("--growth", help="Measure time and memory over the length of the board.")
     ] = False,
@@ -45,28 +49,32 @@ def bench(
         typer.Option(help="Measure what it costs to keep a run on the disk of this directory."),
     ] = None,
     scenario: Annotated[
-        str | None, typer.Option(help="With --station [paper] or --growth [small]: a shipped scenario, or a file.")
+        str | None,
+        typer.Option(help="With --station, --rest [paper] or --growth [small]: a shipped scenario, or a file."),
     ] = None,
     rates: Annotated[str, typer.Option(help="With --station: multiples of the scenario's own rate.")] = "1,2,4",
-    boards: Annotated[int, typer.Option(min=1, max=1000, help="With --station: number of boards at each rate.")] = 12,
-    workers: Annotated[int, typer.Option(min=1, max=64, help="With --station: number of worker processes.")] = 2,
+    boards: Annotated[int, typer.Option(min=1, max=1000, help="With --station: number of boards at each rate.")] = 6,
+    workers: Annotated[
+        int, typer.Option(min=1, max=64, help="With --station or --rest: number of worker processes.")
+    ] = 2,
     rows: Annotated[str, typer.Option(help="With --growth: numbers of rows of three cameras.")] = "4,10,33,100,333",
     films: Annotated[
         Path | None, typer.Option(help="Keep rendered boards in this directory for the next call [not kept].")
     ] = None,
-    ring: Annotated[Path, typer.Option(help="With --station: directory of the ring.")] = Path("/dev/shm"),  # noqa: S108  (as [ring] directory has it)
+    ring: Annotated[Path, typer.Option(help="With --station or --rest: directory of the ring.")] = Path("/dev/shm"),  # noqa: S108  (as [ring] directory has it)
 ) -> None:
     """Measure stitching and rendering on frames in memory, in one thread, and compare with the paper's method.
 
-    With --marks, --links, --codes, --consistency, --station, --growth or --storage, measure marks, links, printed
-    codes, the predicted uncertainty, a whole station, the growth of time and memory, or the cost of keeping runs.
+    With --marks, --links, --codes, --consistency, --station, --rest, --growth or --storage, measure marks, links,
+    printed codes, the predicted uncertainty, a whole station, its callers, the growth of time and memory, or the cost
+    of keeping runs.
     """
     from vaoi_station.files.documents import write_json
 
     numbered = [given is not None for given in (codes, consistency, storage)]
-    if marks + links + station + growth + sum(numbered) > 1:
+    if marks + links + station + rest + growth + sum(numbered) > 1:
         raise InputError(
-            "--marks, --links, --codes, --consistency, --station, --growth and --storage exclude each other.",
+            "--marks, --links, --codes, --consistency, --station, --rest, --growth and --storage exclude each other.",
             action="Give one of them.",
         )
     if plot is not None and not marks and not links and consistency is None:
@@ -81,6 +89,8 @@ def bench(
         document = _consistency(consistency, recordings, plot)
     elif station:
         document = _station(scenario or "paper", _numbers("--rates", rates), boards, workers, films, ring)
+    elif rest:
+        document = _rest(scenario or "paper", workers, films, ring)
     elif growth:
         document = _growth(scenario or "small", tuple(int(n) for n in _numbers("--rows", rows)), films)
     elif storage is not None:
@@ -177,7 +187,7 @@ def _station(
     scenario: str, rates: tuple[float, ...], boards: int, workers: int, films: Path | None, ring: Path
 ) -> dict[str, Any]:
     from vaoi_station.benchmarks.station.prerendered_run import prerender
-    from vaoi_station.benchmarks.station.station_pace import measure_station_pace
+    from vaoi_station.benchmarks.station.station_pace import PAUSE_S, measure_station_pace
     from vaoi_station.benchmarks.station.tables import process_table, station_table
     from vaoi_station.demo.temporary_folder import temporary_folder
     from vaoi_station.simulation import read_scenario
@@ -188,11 +198,28 @@ def _station(
         board = prerender(read_scenario(_path(scenario)), (films or temporary) / Path(scenario).stem, typer.echo)
         figures = []
         for rate in rates:
-            typer.echo(f"{boards} boards at {rate:g} times the scenario's rate.")
+            passing_s = board.head.rows * board.head.trigger_period_s + PAUSE_S
+            about_s = math.ceil(boards * passing_s / rate)
+            typer.echo(f"{boards} boards at {rate:g} times the scenario's rate: about {about_s} s.")
             folder = temporary / f"station-{rate:g}"
             figures.append(measure_station_pace(board, rate, boards, workers, folder, ring))
     typer.echo("\n" + station_table(figures) + "\n\n" + process_table(figures))
     return {"scenario": scenario, "workers": workers, "rates": [f.document() for f in figures]}
+
+
+def _rest(scenario: str, workers: int, films: Path | None, ring: Path) -> dict[str, Any]:
+    from vaoi_station.benchmarks.station.prerendered_run import prerender
+    from vaoi_station.benchmarks.station.rest_pace import measure_rest
+    from vaoi_station.demo.temporary_folder import temporary_folder
+    from vaoi_station.simulation import read_scenario
+
+    with temporary_folder("bench") as temporary:
+        board = prerender(read_scenario(_path(scenario)), (films or temporary) / Path(scenario).stem, typer.echo)
+        typer.echo("Three boards pass, then all pictures of a run are read in one request, four times.")
+        figures = measure_rest(board, workers, temporary / "rest", ring)
+    for line in figures.lines():
+        typer.echo(line)
+    return {"scenario": scenario, "workers": workers, **figures.document()}
 
 
 def _growth(scenario: str, rows: tuple[int, ...], films: Path | None) -> dict[str, Any]:

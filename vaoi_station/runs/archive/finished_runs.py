@@ -15,10 +15,9 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future, wait
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 from vaoi_station.errors import DeviceError, GoneError, NotFoundError, StateError, VaoiError
-from vaoi_station.files.results import component_tables, without_components
+from vaoi_station.files.results import without_components
 from vaoi_station.geometry import Camera
 from vaoi_station.model import BoardType, Calibration, RecordingHead, Stitch
 from vaoi_station.rendering import ViewCalculator
@@ -64,11 +63,6 @@ class FinishedRun:
     def result(self) -> Stitch:
         """The complete result. Raises `NotFoundError` if the run ended without a result."""
         return Stitch.model_validate_json(self.text)
-
-    @cached_property
-    def component_tables(self) -> dict[str, dict[str, Any]]:
-        """The quality's tables of components. Raises `NotFoundError` if the run ended without a result."""
-        return component_tables(self.text)
 
     @property
     def text(self) -> str:

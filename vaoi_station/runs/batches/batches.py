@@ -18,6 +18,7 @@ import numpy as np
 from pydantic_core import to_json
 
 from vaoi_station.errors import GoneError, InputError, NotFoundError, VaoiError
+from vaoi_station.files.results import component_tables
 from vaoi_station.hdr.encoding import MergedFormat
 from vaoi_station.model import Component
 from vaoi_station.rendering import choose_images
@@ -148,7 +149,7 @@ class BatchAccess:
             choose_images(
                 calculator, part, (finished.board_type, result), (slots, facts), request.images, lambda _: None
             )
-        quality = finished.component_tables
+        quality = component_tables(finished.text)
         if on_top:
             quality = quality | {key: result.quality[key] for key in ("heights_mm", "height_sigma_mm")}
         detail = finished.detail

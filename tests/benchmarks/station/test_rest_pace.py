@@ -1,0 +1,47 @@
+"""Figures of callers of the REST interface: their computation, and one small station that serves them."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import pytest
+
+from vaoi_station.benchmarks.station.prerendered_run import PrerenderedRun
+from vaoi_station.benchmarks.station.rest_pace import RestFigures, measure_rest, picture_times
+
+
+def test_percentiles_are_measured_values() -> None:
+    times = picture_times([*range(1, 201), 1000])
+    assert (times.count, times.p50_ms, times.p99_ms, times.max_ms) == (201, 101, 199, 1000)
+
+
+def test_no_picture_has_no_time() -> None:
+    assert math.isnan(picture_times([]).p99_ms)
+
+
+@pytest.fixture(scope="module")
+def figures(small_run: PrerenderedRun, tmp_path_factory: pytest.TempPathFactory) -> RestFigures:
+    folder = tmp_path_factory.mktemp("rest")
+    return measure_rest(small_run, 2, folder, folder)
+
+
+def test_pictures_are_fetched_while_boards_are_filmed(figures: RestFigures) -> None:
+    assert figures.picture.count > 0
+    assert 0 < figures.picture.p50_ms <= figures.picture.p99_ms <= figures.picture.max_ms
+    assert all(0 < ms < math.inf for ms in figures.ready_ms.values())
+    assert len(figures.ready_ms) == 3
+
+
+def test_all_pictures_of_a_run_are_read_four_times(figures: RestFigures) -> None:
+    raw, again, jpeg, _ = figures.batches
+    assert all(batch.complete for batch in figures.batches)
+    assert raw.mbytes == again.mbytes > jpeg.mbytes
+    assert raw.memory_mb.keys() == figures.memory_before_mb.keys() == {"station", "acquisition", "worker 0", "worker 1"}
+
+
+def test_figures_fit_into_json_and_lines(figures: RestFigures) -> None:
+    json.dumps(figures.document(), allow_nan=False)
+    assert [line.split()[0] for line in figures.lines()] == [
+        "component", "large", *["matrices"] * 3, *["batch"] * 4, "load",
+    ]  # fmt: skip

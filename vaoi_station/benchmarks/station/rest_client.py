@@ -1,0 +1,124 @@
+"""Callers of the REST interface in a process of their own, as tester software is: pictures one by one, or a batch."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import multiprocessing
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from http.client import HTTPConnection, HTTPException
+from multiprocessing.connection import Connection
+from multiprocessing.synchronize import Event
+from typing import Any, NamedTuple
+
+from vaoi_station.errors import DeviceError
+
+REPLY_LIMIT_S = 60.0
+"""Longest wait for bytes of a reply."""
+_TAIL = 2000
+_READ = 1 << 20
+
+
+class Fetched(NamedTuple):
+    """One picture that a caller received."""
+
+    sent_s: float
+    """Time of the request by time.monotonic(), which all processes share."""
+    ms: float
+    """Time from the request to the last byte of the reply."""
+
+
+class ReadBatch(NamedTuple):
+    """One batch of pictures that was read to its end."""
+
+    first_byte_ms: float
+    total_s: float
+    mbytes: float
+    complete: bool
+
+
+@contextlib.contextmanager
+def callers(port: int, paths: Sequence[str], count: int) -> Iterator[list[Fetched]]:
+    """Let callers fetch pictures again and again inside a `with` block, each over one connection that is kept.
+
+    Args:
+        port: port of the station on this machine.
+        paths: addresses of the pictures; every caller begins with another one.
+        count: number of callers, as threads of one process.
+
+    The list that is yielded is filled at the end of the block. Raises DeviceError if a request was refused.
+    """
+    spawn = multiprocessing.get_context("spawn")
+    here, there = spawn.Pipe(duplex=False)
+    stop, found = spawn.Event(), list[Fetched]()
+    process = spawn.Process(
+        target=_fetch, args=(port, paths, count, stop, there), name="vaoi-bench-caller", daemon=True
+    )
+    process.start()
+    there.close()
+    try:
+        here.recv()  # the process has loaded
+        yield found
+    finally:
+        stop.set()
+        with contextlib.suppress(EOFError):
+            reply = here.recv()
+        process.join()
+    if isinstance(reply, str):
+        raise DeviceError(f"A caller of the benchmark was refused: {reply}")
+    found.extend(Fetched(*fetched) for fetched in reply)
+
+
+def read_batch(port: int, path: str) -> ReadBatch:
+    """Read a batch of pictures in a new process, and forget its bytes."""
+    spawn = multiprocessing.get_context("spawn")
+    with spawn.Pool(1) as pool:
+        return ReadBatch(*pool.apply(_read, (port, path)))
+
+
+def _fetch(port: int, paths: Sequence[str], count: int, stop: Event, reply: Connection[Any, Any]) -> None:
+    found, refused = list[tuple[float, float]](), list[str]()
+
+    def call(first: int) -> None:
+        connection = HTTPConnection("127.0.0.1", port, timeout=REPLY_LIMIT_S)
+        for path in itertools.islice(itertools.cycle(paths), first, None):
+            if stop.is_set() or refused:
+                break
+            began_s = time.monotonic()
+            try:
+                connection.request("GET", path)
+                answer = connection.getresponse()
+                content = answer.read()
+            except (OSError, HTTPException) as error:
+                refused.append(f"{path}: {error!r}")
+                break
+            if answer.status != 200:
+                refused.append(f"{path}: {content[:200]!r}")
+                break
+            found.append((began_s, (time.monotonic() - began_s) * 1e3))
+        connection.close()
+
+    reply.send(None)
+    threads = [threading.Thread(target=call, args=(len(paths) * k // count,)) for k in range(count)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    reply.send(refused[0] if refused else found)
+
+
+def _read(port: int, path: str) -> tuple[float, float, float, bool]:
+    connection = HTTPConnection("127.0.0.1", port, timeout=REPLY_LIMIT_S)
+    memory, size, tail, first_s = memoryview(bytearray(_READ)), 0, b"", 0.0
+    began_s = time.monotonic()
+    connection.request("GET", path)
+    answer = connection.getresponse()
+    while count := answer.readinto(memory):
+        first_s = first_s or time.monotonic()
+        size += count
+        tail = (tail + bytes(memory[:count]))[-_TAIL:]
+    ended_s = time.monotonic()
+    connection.close()
+    return (first_s - began_s) * 1e3, ended_s - began_s, size / 1e6, b'"complete":true' in tail

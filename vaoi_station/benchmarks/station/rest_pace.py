@@ -1,0 +1,213 @@
+"""Measure what callers of the REST interface wait, and what they cost the next board."""
+
+from __future__ import annotations
+
+import math
+import os
+import statistics
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+from vaoi_station.acquisition.ring.ring import ring_path
+from vaoi_station.api import create_app
+from vaoi_station.api.web_server import WebServer, open_listener
+from vaoi_station.benchmarks.figure_formats import json_document
+from vaoi_station.benchmarks.station.frame_sender import run_frame_sender
+from vaoi_station.benchmarks.station.prerendered_run import PrerenderedRun
+from vaoi_station.benchmarks.station.process_usage import private_memory_bytes
+from vaoi_station.benchmarks.station.rest_client import ReadBatch, callers, read_batch
+from vaoi_station.benchmarks.station.sender_devices import Playback, acquisition_launcher
+from vaoi_station.benchmarks.station.station_pace import PAUSE_S, READY_S, RUN_LIMIT_S, pace_config, wait_until_ready
+from vaoi_station.errors import StateError
+from vaoi_station.runs.control.coordinator import StationCoordinator
+from vaoi_station.runs.states.schemas import RunDetail
+from vaoi_station.station import Station
+
+LARGE_CALLERS, LARGE_PX_PER_MM = 8, 277
+"""Callers of large pictures, and their resolution."""
+_LARGEST_PX = 16_000_000
+_BATCHES = ("format=raw", "format=raw", "format=jpeg", "format=jpeg")
+_HOLDER = "vaoi bench"
+
+
+@dataclass(frozen=True)
+class PictureTimes:
+    """Times from the request of a picture to its last byte, while a board was filmed."""
+
+    count: int
+    p50_ms: float
+    p99_ms: float
+    max_ms: float
+
+
+@dataclass(frozen=True)
+class BatchTimes:
+    """All pictures of a run in one request."""
+
+    query: str
+    first_byte_ms: float
+    total_s: float
+    mbytes: float
+    complete: bool
+    memory_mb: dict[str, float]
+    """Private memory of each process of the station afterwards."""
+
+
+@dataclass(frozen=True)
+class RestFigures:
+    """What callers of the REST interface wait, and what they cost the next board. Times are wall time."""
+
+    components: int
+    picture: PictureTimes
+    """Single pictures of components of the board before, one after another over one connection."""
+    large: PictureTimes
+    """Large pictures of `LARGE_CALLERS` callers."""
+    ready_ms: dict[str, float]
+    """Time from the last frame to the matrices: of a board alone, one with a caller of pictures, one with callers of
+    large pictures."""
+    batches: tuple[BatchTimes, ...]
+    memory_before_mb: dict[str, float]
+    """Private memory of each process of the station before the batches."""
+    load_before: float
+
+    def document(self) -> dict[str, Any]:
+        """Return all figures of the benchmark as a dictionary for JSON."""
+        document: dict[str, Any] = json_document(asdict(self))
+        return document
+
+    def lines(self) -> list[str]:
+        """Return the figures as lines of text."""
+        shown = [
+            f"{name:20s} p50 {t.p50_ms:.1f} ms, p99 {t.p99_ms:.1f} ms, max {t.max_ms:.1f} ms of {t.count}"
+            for name, t in (("component pictures", self.picture), ("large pictures", self.large))
+        ]
+        shown += [f"matrices {name:26s} {ms:.0f} ms after the last frame" for name, ms in self.ready_ms.items()]
+        for b in self.batches:
+            size = f"{b.mbytes:.1f} MB in {b.total_s:.2f} s{'' if b.complete else ', incomplete'}"
+            memory = f"station {b.memory_mb['station']:.0f} MB"
+            shown.append(f"batch {b.query:14s} first byte {b.first_byte_ms:.0f} ms, {size}, {memory}")
+        return [*shown, f"load before {self.load_before:.1f}"]
+
+
+def measure_rest(run: PrerenderedRun, workers: int, folder: Path, ring: Path) -> RestFigures:
+    """Run a station with its REST service and callers in other processes, and measure them.
+
+    Args:
+        run: the board, its array and its line.
+        workers: number of worker processes.
+        folder: folder for the station's files, which are not deleted.
+        ring: directory for the file of the ring.
+    """
+    config, load = pace_config(run, 1.0, workers, folder, ring), os.getloadavg()[0]
+    playback = Playback(run, 1.0, PAUSE_S)
+    with run_frame_sender(run) as sender:
+        launch = acquisition_launcher(config, ring_path(config), playback, sender.connection)
+        with Station(config, launch) as station, open_listener("127.0.0.1", 0, "vaoi bench") as listener:
+            wait_until_ready(station.coordinator, READY_S)
+            server = WebServer(create_app(station.coordinator), listener, lambda: None)
+            server.start()
+            try:
+                return _measured(station.coordinator, run, listener.getsockname()[1], load)
+            finally:
+                server.stop()
+
+
+def _measured(coordinator: StationCoordinator, run: PrerenderedRun, port: int, load: float) -> RestFigures:
+    parts = run.board_type.components
+    coordinator.arm(run.board_type.name, runs=1)
+    first = _next_run(coordinator, None)
+    coordinator.hold(first.id, _HOLDER, "measures callers")
+    base = f"/api/v1/runs/{first.id}"
+    pictures = [
+        f"{base}/components/{quote(c.address)}/images/0" for c in parts if c.address in _shown(coordinator, first)
+    ]
+    mm = run.board_type.mm_per_unit
+    sizes = {c.address: c.width * c.height * (mm * LARGE_PX_PER_MM) ** 2 for c in parts}
+    large = sorted((a for a, px in sizes.items() if px * 1.1 < _LARGEST_PX), key=lambda a: -sizes[a])[:LARGE_CALLERS]
+    crops = [f"{base}/components/{quote(a)}/images/0?px_per_mm={LARGE_PX_PER_MM}" for a in large]
+    second, single = _with_callers(coordinator, first, port, pictures, 1)
+    third, several = _with_callers(coordinator, second, port, crops, LARGE_CALLERS)
+    pids = {"station": os.getpid()} | {p.name: p.pid for p in coordinator.snapshot().processes if p.pid is not None}
+    before = _memory_mb(pids)
+    batches = []
+    for query in _BATCHES:
+        found = read_batch(port, f"{base}/images?container=tar&{query}")
+        batches.append(BatchTimes(query, *_rounded(found), found.complete, _memory_mb(pids)))
+    return RestFigures(
+        components=len(parts),
+        picture=single,
+        large=several,
+        ready_ms={
+            "alone": _ready_ms(first),
+            "with pictures": _ready_ms(second),
+            "with large pictures": _ready_ms(third),
+        },
+        batches=tuple(batches),
+        memory_before_mb=before,
+        load_before=round(load, 2),
+    )
+
+
+def _with_callers(
+    coordinator: StationCoordinator, before: RunDetail, port: int, paths: Sequence[str], count: int
+) -> tuple[RunDetail, PictureTimes]:
+    """Let callers fetch pictures while the next board passes; return its run, and their times while it was filmed."""
+    filming, seen = list[float](), coordinator.snapshot().last_event
+
+    def watch() -> None:
+        last = seen
+        while len(filming) < 2:
+            records = coordinator.events(last, 1.0)
+            last = records[-1].number if records else last
+            filming.extend(time.monotonic() for r in records if r.kind == "run" and r.state in ("filming", "stitching"))
+
+    watching = threading.Thread(target=watch, daemon=True)
+    watching.start()
+    with callers(port, paths, count) as fetched:
+        # Armed only now: the process of the callers may take longer to load than a board takes to pass.
+        coordinator.arm(before.board_type, runs=1)
+        found = _next_run(coordinator, before.id)
+    watching.join()
+    return found, picture_times([f.ms for f in fetched if filming[0] <= f.sent_s <= filming[1]])
+
+
+def picture_times(times_ms: Sequence[float]) -> PictureTimes:
+    """Return the percentiles of times; NaN if there is none."""
+    if not times_ms:
+        return PictureTimes(0, math.nan, math.nan, math.nan)
+    ordered = sorted(times_ms)
+    # The nearest rank, a measured value and not one interpolated between two pictures.
+    p99 = ordered[math.ceil(0.99 * (len(ordered) - 1))]
+    return PictureTimes(len(ordered), *(round(ms, 2) for ms in (statistics.median(ordered), p99, ordered[-1])))
+
+
+def _next_run(coordinator: StationCoordinator, after: str | None) -> RunDetail:
+    deadline = time.monotonic() + RUN_LIMIT_S
+    while time.monotonic() < deadline:
+        found = coordinator.latest() if after is None else coordinator.next_run(after, 1.0)
+        if found is not None:
+            return found
+        coordinator.events(coordinator.snapshot().last_event, 1.0)
+    raise StateError(f"No run ended within {RUN_LIMIT_S:.0f} s.", action="See the log.")
+
+
+def _shown(coordinator: StationCoordinator, run: RunDetail) -> frozenset[str]:
+    return frozenset(c.address for c in coordinator.components(run.id) if c.views)
+
+
+def _ready_ms(run: RunDetail) -> float:
+    ready_ms = None if run.timings is None else run.timings.ready_after_last_frame_ms
+    return math.inf if ready_ms is None else round(float(ready_ms), 1)
+
+
+def _memory_mb(pids: dict[str, int]) -> dict[str, float]:
+    return {name: round(private_memory_bytes(pid) / 1e6, 1) for name, pid in pids.items()}
+
+
+def _rounded(batch: ReadBatch) -> tuple[float, float, float]:
+    return round(batch.first_byte_ms, 1), round(batch.total_s, 3), round(batch.mbytes, 1)
