@@ -26,6 +26,7 @@ from vaoi_station.runs.archive.run_statistics import RunFigures
 from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.runs.run.order import Passing
 from vaoi_station.runs.states.calibration_schemas import CalibrationStatus, CameraCalibration, CameraDrift, CameraMoment
+from vaoi_station.runs.states.run_ids import utc
 from vaoi_station.runs.states.schemas import (
     ArmedWith,
     BeltSpeed,
@@ -72,7 +73,7 @@ class HeldStation(StationCoordinator):
         self._news = threading.Condition()
         self.state = StationState.IDLE
         self.armed: ArmedWith | None = None
-        self.reasons, self.warnings = tuple[Reason, ...](), tuple[Reason, ...]()
+        self.reasons, self.warnings, self.held_back = [tuple[Reason, ...]()] * 3
         self.lost: tuple[int, ...] = ()
         self.next_try: str | None = None
         self.types = HeldTypes({"demo-board": BoardType.model_validate(BOARD)})
@@ -134,7 +135,7 @@ class HeldStation(StationCoordinator):
         update = {
             "state": state,
             "verdict": verdict,
-            "finished": NOW,
+            "finished": utc(),
             "belt": belt,
             "timings": timings,
             "reasons": reasons,
@@ -151,7 +152,6 @@ class HeldStation(StationCoordinator):
             self.closed = True
             self._news.notify_all()
 
-    # what callers ask of it
     faults = staticmethod(tuple)
 
     def snapshot(self) -> StationSnapshot:
@@ -168,7 +168,8 @@ class HeldStation(StationCoordinator):
             name="test", state=self.state, since=NOW, reasons=self.reasons,
             warnings=self.warnings, set_aside=self.storage.set_aside(),
             armed_with=self.armed, cameras=tuple(camera), all_cameras_ready=not self.lost,
-            line_ready=self.state == "armed" and not self.lost, controller="ok",
+            line_held=self.held_back, controller="ok",
+            line_ready=self.state == "armed" and not self.lost and not self.held_back,
             processes=(acquisition, worker), ring=ring, versions=VERSIONS,
             retention=Retention(runs_in_memory=3, lease_s=600, frames="a while", results="always", events="always"),
             last_run=done[-1].id if done else None, filming=None, last_event=len(self.log), boards_missed=0,

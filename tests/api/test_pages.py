@@ -51,10 +51,15 @@ def test_pages_are_not_in_the_openapi_document(client: Any) -> None:
 
 def test_the_page_has_an_order_for_every_reason(client: Any) -> None:
     """An operator cannot act on a sentence about fiducials or overlaps alone."""
-    texts = client.get("/web/texts.en.js").text
-    orders, codes = (re.search(rf"  {name}: {{\n(.*?)\n  }},", texts, re.DOTALL) for name in ("orders", "orderOf"))
-    assert orders
-    assert codes
-    pairs = re.findall(r'"([a-z-]+)": "([a-z]+)"', codes[1])
-    assert sorted(code for code, _ in pairs) == sorted(code.value for code in ReasonCode)
-    assert {name for _, name in pairs} == set(re.findall(r"^    ([a-z]+): ", orders[1], re.MULTILINE))
+    groups = re.search(r"const BOARD_GROUPS = {\n(.*?)\n};", client.get("/web/parts/orders.js").text, re.DOTALL)
+    assert groups
+    named = re.findall(r'"([a-z-]+)"', groups[1])
+    assert len(named) == len(set(named))
+    assert {code.value for code in ReasonCode} <= set(named)
+    for language in ("en", "de"):
+        texts = client.get(f"/web/texts/{language}.js").text
+        orders = re.search(r"  boardOrders: {\n(.*?)\n  }},?".replace("}}", "}"), texts, re.DOTALL)
+        assert orders
+        assert set(re.findall(r"^    ([a-z]+): ", orders[1], re.MULTILINE)) == set(
+            re.findall(r"^  ([a-z]+): \[", groups[1], re.MULTILINE)
+        )

@@ -1,38 +1,75 @@
-// The operator's page: state, instruction, last board and its pictures, updated by events.
-import * as rest from "./rest.js";
-import { Board } from "./board.js";
-import { Controls } from "./controls.js";
-import { Live } from "./live.js";
-import { loggedIn } from "./login.js";
-import { draw } from "./marks.js";
-import { texts } from "./texts.en.js";
+// The frame of all pages: which view is shown, the station's state, and whether it is out of date.
+import { BoardView } from "./boards/board.js";
+import { BoardsView } from "./boards/boards.js";
+import { LineView } from "./line/line.js";
+import { $, setText } from "./parts/elements.js";
+import { Live } from "./parts/live.js";
+import { loggedIn } from "./parts/login.js";
+import * as rest from "./parts/rest.js";
+import * as sound from "./parts/sound.js";
+import { changeLanguage, fillIn, language, texts } from "./texts/texts.js";
 
-const $ = (id) => document.getElementById(id);
-const SOON_MS = 5000; // attempts that are due sooner are not shown
-const TONES = { blocked: "caution", lacking: "caution", held: "caution", faulted: "fault" };
-const OWN_ORDER = { blocked: 1, lacking: 1, held: 1, filming: 1 }; // whatever the reason, first of all hold the board or let it pass
+const EARLIER_EVENTS = 200; // so that boards that were missed before the page was opened are shown
 
-for (const element of document.querySelectorAll("[data-text]")) element.textContent = texts[element.dataset.text];
+document.documentElement.lang = language;
+fillIn(document);
+$("language").addEventListener("click", changeLanguage);
+$("sound").addEventListener("click", () => {
+  sound.switchTo(!sound.isOn());
+  showSound();
+});
 
-const board = new Board();
-const controls = new Controls(refresh);
-let shown = null;
+function showSound() {
+  setText($("sound"), sound.isOn() ? texts.soundOn : texts.soundOff);
+  $("sound").setAttribute("aria-pressed", sound.isOn());
+}
+
+// What every view may use: the newest state, the station's clock, and whether both are out of date.
+export const station = {
+  now: null,
+  stale: false,
+  offset_ms: 0,
+  time_ms: () => Date.now() + station.offset_ms,
+};
+
+const VIEWS = [
+  [/^#?\/?$/, () => new LineView(station, refresh)],
+  [/^#\/boards(?:\?(.*))?$/, (query) => new BoardsView(station, query ?? "")],
+  [/^#\/board\/([^/?]+)(?:\?(.*))?$/, (run, query) => new BoardView(station, run, query ?? "")],
+];
+let view = null;
 let asking = false;
 let again = false;
-let stale = false;
-let asked = 0;
 
 const live = new Live({
   onEvent: (record) => {
-    if (record?.kind === "board-type") controls.reload();
+    if (record) view?.onEvent?.(record);
     refresh();
   },
   onHeartbeat: (heartbeat) => {
-    board.setClock(heartbeat.time);
-    if (heartbeat.state !== shown?.state || heartbeat.last_event !== shown?.last_event) refresh();
+    station.offset_ms = Date.parse(heartbeat.time) - Date.now();
+    if (heartbeat.state !== station.now?.state || heartbeat.last_event !== station.now?.last_event) refresh();
   },
   onAge: showAge,
 });
+
+function route() {
+  view?.close?.();
+  const [pattern, open] = VIEWS.find(([form]) => form.test(location.hash)) ?? VIEWS[0];
+  view = open(...(pattern.exec(location.hash) ?? []).slice(1));
+  for (const link of document.querySelectorAll("nav a[href^='#']")) {
+    const here = link.getAttribute("href") === "#/" ? view instanceof LineView : !(view instanceof LineView);
+    if (here) link.setAttribute("aria-current", "page");
+    else link.removeAttribute("aria-current");
+  }
+  document.body.className = document.body.classList.contains("waiting") ? "waiting" : "";
+  document.body.classList.toggle("stale", station.stale);
+  $("view").replaceChildren(view.root);
+  $("view").className = view.name;
+  fillIn(view.root);
+  view.open?.();
+  if (station.now) view.show(station.now);
+}
 
 // One request at a time, and one more if an event came meanwhile.
 async function refresh() {
@@ -44,10 +81,10 @@ async function refresh() {
   try {
     do {
       again = false;
-      const now = await rest.station();
-      showStation(now);
-      if (now.last_run) await board.show(now.last_run);
-      else board.showNone();
+      station.now = await rest.station();
+      setText($("name"), station.now.name);
+      document.body.classList.remove("waiting");
+      await view.show(station.now);
     } while (again);
   } catch (error) {
     if (!(error instanceof rest.Refusal) && !(error instanceof TypeError)) throw error;
@@ -57,80 +94,29 @@ async function refresh() {
   }
 }
 
-function showStation(now) {
-  shown = now;
-  const held = now.all_cameras_ready ? "held" : "lacking";
-  const state = now.state === "armed" && !now.line_ready ? held : now.state;
-  const known = state in texts.states ? state : "unknown";
-  const [word, sentence] = texts.states[known];
-  const [first] = now.reasons;
-  document.title = `${word} – ${now.name}`;
-  document.body.classList.remove("waiting", "caution", "fault");
-  if (TONES[known]) document.body.classList.add(TONES[known]);
-  draw($("state-shape"), known);
-  setText($("state-word"), word);
-  setText($("what-to-do"), (!(known in OWN_ORDER) && first?.action) || sentence);
-  setText($("armed-with"), now.armed_with ? texts.armedWith(now.armed_with) : "");
-  const causes = known === "held" ? now.line_held : now.reasons;
-  const reasons = causes.map((r) => (known in OWN_ORDER ? `${r.message} ${r.action}` : r.message));
-  showLines($("reasons"), [...reasons, ...nextTries(now)]);
-  showLines($("warnings"), now.warnings.map((w) => `${w.message} ${w.action}`));
-  $("warnings").hidden = now.warnings.length === 0;
-  controls.showSetAside(now.set_aside ?? []);
-  setText($("name"), now.name);
-  setText($("version"), `VAOI station ${now.versions.station}`);
-  controls.show(now);
-}
-
-// Pending retries. No event may come before a retry, so the page requests the state again after it.
-function nextTries(now) {
-  const cameras = now.cameras.map((c) => ({ name: texts.camera(c.name), next_try: c.next_try }));
-  const far = [...now.processes, ...cameras].filter((p) => p.next_try && board.until(p.next_try) > SOON_MS);
-  clearTimeout(asked);
-  if (far.length) asked = setTimeout(refresh, Math.min(...far.map((p) => board.until(p.next_try))) + SOON_MS);
-  return far.map((p) => texts.nextTry(p.name, new Date(p.next_try).toLocaleTimeString()));
-}
-
-function showLines(list, lines) {
-  if (lines.join("\n") === list.dataset.shown) return;
-  list.dataset.shown = lines.join("\n");
-  list.replaceChildren(...lines.map((line) => Object.assign(document.createElement("li"), { textContent: line })));
-}
-
 function showAge(old, seconds) {
-  const banner = $("stale");
+  const was = station.stale;
+  station.stale = old;
   document.body.classList.toggle("stale", old);
-  banner.hidden = !old;
-  if (old) {
-    setText($("stale-age"), texts.noData(seconds));
-    setText($("stale-text"), shown ? texts.old : texts.connecting);
-    if (!stale) draw($("state-shape"), "unknown");
-    setText($("state-word"), texts.states.unknown[0]);
-    setText($("what-to-do"), "");
-  } else {
-    setText($("stale-text"), "");
-  }
-  if (stale && !old) refresh();
-  stale = old;
-  controls.enable(!old);
-  board.tick();
-}
-
-// Screen readers announce a live region whenever its text is set, so it is set only when it changes.
-function setText(element, text) {
-  if (element.textContent !== text) element.textContent = text;
+  $("stale").hidden = !old;
+  setText($("stale-age"), old ? texts.noData(seconds) : "");
+  setText($("stale-text"), old ? texts.old : "");
+  if (was && !old) refresh();
+  if (was !== old) view?.onAge?.(old);
+  view?.tick?.();
 }
 
 async function start() {
+  showSound();
   await loggedIn(live);
+  window.addEventListener("hashchange", route);
+  route();
   try {
-    const now = await rest.station();
-    showStation(now);
-    live.open(now.last_event);
+    station.now = await rest.station();
+    live.open(Math.max(station.now.last_event - EARLIER_EVENTS, 0));
   } catch {
     live.open(0); // the stream reconnects after any failure, and the page then requests the state again
   }
-  await controls.reload();
   await refresh();
 }
 

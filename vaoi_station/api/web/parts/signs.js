@@ -23,6 +23,7 @@ const marks = {
   degraded: triangle,
   failed: octagon,
   none: dashed,
+  missed: `<path d="M14 30h72v52H14Z" ${line} stroke-dasharray="14 14"/><path d="M30 44 70 70M70 44 30 70" ${line}/>`,
 };
 
 export function draw(svg, name) {

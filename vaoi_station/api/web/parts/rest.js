@@ -31,9 +31,14 @@ const part = (address) => address.split("/").map(encodeURIComponent).join("/");
 
 export const station = () => call("GET", "/station");
 export const boardTypes = async () => (await call("GET", "/board-types")).board_types;
+export const runs = (query) => call("GET", `/runs?${new URLSearchParams(query)}`);
+export const counts = () => call("GET", "/runs/counts");
+export const decide = (id, decision) => call("PUT", `/runs/${encodeURIComponent(id)}/decision`, decision);
+export const mosaics = async (id) => (await call("GET", `/runs/${encodeURIComponent(id)}/mosaics`)).mosaics;
 export const run = (id) => call("GET", `/runs/${encodeURIComponent(id)}`);
 export const components = async (id) => (await call("GET", `/runs/${encodeURIComponent(id)}/components`)).components;
-export const component = (id, ref) => call("GET", `/runs/${encodeURIComponent(id)}/components/${part(ref)}`);
+export const component = (id, ref, query = {}) =>
+  call("GET", `/runs/${encodeURIComponent(id)}/components/${part(ref)}?${new URLSearchParams(query)}`);
 export const arm = (request) => call("POST", "/station/arm", request);
 export const disarm = () => call("POST", "/station/disarm");
 export const acknowledge = (file) => call("POST", `/station/set-aside/${part(file)}/acknowledge`);

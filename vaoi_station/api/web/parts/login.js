@@ -1,14 +1,9 @@
 // Log the page in with a key, once. The station keeps the login as a cookie that scripts cannot read.
 import * as rest from "./rest.js";
-import { texts } from "./texts.en.js";
+import { make } from "./elements.js";
+import { texts } from "../texts/texts.js";
 
 // The elements are made only where they are needed: a page on the station's own machine has no login.
-function make(name, fields, ...children) {
-  const element = Object.assign(document.createElement(name), fields);
-  element.append(...children);
-  return element;
-}
-
 function offerLogOut() {
   const link = make("a", { href: "#", id: "log-out", textContent: texts.logOut });
   link.addEventListener("click", async (event) => {

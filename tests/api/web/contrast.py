@@ -1,0 +1,22 @@
+"""Contrast of texts on a page (WCAG 2)."""
+
+from __future__ import annotations
+
+from playwright.sync_api import Locator
+
+
+def contrast(element: Locator) -> float:
+    """Contrast ratio of an element's text and background (WCAG 2)."""
+    ink, ground = element.evaluate("""e => {
+        const ink = getComputedStyle(e).color;
+        while (e && getComputedStyle(e).backgroundColor === "rgba(0, 0, 0, 0)") e = e.parentElement;
+        return [ink, e ? getComputedStyle(e).backgroundColor : "rgb(255, 255, 255)"];
+    }""")
+    lighter, darker = sorted((luminance(ink), luminance(ground)), reverse=True)
+    return (lighter + 0.05) / (darker + 0.05)
+
+
+def luminance(color: str) -> float:
+    parts = [float(p) / 255 for p in color.removeprefix("rgb(").removesuffix(")").split(",")]
+    linear = [p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4 for p in parts]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]

@@ -1,0 +1,144 @@
+"""Boards in a real browser: the last one, decisions about it, the list with its filters, one with its pictures."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from tests.api.web.contrast import contrast
+from vaoi_station.model import Status
+from vaoi_station.runs.states.schemas import Reason, Unseen
+
+pytestmark = pytest.mark.browser
+
+
+def fail(station: Any, board_id: str, verdict: Status = Status.FAILED, **fields: Any) -> str:
+    run = station.film(finish=False, board_id=board_id)
+    station.filmed[run] = station.filmed[run].model_copy(update=fields)
+    station.finish(run, verdict, (Reason(code="stitch-failed", message="Rows are lost.", cause="rows-lost"),))
+    return str(run)
+
+
+def test_a_failed_board_stays_until_somebody_decides(page: Page, served: Any) -> None:
+    station = served.station
+    station.arm("demo-board")
+    page.goto(served.url)
+    expect(page.locator("#state-word")).to_have_text("Ready")
+    run = fail(station, "SN-47")
+    expect(page.locator("#state-word")).to_have_text("Board failed")
+    expect(page).to_have_title("Board failed – test")
+    expect(page.locator("#verdict-word")).to_have_text("No usable pictures")
+    station.film(board_id="SN-48")
+    expect(page.locator("#verdict-word")).to_have_text("Pictures good")
+    expect(page.locator("#order")).to_contain_text("Board SN-47: no pictures.")
+    fail(station, "SN-49", Status.DEGRADED)
+    expect(page.locator("#order")).to_contain_text("Board SN-49")
+    page.get_by_role("button", name="Use it anyway").click()
+    page.get_by_label("Your name").fill("Ada")
+    page.get_by_label("Reason").fill("R7 is not tested.")
+    page.keyboard.press("Enter")
+    expect(page.locator("#board-order")).to_have_text("Used, decided by Ada")
+    expect(page.locator("#order")).to_contain_text("Board SN-47")
+    station.kept.history.decide(run, "film-again", "Ada", "Rows are lost.")
+    expect(page.locator("#state-word")).to_have_text("Ready")
+    expect(page.locator("#counts")).to_have_text("Today1good1with reservations1failed0missed")
+
+
+def test_missed_boards_and_the_last_twenty_are_shown(page: Page, served: Any) -> None:
+    station = served.station
+    station.film(board_id="SN-1")
+    station.publish("board-missed", "A board passed the barrier without a run.")
+    station.kept.history.missed = 1
+    page.goto(served.url)
+    expect(page.locator("#strip li")).to_have_count(2)
+    expect(page.locator("#strip .missed span")).to_have_attribute("aria-label", re.compile("passed without pictures"))
+    expect(page.locator("#counts .count-missed")).to_have_text("1")
+    for n in range(25):
+        station.film(board_id=f"SN-{n + 2}")
+    expect(page.locator("#strip a").last).to_have_attribute(
+        "aria-label", re.compile("SN-26: Pictures good")
+    )
+    expect(page.locator("#strip li")).to_have_count(20)
+    page.locator("#strip a").last.click()
+    expect(page.locator("#board-title")).to_have_text("SN-26: Pictures good")
+
+
+def test_parts_that_were_not_seen_are_hatched_in_the_picture(page: Page, served: Any) -> None:
+    part = Unseen(address="U1", coverage=0.4, views=0, in_one_frame=False, cause="frames-lost")
+    fail(served.station, "SN-5", Status.DEGRADED, unseen=(part,))
+    page.goto(served.url)
+    expect(page.locator("#unseen")).to_have_text("1 part not seen")
+    expect(page.locator(".unseen-parts polygon")).to_have_count(1)
+    expect(page.locator(".unseen-parts polygon title")).to_have_text("U1")
+
+
+def test_the_station_filters_the_list_and_a_file_has_it(page: Page, served: Any, tmp_path: Path) -> None:
+    served.station.film(board_id="=SUM(1)")
+    fail(served.station, "SN-2")
+    page.goto(f"{served.url}/#/boards")
+    expect(page.locator("#list tbody tr")).to_have_count(2)
+    with page.expect_download() as saved:
+        page.locator("#save").click()
+    saved.value.save_as(tmp_path / "boards.csv")
+    text = (tmp_path / "boards.csv").read_text(encoding="utf-8-sig")
+    assert text.splitlines()[0].startswith('"started","board_id"')
+    assert '"\'=SUM(1)"' in text
+    page.get_by_label("Verdict").select_option("failed")
+    page.get_by_role("button", name="Show").click()
+    expect(page.locator("#list tbody tr")).to_have_count(1)
+    expect(page.locator("#list tbody td.reasons")).to_have_text("rows-lost")
+    page.reload()
+    expect(page.get_by_label("Verdict")).to_have_value("failed")
+    page.get_by_label("Board id").fill("nobody")
+    page.get_by_role("button", name="Show").click()
+    expect(page.locator("#list-answer")).to_have_text("No boards match.")
+
+
+def test_a_board_has_its_report_its_parts_and_their_pictures(page: Page, served: Any) -> None:
+    run = served.station.film(board_id="SN-1")
+    page.goto(f"{served.url}/#/board/{run}")
+    expect(page.locator("#facts")).to_contain_text("10 of 12 good (1 incomplete, 1 missing), 4 rows × 3 cameras")
+    expect(page.locator("#component")).to_have_value("U1")
+    wait_for_pictures(page, 10)
+    expect(page.locator(".parts polygon")).to_have_count(3)
+    expect(page.locator(".parts .chosen title")).to_have_text("U1")
+    page.locator("#component").select_option("2/R1")
+    wait_for_pictures(page, 3)
+    expect(page.locator("figure img").first).to_have_attribute("alt", "2/R1, camera 0, row 3")
+    expect(page.locator(".parts .chosen title")).to_have_text("2/R1")
+    page.reload()
+    expect(page.locator("#component")).to_have_value("2/R1")
+    wait_for_pictures(page, 3)
+    served.station.release(run)
+    expect(page.locator("#pictures")).to_contain_text("no longer in memory")
+    page.goto(f"{served.url}/#/board/unknown")
+    expect(page.locator("#board-title")).to_have_text("There is no such board.")
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_texts_have_enough_contrast_and_targets_are_large(page: Page, served: Any, scheme: Any) -> None:
+    fail(served.station, "SN-1", Status.DEGRADED)
+    served.station.fault("x", "Message.", "Action.")
+    page.emulate_media(color_scheme=scheme)
+    for path, wait in (("/", "#why"), ("/#/boards", "#list tr a"), ("/#/board/r000001", "figure")):
+        page.goto(served.url + path)
+        page.locator(wait).first.wait_for()
+        texts = "h1, h2, nav a, #state-word, #order, label, select, button, #verdict-word, dt, dd, td, th, figcaption"
+        for element in page.locator(texts).all():
+            if element.is_visible() and element.inner_text():
+                assert contrast(element) >= 4.5, (path, element)
+        for target in page.locator("header a, header button, main button, main select").all():
+            box = target.bounding_box()
+            assert box is None or min(box["width"], box["height"]) >= 44, target
+
+
+def wait_for_pictures(page: Page, count: int) -> None:
+    """Wait until every picture is shown."""
+    expect(page.locator("figure")).to_have_count(count)
+    for image in page.locator("figure img").all():
+        expect(image).not_to_have_js_property("naturalWidth", 0)
+    expect(page.locator("figure.unloadable")).to_have_count(0)

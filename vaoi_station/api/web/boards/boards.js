@@ -1,0 +1,155 @@
+// The list of boards: filters that the station applies, reasons, decisions, and a file for spreadsheets.
+import { $, make, setText } from "../parts/elements.js";
+import * as rest from "../parts/rest.js";
+import { draw } from "../parts/signs.js";
+import { moment, number, texts } from "../texts/texts.js";
+
+const PAGE_RUNS = 100;
+const MOST_SAVED = 5000; // boards in one file
+const FILTERS = ["since", "until", "board_type", "verdict", "board_id", "reason"];
+const PART = `
+<form id="filters">
+  <label><span data-text="from"></span><input type="datetime-local" name="since"></label>
+  <label><span data-text="to"></span><input type="datetime-local" name="until"></label>
+  <label><span data-text="boardType"></span><select name="board_type"></select></label>
+  <label><span data-text="verdict"></span><select name="verdict"></select></label>
+  <label><span data-text="boardId"></span><input name="board_id" maxlength="200" spellcheck="false"></label>
+  <label><span data-text="reasonCode"></span><input name="reason" maxlength="80" spellcheck="false"></label>
+  <button data-text="show"></button>
+  <button type="button" id="save" data-text="csv"></button>
+</form>
+<p id="list-answer" role="alert"></p>
+<div id="list" tabindex="0"><table><thead></thead><tbody></tbody></table></div>
+<button type="button" id="more" data-text="more" hidden></button>`;
+
+function sign(name) {
+  const shape = document.createElementNS("http://www.w3.org/2000/svg", "svg");
+  shape.setAttribute("viewBox", "0 0 100 100");
+  shape.setAttribute("aria-hidden", "true");
+  draw(shape, name);
+  return shape;
+}
+
+// What each column shows of a run, as text; the file has the same.
+const COLUMNS = {
+  started: (run) => moment(run.started),
+  board_id: (run) => run.board_id ?? "",
+  board_type: (run) => run.board_type,
+  verdict: (run) => texts.verdicts[run.verdict ?? (run.finished ? "failed" : "none")],
+  frames: (run) => texts.framesOf(run.counts.ok, run.rows * run.cameras),
+  reasons: (run) => [...new Set(run.reasons.map((reason) => reason.cause || reason.code))].join(", "),
+  decision: (run) => (run.decision ? `${texts.decided[run.decision.choice](run.decision.name)}: ${run.decision.reason}` : ""),
+  ready_ms: (run) => (run.timings?.ready_after_last_frame_ms == null ? "" : number(run.timings.ready_after_last_frame_ms)),
+};
+
+export class BoardsView {
+  name = "boards-view";
+  #query;
+  #next = null;
+
+  constructor(_station, query) {
+    this.#query = new URLSearchParams(query);
+    this.root = make("div", { className: "boards" });
+    this.root.innerHTML = PART;
+    const verdicts = { "": texts.any, ok: texts.verdicts.ok, degraded: texts.verdicts.degraded, failed: texts.verdicts.failed, none: texts.noVerdict };
+    this.#field("verdict").append(...Object.entries(verdicts).map(([value, textContent]) => make("option", { value, textContent })));
+    this.#field("board_type").append(make("option", { value: "", textContent: texts.any }));
+    this.root.querySelector("thead").append(make("tr", {}, ...Object.values(texts.columns).map((textContent) => make("th", { scope: "col", textContent }))));
+    this.root.querySelector("#filters").addEventListener("submit", (event) => {
+      event.preventDefault();
+      location.hash = `#/boards?${this.#stated()}`;
+    });
+    this.root.querySelector("#more").addEventListener("click", () => this.#load());
+    this.root.querySelector("#save").addEventListener("click", () => this.#save());
+  }
+
+  #field(name) {
+    return this.root.querySelector(`[name="${name}"]`);
+  }
+
+  // The filters of the form; times become UTC.
+  #stated() {
+    const query = new URLSearchParams();
+    for (const name of FILTERS) {
+      const value = this.#field(name).value.trim();
+      if (value) query.set(name, name === "since" || name === "until" ? new Date(value).toISOString() : value);
+    }
+    return query;
+  }
+
+  async open() {
+    const types = await rest.boardTypes().catch(() => []);
+    const chosen = this.#query.get("board_type");
+    const names = [...new Set([...types.map((type) => type.name), ...(chosen ? [chosen] : [])])];
+    this.#field("board_type").append(...names.map((name) => make("option", { value: name, textContent: name })));
+    for (const name of FILTERS) {
+      const value = this.#query.get(name) ?? "";
+      this.#field(name).value = value && (name === "since" || name === "until") ? local(value) : value;
+    }
+    await this.#load();
+  }
+
+  async #page(before, limit) {
+    const query = { limit };
+    for (const name of FILTERS) if (this.#query.get(name)) query[name] = this.#query.get(name);
+    if (before) query.before = before;
+    return rest.runs(query);
+  }
+
+  async #load() {
+    try {
+      const { runs, next } = await this.#page(this.#next, PAGE_RUNS);
+      this.#next = next ?? null;
+      this.root.querySelector("tbody").append(...runs.map((run) => this.#row(run)));
+      const none = !this.root.querySelector("tbody").children.length && !next;
+      setText(this.root.querySelector("#list-answer"), none ? texts.nothingFound : "");
+    } catch (error) {
+      this.#next = null;
+      setText(this.root.querySelector("#list-answer"), error instanceof rest.Refusal ? error.message : texts.noAnswer);
+    }
+    this.root.querySelector("#more").hidden = !this.#next;
+  }
+
+  #row(run) {
+    const verdict = run.verdict ?? (run.finished ? "failed" : "none");
+    const cells = Object.entries(COLUMNS).map(([name, text]) => {
+      const cell = make("td", { className: name, textContent: name === "started" ? "" : text(run) });
+      if (name === "started") cell.append(make("a", { href: `#/board/${encodeURIComponent(run.id)}`, textContent: text(run) }));
+      if (name === "verdict") cell.prepend(sign(verdict));
+      return cell;
+    });
+    return make("tr", { className: verdict }, ...cells);
+  }
+
+  async #save() {
+    const lines = [Object.keys(COLUMNS)];
+    try {
+      for (let before = null; lines.length <= MOST_SAVED; ) {
+        const { runs, next } = await this.#page(before, 500);
+        lines.push(...runs.map((run) => [run.started, ...Object.entries(COLUMNS).slice(1).map(([, text]) => text(run))]));
+        if (!(before = next)) break;
+      }
+    } catch (error) {
+      setText(this.root.querySelector("#list-answer"), error instanceof rest.Refusal ? error.message : texts.noAnswer);
+      return;
+    }
+    const file = new Blob(["\ufeff", lines.map((cells) => cells.map(quoted).join(",")).join("\r\n")], { type: "text/csv" });
+    const link = make("a", { href: URL.createObjectURL(file), download: "boards.csv" });
+    link.click();
+    URL.revokeObjectURL(link.href);
+  }
+
+  show() {}
+}
+
+// A cell of CSV (RFC 4180). A text that a spreadsheet would take for a formula gets an apostrophe.
+function quoted(value) {
+  const text = /^[=+\-@\t\r]/.test(value) ? `'${value}` : String(value);
+  return `"${text.replaceAll('"', '""')}"`;
+}
+
+// The value of a field for local time.
+function local(time) {
+  const date = new Date(time);
+  return new Date(date - date.getTimezoneOffset() * 60_000).toISOString().slice(0, 16);
+}

@@ -1,0 +1,154 @@
+// Arm and disarm, with the board type and the board's id (typed, or scanned: a scanner ends with Enter).
+import { make, setText } from "../parts/elements.js";
+import * as rest from "../parts/rest.js";
+import { kept, keep } from "../parts/settings.js";
+import { texts } from "../texts/texts.js";
+
+const HOLD_MS = 1000; // so that a touch in passing does not stop the line
+const SAID_MS = 15_000;
+const PART = `
+<label for="board-type" data-text="boardType"></label>
+<select id="board-type" required></select>
+<label for="board-id" data-text="boardId"></label>
+<input id="board-id" maxlength="200" autocomplete="off" spellcheck="false">
+<button type="submit" id="arm"></button>
+<p id="answer" role="alert"></p>`;
+
+export class Arming {
+  #form;
+  #setAside;
+  #onDone;
+  #armed = null; // the board type that is armed
+  #state = "";
+  #lost = false; // the last refusal was for a lost camera: the next press arms without it
+  #holding = 0;
+  #said = 0;
+
+  constructor(form, setAside, onDone) {
+    [this.#form, this.#setAside, this.#onDone] = [form, setAside, onDone];
+    form.innerHTML = PART;
+    form.addEventListener("submit", (event) => {
+      event.preventDefault();
+      if (!this.#offersDisarm()) this.#arm();
+    });
+    for (const field of [this.#type, this.#id]) field.addEventListener("input", () => this.#showButton());
+    this.#type.addEventListener("change", () => keep("board-type", this.#type.value));
+    for (const begin of ["pointerdown", "keydown"]) this.#button.addEventListener(begin, (event) => this.#begin(event));
+    for (const end of ["pointerup", "pointerleave", "pointercancel", "keyup", "blur"]) this.#button.addEventListener(end, () => this.#end());
+  }
+
+  get #type() {
+    return this.#form.querySelector("#board-type");
+  }
+
+  get #id() {
+    return this.#form.querySelector("#board-id");
+  }
+
+  get #button() {
+    return this.#form.querySelector("#arm");
+  }
+
+  #offersDisarm() {
+    return this.#armed !== null && this.#type.value === this.#armed && !this.#id.value.trim() && !this.#lost;
+  }
+
+  #showButton() {
+    const disarm = this.#offersDisarm();
+    setText(this.#button, disarm ? texts.disarm : this.#lost ? texts.armAnyway : texts.arm);
+    this.#button.classList.toggle("disarm", disarm);
+  }
+
+  #begin(event) {
+    if (!this.#offersDisarm() || (event.type === "keydown" && !["Enter", " "].includes(event.key)) || event.repeat) return;
+    this.#end();
+    this.#button.classList.add("holding");
+    this.#holding = setTimeout(() => {
+      this.#end();
+      this.#command(() => rest.disarm(), texts.disarmed);
+    }, HOLD_MS);
+  }
+
+  #end() {
+    clearTimeout(this.#holding);
+    this.#button.classList.remove("holding");
+  }
+
+  #arm() {
+    const request = { board_type: this.#type.value };
+    if (this.#id.value.trim()) request.board_id = this.#id.value.trim();
+    if (this.#lost) request.allow_lost_cameras = true;
+    this.#command(() => rest.arm(request), texts.armedFor(request.board_type));
+  }
+
+  // The list of board types, keeping the choice.
+  async reload() {
+    try {
+      const types = await rest.boardTypes();
+      const chosen = this.#armed ?? (this.#type.value || kept("board-type", ""));
+      this.#type.replaceChildren(
+        ...types.map((type) => {
+          const text = type.fault ? `${type.name} (${texts.unusable})` : type.name;
+          return make("option", { value: type.name, textContent: text, disabled: !!type.fault });
+        }),
+      );
+      if (types.some((type) => type.name === chosen)) this.#type.value = chosen;
+      this.#showButton();
+    } catch (error) {
+      this.#say(error instanceof rest.Refusal ? error.message : texts.noAnswer, true);
+    }
+  }
+
+  show(now) {
+    const type = now.armed_with?.board_type ?? null;
+    if (type && type !== this.#armed) this.#type.value = type;
+    this.#armed = type;
+    if (now.all_cameras_ready) this.#lost = false;
+    if (now.state !== this.#state && performance.now() - this.#said > 1000) this.#say("", false); // it spoke of the state before
+    this.#state = now.state;
+    this.#showButton();
+  }
+
+  // A button for each database that was set aside, until an administrator has acknowledged it.
+  showSetAside(files) {
+    const open = files.filter((f) => !f.acknowledged).map((f) => f.file);
+    const list = this.#setAside;
+    if (open.join("\n") === (list.dataset.shown ?? "")) return;
+    list.dataset.shown = open.join("\n");
+    list.hidden = open.length === 0;
+    list.replaceChildren(
+      ...open.map((file) => {
+        const button = make("button", { type: "button", textContent: texts.acknowledge(file) });
+        button.addEventListener("click", () => this.#command(() => rest.acknowledge(file), texts.acknowledged(file)));
+        return button;
+      }),
+    );
+  }
+
+  enable(on) {
+    for (const field of [this.#type, this.#id, this.#button]) field.disabled = !on;
+  }
+
+  async #command(call, done) {
+    this.#say("", false);
+    try {
+      await call();
+      this.#say(done, false);
+      this.#lost = false;
+      this.#id.value = "";
+    } catch (error) {
+      this.#say(error instanceof rest.Refusal ? error.message : texts.noAnswer, true);
+      this.#lost = error instanceof rest.Refusal && error.code === "camera-lost";
+    }
+    this.#showButton();
+    await this.#onDone();
+  }
+
+  #say(text, refused) {
+    const answer = this.#form.querySelector("#answer");
+    setText(answer, text);
+    answer.classList.toggle("refused", refused && text !== "");
+    this.#said = performance.now();
+    if (text) setTimeout(() => performance.now() - this.#said >= SAID_MS - 50 && this.#say("", false), SAID_MS);
+  }
+}

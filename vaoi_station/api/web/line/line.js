@@ -1,0 +1,137 @@
+// The operator's view: one word, one order, the last board, the last twenty, and one button.
+import { make, setText, showLines } from "../parts/elements.js";
+import { situation } from "../parts/orders.js";
+import { draw } from "../parts/signs.js";
+import { alarm } from "../parts/sound.js";
+import { clock, texts } from "../texts/texts.js";
+import { Arming } from "./arming.js";
+import { LastBoard } from "./last_board.js";
+import { RecentBoards } from "./recent_boards.js";
+import { Strip } from "./strip.js";
+
+const SOON_MS = 5000; // attempts that are due sooner are not shown
+const PAGE = `
+<section id="band" aria-labelledby="state-word">
+  <div id="state" role="status" aria-live="polite">
+    <svg id="state-shape" viewBox="0 0 100 100" aria-hidden="true"></svg>
+    <div id="state-word"></div>
+    <p id="order"></p>
+  </div>
+  <p id="armed-with"></p>
+  <button type="button" id="why" aria-expanded="false" aria-controls="details" data-text="why" hidden></button>
+</section>
+<section id="details" hidden aria-labelledby="details-title">
+  <h2 id="details-title" data-text="technical"></h2>
+  <ul id="reasons"></ul>
+  <ul id="warnings"></ul>
+  <p id="set-aside" hidden></p>
+  <button type="button" id="close-details" data-text="close"></button>
+</section>
+<section id="last" aria-labelledby="last-title"></section>
+<section id="history" aria-labelledby="strip-title"></section>
+<form id="controls"></form>`;
+
+export class LineView {
+  name = "line-view";
+  #station;
+  #refresh;
+  #again = 0;
+  #tone = "";
+
+  constructor(station, refresh) {
+    [this.#station, this.#refresh] = [station, refresh];
+    this.root = make("div", { className: "line" });
+    this.root.innerHTML = PAGE;
+    this.boards = new RecentBoards();
+    this.last = new LastBoard(this.#part("last"), () => this.#decided());
+    this.strip = new Strip(this.#part("history"));
+    this.arming = new Arming(this.#part("controls"), this.#part("set-aside"), refresh);
+    this.#part("why").addEventListener("click", () => this.#openDetails(this.#part("details").hidden));
+    this.#part("close-details").addEventListener("click", () => this.#openDetails(false));
+  }
+
+  #part(id) {
+    return this.root.querySelector(`#${id}`);
+  }
+
+  open() {
+    this.arming.reload();
+  }
+
+  close() {
+    clearTimeout(this.#again);
+  }
+
+  onEvent(event) {
+    this.boards.onEvent(event);
+    if (event.kind === "board-type") this.arming.reload();
+  }
+
+  onAge(old) {
+    this.arming.enable(!old);
+    this.#showSituation();
+  }
+
+  tick() {
+    this.last.tick(this.#station.time_ms());
+  }
+
+  async show(now) {
+    this.arming.show(now);
+    this.#showSituation();
+    this.#showDetails(now);
+    await this.boards.refresh(now);
+    this.#showSituation();
+    this.strip.show(this.boards);
+    await this.last.show(this.boards.runs.at(-1) ?? null, this.#station.time_ms());
+  }
+
+  async #decided() {
+    this.boards = Object.assign(new RecentBoards(), { missed: this.boards.missed });
+    await this.#refresh();
+  }
+
+  #showSituation() {
+    const { now, stale } = this.#station;
+    const shown = situation(now, this.boards.runs, this.#station.time_ms(), stale);
+    draw(this.#part("state-shape"), shown.shown);
+    this.#part("state-shape").dataset.state = shown.state;
+    setText(this.#part("state-word"), shown.word);
+    setText(this.#part("order"), shown.order);
+    document.title = now ? `${shown.word} – ${now.name}` : shown.word;
+    document.body.classList.remove("caution", "fault");
+    if (shown.tone) document.body.classList.add(shown.tone);
+    if (shown.tone === "fault" && this.#tone !== "fault") alarm();
+    this.#tone = shown.tone;
+    const armed = !stale && now?.armed_with ? texts.armedWith(now.armed_with) : "";
+    setText(this.#part("armed-with"), armed);
+  }
+
+  #showDetails(now) {
+    const held = now.state === "armed" && !now.line_ready && now.all_cameras_ready;
+    const say = (reason) => `${reason.message} ${reason.action}`.trim();
+    showLines(this.#part("reasons"), [...(held ? now.line_held : now.reasons).map(say), ...this.#nextTries(now)]);
+    showLines(this.#part("warnings"), now.warnings.map(say));
+    this.arming.showSetAside(now.set_aside ?? []);
+    const any = this.#part("reasons").children.length + this.#part("warnings").children.length > 0 || !this.#part("set-aside").hidden;
+    this.#part("why").hidden = !any;
+    this.#part("why").classList.toggle("warned", now.warnings.length > 0);
+    if (!any) this.#openDetails(false);
+  }
+
+  #openDetails(open) {
+    this.#part("details").hidden = !open;
+    this.#part("why").setAttribute("aria-expanded", open);
+    if (open) this.#part("close-details").focus();
+  }
+
+  // Pending retries. No event may come before a retry, so the page requests the state again after it.
+  #nextTries(now) {
+    const cameras = now.cameras.map((c) => ({ name: texts.camera(c.name), next_try: c.next_try }));
+    const until = (time) => Date.parse(time) - this.#station.time_ms();
+    const far = [...now.processes, ...cameras].filter((p) => p.next_try && until(p.next_try) > SOON_MS);
+    clearTimeout(this.#again);
+    if (far.length) this.#again = setTimeout(this.#refresh, Math.min(...far.map((p) => until(p.next_try))) + SOON_MS);
+    return far.map((p) => texts.nextTry(p.name, clock(p.next_try)));
+  }
+}

@@ -1,0 +1,54 @@
+// The last twenty boards as signs, with those that were missed, and the counts of the day.
+import { make } from "../parts/elements.js";
+import { draw } from "../parts/signs.js";
+import { clock, number, texts } from "../texts/texts.js";
+
+const SVG = "http://www.w3.org/2000/svg";
+
+function sign(name) {
+  const shape = document.createElementNS(SVG, "svg");
+  shape.setAttribute("viewBox", "0 0 100 100");
+  shape.setAttribute("aria-hidden", "true");
+  draw(shape, name);
+  return shape;
+}
+
+export class Strip {
+  #root;
+  #shown = "";
+
+  constructor(root) {
+    this.#root = root;
+    root.append(
+      make("h2", { id: "strip-title", textContent: texts.strip }),
+      make("ol", { id: "strip" }),
+      make("dl", { id: "counts" }),
+    );
+  }
+
+  show(boards) {
+    const entries = boards.strip;
+    const wanted = JSON.stringify([entries.map((e) => [e.time, e.run?.verdict, e.run?.decision?.choice]), boards.counts]);
+    if (wanted === this.#shown) return;
+    this.#shown = wanted;
+    this.#root.querySelector("#strip").replaceChildren(...entries.map((entry) => this.#entry(entry)));
+    const counts = boards.counts;
+    const cells = counts ? Object.entries(texts.counts).flatMap(([key, text]) => [
+      make("dd", { className: `count-${key}${counts[key] ? "" : " zero"}`, textContent: number(counts[key]) }),
+      make("dt", { textContent: text }),
+    ]) : [];
+    this.#root.querySelector("#counts").replaceChildren(make("dt", { className: "today", textContent: texts.today }), ...cells);
+  }
+
+  #entry({ time, run }) {
+    const what = run ? `${run.board_id ?? texts.noId}: ${texts.verdicts[run.verdict ?? "failed"]}` : texts.missedBoard;
+    const name = `${clock(time)} ${what}`;
+    const item = make("li", { className: run ? run.verdict ?? "failed" : "missed" });
+    const inside = run ? make("a", { href: `#/board/${encodeURIComponent(run.id)}`, title: name }) : make("span", { title: name });
+    inside.setAttribute("aria-label", name);
+    if (!run) inside.setAttribute("role", "img");
+    inside.append(sign(run ? run.verdict ?? "failed" : "missed"));
+    item.append(inside);
+    return item;
+  }
+}

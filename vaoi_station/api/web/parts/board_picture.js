@@ -1,0 +1,73 @@
+// A small picture of the whole board from its mosaic, with the parts that were not seen hatched.
+import * as rest from "./rest.js";
+import { make } from "./elements.js";
+
+const TILE = 256;
+const SVG = "http://www.w3.org/2000/svg";
+
+function svg(name, fields) {
+  const element = document.createElementNS(SVG, name);
+  for (const [key, value] of Object.entries(fields)) element.setAttribute(key, value);
+  return element;
+}
+
+// The corners of a component in CAD coordinates of the board type, which are mm in the documents of runs.
+function corners(part) {
+  const [cos, sin] = [Math.cos((part.rotation_deg * Math.PI) / 180), Math.sin((part.rotation_deg * Math.PI) / 180)];
+  return [[-1, -1], [1, -1], [1, 1], [-1, 1]].map(([a, b]) => {
+    const [x, y] = [(a * part.width_mm) / 2, (b * part.height_mm) / 2];
+    return [part.center_mm[0] + cos * x - sin * y, part.center_mm[1] + sin * x + cos * y];
+  });
+}
+
+export function toPicture(matrix, [x, y]) {
+  const [u, v, w] = matrix.map((row) => row[0] * x + row[1] * y + row[2]);
+  return [u / w, v / w];
+}
+
+// Resolves to an element, or to null if there is no mosaic. `steps`: how often the smallest level is doubled.
+export async function boardPicture(run, { steps = 1, alt = "" } = {}) {
+  if (run.verdict === "failed" || run.verdict == null || (!run.frames_available && !run.recording)) return null;
+  const [mosaic] = await rest.mosaics(run.id);
+  if (!mosaic) return null;
+  const largest = Math.ceil(Math.log2(Math.max(mosaic.width_px, mosaic.height_px)));
+  const reduction = Math.max(mosaic.levels - 1 - steps, 0);
+  const [width, height] = [mosaic.width_px, mosaic.height_px].map((side) => Math.ceil(side / 2 ** reduction));
+  const box = make("div", { className: "board-picture" });
+  box.setAttribute("role", "img");
+  box.setAttribute("aria-label", alt);
+  box.style.aspectRatio = `${width} / ${height}`;
+  const tiles = mosaic.dzi.replace(/\.dzi$/, "_files");
+  const waits = [];
+  for (let row = 0; row * TILE < height; row++) {
+    for (let column = 0; column * TILE < width; column++) {
+      const tile = make("img", { alt: "", src: `${tiles}/${largest - reduction}/${column}_${row}.jpg?_=${encodeURIComponent(run.started)}` });
+      Object.assign(tile.style, {
+        left: `${(column * TILE * 100) / width}%`, top: `${(row * TILE * 100) / height}%`,
+        width: `${(Math.min(TILE, width - column * TILE) * 100) / width}%`,
+      });
+      waits.push(tile.decode().catch(() => tile.remove()));
+      box.append(tile);
+    }
+  }
+  if (run.unseen?.length) box.append(await hatched(run, mosaic));
+  await Promise.all(waits);
+  return box;
+}
+
+async function hatched(run, mosaic) {
+  const unseen = new Set(run.unseen.map((u) => u.address));
+  const parts = (await rest.components(run.id)).filter((part) => unseen.has(part.address));
+  const over = svg("svg", { viewBox: `0 0 ${mosaic.width_px} ${mosaic.height_px}`, class: "unseen-parts" });
+  const step = Math.max(mosaic.width_px, mosaic.height_px) / 60;
+  const pattern = svg("pattern", { id: "hatch", width: step, height: step, patternUnits: "userSpaceOnUse", patternTransform: "rotate(45)" });
+  pattern.append(svg("rect", { width: step, height: step, class: "hatch-ground" }), svg("rect", { width: step / 2, height: step, class: "hatch-line" }));
+  over.append(pattern);
+  for (const part of parts) {
+    const points = corners(part).map((corner) => toPicture(mosaic.image_from_cad, corner).map((v) => v.toFixed(1)).join(",")).join(" ");
+    const shape = svg("polygon", { points, fill: "url(#hatch)", "stroke-width": step / 4 });
+    shape.append(Object.assign(svg("title", {}), { textContent: part.address }));
+    over.append(shape);
+  }
+  return over;
+}

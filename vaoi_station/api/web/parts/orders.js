@@ -1,0 +1,98 @@
+// Which word, sign and order the operator is shown, from the station's state, its reasons and the last boards.
+// docs/operator.md has the same as a table; tests/api/web/test_orders.py compares them.
+import { texts } from "../texts/texts.js";
+
+// What a reason of the station asks for, besides holding boards back.
+const GROUPS = {
+  camera: ["camera-lost", "camera-absent"],
+  controller: ["controller-silent", "controller-not-ready", "controller-reset", "foreign-device"],
+  wait: ["acquisition-lost", "workers-starting", "devices-silent", "thread-lost", "worker-lost", "line-filming"],
+  none: ["ring-full", "memory-short", "line-not-armed"],
+};
+const DISK = /^(storage|database|store$)/;
+
+export function stationGroup(code) {
+  const found = Object.keys(GROUPS).find((group) => GROUPS[group].includes(code));
+  return found ?? (DISK.test(code) ? "disk" : "engineer");
+}
+
+// What the reason of a run asks for: by its cause, or its code.
+const BOARD_GROUPS = {
+  again: [
+    "no-frames", "camera-absent", "trigger-doubtful", "rows-lost", "rows-not-connected", "frames-unconfirmed", "rows-not-chained",
+    "frames-missing", "frames-incomplete", "boards-too-close", "run-too-long", "run-cut-short", "acquisition-lost", "station-restarted",
+    "worker-lost",
+  ],
+  flat: ["board-off-plane", "links-scatter", "surface-unlikely"],
+  right: [
+    "fiducials-not-found", "outline-shifted", "outline-turned", "outline-invisible", "board-turned", "texture-off-board",
+    "reference-contradicts",
+  ],
+  marks: ["fiducial-missing", "fiducial-off-place"],
+  light: ["no-texture", "light-dark", "overlap-blank", "overlap-exposure"],
+  place: ["components-unseen"],
+  camera: ["wrong-rows", "camera-displaced", "lens-differs", "not-explained"],
+  type: [
+    "overlap-repetitive", "rows-repetitive", "no-board-type", "too-few-fiducials", "fiducial-size", "fiducial-wrong", "scale-wrong",
+    "components-shifted", "orientation-ambiguous", "reference-not-found", "positions-uncertain", "no-error-measure", "reference-unusable",
+  ],
+};
+
+export function boardGroup(reason) {
+  const codes = [reason.cause, reason.code];
+  for (const code of codes) {
+    const found = Object.keys(BOARD_GROUPS).find((group) => BOARD_GROUPS[group].includes(code));
+    if (found) return found;
+  }
+  return codes.some((code) => code?.startsWith("trigger-")) ? "camera" : "again";
+}
+
+const TONES = { blocked: "caution", lacking: "caution", held: "caution", degraded: "caution", faulted: "fault", failed: "fault", unknown: "stale" };
+const QUIET = ["armed", "idle"]; // states in which the order may speak of a board that has passed
+const OLD_MS = 30 * 60 * 1000;
+
+function stateOf(now) {
+  if (now.state === "armed" && !now.line_ready) return now.all_cameras_ready ? "held" : "lacking";
+  return now.state in texts.words ? now.state : "unknown";
+}
+
+// The board that somebody has to do something about: the newest without pictures, or the last one if they are doubtful.
+export function openBoard(runs, now_ms) {
+  const settled = new Set();
+  for (const [n, run] of [...runs].reverse().entries()) {
+    if (run.decision) settled.add(run.board_id ?? run.id);
+    else if (run.verdict === "ok") settled.add(run.board_id ?? run.id);
+    else if (run.finished && !settled.has(run.board_id ?? run.id) && now_ms - Date.parse(run.finished) < OLD_MS) {
+      if (run.verdict !== "degraded" || n === 0) return run;
+    }
+  }
+  return null;
+}
+
+function short(id) {
+  return id && id.length > 14 ? `…${id.slice(-12)}` : id;
+}
+
+export function boardOrder(run) {
+  const group = run.reasons.length ? boardGroup(run.reasons[0]) : "again";
+  const say = run.verdict === "degraded" ? texts.doubtfulPicturesOf : texts.noPicturesOf;
+  return say(texts.boardOf(short(run.board_id)), texts.boardOrders[group]);
+}
+
+// One word, one sign and one order. `stale`: nothing was heard of the station.
+export function situation(now, runs, now_ms, stale) {
+  const state = stale || !now ? "unknown" : stateOf(now);
+  const board = QUIET.includes(state) ? openBoard(runs, now_ms) : null;
+  const shown = board ? (board.verdict === "degraded" ? "degraded" : "failed") : state;
+  return { state, shown, tone: TONES[shown] ?? "", word: texts.words[shown], order: board ? boardOrder(board) : stateOrder(state, now), board };
+}
+
+function stateOrder(state, now) {
+  const hold = texts.orders[state];
+  if (state === "armed" && now.warnings.some((w) => w.code === "board-id-uncertain")) return texts.extra.identify;
+  if (!["faulted", "lacking", "held"].includes(state)) return hold;
+  const causes = state === "held" && now.line_held.length ? now.line_held : now.reasons;
+  const group = causes.length ? stationGroup(causes[0].code) : "engineer";
+  if (group === "none") return texts.orders.held;
+  return group === "engineer" && state === "faulted" ? hold : `${texts.orders.held} ${texts.extra[group]}`;
+}

@@ -1,0 +1,175 @@
+// Alle Texte der Seiten auf Deutsch, mit denselben Schlüsseln wie en.js.
+export const texts = {
+  line: "Linie",
+  boards: "Baugruppen",
+  interface: "API",
+  otherLanguage: "English",
+  soundOn: "Ton an",
+  soundOff: "Ton aus",
+  key: "Schlüssel",
+  logIn: "Anmelden",
+  wrongKey: "Dieser Schlüssel gilt nicht. Prüfen Sie, ob er vollständig ist, oder verlangen Sie einen neuen.",
+  logInTitle: "Diese Station verlangt einen Schlüssel",
+  logInHelp: "Den Schlüssel gibt der Verwalter der Station aus (vaoi keys create). Die Anmeldung gilt 12 Stunden, nur in diesem Browser.",
+  logOut: "Abmelden",
+  noAnswer: "Die Station hat nicht geantwortet. Versuchen Sie es noch einmal.",
+  noData: (s) => `Keine Daten seit ${s} s`,
+  old: "Was diese Seite zeigt, ist veraltet.",
+  why: "Warum?",
+  close: "Schließen",
+  technical: "Einzelheiten für den Techniker (englisch)",
+
+  words: {
+    starting: "Startet",
+    idle: "Nicht aktiv",
+    arming: "Wird bereit",
+    armed: "Bereit",
+    lacking: "Kamera fehlt",
+    held: "Halt",
+    filming: "Aufnahme",
+    blocked: "Speicher voll",
+    faulted: "Störung",
+    stopping: "Endet",
+    unknown: "Keine Daten",
+    failed: "Ohne Bilder",
+    degraded: "Prüfen",
+  },
+  orders: {
+    starting: "Anhalten und warten.",
+    idle: "Typ wählen, Aktivieren drücken.",
+    arming: "Nächste anhalten.",
+    armed: "Nächste einlassen.",
+    lacking: "Nächste anhalten.",
+    held: "Nächste anhalten.",
+    filming: "Nicht berühren.",
+    blocked: "Nächste anhalten.",
+    faulted: "Anhalten. Techniker rufen.",
+    stopping: "Nächste anhalten.",
+    unknown: "Anhalten. Station und Netz prüfen.",
+  },
+  extra: {
+    camera: "Kamerakabel prüfen.",
+    controller: "Kabel der Steuerung prüfen.",
+    disk: "Verwalter rufen: Festplatte.",
+    wait: "Warten.",
+    engineer: "Techniker rufen.",
+    identify: "Mit ihrer Nummer neu aktivieren.",
+  },
+  boardOrders: {
+    again: "Herausnehmen, neu aufnehmen.",
+    flat: "Flach auflegen, neu aufnehmen.",
+    right: "Typ und Richtung prüfen, neu aufnehmen.",
+    marks: "Passmarken säubern, neu aufnehmen.",
+    light: "Licht und Glas prüfen, neu aufnehmen.",
+    place: "Lage prüfen, neu aufnehmen.",
+    camera: "Techniker rufen: Kameras.",
+    type: "Techniker rufen: Typdaten.",
+  },
+  boardOf: (id) => (id ? `Nr. ${id}` : "Die letzte"),
+  noPicturesOf: (board, order) => `${board}: keine Bilder. ${order}`,
+  doubtfulPicturesOf: (board, order) => `${board}: ${order}`,
+  nextTry: (name, time) => `Nächster Versuch für ${name}: ${time}.`,
+  camera: (name) => (name.toLowerCase().startsWith("camera") ? name : `Kamera ${name}`),
+
+  boardType: "Typ",
+  boardId: "Nummer",
+  arm: "Aktivieren",
+  armAnyway: "Ohne diese Kamera",
+  disarm: "Anhalten: gedrückt halten",
+  armedWith: (armed) =>
+    [`Aktiv für ${armed.board_type}`, armed.board_id && `Nr. ${armed.board_id}`, armed.job_id && `Auftrag ${armed.job_id}`]
+      .filter(Boolean)
+      .join(", "),
+  armedFor: (type) => `Aktiv für ${type}.`,
+  disarmed: "Nicht mehr aktiv.",
+  unusable: "unbrauchbar",
+  acknowledge: (file) => `${file} bestätigen`,
+  acknowledged: (file) => `Die Warnung vor ${file} wurde bestätigt.`,
+
+  lastBoard: "Letzte Baugruppe",
+  verdicts: {
+    ok: "Bilder gut",
+    degraded: "Bilder mit Vorbehalt",
+    failed: "Keine brauchbaren Bilder",
+    none: "Ergebnis kommt noch",
+  },
+  noBoard: "Noch keine Baugruppe",
+  noId: "ohne Nummer",
+  ago: (s) => {
+    if (s < 60) return `vor ${Math.max(0, Math.floor(s))} s`;
+    if (s < 3600) return `vor ${Math.floor(s / 60)} min`;
+    if (s < 86400) return `vor ${Math.floor(s / 3600)} h`;
+    return `vor ${Math.floor(s / 86400)} Tagen`;
+  },
+  unseenCount: (n) => (n === 1 ? "1 Bauteil nicht gesehen" : `${n} Bauteile nicht gesehen`),
+  filmAgain: "Neu aufnehmen",
+  use: "Trotzdem nutzen",
+  decided: { "film-again": (name) => `Wird neu aufgenommen (${name})`, use: (name) => `Genutzt, entschieden von ${name}` },
+  yourName: "Ihr Name",
+  reason: "Grund",
+  confirm: "Bestätigen",
+  cancel: "Abbrechen",
+  open: "Alle Bilder",
+  noMosaic: "Kein Bild",
+
+  today: "Heute",
+  counts: { ok: "gut", degraded: "mit Vorbehalt", failed: "ohne Bilder", missed: "verpasst" },
+  strip: "Letzte Baugruppen",
+  missedBoard: "Eine Baugruppe lief ohne Bilder durch",
+
+  from: "Von",
+  to: "Bis",
+  verdict: "Urteil",
+  any: "alle",
+  noVerdict: "ohne Ergebnis",
+  reasonCode: "Grund (Code)",
+  show: "Zeigen",
+  more: "Weitere",
+  csv: "Als CSV sichern",
+  nothingFound: "Keine Baugruppe passt dazu.",
+  columns: {
+    started: "Zeit", board_id: "Nummer", board_type: "Typ", verdict: "Urteil", frames: "Einzelbilder", reasons: "Gründe", decision: "Entscheid",
+    ready_ms: "Ergebnis nach, ms",
+  },
+  framesOf: (ok, all) => `${ok} von ${all}`,
+
+  component: "Bauteil",
+  facts: {
+    board: "Nummer", run: "Lauf", type: "Typ", job: "Auftrag", since: "Fertig", frames: "Einzelbilder", trigger: "Auslösung",
+    unseen: "Nicht gesehen", belt: "Band", result: "Ergebnis", software: "Software",
+  },
+  frames: (ok, incomplete, missing, unproven, rows, cameras) => {
+    const all = ok + incomplete + missing + unproven;
+    const lost = [
+      incomplete && `${incomplete} unvollständig`,
+      missing && `${missing} fehlen`,
+      unproven && `${unproven} unbestätigt`,
+    ].filter(Boolean);
+    const size = `${rows} Reihen × ${cameras} Kameras`;
+    return lost.length ? `${ok} von ${all} gut (${lost.join(", ")}), ${size}` : `alle ${all} gut, ${size}`;
+  },
+  trigger: (proof) => {
+    const worst = proof.cameras.map((c) => c.max_residual_us).filter((r) => r != null);
+    if (proof.proven && worst.length) return `alle Bilder passen auf ${Math.max(...worst).toFixed(1)} µs zu ihren Pulsen`;
+    const cameras = proof.cameras.filter((c) => !c.proven).map((c) => c.camera);
+    return cameras.length ? `nicht bestätigt für Kamera ${cameras.join(", ")}` : "kein Bild zu bestätigen";
+  },
+  belt: (speed, ratio) => `${speed} mm/s, ${ratio} % des Sollwerts`,
+  resultAfter: (ms) => `${ms} ms nach dem letzten Bild`,
+  unseen: (list) => {
+    const named = list.slice(0, 40).map((c) => texts.unseenOption(c)).join(", ");
+    return list.length > 40 ? `${named} und ${list.length - 40} weitere` : named;
+  },
+  unseenOption: (c) => `${c.address} (${Math.floor((c.coverage ?? 0) * 100)} % gesehen)`,
+  views: (n) => (n === 1 ? "1 Bild" : `${n} Bilder`),
+  caption: (view) => `Kamera ${view.camera}, Reihe ${view.row}` + (view.light ? `, ${view.light}` : ""),
+  alt: (ref, view) => `${ref}, Kamera ${view.camera}, Reihe ${view.row}`,
+  whole: (percent) => (percent >= 100 ? "" : `, ${percent} % davon`),
+  unloadable: ", nicht verfügbar",
+  picturesGone: "Die Bilder dieser Baugruppe sind nicht mehr im Speicher und wurden nicht als Aufnahme behalten.",
+  noPictures: "Kein Bild zeigt dieses Bauteil.",
+  noComponents: "Dieser Typ hat keine Bauteile.",
+  notFound: "Diese Baugruppe gibt es nicht.",
+  mosaic: "Ganze Baugruppe",
+  back: "Alle Baugruppen",
+};

@@ -1,0 +1,184 @@
+// All texts of the pages in English. Another language is another file with the same keys.
+export const texts = {
+  // frame of all pages
+  line: "Line",
+  boards: "Boards",
+  interface: "API",
+  otherLanguage: "Deutsch",
+  soundOn: "Sound on",
+  soundOff: "Sound off",
+  key: "Key",
+  logIn: "Log in",
+  wrongKey: "This key is not valid. Check that it is complete, or ask for a new one.",
+  logInTitle: "This station asks for a key",
+  logInHelp: "The key comes from the administrator of the station (vaoi keys create). The login lasts 12 hours, in this browser only.",
+  logOut: "Log out",
+  noAnswer: "The station did not respond. Try again.",
+  noData: (s) => `No data for ${s} s`,
+  old: "What this page shows is out of date.",
+  why: "Why?",
+  close: "Close",
+  technical: "Details for the engineer",
+
+  // the word and the order of every state
+  words: {
+    starting: "Starting",
+    idle: "Not armed",
+    arming: "Arming",
+    armed: "Ready",
+    lacking: "Camera missing",
+    held: "Hold",
+    filming: "Filming",
+    blocked: "Memory full",
+    faulted: "Fault",
+    stopping: "Stopping",
+    unknown: "No data",
+    failed: "Board failed",
+    degraded: "Check board",
+  },
+  orders: {
+    starting: "Hold boards back. Wait.",
+    idle: "Choose the type, press Arm.",
+    arming: "Hold the next board back.",
+    armed: "Let the next board in.",
+    lacking: "Hold the next board back.",
+    held: "Hold the next board back.",
+    filming: "Do not touch the board.",
+    blocked: "Hold the next board back.",
+    faulted: "Hold boards back. Call the engineer.",
+    stopping: "Hold the next board back.",
+    unknown: "Hold boards back. Check station and network.",
+  },
+  // What else is to be done, by the group of a reason's code (parts/orders.js).
+  extra: {
+    camera: "Check the camera's cable.",
+    controller: "Check the controller's cable.",
+    disk: "Call the administrator: data disk.",
+    wait: "Wait.",
+    engineer: "Call the engineer.",
+    identify: "Arm again with its id.",
+  },
+  // What to do about a board whose pictures are not good, by the group of a reason's cause.
+  boardOrders: {
+    again: "Take it out and film it again.",
+    flat: "Lay it flat and film it again.",
+    right: "Check type and direction. Film it again.",
+    marks: "Clean its fiducials. Film it again.",
+    light: "Check light and glass. Film it again.",
+    place: "Check its place. Film it again.",
+    camera: "Call the engineer: cameras.",
+    type: "Call the engineer: board type.",
+  },
+  boardOf: (id) => (id ? `Board ${id}` : "The last board"),
+  noPicturesOf: (board, order) => `${board}: no pictures. ${order}`,
+  doubtfulPicturesOf: (board, order) => `${board}: ${order}`,
+  nextTry: (name, time) => `Next attempt for ${name}: ${time}.`,
+  camera: (name) => (name.toLowerCase().startsWith("camera") ? name : `camera ${name}`),
+
+  // arming
+  boardType: "Board type",
+  boardId: "Board id",
+  arm: "Arm",
+  armAnyway: "Arm without this camera",
+  disarm: "Disarm: hold",
+  armedWith: (armed) =>
+    [`Armed for ${armed.board_type}`, armed.board_id && `board ${armed.board_id}`, armed.job_id && `job ${armed.job_id}`]
+      .filter(Boolean)
+      .join(", "),
+  armedFor: (type) => `Armed for ${type}.`,
+  disarmed: "Disarmed.",
+  unusable: "unusable",
+  acknowledge: (file) => `Acknowledge ${file}`,
+  acknowledged: (file) => `The warning about ${file} was acknowledged.`,
+
+  // the last board
+  lastBoard: "Last board",
+  verdicts: {
+    ok: "Pictures good",
+    degraded: "Pictures with reservations",
+    failed: "No usable pictures",
+    none: "Result pending",
+  },
+  noBoard: "No board yet",
+  noId: "no id",
+  ago: (s) => {
+    if (s < 60) return `${Math.max(0, Math.floor(s))} s ago`;
+    if (s < 3600) return `${Math.floor(s / 60)} min ago`;
+    if (s < 86400) return `${Math.floor(s / 3600)} h ago`;
+    return `${Math.floor(s / 86400)} days ago`;
+  },
+  unseenCount: (n) => (n === 1 ? "1 part not seen" : `${n} parts not seen`),
+  filmAgain: "Film again",
+  use: "Use it anyway",
+  decided: { "film-again": (name) => `To be filmed again (${name})`, use: (name) => `Used, decided by ${name}` },
+  yourName: "Your name",
+  reason: "Reason",
+  confirm: "Confirm",
+  cancel: "Cancel",
+  open: "All pictures",
+  noMosaic: "No picture",
+
+  // counters and strip
+  today: "Today",
+  counts: { ok: "good", degraded: "with reservations", failed: "failed", missed: "missed" },
+  strip: "Last boards",
+  missedBoard: "A board passed without pictures",
+
+  // list of boards
+  from: "From",
+  to: "To",
+  verdict: "Verdict",
+  any: "any",
+  noVerdict: "without a result",
+  reasonCode: "Reason (code)",
+  show: "Show",
+  more: "More",
+  csv: "Save as CSV",
+  nothingFound: "No boards match.",
+  columns: {
+    started: "Time", board_id: "Board", board_type: "Type", verdict: "Verdict", frames: "Frames", reasons: "Reasons", decision: "Decision",
+    ready_ms: "Result after, ms",
+  },
+  framesOf: (ok, all) => `${ok} of ${all}`,
+
+  // one board
+  component: "Component",
+  facts: {
+    board: "Board", run: "Run", type: "Type", job: "Job", since: "Finished", frames: "Frames", trigger: "Trigger",
+    unseen: "Not seen", belt: "Belt", result: "Result", software: "Software",
+  },
+  frames: (ok, incomplete, missing, unproven, rows, cameras) => {
+    const all = ok + incomplete + missing + unproven;
+    const lost = [
+      incomplete && `${incomplete} incomplete`,
+      missing && `${missing} missing`,
+      unproven && `${unproven} not proven`,
+    ].filter(Boolean);
+    const size = `${rows} rows × ${cameras} cameras`;
+    return lost.length ? `${ok} of ${all} good (${lost.join(", ")}), ${size}` : `all ${all} good, ${size}`;
+  },
+  trigger: (proof) => {
+    const worst = proof.cameras.map((c) => c.max_residual_us).filter((r) => r != null);
+    if (proof.proven && worst.length) return `all frames match their pulses within ${Math.max(...worst).toFixed(1)} µs`;
+    const cameras = proof.cameras.filter((c) => !c.proven).map((c) => c.camera);
+    return cameras.length ? `not confirmed for camera ${cameras.join(", ")}` : "no frame to confirm";
+  },
+  belt: (speed, ratio) => `${speed} mm/s, ${ratio} % of nominal`,
+  resultAfter: (ms) => `${ms} ms after the last frame`,
+  unseen: (list) => {
+    const named = list.slice(0, 40).map((c) => texts.unseenOption(c)).join(", ");
+    return list.length > 40 ? `${named}, and ${list.length - 40} more` : named;
+  },
+  unseenOption: (c) => `${c.address} (${Math.floor((c.coverage ?? 0) * 100)} % seen)`,
+  views: (n) => (n === 1 ? "1 picture" : `${n} pictures`),
+  caption: (view) => `camera ${view.camera}, row ${view.row}` + (view.light ? `, ${view.light}` : ""),
+  alt: (ref, view) => `${ref}, camera ${view.camera}, row ${view.row}`,
+  whole: (percent) => (percent >= 100 ? "" : `, ${percent} % of it`),
+  unloadable: ", not available",
+  picturesGone: "The pictures of this board are no longer in memory, and it was not kept as a recording.",
+  noPictures: "No frame shows this component.",
+  noComponents: "This board type has no components.",
+  notFound: "There is no such board.",
+  mosaic: "Whole board",
+  back: "All boards",
+};

@@ -1,0 +1,25 @@
+// The texts in the language of this browser. The choice is kept; the page is loaded anew when it changes.
+import { texts as de } from "./de.js";
+import { texts as en } from "./en.js";
+import { kept, keep } from "../parts/settings.js";
+
+const LANGUAGES = { en, de };
+const wanted = kept("language", navigator.language.slice(0, 2));
+export const language = wanted in LANGUAGES ? wanted : "en";
+export const texts = LANGUAGES[language];
+export const otherLanguage = language === "en" ? "de" : "en";
+
+export function changeLanguage() {
+  keep("language", otherLanguage);
+  location.reload();
+}
+
+// Fill in every element that names a text.
+export function fillIn(root) {
+  for (const element of root.querySelectorAll("[data-text]")) element.textContent = texts[element.dataset.text];
+  for (const element of root.querySelectorAll("[data-label]")) element.setAttribute("aria-label", texts[element.dataset.label]);
+}
+
+export const number = (value, digits = 0) => value.toLocaleString(language, { minimumFractionDigits: digits, maximumFractionDigits: digits });
+export const clock = (time) => new Date(time).toLocaleTimeString(language, { hour: "2-digit", minute: "2-digit", second: "2-digit" });
+export const moment = (time) => new Date(time).toLocaleString(language, { dateStyle: "short", timeStyle: "medium" });
