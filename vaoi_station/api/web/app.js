@@ -68,7 +68,7 @@ function route() {
   $("view").className = view.name;
   fillIn(view.root);
   view.open?.();
-  if (station.now) view.show(station.now);
+  if (station.now) rest.unattended(view.show(station.now));
 }
 
 // One request at a time, and one more if an event came meanwhile.

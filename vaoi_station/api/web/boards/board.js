@@ -109,7 +109,7 @@ export class BoardView {
         this.#zoom.select(this.#chosen, this.#query.has("component"));
       }
     }
-    await this.#showPictures();
+    rest.unattended(this.#showPictures()); // not awaited: the state must not wait for pictures
   }
 
   // A link to the page reproduces the choice.
@@ -118,7 +118,7 @@ export class BoardView {
     this.#part("component").value = address;
     history.replaceState(null, "", `#/board/${encodeURIComponent(this.#id)}?component=${encodeURIComponent(address)}`);
     this.#zoom?.select(address, true);
-    this.#showPictures();
+    rest.unattended(this.#showPictures());
   }
 
   #say(text) {

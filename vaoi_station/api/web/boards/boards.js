@@ -139,7 +139,7 @@ export class BoardsView {
     URL.revokeObjectURL(link.href);
   }
 
-  show() {}
+  async show() {}
 }
 
 // A cell of CSV (RFC 4180). A text that a spreadsheet would take for a formula gets an apostrophe.

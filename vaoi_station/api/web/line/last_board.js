@@ -62,7 +62,7 @@ export class LastBoard {
     this.#showDecisions(run);
     this.tick(now_ms);
     this.#seen = seen;
-    if (other) await this.#showPicture(run);
+    if (other) this.#showPicture(run); // not awaited: the state must not wait for a picture
   }
 
   async #showPicture(run) {

@@ -9,6 +9,12 @@ export class Refusal extends Error {
   }
 }
 
+// Let a request end by itself: the page shows by other means that the station refuses or cannot be reached.
+export const unattended = (promise) =>
+  promise.catch((error) => {
+    if (!(error instanceof Refusal) && !(error instanceof TypeError)) throw error;
+  });
+
 async function call(method, path, body) {
   const answer = await fetch(api + path, {
     method,
