@@ -1,7 +1,6 @@
 // The last board: its picture, verdict, age, and what a person decides about it.
 import { boardPicture } from "../parts/board_picture.js";
 import { make, setText } from "../parts/elements.js";
-import { boardOrder } from "../parts/orders.js";
 import * as rest from "../parts/rest.js";
 import { keep, kept } from "../parts/settings.js";
 import { draw } from "../parts/signs.js";
@@ -57,7 +56,7 @@ export class LastBoard {
     draw(this.#part("verdict-shape"), verdict);
     setText(this.#part("verdict-word"), texts.verdicts[verdict]);
     setText(this.#part("board-name"), run.board_id ?? texts.noId);
-    setText(this.#part("board-order"), run.decision ? texts.decided[run.decision.choice](run.decision.name) : verdict === "ok" ? "" : boardOrder(run));
+    setText(this.#part("board-order"), run.decision ? texts.decided[run.decision.choice](run.decision.name) : "");
     setText(this.#part("unseen"), run.unseen?.length ? texts.unseenCount(run.unseen.length) : "");
     this.#showDecisions(run);
     this.tick(now_ms);

@@ -37,6 +37,7 @@ export async function boardPicture(run, { steps = 1, alt = "" } = {}) {
   box.setAttribute("role", "img");
   box.setAttribute("aria-label", alt);
   box.style.aspectRatio = `${width} / ${height}`;
+  box.style.setProperty("--ratio", width / height); // the style sheet fits it into its place
   const tiles = mosaic.dzi.replace(/\.dzi$/, "_files");
   const waits = [];
   for (let row = 0; row * TILE < height; row++) {

@@ -56,7 +56,7 @@ function stateOf(now) {
   return now.state in texts.words ? now.state : "unknown";
 }
 
-// The board that somebody has to do something about: the newest without pictures, or the last one if they are doubtful.
+// The board that needs a decision: the newest without pictures, or the last one if they are doubtful.
 export function openBoard(runs, now_ms) {
   const settled = new Set();
   for (const [n, run] of [...runs].reverse().entries()) {
@@ -79,7 +79,7 @@ export function boardOrder(run) {
   return say(texts.boardOf(short(run.board_id)), texts.boardOrders[group]);
 }
 
-// One word, one sign and one order. `stale`: nothing was heard of the station.
+// One word, one sign and one order. `stale`: no data come from the station.
 export function situation(now, runs, now_ms, stale) {
   const state = stale || !now ? "unknown" : stateOf(now);
   const board = QUIET.includes(state) ? openBoard(runs, now_ms) : null;
