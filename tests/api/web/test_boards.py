@@ -59,9 +59,7 @@ def test_missed_boards_and_the_last_twenty_are_shown(page: Page, served: Any) ->
     expect(page.locator("#counts .count-missed")).to_have_text("1")
     for n in range(25):
         station.film(board_id=f"SN-{n + 2}")
-    expect(page.locator("#strip a").last).to_have_attribute(
-        "aria-label", re.compile("SN-26: Pictures good")
-    )
+    expect(page.locator("#strip a").last).to_have_attribute("aria-label", re.compile("SN-26: Pictures good"))
     expect(page.locator("#strip li")).to_have_count(20)
     page.locator("#strip a").last.click()
     expect(page.locator("#board-title")).to_have_text("SN-26: Pictures good")
