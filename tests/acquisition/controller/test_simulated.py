@@ -20,7 +20,7 @@ from vaoi_station.acquisition.controller.interface import (
 )
 from vaoi_station.acquisition.controller.simulated import SimulatedController
 from vaoi_station.acquisition.device_clock import DeviceClock
-from vaoi_station.errors import InputError, StateError
+from vaoi_station.errors import InputError, InternalError, StateError
 
 PLAN = TriggerPlan(start_delay_s=0.01, period_s=0.005, tail_s=0.01, max_rows=50, debounce_s=0.001, lights=("a", "b"))
 
@@ -41,6 +41,12 @@ class Bench:
 
     def accept(self, plan: TriggerPlan) -> TriggerPlan:
         return plan
+
+    def counts_at(self, time_s: float) -> int:
+        raise InternalError("this line has no encoder")
+
+    def time_of(self, counts: int) -> float:
+        raise InternalError("this line has no encoder")
 
     def fire(self, event: PulseFired) -> None:
         self.fired.append(event)
