@@ -53,7 +53,7 @@ def test_pages_name_every_command_and_option(tmp_path: Path) -> None:
     assert not [line for line in page.splitlines() if line.startswith("'")]
     (tmp_path / "vaoi").write_text(completion)
     ask = f'source {tmp_path}/vaoi; COMP_WORDS=(vaoi $1 $2); COMP_CWORD=$#; _vaoi; echo "${{COMPREPLY[@]}}"'
-    for words, expected in ((("check",), "check-config"), (("rig", "u"), "up"), (("serve", "--lo"), "--log-json")):
+    for words, expected in ((("check-c",), "check-config"), (("rig", "u"), "up"), (("serve", "--lo"), "--log-json")):
         done = subprocess.run(["bash", "-c", ask, "bash", *words], capture_output=True, text=True, check=True)
         assert done.stdout.split() == [expected]
 

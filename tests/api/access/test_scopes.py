@@ -36,8 +36,10 @@ EXPECTED = {
         "PUT /runs/{run}/pin",
         "DELETE /runs/{run}/pin",
         "PUT /runs/{run}/decision",
+        "PUT /runs/{run}/identity/next-machine",
     },
     "teach": {
+        "POST /board-types/{name}/correct",
         "POST /board-data/previews",
         "PUT /board-data/previews/{preview}",
         "DELETE /board-data/previews/{preview}",
