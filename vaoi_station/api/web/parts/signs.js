@@ -5,14 +5,14 @@ const dashed = `<circle cx="50" cy="50" r="42" ${line} stroke-dasharray="20 24"/
 const triangle = `<path d="M50 8 96 90H4Z" ${line}/><path d="M50 36v26M50 76v1" ${line}/>`;
 const octagon =
   '<path d="M31 4h38l27 27v38L69 96H31L4 69V31Z" fill="currentColor"/>' +
-  '<path d="M35 35 65 65M65 35 35 65" fill="none" stroke="#fff" stroke-width="10" stroke-linecap="round"/>';
+  '<path d="M35 35 65 65M65 35 35 65" fill="none" stroke="var(--panel)" stroke-width="10" stroke-linecap="round"/>';
 
 const marks = {
   starting: dashed,
   idle: `${ring}<path d="M38 34v32M62 34v32" ${line}/>`,
   arming: dashed,
-  armed: `<circle cx="50" cy="50" r="46" fill="currentColor"/><path d="M30 52 44 66 71 36" fill="none" stroke="#fff" stroke-width="10" stroke-linecap="round" stroke-linejoin="round"/>`,
-  filming: `<rect x="6" y="26" width="88" height="58" rx="8" fill="currentColor"/><path d="M34 26 41 12h18l7 14Z" fill="currentColor"/><circle cx="50" cy="55" r="18" fill="none" stroke="#fff" stroke-width="8"/>`,
+  armed: `<circle cx="50" cy="50" r="46" fill="currentColor"/><path d="M30 52 44 66 71 36" fill="none" stroke="var(--panel)" stroke-width="10" stroke-linecap="round" stroke-linejoin="round"/>`,
+  filming: `<rect x="6" y="26" width="88" height="58" rx="8" fill="currentColor"/><path d="M34 26 41 12h18l7 14Z" fill="currentColor"/><circle cx="50" cy="55" r="18" fill="none" stroke="var(--panel)" stroke-width="8"/>`,
   blocked: triangle,
   lacking: triangle,
   held: triangle,
