@@ -37,12 +37,20 @@ def test_maps_of_dark_and_flat_apply_pixel_by_pixel() -> None:
     assert np.isnan(out[1, 1])
 
 
-@pytest.mark.parametrize("beside_px", [0.0, 30.0])
-def test_shifted_frames_are_merged_as_opencv_resamples_them(beside_px: float) -> None:
-    """One pass gives the same as the steps one by one, in the frame and at its border, block by block."""
+@pytest.mark.parametrize(
+    ("beside_px", "line_step", "size"),
+    [(0.0, (0.011, 0.997), (160, 57)), (30.0, (0.011, 0.997), (160, 57)), (0.0, (0.05, 1.6), (44, 42))],
+)
+def test_shifted_frames_are_merged_as_opencv_resamples_them(
+    beside_px: float, line_step: tuple[float, float], size: tuple[int, int]
+) -> None:
+    """One pass gives the same as the steps one by one, in the frame and at its border, block by block.
+
+    Also where pixels are not square, so that a block needs a larger part of the frame.
+    """
     plain = exposed(0, 0, 250.0)  # the right half is saturated
-    turned = np.array([[1.002, 0.011, 5.3 + beside_px], [-0.01, 0.997, 4.6], [1e-7, 2e-7, 1.0]])
-    width, height = 160, 57
+    turned = np.array([[1.002, line_step[0], 5.3 + beside_px], [-0.01, line_step[1], 4.6], [1e-7, 2e-7, 1.0]])
+    width, height = size
     plain.view.width, plain.view.height, plain.view.matrix = width, height, turned
     frame = _source(plain)
     sums = np.zeros((2, 3, height, width), np.float32)

@@ -165,20 +165,27 @@ def add_shifted(
     if not is_almost_shift(matrix, width, height):
         return False
     side, lines, values = 1 << BLOCK_SHIFT, _lines(source), sums.reshape(-1)
-    # A block with its neighbours stays in the processor's cache. A shift changes its sides by less than an eighth.
-    most = min(side, max(width, height)) * 9 // 8 + 8
-    radiance, sharp = np.empty(most * most, np.float32), np.empty(most * most, np.float32)
+    rows, columns = source.pixels.shape
+    # A block with its neighbours stays in the processor's cache. How much of the frame a block needs depends on the
+    # steps from line to line as well, which differ from 1 where pixels are not square: the largest part is measured.
+    wide = high = 0
+    for top in range(0, height, side):
+        for left in range(0, width, side):
+            box = _box(matrix, left, top, min(left + side, width), min(top + side, height), columns, rows)
+            wide, high = max(wide, box[2] - box[0]), max(high, box[3] - box[1])
+    # One line and the two values beside it are kept in the same memory.
+    radiance, sharp = np.empty(wide * high + 2, np.float32), np.empty(wide * high + 2, np.float32)
     line, weight = np.empty(side, np.float32), np.empty(side, np.float32)
     for top in range(0, height, side):
         for left in range(0, width, side):
             right, bottom = min(left + side, width), min(top + side, height)
-            box = _box(matrix, left, top, right, bottom, source.pixels.shape[1], source.pixels.shape[0])
+            box = _box(matrix, left, top, right, bottom, columns, rows)
             if box[0] >= box[2] or box[1] >= box[3]:
                 continue
-            _sharpen(source, lines, box, radiance, sharp, most)
+            _sharpen(source, lines, box, radiance, sharp, wide)
             middle = run_from(matrix, (left + right) // 2, (top + bottom) // 2, 1)
             scale = _flat_at(source.flat, middle.left, middle.top) * np.float32(source.exposure)
-            block = _Block(sharp, most, box[0], box[1], scale)
+            block = _Block(sharp, wide, box[0], box[1], scale)
             for y in range(top, bottom):
                 _weigh_line(source, matrix, (left, right, y), block, line, weight)
                 for group in groups:
