@@ -9,6 +9,7 @@ import pytest
 
 from vaoi_station.acquisition.causes import NO_PACKET
 from vaoi_station.acquisition.clocks import ClockJump
+from vaoi_station.acquisition.controller.interface import PulseSkipped
 from vaoi_station.acquisition.outages import Outages
 from vaoi_station.acquisition.pairing.proof import TriggerProof
 from vaoi_station.acquisition.pairing.run_conclusion import conclude_run, judge_run
@@ -75,7 +76,7 @@ def test_frames_whose_stamps_fit_no_pulse_were_sent() -> None:
 def test_a_skipped_row_has_the_reason_of_the_controller() -> None:
     run = run_with_frames({0: 1, 2: 2}, rows=3)
     del run.pulses[1]
-    run.skipped[1] = "the LEDs must cool down"
+    run.skipped[1] = PulseSkipped(0, START_S + PERIOD_S, 1, "the LEDs must cool down")
     assert causes(run) == {1: "the LEDs must cool down"}
 
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from vaoi_station.acquisition.controller.interface import PulseSkipped
 from vaoi_station.acquisition.pairing.run_record import ObservedPulse, RunRecord
 from vaoi_station.model import Pulse
 
@@ -51,7 +54,7 @@ def test_rows_are_those_of_the_pulses_until_the_run_has_ended() -> None:
 def test_open_rows_are_fired_rows_without_a_frame() -> None:
     run = record(0, 1, 2, 3)
     run.taken.add((0, 1))
-    run.skipped[2] = "the LEDs must cool down"
+    run.skipped[2] = PulseSkipped(0, 50.2, 2, "the LEDs must cool down")
     assert run.open_rows(0) == [0, 3]
     assert run.open_rows(1) == [0, 1, 3]
 
@@ -66,6 +69,41 @@ def test_rows_without_a_report_follow_the_row_before_by_one_period() -> None:
     assert run.times_s() == (0.0, 0.1, 0.2), "the first report was lost"
     run.pulse_count = 4
     assert run.times_s() == (0.0, 0.1, 0.2, 0.3), "the last report was lost"
+
+
+def on_belt(times_s: dict[int, float]) -> RunRecord:
+    """Return a run whose pulses have these times by the controller's clock."""
+    run = RunRecord("a", 0, PERIOD_S)
+    run.pulses = {row: ObservedPulse(Pulse(index=row, time_s=s), s) for row, s in times_s.items()}
+    return run
+
+
+def test_rows_without_a_report_follow_the_belt_not_the_period() -> None:
+    """The belt is 1.25 times as fast as planned, then slower; the trigger period is 0.1 s."""
+    assert on_belt({0: 0.0, 1: 0.08, 4: 0.32}).times_s() == (0.0, 0.08, 0.16, 0.24, 0.32)
+    run = on_belt({2: 0.0, 3: 0.08, 4: 0.24})
+    run.pulse_count = 6
+    assert run.times_s() == (0.0, 0.08, 0.16, 0.24, 0.4, 0.56)
+
+
+def test_a_skipped_row_has_the_time_at_which_it_was_due() -> None:
+    run = on_belt({0: 0.0, 3: 0.3})
+    run.skipped = {row: PulseSkipped(row, s, row, "too fast") for row, s in ((1, 0.07), (2, 0.05), (9, 0.9))}
+    assert run.times_s() == (0.0, 0.07, 0.185, 0.3), "the report of row 2 is out of order"
+
+
+@given(st.data())
+def test_times_increase_whatever_was_skipped_or_lost(data: st.DataObject) -> None:
+    intervals_s = data.draw(st.lists(st.floats(0.001, 3.0), min_size=2, max_size=12))
+    times_s = [sum(intervals_s[:n]) for n in range(1, len(intervals_s) + 1)]
+    rows = data.draw(st.sets(st.sampled_from(range(len(times_s))), min_size=1))
+    run = on_belt({row: times_s[row] for row in rows})
+    run.pulse_count = len(times_s)
+    for row in data.draw(st.sets(st.sampled_from(range(len(times_s))))) - rows:
+        run.skipped[row] = PulseSkipped(row, data.draw(st.floats(0, 40)), row, "too fast")
+    found = run.times_s()
+    assert len(found) == len(times_s)
+    assert all(a < b for a, b in pairwise(found))
 
 
 def test_lights_are_given_if_any_row_has_a_name() -> None:

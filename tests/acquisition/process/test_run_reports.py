@@ -44,6 +44,17 @@ def test_the_head_describes_the_run_and_lists_frames_that_are_not_complete(
     assert report.proof is PROOF
 
 
+def test_reports_that_contradict_each_other_cost_the_run_its_certainty_not_the_process(
+    make_config: Callable[..., StationConfig],
+) -> None:
+    """A controller that was reset meanwhile may report a row earlier than the row before."""
+    run = finished(100.2)
+    run.record.pulses[1] = ObservedPulse(Pulse(index=1, time_s=0.5), 100.05)
+    head = finished_report(make_config(), run, 101.0).head
+    assert (head.rows, head.missing, head.trigger_times_s) == (2, ((0, 1), (1, 1)), None)
+    assert [("contradict" in doubt, "must increase" in doubt) for doubt in head.doubts] == [(True, True)]
+
+
 @pytest.mark.parametrize(("now_s", "expected_s"), [(101.0, 100.05), (100.01, 100.01)])
 def test_without_a_frame_the_last_pulse_dates_the_run_but_never_the_future(
     make_config: Callable[..., StationConfig], now_s: float, expected_s: float

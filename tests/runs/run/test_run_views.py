@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from vaoi_station.acquisition.pairing.doubts import doubts_of
 from vaoi_station.acquisition.pairing.proof import TriggerFinding, TriggerProof
 from vaoi_station.model import Status, Stitch
 from vaoi_station.runs.run.run_views import belt_speed, reasons_of, trigger_reasons, versions
@@ -61,17 +62,35 @@ def test_trigger_findings_are_reasons_with_camera_and_row() -> None:
 
 
 def test_reasons_of_a_result_state_its_codes() -> None:
-    reasons = {"reasons": ("too dark", "a doubt"), "reason_codes": ("no-texture", "trigger-doubtful")}
+    finding = TriggerFinding(camera=0, row=4, kind="extra-frame", text="once more")
+    proof = TriggerProof(proven=False, cameras=(), findings=(finding,))
+    reasons = {
+        "reasons": ("too dark", *doubts_of(proof)),
+        "reason_codes": ("no-texture", "trigger-doubtful"),
+    }
     stitch = Stitch(method="auto", image_matrices=(()), cad_matrix=None, row_motion=(), status=Status.FAILED, **reasons)
-    recorded = SimpleNamespace(head=SimpleNamespace(doubts=("a doubt",)), proof=None)
+    recorded = SimpleNamespace(head=SimpleNamespace(doubts=doubts_of(proof)), proof=proof)
     progress: Any = SimpleNamespace(
         stitch=stitch, recorded=recorded, faults=[], frames={}, order=SimpleNamespace(notes=())
     )
-    (reason,) = reasons_of(progress)
+    reason, of_proof = reasons_of(progress)
     assert (reason.code, reason.cause, reason.message) == ("stitch-failed", "no-texture", "too dark")
+    assert of_proof.code == "trigger-extra-frame"
     progress.stitch = stitch.model_copy(update={"reason_codes": ()})
-    (reason,) = reasons_of(progress)
+    reason, _ = reasons_of(progress)
     assert reason.cause == "", "results of older versions have no codes"
+
+
+def test_a_doubt_that_no_finding_states_is_shown() -> None:
+    doubt = "times, exposures and lights of this run contradict each other and are not used"
+    stitch = Stitch(
+        method="auto", image_matrices=(()), cad_matrix=None, row_motion=(), status=Status.DEGRADED, reasons=(doubt,)
+    )
+    recorded = SimpleNamespace(head=SimpleNamespace(doubts=(doubt,)), proof=None)
+    progress: Any = SimpleNamespace(
+        stitch=stitch, recorded=recorded, faults=[], frames={}, order=SimpleNamespace(notes=())
+    )
+    assert [reason.message for reason in reasons_of(progress)] == [doubt]
 
 
 def test_versions_name_what_computed() -> None:

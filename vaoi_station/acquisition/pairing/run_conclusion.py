@@ -194,7 +194,8 @@ def _missing(run: RunRecord, camera: int, gaps: Sequence[Gap], outages: Outages,
         if (camera, row) in run.frames:
             continue
         if row not in run.pulses:
-            cause = run.skipped.get(row, "the controller's report of this pulse was lost")
+            skipped = run.skipped.get(row)
+            cause = "the controller's report of this pulse was lost" if skipped is None else skipped.reason
         else:
             cause = (
                 run.refused.get((camera, row))

@@ -6,6 +6,9 @@ from collections import defaultdict
 from dataclasses import dataclass, field
 from itertools import pairwise
 
+import numpy as np
+
+from vaoi_station.acquisition.controller.interface import PulseSkipped
 from vaoi_station.line_config import row_ways_mm
 from vaoi_station.model import FrameRecord, ProgramRow, Pulse
 from vaoi_station.model.light_program import row_of
@@ -64,8 +67,8 @@ class RunRecord:
     period_s: float
     pulses: dict[int, ObservedPulse] = field(default_factory=dict)
     """For each row, its pulse as the controller reported it."""
-    skipped: dict[int, str] = field(default_factory=dict)
-    """Row → why the controller did not fire its pulse."""
+    skipped: dict[int, PulseSkipped] = field(default_factory=dict)
+    """Row → the controller's report that it did not fire the pulse, with the reason and the time."""
     frames: dict[tuple[int, int], FrameRecord] = field(default_factory=dict)
     """(camera, row) → record of its frame with the verdict, which is final."""
     taken: set[tuple[int, int]] = field(default_factory=set)
@@ -182,7 +185,8 @@ class RunRecord:
     def times_s(self) -> tuple[float, ...]:
         """Return every row's pulse time by the controller's clock, relative to row 0 and rounded to ns.
 
-        A pulse whose report was lost is placed one period after the pulse before it.
+        A pulse whose report was lost is placed between its neighbours, at equal intervals. Before the first and after
+        the last row with a known time, rows follow at the interval that was measured there.
         """
         times = self._row_times_s()
         return tuple(round(times[r] - times[0], 9) for r in range(self.rows))
@@ -199,11 +203,29 @@ class RunRecord:
             for blocked_s, clear_s in self.interruptions
         )
 
-    def _row_times_s(self) -> dict[int, float]:
-        """Return the time of every row's pulse by the controller's clock, by row."""
-        times = {r: p.pulse.time_s for r, p in self.pulses.items()}
-        first, first_s = min(times.items())
-        for row in range(self.rows):
-            if row not in times:
-                times[row] = times[row - 1] + self.period_s if row else first_s - self.period_s * first
-        return times
+    def _row_times_s(self) -> list[float]:
+        """Return the time of every row's pulse by the controller's clock, s; they increase if those of the pulses do.
+
+        The belt may space the rows, so that the trigger period is no measure of their intervals.
+        """
+        known_s = self._known_times_s()
+        rows, times_s = list(known_s), list(known_s.values())
+        first_s = last_s = self.period_s
+        if len(rows) > 1:
+            first_s, last_s = ((times_s[k + 1] - times_s[k]) / (rows[k + 1] - rows[k]) for k in (0, -2))
+        # `interp` returns the first or the last known time for rows beyond them.
+        within_s = np.interp(range(self.rows), rows, times_s).tolist()
+        return [
+            time_s + min(row - rows[0], 0) * first_s + max(row - rows[-1], 0) * last_s
+            for row, time_s in enumerate(within_s)
+        ]
+
+    def _known_times_s(self) -> dict[int, float]:
+        """Return the time of each row that was fired or skipped, in order. Skips out of order are left out."""
+        times_s = {row: pulse.pulse.time_s for row, pulse in self.pulses.items()}
+        for row, event in sorted(self.skipped.items()):
+            before_s = max((s for r, s in times_s.items() if r < row), default=float("-inf"))
+            after_s = min((s for r, s in times_s.items() if r > row), default=float("inf"))
+            if row < self.rows and row not in times_s and before_s < event.time_s < after_s:
+                times_s[row] = event.time_s
+        return dict(sorted(times_s.items()))

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import logging
+
+from pydantic import ValidationError
+
 from vaoi_station.acquisition.clocks import ClockJump
 from vaoi_station.acquisition.pairing.doubts import doubts_of
 from vaoi_station.acquisition.pairing.recorder import Finished
@@ -12,13 +16,43 @@ from vaoi_station.errors import DeviceError, VaoiError
 from vaoi_station.model import RecordingHead
 from vaoi_station.model.light_program import linear_gain
 
+_log = logging.getLogger(__name__)
+
 
 def finished_report(config: StationConfig, finished: Finished, now_s: float) -> RunFinished:
     """Return the report of a finished run, with the head of its recording, in which unusable frames are missing."""
     record = finished.record
     assert record.run is not None
     assert record.bay is not None
-    head = RecordingHead(
+    try:
+        head = _head(config, finished)
+    except ValidationError as error:
+        # What a device reported contradicts itself. This costs the certainty of one run, not the process.
+        _log.exception("run %s: its recording cannot be described", record.run)
+        head = _head_without_measurements(config, finished, error)
+    # A fast replay reports pulses before their time, so the last pulse may lie in the future.
+    last_pulse_s = min(max(p.host_s for p in record.pulses.values()), now_s)
+    return RunFinished(
+        run=record.run,
+        bay=record.bay,
+        head=head,
+        frames=finished.frames,
+        last_frame_host_s=record.last_frame_host_s or last_pulse_s,
+        reason=record.reason,
+        unassigned=record.unassigned,
+        proof=finished.proof,
+        interruptions=record.interruptions_s(),
+    )
+
+
+def _head(config: StationConfig, finished: Finished) -> RecordingHead:
+    """Return the head of the recording of a run with all that was measured and reported.
+
+    Raises:
+        ValidationError: what was reported does not fit together.
+    """
+    record = finished.record
+    return RecordingHead(
         format="vaoi-recording",
         version=1,
         cameras=tuple(c.head for c in config.cameras),
@@ -34,18 +68,24 @@ def finished_report(config: StationConfig, finished: Finished, now_s: float) -> 
         lights=record.lights(),
         doubts=doubts_of(finished.proof),
     )
-    # A fast replay reports pulses before their time, so the last pulse may lie in the future.
-    last_pulse_s = min(max(p.host_s for p in record.pulses.values()), now_s)
-    return RunFinished(
-        run=record.run,
-        bay=record.bay,
-        head=head,
-        frames=finished.frames,
-        last_frame_host_s=record.last_frame_host_s or last_pulse_s,
-        reason=record.reason,
-        unassigned=record.unassigned,
-        proof=finished.proof,
-        interruptions=record.interruptions_s(),
+
+
+def _head_without_measurements(config: StationConfig, finished: Finished, error: ValidationError) -> RecordingHead:
+    """Return the head of a run whose measured values were refused: only what is known anyway, and a doubt."""
+    record, first = finished.record, error.errors()[0]
+    what = ": ".join([*map(str, first["loc"]), first["msg"]])
+    return RecordingHead(
+        format="vaoi-recording",
+        version=1,
+        cameras=tuple(c.head for c in config.cameras),
+        rows=record.rows,
+        trigger_period_s=record.period_s,
+        conveyor_mm_s=record.conveyor_mm_s or config.line.conveyor_mm_s,
+        missing=tuple((f.camera, f.row) for f in finished.frames if not f.usable),
+        doubts=(
+            f"times, exposures and lights of this run contradict each other and are not used ({what})",
+            *doubts_of(finished.proof),
+        ),
     )
 
 

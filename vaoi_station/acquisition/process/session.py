@@ -101,8 +101,8 @@ class Session:
         self._run: RunRecord | None = None
         """The run whose pulses are being fired at present."""
         self._silent_s = float("inf")
-        self._skipped: dict[int, str] = {}
-        """Row → why its pulse was not fired, for rows that were skipped before the first pulse of a board."""
+        self._skipped: dict[int, PulseSkipped] = {}
+        """Reports of the rows that were skipped before the first pulse of a board."""
         self._given_up = False
         """Whether a run was closed before its end was reported; later events of it are ignored."""
         self._barrier = BarrierLog()
@@ -226,7 +226,7 @@ class Session:
                 self._send(PulseReported(self._run.run, pulse))
             self._apply(outcomes, now_s)
         elif isinstance(event, PulseSkipped):
-            (self._skipped if self._run is None else self._run.skipped)[event.index] = event.reason
+            (self._skipped if self._run is None else self._run.skipped)[event.index] = event
         elif isinstance(event, RunEnded):
             if self._run is None:
                 self._barrier.over = True

@@ -9,7 +9,7 @@ from functools import cache
 import cv2
 import numpy as np
 
-from vaoi_station.acquisition.pairing.doubts import ACTIONS, doubtful
+from vaoi_station.acquisition.pairing.doubts import ACTIONS, doubtful, doubts_of
 from vaoi_station.acquisition.pairing.proof import QUESTIONING_KINDS, TriggerProof
 from vaoi_station.geometry import apply
 from vaoi_station.geometry.transforms import Floats
@@ -132,9 +132,8 @@ def reasons_of(progress: Progress) -> tuple[Reason, ...]:
     """
     stitch = progress.stitch
     recorded = progress.recorded
-    # Doubts of the recording and faults of the run are reasons of the result too. From here they have codes and
-    # actions.
-    known = {*(recorded.head.doubts if recorded else ()), *(fault.message for fault in progress.faults)}
+    # Doubts of the proof and faults of the run are reasons of the result too. From here they have codes and actions.
+    known = {*doubts_of(recorded.proof if recorded else None), *(fault.message for fault in progress.faults)}
     words = []
     if stitch:
         codes = stitch.reason_codes or ("",) * len(stitch.reasons)
