@@ -9,7 +9,9 @@ from hypothesis import strategies as st
 from tests.acquisition.recorder_script import PERIOD_S, RecorderScript
 from vaoi_station.acquisition.pairing.doubts import doubts_of
 from vaoi_station.acquisition.pairing.latency import LatencySettings
-from vaoi_station.model import Verdict
+from vaoi_station.acquisition.pairing.latency_learning import Latencies, WaitingFrame
+from vaoi_station.acquisition.pairing.run_record import ObservedPulse, RunRecord
+from vaoi_station.model import Pulse, Verdict
 
 START_S = 1000.0
 
@@ -52,6 +54,40 @@ def test_without_a_frame_of_the_first_pulse_the_run_is_in_doubt_and_the_next_one
     assert "camera 0" in doubts_of(script.proofs["a"])[0]
     assert not script.proofs["b"].findings
     assert not script.proofs["c"].findings, "once confirmed, a lost first frame leaves no doubt"
+
+
+def test_a_belt_faster_than_planned_confirms_no_latency_that_is_one_pulse_off() -> None:
+    """The frame of the first pulse is lost; the others seem to follow the pulses by 0.82 trigger periods."""
+    latencies, run = Latencies([LatencySettings()], lambda _camera, _s: 1e-4), RunRecord("a", 0, PERIOD_S)
+    for row in range(4):
+        fired_s = START_S + row * 0.8 * PERIOD_S
+        run.pulses[row] = ObservedPulse(Pulse(index=row, time_s=fired_s), fired_s)
+    waiting = [WaitingFrame(run.pulses[row].host_s + 0.002, False) for row in (1, 2, 3)]
+    latencies.learn(0, [run], waiting, [], START_S + 1)
+    assert not latencies[0].confirmed
+    assert run.latency_known == {}
+
+
+def test_before_the_second_pulse_the_plan_states_how_soon_it_may_come() -> None:
+    """The plan allows 4 times the planned speed: a first frame after 8 ms may be that of the second pulse."""
+    latencies, run = Latencies([LatencySettings()], lambda _camera, _s: 1e-4), RunRecord("a", 0, 0.03)
+    run.pulses[0] = ObservedPulse(Pulse(index=0, time_s=START_S), START_S)
+    run.fastest_s = 0.03 / 4
+    latencies.learn(0, [run], [WaitingFrame(START_S + 0.0077, False)], [], START_S + 1)
+    assert not latencies[0].confirmed
+
+
+@pytest.mark.parametrize(("gap", "known"), [(1.7, {0: True}), (1.5, {})])
+def test_the_silence_before_a_run_is_as_short_as_its_intervals(gap: float, known: dict[int, bool]) -> None:
+    """On a belt of 1.25 times the planned speed, two intervals are 1.6 trigger periods."""
+    latencies = Latencies([LatencySettings()], lambda _camera, _s: 1e-4)
+    before, run = RunRecord("a", 0, PERIOD_S, finished=True), RunRecord("b", 0, PERIOD_S)
+    before.pulses[0] = ObservedPulse(Pulse(index=0, time_s=START_S), START_S)
+    for row in range(2):
+        fired_s = START_S + (gap + 0.8 * row) * PERIOD_S
+        run.pulses[row] = ObservedPulse(Pulse(index=row, time_s=fired_s), fired_s)
+    latencies.learn(0, [before, run], [WaitingFrame(run.first_s + 0.002, False)], [], START_S + 1)
+    assert run.latency_known == known
 
 
 def test_a_latency_that_grows_by_nearly_a_period_is_named_and_used_from_the_next_run_on() -> None:

@@ -1,10 +1,10 @@
 """The latency of each camera: the time from a pulse to the time stamp of its frame. Pure logic.
 
 Cameras stamp the start of the exposure, its end, or the end of the read-out, so the latency may be anything from some
-microseconds to more than a trigger period T. Because pulses come at equal intervals, the latencies φ, φ + T and φ + 2 T
-fit the frames of a run equally well. A wrong one would move all frames of the camera by one or more rows. Only the
-beginning of a run decides: no pulse was fired before it, and no frame has a time stamp before its pulse. So a frame of
-the first pulse confirms the latency. Until then, the frames of the camera wait.
+microseconds to more than a trigger period T. Because pulses come at nearly equal intervals, the latencies φ, φ + T and
+φ + 2 T fit the frames of a run equally well. A wrong one would move all frames of the camera by one or more rows. Only
+the beginning of a run decides: no pulse was fired before it, and no frame has a time stamp before its pulse. So a frame
+of the first pulse confirms the latency. Until then, the frames of the camera wait.
 """
 
 from __future__ import annotations
@@ -42,6 +42,8 @@ class Beginning:
     frames_s: Sequence[float]
     """Time stamps of the camera's complete frames, converted to the host's clock, s."""
     period_s: float
+    """The shortest time between two pulses of the run: a belt that spaces the rows brings them at other intervals than
+    the trigger period."""
     bound_s: float
     """Error bound of the controller's clock plus that of the camera's clock."""
     from_silence: bool

@@ -73,7 +73,7 @@ class Latencies:
                 Beginning(
                     pulses_s=sorted(p.host_s for p in run.pulses.values()),
                     frames_s=sorted([*(f.host_s for f in own), *(f.host_s for f in taken)]),
-                    period_s=run.period_s,
+                    period_s=run.least_period_s,
                     bound_s=bound_s,
                     from_silence=run.has_first_pulse and _was_silent(run, runs, exposed_s, bound_s),
                     all_fired=run.all_fired,
@@ -107,6 +107,6 @@ class Latencies:
 def _was_silent(run: RunRecord, runs: Sequence[RunRecord], exposed_s: Sequence[float], bound_s: float) -> bool:
     """Whether a camera exposed nothing, and no pulse was fired, for some periods before the first pulse of a run."""
     until_s = run.first_s - bound_s
-    since_s = until_s - SILENT_PERIODS * run.period_s
+    since_s = until_s - SILENT_PERIODS * run.measured_period_s
     pulses_s = [p.host_s for r in runs if r is not run for p in r.pulses.values()]
     return not any(since_s < s < until_s for s in (*exposed_s, *pulses_s))

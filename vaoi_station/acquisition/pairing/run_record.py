@@ -103,6 +103,8 @@ class RunRecord:
     """Velocity of the belt that the plan of the run expects; None: that of station.toml."""
     row_mm: float | None = None
     """Distance of the rows by the belt's encoder; None if the controller's clock spaces the rows."""
+    fastest_s: float = float("inf")
+    """Shortest time between two pulses that the plan of the run allows; infinite without a plan."""
 
     @property
     def first_s(self) -> float:
@@ -129,6 +131,16 @@ class RunRecord:
         """Shortest time between two pulses; the trigger period if there are fewer than two pulses."""
         times = sorted(p.host_s for p in self.pulses.values())
         return min((b - a for a, b in pairwise(times)), default=self.period_s)
+
+    @property
+    def measured_period_s(self) -> float:
+        """The trigger period, or the shortest time between two reported pulses if the belt brought one sooner."""
+        return min(self.period_s, self.shortest_interval_s)
+
+    @property
+    def least_period_s(self) -> float:
+        """The shortest time between two pulses of this run, also of those that are not reported yet."""
+        return min(self.measured_period_s, self.fastest_s)
 
     def nearest(self, host_s: float) -> tuple[int, float] | None:
         """Return the row of the pulse nearest to `host_s`, and `host_s` minus the pulse time; None without a pulse."""

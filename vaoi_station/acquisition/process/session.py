@@ -317,7 +317,7 @@ class Session:
             self._barrier = BarrierLog()  # the report of this board's edge was lost
         if plan is not None:
             self._run.program, self._run.conveyor_mm_s = plan.program, plan.conveyor_mm_s
-            self._run.row_mm = plan.row_mm
+            self._run.row_mm, self._run.fastest_s = plan.row_mm, plan.shortest_period_s
         # This is the same list, not a copy: it grows until the end of the run.
         self._run.interruptions = self._barrier.interruptions
 
