@@ -94,7 +94,7 @@ class HeldStation(StationCoordinator):
 
     def publish(self, kind: str, message: str = "", **fields: Any) -> None:
         with self._news:
-            self.log.append(EventRecord(number=len(self.log) + 1, time=NOW, kind=kind, message=message, **fields))
+            self.log.append(EventRecord(number=len(self.log) + 1, time=utc(), kind=kind, message=message, **fields))
             self._news.notify_all()
 
     def film(self, *, verdict: Status = Status.OK, board_id: str | None = None, finish: bool = True) -> str:
@@ -115,7 +115,7 @@ class HeldStation(StationCoordinator):
                 self.pixels[run, camera, row] = _scene(random, camera, row)
         detail = RunDetail(
             id=run, board_type="demo-board", board_id=board_id, job_id=None,
-            state=RunState.STITCHING, verdict=None, started=NOW, finished=None, rows=ROWS, cameras=CAMERAS,
+            state=RunState.STITCHING, verdict=None, started=utc(), finished=None, rows=ROWS, cameras=CAMERAS,
             counts=VerdictCounts(ok=CAMERAS * ROWS - 2, incomplete=1, missing=1), reasons=(), belt=None,
             timings=None, frames_available=True, frames=tuple(frames), ended="clear", strays=0,
             software=VERSIONS, calibration="c0ffee",
@@ -346,21 +346,14 @@ class HeldStation(StationCoordinator):
         return self.pixels[run, camera, row].copy(), record
 
     def components(self, run: str) -> tuple[ComponentSummary, ...]:
-        self.run(run)
+        unseen = {u.address for u in self.run(run).unseen}
         return tuple(
             ComponentSummary(
-                address=c.address,
-                ref=c.ref,
-                panel=c.panel,
-                center_mm=c.center,
-                width_mm=c.width,
-                height_mm=c.height,
-                rotation_deg=c.rotation,
-                tester_mm=c.center,
-                views=2,
+                address=c.address, ref=c.ref, panel=c.panel, center_mm=c.center, width_mm=c.width, height_mm=c.height,
+                rotation_deg=c.rotation, tester_mm=c.center, views=2, unseen=c.address in unseen,
             )
             for c in self.types["demo-board"].components
-        )
+        )  # fmt: skip
 
     def images(self, run: str, ref: str, wanted: ImageRequest = ImageRequest()) -> ChosenImages:  # noqa: B008
         return chosen_images(self, run, ref, wanted)

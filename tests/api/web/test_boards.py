@@ -43,9 +43,17 @@ def test_a_failed_board_stays_until_somebody_decides(page: Page, served: Any) ->
     page.keyboard.press("Enter")
     expect(page.locator("#board-order")).to_have_text("Used, decided by Ada")
     expect(page.locator("#order")).to_contain_text("Board SN-47")
-    station.kept.history.decide(run, "film-again", "Ada", "Rows are lost.")
+    page.get_by_role("button", name="SN-47: Film again").click()
+    for n in range(22):
+        station.film(board_id=f"SN-{n + 50}")
+    expect(page.locator("#board-name")).to_have_text("SN-71")
+    expect(page.locator("#order")).to_contain_text("Board SN-47")
+    expect(page.get_by_label("Your name")).to_have_value("Ada")
+    expect(page.get_by_label("Reason")).to_have_value("rows-lost")
+    page.keyboard.press("Enter")
     expect(page.locator("#state-word")).to_have_text("Ready")
-    expect(page.locator("#counts")).to_have_text("Today1good1with reservations1failed0missed")
+    assert station.kept.history.made[run].choice == "film-again"
+    expect(page.locator("#counts")).to_have_text("Today23good1with reservations1failed0missed")
 
 
 def test_missed_boards_and_the_last_twenty_are_shown(page: Page, served: Any) -> None:
@@ -57,6 +65,12 @@ def test_missed_boards_and_the_last_twenty_are_shown(page: Page, served: Any) ->
     expect(page.locator("#strip li")).to_have_count(2)
     expect(page.locator("#strip .missed span")).to_have_attribute("aria-label", re.compile("passed without pictures"))
     expect(page.locator("#counts .count-missed")).to_have_text("1")
+    station.arm("demo-board")
+    expect(page.locator("#state-word")).to_have_text("Board missed")
+    expect(page.locator("#order")).to_have_text("A board was not filmed. Film it again.")
+    page.locator("nav a").nth(1).click()
+    page.locator("nav a").first.click()
+    expect(page.locator("#strip .missed")).to_have_count(1)
     for n in range(25):
         station.film(board_id=f"SN-{n + 2}")
     expect(page.locator("#strip a").last).to_have_attribute("aria-label", re.compile("SN-26: Pictures good"))

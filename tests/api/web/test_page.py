@@ -112,9 +112,15 @@ def test_arming_works_by_keyboard_alone(page: Page, served: Any) -> None:
     page.keyboard.press("Space")
     expect(page.locator("#arm")).not_to_have_class(re.compile("holding"))
     expect(page.locator("#state-word")).to_have_text("Ready")
-    page.keyboard.down("Space")
-    expect(page.locator("#state-word")).to_have_text("Not armed")
-    page.keyboard.up("Space")
+    for key in ("Space", "Enter"):
+        page.keyboard.down(key)
+        expect(page.locator("#state-word")).to_have_text("Not armed")
+        page.keyboard.down(key)  # as a key that is held does again and again
+        page.keyboard.up(key)
+        expect(page.locator("#arm")).to_have_text("Arm")
+        assert served.station.armed is None, "the release is no order to arm"
+        page.keyboard.press("Enter")
+        expect(page.locator("#state-word")).to_have_text("Ready")
 
 
 def test_a_scanner_enters_the_board_id_and_arms(page: Page, served: Any) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated
 from urllib.parse import quote
 
-from fastapi import APIRouter, Depends, Path, Request, Response
+from fastapi import APIRouter, Depends, Path, Query, Request, Response
 
 from vaoi_station.api.encoders import MEDIA_TYPES, ImageFormat, choose_format, raw_from_npy
 from vaoi_station.api.http_caching import IMMUTABLE, LIVE, REVALIDATE, conditional_response
@@ -50,9 +50,15 @@ def router(services: Services) -> APIRouter:
         return IMMUTABLE if final else REVALIDATE
 
     @routes.get("", response_model=ComponentList)
-    async def list_components(request: Request, run: RunId) -> Response:
+    async def list_components(
+        request: Request,
+        run: RunId,
+        unseen: Annotated[
+            bool | None, Query(description="Only those of which too little is seen, or the others.")
+        ] = None,
+    ) -> Response:
         """List the components of the run's board type with their positions."""
-        found = await ask(coordinator.components, run)
+        found = [c for c in await ask(coordinator.components, run) if unseen in (None, c.unseen)]
         entries = [_entry(c, f"{quote(request.url.path)}/{quote(c.address)}") for c in found]
         return await answer(request, run, ComponentList(components=entries))
 

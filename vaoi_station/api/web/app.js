@@ -2,6 +2,7 @@
 import { BoardView } from "./boards/board.js";
 import { BoardsView } from "./boards/boards.js";
 import { LineView } from "./line/line.js";
+import { RecentBoards } from "./line/recent_boards.js";
 import { $, setText } from "./parts/elements.js";
 import { Live } from "./parts/live.js";
 import { loggedIn } from "./parts/login.js";
@@ -30,6 +31,7 @@ export const station = {
   stale: false,
   offset_ms: 0,
   time_ms: () => Date.now() + station.offset_ms,
+  boards: new RecentBoards(),
 };
 
 const VIEWS = [
@@ -43,7 +45,10 @@ let again = false;
 
 const live = new Live({
   onEvent: (record) => {
-    if (record) view?.onEvent?.(record);
+    if (record) {
+      station.boards.onEvent(record);
+      view?.onEvent?.(record);
+    }
     refresh();
   },
   onHeartbeat: (heartbeat) => {
@@ -68,6 +73,7 @@ function route() {
   $("view").className = view.name;
   fillIn(view.root);
   view.open?.();
+  view.onAge?.(station.stale);
   if (station.now) rest.unattended(view.show(station.now));
 }
 

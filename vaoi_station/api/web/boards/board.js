@@ -1,4 +1,5 @@
 // One board: the whole board to zoom into, its parts, all pictures of one part, and the report in words.
+import { Decisions } from "../parts/decisions.js";
 import { make, setText } from "../parts/elements.js";
 import { boardOrder } from "../parts/orders.js";
 import * as rest from "../parts/rest.js";
@@ -12,6 +13,7 @@ const PART = `
 <section id="report" aria-labelledby="board-title">
   <div id="head"><svg id="verdict-shape" viewBox="0 0 100 100" aria-hidden="true"></svg><h2 id="board-title"></h2></div>
   <p id="board-order"></p>
+  <div id="decisions"></div>
   <ul id="verdict-reasons"></ul>
   <dl id="facts"></dl>
   <a href="#/boards" class="button" data-text="back"></a>
@@ -31,12 +33,14 @@ export class BoardView {
   #seen = "";
   #chosen = null;
   #zoom = null;
+  #decisions;
 
   constructor(station, id, query) {
-    [this.#station, this.#id, this.#query] = [station, decodeURIComponent(id), new URLSearchParams(query)];
+    [this.#station, this.#id, this.#query] = [station, id.replaceAll("%20", " "), new URLSearchParams(query)];
     this.root = make("div", { className: "board" });
     this.root.innerHTML = PART;
     this.#chosen = this.#query.get("component");
+    this.#decisions = new Decisions(this.#part("decisions"), () => rest.unattended(this.show()));
     this.#part("component").addEventListener("change", () => this.#choose(this.#part("component").value));
   }
 
@@ -59,16 +63,17 @@ export class BoardView {
     }
     const seen = `${run.state} ${run.frames_available} ${run.recording} ${run.decision?.decided}`;
     if (seen === this.#seen) return;
-    this.#seen = seen;
     this.#run = run;
     this.#showReport(run);
     await this.#showParts(run);
+    this.#seen = seen;
   }
 
   #showReport(run) {
     const verdict = run.verdict ?? (run.finished ? "failed" : "none");
     draw(this.#part("verdict-shape"), verdict);
     this.#part("report").dataset.verdict = verdict;
+    this.#decisions.show(run);
     setText(this.#part("board-title"), `${run.board_id ?? texts.noId}: ${texts.verdicts[verdict]}`);
     setText(this.#part("board-order"), run.decision ? `${texts.decided[run.decision.choice](run.decision.name)}: ${run.decision.reason}` : verdict === "ok" || verdict === "none" ? "" : boardOrder(run));
     this.#part("verdict-reasons").replaceChildren(...run.reasons.map((reason) => make("li", { textContent: `${reason.message} ${reason.action}`.trim() })));

@@ -57,7 +57,9 @@ export class BoardsView {
     this.root.querySelector("thead").append(make("tr", {}, ...Object.values(texts.columns).map((textContent) => make("th", { scope: "col", textContent }))));
     this.root.querySelector("#filters").addEventListener("submit", (event) => {
       event.preventDefault();
-      location.hash = `#/boards?${this.#stated()}`;
+      const hash = `#/boards?${this.#stated()}`;
+      if (hash === location.hash) this.#again();
+      else location.hash = hash;
     });
     this.root.querySelector("#more").addEventListener("click", () => this.#load());
     this.root.querySelector("#save").addEventListener("click", () => this.#save());
@@ -96,7 +98,15 @@ export class BoardsView {
     return rest.runs(query);
   }
 
+  #again() {
+    this.#next = null;
+    this.root.querySelector("tbody").replaceChildren();
+    this.#load();
+  }
+
   async #load() {
+    const more = this.root.querySelector("#more");
+    more.disabled = true;
     try {
       const { runs, next } = await this.#page(this.#next, PAGE_RUNS);
       this.#next = next ?? null;
@@ -107,7 +117,8 @@ export class BoardsView {
       this.#next = null;
       setText(this.root.querySelector("#list-answer"), error instanceof rest.Refusal ? error.message : texts.noAnswer);
     }
-    this.root.querySelector("#more").hidden = !this.#next;
+    more.disabled = false;
+    more.hidden = !this.#next;
   }
 
   #row(run) {

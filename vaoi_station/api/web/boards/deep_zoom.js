@@ -16,7 +16,10 @@ function library() {
     instead.setAttribute("data-openseadragon-mobile-css", "");
     const script = make("script", { src: LIBRARY });
     script.onload = () => done(window.OpenSeadragon);
-    script.onerror = failed;
+    script.onerror = () => {
+      loading = null; // it is tried again for the next board
+      failed(new TypeError(LIBRARY));
+    };
     document.head.append(instead, script);
   });
   return loading;

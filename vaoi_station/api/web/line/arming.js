@@ -22,6 +22,7 @@ export class Arming {
   #state = "";
   #lost = false; // the last refusal was for a lost camera: the next press arms without it
   #holding = 0;
+  #pressed = false; // the button went down as Disarm: what its release submits is no order to arm
   #said = 0;
 
   constructor(form, setAside, onDone) {
@@ -29,7 +30,7 @@ export class Arming {
     form.innerHTML = PART;
     form.addEventListener("submit", (event) => {
       event.preventDefault();
-      if (!this.#offersDisarm()) this.#arm();
+      if (!this.#offersDisarm() && !this.#pressed) this.#arm();
     });
     for (const field of [this.#type, this.#id]) field.addEventListener("input", () => this.#showButton());
     this.#type.addEventListener("change", () => keep("board-type", this.#type.value));
@@ -60,18 +61,25 @@ export class Arming {
   }
 
   #begin(event) {
-    if (!this.#offersDisarm() || (event.type === "keydown" && !["Enter", " "].includes(event.key)) || event.repeat) return;
-    this.#end();
+    if (event.repeat || !this.#offersDisarm() || (event.type === "keydown" && !["Enter", " "].includes(event.key))) return;
+    this.#stop();
+    this.#pressed = true;
     this.#button.classList.add("holding");
     this.#holding = setTimeout(() => {
-      this.#end();
+      this.#stop();
       this.#command(() => rest.disarm(), texts.disarmed);
     }, HOLD_MS);
   }
 
-  #end() {
+  #stop() {
     clearTimeout(this.#holding);
     this.#button.classList.remove("holding");
+  }
+
+  // The click, and with it the submission, comes after the release.
+  #end() {
+    this.#stop();
+    setTimeout(() => (this.#pressed = false));
   }
 
   #arm() {
@@ -85,7 +93,7 @@ export class Arming {
   async reload() {
     try {
       const types = await rest.boardTypes();
-      const chosen = this.#armed ?? (this.#type.value || kept("board-type", ""));
+      const chosen = this.#type.value || this.#armed || kept("board-type", "");
       this.#type.replaceChildren(
         ...types.map((type) => {
           const text = type.fault ? `${type.name} (${texts.unusable})` : type.name;

@@ -6,10 +6,10 @@ import { alarm } from "../parts/sound.js";
 import { clock, texts } from "../texts/texts.js";
 import { Arming } from "./arming.js";
 import { LastBoard } from "./last_board.js";
-import { RecentBoards } from "./recent_boards.js";
 import { Strip } from "./strip.js";
 
 const SOON_MS = 5000; // attempts that are due sooner are not shown
+const QUIET_MS = 60_000; // without any event, the state is asked for after this time: a day may have ended
 const PAGE = `
 <section id="band" aria-labelledby="state-word">
   <div id="state" role="status" aria-live="polite">
@@ -36,13 +36,14 @@ export class LineView {
   #station;
   #refresh;
   #again = 0;
-  #tone = "";
+  #sounded = ""; // the fault, or the failed board, of which the tone has told
+  #shownAt = 0;
 
   constructor(station, refresh) {
     [this.#station, this.#refresh] = [station, refresh];
     this.root = make("div", { className: "line" });
     this.root.innerHTML = PAGE;
-    this.boards = new RecentBoards();
+    this.boards = station.boards;
     this.last = new LastBoard(this.#part("last"), () => this.#decided());
     this.strip = new Strip(this.#part("history"));
     this.arming = new Arming(this.#part("controls"), this.#part("set-aside"), refresh);
@@ -63,7 +64,6 @@ export class LineView {
   }
 
   onEvent(event) {
-    this.boards.onEvent(event);
     if (event.kind === "board-type") this.arming.reload();
   }
 
@@ -74,26 +74,29 @@ export class LineView {
 
   tick() {
     this.last.tick(this.#station.time_ms());
+    this.#showSituation(); // a failed board is shown for a limited time
+    if (performance.now() - this.#shownAt > QUIET_MS && !this.#station.stale) this.#refresh();
   }
 
   async show(now) {
+    this.#shownAt = performance.now();
     this.arming.show(now);
     this.#showSituation();
     this.#showDetails(now);
-    await this.boards.refresh(now);
-    this.#showSituation();
+    await this.boards.refresh(now, this.#station.time_ms());
+    const open = this.#showSituation();
     this.strip.show(this.boards);
-    await this.last.show(this.boards.runs.at(-1) ?? null, this.#station.time_ms());
+    await this.last.show(this.boards.runs.at(-1) ?? null, open, this.#station.time_ms());
   }
 
   async #decided() {
-    this.boards = Object.assign(new RecentBoards(), { missed: this.boards.missed });
+    this.boards.readAgain();
     await this.#refresh();
   }
 
   #showSituation() {
     const { now, stale } = this.#station;
-    const shown = situation(now, this.boards.runs, this.#station.time_ms(), stale);
+    const shown = situation(now, this.boards, this.#station.time_ms(), stale);
     draw(this.#part("state-shape"), shown.shown);
     this.#part("state-shape").dataset.state = shown.state;
     setText(this.#part("state-word"), shown.word);
@@ -101,10 +104,17 @@ export class LineView {
     document.title = now ? `${shown.word} – ${now.name}` : shown.word;
     document.body.classList.remove("caution", "fault");
     if (shown.tone) document.body.classList.add(shown.tone);
-    if (shown.tone === "fault" && this.#tone !== "fault") alarm();
-    this.#tone = shown.tone;
+    this.#sound(shown);
     const armed = !stale && now?.armed_with ? texts.armedWith(now.armed_with) : "";
     setText(this.#part("armed-with"), armed);
+    return shown.board;
+  }
+
+  // Once for a fault or a failed board, however many boards pass meanwhile.
+  #sound(shown) {
+    const subject = shown.tone === "fault" ? (shown.board?.id ?? shown.shown) : "";
+    if (subject && subject !== this.#sounded) alarm();
+    if (subject || shown.shown !== "filming") this.#sounded = subject;
   }
 
   #showDetails(now) {

@@ -57,8 +57,7 @@ export async function boardPicture(run, { steps = 1, alt = "" } = {}) {
 }
 
 async function hatched(run, mosaic) {
-  const unseen = new Set(run.unseen.map((u) => u.address));
-  const parts = (await rest.components(run.id)).filter((part) => unseen.has(part.address));
+  const parts = await rest.components(run.id, { unseen: true });
   const over = svg("svg", { viewBox: `0 0 ${mosaic.width_px} ${mosaic.height_px}`, class: "unseen-parts" });
   const step = Math.max(mosaic.width_px, mosaic.height_px) / 60;
   const pattern = svg("pattern", { id: "hatch", width: step, height: step, patternUnits: "userSpaceOnUse", patternTransform: "rotate(45)" });

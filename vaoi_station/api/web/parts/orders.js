@@ -1,6 +1,6 @@
 // Which word, sign and order the operator is shown, from the station's state, its reasons and the last boards.
 // docs/operator.md has the same as a table; tests/api/web/test_orders.py compares them.
-import { texts } from "../texts/texts.js";
+import { clock, texts } from "../texts/texts.js";
 
 // What a reason of the station asks for, besides holding boards back.
 const GROUPS = {
@@ -28,7 +28,7 @@ const BOARD_GROUPS = {
     "fiducials-not-found", "outline-shifted", "outline-turned", "outline-invisible", "board-turned", "texture-off-board",
     "reference-contradicts",
   ],
-  marks: ["fiducial-missing", "fiducial-off-place"],
+  marks: ["fiducial-missing", "fiducial-off-place", "local-fiducial-unusable"],
   light: ["no-texture", "light-dark", "overlap-blank", "overlap-exposure"],
   place: ["components-unseen"],
   camera: ["wrong-rows", "camera-displaced", "lens-differs", "not-explained"],
@@ -47,7 +47,7 @@ export function boardGroup(reason) {
   return codes.some((code) => code?.startsWith("trigger-")) ? "camera" : "again";
 }
 
-const TONES = { blocked: "caution", lacking: "caution", held: "caution", degraded: "caution", faulted: "fault", failed: "fault", unknown: "stale" };
+const TONES = { blocked: "caution", lacking: "caution", held: "caution", degraded: "caution", missed: "caution", faulted: "fault", failed: "fault", unknown: "stale" };
 const QUIET = ["armed", "idle"]; // states in which the order may speak of a board that has passed
 const OLD_MS = 30 * 60 * 1000;
 
@@ -56,14 +56,14 @@ function stateOf(now) {
   return now.state in texts.words ? now.state : "unknown";
 }
 
-// The board that needs a decision: the newest without pictures, or the last one if they are doubtful.
+// The board that needs a decision: the newest without pictures, or the last one if they are doubtful. `runs`: oldest first.
 export function openBoard(runs, now_ms) {
   const settled = new Set();
   for (const [n, run] of [...runs].reverse().entries()) {
     if (run.decision) settled.add(run.board_id ?? run.id);
     else if (run.verdict === "ok") settled.add(run.board_id ?? run.id);
     else if (run.finished && !settled.has(run.board_id ?? run.id) && now_ms - Date.parse(run.finished) < OLD_MS) {
-      if (run.verdict !== "degraded" || n === 0) return run;
+      if (run.verdict !== "degraded" || n === 0) return { run, last: n === 0 };
     }
   }
   return null;
@@ -73,18 +73,28 @@ function short(id) {
   return id && id.length > 14 ? `…${id.slice(-12)}` : id;
 }
 
-export function boardOrder(run) {
+export function boardOrder(run, last = true) {
   const group = run.reasons.length ? boardGroup(run.reasons[0]) : "again";
   const say = run.verdict === "degraded" ? texts.doubtfulPicturesOf : texts.noPicturesOf;
-  return say(texts.boardOf(short(run.board_id)), texts.boardOrders[group]);
+  return say(texts.boardOf(short(run.board_id), last ? "" : clock(run.started)), texts.boardOrders[group]);
 }
 
-// One word, one sign and one order. `stale`: no data come from the station.
-export function situation(now, runs, now_ms, stale) {
+// One word, one sign and one order. `boards`: the last ones, and the times of missed ones. `stale`: no data come from the station.
+export function situation(now, boards, now_ms, stale) {
   const state = stale || !now ? "unknown" : stateOf(now);
-  const board = QUIET.includes(state) ? openBoard(runs, now_ms) : null;
-  const shown = board ? (board.verdict === "degraded" ? "degraded" : "failed") : state;
-  return { state, shown, tone: TONES[shown] ?? "", word: texts.words[shown], order: board ? boardOrder(board) : stateOrder(state, now), board };
+  const quiet = QUIET.includes(state);
+  const open = quiet ? openBoard(boards.runs, now_ms) : null;
+  const missed = quiet && !open && missedLast(boards, now_ms);
+  const shown = open ? (open.run.verdict === "degraded" ? "degraded" : "failed") : missed ? "missed" : state;
+  const order = open ? boardOrder(open.run, open.last) : missed ? texts.orders.missed : stateOrder(state, now);
+  return { state, shown, tone: TONES[shown] ?? "", word: texts.words[shown], order, board: open?.run ?? null };
+}
+
+// Whether the board that came last was missed, a short time ago.
+function missedLast(boards, now_ms) {
+  const time = Date.parse(boards.missed.at(-1));
+  const run = boards.runs.at(-1);
+  return now_ms - time < OLD_MS && !(run && Date.parse(run.started) > time);
 }
 
 function stateOrder(state, now) {

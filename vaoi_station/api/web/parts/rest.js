@@ -42,7 +42,8 @@ export const counts = () => call("GET", "/runs/counts");
 export const decide = (id, decision) => call("PUT", `/runs/${encodeURIComponent(id)}/decision`, decision);
 export const mosaics = async (id) => (await call("GET", `/runs/${encodeURIComponent(id)}/mosaics`)).mosaics;
 export const run = (id) => call("GET", `/runs/${encodeURIComponent(id)}`);
-export const components = async (id) => (await call("GET", `/runs/${encodeURIComponent(id)}/components`)).components;
+export const components = async (id, query = {}) =>
+  (await call("GET", `/runs/${encodeURIComponent(id)}/components?${new URLSearchParams(query)}`)).components;
 export const component = (id, ref, query = {}) =>
   call("GET", `/runs/${encodeURIComponent(id)}/components/${part(ref)}?${new URLSearchParams(query)}`);
 export const arm = (request) => call("POST", "/station/arm", request);

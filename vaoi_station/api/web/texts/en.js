@@ -35,6 +35,7 @@ export const texts = {
     unknown: "No data",
     failed: "Board failed",
     degraded: "Check board",
+    missed: "Board missed",
   },
   orders: {
     starting: "Hold boards back. Wait.",
@@ -48,6 +49,7 @@ export const texts = {
     faulted: "Hold boards back. Call the engineer.",
     stopping: "Hold the next board back.",
     unknown: "Hold boards back. Check station and network.",
+    missed: "A board was not filmed. Film it again.",
   },
   // What else is to be done, by the group of a reason's code (parts/orders.js).
   extra: {
@@ -69,7 +71,7 @@ export const texts = {
     camera: "Call the engineer: cameras.",
     type: "Call the engineer: board type.",
   },
-  boardOf: (id) => (id ? `Board ${id}` : "The last board"),
+  boardOf: (id, time) => (id ? `Board ${id}` : time ? `Board of ${time}` : "The last board"),
   noPicturesOf: (board, order) => `${board}: no pictures. ${order}`,
   doubtfulPicturesOf: (board, order) => `${board}: ${order}`,
   nextTry: (name, time) => `Next attempt for ${name}: ${time}.`,
