@@ -14,6 +14,7 @@ from tests.runs.control.test_teaching import filmed
 from vaoi_station.demo.station_files import to_toml
 from vaoi_station.files import write_calibration
 from vaoi_station.model import Status
+from vaoi_station.store.history.identities import IdentityRow
 
 __all__ = ["_silent_peer", "make_rig", "store"]
 
@@ -35,7 +36,8 @@ def site(make_rig: Callable[..., Any], tmp_path: Path) -> Site:
     rig.store.configurations.begin('{"name": "test"}', "2026")
     sound = filmed(rig)
     rig.store.heights.save(sound, '{"heights":{}}').result(10)
-    rig.store.identities.save(sound, '{"state":"not-compared","board_id":"SN-1"}', ["SN-1"]).result(10)
+    identity = IdentityRow('{"state":"not-compared","board_id":"SN-1"}', ["SN-1"])
+    rig.store.identities.save(sound, identity).result(10)
     rig.coordinator.teach_reference("small", sound)
     rig.workers.result = lambda head: a_stitch(head, Status.DEGRADED)
     degraded = filmed(rig)

@@ -58,6 +58,7 @@ def compare(
         boards=boards,
         armed_board_id=armed,
         next_machine=reported,
+        read=reading is not None,
         required=identity is not None and identity.required,
         reasons=tuple(differing + missing),
         codes=read.codes,

@@ -152,6 +152,8 @@ class IdentityDocument(Strict):
     armed_board_id: str | None = None
     """The id that the line was armed with."""
     next_machine: ReportedId | None = None
+    read: bool = False
+    """Whether the codes were searched in the frames."""
     required: bool = False
     """Whether the board type demands that the id was read and does not differ."""
     reasons: tuple[IdentityReason, ...] = ()
@@ -172,3 +174,21 @@ class IdentityDocument(Strict):
     def degrades(self) -> bool:
         """Whether a run with this identity is degraded."""
         return self.required and self.state in ("differs", "unread", "not-read")
+
+    @property
+    def degrading(self) -> tuple[IdentityReason, ...]:
+        """Why a run with this identity is degraded; empty if it is not."""
+        if not self.degrades:
+            return ()
+        return self.reasons if self.state != "not-read" else (*self.reasons, _NOT_READ)
+
+    def without_reading(self) -> IdentityDocument:
+        """Return the identity once its codes can no longer be read: `pending` becomes `not-read`."""
+        return self.model_copy(update={"state": "not-read"}) if self.state == "pending" else self
+
+
+_NOT_READ = IdentityReason(
+    code="identity-not-read",
+    message="The codes of the board were not read.",
+    action="Identify the board; give the station more memory for runs if its frames were needed (ring.runs).",
+)

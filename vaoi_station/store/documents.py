@@ -21,7 +21,7 @@ from vaoi_station.store.configurations import Configurations
 from vaoi_station.store.database import Database
 from vaoi_station.store.history.calibration_checks import CalibrationChecks
 from vaoi_station.store.history.decisions import RunDecisions
-from vaoi_station.store.history.identities import RunIdentities
+from vaoi_station.store.history.identities import IdentityRow, RunIdentities, write_identity
 from vaoi_station.store.history.retention import RunRetention
 from vaoi_station.store.history.run_search import RunSearch
 from vaoi_station.store.schema import PACKED, packed, unpacked
@@ -48,6 +48,8 @@ class RunRow:
     detail: str
     head: str | None = None
     """Head of the run's recording as JSON; None while the board is filmed."""
+    identity: IdentityRow | None = None
+    """Of a run that is written at its end: its identity before its codes are read; None if its boards have none."""
 
 
 @dataclass(frozen=True)
@@ -180,6 +182,8 @@ class Store:
             )  # fmt: skip
             if result is not None:
                 connection.execute("INSERT INTO results VALUES (?, ?, ?)", (row.id, *packed(result)))
+            if row.identity is not None:
+                write_identity(connection, row.id, row.identity)
 
         size = len(row.summary) + len(row.detail) + len(row.head or "") + len(timeline or "") + len(result or "")
         # A run that begins need not survive a power failure: before its end there is nothing to announce.

@@ -12,7 +12,7 @@ from pathlib import Path
 from vaoi_station.errors import InputError
 
 _VERDICT = "CASE WHEN json_valid(new.summary) THEN json_extract(new.summary, '$.verdict') END"
-_DOUBTFUL = f"(coalesce({_VERDICT}, '') <> 'ok')"
+DOUBTFUL = f"(coalesce({_VERDICT}, '') <> 'ok')"
 """SQL expression: 1 for a run with a verdict other than ok, or without a verdict; 0 for all other runs."""
 
 # STRICT tables reject a value of the wrong type; otherwise, SQLite would store text in an INTEGER column.
@@ -72,14 +72,13 @@ STEPS: tuple[tuple[str, ...], ...] = (
             finish_number INTEGER NOT NULL UNIQUE,
             doubtful INTEGER NOT NULL
         ) STRICT""",
-        f"INSERT INTO whole_runs SELECT id, finish_number, {_DOUBTFUL} FROM runs AS new "
-        "WHERE finish_number IS NOT NULL",
+        f"INSERT INTO whole_runs SELECT id, finish_number, {DOUBTFUL} FROM runs AS new WHERE finish_number IS NOT NULL",
         "CREATE INDEX whole_runs_by_verdict ON whole_runs (doubtful, run)",
         f"""CREATE TRIGGER run_is_whole AFTER INSERT ON runs WHEN new.finish_number IS NOT NULL
-            BEGIN INSERT INTO whole_runs VALUES (new.id, new.finish_number, {_DOUBTFUL}); END""",
+            BEGIN INSERT INTO whole_runs VALUES (new.id, new.finish_number, {DOUBTFUL}); END""",
         f"""CREATE TRIGGER run_became_whole AFTER UPDATE OF finish_number ON runs
             WHEN old.finish_number IS NULL AND new.finish_number IS NOT NULL
-            BEGIN INSERT INTO whole_runs VALUES (new.id, new.finish_number, {_DOUBTFUL}); END""",
+            BEGIN INSERT INTO whole_runs VALUES (new.id, new.finish_number, {DOUBTFUL}); END""",
         """CREATE TABLE pins (
             run TEXT PRIMARY KEY REFERENCES runs (id),
             pinned TEXT NOT NULL
@@ -140,6 +139,12 @@ STEPS: tuple[tuple[str, ...], ...] = (
             PRIMARY KEY (board_id, run)
         ) STRICT, WITHOUT ROWID""",
         "CREATE INDEX board_ids_by_run ON board_ids (run)",
+    ),
+    (
+        # What searches and starts ask of an identity, so that they need not unpack it. No release wrote earlier rows.
+        "ALTER TABLE identities ADD COLUMN pending INTEGER NOT NULL DEFAULT 0",
+        "ALTER TABLE identities ADD COLUMN degrading TEXT",
+        "CREATE INDEX identities_pending ON identities (run) WHERE pending",
     ),
 )
 VERSION = len(STEPS)

@@ -24,7 +24,7 @@ from vaoi_station.model.board_identity import IdentityDocument
 from vaoi_station.runs.archive.recordings import DIRECTORY as RECORDINGS
 from vaoi_station.runs.archive.recordings import DISK_RESERVE, RESULT_FILE, RUN_FILE
 from vaoi_station.runs.archive.recordings import HEAD_FILE as RECORDING_FILE
-from vaoi_station.runs.archive.stored_documents import in_state
+from vaoi_station.runs.archive.stored_documents import identity_row, in_state
 from vaoi_station.runs.run.run_views import summary_of
 from vaoi_station.runs.states.height_schemas import HeightList
 from vaoi_station.runs.states.made_with import Origin
@@ -315,8 +315,8 @@ def _insert(connection: sqlite3.Connection, content: _Package) -> None:
     if content.heights is not None:
         connection.execute("INSERT INTO heights VALUES (?, ?, ?)", (detail.id, *packed(content.heights)))
     if content.identity is not None:
-        text = content.identity.model_dump_json(exclude_none=True)
-        write_identity(connection, detail.id, packed(text), content.identity.board_ids)
+        # Of a run that was exported while its codes were read, no one will read them here.
+        write_identity(connection, detail.id, identity_row(content.identity.without_reading()))
     connection.execute("INSERT INTO pins VALUES (?, ?)", (detail.id, now))
 
 

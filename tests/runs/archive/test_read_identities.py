@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 import threading
+from concurrent.futures import Future
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from vaoi_station.errors import GoneError, InternalError, StateError
+from vaoi_station.errors import DeviceError, GoneError, InternalError, StateError
 from vaoi_station.identity.code_reader import Progress
+from vaoi_station.identity.comparison import compare
 from vaoi_station.model import BoardCode, BoardIdentity, BoardReading, BoardType, Status
 from vaoi_station.model.board_identity import ReportedId
 from vaoi_station.runs.archive import read_identities
 from vaoi_station.runs.archive.read_identities import ReadIdentities
+from vaoi_station.runs.archive.stored_documents import identity_row
 from vaoi_station.runs.states.schemas import RunSummary, VerdictCounts
 from vaoi_station.runs.states.tables import RunState
 from vaoi_station.runs.workers.identity_job import IdentitySlice
 from vaoi_station.runs.workers.jobs import Priority
+from vaoi_station.store.history.identities import IdentityRow
 
 CORNERS = ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0))
 IDENTITY = BoardIdentity(pattern="b;{id}", required=True)
@@ -36,7 +40,8 @@ class Station:
 
     def __init__(self, identity: BoardIdentity | None = IDENTITY) -> None:
         self.jobs: list[Any] = []
-        self.saved: dict[str, tuple[str, tuple[str, ...]]] = {}
+        self.saved: dict[str, IdentityRow] = {}
+        self.unreadable: Exception | None = None
         self.events: list[dict[str, Any]] = []
         self.done, self.free = threading.Event(), threading.Event()
         self.free.set()
@@ -44,7 +49,7 @@ class Station:
         self.worker_s = 0.1
         frames = tuple(SimpleNamespace(camera=0, row=j, slot=j, usable=j != 1) for j in range(3))
         self.finished = SimpleNamespace(
-            detail=SimpleNamespace(id="r1", frames=frames, board_id="1"),
+            detail=SimpleNamespace(id="r1", frames=frames, board_id="1", stored=True),
             board_type=BoardType(name="b", outline=((0, 0), (9, 9)), identity=identity),
             cameras=(),
             stitch=SimpleNamespace(cad_matrix=[[1.0]]),
@@ -57,10 +62,18 @@ class Station:
         return self.finished
 
     def documents(self, runs: list[str]) -> dict[str, str]:
-        return {run: self.saved[run][0] for run in runs if run in self.saved}
+        if self.unreadable is not None:
+            raise self.unreadable
+        return {run: self.saved[run].document for run in runs if run in self.saved}
 
-    def save(self, run: str, document: str, board_ids: tuple[str, ...]) -> None:
-        self.saved[run] = (document, board_ids)
+    def pending(self) -> list[str]:
+        return [run for run, row in self.saved.items() if row.pending]
+
+    def save(self, run: str, row: IdentityRow) -> Future[None]:
+        self.saved[run] = row
+        done: Future[None] = Future()
+        done.set_result(None)
+        return done
 
     def bay_of(self, run: str) -> Any:
         return SimpleNamespace(number=4, generation=2)
@@ -78,6 +91,10 @@ class Station:
         self.events.append({"kind": kind, "message": message, **fields})
         self.done.set()
 
+    def begin(self) -> None:
+        """Store the identity that a run has at its end."""
+        self.save("r1", identity_row(compare(self.finished.board_type.identity, None, "1", without="pending")))
+
     def read(self) -> None:
         """Let the run end, and wait until its identity is published."""
         self.identities.start()
@@ -86,9 +103,9 @@ class Station:
         self.identities.stop()
         assert self.identities.thread.fault() is None
 
-    def shown(self) -> RunSummary:
+    def shown(self, verdict: Status = Status.OK) -> RunSummary:
         summary = RunSummary(
-            id="r1", board_type="b", board_id="1", job_id=None, state=RunState.READY, verdict=Status.OK, started="",
+            id="r1", board_type="b", board_id="1", job_id=None, state=RunState.READY, verdict=verdict, started="",
             finished="", rows=3, cameras=1, counts=VerdictCounts(ok=3, incomplete=0, missing=0), reasons=(), belt=None,
             timings=None, frames_available=True,
         )  # fmt: skip
@@ -104,7 +121,7 @@ def test_codes_are_read_in_slices_of_their_own_priority_and_stored() -> None:
     assert station.jobs[0].slots == {(0, 0): 0, (0, 2): 2}
     found = station.identities.document("r1")
     assert (found.state, found.board_id, found.armed_board_id) == ("agrees", "1", "1")
-    assert list(station.saved["r1"][1]) == ["1"]
+    assert list(station.saved["r1"].board_ids) == ["1"]
     assert [(e["kind"], e["state"], e["code"]) for e in station.events] == [("identity", "agrees", "")]
     shown = station.shown()
     assert shown.identity is not None
@@ -156,7 +173,7 @@ def test_reading_ends_with_its_budget(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize(
     ("fault", "codes"),
-    [(GoneError("taken."), [""]), (InternalError("b"), [""]), (ValueError(), ["", "identity-not-read"])],
+    [(GoneError("taken."), [""]), (InternalError("b"), [""]), (ValueError(), ["identity-not-read", ""])],
 )
 def test_run_whose_frames_were_needed_has_no_id(fault: Exception, codes: list[str]) -> None:
     station = Station()
@@ -181,10 +198,10 @@ def test_report_of_the_next_machine_is_compared_and_kept_with_the_reading() -> N
     station.read()
     found = station.identities.report("r1", ReportedId(board_id="7", machine="prober"))
     assert (found.state, [r.code for r in found.reasons]) == ("differs", ["next-machine-differs"])
-    assert list(station.saved["r1"][1]) == ["1", "7"]
+    assert list(station.saved["r1"].board_ids) == ["1", "7"]
     again = station.identities.report("r1", ReportedId(board_id="1"))
     assert (again.state, len(again.codes), again.complete) == ("agrees", 1, False)
-    assert list(station.saved["r1"][1]) == ["1"]
+    assert list(station.saved["r1"].board_ids) == ["1"]
 
 
 def test_stored_identities_are_read_after_a_restart() -> None:
@@ -194,6 +211,62 @@ def test_stored_identities_are_read_after_a_restart() -> None:
     later.saved = station.saved
     assert later.identities.document("r1") == station.identities.document("r1")
     assert later.shown().identity == station.shown().identity
+
+
+def test_run_whose_codes_were_being_read_when_the_station_ended_is_degraded() -> None:
+    station = Station()
+    station.begin()
+    assert station.identities.document("r1").state == "pending"
+    again = Station()
+    again.saved = dict(station.saved)
+    degraded: list[str] = []
+    again.identities.on_degraded = degraded.append
+    again.identities.start()
+    assert again.done.wait(20)
+    again.identities.stop()
+    shown = again.shown()
+    assert (shown.verdict, [r.code for r in shown.reasons]) == (Status.DEGRADED, ["identity-not-read"])
+    assert again.saved["r1"].degrading == ("identity-not-read",)
+    assert (again.pending(), degraded, again.jobs) == ([], ["r1"], [])
+
+
+def test_reasons_are_shown_of_a_run_that_was_degraded_before() -> None:
+    station = Station()
+    station.finished.detail.board_id = "2"
+    station.read()
+    shown = station.shown(Status.DEGRADED)
+    assert (shown.verdict, [r.code for r in shown.reasons]) == (Status.DEGRADED, ["board-id-differs"])
+
+
+def test_reports_of_a_run_that_was_not_read_invent_no_reading() -> None:
+    station = Station()
+    station.fault = GoneError("taken.")
+    station.read()
+    for name, state, reasons in (("7", "differs", ["next-machine-differs"]), ("1", "not-read", [])):
+        found = station.identities.report("r1", ReportedId(board_id=name))
+        assert (found.state, [r.code for r in found.reasons], found.read) == (state, reasons, False)
+
+
+def test_report_before_the_run_is_announced_waits() -> None:
+    station = Station()
+    station.finished.detail.stored = False
+    with pytest.raises(StateError) as refused:
+        station.identities.report("r1", ReportedId(board_id="1"))
+    assert refused.value.code == "identity-pending"
+
+
+def test_run_is_shown_without_an_identity_that_cannot_be_read() -> None:
+    station = Station()
+    station.saved["r1"] = IdentityRow('{"of": "another version"}')
+    assert station.shown().identity is None
+    station.unreadable = DeviceError("cannot be read.")
+    assert station.shown().identity is None
+    station.unreadable = None
+    station.read()
+    station.unreadable = DeviceError("cannot be read.")
+    found = station.shown().identity
+    assert found is not None
+    assert found.state == "agrees", "it is in memory"
 
 
 def test_runs_that_wait_too_long_are_not_read(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any, TypeVar
 
 from vaoi_station.config import StationConfig
-from vaoi_station.errors import NotFoundError, StateError
+from vaoi_station.errors import NotFoundError, StateError, VaoiError
+from vaoi_station.model import Status
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.archive.measured_heights import MeasuredHeights
@@ -40,6 +42,7 @@ class KeptRuns:
         self.history = RunHistory(archive, events)
         self.identities = ReadIdentities(archive, render, frames.bay_of, events)
         archive.on_finished = self._finished
+        self.identities.on_degraded = self._identity_degrades
 
     def start(self) -> None:
         """Start the threads that write recordings, and have codes read and heights measured."""
@@ -59,6 +62,13 @@ class KeptRuns:
         self.identities.finished(detail)
         if self._after_run:
             self.heights.finished(detail)
+
+    def _identity_degrades(self, run: str) -> None:
+        """Keep the frames of a run that its identity degrades, as of others that are not ok; it returns at once."""
+        with suppress(VaoiError):  # The run was forgotten.
+            detail = self._archive.get(run).detail
+            if detail.verdict is Status.OK and detail.frames_available:
+                self.recordings.degraded(run)
 
     def pin(self, run: str) -> None:
         """Keep a run until it is unpinned: its record and result, and its frames if they are in memory.

@@ -11,14 +11,18 @@ import logging
 import threading
 from collections import OrderedDict, deque
 from collections.abc import Callable, Collection
+from concurrent.futures import Future
 from typing import Any, TypeVar
 
-from vaoi_station.errors import BusyError, GoneError, NotFoundError, StateError, VaoiError
+from pydantic import ValidationError
+
+from vaoi_station.errors import BusyError, DeviceError, GoneError, NotFoundError, StateError, VaoiError
 from vaoi_station.identity.comparison import compare
 from vaoi_station.model import BoardReading, Status
 from vaoi_station.model.board_identity import IdentityDocument, IdentityState, ReportedId
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive, FinishedRun
+from vaoi_station.runs.archive.stored_documents import identity_row
 from vaoi_station.runs.run.memory import Bay
 from vaoi_station.runs.states.identity_schemas import IdentitySummary
 from vaoi_station.runs.states.schemas import Reason, RunDetail, RunSummary
@@ -61,11 +65,14 @@ class ReadIdentities:
             events: the event log.
         """
         self._archive, self._render, self._bay_of, self._events = archive, render, bay_of, events
+        self.on_degraded: Callable[[str], None] = lambda _run: None
+        """Function that is called with a run that its identity degrades. It must return at once."""
         self._known: OrderedDict[str, IdentityDocument | None] = OrderedDict()
         """Identities of the latest runs; None for a run that has none."""
-        self._pending: set[str] = set()
+        self._earlier: list[str] = []
+        """Runs whose codes were still to be read when the station ended."""
         self._lock = threading.Lock()
-        """Guards `_known` and `_pending`; never held while a worker or the disk is awaited."""
+        """Guards `_known`; never held while a worker or the disk is awaited."""
         self._changing = threading.Lock()
         """Held while a stored identity is changed, so that no report is lost."""
         self._waiting: deque[str] = deque()
@@ -74,6 +81,8 @@ class ReadIdentities:
 
     def start(self) -> None:
         """Start the thread that has codes read after runs."""
+        with contextlib.suppress(DeviceError):  # A database that cannot be read does not keep the station from filming.
+            self._earlier = self._archive.identities.pending()
         self.thread.start()
 
     def stop(self) -> None:
@@ -88,11 +97,11 @@ class ReadIdentities:
     def finished(self, detail: RunDetail) -> None:
         """Have the codes of a run read that has just ended, if its board type has any; it returns at once."""
         finished = self._archive.get(detail.id)
-        if finished.board_type.identity is None:
+        identity = finished.board_type.identity
+        if identity is None:
             self._remember(detail.id, None)
             return
-        with self._lock:
-            self._pending.add(detail.id)
+        self._remember(detail.id, compare(identity, None, finished.detail.board_id, without="pending"))
         with self._wake:
             self._waiting.append(detail.id)
             left_out = self._waiting.popleft() if len(self._waiting) > _MOST_WAITING else None
@@ -112,8 +121,8 @@ class ReadIdentities:
         found = self._stored([run]).get(run)
         if found is not None:
             return found
-        with self._lock:
-            without: IdentityState = "pending" if run in self._pending else "not-read"
+        # A run that has ended, and is neither on disk nor announced yet.
+        without: IdentityState = "not-read" if finished.detail.stored else "pending"
         return compare(finished.board_type.identity, None, finished.detail.board_id, without=without)
 
     def report(self, run: str, reported: ReportedId) -> IdentityDocument:
@@ -128,7 +137,7 @@ class ReadIdentities:
                 )
             finished = self._archive.get(run)
             read = None
-            if before.codes or before.state not in ("not-read", "not-expected"):
+            if before.read:
                 read = BoardReading(codes=before.codes, unread_places=before.unread_places, complete=before.complete)
             return self._keep(run, compare(finished.board_type.identity, read, finished.detail.board_id, reported))
 
@@ -138,22 +147,30 @@ class ReadIdentities:
 
     def shown(self, documents: tuple[R, ...]) -> tuple[R, ...]:
         """Return documents of runs with their identities; where the board type demands it, the verdict is lowered."""
-        found = self._stored([d.id for d in documents if d.finished is not None])
-        with self._lock:
-            pending = self._pending & {d.id for d in documents}
-        return tuple(_with_identity(d, found.get(d.id), d.id in pending) for d in documents)
+        runs = [d.id for d in documents if d.finished is not None]
+        try:
+            found = self._stored(runs)
+        except DeviceError:
+            found = self._recalled(runs)  # The latest runs are shown even if the disk cannot be read.
+        return tuple(_with_identity(d, found.get(d.id)) for d in documents)
 
-    def _stored(self, runs: Collection[str]) -> dict[str, IdentityDocument]:
-        """Return the identities of runs from memory or the database; runs without one are left out."""
-        with self._lock:
-            found = {run: self._known[run] for run in runs if run in self._known}
+    def _stored(self, runs: Collection[str]) -> dict[str, IdentityDocument | None]:
+        """Return the identities of runs from memory or the database, None for runs that have none."""
+        found = self._recalled(runs)
         missing = [run for run in runs if run not in found]
         if missing:
-            texts = self._archive.identities.documents(missing)
-            for run, text in texts.items():
-                found[run] = IdentityDocument.model_validate_json(text)
+            for run, text in self._archive.identities.documents(missing).items():
+                try:
+                    found[run] = IdentityDocument.model_validate_json(text)
+                except ValidationError:
+                    continue  # It is of another version: the run is shown without it.
                 self._remember(run, found[run])
-        return {run: document for run, document in found.items() if document is not None}
+        return found
+
+    def _recalled(self, runs: Collection[str]) -> dict[str, IdentityDocument | None]:
+        """Return the identities of runs that are in memory."""
+        with self._lock:
+            return {run: self._known[run] for run in runs if run in self._known}
 
     def _remember(self, run: str, document: IdentityDocument | None) -> None:
         with self._lock:
@@ -163,19 +180,19 @@ class ReadIdentities:
                 self._known.popitem(last=False)
 
     def _not_read(self, run: str) -> None:
-        """Record that the codes of a run were not read, if the run is known."""
-        with contextlib.suppress(VaoiError):
-            finished = self._archive.get(run)
-            self._keep(run, compare(finished.board_type.identity, None, finished.detail.board_id))
-        with self._lock:
-            self._pending.discard(run)
+        """Record that the codes of a run were not read, if it waits for that."""
+        with self._changing:
+            before = self._stored([run]).get(run)
+            if before is not None and before.state == "pending":
+                self._keep(run, before.without_reading())
 
     def _keep(self, run: str, document: IdentityDocument) -> IdentityDocument:
         """Store an identity, then publish it."""
         self._remember(run, document)
-        with self._lock:
-            self._pending.discard(run)
-        self._archive.identities.save(run, document.model_dump_json(exclude_none=True), document.board_ids)
+        saved = self._archive.identities.save(run, identity_row(document))
+        saved.add_done_callback(lambda future: _log_failure(run, future))
+        if document.degrades:
+            self.on_degraded(run)
         first = document.reasons[0] if document.reasons else None
         message = "; ".join(reason.message for reason in document.reasons) or _sentence(document)
         self._events.add(
@@ -186,6 +203,7 @@ class ReadIdentities:
 
     def _run(self) -> None:
         """Have the codes of the waiting runs read, until the station stops."""
+        self._safely(self._close_earlier, "")
         while not self._stopping:
             self.thread.beat()
             with self._wake:
@@ -194,21 +212,33 @@ class ReadIdentities:
                 run = self._waiting.popleft() if self._waiting else None
             if run is not None:
                 with self.thread.waiting():
-                    self._read_after(run)
+                    if not self._safely(self._read_after, run):
+                        self._safely(self._not_read, run)
+
+    def _safely(self, step: Callable[[str], None], run: str) -> bool:
+        """Perform a step, and return whether it succeeded; a fault is published."""
+        try:
+            step(run)
+        except VaoiError as error:
+            _log.info("codes of run %s: %s", run, error.message)  # It was forgotten, or the station stops.
+        except Exception as fault:  # noqa: BLE001  the thread must go on: later runs need it
+            _log.warning("codes of run %s were not read", run, exc_info=True)
+            self._events.add("trouble", f"Codes were not read: {fault}", run=run, code="identity-not-read")
+        else:
+            return True
+        return False
+
+    def _close_earlier(self, _: str) -> None:
+        """Record that codes were not read of the runs that waited for it when the station ended."""
+        for run in self._earlier:
+            self._safely(self._not_read, run)
 
     def _read_after(self, run: str) -> None:
         """Read the codes of a run that has just ended, compare its ids and store both."""
-        try:
-            finished = self._archive.get(run)
-            reading = self._reading(finished)
-            with self._changing:
-                self._keep(run, compare(finished.board_type.identity, reading, finished.detail.board_id))
-        except VaoiError:
-            self._not_read(run)  # The run was forgotten, or the station stops.
-        except Exception as fault:  # noqa: BLE001  the thread must go on: later runs need it
-            self._not_read(run)
-            _log.warning("codes of run %s were not read", run, exc_info=True)
-            self._events.add("trouble", f"Codes were not read: {fault}", run=run, code="identity-not-read")
+        finished = self._archive.get(run)
+        reading = self._reading(finished)
+        with self._changing:
+            self._keep(run, compare(finished.board_type.identity, reading, finished.detail.board_id))
 
     def _reading(self, finished: FinishedRun) -> BoardReading | None:
         """Have the codes read, slice by slice; None if the run has no result, or its frames were needed."""
@@ -239,21 +269,23 @@ class ReadIdentities:
         return done.reading if done is not None and done.reading.codes else None
 
 
-def _with_identity(document: R, identity: IdentityDocument | None, pending: bool) -> R:
+def _with_identity(document: R, identity: IdentityDocument | None) -> R:
     if identity is None:
-        return document.model_copy(update={"identity": IdentitySummary(state="pending")}) if pending else document
+        return document
     update: dict[str, Any] = {"identity": IdentitySummary.of(identity)}
-    if identity.degrades and document.verdict is Status.OK:
-        more = [Reason(code=r.code, message=r.message, action=r.action) for r in identity.reasons] or [
-            Reason(code="identity-not-read", message="The codes of the board were not read.", action=_NOT_READ)
-        ]
-        update |= {"verdict": Status.DEGRADED, "reasons": (*document.reasons, *more)}
+    more = tuple(Reason(code=r.code, message=r.message, action=r.action) for r in identity.degrading)
+    if more:
+        update["reasons"] = (*document.reasons, *more)
+    if more and document.verdict is Status.OK:
+        update["verdict"] = Status.DEGRADED
         if document.state is RunState.READY:
             update["state"] = RunState.DEGRADED
     return document.model_copy(update=update)
 
 
-_NOT_READ = "Identify the board; give the station more memory for runs if its frames were needed (ring.runs)."
+def _log_failure(run: str, saved: Future[None]) -> None:
+    if (fault := saved.exception()) is not None:
+        _log.warning("identity of run %s could not be written: %s", run, fault)
 
 
 def _sentence(document: IdentityDocument) -> str:

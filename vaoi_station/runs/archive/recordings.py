@@ -103,6 +103,11 @@ class Recordings:
         if wanted or self._archive.retention.pinned(detail.id):
             self.request(detail.id)
 
+    def degraded(self, run: str) -> None:
+        """Keep the frames of a run that was degraded after its end, as `finished` does. Returns at once."""
+        if self._keep.recordings_of_failed:
+            self.request(run)
+
     def request(self, run: str) -> None:
         """Keep the frames of a finished run, unless they are kept already. Returns at once."""
         if not self._keep.recordings_gb or run in self._sizes or self._stopping.is_set():

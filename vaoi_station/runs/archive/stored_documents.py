@@ -8,11 +8,14 @@ from typing import TypeVar
 from pydantic import ValidationError
 
 from vaoi_station.errors import DeviceError, GoneError
+from vaoi_station.identity.comparison import compare
+from vaoi_station.model.board_identity import IdentityDocument
 from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.run.run_views import summary_of
 from vaoi_station.runs.states.schemas import Reason, RunDetail, RunSummary, VerdictCounts
 from vaoi_station.runs.states.tables import IN_MEMORY, RunState
 from vaoi_station.store import RunRow
+from vaoi_station.store.history.identities import IdentityRow
 
 R = TypeVar("R", RunSummary, RunDetail)
 _LOST = Reason(code="station-restarted", message="The station ended before this run had a result.")
@@ -34,7 +37,28 @@ def row_of(progress: Progress, detail: RunDetail, finish_number: int | None) -> 
         summary=summary_of(detail).model_dump_json(),
         detail=detail.model_dump_json(),
         head=progress.head.model_dump_json() if progress.head else None,
+        identity=None if finish_number is None else _unread(progress, detail),
     )
+
+
+def identity_row(identity: IdentityDocument) -> IdentityRow:
+    """Return the row of an identity."""
+    return IdentityRow(
+        identity.model_dump_json(exclude_none=True),
+        identity.board_ids,
+        pending=identity.state == "pending",
+        degrading=tuple(reason.code for reason in identity.degrading),
+    )
+
+
+def _unread(progress: Progress, detail: RunDetail) -> IdentityRow | None:
+    """Return the identity of a run that ends, before its codes are read; None if its boards have none.
+
+    It is written with the run: if the station ends before the codes are read, the run is not taken for one whose board
+    is known.
+    """
+    identity = progress.order.board_type.identity
+    return None if identity is None else identity_row(compare(identity, None, detail.board_id, without="pending"))
 
 
 def state_of(row: RunRow) -> RunState:
