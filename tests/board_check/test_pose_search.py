@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from vaoi_station.board_check.body_edges import BodyEdges
-from vaoi_station.board_check.pose_search import find_poses, refine_pose
+from vaoi_station.board_check.pose_search import edge_strengths, find_poses, refine_pose
 from vaoi_station.board_check.run_frames import CheckedRun
 from vaoi_station.model import BoardType
 
@@ -26,3 +26,15 @@ def test_the_true_pose_leads_all_quarter_turns_and_mirrors(run: CheckedRun, boar
     sigma = np.sqrt(np.diag(covariance))
     assert np.abs(error) == pytest.approx(0, abs=3 * sigma.max())
     assert 0.01 < sigma.max() < 0.15
+
+
+def test_a_board_of_a_thousand_components_is_sampled(run: CheckedRun, board: BoardType) -> None:
+    """OpenCV refuses a map of more than 32766 lines."""
+    c, edges = np.array(run.stitch.cad_matrix), BodyEdges.of(board)
+    strength = run.overview.edges(0.3)
+    few = edge_strengths(run.overview, strength, edges, c)
+    times = 33_000 // len(few) + 1
+    arrays = (np.concatenate([a] * times) for a in (edges.points, edges.normals, edges.part, edges.weight))
+    many = edge_strengths(run.overview, strength, BodyEdges(*arrays), c)
+    assert few.max() > 0
+    np.testing.assert_array_equal(many, np.tile(few, times))

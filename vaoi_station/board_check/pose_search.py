@@ -23,6 +23,8 @@ _SEARCH_BLUR_MM, _BLURS_MM = 0.35, (0.6, 0.3, 0.15)
 _STEPS_MM = {0.6: (0.8, 0.4, 0.2), 0.3: (0.2, 0.1), 0.15: (0.1, 0.05, 0.02)}
 """Steps of the refinement at every blur: displacements at the rms distance of the bodies from their middle, mm."""
 _MOST_ROUNDS = 30
+_LINE = 1024
+"""Number of points that are sampled in one line of a map."""
 _GROUPS = 8
 """Number of groups of components, each of which is left out once to estimate the scatter of a pose."""
 
@@ -185,5 +187,8 @@ def edge_strengths(overview: Overview, strength: Floats32, edges: BodyEdges, mat
     at = (edges.points @ px[:, :2].T + px[:, 2]).astype(np.float32)
     turn = matrix[:2, :2] / np.sqrt(abs(np.linalg.det(matrix[:2, :2])))
     across = (edges.normals @ turn.T) ** 2
-    values = [cv2.remap(s, at[:, :1], at[:, 1:], cv2.INTER_LINEAR, borderValue=0)[:, 0] for s in strength]
+    # Maps of OpenCV have less than 32767 lines, and a board may have more points: lines of them, the last one filled.
+    count, lines = len(at), -(-len(at) // _LINE)
+    x, y = (np.resize(at[:, n], (lines, _LINE)) for n in range(2))
+    values = [cv2.remap(s, x, y, cv2.INTER_LINEAR, borderValue=0).ravel()[:count] for s in strength]
     return np.asarray(values[0] * across[:, 0] + values[1] * across[:, 1], np.float64)
