@@ -231,8 +231,15 @@ class BoardType(FrozenModel):
 
     @property
     def local_fiducials(self) -> frozenset[int]:
-        """Numbers of the fiducials that place components only; none if fewer than two others would place the board."""
-        local = frozenset(n for n, f in enumerate(self.fiducials) if f.kind == "local" and f.components)
+        """Numbers of the fiducials that place components only; none if fewer than two others would place the board.
+
+        A local fiducial none of whose components exists counts as a global one.
+        """
+        named = {n: f.components for n, f in enumerate(self.fiducials) if f.kind == "local" and f.components}
+        if not named:
+            return frozenset()
+        present = {c.address for c in self.components}
+        local = frozenset(n for n, components in named.items() if not present.isdisjoint(components))
         return local if len(self.fiducials) - len(local) >= 2 else frozenset()
 
     @property
