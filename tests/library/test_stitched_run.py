@@ -192,6 +192,7 @@ def test_local_fiducials_place_their_components(recording: vaoi.RecordedRun, tmp
     assert run.status == vaoi.Status.OK, run.reasons
     assert set(run.result.local_matrices or ()) == set(near)
     assert run.result.quality["local_fiducials"][near[0]]["sigma_mm"] < 0.003
+    assert run.result.quality["fiducial_check"]["fiducials"] == len(board.fiducials[:2])
     truth = json.loads((recording.directory / "truth.json").read_text())
     for ref in near:
         where = {(i, j): (x, y) for i, j, x, y in truth["views"][ref]}

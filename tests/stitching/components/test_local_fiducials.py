@@ -14,7 +14,12 @@ from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment.problem import FiducialPoints
 from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.fiducial_assignment import LOCAL_MM
-from vaoi_station.stitching.components.local_fiducials import LocalPlace, local_places, placed_landmarks
+from vaoi_station.stitching.components.local_fiducials import (
+    LocalPlace,
+    common_displacement_mm,
+    local_places,
+    placed_landmarks,
+)
 
 C = np.array([[0.0, 1.0, 5.0], [1.0, 0.0, -2.0], [0, 0, 1]])
 PX_PER_MM = 20.0
@@ -32,15 +37,20 @@ def board(count: int) -> BoardType:
     return BoardType.model_validate({"name": "b", "fiducials": [*two, *local], "components": parts})
 
 
-def placed(count: int, off_mm: list[tuple[float, float]], noise_px: float = 0.02) -> dict[str, LocalPlace]:
-    """Places of components if the local fiducials lie `off_mm` from C, in five views each."""
+def seen(off_mm: list[tuple[float, float]], noise_px: float) -> tuple[FiducialPoints, Any]:
+    """Five views of each local fiducial, which lie `off_mm` from C: the points, and the adjustment with residuals."""
     which = np.repeat(np.arange(len(off_mm)) + 2, 5)
     random = np.random.default_rng(2)
     residual = np.array(off_mm).reshape(-1, 2)[which - 2] * PX_PER_MM + random.normal(0, noise_px, (len(which), 2))
     k = len(which)
     sigma, lean = np.full(k, np.hypot(noise_px / PX_PER_MM, LOCAL_MM)), np.zeros((k, 2))
     points = FiducialPoints(which * 0, lean, lean, lean, sigma, np.full(k, PX_PER_MM), which, which * 0)
-    adjusted: Any = SimpleNamespace(fiducial_px=residual)
+    return points, SimpleNamespace(fiducial_px=residual)
+
+
+def placed(count: int, off_mm: list[tuple[float, float]], noise_px: float = 0.02) -> dict[str, LocalPlace]:
+    """Places of components if the local fiducials lie `off_mm` from C."""
+    points, adjusted = seen(off_mm, noise_px)
     return local_places(BoardPlane(board(count), True), adjusted, points, C)
 
 
@@ -75,7 +85,45 @@ def test_large_and_contradicting_displacements_are_refused() -> None:
     assert apart.matrix is None
     assert "disagree" in apart.refusal
     lost = placed(2, [])["U1"]
-    assert lost.refusal == "L0, L1 was not found"
+    assert (lost.refusal, lost.lost) == ("L0, L1 was not found", ("L0", "L1"))
+
+
+@pytest.mark.parametrize("off", [(-0.12, 0.0), (0.08, 0.09)])
+def test_one_wrong_fiducial_of_two_is_refused(off: tuple[float, float]) -> None:
+    """A turn would explain an error across their distance, a shift half of one along it."""
+    wrong = placed(2, [(0.0, 0.0), off])["U1"]
+    assert wrong.matrix is None
+    assert wrong.refusal == "L0, L1 disagree by 0.12 mm (limit 0.1 mm)"
+
+
+@pytest.mark.parametrize(
+    ("off_mm", "common"),
+    [
+        ([(0.1, 0.0), (0.1, 0.0), (0.15, 0.0), (0.15, 0.0)], True),
+        ([(0.02, 0.0), (0.02, 0.0), (-0.01, 0.02), (-0.01, 0.02)], False),
+        ([(0.0, 0.0), (0.0, 0.0), (0.0, 0.0), (0.0, 0.15)], False),
+        ([(0.1, 0.0), (0.1, 0.0)], False),
+    ],
+)
+def test_local_fiducials_of_several_components_show_an_error_of_c(
+    off_mm: list[tuple[float, float]], common: bool
+) -> None:
+    marks = [f.model_dump(exclude_none=True) for f in board(2).fiducials]
+    more = [
+        {"name": f"L{n + 2}", "x": x, "y": y, "diameter": 1, "kind": "local", "components": ["U2"]}
+        for n, (x, y) in enumerate([(46.0, 14.0), (54.0, 26.0)])
+    ]
+    data = board(2).model_dump(exclude_none=True) | {"fiducials": [*marks, *more]}
+    plane = BoardPlane(BoardType.model_validate(data), True)
+    points, adjusted = seen(off_mm, noise_px=0.02)
+    found = common_displacement_mm(plane, adjusted, points, C)
+    assert found == (pytest.approx(0.13, abs=0.01) if common else 0.0)
+
+
+def test_a_local_fiducial_of_no_component_counts_as_a_global_one() -> None:
+    data = board(2).model_dump(exclude_none=True)
+    data["fiducials"][3]["components"] = ["U9"]
+    assert BoardType.model_validate(data).local_fiducials == {2}
 
 
 def test_landmarks_move_with_the_components_that_are_placed() -> None:

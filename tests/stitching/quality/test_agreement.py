@@ -17,6 +17,7 @@ from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.outline import OutlineShift
 from vaoi_station.stitching.components.shift import ComponentShift
 from vaoi_station.stitching.quality.agreement import (
+    common_local_reasons,
     component_reasons,
     fiducial_reasons,
     outline_reasons,
@@ -122,6 +123,34 @@ def test_a_surface_of_which_only_the_sum_is_unlikely_is_a_reason() -> None:
         "tilted and bent at once (6.8 standard deviations together, limit 5.6; most of it by a twist of +0.39 mm)"
         in text
     )
+
+
+def test_an_error_of_one_of_two_fiducials_shows_in_the_local_ones() -> None:
+    """F1 lies 0.25 mm off: C turns and stretches about F0, and all local fiducials lie off C by their share of it."""
+    places = {"U1": [(10.0, 5.0), (14.0, 9.0)], "U2": [(30.0, 8.0), (34.0, 12.0)]}
+    local = [
+        {"name": f"{ref}-{n}", "x": x, "y": y, "diameter": 1.0, "kind": "local", "components": [ref]}
+        for ref, at in places.items()
+        for n, (x, y) in enumerate(at)
+    ]
+    parts = [{"ref": ref, "center": at[0], "width": 2, "height": 2} for ref, at in places.items()]
+    marks = [f.model_dump(exclude_none=True) for f in BOARD.fiducials[:2]]
+    data = BOARD.model_dump(exclude_none=True) | {"fiducials": [*marks, *local], "components": parts}
+    plane = BoardPlane(BoardType.model_validate(data), mirrored=False)
+    which = np.arange(6)
+    six, none = points(1), np.zeros((6, 2))
+    seen = replace(
+        six, row=which * 0, ground_mm=none, lean=none, cad=plane.fiducials,
+        sigma_mm=np.where(which < 2, 0.002, 0.5), px_per_mm=np.full(6, 10.0), which=which, camera=which * 0,
+    )  # fmt: skip
+    arm = plane.fiducials - plane.fiducials[0]
+    off_px = np.where(which[:, None] < 2, 0.0, -2.5 * arm / 36.0)
+    ((code, text),) = common_local_reasons(plane, replace(adjusted(6), fiducial_px=off_px), seen, 10.0)
+    assert code is ReasonCode.FIDUCIAL_OFF_PLACE
+    assert text.startswith("the local fiducials together lie up to 0.2")
+    assert common_local_reasons(plane, adjusted(6), seen, 10.0) == []
+    third = replace(seen, which=np.array([0, 1, 2, 3, 4, REFERENCE]))
+    assert common_local_reasons(plane, replace(adjusted(6), fiducial_px=off_px), third, 10.0) == []
 
 
 def test_a_lifted_board_is_no_reason() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,9 @@ import pytest
 
 from tests.stitching.quality.test_findings import findings_of
 from vaoi_station.model import BoardType, Calibration, ReasonCode, Status
-from vaoi_station.stitching.quality.verdict import decide_verdict
+from vaoi_station.stitching.components.local_fiducials import LocalPlace
+from vaoi_station.stitching.method import METHODS
+from vaoi_station.stitching.quality.verdict import _Placed, _unusable_local_fiducials, decide_verdict
 
 
 def with_changes(board_type: BoardType, **keys: Any) -> BoardType:
@@ -119,6 +122,24 @@ def test_a_third_fiducial_that_is_not_where_it_should_be_is_a_reason(filmed: Any
     assert (ReasonCode.FIDUCIAL_MISSING in codes) == (away_mm < 10)
     if away_mm < 10:
         assert set(findings.fiducials_in_view) == {0, 1, 2}
+
+
+def test_local_fiducials_that_no_frame_shows_are_no_reason() -> None:
+    """Neither are those of a run that uses no fiducials."""
+    lost = LocalPlace((), np.zeros(2), 0.0, 0.0, None, "L0 was not found", ("L0",))
+    apart = replace(lost, fiducials=("L0",), refusal="L0 would displace it by 0.4 mm (limit 0.3 mm)", lost=())
+
+    def reasons(place: LocalPlace, method: str, *in_view: int) -> list[str]:
+        places: Any = SimpleNamespace(
+            method=METHODS[method], local_places={"U1": place}, fiducials_in_view=dict.fromkeys(in_view, (0, 0))
+        )
+        plane: Any = SimpleNamespace(board_type=SimpleNamespace(fiducials=[SimpleNamespace(name="L0")]))
+        none: Any = None
+        return [text for _, text in _unusable_local_fiducials(_Placed(places, plane, none, none))]
+
+    assert reasons(lost, "auto") == reasons(lost, "reference", 0) == reasons(apart, "reference", 0) == []
+    assert "U1: L0 was not found" in reasons(lost, "auto", 0)[0]
+    assert "U1: L0 would displace it" in reasons(apart, "auto")[0]
 
 
 def test_a_fiducial_out_of_its_place_is_named(filmed: Any) -> None:

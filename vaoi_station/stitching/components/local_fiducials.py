@@ -21,7 +21,12 @@ from vaoi_station.stitching.board.footprints import landmarks
 LIMIT_MM = 0.3
 """Largest displacement of a component that is accepted: artwork does not bend by more; a wrong mark may lie so far."""
 AGREEMENT_MM = 0.1
-"""Largest difference of one local fiducial from the others of its component."""
+"""Largest difference of the displacements of two local fiducials of one component."""
+_ARTWORK_MM, _MARK_MM = 0.02, 0.005
+"""Standard deviations of what artwork displaces: all local fiducials of one component together, and each of them."""
+_COMMON_SIGMAS, _LEAST_LOCAL = 3.0, 3
+"""Number of standard deviations from which on a displacement common to local fiducials counts, and least number of
+these fiducials."""
 _COMMON_PX = 0.004
 """Error that all detections of a mark have in common (docs/measured/uncertainty.md)."""
 
@@ -42,6 +47,8 @@ class LocalPlace:
     """C of this component (3, 3); None if the displacement is refused."""
     refusal: str = ""
     """Why it is refused."""
+    lost: tuple[str, ...] = ()
+    """Names of its local fiducials, if none was found."""
 
 
 def local_places(
@@ -59,7 +66,7 @@ def local_places(
     if points is None:
         return {}
     measured = {n: _displacement(points, adjusted.fiducial_px, n) for n in sorted(board.local_fiducials)}
-    at = apply(cad_matrix, np.array([(f.x, f.y) for f in board.fiducials]).reshape(-1, 2))
+    at = apply(cad_matrix, plane.cad(plane.fiducials))
     wanted: dict[str, list[int]] = {}
     for n in sorted(board.local_fiducials):
         for address in board.fiducials[n].components or ():
@@ -72,13 +79,51 @@ def local_places(
         found = [n for n in numbers if measured[n] is not None]
         names = tuple(board.fiducials[n].name for n in found)
         if not found:
-            lost = ", ".join(board.fiducials[n].name for n in numbers)
-            out[component.address] = LocalPlace((), np.zeros(2), 0.0, 0.0, None, f"{lost} was not found")
+            lost = tuple(board.fiducials[n].name for n in numbers)
+            text = f"{', '.join(lost)} was not found"
+            out[component.address] = LocalPlace((), np.zeros(2), 0.0, 0.0, None, text, lost)
             continue
         values = [value for n in found if (value := measured[n]) is not None]
         shifts, sigmas = np.array([shift for shift, _ in values]), np.array([sigma for _, sigma in values])
-        out[component.address] = _placed(names, at[found], shifts, sigmas, cad_matrix, np.array(component.center))
+        body = np.vstack([[component.center], board.footprint(component)])
+        out[component.address] = _placed(names, at[found], shifts, sigmas, cad_matrix, body)
     return out
+
+
+def common_displacement_mm(
+    plane: BoardPlane, adjusted: AdjustmentResult, points: FiducialPoints, cad_matrix: Floats
+) -> float:
+    """Return the largest displacement of local fiducials that one shift, turn and stretch explains; 0 if it is noise.
+
+    Artwork displaces the fiducials of one component independently of those of others. What all have in common is an
+    error of C. Fewer than three fiducials, or those of one component, do not show it.
+
+    Args:
+        plane: plane of the board type.
+        adjusted: solution of the adjustment.
+        points: fiducial points of that adjustment.
+        cad_matrix: C, (3, 3).
+    """
+    fiducials, local = plane.board_type.fiducials, sorted(plane.board_type.local_fiducials)
+    measured = {n: value for n in local if (value := _displacement(points, adjusted.fiducial_px, n)) is not None}
+    parts = [fiducials[n].components for n in measured]
+    if len(measured) < _LEAST_LOCAL or len(set(parts)) < 2:
+        return 0.0
+    at = apply(cad_matrix, plane.cad(plane.fiducials))[list(measured)]
+    x, y = (at - at.mean(0)).T / max(float(np.ptp(at, axis=0).max()), 1.0)
+    one, none = np.ones(len(at)), np.zeros(len(at))
+    design = np.vstack([np.stack([one, none, -y, x], 1), np.stack([none, one, x, y], 1)])
+    together = np.array([[_ARTWORK_MM**2 if a == b else 0.0 for a in parts] for b in parts])
+    own = np.diag([sigma**2 + _MARK_MM**2 for _, sigma in measured.values()])
+    weight = np.kron(np.eye(2), np.linalg.inv(together + own))
+    off = np.array([shift for shift, _ in measured.values()]).T.ravel()
+    covariance = np.linalg.inv(design.T @ weight @ design)
+    fitted = design @ covariance @ design.T @ weight @ off
+    # Fiducials that disagree among themselves show less of what they have in common.
+    scatter = max(1.0, float((off - fitted) @ weight @ (off - fitted)) / (len(off) - 4))
+    variance = (design @ covariance @ design.T).diagonal().reshape(2, -1).sum(0) * scatter / 2
+    length = np.hypot(*fitted.reshape(2, -1))
+    return float(length[length > _COMMON_SIGMAS * np.sqrt(variance)].max(initial=0.0))
 
 
 def placed_landmarks(plane: BoardPlane, cad_matrix: Floats, places: Mapping[str, LocalPlace]) -> Floats:
@@ -108,7 +153,7 @@ def _displacement(points: FiducialPoints, residual_px: Floats, number: int) -> t
 
 
 def _placed(
-    names: tuple[str, ...], at: Floats, shifts: Floats, sigmas: Floats, cad_matrix: Floats, center: Floats
+    names: tuple[str, ...], at: Floats, shifts: Floats, sigmas: Floats, cad_matrix: Floats, body: Floats
 ) -> LocalPlace:
     """Fit a shift, and with several fiducials a turn, to the displacements of a component's fiducials.
 
@@ -118,14 +163,13 @@ def _placed(
         shifts: (k, 2) their displacements, mm.
         sigmas: (k,) standard deviations.
         cad_matrix: C.
-        center: (2,) centre of the component, CAD coordinates.
+        body: (5, 2) centre and corners of the component, CAD coordinates.
     """
     middle, shift = at.mean(0), shifts.mean(0)
     arm = at - middle
     spread, turn = float((arm**2).sum()), 0.0
     if len(at) > 1:
         turn = float((arm[:, 0] * shifts[:, 1] - arm[:, 1] * shifts[:, 0]).sum()) / spread
-    rest = shifts - shift - turn * np.column_stack([-arm[:, 1], arm[:, 0]])
     matrix = np.eye(3)
     c, s = np.cos(turn), np.sin(turn)
     matrix[:2, :2] = ((c, -s), (s, c))
@@ -133,12 +177,15 @@ def _placed(
     own = matrix @ cad_matrix
     sigma = float(np.sqrt((sigmas**2).sum())) / len(at)
     if len(at) > 1:
-        reach = float(np.hypot(*(apply(cad_matrix, center) - middle)))
+        reach = float(np.hypot(*(apply(cad_matrix, body[0]) - middle)))
         sigma = float(np.hypot(sigma, float(np.sqrt((sigmas**2).mean() / spread)) * reach))
-    moved = apply(own, center) - apply(cad_matrix, center)
+    moved = apply(own, body) - apply(cad_matrix, body)
     refusal = ""
-    if (off := float(np.hypot(*moved))) > LIMIT_MM:
+    # A turn explains any error of one fiducial of two across their distance, so the displacements themselves are
+    # compared.
+    apart = float(np.hypot(*(shifts[:, None] - shifts[None]).reshape(-1, 2).T).max())
+    if (off := float(np.hypot(*np.vstack([moved, shifts]).T).max())) > LIMIT_MM:
         refusal = f"{', '.join(names)} would displace it by {off:.2f} mm (limit {LIMIT_MM:g} mm)"
-    elif (apart := float(np.hypot(*rest.T).max())) > AGREEMENT_MM:
+    elif apart > AGREEMENT_MM:
         refusal = f"{', '.join(names)} disagree by {apart:.2f} mm (limit {AGREEMENT_MM:g} mm)"
-    return LocalPlace(names, moved, turn, sigma, None if refusal else own, refusal)
+    return LocalPlace(names, moved[0], turn, sigma, None if refusal else own, refusal)

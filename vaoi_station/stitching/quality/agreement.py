@@ -17,6 +17,7 @@ from vaoi_station.stitching.adjustment.surface import SIGMA_MM
 from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.outline import OutlineShift
 from vaoi_station.stitching.board.reference import inliers
+from vaoi_station.stitching.components.local_fiducials import common_displacement_mm
 from vaoi_station.stitching.components.shift import ComponentShift
 
 _FIDUCIAL_LIMIT_PX = 0.30
@@ -75,6 +76,28 @@ def fiducial_reasons(
     if out:
         out += _wrong_fiducial(plane, {n: place for n, (place, _) in seen.items()}, px_per_mm)
     return out
+
+
+def common_local_reasons(
+    plane: BoardPlane, adjusted: AdjustmentResult, points: FiducialPoints | None, px_per_mm: float
+) -> list[Reason]:
+    """Return a reason if local fiducials together lie elsewhere than C puts them, where only two fiducials place C.
+
+    Two fiducials leave no residuals, and the places of components would follow the error of one of them.
+    """
+    if adjusted.similarity is None or points is None or (points.which < 0).any():
+        return []
+    if len(set(points.which.tolist()) - plane.board_type.local_fiducials) > 2:
+        return []
+    off_mm = common_displacement_mm(plane, adjusted, points, plane.matrix(adjusted.similarity))
+    if off_mm * px_per_mm <= _FIDUCIAL_LIMIT_PX:
+        return []
+    text = (
+        f"the local fiducials together lie up to {off_mm:.2f} mm ({off_mm * px_per_mm:.1f} px) from where the two "
+        f"others put them (limit {_FIDUCIAL_LIMIT_PX} px): one of these two is not at its CAD position, or another "
+        "mark was taken for it; check both in the CAD data and on the board"
+    )
+    return [Reason(ReasonCode.FIDUCIAL_OFF_PLACE, text)]
 
 
 def uncertain_detections(plane: BoardPlane, points: FiducialPoints | None, limit_px: float) -> str:

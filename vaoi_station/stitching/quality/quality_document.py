@@ -123,7 +123,8 @@ def _fiducial_check(f: Findings) -> dict[str, Any] | None:
     points = f.mapping.problem.fiducials if f.mapping else None
     if f.plane is None or f.cad_matrix is None or points is None:
         return None
-    used = np.unique(points.which[points.which >= 0])
+    # Local fiducials have no part in C, so they show no error of it.
+    used = np.array(sorted(set(points.which[points.which >= 0].tolist()) - f.plane.board_type.local_fiducials), np.int_)
     shift = f.component_shift
     unnoticed = None
     if shift is not None and len(used) == 2:

@@ -21,6 +21,7 @@ from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.cad_mapping import CadMapping
 from vaoi_station.stitching.board.fiducial_assignment import outside_share
 from vaoi_station.stitching.quality.agreement import (
+    common_local_reasons,
     component_reasons,
     fiducial_reasons,
     outline_reasons,
@@ -207,7 +208,12 @@ def _missing_fiducials(b: _Placed) -> Iterator[Reason]:
 
 
 def _unusable_local_fiducials(b: _Placed) -> Iterator[Reason]:
-    refused = [(ref, place) for ref, place in b.findings.local_places.items() if place.refusal]
+    if not b.findings.method.marks:
+        return
+    # A fiducial that no frame shows is missing in the frames, not on the board.
+    in_view = {b.plane.board_type.fiducials[n].name for n in b.findings.fiducials_in_view}
+    places = b.findings.local_places.items()
+    refused = [(ref, p) for ref, p in places if p.refusal and (p.fiducials or in_view.intersection(p.lost))]
     if refused:
         shown = "; ".join(f"{ref}: {place.refusal}" for ref, place in refused[:4])
         more = f" and {len(refused) - 4} more" if len(refused) > 4 else ""
@@ -218,6 +224,7 @@ def _unusable_local_fiducials(b: _Placed) -> Iterator[Reason]:
 def _disagreeing_fiducials(b: _Placed) -> Iterator[Reason]:
     adjusted = b.findings.adjusted
     yield from fiducial_reasons(b.plane, adjusted, b.points, b.findings.moved.motion, b.px_per_mm)
+    yield from common_local_reasons(b.plane, adjusted, b.points, b.px_per_mm)
     yield from reference_reasons(b.points, adjusted.fiducial_px)
 
 
