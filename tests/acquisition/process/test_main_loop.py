@@ -147,7 +147,9 @@ def test_a_board_that_is_passing_is_filmed_before_the_line_is_disarmed(start: St
     bench.grant("one", 0)
     bench.arm()
     bench.until(PulseReported)
+    assert [h.passing for h in bench.of(Health)][-1], "reported before the first pulse"
     assert bench.disarm().unused == ()
+    assert not bench.of(Health)[-1].passing
     [finished] = bench.of(RunFinished)
     assert finished.reason == "clear"
     assert finished.head.missing == ()

@@ -100,6 +100,14 @@ def test_devices_that_have_not_reported_count_as_not_ready() -> None:
     assert codes(health=replace(health(True, True), controller_ready=False)) == ["controller-not-ready"]
 
 
+def test_a_board_in_the_barrier_holds_the_next_one_back_before_its_first_pulse_too() -> None:
+    assert codes(health=replace(health(True, True), passing=True)) == ["line-filming"]
+    stopped = replace(health(True, True), passing=True, belt_stopped=True)
+    for state in (StationState.ARMED, StationState.FILMING):
+        (reason,) = readiness.held_back(replace(READY, state=state, health=stopped), CAMERAS)
+        assert (reason.code, "the belt does not move" in reason.message) == ("line-filming", True)
+
+
 @pytest.mark.parametrize("code", ["storage-full", "storage-read-only", "workers-starting", "thread-lost"])
 def test_troubles_of_disk_workers_and_threads_hold_boards_back(code: str) -> None:
     assert codes(reasons=(Reason(code=code, message="so it is", action="do it"),)) == [code]

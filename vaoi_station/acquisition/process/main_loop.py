@@ -38,6 +38,7 @@ from vaoi_station.acquisition.process.messages import (
     Report,
     Shutdown,
 )
+from vaoi_station.acquisition.process.passage_watch import PassageWatch
 from vaoi_station.acquisition.process.run_reports import clock_jump_error, trouble_report
 from vaoi_station.acquisition.process.session import Session
 from vaoi_station.acquisition.ring.ring import Ring, RingLayout
@@ -142,7 +143,9 @@ class _MainLoop:
         self._failures: list[ThreadFault] = []
         self._waiting: _WaitingCommand | None = None
         self._health_is_due = False
-        """Whether a device was lost or is back since the last heartbeat: the next one is sent at once."""
+        """Whether a device was lost or is back, or a board came or left, since the last heartbeat: the next one is sent
+        at once."""
+        self._passage = PassageWatch()
 
     def run(self) -> None:
         """Start the devices, then handle one message after another until `Shutdown`.
@@ -224,10 +227,12 @@ class _MainLoop:
         if isinstance(item, Arrival):
             self._session.handle_arrival(item, now_s)
         elif isinstance(item, ControllerEvent):
+            self._health_is_due |= self._passage.add(item, now_s)
             self._session.handle_event(item, now_s)
         elif isinstance(item, Grant | Arm | FireOne | Disarm | PermitBoard):
             self._obey(item, now_s)
         elif isinstance(item, _ControllerDisarmed):
+            self._passage.disarm()
             self._session.finish_disarming(now_s)
         elif isinstance(item, CameraLost):
             self._session.outages.begin(item.camera, item.since_s, item.why)
@@ -240,6 +245,8 @@ class _MainLoop:
             self._session.outages.end(item.camera, item.at_s)
             self._health_is_due = True
         elif isinstance(item, DeviceFault):
+            if item.error.code == "events-lost":
+                self._passage.forget_barrier()
             self._send(trouble_report(item.error, item.device))
             self._health_is_due = True
         elif isinstance(item, ClockReading):
@@ -294,6 +301,7 @@ class _MainLoop:
         try:
             if isinstance(waiting.command, Arm):
                 self._session.arm(waiting.command.plan)
+                self._passage.arm(waiting.command.plan)
             else:
                 self._session.fire_one(now_s)
         except ClockError:
@@ -307,7 +315,15 @@ class _MainLoop:
     def _health(self, now_s: float) -> Health:
         cameras = tuple(camera.health() for camera in self._devices.cameras)
         controller = self._devices.controller
-        return Health(cameras, controller.health(), now_s, controller.is_watching(), controller.line_output())
+        return Health(
+            cameras,
+            controller.health(),
+            now_s,
+            controller_ready=controller.is_watching(),
+            line_output=controller.line_output(),
+            passing=self._passage.passing,
+            belt_stopped=self._passage.belt_stopped(now_s),
+        )
 
     def _receive_commands(self, woken: Connection) -> None:
         """Put commands from the pipe into the inbox. If the pipe has ended, put Shutdown."""

@@ -165,6 +165,10 @@ class Health:
     """Whether the controller replies, and fires for boards when armed."""
     line_output: LineOutput | None = None
     """The controller's output "line ready"; None if there is none, or it is not used."""
+    passing: bool = False
+    """Whether a run is under way at the controller, also before its first pulse, or a board is in the barrier."""
+    belt_stopped: bool = False
+    """Whether the belt that spaces the rows has stopped during a run."""
 
 
 @dataclass(frozen=True)

@@ -49,6 +49,12 @@ _BY_STATE = {
     StationState.FILMING: Reason(code="line-filming", message="A board is being filmed.", action="Wait until it left."),
     StationState.BLOCKED: Reason(code="ring-full", message="No memory is free.", action="Wait, or release a run."),
 }
+_PASSING = Reason(code="line-filming", message="A board is in the barrier.", action="Wait until it left.")
+_STOPPED = Reason(
+    code="line-filming",
+    message="A board is in the barrier or under the cameras, and the belt does not move.",
+    action="Start the belt. If it runs, check its encoder and the cable (vaoi doctor); disarm to end the run.",
+)
 EXPECTED = frozenset({"line-not-armed", "line-filming"})
 """Codes with which a board must wait although nothing is wrong."""
 
@@ -59,7 +65,10 @@ def held_back(facts: LineFacts, cameras: Sequence[CameraConfig]) -> tuple[Reason
     The page, `/readyz`, `line_ready` of REST and the output "line ready" all follow this function.
     """
     found: list[Reason] = []
-    if facts.state is not StationState.ARMED:
+    stopped = facts.health is not None and facts.health.belt_stopped
+    if facts.state is StationState.FILMING and stopped:
+        found.append(_STOPPED)
+    elif facts.state is not StationState.ARMED:
         found.append(_BY_STATE[facts.state])
     elif not facts.expects_board:
         found.append(Reason(code="line-not-armed", message="The line is being disarmed.", action="Arm again."))
@@ -72,6 +81,9 @@ def held_back(facts: LineFacts, cameras: Sequence[CameraConfig]) -> tuple[Reason
     elif not facts.health.controller_ready:
         message = "The controller does not reply, or has switched its outputs off."
         found.append(Reason(code="controller-not-ready", message=message, action="Check its power and its cable."))
+    elif facts.health.passing:
+        # The station's state is FILMING only from the first pulse on, and no longer after a run was given up.
+        found.append(_STOPPED if stopped else _PASSING)
     if not facts.without_cameras:
         found += reasons(facts.health, cameras)
     others = NOT_READY - {CODE, "ring-full"} | {"thread-lost"}
