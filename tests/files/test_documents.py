@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import pytest
 from pydantic import BaseModel, Field
 
-from vaoi_station.errors import InputError, InternalError, NotFoundError
+from vaoi_station.errors import DeviceError, InputError, InternalError, NotFoundError
 from vaoi_station.files.documents import check_format, parse, read_json, read_toml, write_bytes, write_json
 from vaoi_station.model import Component, Fiducial
 
@@ -115,7 +115,7 @@ def test_failed_write_leaves_the_old_file_and_no_other(tmp_path: Path, monkeypat
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(OSError, match="No space"):
+    with pytest.raises(DeviceError, match=r"r\.json: cannot be written \(No space left on device\)"):
         write_bytes(path, b"new and longer")
     assert path.read_bytes() == b"old"
     assert [p.name for p in tmp_path.iterdir()] == ["r.json"]

@@ -8,13 +8,14 @@ import os
 import tempfile
 import tomllib
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from vaoi_station.errors import InputError, InternalError, NotFoundError
+from vaoi_station.errors import DeviceError, InputError, InternalError, NotFoundError
 from vaoi_station.files.durability import make_directories, sync_directory
 
 M = TypeVar("M", bound=BaseModel)
@@ -118,6 +119,7 @@ def write_bytes(path: Path, content: bytes, *, durable: bool = True, mode: int =
 
     Raises:
         InputError: the path is not a file, or cannot be written to.
+        DeviceError: the disk is full or damaged; the old content stays.
     """
     path = path.resolve()  # a symbolic link stays; its target is written
     if path.exists() and not path.is_file():
@@ -140,8 +142,15 @@ def write_bytes(path: Path, content: bytes, *, durable: bool = True, mode: int =
         # A rename is on the disk only when its directory is: without this, a revoked key would be valid again.
         if durable:
             sync_directory(path.parent)
-    except BaseException:  # also after Ctrl-C: remove the temporary file, then raise again
-        Path(name).unlink(missing_ok=True)
+    except BaseException as error:  # also after Ctrl-C: remove the temporary file, then raise again
+        with suppress(OSError):  # a damaged disk may refuse this too; the first error is the one to report
+            Path(name).unlink(missing_ok=True)
+        if isinstance(error, OSError):
+            raise DeviceError(
+                f"{path}: cannot be written ({error.strerror}).",
+                action="Check the space and the state of the disk.",
+                code="file-not-written",
+            ) from error
         raise
 
 

@@ -75,10 +75,10 @@ def write_board(order: MosaicOrder) -> Iterator[str]:
     layout = write_mosaic(order.out, plan, projector, grid, recording.frame)
     try:
         write_json(order.document, _document(order, plan, grid, layout))
-    except OSError as error:
+    except DeviceError as error:
         order.out.unlink(missing_ok=True)
         raise DeviceError(
-            f"{order.document}: cannot be written ({error.strerror}); {order.out.name} was removed again.",
+            f"{error.message} {order.out.name} was removed again.",
             action="Free space, and write the mosaic again.",
             code="disk-full",
         ) from error

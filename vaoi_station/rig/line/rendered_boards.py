@@ -200,7 +200,7 @@ def render_worker(
         try:
             for board, directory in zip(boards, directories, strict=True):
                 _render_board(twin.passage(board), directory)
-        except (OSError, InputError) as error:
+        except (OSError, InputError, DeviceError) as error:
             reason = (
                 f"{error.filename or directories[0]}: {error.strerror}" if isinstance(error, OSError) else str(error)
             )
