@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -239,6 +240,46 @@ def test_a_disk_that_takes_no_writes_delays_nothing(
         events.add("run", "b")
         assert transport.numbers(2) == [1, 2]
     assert "is not a file and is not overwritten" in caplog.text
+
+
+def test_a_full_disk_delays_nothing_and_ends_no_thread(
+    running: Any, events: EventList, path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def full(_: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    transport = Scripted()
+    with running(transport) as delivery:
+        events.add("run", "a")
+        assert transport.numbers(1) == [1]
+        assert delivery.test(message_of(events.records[0], "x")).result(WAIT_S).delivered
+    assert transport.closed
+    assert not path.exists()
+    assert "cannot be written (No space left on device)" in caplog.text
+    with pytest.raises(StateError):
+        delivery.enable().result(WAIT_S)
+
+
+def test_a_request_whose_caller_has_gone_is_not_served_and_harms_no_other(events: EventList, path: Path) -> None:
+    delivery = Delivery("mes", path, events, "line-3", WEBHOOK_WORDS)
+    served: list[int] = []
+    first, second = (delivery.submit(lambda: served.append(1)) for _ in range(2))
+    assert first.cancel()
+    delivery.start()
+    second.result(WAIT_S)
+    assert served == [1]
+    delivery.stop()
+    delivery.join(WAIT_S)
+    stopped = Delivery("mes", path, events, "line-3", WEBHOOK_WORDS)
+    first, second = (stopped.submit(lambda: served.append(2)) for _ in range(2))
+    assert first.cancel()
+    stopped.stop()
+    stopped.start()
+    with pytest.raises(StateError, match="was removed"):
+        second.result(WAIT_S)
+    stopped.join(WAIT_S)
+    assert served == [1]
 
 
 def test_requests_after_the_end_are_refused_and_a_removed_receiver_writes_nothing(

@@ -13,6 +13,7 @@ from tests.push.receiving import Receiver
 from tests.push.test_delivery import WAIT_S, until
 from vaoi_station.errors import NotFoundError, StateError
 from vaoi_station.model.receivers import MOST_WEBHOOKS, PushConfig, WebhookConfig, WebhookSettings
+from vaoi_station.push.delivery_state import read_state
 from vaoi_station.push.push_service import PushService
 from vaoi_station.push.signing import new_secret, signatures
 from vaoi_station.supervised_thread import SupervisedThread
@@ -141,6 +142,37 @@ def test_a_changed_address_is_used_at_once(station: Fixture, target: Receiver) -
     until(lambda: push.webhook("mes").delivery.state.failures)
     push.put("mes", settings(target.url))
     assert target.next().document["data"]["message"] == "a"
+
+
+def test_a_webhook_that_is_made_again_begins_anew_while_the_old_one_ends(station: Fixture, target: Receiver) -> None:
+    push, file = station.start(), station.data / "push" / "receivers" / "mes.json"
+    push.put("mes", settings("http://127.0.0.1:9/", retry_after_s=(3600.0,)))
+    old = push.webhook("mes").delivery
+    station.events.add("run", "for the old one")
+    until(lambda: old.state.failures)
+    push.delete("mes")
+    assert not file.exists(), "at once, not when the thread ends"
+    file.write_text("left by a disk that deletes nothing")
+    push.put("mes", settings(target.url))
+    old.join(WAIT_S)
+    station.events.add("run", "for the new one")
+    assert target.next().document["data"]["message"] == "for the new one"
+    until(lambda: push.webhook("mes").delivery.state.delivered == 1)
+    station.stop()
+    assert read_state(file, lambda: 99).delivered == 1
+
+
+def test_states_without_a_receiver_are_deleted_unless_the_webhooks_are_unknown(station: Fixture) -> None:
+    folder = station.data / "push" / "receivers"
+    folder.mkdir(parents=True)
+    (folder / "gone.json").write_text("{}")
+    (damaged := station.data / "push" / "webhooks.json").write_text("{")
+    station.start()
+    assert (folder / "gone.json").exists()
+    station.stop()
+    damaged.unlink()
+    station.start()
+    assert not (folder / "gone.json").exists()
 
 
 def test_webhooks_are_limited(station: Fixture) -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import NamedTuple, Protocol, TypeVar
 
 from vaoi_station.errors import NotFoundError, StateError, VaoiError
-from vaoi_station.push.delivery_state import DeadLetter, DeliveryState, read_state, write_state
+from vaoi_station.push.delivery_state import DeadLetter, DeliveryState, delete_state, read_state, write_state
 from vaoi_station.push.messages import OWN_KIND, Message, is_wanted, message_of, type_of
 from vaoi_station.push.transport import Outcome, Transport
 from vaoi_station.runs.states.run_ids import utc
@@ -80,19 +80,29 @@ class Words(NamedTuple):
 class Delivery:
     """Delivers events to one receiver. Its methods may be called from any thread."""
 
-    def __init__(self, name: str, path: Path, events: Events, station: str, words: Words) -> None:
-        """Prepare a delivery whose state is in the file `path`. `set` gives it transport and rules."""
+    def __init__(
+        self, name: str, path: Path, events: Events, station: str, words: Words, *, is_new: bool = False
+    ) -> None:
+        """Prepare a delivery. `set` gives it transport and rules.
+
+        Args:
+            name: name of the receiver.
+            path: file of its state.
+            events: the event log.
+            station: name of the station, which each message has.
+            words: how reports name it.
+            is_new: whether to begin with the next event even if there is a state of an earlier receiver of this name.
+        """
         self.name, self._words = name, words
         self._path, self._events, self._station = path, events, station
-        self._state = read_state(path, lambda: events.last)
-        # A new state is written before the first event, because it says where the receiver begins.
-        self._saved = self._state if path.exists() else None
+        self._state = DeliveryState(last=events.last) if is_new else read_state(path, lambda: events.last)
+        self._saved = self._state if path.exists() and not is_new else None
         self._saved_at_s, self._save_failed = 0.0, False
         self._transport: Transport | None = None
         self._rules = Rules((), (READ_S,))
         self._batch: deque[EventRecord] = deque()
         self._orders: deque[tuple[Callable[[], object], Future[object]]] = deque()
-        self._wake, self._lock = threading.Event(), threading.Lock()
+        self._wake, self._lock, self._file_lock = threading.Event(), threading.Lock(), threading.Lock()
         self._stopping = self._forgotten = self._ended = False
         self.thread = SupervisedThread(self._run, f"push {name}")
 
@@ -132,9 +142,14 @@ class Delivery:
         self.thread.start()
 
     def stop(self, *, forget: bool = False) -> None:
-        """End the thread after the attempt that is under way; with `forget`, it deletes its state at last."""
+        """End the thread after the attempt that is under way; with `forget`, delete the state now."""
         self.thread.expect_end()
-        self._stopping, self._forgotten = True, forget
+        self._stopping = True
+        if forget:
+            # The thread may end later than a new receiver of this name begins, whose file it must not touch.
+            with self._file_lock:
+                self._forgotten = True
+                delete_state(self._path)
         self._wake.set()
 
     def join(self, timeout_s: float) -> None:
@@ -204,10 +219,11 @@ class Delivery:
     # --- in the thread
 
     def _run(self) -> None:
-        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), PRIORITY)
+        thread = threading.get_native_id()
+        # Only root may lower the value of a station that was started with a higher one.
+        os.setpriority(os.PRIO_PROCESS, thread, max(PRIORITY, os.getpriority(os.PRIO_PROCESS, thread)))
         # Names are resolved for as long as the resolver takes: the silence of this thread is no fault.
         with self.thread.waiting():
-            self._save()
             while not self._stopping:
                 try:
                     self._pass()
@@ -222,6 +238,8 @@ class Delivery:
         while self._orders:
             self._perform(*self._orders.popleft())
             self._save()
+        if self._saved is None:
+            self._save()  # it says where the receiver begins
         transport, state = self._transport, self._state
         left_s = state.due_s - time.time()
         if left_s > (1 + JITTER) * max(self._rules.pauses_s) + READ_S:
@@ -235,6 +253,8 @@ class Delivery:
             self._note(None, outcome)
 
     def _perform(self, work: Callable[[], object], future: Future[object]) -> None:
+        if not future.set_running_or_notify_cancel():
+            return  # the caller has gone, or has waited long enough
         try:
             future.set_result(work())
         except Exception as error:  # noqa: BLE001  the caller gets it
@@ -329,11 +349,13 @@ class Delivery:
         self._state = self._state.model_copy(update=changes)
 
     def _save(self) -> None:
-        if self._state is self._saved or self._forgotten:
+        if self._state is self._saved:
             return
         self._saved_at_s = time.monotonic()
         try:
-            write_state(self._path, self._state)
+            with self._file_lock:
+                if not self._forgotten:
+                    write_state(self._path, self._state)
         except VaoiError as error:
             # After a crash deliveries would be repeated, which receivers notice by the ids; the line goes on.
             if not self._save_failed:
@@ -344,15 +366,17 @@ class Delivery:
 
     def _end(self) -> None:
         """Close the connection, write the state, and refuse the requests that are left."""
-        if self._transport is not None:
-            self._transport.close()
-        self._save()
-        if self._forgotten:
-            self._path.unlink(missing_ok=True)
-        with self._lock:
-            self._ended = True
-        while self._orders:
-            self._orders.popleft()[1].set_exception(_ended())
+        try:
+            if self._transport is not None:
+                self._transport.close()
+            self._save()
+        finally:
+            with self._lock:
+                self._ended = True
+            for _, future in self._orders:
+                if future.set_running_or_notify_cancel():
+                    future.set_exception(_ended())
+            self._orders.clear()
 
 
 def _ended() -> StateError:

@@ -119,3 +119,11 @@ def read_state(path: Path, newest: Callable[[], int]) -> DeliveryState:
 def write_state(path: Path, state: DeliveryState) -> None:
     """Write the state of a receiver."""
     write_json(path, state.model_dump(mode="json"))
+
+
+def delete_state(path: Path) -> None:
+    """Delete the state of a receiver. A file that cannot be deleted is logged: a new receiver does not read it."""
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        _log.warning("%s: cannot be deleted (%s).", path, error.strerror)

@@ -15,6 +15,7 @@ from pathlib import Path
 from vaoi_station.errors import NotFoundError, StateError
 from vaoi_station.model.receivers import MOST_WEBHOOKS, MqttConfig, PushConfig, WebhookSettings
 from vaoi_station.push.delivery import Delivery, Events, Rules, Words
+from vaoi_station.push.delivery_state import delete_state
 from vaoi_station.push.messages import message_of
 from vaoi_station.push.mqtt_transport import MqttTransport
 from vaoi_station.push.signing import new_secret, read_secrets
@@ -25,7 +26,7 @@ from vaoi_station.runs.states.run_ids import utc
 from vaoi_station.runs.states.schemas import EventRecord, Reason
 from vaoi_station.supervised_thread import SupervisedThread
 
-FOLDER, WEBHOOKS = "push", "webhooks.json"
+FOLDER, WEBHOOKS, RECEIVERS = "push", "webhooks.json", "receivers"
 STOP_S = 3.0
 """Longest wait for the attempts that are under way when the station stops, s."""
 WEBHOOK_WORDS = Words(
@@ -85,6 +86,7 @@ class PushService:
         for stored in self._file.all():
             if stored.name not in self._fixed:
                 self._set_stored(stored)
+        self._sweep()
         self._state: Callable[[], str] = str
         self._broker = None if config.mqtt is None else self._publisher(config.mqtt)
 
@@ -154,6 +156,7 @@ class PushService:
         with self._lock:
             self._refuse_fixed(name)
             stored, secret = self._file.get(name), None
+            is_new = stored is None
             if stored is None:
                 count = len(self._fixed) + len(self._file.all())
                 if count >= MOST_WEBHOOKS:
@@ -166,7 +169,7 @@ class PushService:
                 stored = StoredWebhook(name=name, settings=settings, secrets=(Secret(secret=secret),))
             stored = stored.model_copy(update={"settings": settings})
             self._file.put(stored)
-            self._set_stored(stored)
+            self._set_stored(stored, is_new=is_new)
         return secret
 
     def rotate(self, name: str, overlap_s: float) -> str:
@@ -207,24 +210,37 @@ class PushService:
                 code="webhook-of-configuration",
             )
 
-    def _set_stored(self, stored: StoredWebhook) -> None:
+    def _sweep(self) -> None:
+        """Delete the states of receivers that are no more: a later one of the same name begins with the next event."""
+        if self._file.fault is not None:
+            return  # some of them belong to webhooks that a repaired file names
+        kept = {self._state_file(name) for name in self._deliveries}
+        for path in (self._folder / RECEIVERS).glob("*.json"):
+            if path not in kept:
+                delete_state(path)
+
+    def _set_stored(self, stored: StoredWebhook, *, is_new: bool = False) -> None:
         def secrets_now() -> tuple[str, ...]:
             found = self._file.get(stored.name)
             return () if found is None else found.valid_secrets()
 
-        self._set(stored.name, stored.settings, secrets_now)
+        self._set(stored.name, stored.settings, secrets_now, is_new=is_new)
 
-    def _set(self, name: str, settings: WebhookSettings, secrets_now: Callable[[], tuple[str, ...]]) -> None:
+    def _set(
+        self, name: str, settings: WebhookSettings, secrets_now: Callable[[], tuple[str, ...]], *, is_new: bool = False
+    ) -> None:
         transport = WebhookTransport(settings.url, secrets_now, self._config.networks, self._config.ca)
-        delivery, is_new = self._deliveries.get(name), name not in self._deliveries
-        if delivery is None:
-            delivery = Delivery(name, self._state_file(name), self._events, self._station, WEBHOOK_WORDS)
-        delivery.set(transport, Rules(settings.events, settings.retry_after_s))
+        rules = Rules(settings.events, settings.retry_after_s)
+        if (known := self._deliveries.get(name)) is not None:
+            known.set(transport, rules)
+            known.enable()
+            return
+        path = self._state_file(name)
+        delivery = Delivery(name, path, self._events, self._station, WEBHOOK_WORDS, is_new=is_new)
+        delivery.set(transport, rules)
         self._deliveries = {**self._deliveries, name: delivery}
-        if is_new and self._watch is not None:
+        if self._watch is not None:
             self._begin(delivery)
-        elif not is_new:
-            delivery.enable()
 
     def _publisher(self, broker: MqttConfig) -> Delivery:
         # No webhook can have a name with a colon.
@@ -243,4 +259,4 @@ class PushService:
 
     def _state_file(self, name: str) -> Path:
         # A webhook with the name of another file of the folder must not overwrite it.
-        return self._folder / "receivers" / f"{name}.json"
+        return self._folder / RECEIVERS / f"{name}.json"
