@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from vaoi_station.line_config import Line
@@ -39,6 +42,21 @@ def test_the_encoder_counts_the_distances_of_the_nominal_speed() -> None:
     assert line.row_ways_mm(3) == (0.0, 10.0, 20.0)
     clocked = Line(**VALID, encoder={"counts_per_mm": 20.0})
     assert (clocked.fastest_mm_s, clocked.shortest_period_s, clocked.row_ways_mm(3)) == (100.0, 0.1, None)
+
+
+@given(st.floats(0.2, 10.0), st.floats(0.1, 900.0), st.floats(0.06, 1.0), st.floats(0.06, 3.0))
+@example(1.0, 400.0, 0.014, 0.5)
+def test_the_rows_of_the_encoder_cover_the_longest_board(
+    per_mm: float, longest_mm: float, period_s: float, tail_s: float
+) -> None:
+    """Rows 1.4 mm apart are one count of 1 mm apart: a board of 400 mm needs 446 rows, not 319."""
+    given_values = {"longest_board_mm": longest_mm, "trigger_period_s": period_s, "tail_s": tail_s}
+    line = Line(**ENCODER | given_values | {"start_delay_s": 0.05, "encoder": {"counts_per_mm": per_mm}})
+    start, row, tail = (line.counts(s) for s in (line.start_delay_s, line.trigger_period_s, line.tail_s))
+    after_board = math.ceil(longest_mm * per_mm) + tail
+    rows = line.rows_of_longest_board
+    assert start + rows * row > after_board, "the row after the last one is beyond the tail"
+    assert rows == 1 or start + (rows - 2) * row < after_board, "and no row is in vain but the last one"
 
 
 def test_the_distance_of_the_rows_may_replace_the_period() -> None:

@@ -194,6 +194,11 @@ class Line(Section):
     @property
     def rows_of_longest_board(self) -> int:
         """Number of pulses for the longest board, from start delay to end of tail (the paper's m)."""
+        if self.by_encoder and self.encoder is not None:
+            # The controller gets whole counts, so that its rows lie closer than the period says, or further apart.
+            start, row, tail = (self.counts(s) for s in (self.start_delay_s, self.trigger_period_s, self.tail_s))
+            board = math.ceil(round(self.longest_board_mm * self.encoder.counts_per_mm, 6))
+            return 1 + max(0, math.ceil((board + tail - start) / row))
         return 1 + math.ceil((self.passing_s - self.start_delay_s) / self.trigger_period_s)
 
 
