@@ -150,6 +150,21 @@ def test_a_component_out_of_view_has_no_views(make: Any) -> None:
     assert compute_views(s.board_type.components[0], s.board_type, s.stitch, s.cameras, min_coverage=0.0) == ()
 
 
+def test_a_component_with_a_c_of_its_own_is_in_the_frames_that_show_it_there(make: Any) -> None:
+    s = make()
+    part, move = s.board_type.components[4], np.array([[1.0, 0, 6.0], [0, 1.0, -9.0], [0, 0, 1.0]])
+    there = part.model_copy(update={"center": tuple(apply(move, np.array(part.center)).tolist())})
+    own = s.stitch.model_copy(update={"local_matrices": {part.address: s.stitch.tester_from_cad.matrix @ move}})
+    expected = compute_views(there, s.board_type, s.stitch, s.cameras)
+    found = compute_views(part, s.board_type, own, s.cameras)
+    assert [(v.camera, v.row, round(v.coverage, 6)) for v in found] == [
+        (v.camera, v.row, round(v.coverage, 6)) for v in expected
+    ]
+    assert {(v.camera, v.row) for v in found} != {
+        (v.camera, v.row) for v in compute_views(part, s.board_type, s.stitch, s.cameras)
+    }
+
+
 def test_without_a_cad_mapping_there_is_nothing_to_cut(make: Any) -> None:
     s = make()
     stitch = s.stitch.model_copy(update={"cad_matrix": None, "reasons": ("the fiducials were not found",)})

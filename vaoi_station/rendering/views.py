@@ -136,10 +136,8 @@ class ViewCalculator:
         on_top = np.array([address in tops for address in addresses])
         surface = self._surface
         height_mm = above_mm if surface is None else above_mm + surface.height_mm(crops.footprints.center)
-        pairs = self._pairs(crops, height_mm, min_coverage)
-        if own := {n: self._own[c.address] for n, c in enumerate(components) if c.address in self._own}:
-            moved = np.array([own.get(n, np.eye(3)) for n in range(len(components))])
-            pairs = pairs._replace(image_from_cad=pairs.image_from_cad @ moved[pairs.component])
+        own = np.array([self._own.get(address, np.eye(3)) for address in addresses]) if self._own else None
+        pairs = self._pairs(crops, height_mm, min_coverage, own)
         matrices = pairs.image_from_cad @ crops.cad_from_crop[pairs.component]
         picture = through(matrices, _grid(crops.size[pairs.component], 3))
         picture = self._distorted(pairs.frame, picture)
@@ -179,20 +177,25 @@ class ViewCalculator:
         chosen = framing.px_per_mm
         return compute_crops(shapes, shapes.fitting(self._resolution) if chosen is None else chosen, framing)
 
-    def _pairs(self, crops: Crops, height_mm: Floats, min_coverage: float) -> _Pairs:
-        """Find the pairs of a component and a frame that may show it. Most frames show only few components."""
+    def _pairs(self, crops: Crops, height_mm: Floats, min_coverage: float, own: Floats | None) -> _Pairs:
+        """Find the pairs of a component and a frame that may show it. Most frames show only few components.
+
+        `own` (n, 3, 3) are the displacements of components with a C of their own; None if no component has one.
+        """
         # A frame shows at most half of a footprint whose centre it does not show: both are symmetric or convex.
         margin = self._bend[:, None] + 1
         if min_coverage < 0.5:
             margin = margin + self._scale[:, None] * np.linalg.norm(crops.footprints.half, axis=-1)
-        seen = self._image_from_cad @ _homogeneous(crops.footprints.center).T - self._lean[:, :, None] * height_mm
+        center = _homogeneous(crops.footprints.center)
+        center = center if own is None else (own @ center[:, :, None])[:, :, 0]
+        seen = self._image_from_cad @ center.T - self._lean[:, :, None] * height_mm
         at = seen[:, :2] / seen[:, 2:]
         (x, y), (right, bottom) = at.swapaxes(0, 1), self._size.T[:, :, None] - 1 + margin
         touching = (x >= -margin) & (y >= -margin) & (x <= right) & (y <= bottom)
         component, frame = np.nonzero(touching.T)
         image_from_cad = self._image_from_cad[frame]
         image_from_cad[:, :, 2] -= height_mm[component, None] * self._lean[frame]
-        return _Pairs(component, frame, image_from_cad)
+        return _Pairs(component, frame, image_from_cad if own is None else image_from_cad @ own[component])
 
     def _shown(self, crops: Crops, pairs: _Pairs, picture: Floats) -> tuple[Floats, Floats, Floats]:
         """Compute coverage (p,), corners of the footprint (p, 4, 2), and its centre (p, 2), both in raw pixels.

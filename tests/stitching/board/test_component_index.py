@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from vaoi_station.geometry import apply
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.board.component_index import ComponentIndex
 
@@ -35,6 +36,16 @@ def searched(index: ComponentIndex, place: np.ndarray) -> int:
         if inside and index.stands_out[k] and index.size[k].prod() <= area:
             best, area = k, float(index.size[k].prod())
     return best
+
+
+@pytest.mark.parametrize("y_axis", ["up", "down"])
+def test_components_move_with_their_corners(y_axis: str) -> None:
+    index = ComponentIndex.of(board([part("A", 1, 2), part("B", 5, 6, rotation=30)], y_axis))
+    cos, sin = math.cos(0.2), math.sin(0.2)
+    move = np.array([[cos, -sin, 0.5], [sin, cos, -1.0], [0, 0, 1]])
+    moved = index.moved({"B": move, "elsewhere": np.eye(3)})
+    np.testing.assert_array_equal(moved.corners[0], index.corners[0])
+    np.testing.assert_allclose(moved.corners[1], apply(move, index.corners[1]), atol=1e-12)
 
 
 def test_arrays_are_those_of_the_board_type() -> None:

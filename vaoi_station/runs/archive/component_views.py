@@ -181,7 +181,9 @@ def _coverages(finished: FinishedRun) -> Coverage | None:
     if stitch is None or stitch.cad_matrix is None:
         return None
     whole = [(f.camera, f.row) for f in finished.detail.frames if f.usable]
-    parts, rows = ComponentIndex.of(finished.board_type), np.array(stitch.row_motion)
+    rows, back = np.array(stitch.row_motion), np.linalg.inv(stitch.cad_matrix)
+    moves = {ref: back @ matrix for ref, matrix in (stitch.local_matrices or {}).items()}
+    parts = ComponentIndex.of(finished.board_type).moved(moves)
     return component_coverage(parts, stitch.cad_matrix, finished.cameras, rows, whole, stitch.surface)
 
 

@@ -6,6 +6,7 @@ Lengths are in CAD units. Angles refer to the CAD axes of the board type, whethe
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -14,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.compiled import compiled
-from vaoi_station.geometry.transforms import Floats
+from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment.observations import Ints
 
@@ -69,6 +70,16 @@ class ComponentIndex:
         addresses = tuple(self.addresses[k] for k in at.tolist())
         values = (self.center[at], self.size[at], self.angle_rad[at], self.stands_out[at])
         return ComponentIndex(addresses, *values, self.mm_per_unit)
+
+    def moved(self, moves: Mapping[str, Floats]) -> ComponentIndex:
+        """Return an index with some components displaced and turned, by (3, 3) matrices in CAD coordinates."""
+        center, angle = self.center.copy(), self.angle_rad.copy()
+        for n, address in enumerate(self.addresses if moves else ()):
+            if address in moves:
+                move = moves[address]
+                center[n] = apply(move, center[n])
+                angle[n] += math.atan2(move[1, 0], move[0, 0])
+        return replace(self, center=center, angle_rad=angle)
 
     def find(self, cad_from_board: Floats, board_mm: Floats) -> Ints:
         """Return for each of k board points the number of the component on which it lies, or −1 for none: (k,).

@@ -15,6 +15,7 @@ import numpy as np
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.stitching.adjustment.problem import AdjustmentResult, FiducialPoints
 from vaoi_station.stitching.board.board_plane import BoardPlane
+from vaoi_station.stitching.board.component_index import ComponentIndex
 from vaoi_station.stitching.board.fiducial_assignment import LOCAL_MM
 from vaoi_station.stitching.board.footprints import landmarks
 
@@ -131,13 +132,15 @@ def placed_landmarks(plane: BoardPlane, cad_matrix: Floats, places: Mapping[str,
 
     A component that its local fiducials displace is where C puts another point of the board.
     """
-    names, cad = landmarks(plane)
-    moved, back = cad.copy(), np.linalg.inv(cad_matrix)
-    for n, name in enumerate(names):
-        place = places.get(name)
-        if place is not None and place.matrix is not None:
-            moved[n] = apply(back @ place.matrix, cad[n])
-    return moved
+    parts = placed_parts(plane, cad_matrix, places)
+    return parts.center if parts.addresses else landmarks(plane)[1]
+
+
+def placed_parts(plane: BoardPlane, cad_matrix: Floats, places: Mapping[str, LocalPlace]) -> ComponentIndex:
+    """Return the components of a board such that C puts each where it lies, as `placed_landmarks` does."""
+    back = np.linalg.inv(cad_matrix)
+    moves = {ref: back @ place.matrix for ref, place in places.items() if place.matrix is not None}
+    return plane.components.moved(moves) if moves else plane.components
 
 
 def _displacement(points: FiducialPoints, residual_px: Floats, number: int) -> tuple[Floats, float] | None:

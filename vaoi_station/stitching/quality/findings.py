@@ -20,7 +20,7 @@ from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.cad_mapping import CadMapping
 from vaoi_station.stitching.board.expectation import Expectation
 from vaoi_station.stitching.board.footprints import FootprintViews, frames_of_marks
-from vaoi_station.stitching.components.local_fiducials import LocalPlace, local_places, placed_landmarks
+from vaoi_station.stitching.components.local_fiducials import LocalPlace, local_places, placed_landmarks, placed_parts
 from vaoi_station.stitching.components.shift import ComponentShift, measure_component_shift
 from vaoi_station.stitching.matching.evidence import FrameKey, Links
 from vaoi_station.stitching.matching.scene import Scene
@@ -216,9 +216,8 @@ class Findings:
         if self.plane is None or self.cad_matrix is None:
             return ()
         rows = self.adjusted.motion.rows_from_tester
-        board = FilmedBoard(
-            self.plane.board_type, self.plane.components, self.cad_matrix, self.scene.cameras, rows, self.surface
-        )
+        parts = placed_parts(self.plane, self.cad_matrix, self.local_places)
+        board = FilmedBoard(self.plane.board_type, parts, self.cad_matrix, self.scene.cameras, rows, self.surface)
         frames = SeenFrames(self.scene.present, self.confirmed)
         return find_unseen(board, frames, self.problem.velocity_mm_s, self.visibility)
 
