@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -20,6 +21,7 @@ from vaoi_station.push.delivery_state import DeliveryState, read_state
 from vaoi_station.push.messages import Message, message_of
 from vaoi_station.push.push_service import WEBHOOK_WORDS
 from vaoi_station.push.transport import Outcome
+from vaoi_station.runs.states.schemas import EventRecord
 
 WAIT_S = 30.0
 FAILED = Outcome(False, "The receiver answers with status 500.")
@@ -106,9 +108,11 @@ def test_a_failed_event_is_tried_again_before_the_next_with_the_same_id_and_byte
     running: Any, events: EventList
 ) -> None:
     transport = Scripted(FAILED, RuntimeError("a fault of the transport"), OK)
+    with running(Scripted()):
+        pass  # it has begun before number 1
+    events.add("run", "a")
+    events.add("run", "b")
     with running(transport) as delivery:
-        events.add("run", "a")
-        events.add("run", "b")
         assert transport.numbers(4)[:4] == [1, 1, 1, 2]
         until(lambda: delivery.state.delivered == 2)
         assert len({(message.id, message.body) for message in transport.sent[:3]}) == 1
@@ -122,9 +126,11 @@ def test_an_event_becomes_a_dead_letter_after_the_schedule_and_the_next_follows(
     running: Any, events: EventList
 ) -> None:
     transport = Scripted(FAILED, FAILED, FAILED, OK, FAILED, OK)
+    with running(Scripted()):
+        pass  # it has begun before number 1
+    events.add("run", "a")
+    events.add("run", "b")
     with running(transport) as delivery:
-        events.add("run", "a")
-        events.add("run", "b")
         assert transport.numbers(4) == [1, 1, 1, 2]
         until(lambda: delivery.state.delivered == 1)
         [letter] = delivery.state.letters
@@ -171,6 +177,20 @@ def test_a_long_failure_disables(running: Any, events: EventList, monkeypatch: p
         events.add("run", "a")
         until(lambda: delivery.state.disabled)
         assert "No delivery succeeded for 0.0 days" in delivery.state.disabled
+
+
+def test_the_time_when_the_station_is_off_does_not_disable(
+    running: Any, events: EventList, path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with running(Scripted(FAILED), pauses_s=(3600.0,)) as delivery:
+        events.add("run", "a")
+        until(lambda: delivery.state.attempts)
+    assert 0 < read_state(path, lambda: 99).failing_s < WAIT_S, "the sum is kept for the next start"
+    later_s = time.time() + 10 * 86400
+    monkeypatch.setattr(module, "time", SimpleNamespace(time=lambda: later_s, monotonic=time.monotonic))
+    with running(Scripted(FAILED), pauses_s=(3600.0, 3600.0)) as delivery:
+        until(lambda: delivery.state.attempts == 2)
+        assert delivery.state.disabled == ""
 
 
 def test_a_pause_goes_on_over_a_restart_and_a_clock_that_was_set_back_does_not_extend_it(
@@ -228,6 +248,30 @@ def test_a_gap_in_the_log_is_said(events: EventList, running: Any, path: Path) -
     delivery.stop()
     delivery.join(WAIT_S)
     assert delivery.state.skipped == 48
+
+
+@pytest.mark.parametrize("readable", [[], [120]])
+def test_events_that_cannot_be_read_are_passed_over_and_said_once(
+    running: Any, events: EventList, monkeypatch: pytest.MonkeyPatch, readable: list[int]
+) -> None:
+    with running(Scripted()):
+        pass  # it has begun before number 1
+    for number in range(120):
+        events.add("run", str(number))
+    read = events.read
+
+    def some(after: int, timeout_s: float, limit: int) -> tuple[EventRecord, ...]:
+        return tuple(e for e in read(after, timeout_s, limit) if e.number > 120 or e.number in readable)
+
+    monkeypatch.setattr(events, "read", some)
+    transport = Scripted()
+    with running(transport, ("run",)) as delivery:
+        until(lambda: events.last == 121)
+        events.add("run", "new")
+        assert transport.numbers(len(readable) + 1) == [*readable, 122]
+        assert delivery.state.skipped == 120 - len(readable)
+    [report] = [record for record in events.records if record.kind == "push"]
+    assert "cannot read them" in report.message
 
 
 def test_a_disk_that_takes_no_writes_delays_nothing(

@@ -17,7 +17,7 @@ def letter(number: int) -> DeadLetter:
 
 def test_a_state_is_read_as_it_was_written(tmp_path: Path) -> None:
     path = tmp_path / "receivers" / "mes.json"
-    state = DeliveryState(last=30).failed("status 500", since_s=100.0, due_s=105.0).given_up(letter(31))
+    state = DeliveryState(last=30).failed("status 500", failing_s=100.0, due_s=105.0).given_up(letter(31))
     write_state(path, state)
     assert read_state(path, lambda: 40) == state
 
@@ -46,9 +46,9 @@ def test_a_shorter_log_begins_at_its_end(tmp_path: Path) -> None:
 
 def test_success_ends_a_failure_and_counts_only_messages() -> None:
     failed = DeliveryState(last=30).failed("status 500", 100.0, 105.0)
-    assert (failed.failures, failed.attempts, failed.in_a_row, failed.failing_since_s) == (1, 1, 1, 100.0)
+    assert (failed.failures, failed.attempts, failed.in_a_row, failed.failing_s) == (1, 1, 1, 100.0)
     done = failed.succeeded(31, "now")
-    assert (done.last, done.delivered, done.attempts, done.in_a_row, done.failing_since_s) == (31, 1, 0, 0, None)
+    assert (done.last, done.delivered, done.attempts, done.in_a_row, done.failing_s) == (31, 1, 0, 0, 0.0)
     connected = failed.succeeded(None, "now")
     assert (connected.last, connected.delivered, connected.last_success, connected.fault) == (30, 0, None, "")
 

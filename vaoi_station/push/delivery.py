@@ -35,7 +35,9 @@ FAULT_PAUSE_S = 5.0
 REPORTED_AFTER = 2
 """Number of failed attempts for one event after which the receiver counts as failing."""
 DISABLED_AFTER_S = 5 * 86400.0
-"""Time without a single delivery after which a receiver is disabled, s."""
+"""Time without a single delivery after which a receiver is disabled, s. The time when the station is off is no part of
+it, and the clock of the machine has no effect on it."""
+_NOT_THERE = "the log does not have them any more, or cannot read them"
 JITTER = 0.1
 """Largest random extension of a pause, as its share."""
 
@@ -83,21 +85,16 @@ class Delivery:
     def __init__(
         self, name: str, path: Path, events: Events, station: str, words: Words, *, is_new: bool = False
     ) -> None:
-        """Prepare a delivery. `set` gives it transport and rules.
+        """Prepare a delivery whose state is in the file `path`. `set` gives it transport and rules.
 
-        Args:
-            name: name of the receiver.
-            path: file of its state.
-            events: the event log.
-            station: name of the station, which each message has.
-            words: how reports name it.
-            is_new: whether to begin with the next event even if there is a state of an earlier receiver of this name.
+        A new receiver begins with the next event, whatever the file holds of an earlier one of its name.
         """
         self.name, self._words = name, words
-        self._path, self._events, self._station = path, events, station
+        self._path, self._events, self._station, self._earlier = path, events, station, events.last
         self._state = DeliveryState(last=events.last) if is_new else read_state(path, lambda: events.last)
         self._saved = self._state if path.exists() and not is_new else None
         self._saved_at_s, self._save_failed = 0.0, False
+        self._failing_at_s = time.monotonic()  # until when `failing_s` of the state counts
         self._transport: Transport | None = None
         self._rules = Rules((), (READ_S,))
         self._batch: deque[EventRecord] = deque()
@@ -139,6 +136,7 @@ class Delivery:
 
     def start(self) -> None:
         """Start the thread."""
+        self._failing_at_s = time.monotonic()
         self.thread.start()
 
     def stop(self, *, forget: bool = False) -> None:
@@ -219,9 +217,8 @@ class Delivery:
     # --- in the thread
 
     def _run(self) -> None:
-        thread = threading.get_native_id()
-        # Only root may lower the value of a station that was started with a higher one.
-        os.setpriority(os.PRIO_PROCESS, thread, max(PRIORITY, os.getpriority(os.PRIO_PROCESS, thread)))
+        # Only root may lower the value of a station that was started with a higher one. 0 is this thread.
+        os.setpriority(os.PRIO_PROCESS, 0, max(PRIORITY, os.getpriority(os.PRIO_PROCESS, 0)))
         # Names are resolved for as long as the resolver takes: the silence of this thread is no fault.
         with self.thread.waiting():
             while not self._stopping:
@@ -265,10 +262,10 @@ class Delivery:
         most = self._rules.most_waiting
         if most is not None and self.waiting > most:
             # More than needed, because the report of it is an event too.
-            self._skip(self._events.last - most // 2)
+            self._skip(self._events.last - most // 2, "too many waited")
         if not self._batch:
             begun = time.monotonic()
-            self._batch.extend(self._events.read(self._state.last, READ_S, BATCH))
+            self._batch.extend(self._read())
             if not self._batch:
                 self._save()
                 if time.monotonic() - begun < READ_S / 2:
@@ -277,7 +274,7 @@ class Delivery:
         while self._batch:
             record = self._batch[0]
             if record.number > self._state.last + 1:
-                self._skip(record.number - 1)
+                self._skip(record.number - 1, _NOT_THERE)
             if is_wanted(record, self._rules.types):
                 return record
             self._batch.popleft()
@@ -285,13 +282,25 @@ class Delivery:
         self._save()
         return None
 
-    def _skip(self, last: int) -> None:
+    def _read(self) -> tuple[EventRecord, ...]:
+        """Return the next events; pass over those that cannot be read, which another version may have written."""
+        after = self._state.last
+        found = self._events.read(after, READ_S, BATCH)
+        # Only those of earlier starts: an event of this one may be absent because the disk takes no writes at present.
+        while not found and after < self._earlier:
+            after = min(after + BATCH, self._earlier)
+            found = self._events.read(after, READ_S, BATCH)
+        if not found and after > self._state.last:
+            self._skip(after, _NOT_THERE)
+        return found
+
+    def _skip(self, last: int, why: str) -> None:
         """Leave out the events up to a number, and report it."""
         count = last - self._state.last
         self._change(last=last, skipped=self._state.skipped + count, attempts=0)
         while self._batch and self._batch[0].number <= last:
             self._batch.popleft()
-        message = f"{self._words.noun} {self.name!r} does not get {count} events up to number {last}: too many waited."
+        message = f"{self._words.noun} {self.name!r} does not get {count} events up to number {last}: {why}."
         self._publish(self._words.skipped, message)
 
     def _note(self, record: EventRecord | None, outcome: Outcome) -> None:
@@ -316,23 +325,28 @@ class Delivery:
     def _failed(self, record: EventRecord | None, outcome: Outcome) -> None:
         """Set the next attempt, give the event up, or disable the receiver."""
         now, state, pauses = time.time(), self._state, self._rules.pauses_s
-        since = now if state.failing_since_s is None else min(state.failing_since_s, now)
+        failing_s = self._failing_s()
         attempts = state.attempts + 1
         _log.info("push to %s: attempt %d failed: %s", self.name, attempts, outcome.detail)
         pause = max(pauses[min(attempts, len(pauses)) - 1], min(outcome.retry_after_s, max(pauses)))
         due = now + pause * (1 + JITTER * random.random())
-        self._state = self._state.failed(outcome.detail, since, due)
+        self._state = self._state.failed(outcome.detail, failing_s, due)
         if not self._rules.gives_up or record is None:
             return
         if outcome.gone:
             self._change(disabled="The receiver wants no more messages (status 410).")
-        elif now - since > DISABLED_AFTER_S:
-            self._change(disabled=f"No delivery succeeded for {(now - since) / 86400:.1f} days.")
+        elif failing_s > DISABLED_AFTER_S:
+            self._change(disabled=f"No delivery succeeded for {failing_s / 86400:.1f} days.")
         elif attempts > len(pauses):
             self._batch.popleft()
             letter = DeadLetter(event=record, given_up=utc(), attempts=attempts, fault=outcome.detail)
             self._state = self._state.given_up(letter)
             _log.warning("push to %s: event %d (%s) is a dead letter", self.name, record.number, type_of(record))
+
+    def _failing_s(self) -> float:
+        """Return for how long deliveries have failed, and count on from now."""
+        before, self._failing_at_s = self._failing_at_s, time.monotonic()
+        return self._state.failing_s + self._failing_at_s - before if self._state.in_a_row else 0.0
 
     def _publish(self, kind: Reason, message: str) -> None:
         self._events.add(OWN_KIND, message, code=kind.code, action=kind.action)
@@ -369,6 +383,8 @@ class Delivery:
         try:
             if self._transport is not None:
                 self._transport.close()
+            if self._state.in_a_row:
+                self._change(failing_s=self._failing_s())
             self._save()
         finally:
             with self._lock:

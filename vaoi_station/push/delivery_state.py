@@ -50,8 +50,8 @@ class DeliveryState(BaseModel):
     """Attempts that failed for the event whose turn it is."""
     in_a_row: Count = 0
     """Attempts that failed since the last one that succeeded."""
-    failing_since_s: float | None = None
-    """Time of the first failure since the last delivery, s since 1970; None if the last attempt succeeded."""
+    failing_s: Annotated[float, Field(ge=0)] = 0.0
+    """Time since the first failure after the last delivery, without the times when the station was off, s."""
     due_s: float = 0.0
     """Time of the next attempt, s since 1970."""
     fault: str = ""
@@ -66,22 +66,22 @@ class DeliveryState(BaseModel):
         """Return the state after the delivery of an event, or, with None, after a connection was made."""
         done = {} if number is None else {"last": number, "delivered": self.delivered + 1, "last_success": when}
         return self.model_copy(
-            update={**done, "attempts": 0, "in_a_row": 0, "failing_since_s": None, "due_s": 0.0, "fault": ""}
+            update={**done, "attempts": 0, "in_a_row": 0, "failing_s": 0.0, "due_s": 0.0, "fault": ""}
         )
 
-    def failed(self, fault: str, since_s: float, due_s: float) -> DeliveryState:
+    def failed(self, fault: str, failing_s: float, due_s: float) -> DeliveryState:
         """Return the state after an attempt that failed."""
         return self.model_copy(
             update={
                 "failures": self.failures + 1, "attempts": self.attempts + 1, "in_a_row": self.in_a_row + 1,
-                "failing_since_s": since_s, "due_s": due_s, "fault": fault,
+                "failing_s": failing_s, "due_s": due_s, "fault": fault,
             }
         )  # fmt: skip
 
     def enabled(self) -> DeliveryState:
         """Return the state in which the next attempt is due at once, as after no failure."""
         return self.model_copy(
-            update={"disabled": "", "attempts": 0, "in_a_row": 0, "failing_since_s": None, "due_s": 0.0, "fault": ""}
+            update={"disabled": "", "attempts": 0, "in_a_row": 0, "failing_s": 0.0, "due_s": 0.0, "fault": ""}
         )
 
     def given_up(self, letter: DeadLetter) -> DeliveryState:
