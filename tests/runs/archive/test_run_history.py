@@ -9,6 +9,8 @@ from typing import Any
 import pytest
 
 from vaoi_station.errors import NotFoundError
+from vaoi_station.runs.archive.run_history import RunHistory
+from vaoi_station.runs.states.tables import RunState
 from vaoi_station.store.history.run_search import RunFilter
 
 LONG_AGO = datetime(2000, 1, 1, tzinfo=UTC)
@@ -58,3 +60,52 @@ def test_runs_in_memory_only_are_found_and_counted(filmed: tuple[Any, str], monk
     assert summary.id in [r.id for r in runs]
     assert history.counts(LONG_AGO).failed >= 1
     assert history.find(RunFilter(verdict="failed"), 9, run) == ([], None)
+
+
+def test_a_run_that_is_not_on_disk_yet_is_found_once_and_as_it_ended(
+    filmed: tuple[Any, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig, _ = filmed
+    history = rig.coordinator.kept.history
+    [summary] = rig.coordinator.runs()
+    ended = summary.model_copy(update={"verdict": "failed", "stored": False})
+    reads: list[str] = []
+    find, counted = history._archive.search.find, history._archive.search.verdicts
+    search = history._archive.search
+
+    def noted(source: str, read: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*args: Any) -> Any:
+            reads.append(source)
+            return read(*args)
+
+        return call
+
+    monkeypatch.setattr(history._archive, "unstored", noted("memory", lambda: (ended,)))
+    monkeypatch.setattr(search, "find", noted("disk", find))
+    monkeypatch.setattr(search, "verdicts", noted("disk", counted))
+    assert history.find(RunFilter(verdict=summary.verdict), 9, None) == ([], None)
+    assert history.find(RunFilter(verdict="failed"), 9, None) == ([ended], None)
+    counts = history.counts(LONG_AGO)
+    assert (counts.ok, counts.degraded, counts.failed, counts.complete) == (0, 0, 1, True)
+    assert reads == ["memory", "disk"] * 3, "a run that is written between the two is in the first"
+
+
+def test_pages_do_not_pass_over_stored_runs(filmed: tuple[Any, str], monkeypatch: pytest.MonkeyPatch) -> None:
+    rig, run = filmed
+    history = rig.coordinator.kept.history
+    [summary] = rig.coordinator.runs()
+    waiting = summary.model_copy(update={"id": "0"})
+    monkeypatch.setattr(history._archive, "unstored", lambda: (waiting,))
+    first, more = history.find(RunFilter(verdict=summary.verdict), 1, None)
+    assert ([r.id for r in first], more) == ([run], run)
+    second, _ = history.find(RunFilter(verdict=summary.verdict), 1, more)
+    assert [r.id for r in second] == ["0"]
+
+
+def test_verdict_none_asks_for_runs_that_have_ended(filmed: tuple[Any, str]) -> None:
+    rig, _ = filmed
+    [summary] = rig.coordinator.runs()
+    ended = summary.model_copy(update={"verdict": None})
+    filming = ended.model_copy(update={"state": RunState.FILMING, "finished": None})
+    wanted = RunFilter(verdict="none")
+    assert [RunHistory.admits(wanted, r) for r in (ended, filming)] == [True, False]

@@ -12,6 +12,7 @@ import pytest
 from tests.store.conftest import MakeRun
 from vaoi_station.store import EventRow, Store
 from vaoi_station.store.history import run_search
+from vaoi_station.store.history.identities import IdentityRow
 from vaoi_station.store.history.run_search import RunFilter
 
 VERDICTS = (None, "ok", "degraded", "failed")
@@ -50,7 +51,7 @@ def test_the_condition_in_sql_admits_what_the_filter_admits(filled: Store) -> No
             run
             for run, s in summaries.items()
             if wanted.admits(
-                s["verdict"],
+                s["verdict"] or "none",
                 s["board_type"],
                 s["board_id"],
                 [c for r in s["reasons"] for c in r.values()],
@@ -83,7 +84,8 @@ def test_an_unreadable_summary_is_passed_over(filled: Store, make_run: MakeRun) 
 
 def test_runs_and_events_are_counted_from_a_time_on(filled: Store) -> None:
     since = "2026-01-01T00:00:16.000Z"
-    assert filled.search.verdicts(since, "") == {"none": 2, "ok": 2, "degraded": 2, "failed": 2}
+    assert filled.search.verdicts(since, "").runs == {"none": 2, "ok": 2, "degraded": 2, "failed": 2}
+    assert filled.search.verdicts(since, "", ["r20", "r21"]).runs == {"none": 1, "ok": 1, "degraded": 2, "failed": 2}
     assert filled.search.oldest_since("r16") == "r15"
     assert filled.search.verdicts(since, "r15") == filled.search.verdicts(since, "")
     for n, (kind, second) in enumerate([("board-missed", 3), ("board-missed", 17), ("run", 18)]):
@@ -95,3 +97,27 @@ def test_runs_and_events_are_counted_from_a_time_on(filled: Store) -> None:
         }
         filled.add_event(EventRow(n + 1, json.dumps(event))).result(10)
     assert filled.search.count_events("board-missed", since) == 1
+
+
+def test_counts_state_whether_they_are_complete(filled: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(run_search, "MOST_SCANNED", 8)
+    assert filled.search.verdicts("2026-01-01T00:00:16.000Z", "r15").complete
+    few = filled.search.verdicts("2026-01-01T00:00:15.000Z", "r15")
+    assert (sum(few.runs.values()), few.complete) == (8, False)
+
+
+def test_verdict_and_reasons_are_those_that_the_identity_leaves(filled: Store) -> None:
+    before = filled.search.verdicts("", "").runs
+    filled.identities.save("r21", IdentityRow("{}", degrading=["board-id-differs"])).result(10)
+    assert "r21" not in filled.search.find(RunFilter(verdict="ok"), 99, None).runs
+    assert "r21" in filled.search.find(RunFilter(verdict="degraded"), 99, None).runs
+    assert filled.search.find(RunFilter(reason="board-id-differs"), 99, None).runs == ("r21",)
+    moved = {"ok": before["ok"] - 1, "degraded": before["degraded"] + 1}
+    assert filled.search.verdicts("", "").runs == before | moved
+
+
+def test_runs_that_have_not_ended_have_no_verdict_and_some_are_left_out(filled: Store, make_run: MakeRun) -> None:
+    filled.save_run(replace(make_run("r98", "filming"), summary=json.dumps(summary_of(0)))).result(10)
+    found = filled.search.find(RunFilter(verdict="none"), 99, None).runs
+    assert found == ("r20", "r16", "r12", "r08", "r04", "r00")
+    assert filled.search.find(RunFilter(verdict="none"), 2, None, without=["r20", "r12"]).runs == ("r16", "r08")

@@ -141,7 +141,7 @@ def router(services: Services) -> APIRouter:
         Ends the hold of `holder`. Replies 409 `held`, and releases nothing, while another caller holds the run.
         """
         response.headers["Cache-Control"] = LIVE
-        return await ask(coordinator.release, run, holder)
+        return await ask(kept.shown, await ask(coordinator.release, run, holder))
 
     @routes.put("/{run}/hold", response_model_exclude_none=True)
     async def hold_run(

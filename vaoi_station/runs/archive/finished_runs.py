@@ -251,10 +251,9 @@ class Archive:
 
     def list(self, limit: int, before: str | None) -> list[RunSummary]:
         """Return the summaries of at most `limit` runs, newest first, below the id `before` (None: all)."""
-        rows = self._store.runs(limit, before)
-        # These are read after the rows, so that a run which is written meanwhile is in at least one of the two.
+        # These are read before the rows, so that a run which is written meanwhile is in at least one of the two.
         unstored = {run.id: run for run in self.unstored() if before is None or run.id < before}
-        found = self._summaries(rows) | unstored
+        found = self._summaries(self._store.runs(limit, before)) | unstored
         return [found[run] for run in sorted(found, reverse=True)[:limit]]
 
     def summaries(self, runs: Sequence[str]) -> dict[str, RunSummary]:

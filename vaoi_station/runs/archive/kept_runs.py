@@ -39,8 +39,8 @@ class KeptRuns:
         self._archive, self._events = archive, events
         self.recordings = Recordings(config.data / DIRECTORY, config.keep, archive, events, frames)
         self.heights, self._after_run = heights, config.heights == "after-run"
-        self.history = RunHistory(archive, events)
         self.identities = ReadIdentities(archive, render, frames.bay_of, events)
+        self.history = RunHistory(archive, events, self.identities.shown)
         archive.on_finished = self._finished
         self.identities.on_degraded = self._identity_degrades
 
@@ -120,8 +120,9 @@ class KeptRuns:
         """
         runs = self.identities.runs_of(board_id, limit + 1, before)
         found = self._archive.summaries(runs[:limit])
-        shown = tuple(found[run] for run in runs[:limit] if run in found and RunHistory.admits(wanted, found[run]))
-        return shown, runs[limit - 1] if len(runs) > limit else None
+        shown = {run.id: run for run in self.identities.shown(tuple(found.values()))}
+        admitted = tuple(found[run] for run in runs[:limit] if run in found and RunHistory.admits(wanted, shown[run]))
+        return admitted, runs[limit - 1] if len(runs) > limit else None
 
     def with_counts(self, snapshot: StationSnapshot) -> StationSnapshot:
         """Return the snapshot with the numbers of recordings filled in."""

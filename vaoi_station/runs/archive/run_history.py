@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from datetime import UTC, datetime
 from typing import Literal
 
 from pydantic import ValidationError
 
-from vaoi_station.errors import StateError
+from vaoi_station.errors import DeviceError, StateError
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.states.decision_schemas import Choice, Decision, RunCounts
 from vaoi_station.runs.states.run_ids import earliest_id, utc
 from vaoi_station.runs.states.schemas import RunSummary
+from vaoi_station.runs.states.tables import RunState
 from vaoi_station.store.history.run_search import NO_VERDICT, RunFilter
 
 Wanted = Literal["ok", "degraded", "failed", "none"]
@@ -23,8 +25,14 @@ _CHOICES: dict[Choice, str] = {"film-again": "The board is to be filmed again", 
 class RunHistory:
     """Searches, counts and decides. Its methods may be called from any thread."""
 
-    def __init__(self, archive: Archive, events: EventLog) -> None:
-        self._archive, self._events = archive, events
+    def __init__(
+        self,
+        archive: Archive,
+        events: EventLog,
+        shown: Callable[[tuple[RunSummary, ...]], tuple[RunSummary, ...]],
+    ) -> None:
+        """Store the parts. `shown` returns summaries with the verdicts that their identities leave them."""
+        self._archive, self._events, self._shown = archive, events, shown
 
     def find(self, wanted: RunFilter, limit: int, before: str | None) -> tuple[list[RunSummary], str | None]:
         """Return at most `limit` runs that a filter admits, newest first, and where the search goes on (None: nowhere).
@@ -32,12 +40,14 @@ class RunHistory:
         One call reads a bounded number of runs, so it may find fewer than `limit` although there are more.
         """
         oldest = self._oldest(wanted.since)
-        found = self._archive.search.find(wanted, limit, before, oldest)
+        # Runs that the disk has not taken yet are in memory; the database has them as they began. They are read first:
+        # one that is written meanwhile is in at least one of the two.
+        waiting = self._shown(self._archive.unstored())
+        found = self._archive.search.find(wanted, limit, before, oldest, [run.id for run in waiting])
         runs = self._archive.summaries(found.runs)
-        # Runs that the disk has not taken yet are in memory only. They are read last: one that is written meanwhile is
-        # in at least one of the two.
-        for summary in self._archive.unstored():
-            if (before is None or summary.id < before) and self.admits(wanted, summary):
+        for summary in waiting:
+            here = (before is None or summary.id < before) and (found.before is None or summary.id >= found.before)
+            if here and self.admits(wanted, summary):
                 runs[summary.id] = summary
         chosen = sorted(runs, reverse=True)[:limit]
         more = chosen[-1] if len(chosen) == limit else found.before
@@ -46,9 +56,10 @@ class RunHistory:
     def counts(self, since: datetime) -> RunCounts:
         """Return how many boards have passed since a time, by verdict, and how many were missed."""
         moment = utc(since.astimezone(UTC))
-        stored = self._archive.search.verdicts(moment, self._oldest(moment))
-        waiting = [s for s in self._archive.unstored() if s.started >= moment and s.finished is not None]
-        for summary in waiting:
+        waiting = self._shown(self._archive.unstored())
+        found = self._archive.search.verdicts(moment, self._oldest(moment), [run.id for run in waiting])
+        stored = dict(found.runs)
+        for summary in (s for s in waiting if s.started >= moment):
             verdict = summary.verdict or NO_VERDICT
             stored[verdict] = stored.get(verdict, 0) + 1
         return RunCounts(
@@ -57,6 +68,7 @@ class RunHistory:
             degraded=stored.get("degraded", 0),
             failed=stored.get("failed", 0) + stored.get(NO_VERDICT, 0),
             missed=self._archive.search.count_events("board-missed", moment),
+            complete=found.complete,
         )
 
     def decide(self, run: str, choice: Choice, name: str, reason: str) -> None:
@@ -79,7 +91,11 @@ class RunHistory:
     def decisions(self, runs: tuple[RunSummary, ...]) -> dict[str, Decision]:
         """Return the decisions about some runs, by run id."""
         found: dict[str, Decision] = {}
-        for run, document in self._archive.decisions.documents([run.id for run in runs]).items():
+        try:
+            documents = self._archive.decisions.documents([run.id for run in runs])
+        except DeviceError:
+            return {}  # The latest runs are in memory, and shown even if the disk cannot be read.
+        for run, document in documents.items():
             try:
                 found[run] = Decision.model_validate_json(document)
             except ValidationError:
@@ -93,6 +109,8 @@ class RunHistory:
 
     @staticmethod
     def admits(wanted: RunFilter, run: RunSummary) -> bool:
-        """Return whether a filter admits a run."""
+        """Return whether a filter admits a run, as it is shown."""
         codes = [code for reason in run.reasons for code in (reason.code, reason.cause)]
-        return wanted.admits(run.verdict, run.board_type, run.board_id, codes, run.started)
+        ended = run.state not in (RunState.FILMING, RunState.STITCHING)
+        verdict = run.verdict or (NO_VERDICT if ended else None)
+        return wanted.admits(verdict, run.board_type, run.board_id, codes, run.started)

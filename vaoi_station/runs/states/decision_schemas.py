@@ -36,3 +36,5 @@ class RunCounts(BaseModel):
     """Runs with the verdict failed, and runs that ended without a result."""
     missed: int
     """Boards that passed without a run, and were noticed."""
+    complete: bool = True
+    """False: since then more than 20,000 boards have come, of which the newest are counted."""

@@ -6,6 +6,7 @@ occupy a connection to the database for long. The caller goes on from where it e
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -17,6 +18,12 @@ MOST_SCANNED = 20_000
 NO_VERDICT = "none"
 """In place of a verdict: the run ended without a result."""
 _FIELD = "CASE WHEN json_valid(summary) THEN json_extract(summary, '$.{}') END"
+_RESULT = _FIELD.format("verdict")
+_SHOWN = f"CASE WHEN degrading IS NOT NULL AND {_RESULT} = 'ok' THEN 'degraded' ELSE {_RESULT} END"
+_VERDICT = f"coalesce({_SHOWN}, '{NO_VERDICT}')"
+"""SQL expression: the verdict of a run that has ended, as its document shows it: its identity may degrade it."""
+_REASONS = "json_each(CASE WHEN json_valid(summary) THEN summary END, '$.reasons')"
+_COLUMNS = "id, summary, finish_number, (SELECT degrading FROM identities WHERE run = runs.id) AS degrading"
 
 
 @dataclass(frozen=True)
@@ -37,9 +44,17 @@ class RunFilter:
     def admits(
         self, verdict: str | None, board_type: str, board_id: str | None, codes: Sequence[str], started: str
     ) -> bool:
-        """Return whether a run is wanted. `codes` are the codes and causes of its reasons."""
+        """Return whether a run is wanted.
+
+        Args:
+            verdict: its verdict, or `NO_VERDICT`; None if it has not ended.
+            board_type: name of the board type.
+            board_id: the caller's id of the board.
+            codes: codes and causes of its reasons.
+            started: time at which the board came.
+        """
         return (
-            self.verdict in (None, verdict or NO_VERDICT)
+            self.verdict in (None, verdict)
             and self.board_type in (None, board_type)
             and self.board_id in (None, board_id)
             and (self.reason is None or self.reason in codes)
@@ -48,10 +63,10 @@ class RunFilter:
         )
 
     def condition(self) -> tuple[str, tuple[Any, ...]]:
-        """Return the same as a condition in SQL on the column `summary`, with the values of its parameters."""
+        """Return the same as a condition in SQL on runs and their identities, with the values of its parameters."""
         parts: list[tuple[str, Any]] = []
         if self.verdict is not None:
-            parts.append((f"coalesce({_FIELD.format('verdict')}, '{NO_VERDICT}') = ?", self.verdict))
+            parts.append((f"finish_number IS NOT NULL AND {_VERDICT} = ?", self.verdict))
         if self.board_type is not None:
             parts.append((f"{_FIELD.format('board_type')} = ?", self.board_type))
         if self.board_id is not None:
@@ -59,8 +74,10 @@ class RunFilter:
         if self.reason is not None:
             parts.append(
                 (
-                    "CASE WHEN json_valid(summary) THEN EXISTS (SELECT 1 FROM json_each(summary, '$.reasons') "
-                    "WHERE ? IN (json_extract(value, '$.code'), json_extract(value, '$.cause'))) END",
+                    # `degrading` is an array of codes.
+                    f"? IN (SELECT json_extract(value, '$.code') FROM {_REASONS} UNION ALL "
+                    f"SELECT json_extract(value, '$.cause') FROM {_REASONS} UNION ALL "
+                    "SELECT value FROM json_each(degrading))",
                     self.reason,
                 )
             )
@@ -80,20 +97,40 @@ class Found:
     """The oldest run that was read, if there may be more: the search goes on with the runs below it."""
 
 
+@dataclass(frozen=True)
+class Verdicts:
+    """Numbers of runs by verdict."""
+
+    runs: dict[str, int]
+    complete: bool
+    """Whether all runs were counted; False: the newest `MOST_SCANNED`."""
+
+
 class RunSearch:
     """Searches the runs of one station."""
 
     def __init__(self, database: Database) -> None:
         self._database = database
 
-    def find(self, wanted: RunFilter, limit: int, before: str | None, oldest: str = "") -> Found:
-        """Return the ids of at most `limit` wanted runs with ids below `before` (None: all) and from `oldest` on."""
+    def find(
+        self, wanted: RunFilter, limit: int, before: str | None, oldest: str = "", without: Sequence[str] = ()
+    ) -> Found:
+        """Return the ids of at most `limit` wanted runs.
+
+        Args:
+            wanted: the filter.
+            limit: largest number of ids.
+            before: only runs with ids below this one; None: all.
+            oldest: only runs from this id on.
+            without: runs that are left out.
+        """
         condition, values = wanted.condition()
         # SQLite makes the rows of the inner query one by one: the search ends as soon as it has found enough.
         rows = self._database.read(
-            f"""SELECT id FROM (SELECT id, summary FROM runs WHERE (?1 IS NULL OR id < ?1) AND id >= ?2
-                ORDER BY id DESC LIMIT {MOST_SCANNED}) WHERE {condition} ORDER BY id DESC LIMIT ?""",
-            (before, oldest, *values, limit),
+            f"""SELECT id FROM (SELECT {_COLUMNS} FROM runs
+                WHERE (?1 IS NULL OR id < ?1) AND id >= ?2 ORDER BY id DESC LIMIT {MOST_SCANNED})
+                WHERE id NOT IN (SELECT value FROM json_each(?3)) AND {condition} ORDER BY id DESC LIMIT ?""",
+            (before, oldest, json.dumps(list(without)), *values, limit),
         )
         runs = tuple(str(row["id"]) for row in rows)
         if len(runs) == limit:
@@ -105,16 +142,22 @@ class RunSearch:
         )
         return Found(runs, str(last[0]["id"]) if last else None)
 
-    def verdicts(self, since: str, oldest: str) -> dict[str, int]:
-        """Return how many runs ended since a time, by verdict; `oldest` as in `find`."""
+    def verdicts(self, since: str, oldest: str, without: Sequence[str] = ()) -> Verdicts:
+        """Return how many runs ended since a time, by verdict; `oldest` and `without` as in `find`."""
         condition, values = RunFilter(since=since).condition()
         rows = self._database.read(
-            f"""SELECT coalesce({_FIELD.format("verdict")}, '{NO_VERDICT}') AS verdict, count(*) AS runs
-                FROM (SELECT summary, finish_number FROM runs WHERE id >= ? ORDER BY id DESC LIMIT {MOST_SCANNED})
-                WHERE finish_number > 0 AND {condition} GROUP BY 1""",
+            f"""SELECT {_VERDICT} AS verdict, count(*) AS runs
+                FROM (SELECT {_COLUMNS} FROM runs WHERE id >= ? ORDER BY id DESC LIMIT {MOST_SCANNED})
+                WHERE finish_number > 0 AND id NOT IN (SELECT value FROM json_each(?))
+                AND {condition} GROUP BY 1""",
+            (oldest, json.dumps(list(without)), *values),
+        )
+        more = self._database.read(
+            f"""SELECT 1 FROM (SELECT summary FROM runs WHERE id >= ? ORDER BY id DESC LIMIT 1 OFFSET {MOST_SCANNED})
+                WHERE {condition}""",
             (oldest, *values),
         )
-        return {str(row["verdict"]): int(row["runs"]) for row in rows}
+        return Verdicts({str(row["verdict"]): int(row["runs"]) for row in rows}, not more)
 
     def count_events(self, kind: str, since: str) -> int:
         """Return the number of events of a kind since a time, of those that are kept."""
