@@ -180,3 +180,16 @@ def test_the_measured_motion_decides_when_the_belt_was_slow(
     books.progress.result = Concluded(whole, "{}")
     books.finish(((0.0, 0.7),), rows=8)
     assert "boards-too-close" in books.codes()
+
+
+def test_by_the_encoder_a_belt_that_stood_still_makes_no_second_board(books: Books) -> None:
+    """The barrier was interrupted for 5.3 s, in which the belt moved 30 mm and stood for 5 s."""
+    whole = books.make_head
+    times_s = (0.0, 0.1, 5.2, 5.3)
+    books.make_head = lambda rows: whole(rows).model_copy(
+        update={"trigger_times_s": times_s, "belt_mm": (0.0, 10.0, 20.0, 30.0)}
+    )
+    books.finish(((0.0, 5.3),), rows=4)
+    assert books.codes() == []
+    books.finish(((0.0, 0.1), (5.2, 5.3)), rows=4)
+    assert books.codes() == []

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from vaoi_station.line_config import ExpectedBoard, Line
-from vaoi_station.model import BoardType, Status, Stitch
-from vaoi_station.runs.run.passage import limit_of, measure_passage, way_of
+from vaoi_station.model import BoardType, CameraHead, RecordingHead, Status, Stitch
+from vaoi_station.runs.run.passage import limit_of, measure_passage, way_by_encoder, way_of
 
 LIMIT_MM = 65.5
 """That of a board of 55 mm."""
@@ -81,3 +81,18 @@ def test_the_way_follows_the_measured_motion_of_a_belt_that_stops() -> None:
     assert way(-0.1) == pytest.approx(-4.0), "before the first row as fast as on average"
     assert way(0.4) == pytest.approx(16.0)
     assert way_of(line(), None, times_s)(0.25) == pytest.approx(25.0)
+
+
+def test_the_encoder_gives_the_way_of_a_belt_that_stops() -> None:
+    """The belt stood for 1 s before row 0 and for 1 s between rows 1 and 2; between them it moved at half its speed."""
+    head = RecordingHead(
+        format="vaoi-recording", version=1, cameras=(CameraHead(width=64, height=64, exposure_us=100),), rows=3,
+        trigger_period_s=0.1, conveyor_mm_s=(0.0, 100.0), trigger_times_s=(0.0, 0.2, 1.3), belt_mm=(0.0, 10.0, 20.0),
+    )  # fmt: skip
+    delayed = line().model_copy(update={"start_delay_s": 0.3})
+    way = way_by_encoder(delayed, head, -1.3)
+    assert [way(t) for t in (-1.3, 0.0, 0.1, 0.2, 1.3)] == pytest.approx([-30.0, 0.0, 5.0, 10.0, 20.0])
+    assert way(-1.4) == pytest.approx(-40.0)
+    assert [way(t) for t in (1.35, 9.0)] == pytest.approx([25.0, 30.0]), "the next row was not due"
+    late = way_by_encoder(delayed, head, 0.1)
+    assert late(0.1) == pytest.approx(5.0), "the report of the first edge was lost"

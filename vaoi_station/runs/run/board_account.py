@@ -13,7 +13,7 @@ from typing import Any
 from vaoi_station.acquisition.process.messages import BoardMissed, MissedPassage, RunFinished
 from vaoi_station.line_config import Line
 from vaoi_station.runs.run.order import Order, Orders
-from vaoi_station.runs.run.passage import Passage, limit_of, measure_passage, way_of
+from vaoi_station.runs.run.passage import Passage, limit_of, measure_passage, way_by_encoder, way_of
 from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.states.schemas import Reason
 
@@ -106,7 +106,11 @@ class BoardAccount:
         line = progress.order.line or self._line
         limit_mm = limit_of(progress.order.board_type, line, stitch)
         end_s = float(times_s[-1])
-        return measure_passage(tuple(known), end_s, way_of(line, stitch, times_s), limit_mm)
+        if recorded.head.belt_mm is None:
+            way = way_of(line, stitch, times_s)
+        else:
+            way = way_by_encoder(line, recorded.head, recorded.interruptions[0][0])
+        return measure_passage(tuple(known), end_s, way, limit_mm)
 
     def _check_id(self, progress: Progress) -> None:
         if (why := self._orders.doubt_of(progress.armed_s, progress.barrier_s)) is not None:

@@ -17,7 +17,7 @@ from vaoi_station.acquisition.pairing.run_record import Interruption
 from vaoi_station.geometry import apply
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.line_config import Line
-from vaoi_station.model import BoardType, Stitch
+from vaoi_station.model import BoardType, RecordingHead, Stitch
 
 LENGTH_SHARE, LENGTH_MM = 0.1, 5.0
 """A passage is longer than its board only if it exceeds the board's length by this share and by this length in mm.
@@ -111,6 +111,28 @@ def way_of(line: Line, stitch: Stitch | None, times_s: Floats) -> PositionMm:
     def way(time_s: float) -> float:
         beyond_s = min(time_s - times_s[0], 0.0) + max(time_s - times_s[-1], 0.0)
         return float(np.interp(time_s, times_s, ways_mm) + beyond_s * mean_mm_s)
+
+    return way
+
+
+def way_by_encoder(line: Line, head: RecordingHead, edge_s: float) -> PositionMm:
+    """Return the belt's distance over time by its encoder, whatever the belt's speed was and however long it stood.
+
+    Args:
+        line: nominal velocity; the distance from the edge of the barrier to row 0.
+        head: times of the rows, and the belt's way at each.
+        edge_s: time at which the run began by an interruption of the barrier, s since row 0.
+    """
+    times_s, ways_mm = list(head.row_times_s()), list(head.belt_mm or ())
+    row_mm = line.trigger_period_s * line.speed_mm_s
+    if edge_s < times_s[0]:
+        times_s, ways_mm = [edge_s, *times_s], [ways_mm[0] - line.start_delay_s * line.speed_mm_s, *ways_mm]
+
+    def way(time_s: float) -> float:
+        # The row that would come next was not due any more: the belt did not get so far.
+        after_mm = min(max(time_s - times_s[-1], 0.0) * line.speed_mm_s, row_mm)
+        before_mm = min(time_s - times_s[0], 0.0) * line.speed_mm_s
+        return float(np.interp(time_s, times_s, ways_mm) + before_mm + after_mm)
 
     return way
 

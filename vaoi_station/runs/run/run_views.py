@@ -168,7 +168,7 @@ def belt_speed(stitch: Stitch, times_s: Floats, nominal_mm_s: tuple[float, float
 
     Args:
         stitch: result with the row motions.
-        times_s: times of the rows, (rows,).
+        times_s: times of the rows, (rows,), as `RecordingHead.motion_times_s` gives them.
         nominal_mm_s: nominal velocity of the belt.
         about_mm: position of the point in row 0, (2,), tester coordinates.
     """
@@ -191,7 +191,8 @@ def _belt(progress: Progress) -> BeltSpeed | None:
         about_mm = np.mean([c.row_from_image(c.center_px) for c in setup.cameras], axis=0)
     else:
         about_mm = from_cad(np.mean(progress.order.board_type.extent(), axis=0))
-    return belt_speed(stitch, recorded.head.row_times_s(), setup.conveyor_mm_s, about_mm)
+    # With an encoder these are the times of a belt at its nominal speed, in which stops do not count.
+    return belt_speed(stitch, recorded.head.motion_times_s(), setup.conveyor_mm_s, about_mm)
 
 
 def _timings(progress: Progress) -> Timings | None:
