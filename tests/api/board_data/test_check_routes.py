@@ -6,6 +6,7 @@ from typing import Any
 
 from tests.api.held_station import HeldStation
 from vaoi_station.board_check.report import BoardCheck
+from vaoi_station.model import BoardType
 from vaoi_station.runs.workers.board_check_job import CheckedBoard
 
 
@@ -33,6 +34,24 @@ def test_a_check_without_evidence_says_so(client: Any, station: HeldStation) -> 
     assert unknown.status_code == 404
     refused = client.post("/api/v1/board-types/demo-board/correct", json={"run": run})
     assert (refused.status_code, refused.json()["code"]) == (409, "nothing-to-correct")
+
+
+def test_a_change_that_comes_during_a_check_is_checked_as_well(client: Any, station: HeldStation) -> None:
+    """Other changes do not wait for the check, and none of them is lost."""
+    run = station.film()
+    proposing(station)
+    checks, asked = station.mosaics.board_checks, list[BoardType]()
+    correct = checks.correct
+
+    def changed_meanwhile(run: str, board_type: BoardType, revision: str | None) -> BoardType:
+        asked.append(board_type)
+        if len(asked) == 1:
+            station.put_board_type(board_type.model_copy(update={"revision": "meanwhile"}))
+        return correct(run, board_type, revision)
+
+    checks.correct = changed_meanwhile  # type: ignore[method-assign]
+    assert client.post("/api/v1/board-types/demo-board/correct", json={"run": run}).status_code == 200
+    assert [board_type.revision for board_type in asked] == [None, "meanwhile"]
 
 
 def test_a_correction_is_stored_as_a_draft_of_the_version_that_was_read(client: Any, station: HeldStation) -> None:

@@ -68,13 +68,16 @@ def router(services: Services) -> APIRouter:
 
         409 `nothing-to-correct`: the check proposes none.
         """
-        # The check takes seconds and is kept. Other changes wait only for what follows.
-        await checking.ask(lambda: checks.check(body.run, coordinator.board_type(name)))
-        async with services.changing:
-            present = await services.commands.ask(coordinator.board_type, name)
-            require_unchanged(request, _document(present), f"Board type {name!r}")
-            corrected = await checking.ask(checks.correct, body.run, present, body.revision)
-            await services.commands.ask(coordinator.put_board_type, corrected)
+        # The check takes seconds, so other changes do not wait for it. One that comes meanwhile is checked again.
+        stored = False
+        while not stored:
+            before = await services.commands.ask(coordinator.board_type, name)
+            require_unchanged(request, _document(before), f"Board type {name!r}")
+            corrected = await checking.ask(checks.correct, body.run, before, body.revision)
+            async with services.changing:
+                stored = await services.commands.ask(coordinator.board_type, name) == before
+                if stored:
+                    await services.commands.ask(coordinator.put_board_type, corrected)
         headers = {"Cache-Control": LIVE, "Content-Location": quote(request.url.path.rpartition("/")[0])}
         return Response(_document(corrected), media_type="application/json", headers=headers)
 
