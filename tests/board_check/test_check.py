@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.board_check.conftest import ALL, MIDDLE, drawn_board, moved
+from tests.board_check.conftest import ALL, MIDDLE, drawn_board, drawn_run, moved
 from vaoi_station.board_check import check
 from vaoi_station.board_check.check import check_board
 from vaoi_station.board_check.correction import Group, Move
@@ -83,6 +83,24 @@ def test_data_of_another_board_are_not_found(run: CheckedRun) -> None:
     assert codes(report) == ["not-found"]
     assert "another board or side" in report.warnings[0].message
     assert (report.tester_from_cad, report.proposal, report.residual) == (None, None, None)
+
+
+def test_c_of_the_run_decides_if_a_layout_is_symmetric() -> None:
+    """Each body has a partner on the other side of the board's middle: turned by 180°, the bodies lie the same."""
+    half = drawn_board(count=16)
+    mirrored = [
+        part.model_copy(update={"ref": f"R{n}", "center": (50 - part.center[0], 36 - part.center[1])})
+        for n, part in enumerate(half.components)
+    ]
+    apart = [p for p in mirrored if min(math.dist(p.center, q.center) for q in half.components) > 3.4]
+    kept = [half.components[int(p.ref[1:])] for p in apart]
+    board = half.model_copy(update={"components": (*kept, *apart)})
+    run = drawn_run(board)
+    report = check_board(run, board)
+    assert report.rival_score > report.score - 1
+    assert (codes(report), report.proposal) == ([], None)
+    lost = replace(run, board_type=None)
+    assert codes(check_board(lost, board)) == ["not-found"]
 
 
 def test_a_run_without_c_gives_the_place_but_no_residual(

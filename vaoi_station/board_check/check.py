@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +16,7 @@ from vaoi_station.board_check.presence import shares_weaker
 from vaoi_station.board_check.report import BoardCheck, CheckedFiducial, CheckWarning, Residual, Unlikely
 from vaoi_station.board_check.run_frames import CheckedRun
 from vaoi_station.errors import InputError
-from vaoi_station.geometry.transforms import Floats
+from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.board.board_plane import BoardPlane, board_plane, expected_angle, typical_camera
 from vaoi_station.stitching.board.expectation import turned_by
@@ -26,6 +27,8 @@ _LEAST_SCORE, _LEAST_LEAD = 6.0, 1.0
 """Least score of a pose that is found, and least distance to that of the best other one.
 
 Data of another board reach 4.5 to 5.5; data of the board in the pictures 7 on photographs and 17 on drawings."""
+_NEAR_MM = 2.0
+"""Largest rms distance of the bodies at a pose from where C of the run puts them, for this C to confirm the pose."""
 _UNKNOWN_RAD = np.radians(np.arange(-2.0, 2.01, 0.5))
 """Angles that are tried, about that of an upright board, if the run has no C."""
 _UNLIKELY = 0.5
@@ -65,7 +68,11 @@ def check_board(run: CheckedRun, board_type: BoardType) -> BoardCheck:
     edges = BodyEdges.of(board_type)
     plane = board_plane(board_type, typical_camera(run.cameras))
     poses = find_poses(run.overview, edges, _angles(run, plane))
-    best, rival = poses[0], poses[1].score
+    given, to_mm = run.stated_matrix(board_type), np.diag([board_type.mm_per_unit, board_type.mm_per_unit, 1.0])
+    # Bodies of a layout that is symmetric about a point fit as well turned by 180°; the run's C decides.
+    near = None if given is None else _pose_at(poses, edges, given @ np.linalg.inv(to_mm))
+    best = poses[0] if near is None else near
+    rival = max(pose.score for pose in poses if pose is not best)
     report = BoardCheck(
         board_type=board_type.name,
         score=round(best.score, 2),
@@ -73,7 +80,7 @@ def check_board(run: CheckedRun, board_type: BoardType) -> BoardCheck:
         components=len(board_type.components),
         measured=0,
     )
-    if best.score < _LEAST_SCORE or best.score < rival + _LEAST_LEAD:
+    if best.score < _LEAST_SCORE or (near is None and best.score < rival + _LEAST_LEAD):
         text = (
             f"the components are not found in the pictures: the best pose scores {best.score:.1f} (limit "
             f"{_LEAST_SCORE:g}), another one {rival:.1f} (at least {_LEAST_LEAD:g} less is needed). The data are of "
@@ -81,7 +88,6 @@ def check_board(run: CheckedRun, board_type: BoardType) -> BoardCheck:
         )
         return report.model_copy(update={"warnings": [CheckWarning(code="not-found", message=text)]})
     fit = _measured(run, plane, edges, best)
-    to_mm = np.diag([board_type.mm_per_unit, board_type.mm_per_unit, 1.0])
     c = fit.pose.matrix @ to_mm
     shares = shares_weaker(run.overview, edges, fit.pose.matrix)
     parts = board_type.components
@@ -99,7 +105,6 @@ def check_board(run: CheckedRun, board_type: BoardType) -> BoardCheck:
         }
     )
     warnings = _about_components(report)
-    given = run.stated_matrix(board_type)
     if given is None:
         text = "the run has no CAD mapping, so residuals and a correction cannot be stated."
         warnings = [*_about_side(fit.pose.mirrored != plane.mirrored), *warnings]
@@ -120,6 +125,22 @@ def check_board(run: CheckedRun, board_type: BoardType) -> BoardCheck:
         }
     )
     return _with_proposal(report, run, board_type, move) if corrects else report
+
+
+def _pose_at(poses: Sequence[Pose], edges: BodyEdges, stated: Floats) -> Pose | None:
+    """Return the pose at which C of the run puts the bodies, if no other one fits clearly better; None otherwise.
+
+    Args:
+        poses: the poses, the best one first.
+        edges: the bodies.
+        stated: (3, 3) C from CAD data in mm.
+    """
+    there = apply(stated, edges.points)
+    for pose in poses:
+        off_mm = np.sqrt(((apply(pose.matrix, edges.points) - there) ** 2).sum(1).mean())
+        if off_mm < _NEAR_MM and pose.score > poses[0].score - _LEAST_LEAD:
+            return pose
+    return None
 
 
 def _check_size(run: CheckedRun, board: BoardType) -> None:
