@@ -25,7 +25,7 @@ class BodyEdges:
     normals: Floats
     """(k, 2) unit vectors across the edge."""
     part: Ints
-    """(k,) number of the component in the board type."""
+    """(k,) number of the component in the board type, ascending."""
     weight: Floats
     """(k,) each component counts by the root of its perimeter."""
 

@@ -9,9 +9,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import NamedTuple
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from vaoi_station.board_check.body_edges import BodyEdges
 from vaoi_station.board_check.overview import Floats32, Overview
@@ -61,12 +63,17 @@ def find_poses(overview: Overview, edges: BodyEdges, angles_rad: Sequence[float]
     small = _reduced(overview)
     strength = small.edges(_SEARCH_BLUR_MM)
     found: list[Pose] = []
-    for quarter, mirrored in product(range(4), (False, True)):
-        poses = [
-            _best_shift(small, strength, edges, Pose(mirrored, angle + quarter * np.pi / 2, 1.0, (0.0, 0.0)))
-            for angle in angles_rad
+    # Poses that differ by half a turn or a mirror need the same room, so the picture is transformed twice in all.
+    for upright in (0, 1):
+        tried = [
+            [Pose(mirrored, angle + quarter * np.pi / 2, 1.0, (0.0, 0.0)) for angle in angles_rad]
+            for quarter, mirrored in product((upright, upright + 2), (False, True))
         ]
-        found.append(max(poses, key=lambda pose: pose.score))
+        extents = [np.ptp(edges.points @ pose.matrix[:2, :2].T, axis=0) for poses in tried for pose in poses]
+        spectrum = _Spectrum.of(strength, np.max(extents, axis=0) * small.px_per_mm + 2)
+        for poses in tried:
+            shifted = [_best_shift(small, spectrum, edges, pose) for pose in poses]
+            found.append(max(shifted, key=lambda pose: pose.score))
     return sorted(found, key=lambda pose: -pose.score)
 
 
@@ -107,7 +114,28 @@ def _reduced(overview: Overview) -> Overview:
     return replace(overview, grey=grey, seen=seen, low_mm=low, px_per_mm=overview.px_per_mm / factor)
 
 
-def _best_shift(overview: Overview, strength: Floats32, edges: BodyEdges, pose: Pose) -> Pose:
+class _Spectrum(NamedTuple):
+    """Fourier transforms of the strengths of a picture's edges, with room for the bodies beside it."""
+
+    values: tuple[NDArray[np.complex64], NDArray[np.complex64]]
+    """Of edges across x and across y."""
+    shape: tuple[int, int]
+    """Lines and columns of what was transformed."""
+
+    @staticmethod
+    def of(strength: Floats32, room_px: Floats) -> _Spectrum:
+        """Transform the strengths (2, h, w) of a picture; the bodies extend over `room_px` (x and y)."""
+        (h, w), (x, y) = strength[0].shape, np.ceil(room_px).astype(int).tolist()
+        shape = cv2.getOptimalDFTSize(h + y), cv2.getOptimalDFTSize(w + x)
+        padded = np.zeros(shape, np.float32)
+        values = []
+        for one in strength[:2]:
+            padded[:h, :w] = one
+            values.append(np.fft.rfft2(padded).astype(np.complex64))
+        return _Spectrum((values[0], values[1]), shape)
+
+
+def _best_shift(overview: Overview, picture: _Spectrum, edges: BodyEdges, pose: Pose) -> Pose:
     """Return a pose with the shift at which the edges are strongest, and its score."""
     turn, resolution = pose.matrix[:2, :2], overview.px_per_mm
     points = edges.points @ turn.T * resolution
@@ -115,15 +143,12 @@ def _best_shift(overview: Overview, strength: Floats32, edges: BodyEdges, pose: 
     start = np.floor(points.min(0))
     at = np.rint(points - start).astype(np.int_)
     size = at.max(0) + 1
-    h, w = overview.grey.shape
-    shape = cv2.getOptimalDFTSize(h + int(size[1])), cv2.getOptimalDFTSize(w + int(size[0]))
+    (h, w), shape = overview.grey.shape, picture.shape
     total = np.zeros((shape[0], shape[1] // 2 + 1), np.complex64)
     for n in range(2):
         template = np.zeros(shape, np.float32)
         np.add.at(template, (at[:, 1], at[:, 0]), weights[:, n].astype(np.float32))
-        padded = np.zeros(shape, np.float32)
-        padded[:h, :w] = strength[n]
-        total += (np.fft.rfft2(padded) * np.conj(np.fft.rfft2(template))).astype(np.complex64)
+        total += picture.values[n] * np.conj(np.fft.rfft2(template)).astype(np.complex64)
     score = np.fft.irfft2(total, shape)
     # Shifts at which most bodies lie outside of what was filmed are no candidates. Negative ones stand at the end.
     x_shifts, y_shifts = (

@@ -42,8 +42,10 @@ def shares_weaker(overview: Overview, edges: BodyEdges, matrix: Floats) -> Float
     random = np.random.default_rng(1)
     out = np.full(int(edges.part.max(initial=-1)) + 1, np.nan)
     resolution = overview.px_per_mm
-    for part in np.unique(edges.part).tolist():
-        of = edges.part == part
+    parts = np.unique(edges.part)
+    ends = np.searchsorted(edges.part, parts, side="right").tolist()
+    for part, start, end in zip(parts.tolist(), [0, *ends], ends, strict=False):
+        of = slice(start, end)
         points, normals = at[of], across[of]
         if not _inside(overview, points):
             continue
