@@ -6,6 +6,7 @@ import queue
 import socket
 import subprocess
 import threading
+import time
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -59,22 +60,17 @@ class Broker:
         server = program("mosquitto")
         assert server is not None
         command = [server, "-c", str(self._folder / "mosquitto.conf")]
-        self._program = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
-        for line in self._program.stderr:
-            if " running" in line:
-                break
-        else:
-            raise AssertionError("mosquitto has ended")
-        # What it writes later must not fill the pipe.
-        self._reader = threading.Thread(target=self._program.stderr.read, daemon=True)
-        self._reader.start()
+        self._program = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        deadline = time.monotonic() + WAIT_S
+        while not (_takes_connections(self.port) and _takes_connections(self.tls_port)):
+            assert self._program.poll() is None, "mosquitto has ended"
+            assert time.monotonic() < deadline, "mosquitto takes no connections"
+            threading.Event().wait(0.01)
 
     def stop(self) -> None:
         if self._program is not None:
             self._program.terminate()
             self._program.wait(WAIT_S)
-            self._reader.join(WAIT_S)
-            self._program.stderr.close()
             self._program = None
 
 
@@ -98,6 +94,14 @@ class Subscriber:
     def close(self) -> None:
         self._client.disconnect()
         self._client.loop_stop()
+
+
+def _takes_connections(port: int) -> bool:
+    try:
+        with socket.create_connection(("127.0.0.1", port), WAIT_S):
+            return True
+    except ConnectionRefusedError:
+        return False
 
 
 def _free_port() -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import socket
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +14,9 @@ import pytest
 from tests.push.broker import PASSWORD, USER, Broker, Subscriber
 from tests.push.event_list import EventList
 from tests.push.test_delivery import until
+from vaoi_station.errors import StateError
 from vaoi_station.model.receivers import MqttConfig, PushConfig
-from vaoi_station.push import push_service
+from vaoi_station.push import mqtt_transport, push_service
 from vaoi_station.push.messages import message_of
 from vaoi_station.push.mqtt_transport import MqttTransport
 from vaoi_station.push.push_service import PushService
@@ -38,13 +39,17 @@ def subscriber(broker: Broker) -> Iterator[Subscriber]:
     made.close()
 
 
-def transport(broker: Broker, **more: Any) -> MqttTransport:
+def transport(broker: Broker, state: Callable[[], str] = lambda: "idle", **more: Any) -> MqttTransport:
     config = MqttConfig(**{"host": "127.0.0.1", "port": broker.port} | more)
-    return MqttTransport(config, "line/3", lambda: "idle", limit_s=20.0)
+    return MqttTransport(config, "line/3", state, limit_s=20.0)
 
 
-def test_topics_retained_state_and_last_will(broker: Broker, subscriber: Subscriber, events: EventList) -> None:
-    made = transport(broker)
+def test_topics_retained_state_and_last_will(
+    broker: Broker, subscriber: Subscriber, events: EventList, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(mqtt_transport, "COMPARE_S", 0.0)
+    states = iter(["idle", "idle", "idle", "armed"])
+    made = transport(broker, lambda: next(states, "armed"))
     records = [
         events.add("run", "a", state="ready", run="r1"),
         events.add("board-missed", "b"),
@@ -70,7 +75,34 @@ def test_topics_retained_state_and_last_will(broker: Broker, subscriber: Subscri
     outcome = made.idle()
     assert outcome is not None
     assert outcome.delivered
+    assert json.loads(subscriber.next().body)["state"] == "armed"
+    made.close()
+    assert json.loads(subscriber.next().body)["state"] == "offline"
+
+
+def test_the_retained_state_is_the_present_one_whatever_the_events_say(
+    broker: Broker, subscriber: Subscriber, events: EventList, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(mqtt_transport, "COMPARE_S", 0.0)
+    state: list[str | Exception] = ["armed"]
+
+    def present() -> str:
+        if isinstance(state[0], Exception):
+            raise state[0]
+        return state[0]
+
+    made = transport(broker, present)
+    # An event that has waited while the broker was away, and whose state is over.
+    assert made.send(message_of(events.add("station", "old", state="fault"), "line/3")).delivered
+    # Another test may have left a retained state.
+    first = next(message for message in iter(subscriber.next, None) if not message.retained)
+    assert (first.topic, json.loads(first.body)["state"]) == (STATE, "armed")
+    assert subscriber.next().topic == "vaoi/line_3/events/station"
+    state[0] = "idle"  # its event is of a type that is not published
+    assert made.idle() is None
     assert json.loads(subscriber.next().body)["state"] == "idle"
+    state[0] = StateError("The station is stopping.")
+    assert made.idle() is None
     made.close()
     assert json.loads(subscriber.next().body)["state"] == "offline"
 
@@ -80,7 +112,7 @@ def test_topics_retained_state_and_last_will(broker: Broker, subscriber: Subscri
 def test_tls_and_password(broker: Broker, tmp_path: Path) -> None:
     password = tmp_path / "password"
     password.write_text(f"{PASSWORD}\n")
-    secure = {"port": broker.tls_port, "tls": True, "user": USER, "password_file": password}
+    secure: dict[str, Any] = {"port": broker.tls_port, "tls": True, "user": USER, "password_file": password}
     known = transport(broker, ca=broker.ca, **secure)
     assert known.idle() == (True, "connected", 0.0, False)
     known.close()

@@ -9,11 +9,13 @@ from __future__ import annotations
 import json
 import ssl
 import threading
+import time
 import uuid
 from collections.abc import Callable
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
+from vaoi_station.errors import VaoiError
 from vaoi_station.model.receivers import MqttConfig
 from vaoi_station.push.messages import Message
 from vaoi_station.push.transport import Outcome
@@ -26,6 +28,8 @@ LIMIT_S = 10.0
 """Longest wait for the broker's reply to a connection or a message, s."""
 KEEPALIVE_S = 15
 """Time of silence after which broker and station ask whether the other is there, s."""
+COMPARE_S = 1.0
+"""Shortest time between two comparisons of the state of the station with the published one, s."""
 OFFLINE = "offline"
 """State that the broker publishes when the connection breaks."""
 _MISSING = "The package paho-mqtt is absent. Install it: pip install 'vaoi-station[mqtt]'."
@@ -41,6 +45,8 @@ class MqttTransport:
         name = "".join("_" if c in "+#/" else c for c in station)
         self._prefix = broker.prefix or f"vaoi/{name}"
         self._client: Client | None = None
+        self._shown: str | None = None
+        self._compared_s = 0.0
 
     def send(self, message: Message) -> Outcome:
         """Publish one message; return when the broker has acknowledged it."""
@@ -49,21 +55,19 @@ class MqttTransport:
         try:
             client = self._connected()
             self._publish(client, topic, message.body, retain=False)
-            if record.kind == "station" and record.state:
-                self._publish(client, "station/state", self._state_body(record.state), retain=True)
+            self._show_state(client, at_once=record.kind == "station")
         except (OSError, ValueError, ImportError) as error:
             return self._failed(error)
         return Outcome(True, "acknowledged")
 
     def idle(self) -> Outcome | None:
-        """Connect again if the connection was lost, so that the retained state is right."""
-        if self._client is not None and self._client.is_connected():
-            return None
+        """Connect again if the connection was lost, and publish a new state, so that the retained state is right."""
+        was_connected = self._client is not None and self._client.is_connected()
         try:
-            self._connected()
+            self._show_state(self._connected())
         except (OSError, ValueError, ImportError) as error:
             return self._failed(error)
-        return Outcome(True, "connected")
+        return None if was_connected else Outcome(True, "connected")
 
     def close(self) -> None:
         """Publish that the station is off, and disconnect."""
@@ -93,8 +97,24 @@ class MqttTransport:
             raise TimeoutError(f"no reply within {self._limit_s:.0f} s")
         if refusal:
             raise ConnectionRefusedError(f"the broker refuses the connection ({refusal[0]})")
-        self._publish(client, "station/state", self._state_body(self._state()), retain=True)
+        self._show_state(client, at_once=True)
         return client
+
+    def _show_state(self, client: Client, *, at_once: bool = False) -> None:
+        """Publish the present state if it differs from the retained one; without `at_once`, compare once a second.
+
+        An event may be old when it is sent, and may be of a type that is not published, so its state is of no use here.
+        """
+        if not at_once and time.monotonic() - self._compared_s < COMPARE_S:
+            return
+        self._compared_s = time.monotonic()
+        try:
+            state = self._state()
+        except VaoiError:
+            return  # the station is busy or stopping; it is asked again
+        if state != self._shown:
+            self._publish(client, "station/state", self._state_body(state), retain=True)
+            self._shown = state
 
     def _new_client(self) -> Client:
         try:
@@ -129,8 +149,8 @@ class MqttTransport:
 
     def _state_body(self, state: str) -> bytes:
         # The will is given before it takes effect, so its time would mean nothing.
-        time = {} if state == OFFLINE else {"time": utc()}
-        return json.dumps({"station": self._station, "state": state, **time}).encode()
+        stamp = {} if state == OFFLINE else {"time": utc()}
+        return json.dumps({"station": self._station, "state": state, **stamp}).encode()
 
     def _failed(self, error: Exception) -> Outcome:
         self._drop()
@@ -138,7 +158,7 @@ class MqttTransport:
         return Outcome(False, f"{self._broker.host}: {text}.".replace("..", "."))
 
     def _drop(self) -> None:
-        client, self._client = self._client, None
+        client, self._client, self._shown = self._client, None, None
         if client is not None:
             with suppress(OSError, ValueError):
                 client.disconnect()
