@@ -94,6 +94,23 @@ def test_the_barrier_is_told_as_it_is(paced: PacedChip) -> None:
     assert by_subject(controller(context_of(paced.link)))["state"].figures["barrier"] == "interrupted"
 
 
+def test_only_what_is_judged_is_asked(paced: PacedChip, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The events of earlier boards are left to the station: their number would make the check slow."""
+    sent: list[int] = []
+
+    class NotedLink(Link):
+        def outgoing(self, now_s: float) -> bytes:
+            data = super().outgoing(now_s)
+            sent.extend(message.type for message in FrameReader().feed(data))
+            return data
+
+    asked(paced.link, Type.SAFE)
+    assert asked(paced.link, Type.STATUS).events_next > 0
+    monkeypatch.setattr("vaoi_station.doctor.checks.controller.Link", NotedLink)
+    list(controller(context_of(paced.link)))
+    assert set(sent) == {Type.IDENT, Type.STATUS, Type.CLOCK}
+
+
 def test_a_light_beyond_the_firmwares_limits(paced: PacedChip) -> None:
     lights = {"flash": {"channels": [2], "on_us": 800.0}}
     limits = by_subject(controller(context_of(paced.link, lights=lights)))["limits"]

@@ -113,6 +113,8 @@ def ask(settings: ControllerConfig) -> ControllerReply:
         exchange = Exchange(port, Link(), lambda _news, _heard_s: None, settings.port)
         ident = check_ident(exchange.identify())
         first = _status(exchange)
+        # Else the link would read all earlier events, between the readings of the clock, and acknowledge them.
+        exchange.link.skip_history()
         timebase = Timebase(settings.baud)
         readings = tuple(_reading(exchange, timebase, nonce) for nonce in range(READINGS))
         return ControllerReply(ident, _status(exchange), readings, first)
