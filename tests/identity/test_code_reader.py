@@ -48,6 +48,20 @@ def test_place_without_a_code_is_named_and_panel_positions_are_kept(coded: Filme
     assert found.unread_places == (empty,)
 
 
+def test_code_belongs_to_the_place_that_contains_its_centre(coded: Filmed) -> None:
+    assert coded.board_type.identity is not None
+    first, second = coded.board_type.identity.places
+    x0, x1 = sorted((first.center[0], second.center[0]))
+    y0, y1 = sorted((first.center[1], second.center[1]))
+    both = {
+        "center": ((x0 + x1) / 2, (y0 + y1) / 2), "width": x1 - x0 + first.width, "height": y1 - y0 + first.height,
+    }  # fmt: skip
+    wide, own = first.model_copy(update={**both, "panel": 1}), second.model_copy(update={"panel": 2})
+    found = read(coded, places=(wide, own))
+    panels = {c.text: c.panel for c in found.codes}
+    assert panels[coded.texts[1]] == 2, "the picture of the wide place shows it too"
+
+
 def test_slices_continue_where_the_last_one_ended(coded: Filmed) -> None:
     keys = [*coded.frames]
     board_type = coded.with_identity(places=())

@@ -68,6 +68,16 @@ def test_boards_of_a_panel_have_their_own_ids_and_missing_ones_are_named() -> No
     assert "position 2 of the panel before the time for reading ended" in one.reasons[0].message
 
 
+def test_codes_of_one_panel_position_that_state_several_ids_disagree() -> None:
+    places = tuple(PLACE.model_copy(update={"panel": name}) for name in (1, 1, 2))
+    identity = BoardIdentity(pattern="b;{id}", places=places)
+    read = BoardReading(codes=(code("b;1", 1), code("b;7", 1), code("b;2", 2)))
+    found = compare(identity, read, "panel 7")
+    assert (found.state, found.boards) == ("differs", {"2": "2"})
+    [reason] = found.reasons
+    assert (reason.code, "position 1 of the panel" in reason.message) == ("codes-disagree", True)
+
+
 def test_only_a_type_that_requires_its_id_degrades_runs() -> None:
     differs = compare(THERE, reading("b;1"), "2")
     assert not differs.degrades

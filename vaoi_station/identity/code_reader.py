@@ -102,18 +102,19 @@ class CodeReader:
         if drawn is None:
             return []
         picture, frame = drawn
-        found = read_symbols(picture, self.identity.symbology, enlarged=wanted.enlarged)
-        return [Found(self._code(symbol, grid, wanted.region, frame), wanted.region, number) for symbol in found]
+        symbols = read_symbols(picture, self.identity.symbology, enlarged=wanted.enlarged)
+        return [self._found(symbol, grid, wanted, number, frame) for symbol in symbols]
 
     def _grid(self, region: int) -> MosaicGrid:
         finest = self._pictures.px_per_mm
         return self._pictures.grid(self._regions[region], finest if self._stated else min(finest, SEARCH_PX_PER_MM))
 
-    def _code(self, symbol: Symbol, grid: MosaicGrid, region: int, frame: FrameKey | None) -> BoardCode:
+    def _found(self, symbol: Symbol, grid: MosaicGrid, wanted: _Try, number: int, frame: FrameKey | None) -> Found:
         corners: Floats = apply(grid.cad_from_mosaic, symbol.corners_px)
         camera, row = (None, None) if frame is None else frame
         x, y = corners.mean(0)
-        return BoardCode(
+        region = self._region_at(float(x), float(y), wanted.region) if self._stated else wanted.region
+        code = BoardCode(
             text=symbol.text,
             symbology=symbol.symbology,
             board_id=self.identity.board_id(symbol.text),
@@ -125,6 +126,20 @@ class CodeReader:
             camera=camera,
             row=row,
         )
+        return Found(code, region, number)
+
+    def _region_at(self, x: float, y: float, drawn: int) -> int:
+        """Return the place that a code belongs to: of those that contain its centre, that with the nearest centre.
+
+        Places may overlap, and the picture of one place then shows the code of another.
+        """
+
+        def distance(n: int) -> float:
+            center = self.identity.places[n].center
+            return float(np.hypot(x - center[0], y - center[1]))
+
+        there = [n for n, (x0, y0, x1, y1) in enumerate(self._regions) if x0 <= x <= x1 and y0 <= y <= y1]
+        return min(there, key=distance, default=drawn)
 
     def _merged(self, readings: Sequence[Found]) -> list[Found]:
         """Return one reading of each code: that with the least error correction, if the readings suffice."""

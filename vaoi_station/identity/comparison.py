@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Mapping
 
 from vaoi_station.model.board_identity import (
     ID,
@@ -37,10 +37,14 @@ def compare(
     """
     read = reading or BoardReading()
     whole = sorted({c.board_id for c in read.codes if c.panel is None and c.board_id is not None})
-    boards = {str(c.panel): c.board_id for c in read.codes if c.panel is not None and c.board_id is not None}
+    positions: dict[str, set[str]] = {}
+    for code in read.codes:
+        if code.panel is not None and code.board_id is not None:
+            positions.setdefault(str(code.panel), set()).add(code.board_id)
+    boards = {name: next(iter(ids)) for name, ids in positions.items() if len(ids) == 1}
     board_id = whole[0] if len(whole) == 1 else None
-    differing = [*_contradictions(identity, read, whole), *_differences(board_id, armed, reported)]
-    missing = [] if identity is None or reading is None else [*_unread(identity, read, whole, boards)]
+    differing = [*_contradictions(identity, read, whole, positions), *_differences(board_id, armed, reported)]
+    missing = [] if identity is None or reading is None else [*_unread(identity, read, whole, positions)]
     state: IdentityState
     if differing:
         state = "differs"
@@ -67,13 +71,18 @@ def compare(
     )
 
 
-def _contradictions(identity: BoardIdentity | None, read: BoardReading, whole: list[str]) -> Iterator[IdentityReason]:
+def _contradictions(
+    identity: BoardIdentity | None, read: BoardReading, whole: list[str], positions: Mapping[str, Collection[str]]
+) -> Iterator[IdentityReason]:
     """Yield what contradicts itself on the board, or shows another product."""
-    if len(whole) > 1:
-        names = ", ".join(_shown(name) for name in whole)
+    stated = [("the board", whole), *((f"position {n} of the panel", sorted(ids)) for n, ids in positions.items())]
+    for what, ids in stated:
+        if len(ids) < 2:
+            continue
+        names = ", ".join(_shown(name) for name in ids)
         yield IdentityReason(
             code="codes-disagree",
-            message=f"The codes of the board state {len(whole)} ids: {names}.",
+            message=f"The codes of {what} state {len(ids)} ids: {names}.",
             action="Check the labels, and whether the board is of this type.",
         )
     # Anywhere on a board there may be codes of its components as well.
@@ -105,10 +114,10 @@ def _differences(board_id: str | None, armed: str | None, reported: ReportedId |
 
 
 def _unread(
-    identity: BoardIdentity, read: BoardReading, whole: list[str], boards: dict[str, str]
+    identity: BoardIdentity, read: BoardReading, whole: list[str], positions: Collection[str]
 ) -> Iterator[IdentityReason]:
     """Yield which boards have no id, because none of their codes was read."""
-    panels = {str(place.panel) for place in identity.places if place.panel is not None} - set(boards)
+    panels = {str(place.panel) for place in identity.places if place.panel is not None} - set(positions)
     named = any(place.panel is None for place in identity.places) or not identity.places
     without = [
         *(["the board"] if named and not whole else []),

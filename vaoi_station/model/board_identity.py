@@ -148,7 +148,7 @@ class IdentityDocument(Strict):
     board_id: str | None = None
     """The id that was read from the board or panel; None if none was read, or its codes state several."""
     boards: dict[str, str] = Field(default_factory=dict)
-    """On a panel: the id that was read of each board, by its position on the panel."""
+    """On a panel: the id that was read of each board, by its position on the panel, unless its codes state several."""
     armed_board_id: str | None = None
     """The id that the line was armed with."""
     next_machine: ReportedId | None = None
