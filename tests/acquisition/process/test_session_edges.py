@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import pytest
 
@@ -12,7 +13,9 @@ from vaoi_station.acquisition.controller.interface import (
     BarrierBlockedAgain,
     BarrierClear,
     BarrierClearAfterRun,
+    BeltPacing,
     BoardTooSoon,
+    PulseSkipped,
     RunEnded,
 )
 from vaoi_station.acquisition.process.messages import BoardMissed, Grant, MissedPassage, RunFinished
@@ -97,3 +100,25 @@ def test_a_board_whose_edge_was_lost_has_no_interruptions_of_the_one_before(benc
     bench.session.handle_event(RunEnded(2, 20.1, 1, "clear"), 20.1)
     bench.session.tick(30.0)
     assert [finished.interruptions for finished in bench.of(RunFinished)] == [((-0.3, None),), ()]
+
+
+def test_a_run_on_a_fast_belt_is_described_by_what_the_belt_did(bench: SessionBench) -> None:
+    """The rows come every 0.8 periods; row 1 is skipped, and the report of row 3 is lost."""
+    period_s = bench.plan.period_s
+    plan = replace(bench.plan, belt=BeltPacing(20.0, 40, 200, 400, 0.7 * period_s))
+    bench.session.grant(Grant("a", 0))
+    bench.session.arm(plan)
+    bench.session.handle_event(BarrierBlocked(0, 9.7), 9.7)
+    for row in (0, 1, 2, 4):
+        at_s = 10.0 + 0.8 * row * period_s
+        if row == 1:
+            bench.session.handle_event(PulseSkipped(0, at_s, row, "too fast"), at_s)
+        else:
+            bench.pulse(at_s, row)
+    (record,) = bench.session._recorder.open_runs
+    assert record.least_period_s == pytest.approx(0.7 * period_s), "the plan allows it"
+    bench.session.handle_event(RunEnded(3, at_s, 5, "clear"), at_s)
+    bench.session.tick(30.0)
+    (finished,) = bench.of(RunFinished)
+    assert finished.head.trigger_times_s == pytest.approx([0.8 * row * period_s for row in range(5)])
+    assert finished.head.belt_mm == (0.0, 10.0, 20.0, 30.0, 40.0)
