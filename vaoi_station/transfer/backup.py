@@ -29,6 +29,8 @@ from vaoi_station.version import __version__
 KIND = "vaoi-backup"
 CONFIG, CALIBRATION, BOARD_TYPES, SCENARIO, DATA = "station.toml", "calibration.json", "board-types", "scenario", "data"
 DATABASE, REFERENCES = "station.db", "references"
+_SECRET = (KEY_FILE, "push/webhooks.json")
+"""Files of the data that only the service reads."""
 _ELSEWHERE = "Restore to a machine or a folder without a station, or move the old one away."
 
 
@@ -206,11 +208,12 @@ def _move(source: Path, target: Path) -> None:
 
 
 def _make_private(data: Path) -> None:
-    """Let only the owner and group of the data read them, and only the owner the keys, as the service itself does."""
+    """Let only the owner and group of the data read them, and only the owner the secrets, as the service does."""
     for path in (data, *data.rglob("*")):
         path.chmod(path.stat().st_mode & 0o770)
-    if (data / KEY_FILE).is_file():
-        (data / KEY_FILE).chmod(0o600)
+    for name in _SECRET:
+        if (data / name).is_file():
+            (data / name).chmod(0o600)
 
 
 def _same_file(source: Path, target: Path) -> bool:
