@@ -52,8 +52,10 @@ def test_a_thread_that_is_killed_or_returns_is_a_fault() -> None:
 def test_an_end_that_was_asked_for_is_no_fault() -> None:
     thread = SupervisedThread(lambda: None, "work")
     thread.start()
-    thread.expect_end()
     thread.join(PATIENCE_S)
+    assert not thread.has_ended, "it was not asked to"
+    thread.expect_end()
+    assert thread.has_ended
     assert thread.fault() is None
 
 

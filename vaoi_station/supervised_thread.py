@@ -65,6 +65,11 @@ class SupervisedThread(threading.Thread):
         """Record that the thread was asked to end, so that its end is not a fault."""
         self._end_expected = True
 
+    @property
+    def has_ended(self) -> bool:
+        """Whether the thread was asked to end, and did."""
+        return self._end_expected and self.ident is not None and not self.is_alive()
+
     def run(self) -> None:
         """Call the target. An exception that it raises is logged and becomes a fault."""
         self.beat()

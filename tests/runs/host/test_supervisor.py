@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 import threading
+import weakref
 from collections.abc import Iterator
 
 import pytest
@@ -53,6 +55,17 @@ def test_the_watchdog_is_fed_until_a_thread_ends(watched: Watched) -> None:
     assert not watched.fed.acquire(timeout=0.2), "a station that lost a thread is not alive"
     assert watched.faults == ["Thread 'work' has ended without an error."], "a fault is reported once"
     assert [fault.thread for fault in watched.supervisor.faults()] == ["work"]
+
+
+def test_a_thread_that_has_ended_on_request_is_not_kept(watched: Watched) -> None:
+    watched.thread.expect_end()
+    watched.release.set()
+    watched.thread.join(PATIENCE_S)
+    ended = weakref.ref(watched.thread)
+    del watched.thread
+    watched.supervisor.watch(SupervisedThread(lambda: None, "another"))
+    gc.collect()
+    assert ended() is None
 
 
 def test_the_end_of_the_supervisor_is_a_fault_as_well(watched: Watched) -> None:

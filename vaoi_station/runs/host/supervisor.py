@@ -31,8 +31,8 @@ class Supervisor:
         self.thread = SupervisedThread(self._run, "supervisor")
 
     def watch(self, *threads: SupervisedThread) -> None:
-        """Add threads to those that are checked."""
-        self._watched += threads
+        """Add threads to those that are checked; those that have ended as they were asked to are checked no more."""
+        self._watched = (*(thread for thread in self._watched if not thread.has_ended), *threads)
 
     def faults(self) -> tuple[ThreadFault, ...]:
         """Return one fault for each thread that has ended or hangs now. Call it from any thread."""
