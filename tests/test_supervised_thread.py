@@ -53,9 +53,9 @@ def test_an_end_that_was_asked_for_is_no_fault() -> None:
     thread = SupervisedThread(lambda: None, "work")
     thread.start()
     thread.join(PATIENCE_S)
-    assert not thread.has_ended, "it was not asked to"
+    ended = [thread.has_ended]
     thread.expect_end()
-    assert thread.has_ended
+    assert [*ended, thread.has_ended] == [False, True], "only an end that was asked for"
     assert thread.fault() is None
 
 
