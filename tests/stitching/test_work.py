@@ -122,7 +122,7 @@ def test_a_warm_worker_compiles_nothing_when_a_board_arrives(filmed: Any) -> Non
     """Evidence arrives through a pipe; other types of arrays would be compiled for seconds while the board waits."""
     warm_up()
     modules = [m for name, m in sys.modules.items() if name.startswith("vaoi_station.")]
-    compiled = {id(f): f for m in modules for f in vars(m).values() if hasattr(f, "signatures")}
+    compiled = {id(f): f for m in modules for f in vars(m).values() if hasattr(f, "py_func")}
     before = {key: set(f.signatures) for key, f in compiled.items()}
     assert sum(map(len, before.values())) > 40
     setup, present = pickle.loads(pickle.dumps((filmed.setup, filmed.present)))

@@ -26,7 +26,9 @@ from vaoi_station.station import Station
 from vaoi_station.supervised_thread import SupervisedThread
 
 TIMEOUT_S = 180.0
-THREADS = ("store", "coordinator", "bays", "workers", "acquisition-link", "housekeeping", "recordings", "heights")
+THREADS = (
+    "store", "coordinator", "bays", "workers", "acquisition-link", "housekeeping", "recordings", "heights", "identity",
+)  # fmt: skip
 
 
 class Broken:

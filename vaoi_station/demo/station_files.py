@@ -73,7 +73,12 @@ def ring_directory(size_bytes: int, folder: Path) -> Path:
 
 def to_toml(config: StationConfig) -> str:
     """Format a configuration as the text of `station.toml`. Values equal to their default are left out."""
-    return "\n".join(_table((), config.model_dump(mode="json", exclude_none=True, exclude_defaults=True))) + "\n"
+    return toml_text(config.model_dump(mode="json", exclude_none=True, exclude_defaults=True))
+
+
+def toml_text(content: dict[str, Any]) -> str:
+    """Format tables, lists, texts, numbers and booleans as TOML."""
+    return "\n".join(_table((), content)) + "\n"
 
 
 def _table(path: tuple[str, ...], content: dict[str, Any]) -> list[str]:

@@ -7,14 +7,11 @@ every key. All keys have defaults, so an empty file is a valid scenario. All ran
 from __future__ import annotations
 
 import math
-from importlib import resources
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from vaoi_station.errors import NotFoundError
-from vaoi_station.files.documents import parse, read_toml
 from vaoi_station.model import Program
 from vaoi_station.simulation.camera_array import (
     ArraySection,
@@ -27,9 +24,6 @@ from vaoi_station.simulation.camera_array import (
     Share,
 )
 from vaoi_station.simulation.surroundings import CarrierSection, CodeSection, FiducialMark, TextureSection
-
-_SHIPPED = Path(str(resources.files("vaoi_station.simulation") / "scenarios"))
-"""Folder of the scenarios that come with the software."""
 
 
 class SpeedChange(Section):
@@ -84,6 +78,10 @@ class BoardSection(Section):
     y_axis: Literal["up", "down"] = "up"
     side: Literal["top", "bottom"] = "top"
     photograph: Path | None = None
+    file: Path | None = None
+    """Board type whose parts are drawn, instead of generated ones; it gives name, size, fiducials, unit, axes, side."""
+    origin: tuple[Finite, Finite] = (0.0, 0.0)
+    """CAD coordinates of the corner of the outline with the least x and y."""
     seed: Index = 5
 
     @model_validator(mode="after")
@@ -331,43 +329,3 @@ class Scenario(Section):
         for camera in named:
             if camera >= self.array.cameras:
                 raise ValueError(f"a fault names camera {camera}, but there are {self.array.cameras} (from 0)")
-
-
-def read_scenario(path: Path) -> Scenario:
-    """Read a scenario file. A relative path of a photograph is resolved against the folder of this file."""
-    scenario = parse(Scenario, read_toml(path), path)
-    photograph = scenario.board.photograph
-    if photograph is None:
-        return scenario
-    board = scenario.board.model_copy(update={"photograph": path.resolve().parent / photograph})
-    return scenario.model_copy(update={"board": board})
-
-
-def find_scenario(given: str | Path) -> Path:
-    """Return the path of a scenario file, given as a path or as the name of a shipped scenario.
-
-    A file takes precedence over a shipped scenario of the same name, a folder does not: recordings are often written to
-    a folder that has the name of their scenario.
-
-    Raises:
-        NotFoundError: there is neither such a file nor such a shipped scenario.
-    """
-    path = Path(given)
-    if path.suffix or path.is_file():
-        return path.resolve()
-    if path.is_dir() and str(given) not in shipped_scenarios():
-        raise NotFoundError(f"{given}: is a folder, not a scenario file.", action="Give the TOML file itself.")
-    return scenario_path(str(given))
-
-
-def shipped_scenarios() -> tuple[str, ...]:
-    """Return the names of the scenarios that come with the software."""
-    return tuple(sorted(path.stem for path in _SHIPPED.glob("*.toml")))
-
-
-def scenario_path(name: str) -> Path:
-    """Return the path of a scenario file that comes with the software: "demo", "light", "paper" or "small"."""
-    if name not in shipped_scenarios():
-        known = ", ".join(shipped_scenarios())
-        raise NotFoundError(f"there is no scenario {name!r}.", action=f"Choose one of: {known}; or give a file.")
-    return _SHIPPED / f"{name}.toml"

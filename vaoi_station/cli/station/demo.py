@@ -13,6 +13,9 @@ def demo(
     scenario: Annotated[
         str, typer.Option(help="Scenario file (TOML), or the name of a shipped scenario: demo, small.")
     ] = "demo",
+    board: Annotated[
+        Path | None, typer.Option(help="Board type (board.json) that is filmed, for example of vaoi import.")
+    ] = None,
     port: Annotated[
         int | None,
         typer.Option(min=0, max=65535, help="Port of the service, 0: any free one [8350; with --once any]."),
@@ -24,7 +27,9 @@ def demo(
     as_json: Annotated[bool, typer.Option("--json", help="With --once: print one JSON document.")] = False,
 ) -> None:
     """Run the whole station with simulated cameras, board after board, until Ctrl-C."""
+    from vaoi_station.demo.given_board import write_given_scenario
     from vaoi_station.demo.signal_handling import INTERRUPTED, interruptible
+    from vaoi_station.demo.temporary_folder import temporary_folder
     from vaoi_station.errors import InputError
     from vaoi_station.simulation import find_scenario
 
@@ -33,7 +38,9 @@ def demo(
         raise InputError("--out and --json need --once.", action="Add --once, or omit them.")
     code = 0
     try:
-        with interruptible():
+        with interruptible(), temporary_folder("board") as folder:
+            if board is not None:
+                path = write_given_scenario(board, path, folder)
             if once:
                 code = _once(path, out or Path("vaoi-demo"), port, as_json)
             else:

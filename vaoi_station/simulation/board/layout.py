@@ -7,18 +7,22 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from vaoi_station.files import read_board_type
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import MM_PER_UNIT, BoardIdentity, BoardType, Component, Fiducial
-from vaoi_station.simulation.board.packages import BIG, MIDDLE, SMALL, Package, light_emitting_diode
+from vaoi_station.simulation.board.packages import BIG, MIDDLE, SMALL, Package, light_emitting_diode, package_of
 from vaoi_station.simulation.scenario import BoardSection
+from vaoi_station.simulation.surroundings import FiducialMark
 
 _EDGE_MM = 1.5
 _GAP_MM = 0.8
 _TRIES = 60
+_AT_MM = 0.05
+"""Distance below which a component of a given board is its fiducial, mm."""
 
 
 @dataclass(frozen=True)
@@ -53,12 +57,12 @@ def board_from_cad(section: BoardSection) -> Floats:
 
     It follows from the unit, the y axis and the side of the board that the scenario states.
     """
-    k = MM_PER_UNIT[section.unit]
+    k, (x0, y0) = MM_PER_UNIT[section.unit], section.origin
     flip_x, flip_y = section.side == "bottom", section.y_axis == "up"
     return np.array(
         [
-            [-k if flip_x else k, 0.0, section.width_mm if flip_x else 0.0],
-            [0.0, -k if flip_y else k, section.length_mm if flip_y else 0.0],
+            [-k if flip_x else k, 0.0, section.width_mm + k * x0 if flip_x else -k * x0],
+            [0.0, -k if flip_y else k, section.length_mm + k * y0 if flip_y else -k * y0],
             [0.0, 0.0, 1.0],
         ]
     )
@@ -67,6 +71,9 @@ def board_from_cad(section: BoardSection) -> Floats:
 def board_type(section: BoardSection, parts: tuple[Part, ...], identity: BoardIdentity | None = None) -> BoardType:
     """Describe a generated board, and its codes, as CAD data, in the unit and axes that the scenario states."""
     k = MM_PER_UNIT[section.unit]
+    if section.file is not None:
+        given = read_board_type(section.file)
+        return given if identity is None else given.model_copy(update={"identity": identity})
     back = np.linalg.inv(board_from_cad(section))
     # CAD data describe a board as seen from its top side, so rotations on the bottom side have the opposite sign.
     spin = -1.0 if section.side == "bottom" else 1.0
@@ -112,10 +119,41 @@ def board_type(section: BoardSection, parts: tuple[Part, ...], identity: BoardId
 def place_parts(section: BoardSection) -> tuple[Part, ...]:
     """Place parts at random free positions: large parts first, small parts last and in aligned groups.
 
-    A board with `grid_mm` has equal parts on a regular grid instead, as boards of LEDs have.
+    A board with a `file` has the parts of that board type. A board with `grid_mm` has equal parts on a regular grid
+    instead, as boards of LEDs have.
     """
+    if section.file is not None:
+        return _given_parts(section, read_board_type(section.file))
     placer = _PartPlacer(section)
     return placer.fill() if section.grid_mm is None else placer.fill_grid(section.grid_mm)
+
+
+def _given_parts(section: BoardSection, given: BoardType) -> tuple[Part, ...]:
+    """Return the parts of a board type, with packages that fit their boxes."""
+    board, k = board_from_cad(section), MM_PER_UNIT[section.unit]
+    spin = -1.0 if section.side == "bottom" else 1.0
+
+    def part(component: Component) -> Part:
+        x, y = apply(board, component.center)
+        height = None if component.body_height is None else component.body_height * k
+        package = package_of(component.ref, (component.width * k, component.height * k), height)
+        body_height = 0.0 if component.fitted is False else round(package.body_height * section.height_scale, 4)
+        part = Part(component.address, package, (float(x), float(y)), spin * component.rotation % 360, body_height)
+        # A box that contains a fiducial is larger than its body, since the fiducial is in view.
+        return replace(part, body_height_mm=0.0) if any(_covers(part, mark) for mark in section.marks) else part
+
+    # Importers list fiducials as parts, too: the mark alone is drawn there.
+    marks = [(f.x, f.y) for f in given.fiducials]
+    bare = [c for c in given.components if min((math.dist(c.center, m) for m in marks), default=math.inf) * k > _AT_MM]
+    return tuple(map(part, bare))
+
+
+def _covers(part: Part, mark: FiducialMark) -> bool:
+    """Return whether the box of a part reaches into a fiducial and the bare ring around it."""
+    a, reach = math.radians(part.turned_deg), mark.diameter_mm
+    x, y = mark.x_mm - part.place[0], mark.y_mm - part.place[1]
+    u, v = math.cos(a) * x - math.sin(a) * y, math.sin(a) * x + math.cos(a) * y
+    return abs(u) < part.package.size[0] / 2 + reach and abs(v) < part.package.size[1] / 2 + reach
 
 
 class _PartPlacer:
@@ -210,11 +248,11 @@ class _PartPlacer:
 
 
 def mounting_holes(section: BoardSection) -> tuple[tuple[float, float], ...]:
-    """Return the centres of the mounting holes, mm: two on large boards, none on small ones.
+    """Return the centres of the mounting holes, mm: two on large boards, none on small ones and on given ones.
 
     They lie where the default fiducials leave room.
     """
-    if min(section.width_mm, section.length_mm) < 45:
+    if min(section.width_mm, section.length_mm) < 45 or section.file is not None:
         return ()
     return (4.5, section.length_mm - 4.5), (section.width_mm / 2, 4.5)
 

@@ -6,7 +6,7 @@ Local coordinates: origin in the centre of the footprint, u to the right, v down
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 Box = tuple[float, float, float, float]
@@ -124,6 +124,36 @@ def _row_pair(
     pads = tuple((side * pad_at, v, reach * 1.1, wide * 1.3) for side in (-1, 1) for v in at)
     leads = tuple((side * lead_at, v, reach * 0.9, wide) for side in (-1, 1) for v in at)
     return pads, leads
+
+
+def package_of(ref: str, body: tuple[float, float], height: float | None) -> Package:
+    """Return a package for a part of which only designator and body are known: a chip, or a body with leads.
+
+    Args:
+        ref: designator, whose letters are those of its kind.
+        body: width and height of the body, mm.
+        height: height of the body, mm; None: a third of the shorter side, at most 3 mm.
+    """
+    letters = ref.rpartition("/")[2].rstrip("0123456789")
+    length, width = max(body), min(body)
+    tall = min(max(width / 3, 0.3), 3.0) if height is None else height
+    if letters in ("R", "C", "L", "D", "FB", "F") and length <= _LONGEST_CHIP_MM:
+        finish = Finish.RESISTOR if letters == "R" else Finish.CERAMIC
+        package = chip("chip", letters, (length, width), tall, finish)
+    else:
+        pitch = 1.27 if length > 3 else 0.65
+        pads, leads = _row_pair(max(int((length - 0.5) / pitch), 1), pitch, width, 0.6, 0.4 * pitch)
+        pads, leads = (tuple((v, u, h, w) for u, v, w, h in boxes) for boxes in (pads, leads))
+        finish = Finish.HEADER if letters in ("J", "P", "X", "CN") else Finish.EPOXY
+        package = Package("body", letters or "U", (length, width), (length, width), tall, finish, pads, leads)
+    if body[0] >= body[1]:
+        return package
+    pads, leads = (tuple((v, u, h, w) for u, v, w, h in boxes) for boxes in (package.pads, package.leads))
+    return replace(package, size=package.size[::-1], body=package.body[::-1], pads=pads, leads=leads)
+
+
+_LONGEST_CHIP_MM = 7.0
+"""Length above which a part with two terminals is drawn as a body with leads."""
 
 
 # The tables hold functions, so that packages are built when a board needs them and not on import.

@@ -36,7 +36,7 @@ export class LineView {
   #station;
   #refresh;
   #again = 0;
-  #sounded = ""; // the fault, or the failed board, of which the tone has told
+  #sounded = ""; // the fault or failed board for which the tone was played
   #shownAt = 0;
 
   constructor(station, refresh) {
