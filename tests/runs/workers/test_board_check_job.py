@@ -10,6 +10,7 @@ from tests.board_check.conftest import drawn_board, drawn_run
 from vaoi_station.files.images import decode
 from vaoi_station.runs.workers.board_check_job import BoardCheckJob
 from vaoi_station.runs.workers.jobs import Priority
+from vaoi_station.runs.workers.worker import Queued
 
 
 def test_a_job_can_be_sent_and_yields_report_and_picture() -> None:
@@ -18,6 +19,7 @@ def test_a_job_can_be_sent_and_yields_report_and_picture() -> None:
     job = BoardCheckJob("r1", 0, 1, {(0, 0): 5}, run.stitch, run.cameras, (), board, board)
     sent: BoardCheckJob = pickle.loads(pickle.dumps(job))
     assert sent.priority is Priority.HEIGHTS
+    assert (Queued(sent).repeatable, Queued(sent).longest_s) == (False, 180.0)
     assert str(sent) == "the check of board type 'drawn' against run r1"
     slots: list[int] = []
 

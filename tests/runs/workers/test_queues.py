@@ -267,8 +267,14 @@ def test_a_worker_that_does_not_answer_is_not_the_one_left_free(hall: Hall) -> N
 def test_the_only_sound_worker_renders_too(ring_board: RingBoard) -> None:
     alone = Hall(ring_board, 2)
     alone.workers[1].ready = False
+    long = replace(alone.picture(), priority=Priority.HEIGHTS)
+    alone.add(long)
+    assert alone.choose(0) is None, "it takes seconds, and a run is open"
     alone.add(alone.picture())
     assert isinstance(alone.choose(0), RenderJob)
+    alone.workers[0].jobs.clear()
+    alone.queues.runs.clear()
+    assert alone.choose(0) is long
 
 
 @settings(max_examples=60, deadline=None)

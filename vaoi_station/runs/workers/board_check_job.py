@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 from numpy.typing import NDArray
 
@@ -47,6 +47,9 @@ class BoardCheckJob(FramesJob):
     # It takes seconds, so everything else comes first.
     priority: Priority = Priority.HEIGHTS
     request: int = 0
+    # A second worker would take as long, and could not be asked for pictures meanwhile.
+    repeatable: ClassVar[bool] = False
+    longest_s: ClassVar[float | None] = 180.0
 
     def perform(self, frame: Callable[[int], NDArray[Any]]) -> CheckedBoard:
         """Check the board type; `frame` returns the pixels of a slot."""

@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection, Mapping, Set
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from numpy.typing import NDArray
 
@@ -150,6 +150,11 @@ class PictureJob:
 
     priority: Priority = Priority.RENDER
     affinity: int | None = None
+
+    repeatable: ClassVar[bool] = True
+    """Whether an idle worker repeats the job when it is overdue."""
+    longest_s: ClassVar[float | None] = None
+    """Longest time for the job; None: the limit of all jobs."""
 
 
 class FramesJob(PictureJob, ABC):

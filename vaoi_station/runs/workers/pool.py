@@ -273,8 +273,9 @@ class WorkerPool:
             # Another worker that began later has done all of it. So this worker does not merely wait for a busy
             # computer.
             outrun = worker.ready and busy and all(queued.done for queued in worker.jobs)
+            longest_s = (worker.job.longest_s if worker.job else None) or JOB_LIMIT_S
         since_s = worker.since_s if busy else worker.pinged_s
-        limit_s = REPEATED_LIMIT_S if outrun else JOB_LIMIT_S if worker.ready else START_LIMIT_S
+        limit_s = REPEATED_LIMIT_S if outrun else longest_s if worker.ready else START_LIMIT_S
         if since_s is not None and now - since_s > limit_s:
             worker.kill()
         elif not busy and worker.pinged_s is None and now - (worker.seen_s or now) > PING_INTERVAL_S:

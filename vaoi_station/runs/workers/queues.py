@@ -118,13 +118,16 @@ class JobQueues:
 
         A conclusion that comes meanwhile thus never waits for a picture. While a run is open, the worker that gathers
         its evidence stays free: another one would have to receive all of it first. The only sound worker renders too:
-        it would make no pictures at all otherwise, and a conclusion waits for at most the one under way. Small pictures
-        are no longer than links. Parts of batches may take all workers while no run is open: they are short, and the
-        conclusion of a board that comes now is seconds away.
+        it would make no pictures at all otherwise, and a conclusion waits for at most the one under way. Jobs of the
+        last priority take seconds, so there they wait until no run is open. Small pictures are no longer than links.
+        Parts of batches may take all workers while no run is open: they are short, and the conclusion of a board that
+        comes now is seconds away.
         """
         if priority is Priority.SMALL_RENDER or (priority is Priority.BATCH and not self.runs):
             return True
         others = [other for other in self._workers if other is not worker and other.ready and not other.overdue]
+        if not others and self.runs and priority is Priority.HEIGHTS:
+            return False
         if others and self.runs and worker.index == self.concluder:
             return False
         return not others or any(not _with_picture_or_check(other) for other in others)

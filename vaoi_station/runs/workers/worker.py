@@ -66,7 +66,14 @@ class Queued:
         Gathered evidence is useful only to the worker that gathers it. The evidence of a check exists only in its
         worker.
         """
-        return not self.done and isinstance(self.job, LinkJob | ConcludeJob | PictureJob)
+        if isinstance(self.job, PictureJob):
+            return not self.done and self.job.repeatable
+        return not self.done and isinstance(self.job, LinkJob | ConcludeJob)
+
+    @property
+    def longest_s(self) -> float | None:
+        """Longest time for the job; None: the limit of all jobs."""
+        return self.job.longest_s if isinstance(self.job, PictureJob) else None
 
 
 @dataclass
