@@ -191,6 +191,10 @@ def test_local_fiducials_place_their_components(recording: vaoi.RecordedRun, tmp
     run = vaoi.open_recording(recording.directory, board_type=changed).stitch()
     assert run.status == vaoi.Status.OK, run.reasons
     assert set(run.result.local_matrices or ()) == set(near)
+    for ref in run.refs:
+        assert (np.array(run.component_matrix(ref)) == np.array(run.cad_matrix)).all() == (ref not in near)
+    with pytest.raises(vaoi.NotFoundError):
+        run.component_matrix("U99")
     assert run.result.quality["local_fiducials"][near[0]]["sigma_mm"] < 0.003
     assert run.result.quality["fiducial_check"]["fiducials"] == len(board.fiducials[:2])
     truth = json.loads((recording.directory / "truth.json").read_text())

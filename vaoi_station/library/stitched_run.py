@@ -95,6 +95,15 @@ class StitchedRun:
         """CAD matrix C (3, 3), from CAD to tester coordinates; None if the result has no CAD mapping."""
         return self.result.cad_matrix
 
+    def component_matrix(self, ref: str) -> Floats | None:
+        """Return C (3, 3) of a component: its own where local fiducials place it; None without a CAD mapping.
+
+        Raises:
+            NotFoundError: the board type has no such component.
+        """
+        require_text("component_matrix", "ref", ref)
+        return self.result.component_matrix(self._part(ref).address)
+
     def image_matrix(self, camera: int, row: int) -> Floats | None:
         """Return image matrix M_ij (3, 3), from tester to undistorted pixels; None if the frame was not placed."""
         check_frame_index(camera, row, len(self.cameras), len(self.result.row_motion), self.recording.directory)

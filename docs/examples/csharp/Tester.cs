@@ -38,7 +38,7 @@ static class Tester
     static async Task Read(VaoiStation station, string run, string component)
     {
         Matrices matrices = await station.Matrices(run);
-        Console.WriteLine("  C: scale " + matrices.Cad[0].Take(2).Select(v => v * v).Sum().ToString("0.00"));
+        Console.WriteLine("  C: scale " + matrices.CadOf(component)[0].Take(2).Select(v => v * v).Sum().ToString("0.00"));
         foreach (View view in (await station.Component(run, component, "limit", 2)).Views)
         {
             Picture picture = await station.Picture(view);

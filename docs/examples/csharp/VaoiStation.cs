@@ -208,7 +208,8 @@ namespace Vaoi
 
         internal static T Json<T>(byte[] body)
         {
-            return (T)new DataContractJsonSerializer(typeof(T)).ReadObject(new MemoryStream(body));
+            var settings = new DataContractJsonSerializerSettings { UseSimpleDictionaryFormat = true };
+            return (T)new DataContractJsonSerializer(typeof(T), settings).ReadObject(new MemoryStream(body));
         }
 
         private static string With(string url, string option) { return url + (url.Contains("?") ? "&" : "?") + option; }
@@ -374,10 +375,19 @@ namespace Vaoi
         [DataMember(Name = "image_matrices")] public double[][][][] Image;
         /// <summary>C, CAD to tester; null if it is unknown.</summary>
         [DataMember(Name = "cad_matrix")] public double[][] Cad;
+        /// <summary>C of each component that its local fiducials place, by address; null if all follow Cad.</summary>
+        [DataMember(Name = "local_matrices")] public Dictionary<string, double[][]> Local;
         [DataMember(Name = "row_motion")] public double[][][] RowMotion;
         [DataMember(Name = "status")] public string Status;
         [DataMember(Name = "reasons")] public string[] Reasons;
         [DataMember(Name = "reason_codes")] public string[] ReasonCodes;
+
+        /// <summary>CAD to tester for one component: its own C where local fiducials place it.</summary>
+        public double[][] CadOf(string component)
+        {
+            double[][] own;
+            return Local != null && Local.TryGetValue(component, out own) ? own : Cad;
+        }
     }
 
     [DataContract]
