@@ -35,6 +35,9 @@ a mixture of tilt, twist and bow."""
 _LAMINATE, _ARTWORK_MM = 3e-4, 0.01
 """Standard deviations of a board's relative scale and of a fiducial's position (mm), in the search for a wrong
 fiducial."""
+_PLACE_MM = 0.03
+"""Standard deviation of the place of a fiducial where links alone give the motion of the rows. Without it, an error of
+the motion over some rows passes for a wrong fiducial, and a right one is named."""
 _PLAINLY = 4.0
 """A fiducial is named as wrong only if leaving out any other fiducial gives a χ² that is larger by at least this
 factor."""
@@ -293,7 +296,9 @@ def _fit_without(n: int, plane: BoardPlane, places: dict[int, Floats]) -> tuple[
         return np.inf, 0.0
     misfit = fit(cad[others]) - board
     scale = fit.scale / plane.board_type.mm_per_unit - 1
-    cost = float((misfit**2).sum()) / _ARTWORK_MM**2 + (scale / _LAMINATE) ** 2
+    apart_mm = float(np.hypot(*np.ptp(board, axis=0)))
+    cost = float((misfit**2).sum()) / (_ARTWORK_MM**2 + _PLACE_MM**2)
+    cost += scale**2 / (_LAMINATE**2 + 2 * (_PLACE_MM / apart_mm) ** 2)
     return cost, float(np.hypot(*(fit(cad[n]) - places[n])))
 
 
