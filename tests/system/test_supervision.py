@@ -44,11 +44,12 @@ class Broken:
 
     def hang(self, thread: SupervisedThread) -> None:
         """Make a thread wait for the end of the test in its next pass."""
-        thread._limit_s = 1.0
         record = thread.beat
 
         def stand() -> None:
             record()
+            # Not before: a thread that last beat more than a second ago would be noticed at once, and beat again here.
+            thread._limit_s = 1.0
             self.release.wait()
 
         thread.beat = stand  # type: ignore[method-assign]
