@@ -9,9 +9,8 @@ import sys
 from pathlib import Path
 
 import cv2
-import pytest
 
-from tests.needs import FILMS, need
+from tests.needs import FILMS, need, need_films
 from vaoi_station.cli.station.demo import demo
 from vaoi_station.demo.client import Client
 from vaoi_station.demo.given_board import write_given_scenario
@@ -23,8 +22,8 @@ GUIDE = Path(__file__).parents[3] / "docs" / "first-board.md"
 PRODUCT = FILMS / "boards" / "orangecrab"
 
 
-@pytest.mark.skipif(not PRODUCT.is_dir(), reason="the data of real products are not beside the checkout")
 def test_the_guide_leads_from_cad_files_to_pictures(tmp_path: Path) -> None:
+    need_films()
     need("curl")
     blocks = re.findall(r"^```sh\n(.*?)^```", GUIDE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
     make, film, *fetch = blocks
