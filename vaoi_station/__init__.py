@@ -34,15 +34,19 @@ if TYPE_CHECKING:
         write_calibration,
         write_image,
     )
-    from vaoi_station.library.live_station import Station, StationRun, connect
+    from vaoi_station.library.live_station import Station, connect
     from vaoi_station.library.picture_stream import ComponentPictures
     from vaoi_station.library.recorded_run import RecordedRun, open_recording, stitch
     from vaoi_station.library.simulated_run import simulate
+    from vaoi_station.library.station.async_board_types import AsyncBoardTypes
+    from vaoi_station.library.station.station_board_types import StationBoardTypes
+    from vaoi_station.library.station.station_run import MergedPicture, StationRun
     from vaoi_station.library.stitched_run import StitchedRun
     from vaoi_station.model import BoardType, Calibration, Component, Status
     from vaoi_station.model import Stitch as Result
 
 _LOCATIONS = {
+    "AsyncBoardTypes": "library.station.async_board_types",
     "AsyncStation": "library.async_station",
     "AsyncStationRun": "library.async_station",
     "BoardType": "model",
@@ -58,13 +62,15 @@ _LOCATIONS = {
     "ImportedBoard": "library.board_data",
     "InputError": "errors",
     "InternalError": "errors",
+    "MergedPicture": "library.station.station_run",
     "NotFoundError": "errors",
     "RecordedRun": "library.recorded_run",
     "Result": "model:Stitch",
     "StateError": "errors",
     "Station": "library.live_station",
     "StationImport": "library.board_data",
-    "StationRun": "library.live_station",
+    "StationRun": "library.station.station_run",
+    "StationBoardTypes": "library.station.station_board_types",
     "Status": "model",
     "StitchedRun": "library.stitched_run",
     "VaoiError": "errors",
@@ -85,6 +91,7 @@ _LOCATIONS = {
 """For every public name, the module that defines it, and after a colon the name in that module if it differs."""
 
 __all__ = [
+    "AsyncBoardTypes",
     "AsyncStation",
     "AsyncStationRun",
     "BoardType",
@@ -100,11 +107,13 @@ __all__ = [
     "ImportedBoard",
     "InputError",
     "InternalError",
+    "MergedPicture",
     "NotFoundError",
     "RecordedRun",
     "Result",
     "StateError",
     "Station",
+    "StationBoardTypes",
     "StationImport",
     "StationRun",
     "Status",

@@ -28,6 +28,9 @@ CAMERAS_OF = {"simulated": "simulated", "replay": "replay", "serial": "aravis"}
 TABLE_OF = {"simulated": "simulation", "replay": "replay"}
 """For each controller backend without devices, the table that configures its scenario or recordings."""
 
+CHUNK_ROOM_BYTES = 4096
+"""Room for the chunk data of a frame. Exposure and gain take 40 bytes; what a camera adds always is some hundred."""
+
 LONGEST_GAP_S = 2147.0
 """Longest gap, in whole seconds, of the protocol: 32 bits of ticks of 0.5 µs (hw/protocol.md)."""
 
@@ -54,9 +57,10 @@ class CameraConfig(Section):
     offset_px: tuple[Pixels, Pixels] = (0, 0)
     """Column and row of the sensor's pixel at which the frame begins."""
     gain_db: Finite = 0.0
-    exposure_by: Literal["auto", "register", "trigger-width"] = "auto"
-    """What sets the exposure of a real camera under a light program: its register, the same for all rows, or the width
-    of the trigger, row by row. `auto`: the register unless the program has rows of different exposure."""
+    exposure_by: Literal["auto", "register", "trigger-width", "sequencer"] = "auto"
+    """What sets the exposure of a real camera under a light program: its register, the same for all rows, or row by
+    row the width of the trigger, or the camera's sequencer, with the gain too. `auto`: the register unless the program
+    has rows of different exposure, and then the width of the trigger."""
     trigger_line: Word | None = None
     """Input of the camera to which the trigger is wired; None for the usual one of its vendor."""
     packet_bytes: Annotated[Whole, Field(ge=576, le=65535)] | None = None
@@ -94,6 +98,11 @@ class CameraConfig(Section):
     def frame_bytes(self) -> int:
         """Size of one frame in the ring, in bytes."""
         return PIXEL_FORMATS[self.pixel_format].nbytes(self.width, self.height)
+
+    @property
+    def chunk_room_bytes(self) -> int:
+        """Room behind the pixels of each frame for its chunk data, which state exposure and gain; 0 if it has none."""
+        return CHUNK_ROOM_BYTES if self.exposure_by == "sequencer" else 0
 
     @model_validator(mode="after")
     def _one_of_a_kind(self) -> Self:
@@ -209,8 +218,21 @@ class KeepConfig(Section):
     them."""
     recordings_gb: NotNegative = 20.0
     """Size of the kept recordings of failed, degraded and pinned runs, in 10^9 bytes; 0 keeps none."""
+    mosaics_gb: NotNegative = 1.0
+    """Size of the kept pictures of whole boards, in 10^9 bytes; 0 keeps none."""
     recordings_of_failed: bool = True
     """Whether frames of failed and degraded runs are kept; those of pinned runs always are."""
+
+
+class ArchiveConfig(Section):
+    """The archive to which finished runs are handed: all that are kept as recordings, and some of the good ones."""
+
+    url: Annotated[str, Field(min_length=1)]
+    """Directory, or an address that fsspec knows. It must have been made by `vaoi archive create`."""
+    ok_every: Annotated[Whole, Field(ge=0)] = 0
+    """Of the runs with verdict ok about every n-th is archived, chosen by its id; 1: all, 0: pinned ones only."""
+    mb_s: Annotated[Positive, Field(ge=0.1)] | None = None
+    """Largest mean rate in 10^6 bytes per s; None: no limit."""
 
 
 class ApiConfig(Section):
@@ -259,6 +281,7 @@ class StationConfig(Section):
     api: ApiConfig = ApiConfig()
     keep: KeepConfig = KeepConfig()
     push: PushConfig = PushConfig()
+    archive: ArchiveConfig | None = None
     program: Program = ()
     """Light, exposure and gain of the rows, in turn, unless the board type has a program."""
     visibility: Visibility = Visibility()

@@ -11,8 +11,9 @@ from __future__ import annotations
 import logging
 import os
 import threading
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack, suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
 
 from vaoi_station.acquisition.process.backends import row_lights
 from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
@@ -30,6 +31,7 @@ from vaoi_station.runs.control.calibration_watch import CalibrationWatch
 from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.runs.control.core import Parts
 from vaoi_station.runs.control.reasons import thread_reasons
+from vaoi_station.runs.handover.handover import Handover
 from vaoi_station.runs.host.mount_view import RemountWatch
 from vaoi_station.runs.host.start_wait import StartWait
 from vaoi_station.runs.host.stop_request import StopRequest
@@ -41,6 +43,7 @@ from vaoi_station.runs.run.reference_store import ReferenceStore
 from vaoi_station.runs.run.salvage import camera_heads
 from vaoi_station.runs.run.standing_order import StandingOrder
 from vaoi_station.runs.states.run_ids import RunIds, utc
+from vaoi_station.runs.states.schemas import Reason
 from vaoi_station.runs.workers.pool import WorkerPool
 from vaoi_station.store import BoardTypeDirectory, Database, Store
 from vaoi_station.store.soundness import DatabaseCheck
@@ -59,6 +62,32 @@ REPORT_S = 1.0
 EXIT_FAULT = 4
 """Exit code of a station that cannot continue: an internal error."""
 DATABASE, REFERENCES = "station.db", "references"
+
+
+class Outlets:
+    """What a station hands on to others: events to receivers, finished runs to an archive."""
+
+    def __init__(self, config: StationConfig, events: EventLog, archive: Archive) -> None:
+        self.push = PushService(config.data, config.push, config.name, events)
+        self._handover = None
+        if config.archive is not None:
+            # A run that is not stored yet is on the belt or with the workers.
+            self._handover = Handover(config.archive, config.name, events, lambda: archive.count_at_risk() > 0)
+
+    def reasons(self) -> tuple[Reason, ...]:
+        """Return a warning for each receiver that fails, and one while the archive takes no runs."""
+        return (*self.push.reasons(), *(self._handover.reasons() if self._handover else ()))
+
+    @contextmanager
+    def running(self, watch: Callable[[SupervisedThread], None], coordinator: StationCoordinator) -> Iterator[None]:
+        """Serve both while a `with` block runs, with threads that `watch` supervises."""
+        with ExitStack() as parts:
+            if (handover := self._handover) is not None:
+                parts.enter_context(handover.running(coordinator.kept.recordings))
+                coordinator.kept.archive_status = handover.status
+                watch(handover.thread)
+            parts.enter_context(self.push.running(watch, lambda: str(coordinator.snapshot().state)))
+            yield
 
 
 class Station:
@@ -128,10 +157,12 @@ class Station:
             standing = StandingOrder(store.standing)
             resumed = standing.resume(board_types.get, make_order)
             run_ids = RunIds(store.newest_run())
-            push = PushService(config.data, config.push, config.name, events)
+            outlets = Outlets(config, events, archive)
             supervisor = Supervisor(notify_watchdog, lambda faults: self._report(events, faults))
             coordinator = StationCoordinator(
-                Parts(config, ring, grants, workers, archive, events, run_ids, watch, standing, resumed, push.reasons),
+                Parts(
+                    config, ring, grants, workers, archive, events, run_ids, watch, standing, resumed, outlets.reasons
+                ),
                 ring,
                 board_types,
                 make_order,
@@ -143,7 +174,7 @@ class Station:
             if (remount := self._remount) is not None:
                 housekeeping.add(lambda: remount.check(archive.count_at_risk()), REMOUNT_S, code="storage-read-only")
             housekeeping.add(coordinator.sweep_references, RETENTION_S, code="retention")
-            housekeeping.add(coordinator.kept.recordings.tend, RETENTION_S, code="retention")
+            housekeeping.add(coordinator.kept.tend, RETENTION_S, code="retention")
             # The exit stack calls in reverse order: the link stops first, then the workers, then the coordinator, which
             # thus receives the last reports of both.
             parts.callback(coordinator.close)
@@ -163,14 +194,15 @@ class Station:
             supervisor.watch(
                 grants.thread,
                 coordinator.kept.recordings.thread,
-                coordinator.kept.identities.thread,
-                coordinator.heights.thread,
+                coordinator.kept.identities.queue.thread,
+                coordinator.heights.queue.thread,
+                coordinator.kept.mosaics.queue.thread,
             )
             parts.callback(supervisor.stop)
             supervisor.start()
-            # Receivers come last, and go first: the line waits for none of them.
-            parts.enter_context(push.running(supervisor.watch, lambda: str(coordinator.snapshot().state)))
-            self._supervisor, self._push = supervisor, push
+            # Receivers and the archive come last, and go first: the line waits for none of them.
+            parts.enter_context(outlets.running(supervisor.watch, coordinator))
+            self._supervisor, self._push = supervisor, outlets.push
             self._parts, self._coordinator, self._wound_down = parts.pop_all(), coordinator, False
 
     def watch(self, thread: SupervisedThread) -> None:
@@ -221,13 +253,17 @@ def _housekeeping(config: StationConfig, store: Store, events: EventLog) -> Hous
     return housekeeping
 
 
-def serve(config: StationConfig, port: int | None = None) -> None:
-    """Run the station and its web server until SIGTERM or SIGINT. `port` replaces the configured port."""
+def serve(config: StationConfig, port: int | None = None, file: Path | None = None) -> None:
+    """Run the station and its web server until SIGTERM or SIGINT.
+
+    `port` replaces the configured port; `file` is the station.toml, to examine the station or set it up.
+    """
     from vaoi_station.api import create_app
     from vaoi_station.api.access.access_control import AccessControl
     from vaoi_station.api.access.audit import AUDIT_FILE, AuditLog
     from vaoi_station.api.listener.certificate import CertificateFiles
     from vaoi_station.api.routes.waiting_page import WaitingPage
+    from vaoi_station.api.setup.station_files import StationFiles
     from vaoi_station.api.web_server import WebServer, open_listener
 
     api, keys = config.api, KeyFile(config.data / KEY_FILE)
@@ -249,7 +285,9 @@ def serve(config: StationConfig, port: int | None = None) -> None:
         audit = AuditLog(config.data / AUDIT_FILE)
         parts.callback(audit.close)  # what was noted last is written before the process ends
         access = AccessControl(keys, audit, open_loopback=api.open_loopback)
-        web = WebServer(create_app(station.coordinator, names, access, station.push), socket_, stop.request, tls=tls)
+        files = None if file is None else StationFiles(file.resolve(), config)
+        app = create_app(station.coordinator, names, access, station.push, file, files)
+        web = WebServer(app, socket_, stop.request, tls=tls)
         web.start()
         station.watch(web.thread)
         station.watch(audit.thread)

@@ -12,12 +12,13 @@ import pytest
 from fastapi.testclient import TestClient
 
 from tests.api.held_station import HeldStation
-from tests.certificates import Certificate
+from tests.peers.certificates import Certificate
 from tests.push.event_list import EventList
 from vaoi_station.api import create_app
 from vaoi_station.api.access.access_control import AccessControl
 from vaoi_station.api.listener.certificate import CertificateFiles
 from vaoi_station.api.listener.connections import ConnectionLimits
+from vaoi_station.api.setup.station_files import StationFiles
 from vaoi_station.api.web_server import WebServer, open_listener
 from vaoi_station.model.receivers import PushConfig
 from vaoi_station.push.push_service import PushService
@@ -33,9 +34,10 @@ class Served:
         limits: ConnectionLimits | None = None,
         access: AccessControl | None = None,
         certificate: Certificate | None = None,
+        files: StationFiles | None = None,
     ) -> None:
         self.station = station
-        self.app = create_app(station, access=access)
+        self.app = create_app(station, access=access, files=files)
         self._socket = open_listener("127.0.0.1", port, "test")
         self.port = self._socket.getsockname()[1]
         tls = None if certificate is None else CertificateFiles(*certificate)

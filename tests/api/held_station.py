@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from tests.api.held.chosen_images import chosen_images
 from tests.api.held.history import HeldHistory, HeldTypes
+from tests.api.held.inspection import held_components, held_quality, held_timeline
 from tests.api.held.merged import HeldMerged
-from tests.api.held.mosaics import HeldMosaics
+from tests.api.held.mosaics import HeldKeptMosaics, HeldMosaics
 from tests.api.held.pins import HeldPins, HeldStorage
 from vaoi_station.api.encoders import ImageFormat, encode_image
 from vaoi_station.config import MethodName
@@ -86,6 +87,7 @@ class HeldStation(StationCoordinator):
         self.broken = self.closed = False
         self.lights: tuple[str, ...] = ()
         self.merged, self.mosaics = HeldMerged(self), HeldMosaics(self)  # type: ignore[assignment]
+        self.kept.mosaics = HeldKeptMosaics(self)  # type: ignore[assignment]
         matrix = np.array([[PX_PER_MM, 0, 0], [0, -PX_PER_MM, 320], [0, 0, 1]])
         n = Projective(matrix, System.IMAGE, System.ROW)
         self.cameras = tuple(Camera(WIDTH, HEIGHT, n, Lens((0.0, 0.0), 1.0), 400.0) for _ in range(CAMERAS))
@@ -323,14 +325,15 @@ class HeldStation(StationCoordinator):
         motion = [np.array([[1, 0, -5.0 * j], [0, 1, 0], [0, 0, 1]]) for j in range(ROWS)]
         images = tuple(tuple(None if (i, j) == (1, 2) else m @ d for j, d in enumerate(motion)) for i in range(CAMERAS))
         return Stitch(
-            method="held", image_matrices=images, cad_matrix=np.eye(3), row_motion=tuple(motion), status=Status.OK
-        )
+            method="held", image_matrices=images, cad_matrix=np.eye(3), row_motion=tuple(motion), status=Status.OK,
+            quality=held_quality(CAMERAS, ROWS),
+        )  # fmt: skip
 
     def stitch_text(self, run: str) -> str:
         return stitch_text(self.stitch(run))
 
     def timeline(self, run: str) -> Timeline:
-        raise NotFoundError(f"Run {run!r} has no timeline.")
+        return held_timeline(CAMERAS, ROWS, self.run(run).verdict is not None)
 
     def frame(
         self, run: str, camera: int, row: int, allow_incomplete: bool = False
@@ -347,13 +350,7 @@ class HeldStation(StationCoordinator):
 
     def components(self, run: str) -> tuple[ComponentSummary, ...]:
         unseen = {u.address for u in self.run(run).unseen}
-        return tuple(
-            ComponentSummary(
-                address=c.address, ref=c.ref, panel=c.panel, center_mm=c.center, width_mm=c.width, height_mm=c.height,
-                rotation_deg=c.rotation, tester_mm=c.center, views=2, unseen=c.address in unseen,
-            )
-            for c in self.types["demo-board"].components
-        )  # fmt: skip
+        return held_components(self.types["demo-board"], unseen, held_quality(CAMERAS, ROWS))
 
     def images(self, run: str, ref: str, wanted: ImageRequest = ImageRequest()) -> ChosenImages:  # noqa: B008
         return chosen_images(self, run, ref, wanted)

@@ -15,7 +15,7 @@ import httpx2
 import pytest
 from fastapi import FastAPI
 
-from tests.certificates import Certificate, make_certificate
+from tests.peers.certificates import Certificate, make_certificate
 from vaoi_station.api import web_server as module
 from vaoi_station.api.listener import acceptor, http_connection
 from vaoi_station.api.listener.certificate import CertificateFiles

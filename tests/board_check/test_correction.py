@@ -47,3 +47,27 @@ def test_footprints_move_with_their_centres_in_every_unit(y_axis: str) -> None:
 def test_an_outline_that_loses_its_fiducials_is_refused() -> None:
     with pytest.raises(ValueError, match="outside the outline"):
         moved_board_type(drawn_board(), Move(False, 0.0, 1.0, (0.0, 0.0), (40.0, 0.0)), ("components", "fiducials"))
+
+
+@pytest.mark.parametrize("degrees", [90.0, 0.0, 30.0])
+def test_places_of_codes_and_marks_of_the_fixture_move_with_the_fiducials(degrees: float) -> None:
+    board = BoardType.model_validate(
+        {
+            "name": "b",
+            "unit": "mm",
+            "outline": [[0, 0], [10, 10]],
+            "identity": {"pattern": "demo;{id}", "places": [{"center": [4, 2], "width": 3, "height": 1}]},
+            "fixture_mark": {"shape": "cross", "size": 2, "width": 0.5, "polarity": "light"},
+            "fixture_marks": [{"x": -3, "y": 5}],
+        }
+    )
+    move = Move(False, degrees, 1.0, (0.0, 0.0), (1.0, 2.0))
+    moved = moved_board_type(board, move, ALL)
+    assert moved.identity is not None
+    [place], [mark] = moved.identity.places, moved.fixture_marks
+    assert place.center == pytest.approx(tuple(apply(move.matrix, np.array([4.0, 2.0]))), abs=1e-4)
+    assert (mark.x, mark.y) == pytest.approx(tuple(apply(move.matrix, np.array([-3.0, 5.0]))), abs=1e-4)
+    corners = np.array([(2.5, 1.5), (5.5, 1.5), (5.5, 2.5), (2.5, 2.5)])
+    assert (place.width, place.height) == pytest.approx(tuple(np.ptp(apply(move.matrix, corners), axis=0)), abs=1e-4)
+    assert moved.identity.pattern == "demo;{id}"
+    assert moved_board_type(board, move, ("components",)).identity == board.identity

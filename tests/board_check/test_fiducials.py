@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vaoi_station.board_check.fiducials import distances_of_marks
 from vaoi_station.board_check.run_frames import CheckedRun
@@ -22,3 +24,18 @@ def test_a_mark_is_measured_where_it_is_and_missed_where_it_is_not(run: CheckedR
     assert math.isnan(found[1])
     assert math.isnan(found[2])
     assert max(found[3:]) < 0.01
+
+
+def test_a_mark_without_contrast_under_one_light_is_searched_under_another(run: CheckedRun, board: BoardType) -> None:
+    stitch = run.stitch
+    twice = {"row_motion": stitch.row_motion * 2, "image_matrices": tuple(m * 2 for m in stitch.image_matrices)}
+
+    def frame(camera: int, row: int) -> NDArray[np.generic] | None:
+        pixels = run.frame(camera, 0)
+        return np.full_like(pixels, 20) if pixels is not None and row == 0 else pixels
+
+    changed = replace(run, stitch=stitch.model_copy(update=twice), frame=frame)
+    matrix = np.array(stitch.cad_matrix)
+    assert all(math.isnan(distance) for distance in distances_of_marks(changed, board, matrix))
+    two_lights = replace(changed, lights=("dark", "bright"))
+    assert max(distances_of_marks(two_lights, board, matrix)) < 0.01

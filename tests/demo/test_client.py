@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 import socket
 from collections.abc import Iterator
+from typing import ClassVar
 
 import numpy as np
 import pytest
 
-from tests.web_server import ScriptedHandler, serving
+from tests.peers.web_server import ScriptedHandler, serving
+from vaoi_station.demo import client as client_module
 from vaoi_station.demo.client import Client
 from vaoi_station.errors import (
     BusyError,
@@ -177,6 +179,39 @@ def test_the_key_is_sent_with_every_request_and_to_no_other_address(address: str
     assert Client(address).get("/key")["key"] is None
     with pytest.raises(DeviceError, match="status 302 without problem details"):
         client.get("/moved")
+
+
+class LosesReplies(ScriptedHandler):
+    """Ends the connection in place of the first replies; then replies with the keys of all requests."""
+
+    lost = 2
+    keys: ClassVar[list[str | None]] = []
+
+    def do_POST(self) -> None:  # noqa: N802  (the name is that of the base class)
+        self.rfile.read(int(self.headers.get("Content-Length") or 0))
+        self.keys.append(self.headers.get("Idempotency-Key"))
+        if len(self.keys) == self.lost + 1:
+            problem = {"detail": "The command is still under way.", "action": "", "code": "request-under-way"}
+            self.send(409, json.dumps(problem).encode())
+        elif len(self.keys) > self.lost:
+            self.send(200, json.dumps({"keys": self.keys}).encode())
+        else:
+            self.close_connection = True
+
+
+def test_a_command_is_repeated_with_its_key_where_its_reply_was_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(client_module, "_PAUSE_S", 0.0)
+    monkeypatch.setattr(LosesReplies, "keys", [])
+    with serving(LosesReplies) as address:
+        keys = Client(address).post("/station/arm")["keys"]
+        assert len(keys) == 4
+        assert len(set(keys)) == 1
+        assert keys[0]
+        LosesReplies.keys.clear()
+        monkeypatch.setattr(LosesReplies, "lost", client_module.ATTEMPTS)
+        with pytest.raises(DeviceError, match="does not reply"):
+            Client(address).post("/station/arm")
+    assert len(LosesReplies.keys) == client_module.ATTEMPTS
 
 
 def test_absent_station_is_a_device_error() -> None:

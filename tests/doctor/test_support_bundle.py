@@ -11,7 +11,7 @@ import pytest
 
 from tests.api.conftest import Served
 from tests.api.held_station import HeldStation
-from tests.certificates import make_certificate
+from tests.peers.certificates import make_certificate
 from vaoi_station.api.access.access_control import AccessControl
 from vaoi_station.api.access.audit import AUDIT_FILE, AuditLog
 from vaoi_station.api.access.sessions import COOKIE
@@ -101,6 +101,10 @@ def test_no_key_no_hash_no_login_and_no_private_key_of_a_running_station_is_in_a
         ("keyboard = 1; the key = value stays", "keyboard = 1; the key = value stays"),
         ("GET /x?key=vaoi_0123456789ab_A-b_c done", "GET /x?key=[removed] done"),
         ("VAOI_KEY=vaoi_0123456789ab_A-b_c", "VAOI_KEY=[removed]"),
+        ('url = "https://chat.example/hooks/T0/B0/x9"', 'url = "https://chat.example[removed]"'),
+        ('{"url": "https://a.example:8443?t=1", "n": 2}', '{"url": "https://a.example:8443[removed]", "n": 2}'),
+        ('url = "http://127.0.0.1:9000"', 'url = "http://127.0.0.1:9000"'),
+        ("POST https://a.example/in?sig=abc&n=2", "POST https://a.example/in?sig=[removed]&n=2"),
         ("sent vaoi-session=abc-def; path=/", "sent vaoi-session=[removed]; path=/"),
         ("-----BEGIN PRIVATE KEY-----\nabc\n-----END PRIVATE KEY-----", REMOVED),
     ],

@@ -14,21 +14,25 @@ from collections.abc import Callable, Sequence
 
 from tests.gige.description import (
     ADDRESSES,
+    CHUNKS,
     MODEL_ADDRESS,
     PACKET_SIZE_ADDRESS,
     SERIAL_ADDRESS,
     VENDOR_ADDRESS,
     description,
 )
-from tests.gige.packets import CHUNKS, IMAGE, Stream
+from tests.gige.packets import IMAGE, WITH_CHUNKS, Stream
+from tests.gige.sequencer import Sequencer
 
 CONTROL_PORT = 3956
 PRIVILEGE, CAPABILITIES, STREAM_PORT, STREAM_ADDRESS = 0xA00, 0x934, 0xD00, 0xD18
 CAN_RESEND = 1 << 2
 ACCESS_DENIED = 0x8006
 XML_ADDRESS = 0x10000
-CHUNK_BYTES = 16
+IMAGE_CHUNK = 0xE0
 RESEND, READ_REGISTER, WRITE_REGISTER, READ_MEMORY, WRITE_MEMORY = 0x40, 0x80, 0x82, 0x84, 0x86
+
+SEQUENCER_ADDRESSES = frozenset(address for name, address in ADDRESSES.items() if name.startswith("Sequencer"))
 
 Script = Callable[[list[bytes]], Sequence[bytes]]
 """Function that makes from the packets of a frame those that are sent, in their order."""
@@ -42,7 +46,15 @@ def as_it_is(packets: list[bytes]) -> Sequence[bytes]:
 class Camera:
     """One camera. A thread answers control requests; `expose` sends frames in the thread of the caller."""
 
-    def __init__(self, address: str, serial: str = "GIGE", *, extended: bool = False, chunks: bool = False) -> None:
+    def __init__(
+        self,
+        address: str,
+        serial: str = "GIGE",
+        *,
+        extended: bool = False,
+        chunks: bool = False,
+        sequencer: bool = False,
+    ) -> None:
         """Serve the camera.
 
         Args:
@@ -50,8 +62,10 @@ class Camera:
             serial: serial number.
             extended: whether frame ids and packet ids have 64 and 32 bits.
             chunks: whether the camera adds chunk data to frames, unless a client turns them off.
+            sequencer: whether it has a sequencer, a gain, and chunk data that a client may turn on.
         """
         self.address, self.serial = address, serial
+        self._has_sequencer = sequencer
         self.extended, self._chunks = extended, chunks
         self.clock_offset_ns = 0
         """The camera's time minus this computer's monotonic time."""
@@ -75,7 +89,8 @@ class Camera:
 
     def boot(self) -> None:
         """Begin anew, as after a restart: default settings, no controlling client, frame ids from 1."""
-        xml = description(chunks=self._chunks).encode()
+        with_chunks = self._chunks or self._has_sequencer
+        xml = description(chunks=with_chunks, sequencer=self._has_sequencer).encode()
         memory = bytearray(XML_ADDRESS) + xml + bytes(8)
         url = f"Local:test.xml;{XML_ADDRESS:X};{len(xml):X}"
         texts = {VENDOR_ADDRESS: "Test", MODEL_ADDRESS: "Scripted", SERIAL_ADDRESS: self.serial, 0x200: url}
@@ -91,6 +106,8 @@ class Camera:
         for at, number in numbers.items():
             memory[at : at + 4] = number.to_bytes(4, "big")
         self._memory, self._owner, self.next_id = memory, ("", 0), 1
+        self.sequencer = Sequencer()
+        self._chunk_enabled = dict.fromkeys(CHUNKS, False)
         self.clock_offset_ns = -time.monotonic_ns()
         self._update_payload()
 
@@ -123,15 +140,41 @@ class Camera:
         number, self.next_id = self.next_id, self.next_id + 1
         if self.next_id > (2**64 - 1 if self.extended else 65535):
             self.next_id = 1
-        chunks = self.get("ChunkModeActive")
         packets = self.stream.frame(
-            pixels + bytes(CHUNK_BYTES * chunks), number, time_ns, IMAGE | CHUNKS if chunks else IMAGE
+            pixels + self._chunk_data(len(pixels)),
+            number,
+            time_ns,
+            IMAGE | WITH_CHUNKS if self.get("ChunkModeActive") else IMAGE,
         )
+        self.sequencer.advance()
         # Packets are sent again only after the frame, as a camera does it between two frames.
         with self._sending:
             self._sent = packets
             self.send(script(packets))
         return number
+
+    @property
+    def shutter(self) -> tuple[int, int]:
+        """Exposure (µs) and gain (0.01 dB) of the next frame: those of the sequencer's set, or of the registers."""
+        active = self.sequencer.active
+        return (self.get("ExposureTimeRaw"), self.get("GainCentibel")) if active is None else active
+
+    def film(self, scene: bytes, edge_ns: int) -> int:
+        """Send a frame of a scene of grey levels per 100 µs at gain 1, with the camera's exposure and gain."""
+        exposure_us, centibel = self.shutter
+        factor = exposure_us / 100 * 10 ** (centibel / 2000)
+        return self.expose(bytes(min(255, round(value * factor)) for value in scene), edge_ns=edge_ns)
+
+    def _chunk_data(self, pixels: int) -> bytes:
+        """Return the chunk data behind a number of pixels: each chunk is followed by its id and its length."""
+        if not self.get("ChunkModeActive"):
+            return b""
+        exposure_us, centibel = self.shutter
+        values = {"ExposureTime": float(exposure_us), "Gain": centibel / 100}
+        enabled = [name for name in CHUNKS if self._chunk_enabled[name]]
+        return struct.pack(">II", IMAGE_CHUNK, pixels) + b"".join(
+            struct.pack(">dII", values[name], CHUNKS[name], 8) for name in enabled
+        )
 
     def send(self, packets: Sequence[bytes]) -> None:
         """Send packets to the client."""
@@ -163,7 +206,11 @@ class Camera:
             return
         reply, status = b"", 0
         writes = command in (WRITE_REGISTER, WRITE_MEMORY)
-        if writes and self._number(PRIVILEGE) and client != self._owner:
+        at = int.from_bytes(content[:4], "big")
+        foreign = self._number(PRIVILEGE) and client != self._owner
+        # A camera locks its sequencer while it is acquiring.
+        locked = at in SEQUENCER_ADDRESSES and (self.get("AcquisitionStart") or self.sequencer.refuses(at, self.get))
+        if writes and (foreign or locked):
             status = ACCESS_DENIED
         elif command == 2:
             reply = bytes(self._memory[:0xF8])
@@ -174,7 +221,6 @@ class Camera:
             at, count = struct.unpack_from(">IxxH", content)
             reply = content[:4] + self._read(at, count)
         else:
-            at = int.from_bytes(content[:4], "big")
             self._write(at, content[4:])
             if at == PRIVILEGE:
                 self._owner = client
@@ -199,11 +245,21 @@ class Camera:
             self._put(ADDRESSES["TimestampLatchValue"], self.time_ns(), 8)
         elif at == ADDRESSES["AcquisitionStop"]:
             self.set("AcquisitionStart", 0)
+        elif at == ADDRESSES["ChunkSelector"]:
+            self.set("ChunkEnable", self._chunk_enabled[self._selected_chunk])
+        elif at == ADDRESSES["ChunkEnable"]:
+            self._chunk_enabled[self._selected_chunk] = bool(self.get("ChunkEnable"))
+        elif at in SEQUENCER_ADDRESSES:
+            self.sequencer.write(at, self.get, self.set)
         self._update_payload()
+
+    @property
+    def _selected_chunk(self) -> str:
+        return list(CHUNKS)[self.get("ChunkSelector")]
 
     def _update_payload(self) -> None:
         pixels = self.get("Width") * self.get("Height")
-        self.set("PayloadSize", pixels + CHUNK_BYTES * self.get("ChunkModeActive"))
+        self.set("PayloadSize", pixels + len(self._chunk_data(pixels)))
 
     def get(self, name: str) -> int:
         """Return the register of a feature."""

@@ -6,7 +6,7 @@ import struct
 from dataclasses import dataclass
 
 LEADER, TRAILER, PAYLOAD = 1, 2, 3
-IMAGE, CHUNKS = 0x0001, 0x4000
+IMAGE, WITH_CHUNKS = 0x0001, 0x4000
 """Payload type of an image, and the bit that states that chunk data follow it."""
 HEADERS, EXTENDED_HEADERS = 36, 48
 """Bytes of a packet that are not pixels: IP 20, UDP 8, and GVSP 8 or, with ids of 64 bits, 20."""

@@ -68,6 +68,16 @@ def test_boards_of_a_panel_have_their_own_ids_and_missing_ones_are_named() -> No
     assert "position 2 of the panel before the time for reading ended" in one.reasons[0].message
 
 
+def test_a_board_of_a_panel_that_is_crossed_out_needs_no_code() -> None:
+    places = tuple(PLACE.model_copy(update={"panel": n}) for n in ("1", "2", "3"))
+    panel = BoardIdentity(pattern="b;{id}", places=places)
+    read = BoardReading(codes=(code("b;1", "1"),))
+    assert "position 2 of the panel, position 3" in compare(panel, read, None).reasons[0].message
+    found = compare(panel, read, None, skipped=("2",))
+    assert [reason.message.split(".")[0] for reason in found.reasons] == ["No code was read of position 3 of the panel"]
+    assert compare(panel, read, None, skipped=("2", "3")).reasons == ()
+
+
 def test_codes_of_one_panel_position_that_state_several_ids_disagree() -> None:
     places = tuple(PLACE.model_copy(update={"panel": name}) for name in (1, 1, 2))
     identity = BoardIdentity(pattern="b;{id}", places=places)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from vaoi_station.identity.symbols import read_symbols
+from vaoi_station.identity.symbols import _proven, read_symbols
 from vaoi_station.model.board_identity import Symbology
 from vaoi_station.simulation.board.printed_code import symbol
 
@@ -43,6 +43,30 @@ def test_damaged_modules_use_up_error_correction() -> None:
     assert 0.1 < found.error_correction_used < 1
     spoilt[42:96, 42:96] = 255 - shown[42:96, 42:96]
     assert read_symbols(spoilt, "datamatrix") == []
+
+
+@pytest.mark.parametrize(
+    ("modules", "corrections", "check", "proven"),
+    [
+        ((10, 10), 0, 5, True), ((10, 10), 1, 5, False), ((12, 12), 2, 7, True), ((12, 12), 3, 7, False),
+        ((18, 8), 3, 7, False), ((8, 32), 5, 11, True), ((14, 14), 4, 10, True), ((14, 14), 5, 10, False),
+        ((16, 16), 6, 12, True), ((24, 24), 12, 24, True),
+    ],
+)  # fmt: skip
+def test_check_words_that_are_left_over_prove_a_text(
+    modules: tuple[int, int], corrections: int, check: int, proven: bool
+) -> None:
+    # The reader states hundredths, rounded down.
+    unused = np.floor(100 * (1 - 2 * corrections / check)) / 100
+    assert _proven("datamatrix", modules, 1 - unused) is proven
+
+
+def test_small_code_with_a_damaged_word_is_not_proven() -> None:
+    dark = np.pad(symbol("datamatrix", "SN7"), 4)
+    shown = np.where(np.kron(dark, np.ones((8, 8))) > 0, 0, 255).astype(np.uint8)
+    assert [found.proven for found in read_symbols(shown, None)] == [True]
+    shown[56:64, 56:64] = 255 - shown[56:64, 56:64]
+    assert [(found.text, found.proven) for found in read_symbols(shown, None)] == [("SN7", False)]
 
 
 def test_little_contrast_and_inverted_codes_are_read() -> None:

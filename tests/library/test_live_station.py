@@ -10,7 +10,7 @@ import pytest
 import vaoi_station as vaoi
 from tests.api.conftest import Served
 from tests.api.held_station import HeldStation
-from tests.certificates import Certificate, make_authority, make_certificate
+from tests.peers.certificates import Certificate, make_authority, make_certificate
 from vaoi_station.api.access.access_control import AccessControl
 from vaoi_station.api.access.audit import AuditLog
 from vaoi_station.files.access_keys import KeyFile

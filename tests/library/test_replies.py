@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import vaoi_station as vaoi
-from tests.web_server import ScriptedHandler, serving
+from tests.peers.web_server import ScriptedHandler, serving
 from vaoi_station.files.images import encode_png
 from vaoi_station.files.results import stitch_document
 from vaoi_station.library.replies import RunIdReply, ViewReply, checked

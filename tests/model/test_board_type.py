@@ -144,6 +144,19 @@ def test_wrong_cut_outs_are_refused(change: dict[str, Any], message: str) -> Non
         board(**change)
 
 
+def test_fiducials_of_boards_need_components_and_unambiguous_addresses() -> None:
+    of_board = {"fiducials": [fiducial(panel="A")], "components": [component(panel="A")]}
+    assert board(**of_board).board_fiducials == {"A": (0,)}
+    assert (
+        board(**of_board).filmed_digest()
+        != board(fiducials=[fiducial()], components=of_board["components"]).filmed_digest()
+    )
+    with pytest.raises(ValidationError, match="'F1' belongs to position 'B' of the panel, which has no components"):
+        board(fiducials=[fiducial(name="F1", panel="B")], components=[component(panel="A")])
+    with pytest.raises(ValidationError, match="'A/U9' belongs to no position of the panel, but its name begins"):
+        board(fiducials=[fiducial(panel="A")], components=[component(panel="A"), component(ref="A/U9")])
+
+
 def test_the_digest_of_what_is_filmed_stays_when_a_board_type_is_approved() -> None:
     before = board(fiducials=[fiducial()], components=[component()])
     approved = board(

@@ -78,3 +78,14 @@ def test_a_bow_is_quadratic_and_held_constant_outside_the_board() -> None:
     surface = Surface(lift_mm=0.0, bow_mm=(1.0, 0.5, 0.25))
     cad = np.array([[0.5, 0.0], [0.0, 0.5], [0.5, 0.5], [1.2, 0.0], [50.0, 0.0]])
     np.testing.assert_allclose(surface.height_mm(cad), [0.25, 0.0625, 0.25 + 0.125 + 0.0625, 1.44, 1.44])
+
+
+def test_components_follow_their_board_and_their_local_fiducials() -> None:
+    shifted = [np.array([[1.0, 0.0, x], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]) for x in (0.0, 0.1, 0.2)]
+    panel = stitch(cad_matrix=shifted[0], board_matrices={"A": shifted[1]}, local_matrices={"A/U2": shifted[2]})
+    assert panel.component_matrix("A/U1") == pytest.approx(shifted[1])
+    assert panel.component_matrix("A/U2") == pytest.approx(shifted[2])
+    assert panel.component_matrix("B/U1") is panel.component_matrix("A") is panel.cad_matrix
+    moves = panel.displacements(["A/U1", "A/U2", "B/U1", "U3"])
+    assert {ref: move[0, 2] for ref, move in moves.items()} == {"A/U1": 0.1, "A/U2": 0.2}
+    assert stitch().displacements(["U1"]) == {}

@@ -109,3 +109,40 @@ def test_bottom_side_is_not_mirrored(board: Filmed) -> None:
     keys = board.board_type.model_dump() | {"y_axis": "down", "side": "bottom"}
     grid = MosaicGrid.of_board(BoardType.model_validate(keys), 10.0)
     assert apply(grid.mosaic_from_cad, (BOARD_MM[0], 0)) == pytest.approx((-0.5, -0.5))
+
+
+def raised(board: Filmed, height_mm: float) -> Filmed:
+    """Film the board anew, with the texture of the body U1 so far above it, by lamps and lenses without fault."""
+    (u1, *others) = board.board_type.components
+    solid = u1.model_copy(update={"body_height": height_mm})
+    board_type = board.board_type.model_copy(update={"components": (solid, *others)})
+    low, high = np.array(u1.center) - (u1.width / 2, u1.height / 2), np.array(u1.center) + (u1.width / 2, u1.height / 2)
+    frames = {}
+    for taken in board.taken:
+        eye = board.cameras[taken.camera]
+        v, u = np.mgrid[: eye.height_px, : eye.width_px].astype(float)
+        cad_from_row = np.linalg.inv(board.stitch.row_motion[taken.row] @ np.asarray(board.stitch.cad_matrix))
+        ground, top = (apply(cad_from_row, eye.ground(np.stack([u, v], -1), h)) for h in (0.0, height_mm))
+        on_top = np.asarray(((top >= low) & (top <= high)).all(-1))
+        light = radiance(np.where(on_top[..., None], top, ground)) * taken.exposure_us / 250
+        frames[taken.camera, taken.row] = np.clip(np.round(DARK + light), 0, 255).astype(np.uint8)
+    return replace(board, board_type=board_type, frames=frames)
+
+
+@pytest.mark.parametrize("reduced", [1, 2])
+def test_the_top_of_a_body_is_where_it_is_in_all_layers(film: Film, reduced: int) -> None:
+    """The layers of HDR show a body from different frames, which see it at different places of the board's plane."""
+    board = raised(film(exposures=(250.0, 150.0), step_mm=6.0), 12.0)
+    plan = plan_of(board, hdr=True, fields=FlatFields.none(dark=DARK))
+    grid = board.base.reduced(reduced)
+    low, high = (apply(grid.mosaic_from_cad, np.array(at)).round().astype(int) for at in ((11.8, 11.8), (18.2, 16.2)))
+    errors = []
+    for shown in (replace(plan, bodies=()), plan):
+        renderer = TileRenderer(shown, board.projector, grid)
+        box = int(low[0]) - 20, int(low[1]) - 20, int(high[0]) - 5, int(high[1]) + 20
+        picture = render_tile(renderer.spec(box), board.read)
+        assert picture is not None
+        ratio = picture * 250 / expected(grid)[box[1] : box[3], box[0] : box[2]]
+        body = ratio[20:-20, 20:]
+        errors.append(np.abs(body / np.median(ratio) - 1).max())
+    assert errors[1] < 0.02 < errors[0] / 2

@@ -12,7 +12,7 @@ PLAN = make_plan(PAPER)
 
 def test_the_json_data_has_all_sections_and_survives_json() -> None:
     document = json.loads(json.dumps(plan_to_json(PLAN)))
-    assert set(document) == {"requirements", "array", "lens", "motion", "data", "constraints", "ok"}
+    assert set(document) == {"requirements", "array", "lens", "motion", "data", "constraints", "ok", "remedies"}
     assert document["requirements"]["width_mm"] == 400.0
     assert document["array"]["cameras"] == 12
     assert document["ok"] is False
@@ -30,13 +30,18 @@ def test_the_comparison_with_the_paper_is_added_if_given() -> None:
 
 def test_the_text_has_three_tables_with_aligned_columns() -> None:
     blocks = format_plan(PLAN).rstrip("\n").split("\n\n")
-    assert [b.splitlines()[0] for b in blocks] == ["Requirements", "Results", "Constraints"]
+    assert [b.splitlines()[0] for b in blocks] == [
+        "Requirements",
+        "Results",
+        "Constraints",
+        "What would mend what is violated",
+    ]
     values = blocks[0].splitlines()[1:]
     assert len({line.index(value) for line, value in zip(values[:3], ("400 mm", "474 mm", "40 px"), strict=True)}) == 1
 
 
 def test_each_constraint_shows_its_state() -> None:
-    lines = format_plan(PLAN).split("Constraints\n")[1].splitlines()[1:]
+    lines = format_plan(PLAN).split("Constraints\n")[1].split("\n\n")[0].splitlines()[1:]
     assert len(lines) == len(PLAN.constraints)
     for line, constraint in zip(lines, PLAN.constraints, strict=True):
         assert line.strip().startswith(constraint.name)

@@ -130,7 +130,7 @@ def test_threads_of_the_service_are_supervised() -> None:
         "vaoi_station/runs/workers/worker_process.py": "reports progress; START_LIMIT_S limits the worker's start",
         "vaoi_station/station.py": "writes the event of a lost thread; its end is awaited for REPORT_S",
     }
-    other_programs = {"benchmarks", "demo", "rig"}
+    other_programs = {"benchmarks", "demo", "plant", "rig"}
     found = {
         str(path)
         for path in modules("vaoi_station")

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 from paho.mqtt.client import Client
 from paho.mqtt.enums import CallbackAPIVersion
 
-from tests.certificates import make_authority, make_certificate
 from tests.needs import need, program
+from tests.peers.certificates import make_authority, make_certificate
 
 WAIT_S = 30.0
 USER, PASSWORD = "station", "not-a-secret"

@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any, NamedTuple
 
-from tests.certificates import Certificate
+from tests.peers.certificates import Certificate
 
 WAIT_S = 30.0
 

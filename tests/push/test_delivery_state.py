@@ -41,7 +41,9 @@ def test_a_damaged_state_begins_with_the_next_event(
 def test_a_shorter_log_begins_at_its_end(tmp_path: Path) -> None:
     """After a restored backup, or a power cut, the next events have numbers that were used before."""
     write_state(tmp_path / "mes.json", DeliveryState(last=30))
-    assert read_state(tmp_path / "mes.json", lambda: 12).last == 12
+    state = read_state(tmp_path / "mes.json", lambda: 12)
+    # The attempts were for the event 31, which no longer is the next one.
+    assert (state.last, state.attempts, state.due_s) == (12, 0, 0.0)
 
 
 def test_success_ends_a_failure_and_counts_only_messages() -> None:

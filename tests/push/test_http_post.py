@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.certificates import make_authority, make_certificate
+from tests.peers.certificates import make_authority, make_certificate
 from tests.push.receiving import Receiver, peer, receiver
 from vaoi_station.push import http_post
 from vaoi_station.push.http_post import NotDeliveredError, Reply, Route, post, refusal

@@ -18,7 +18,7 @@ from vaoi_station.acquisition.pairing.proof import TriggerProof
 from vaoi_station.acquisition.pairing.run_record import Interruption
 from vaoi_station.acquisition.process import messages
 from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
-from vaoi_station.config import CameraConfig, ReplayConfig, RingConfig, StationConfig
+from vaoi_station.config import CameraConfig, KeepConfig, ReplayConfig, RingConfig, StationConfig
 from vaoi_station.drift.checks import CameraCheck, RunCheck
 from vaoi_station.errors import NotFoundError
 from vaoi_station.files import write_board_type
@@ -95,6 +95,7 @@ def a_config(directory: Path, runs: int = 3, cameras: int = 2, keep_s: float = 0
         controller={"backend": "replay"}, replay=ReplayConfig(recordings=(directory,)),
         # 0 is shorter than station.toml allows: boards of a test follow one another within milliseconds.
         ring=RingConfig(directory=directory / "ring", runs=runs).model_copy(update={"keep_s": keep_s}),
+        keep=KeepConfig(mosaics_gb=0.0),  # the workers of these tests render nothing
     )  # fmt: skip
     return config.model_copy(update={"controller": config.controller.model_copy(update={"interlock": lock})})
 

@@ -87,7 +87,7 @@ def _tables(model: type[BaseModel], path: str) -> dict[str, type[BaseModel]]:
         for part in (field.annotation, *getattr(field.annotation, "__args__", ())):
             for inner in (part, *getattr(part, "__args__", ())):
                 if isinstance(inner, type) and issubclass(inner, Section):
-                    listed = "[]" if inner is not field.annotation and "dict" not in str(field.annotation) else ""
+                    listed = "[]" if "tuple" in str(field.annotation) else ""
                     key = f"{here}.NAME" if "dict" in str(field.annotation) else here + listed
                     found[key] = inner
                     found |= _tables(inner, key)

@@ -27,7 +27,8 @@ from vaoi_station.supervised_thread import SupervisedThread
 
 TIMEOUT_S = 180.0
 THREADS = (
-    "store", "coordinator", "bays", "workers", "acquisition-link", "housekeeping", "recordings", "heights", "identity",
+    "store", "coordinator", "bays", "workers", "acquisition-link", "housekeeping", "recordings", "heights", "mosaics",
+    "identity",
 )  # fmt: skip
 
 

@@ -61,8 +61,14 @@ def test_everything_is_back_on_an_empty_machine(site: Site, tmp_path: Path) -> N
 
 
 def test_recordings_are_included_on_request(site: Site, tmp_path: Path) -> None:
+    picture = site.rig.config.data / "mosaics" / f"{site.degraded}_4.jpg"
+    picture.parent.mkdir(exist_ok=True)
+    picture.write_bytes(b"jpeg")
+    back_up(site.config, tmp_path / "small")
+    assert not (restore(tmp_path / "small", tmp_path / "a" / "station.toml").data / "mosaics").exists()
     back_up(site.config, tmp_path / "backup", recordings=True)
     config = restore(tmp_path / "backup", tmp_path / "b" / "station.toml")
+    assert (config.data / "mosaics" / picture.name).is_file()
     assert (config.data / "recordings" / site.degraded / "recording.json").is_file()
 
 

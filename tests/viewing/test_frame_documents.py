@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from vaoi_station.photometry.image_quality import ImageQuality
 from vaoi_station.viewing import latest_frames
 from vaoi_station.viewing.frame_documents import frame_document, row_text
-from vaoi_station.viewing.image_quality import ImageQuality
 from vaoi_station.viewing.inspection import FrameInspection, MarkDetection
 from vaoi_station.viewing.latest_frames import ViewedFrame
 

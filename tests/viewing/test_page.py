@@ -70,7 +70,7 @@ def test_new_frames_are_shown(page: Page, latest: LatestFrames, painter: Any) ->
     latest.put(1, "001", 2, painter.tilted_board(2.0, size=(320, 240)))
     second = page.locator(".camera").nth(1)
     expect(second.locator(".remarks")).to_contain_text("blurred by", timeout=PATIENCE_MS)
-    expect(second.locator(".tiles td.soft")).to_have_count(9)
+    expect(second.locator(".sharpness-words .soft")).to_have_count(9)
     expect(page.locator("#notices")).to_contain_text("Armed.")
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator, Iterable
 from contextlib import asynccontextmanager
+from pathlib import Path
 from typing import Literal
 
 from fastapi import Depends, FastAPI, Response
@@ -15,8 +16,10 @@ from vaoi_station.api.batch import batch_routes
 from vaoi_station.api.board_data import check_routes
 from vaoi_station.api.board_data import routes as board_data
 from vaoi_station.api.board_data.previews import Previews
+from vaoi_station.api.cameras import routes as cameras
 from vaoi_station.api.event_hub import EventHub
 from vaoi_station.api.hosts import allowed_names
+from vaoi_station.api.inspection import routes as inspection
 from vaoi_station.api.parameters import refuse_unknown_parameters
 from vaoi_station.api.receivers import routes as webhooks
 from vaoi_station.api.request_guard import RequestGuard
@@ -36,6 +39,9 @@ from vaoi_station.api.routes import (
     stitching,
 )
 from vaoi_station.api.routes.services import Services
+from vaoi_station.api.setup import calibration_routes
+from vaoi_station.api.setup.station_files import StationFiles
+from vaoi_station.api.trends import routes as trends
 from vaoi_station.push.push_service import PushService
 from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.runs.control.readiness import EXPECTED, NOT_READY
@@ -52,11 +58,14 @@ def create_app(
     names: Iterable[str] = (),
     access: AccessControl | None = None,
     push: PushService | None = None,
+    config: Path | None = None,
+    files: StationFiles | None = None,
 ) -> FastAPI:
     """Create the web application of a coordinator. The caller starts and stops the coordinator itself.
 
     Clients may address the application by any of `names`, by loopback, by the machine's names and by any IP address.
-    Without `access`, every caller may send every request, and there are no keys; without `push`, no webhooks.
+    Without `access`, every caller may send every request, and there are no keys; without `push`, no webhooks; without
+    `config`, the station's station.toml, no findings of the doctor; without `files`, nothing to set the station up.
 
     `app.state.hub.close()` ends streams and long polls, so that a server can stop without waiting for them. An event
     of kind "station" with state "stopping" has the same effect.
@@ -90,13 +99,17 @@ def create_app(
     app.state.hub = services.hub
     problems.install(app)
     pictures = (frames, components, batch_routes, merged, mosaics)
-    for module in (station, calibration, board_types, stitching, runs, check_routes, *pictures, events):
+    for module in (station, calibration, board_types, stitching, runs, trends, check_routes, *pictures, events):
         app.include_router(module.router(services), prefix=PREFIX)
+    app.include_router(inspection.router(services), prefix=PREFIX)
+    app.include_router(cameras.router(services, config), prefix=PREFIX)
     app.include_router(board_data.router(services, previews), prefix=PREFIX)
     if push is not None:
         app.include_router(webhooks.router(services, push), prefix=PREFIX)
     if access is not None:
         app.include_router(keys.router(services, access), prefix=PREFIX)
+    if files is not None:
+        app.include_router(calibration_routes.router(services, files), prefix=PREFIX)
     _add_health(app, services)
     app.include_router(metrics.router(services))
     pages.install(app)

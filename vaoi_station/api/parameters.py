@@ -80,7 +80,7 @@ def parse_box(name: str, text: str | None) -> tuple[float, float, float, float] 
     return x0, y0, x1, y1
 
 
-def refuse_unknown_parameters(request: Request) -> None:
+async def refuse_unknown_parameters(request: Request) -> None:
     """Raise InputError if the query has a parameter that the route does not have.
 
     An ignored parameter would give an answer to another question: `runs?verdict=failed` would list all runs. `_` is

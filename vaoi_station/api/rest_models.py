@@ -125,6 +125,14 @@ class ComponentEntry(Strict):
     coverage: float | None = Field(description="Share of its footprint that the good frames show together, 0 … 1.")
     in_one_frame: bool | None = Field(description="Whether one good frame shows the whole footprint.")
     unseen: bool = Field(description="Whether the good frames show less of it than the board type or station asks for.")
+    skipped: bool = Field(default=False, description="Whether its board on the panel is crossed out, so not demanded.")
+    sigma_px: float | None = Field(
+        default=None, description="Standard deviation of its position in its worst view; absent if it is not known."
+    )
+    sigma_mm: float | None = Field(default=None, description="The same on the board, mm.")
+    footprint: list[tuple[float, float]] = Field(
+        default=[], description="Corners of its footprint, going round, CAD coordinates (unit of the board type)."
+    )
     url: str
 
 
@@ -151,10 +159,21 @@ class MosaicEntry(Strict):
     tiff: str = Field(description="Pyramidal TIFF.")
 
 
+class KeptMosaicEntry(Strict):
+    """The small picture of the whole board that stays when the frames are gone."""
+
+    width_px: int
+    height_px: int
+    px_per_mm: float
+    image_from_cad: list[list[float]] = Field(description="CAD → pixels of the picture; centres are integers.")
+    url: str = Field(description="JPEG.")
+
+
 class MosaicList(Strict):
     """The mosaics of a run."""
 
-    mosaics: list[MosaicEntry]
+    mosaics: list[MosaicEntry] = Field(description="They can be rendered while the frames are in memory.")
+    kept: KeptMosaicEntry | None = Field(default=None, description="Absent if no small picture is kept.")
 
 
 class ViewEntry(Strict):
@@ -250,6 +269,12 @@ class Matrices(BaseModel):
     components: dict[str, list[tuple[int, int, float, float]]] | None = None
     local_matrices: dict[str, Matrix3] | None = Field(
         default=None, description="C of the components that local fiducials place, by address."
+    )
+    board_matrices: dict[str, Matrix3] | None = Field(
+        default=None, description="C of the boards of a panel that their fiducials place, by position on the panel."
+    )
+    skipped_boards: list[str] | None = Field(
+        default=None, description="Positions of the boards of a panel that are crossed out, as their marks show."
     )
 
 

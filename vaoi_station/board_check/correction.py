@@ -80,13 +80,23 @@ def moved_board_type(board: BoardType, move: Move, groups: tuple[Group, ...]) ->
     if "components" in groups:
         change["components"] = tuple(map(part, board.components))
     if "fiducials" in groups:
-        for key in ("fiducials", "other_marks"):
+        for key in ("fiducials", "other_marks", "fixture_marks"):
             marks = getattr(board, key)
             if marks is not None:
                 places = [at((m.x, m.y)) for m in marks]
                 change[key] = tuple(
                     m.model_copy(update={"x": x, "y": y}) for m, (x, y) in zip(marks, places, strict=True)
                 )
+        if board.identity is not None:
+            # Codes are printed on the board, as its marks are. Their places lie along the axes, so a place that is
+            # turned becomes the smallest such rectangle around itself.
+            along = np.abs(matrix[:2, :2])
+            moved = tuple(
+                place.model_copy(update={"center": at(place.center), "width": width, "height": height})
+                for place in board.identity.places
+                for width, height in (np.round(along @ (place.width, place.height), digits).tolist(),)
+            )
+            change["identity"] = board.identity.model_copy(update={"places": moved})
     if "outline" in groups:
         if board.outline is not None:
             change["outline"] = tuple(map(at, _polygon(board.outline)))

@@ -12,6 +12,9 @@ from typing import Annotated
 
 import typer
 
+from vaoi_station.cli.plant.archive import app as archive
+from vaoi_station.cli.plant.dataset import dataset
+from vaoi_station.cli.plant.restitch import restitch
 from vaoi_station.cli.recordings.calibrate import calibrate
 from vaoi_station.cli.recordings.check_board import check_board
 from vaoi_station.cli.recordings.cut import cut
@@ -99,6 +102,8 @@ app.command()(mosaic)
 app.command()(heights)
 app.command()(identify)
 app.command("check-board")(check_board)
+app.command()(restitch)
+app.command()(dataset)
 app.command()(bench)
 app.command()(demo)
 app.command()(view)
@@ -109,6 +114,7 @@ app.command()(export)
 app.command("import")(import_file)
 app.add_typer(rig, name="rig")
 app.add_typer(keys, name="keys")
+app.add_typer(archive, name="archive")
 app.add_typer(board_types, name="board-types")
 
 

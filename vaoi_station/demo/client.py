@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import json
+import time
 import urllib.error
 import urllib.parse
 import urllib.request
+import uuid
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from http import HTTPStatus
-from http.client import HTTPException, HTTPResponse
+from http.client import HTTPException, HTTPResponse, IncompleteRead
 from typing import Any
 
 from numpy.typing import NDArray
@@ -32,6 +34,9 @@ REPLY_TIMEOUT_S = 150.0
 """Longest time to wait for a reply; longer than the longest long poll and the longest import of board data."""
 EVENT_TIMEOUT_S = 15.0
 """Longest time between two lines of the event stream, which sends a heartbeat every two seconds."""
+ATTEMPTS = 3
+"""How often a command is sent at most, if the connection ends before its reply."""
+_PAUSE_S = 0.2
 _SHOWN = 200
 """Largest number of bytes of an unusable reply that an error message quotes."""
 _ERRORS: dict[int, type[VaoiError]] = {404: NotFoundError, 409: StateError, 410: GoneError, 503: BusyError}
@@ -62,15 +67,19 @@ class Client:
 
     def post(self, path: str, **fields: Any) -> Any:
         """Send a command with `fields` as its JSON body; return the reply, None if it has no body."""
-        return _parse(self._exchange(self._command("POST", path, json.dumps(fields).encode())), self.url(path))
+        return self._act("POST", path, fields)
 
     def put(self, path: str, **query: Any) -> Any:
         """Send a PUT request without a body; `query` holds all parameters. Return the reply, None without a body."""
-        return _parse(self._exchange(self._command("PUT", _with_query(path, query))), self.url(path))
+        return self._act("PUT", _with_query(path, query))
 
-    def put_document(self, path: str, document: dict[str, Any]) -> Any:
+    def put_document(self, path: str, document: dict[str, Any], headers: dict[str, str] | None = None) -> Any:
         """Send a PUT request with a JSON body; return the reply, None if it has no body."""
-        return _parse(self._exchange(self._command("PUT", path, json.dumps(document).encode())), self.url(path))
+        return self._act("PUT", path, document, headers)
+
+    def delete(self, path: str, headers: dict[str, str] | None = None, **query: Any) -> Any:
+        """Send a DELETE request; return the reply, None if it has no body."""
+        return self._act("DELETE", _with_query(path, query), headers=headers)
 
     def upload(self, path: str, content: bytes, **query: Any) -> Any:
         """Send a file by POST; return the reply."""
@@ -88,6 +97,12 @@ class Client:
         url = _with_query(self.url(path), query)
         with _translated_errors(url), self._opener.open(url, timeout=REPLY_TIMEOUT_S) as reply:
             yield reply
+
+    def tagged(self, path: str) -> tuple[Any, str]:
+        """Request a JSON object; return it with its ETag, by which a change can be bound to what was read."""
+        with self.opened(path) as reply:
+            content, tag = bytes(reply.read()), reply.headers.get("ETag", "")
+        return _parse(content, self.url(path)), tag
 
     def picture(self, path: str) -> tuple[bytes, NDArray[Any]]:
         """Request a PNG image. Return its bytes and its pixels."""
@@ -110,9 +125,30 @@ class Client:
         """Return the complete address of a path that is relative to `/api/v1`, or begins with `/api/`."""
         return (self.address if path.startswith("/api/") else self._base) + path
 
-    def _command(self, method: str, path: str, body: bytes = b"") -> urllib.request.Request:
-        headers = {"Content-Type": "application/json"} if body else {}
-        return urllib.request.Request(self._base + path, body, headers, method=method)
+    def _act(
+        self, method: str, path: str, body: dict[str, Any] | None = None, headers: dict[str, str] | None = None
+    ) -> Any:
+        """Send a command with a key of its own; repeat it with the same key if its reply was lost on the way.
+
+        The station performs a command with a key once, and gives a repetition the same reply.
+        """
+        content = b"" if body is None else json.dumps(body).encode()
+        sent = {"Idempotency-Key": f'"{uuid.uuid4().hex}"', **(headers or {})}
+        sent |= {"Content-Type": "application/json"} if content else {}
+        request = urllib.request.Request(self.url(path), content, sent, method=method)
+        until_s, attempts = time.monotonic() + REPLY_TIMEOUT_S, 1
+        while True:
+            try:
+                return _parse(self._exchange(request), self.url(path))
+            except _LostReplyError:
+                if attempts == ATTEMPTS:
+                    raise
+                attempts += 1
+            except StateError as refusal:
+                # The first one has reached the station, which is still at it.
+                if attempts == 1 or refusal.code != "request-under-way" or time.monotonic() > until_s:
+                    raise
+            time.sleep(_PAUSE_S)
 
     def _exchange(self, request: urllib.request.Request) -> bytes:
         with _translated_errors(request.full_url), self._opener.open(request, timeout=REPLY_TIMEOUT_S) as reply:
@@ -120,6 +156,10 @@ class Client:
         if not content and status != HTTPStatus.NO_CONTENT:
             raise unusable_reply(request.full_url, f"status {status} and no content")
         return content
+
+
+class _LostReplyError(DeviceError):
+    """The connection ended after the request was sent: whether the command took effect is not known."""
 
 
 class _NoRedirect(urllib.request.HTTPRedirectHandler):
@@ -180,7 +220,9 @@ def _translated_errors(url: str) -> Iterator[None]:
                 raise _error(refusal.code, refusal.read(), url) from None
     # The outer block also covers a connection that ends while the body of a refusal is read.
     except (OSError, HTTPException) as error:
-        raise DeviceError(
+        cause = error.reason if isinstance(error, urllib.error.URLError) else error
+        lost = isinstance(cause, ConnectionResetError | BrokenPipeError | IncompleteRead)
+        raise (_LostReplyError if lost else DeviceError)(
             f"{url}: the station does not reply ({error or type(error).__name__}).",
             action="Check whether it still runs.",
         ) from error

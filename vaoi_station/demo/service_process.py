@@ -23,7 +23,7 @@ def main(config: str, port: str) -> int:
     threading.Thread(target=_end_with_parent, name="parent watch", daemon=True).start()
     configure_logging(as_json=False)
     try:
-        serve(read_config(Path(config)), int(port))
+        serve(read_config(Path(config)), int(port), Path(config))
     except VaoiError as error:
         sys.stderr.write(f"{error}\n")
         return 3

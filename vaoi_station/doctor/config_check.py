@@ -13,7 +13,7 @@ from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from vaoi_station.config import TABLE_OF, CameraConfig, ControllerConfig, StationConfig, absolute_paths, conflicts
 from vaoi_station.doctor.check_context import CheckContext
-from vaoi_station.doctor.checks import configured_files, memory, running_station, storage
+from vaoi_station.doctor.checks import configured_files, memory, receivers, running_station, storage
 from vaoi_station.doctor.finding import Finding, fault
 from vaoi_station.doctor.machine import Machine
 from vaoi_station.errors import VaoiError
@@ -32,6 +32,7 @@ FILE_CHECKS: tuple[tuple[str, frozenset[str], Callable[[CheckContext], Iterable[
     ("flat fields", frozenset({"flat_fields", "cameras", "program"}), configured_files.flat_fields),
     ("light programs", ALL_KEYS, configured_files.programs),
     ("stand-ins", ALL_KEYS, configured_files.stand_ins),
+    ("receivers", frozenset({"push", "data"}), receivers.receivers),
     ("disk", frozenset({"data"}), storage.data),
     ("shared memory", frozenset({"ring", "line", "cameras"}), memory.ring_space),
 )

@@ -62,6 +62,9 @@ _SECRETS = (
     re.compile(r"(?i)(?P<before>\bvaoi-session[\"']?\s*[=:]\s*)(?P<secret>[^\s;,]+)"),
     re.compile(r"(?i)(?P<before>\b(?:bearer|basic)\s+)(?P<secret>[\w.~+/=-]{8,})"),
     re.compile(r"(?P<before>\w://)(?P<secret>[^/\s:@]+:[^/\s@]+)(?=@)"),
+    # The address of a receiver is often a secret from its path on: chat services take messages from all who know it.
+    re.compile(r"(?i)(?P<before>\burl[\"']?\s*[=:]\s*[\"']?https?://[^/?\s\"']+)(?P<secret>[/?][^\s\"']+)"),
+    re.compile(r"(?i)(?P<before>[?&](?:key|sig|signature|code|auth)=)(?P<secret>[^\s&\"')]+)"),
     re.compile(
         r"(?P<before>)(?P<secret>-----BEGIN [A-Z ]*PRIVATE KEY-----.*?-----END [A-Z ]*PRIVATE KEY-----)", re.DOTALL
     ),

@@ -10,7 +10,7 @@ from vaoi_station.geometry.displacement import PARAMETERS
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.adjustment.camera_equations import comparable_cameras, ground_changes, move_points
 from vaoi_station.stitching.adjustment.observations import Ints
-from vaoi_station.stitching.adjustment.problem import AdjustmentResult, SurfaceBasis
+from vaoi_station.stitching.adjustment.problem import AdjustmentResult, FiducialPoints, SurfaceBasis
 from vaoi_station.stitching.adjustment.solver import adjust
 from vaoi_station.stitching.adjustment.surface import SIGMA_MM
 from vaoi_station.stitching.quality.findings import Findings
@@ -53,10 +53,11 @@ def estimate_displacements(findings: Findings) -> DisplacementEstimate:
     # Links on components are left out, because the height of a component looks like a displacement of a camera.
     kept = np.flatnonzero((o.p == o.q) & (adjusted.weight > _USED) & (findings.problem.component < 0))
     a, b = o.pairs.a[o.group[kept]], o.pairs.b[o.group[kept]]
-    seen_by = points.camera[points.which >= 0] if points is not None else np.zeros(0, dtype=np.int_)
+    counted = _of_c(findings, points)
+    seen_by = points.camera[counted] if points is not None else np.zeros(0, dtype=np.int_)
     marks = np.bincount(seen_by, minlength=n)
     links = np.bincount(a, minlength=n) + np.bincount(b, minlength=n)
-    left = adjusted.link_px[kept], adjusted.fiducial_px[points.which >= 0] if points is not None else np.zeros((0, 2))
+    left = adjusted.link_px[kept], adjusted.fiducial_px[counted]
     before = left[0] + _explained(findings, adjusted, kept), left[1] + _explained_detections(findings, adjusted)
 
     def rms(residuals: tuple[Floats, Floats]) -> Floats:
@@ -68,6 +69,16 @@ def estimate_displacements(findings: Findings) -> DisplacementEstimate:
 
     information = adjusted.cameras.information
     return DisplacementEstimate(information, adjusted.cameras.vector, rms(before), rms(left), links, marks)
+
+
+def _of_c(findings: Findings, points: FiducialPoints | None) -> Ints:
+    """Return the indices of the detections of fiducials that determine C: others lie beside their places by C."""
+    if points is None:
+        return np.zeros(0, dtype=np.int_)
+    found = set(points.which[points.which >= 0].tolist())
+    plane, marks = findings.plane, points.fixture_marks
+    apart = plane.board_type.apart_from_c(found, marks) if plane is not None else frozenset()
+    return np.flatnonzero((points.which >= 0) & ~np.isin(points.which, sorted(apart)))
 
 
 def _with_displacements(findings: Findings) -> AdjustmentResult:
@@ -108,7 +119,7 @@ def _explained_detections(findings: Findings, adjusted: AdjustmentResult) -> Flo
     points = adjusted.problem.fiducials
     if points is None:
         return np.zeros((0, 2))
-    at = np.flatnonzero(points.which >= 0)
+    at = _of_c(findings, points)
     before = _calibrated(findings, adjusted, points.ground_mm[at], points.camera[at])
     change = adjusted.motion.turned(points.row[at], before - points.ground_mm[at])
     return np.asarray(change * points.px_per_mm[at, None])

@@ -90,9 +90,9 @@ def faults_of(error: ValidationError) -> Iterator[tuple[Place, str]]:
         if fault["type"] == "extra_forbidden":
             message = "is an unknown key"
         given = fault.get("input")
-        shown = (
-            "" if isinstance(given, dict | list | tuple) or fault["type"] == "missing" else f" (given: {given!r:.80})"
-        )
+        # The address of a receiver may hold the token by which it knows the sender; messages reach logs and bundles.
+        hidden = isinstance(given, dict | list | tuple) or fault["type"] == "missing" or fault["loc"][-1:] == ("url",)
+        shown = "" if hidden else f" (given: {given!r:.80})"
         yield fault["loc"], f"{message}{shown}"
 
 

@@ -12,7 +12,8 @@ from vaoi_station.files.documents import check_format, parse, read_json, write_j
 from vaoi_station.model import Stitch
 
 _OF_COMPONENTS = ("component_sigma_px", "component_covariance_px2", "heights_mm", "height_sigma_mm")
-_LEFT_OUT_IF_NONE = ("surface", "components", "camera_matrices", "local_matrices")
+_LARGE = (*_OF_COMPONENTS, "link_pairs")
+_LEFT_OUT_IF_NONE = ("surface", "components", "camera_matrices", "local_matrices", "board_matrices", "skipped_boards")
 
 
 def read_stitch(path: Path) -> Stitch:
@@ -49,14 +50,23 @@ def stitch_text(stitch: Stitch) -> str:
 
 
 def without_components(stitch: Stitch) -> Stitch:
-    """Return a result without its entries per component. For a large board this leaves a tenth of the size."""
-    quality = {key: value for key, value in stitch.quality.items() if key not in _OF_COMPONENTS}
+    """Return a result without its entries per component and per pair of frames.
+
+    For a large board this leaves a tenth of the size.
+    """
+    quality = {key: value for key, value in stitch.quality.items() if key not in _LARGE}
     return stitch.model_copy(update={"components": None, "quality": quality})
+
+
+def quality_of(text: str) -> dict[str, Any]:
+    """Return the quality figures from the text of a result, without building the complete result."""
+    quality: dict[str, Any] = from_json(text).get("quality", {})
+    return quality
 
 
 def component_tables(text: str) -> dict[str, dict[str, Any]]:
     """Return the quality's tables of components from the text of a result, without building the complete result."""
-    quality = from_json(text)["quality"]
+    quality = quality_of(text)
     return {key: table for key in _OF_COMPONENTS if isinstance(table := quality.get(key), dict)}
 
 

@@ -74,3 +74,13 @@ def _side(a: ArrayLike, b: ArrayLike, p: ArrayLike) -> NDArray[np.float64]:
     """Return the side of the line from a to b on which the point p lies: −1, 0 (on the line) or 1."""
     along, to = np.subtract(b, a), np.subtract(p, a)
     return np.asarray(np.sign(along[..., 0] * to[..., 1] - along[..., 1] * to[..., 0]))
+
+
+def pixels_inside(corners: NDArray[np.float64], width: int, height: int) -> NDArray[np.bool_]:
+    """Return which pixel centres (height, width) lie inside a convex polygon (n, 2), or on its edge."""
+    y, x = np.mgrid[:height, :width]
+    along = np.roll(corners, -1, axis=0) - corners
+    side = along[:, 0] * (y[..., None] - corners[:, 1]) - along[:, 1] * (x[..., None] - corners[:, 0])
+    # All sides have the sign of the polygon's turn where the point is inside.
+    turn = np.sign(along[0, 0] * along[1, 1] - along[0, 1] * along[1, 0])
+    return np.asarray((side * turn >= 0).all(-1))

@@ -6,29 +6,14 @@ import math
 from collections.abc import Sequence
 
 from vaoi_station.errors import InputError
-from vaoi_station.model import BoardType, Component, Stitch
+from vaoi_station.model import BoardType, Component
 from vaoi_station.rendering import Framing, View, ViewCalculator
 from vaoi_station.rendering.crops import MOST_PIXELS
 
 REGION = "region"
 """Name of the picture of a region."""
-_SIGMAS = 3.0
-"""A measured height counts if it is at least this many standard deviations above the board."""
-_MOST_SIGMA_MM = 0.2
 LEAST_COVERAGE = 0.02
 """Least share of a component that a frame must show to be merged, if the caller does not choose another."""
-
-
-def known_height_mm(component: Component, board_type: BoardType, stitch: Stitch) -> float:
-    """Return the height of a component's top above the board: that of its CAD data, else the measured one, else 0."""
-    if component.body_height is not None:
-        return component.body_height * board_type.mm_per_unit
-    figures = (stitch.quality.get(key) or {} for key in ("heights_mm", "height_sigma_mm"))
-    height, sigma = (figure.get(component.address, math.nan) for figure in figures)
-    if not _is_number(height) or not _is_number(sigma):
-        return 0.0
-    sure = float(sigma) <= _MOST_SIGMA_MM and float(height) > _SIGMAS * float(sigma)
-    return float(height) if sure else 0.0
 
 
 def views_on_top(
@@ -96,7 +81,3 @@ def region_component(
             action=f"Ask for a smaller region, or for at most {math.floor(most * 10) / 10:g} px/mm.",
         )
     return Component(ref=REGION, center=((x0 + x1) / 2, (y0 + y1) / 2), width=x1 - x0, height=y1 - y0)
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

@@ -6,19 +6,17 @@ row; their mean is 1 for each light. Only with flat fields: without them, the co
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats, apply
-from vaoi_station.model import BoardType, RecordingHead, Stitch
-from vaoi_station.photometry import FlatFields
-from vaoi_station.photometry.noise import grey_levels
-from vaoi_station.photometry.radiance import is_saturated
+from vaoi_station.model import BoardType, Stitch
+from vaoi_station.photometry import FlatFields, Taken
+from vaoi_station.photometry.noise import FULL_SCALE, grey_levels
 
 _POINTS = 64
 """Points per side of the grid over the board at which brightness is compared."""
@@ -43,7 +41,7 @@ class _Samples(NamedTuple):
 
 
 def row_levels(
-    head: RecordingHead,
+    taken: Mapping[tuple[int, int], Taken],
     board_type: BoardType,
     stitch: Stitch,
     cameras: Sequence[Camera],
@@ -52,20 +50,32 @@ def row_levels(
 ) -> Floats:
     """Estimate the brightness (m,) of the rows of a run; 1 for all without flat fields or a CAD mapping.
 
-    `frame` returns the pixels of a camera and row, or None for a missing frame.
+    Args:
+        taken: what the frames (camera, row) were taken with; frames that are not named are not used.
+        board_type: board type of the run.
+        stitch: result of the run.
+        cameras: cameras with which it was stitched.
+        fields: flat fields of the cameras.
+        frame: returns the pixels of a camera and row, or None for a missing frame.
     """
-    levels = np.ones(head.rows)
+    levels = np.ones(len(stitch.row_motion))
     if not fields or stitch.cad_matrix is None:
         return levels
-    samples = _samples(head, board_type, stitch, stitch.cameras(cameras), fields, frame)
-    for light in dict.fromkeys(head.light(row) for row in range(head.rows)):
-        rows = np.array([row for row in range(head.rows) if head.light(row) == light])
+    samples = _samples(taken, board_type, stitch, stitch.cameras(cameras), fields, frame)
+    lights = {row: of.light for (_, row), of in sorted(taken.items())}
+    for light in dict.fromkeys(lights.values()):
+        rows = np.array([row for row in sorted(lights) if lights[row] == light])
         levels[rows] = np.exp(_solve(samples, rows))
     return levels
 
 
+def at_level(taken: Taken, level: float) -> Taken:
+    """Return what a frame would have been taken with if its row were as bright as the others."""
+    return taken._replace(exposure_us=taken.exposure_us * level)
+
+
 def _samples(
-    head: RecordingHead,
+    taken: Mapping[tuple[int, int], Taken],
     board_type: BoardType,
     stitch: Stitch,
     cameras: Sequence[Camera],
@@ -77,26 +87,44 @@ def _samples(
     cad = np.stack(np.meshgrid(*(lo + (hi - lo) * t for lo, hi in zip(low, high, strict=True))), -1).reshape(-1, 2)
     height = stitch.surface.height_mm(cad) if stitch.surface is not None else np.zeros(len(cad))
     found: list[tuple[NDArray[np.int_], NDArray[np.int_], Floats]] = []
-    for row in range(head.rows):
+    for row in range(len(stitch.row_motion)):
         place = apply(np.asarray(stitch.row_motion[row]) @ np.asarray(stitch.cad_matrix), cad)
         for i, camera in enumerate(cameras):
+            of = taken.get((i, row))
+            if of is None:
+                continue
             at = camera.project(place, height)
             seen = np.flatnonzero(camera.sees(at, _SIDE_PX))
             pixels = frame(i, row) if len(seen) else None
             if pixels is None:
                 continue
-            maps = fields.maps(i, head.light(row))
+            maps = fields.maps(i, of.light)
             x, y = at[seen].round().astype(int).T
-            signal = cv2.blur(grey_levels(pixels), (_SIDE_PX, _SIDE_PX))[y, x]
+            signal, full = _windows(pixels, x, y)
             signal = signal - (maps.dark if isinstance(maps.dark, float) else maps.dark[y, x])
-            full = cv2.dilate(is_saturated(pixels).astype(np.uint8), np.ones((_SIDE_PX, _SIDE_PX), np.uint8))[y, x]
             flat = maps.flat[y, x] if maps.flat is not None else np.ones(len(x))
-            good = (full == 0) & (signal > _LEAST_SIGNAL) & (flat > 0)
-            scale = flat[good] * head.exposure_us(i, row) * head.gain(i, row)
+            good = ~full & (signal > _LEAST_SIGNAL) & (flat > 0)
+            scale = flat[good] * of.exposure_us * of.gain
             found.append((seen[good], np.full(int(good.sum()), row), np.log(signal[good] / scale)))
     if not found:
         return _Samples(np.zeros(0, np.int_), np.zeros(0, np.int_), np.zeros(0))
     return _Samples(*(np.concatenate(column) for column in zip(*found, strict=True)))
+
+
+def _windows(pixels: NDArray[Any], x: NDArray[np.int_], y: NDArray[np.int_]) -> tuple[Floats, NDArray[np.bool_]]:
+    """Return the mean grey level (k,) of windows around pixels of a frame, and which are or touch saturated ones.
+
+    Only the windows are read: filters over whole frames of a long run would exceed the time that a worker has.
+    """
+    reach = _SIDE_PX // 2 + 1
+    across = np.arange(-reach, reach + 1)
+    # One below the other, so that they are one picture of few pixels: (k · side, side).
+    strip = pixels[(y[:, None] + across).reshape(-1)[:, None], np.repeat(x[:, None] + across, len(across), 0)]
+    side = len(across)
+    grey = grey_levels(strip).reshape(-1, side, side)
+    limit = FULL_SCALE if pixels.dtype == np.uint8 else 65535
+    full = (strip >= limit).reshape(len(x), -1).any(1)
+    return grey[:, 1:-1, 1:-1].mean((1, 2), dtype=np.float64), full
 
 
 def _solve(samples: _Samples, rows: NDArray[np.int_]) -> Floats:

@@ -22,8 +22,6 @@ _TILE_MM, _LARGEST_MM = 24.0, 10.0
 """Side of the squares in which a whole board is searched, and how far they overlap: the largest code that is found."""
 _TRIES = ((0, 1), (0, 2), (1, 1), (1, 2), (2, 1), (2, 2))
 """Pictures of a region in the order in which they are tried: number of the frame, and enlargement."""
-_SURE = 0.5
-"""Share of the error correction above which a second picture must yield the same text."""
 _SAME_MODULES = 3.0
 """Distance of two readings of one code, in modules."""
 
@@ -43,6 +41,8 @@ class Found(NamedTuple):
     region: int
     tried: int
     """Number of the picture."""
+    proven: bool = True
+    """Whether its check words rule out another text; else a second frame must yield the same."""
 
 
 class Progress(NamedTuple):
@@ -126,7 +126,7 @@ class CodeReader:
             camera=camera,
             row=row,
         )
-        return Found(code, region, number)
+        return Found(code, region, number, symbol.proven)
 
     def _region_at(self, x: float, y: float, drawn: int) -> int:
         """Return the place that a code belongs to: of those that contain its centre, that with the nearest centre.
@@ -150,13 +150,19 @@ class CodeReader:
                 groups.append([found])
             else:
                 group.append(found)
-        # A text that needed most of its error correction may be another code's: it counts if two pictures agree.
-        sure = [g for g in groups if len({f.tried for f in g}) > 1 or g[0].code.error_correction_used <= _SURE]
+        # Two pictures of one frame have the same noise and the same scratch, so they can show the same wrong text. One
+        # that is put together from several frames may have that of each of them.
+        sure = [g for g in groups if any(f.proven for f in g) or len({_frame(f) for f in g} - {None}) > 1]
         return [min(group, key=lambda f: (f.code.error_correction_used, f.tried)) for group in sure]
 
     def _same(self, a: BoardCode, b: BoardCode) -> bool:
         apart = float(np.hypot(a.center[0] - b.center[0], a.center[1] - b.center[1])) * self._board_type.mm_per_unit
         return (a.text, a.symbology) == (b.text, b.symbology) and apart <= _SAME_MODULES * a.module_mm
+
+
+def _frame(found: Found) -> FrameKey | None:
+    camera, row = found.code.camera, found.code.row
+    return None if camera is None or row is None else (camera, row)
 
 
 def _regions_of(board_type: BoardType, identity: BoardIdentity) -> tuple[Region, ...]:

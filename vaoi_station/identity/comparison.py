@@ -24,6 +24,7 @@ def compare(
     armed: str | None,
     reported: ReportedId | None = None,
     *,
+    skipped: Collection[str] = (),
     without: IdentityState = "not-read",
 ) -> IdentityDocument:
     """Compare the ids of one board. They are equal only if all their characters are.
@@ -33,6 +34,7 @@ def compare(
         reading: the codes that were read; None: they were not read.
         armed: the id that the line was armed with.
         reported: the id of the next machine.
+        skipped: positions of the panel's boards that are crossed out: no code is asked of them.
         without: state without a reading.
     """
     read = reading or BoardReading()
@@ -44,7 +46,7 @@ def compare(
     boards = {name: next(iter(ids)) for name, ids in positions.items() if len(ids) == 1}
     board_id = whole[0] if len(whole) == 1 else None
     differing = [*_contradictions(identity, read, whole, positions), *_differences(board_id, armed, reported)]
-    missing = [] if identity is None or reading is None else [*_unread(identity, read, whole, positions)]
+    missing = [] if identity is None or reading is None else [*_unread(identity, read, whole, {*positions, *skipped})]
     state: IdentityState
     if differing:
         state = "differs"
@@ -116,8 +118,8 @@ def _differences(board_id: str | None, armed: str | None, reported: ReportedId |
 def _unread(
     identity: BoardIdentity, read: BoardReading, whole: list[str], positions: Collection[str]
 ) -> Iterator[IdentityReason]:
-    """Yield which boards have no id, because none of their codes was read."""
-    panels = {str(place.panel) for place in identity.places if place.panel is not None} - set(positions)
+    """Yield which boards have no id, because none of their codes was read; `positions` are those that need none."""
+    panels = {str(place.panel) for place in identity.places if place.panel is not None} - {*positions}
     named = any(place.panel is None for place in identity.places) or not identity.places
     without = [
         *(["the board"] if named and not whole else []),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -16,6 +17,10 @@ from vaoi_station.model.board_identity import Symbology
 
 _STRETCHED = (1.0, 99.5)
 """Percentiles of the grey levels that become black and white."""
+_SMALL = {(10, 10): (3, 5), (12, 12): (5, 7), (8, 18): (5, 7), (14, 14): (8, 10)}
+"""Numbers of data and check words of the smallest DataMatrix codes, by their modules (ISO/IEC 16022, table 7)."""
+_PROVEN = 1e-9
+"""Chance of a wrong text below which one picture suffices. A run tries some hundred forms of what may be a symbol."""
 _SIZE = re.compile(r"(\d+)x(\d+)")
 
 
@@ -29,6 +34,8 @@ class Symbol:
     """(4, 2) corners, going round from the code's own top left one; right to about one pixel."""
     module_px: float
     error_correction_used: float
+    proven: bool
+    """Whether the check words that its correction left over rule out another text (`_proven`)."""
 
 
 def read_symbols(picture: NDArray[np.uint8], symbology: Symbology | None, *, enlarged: int = 1) -> list[Symbol]:
@@ -84,7 +91,24 @@ def _symbols(found: list[Any], formats: dict[Symbology, Any], enlarged: int) -> 
         module = float((sides[::2].sum() / modules[0] + sides[1::2].sum() / modules[1]) / 4)
         used = min(max(1.0 - float(code.extra.get("UEC", 0.0)), 0.0), 1.0)
         if module > 0:
-            yield Symbol(code.text, name, corners, module, round(used, 4))
+            yield Symbol(code.text, name, corners, module, round(used, 4), _proven(name, modules, used))
+
+
+def _proven(symbology: Symbology, modules: tuple[int, int], used: float) -> bool:
+    """Return whether random words would be accepted with that many corrections in fewer than one of 10⁹ cases.
+
+    Of the 256ⁿ combinations of the n check words of a Reed–Solomon code one is right; a symbol of m words with at most
+    e wrong ones has Σ C(m, i) · 255ⁱ forms (i ≤ e). The chance is their product: 2·10⁻⁹ for the smallest DataMatrix
+    with one correction, 6·10⁻¹¹ for the next larger one with two.
+    """
+    # All others have at most 5·10⁻¹⁰ at their limit: DataMatrix with 16 × 16 modules, QR of version 2.
+    small = None if symbology == "qr" else _SMALL.get((min(modules), max(modules)))
+    if small is None:
+        return True
+    data, check = small
+    wrong = round(used * check / 2)
+    forms = sum(math.comb(data + check, i) * 255**i for i in range(wrong + 1))
+    return bool(forms < _PROVEN * 256**check)
 
 
 def _modules(extra: dict[str, Any]) -> tuple[int, int] | None:

@@ -102,6 +102,15 @@ class StationImport:
         path = f"{self._address}/confirm"
         return checked(BoardType, self._client.post(path), self._client.url(path))
 
+    def board_type(self) -> BoardType:
+        """Return the board type that `confirm` would store."""
+        path = f"{self._address}/board-type"
+        return checked(BoardType, self._client.get(path), self._client.url(path))
+
+    def discard(self) -> None:
+        """Delete the file from the station; without this call it goes after an hour."""
+        self._client.delete(self._address)
+
     @property
     def _address(self) -> str:
         return f"{PREVIEWS}/{quote(str(self.document['id']))}"

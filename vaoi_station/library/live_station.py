@@ -1,152 +1,40 @@
-"""A running station, used over REST (docs/rest.md): its runs, and component images as numpy arrays."""
+"""A running station, used over REST (docs/rest.md): its line, its board types and its runs."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
-from functools import cached_property
+from datetime import datetime
 from pathlib import Path
-from typing import Any, Literal, Unpack
+from typing import Any, Literal, TypedDict, Unpack
 from urllib.parse import quote, urlsplit
 
-import numpy as np
-from numpy.typing import NDArray
-
-from vaoi_station.board_check.report import BoardCheck
 from vaoi_station.demo.client import Client, unusable_reply
 from vaoi_station.errors import InputError
 from vaoi_station.files.caller_credentials import caller_credentials
 from vaoi_station.library.arguments import require_number, require_path, require_text, require_whole
 from vaoi_station.library.board_data import ImportChoices, StationImport
-from vaoi_station.library.component_images import FIELDS, ComponentImage, ComponentImages
-from vaoi_station.library.picture_stream import ComponentPictures, read_pictures
-from vaoi_station.library.replies import (
-    ComponentListReply,
-    ComponentReply,
-    RunIdReply,
-    RunListReply,
-    ViewReply,
-    checked,
-)
-from vaoi_station.library.stitched_run import component_height
-from vaoi_station.model import BoardType, Status, Stitch
-from vaoi_station.rendering.request import ImageOptions, ImageRequest
+from vaoi_station.library.replies import RunIdReply, RunListReply, checked
+from vaoi_station.library.station.station_board_types import StationBoardTypes
+from vaoi_station.library.station.station_run import StationRun
+from vaoi_station.runs.run.order import Passing
+from vaoi_station.runs.states.calibration_schemas import CalibrationStatus
+from vaoi_station.runs.states.decision_schemas import RunCounts
+
+_PAGE = 500
+"""Largest number of runs in one reply of a station."""
 
 
-@dataclass(frozen=True, eq=False)
-class StationRun:
-    """One run of a station. Its images can be fetched while the station keeps the frames of the run."""
+class RunFilters(TypedDict, total=False):
+    """Which runs a caller wants; a run passes that passes every filter."""
 
-    id: str
-    summary: dict[str, Any]
-    """The reply of the station to `GET runs/{id}`."""
-    _client: Client = field(repr=False)
-
-    @cached_property
-    def result(self) -> Stitch:
-        """Matrices, uncertainty and verdict of the run, fetched at the first access."""
-        path = f"/runs/{quote(self.id)}/matrices"
-        return checked(Stitch, self._client.get(path), self._client.url(path))
-
-    @property
-    def status(self) -> Status:
-        """The verdict of the run: ok, degraded or failed."""
-        return self.result.status
-
-    @property
-    def reasons(self) -> tuple[str, ...]:
-        """Reasons for a verdict other than ok, in sentences."""
-        return self.result.reasons
-
-    @cached_property
-    def refs(self) -> tuple[str, ...]:
-        """Addresses of all components of the board type."""
-        path = f"/runs/{quote(self.id)}/components"
-        listing = checked(ComponentListReply, self._client.get(path), self._client.url(path))
-        return tuple(entry.address for entry in listing.components)
-
-    def component(self, ref: str, **options: Unpack[ImageOptions]) -> ComponentImages:
-        """Return the images of a component from every frame that shows it. Pixels are fetched when they are accessed.
-
-        Args:
-            ref: address of the component.
-            **options: `px_per_mm`, `margin_mm`, `align` ("cad", "part") and `plane` ("board", "top") frame the images;
-                `light`, `seen_from` with `within_deg`, and bounds of coverage, exposure, angle, sharpness and
-                saturation choose them; `order` ("best", "sharpest") and `limit` follow; `minus` subtracts another
-                light; `measure` measures sharpness and saturation of each. docs/rest.md describes all of them.
-
-        Raises:
-            InputError: an option is not of its type, or outside its limits, or the run has no such light.
-            NotFoundError: the board type has no such component.
-            GoneError: at access to pixels, if the station no longer keeps the frames of the run.
-        """
-        require_text("component", "ref", ref)
-        wanted = ImageRequest.of(options)
-        # On a panel, `ref` is `panel/ref`; `quote` keeps the slash, which the path of the component contains as well.
-        path = f"/runs/{quote(self.id)}/components/{quote(ref)}"
-        reply = checked(ComponentReply, self._client.get(path, **wanted.options()), self._client.url(path))
-        height, sigma = component_height(self.result, ref)
-        images = tuple(self._image(view) for view in reply.views)
-        return ComponentImages(ref, images, height, sigma, self.status, reply.remark)
-
-    def pictures(self, *components: str, **options: Unpack[ImageOptions]) -> Iterator[ComponentPictures]:
-        """Yield the pictures of many components, each when all of its pictures have arrived, from one request.
-
-        Args:
-            *components: addresses of components; none: all components of the run.
-            **options: as for `component`.
-
-        Raises:
-            InputError: an option is not of its type, or outside its limits, or the run has no such light.
-            NotFoundError: the board type has no such component.
-            GoneError: the station no longer keeps the frames of the run, or gave up their memory meanwhile.
-        """
-        for ref in components:
-            require_text("pictures", "component", ref)
-        wanted = ImageRequest.of(options).options()
-        path = f"/runs/{quote(self.id)}/images"
-        with self._client.opened(path, component=components or None, format="raw", **wanted) as reply:
-            yield from read_pictures(reply, self._client.url(path))
-
-    def hold(self, holder: str, purpose: str = "") -> None:
-        """Keep the frames of the run in memory until the hold expires or ends; a repeated call renews the hold.
-
-        Raises:
-            GoneError: the station no longer keeps the frames.
-        """
-        self._client.put(f"/runs/{quote(self.id)}/hold", holder=holder, purpose=purpose)
-
-    def release(self, holder: str | None = None) -> None:
-        """Give up the frames of the run, so that the next board can use their memory; the result stays.
-
-        Args:
-            holder: the name under which the caller held the run; None if it did not.
-
-        Raises:
-            StateError: another caller holds the run.
-        """
-        query = f"?holder={quote(holder, safe='')}" if holder else ""
-        self._client.post(f"/runs/{quote(self.id)}/release{query}")
-
-    def check_board_type(self, name: str | None = None) -> BoardCheck:
-        """Lay a board type of the station, by default that of the run, over the run's pictures; takes seconds."""
-        path = f"/runs/{quote(self.id, safe='')}/board-check"
-        return checked(BoardCheck, self._client.get(path, board_type=name), self._client.url(path))
-
-    def correct_board_type(self, name: str, revision: str | None = None) -> BoardType:
-        """Store the correction that `check_board_type` proposes, as a draft of the board type."""
-        path = f"/board-types/{quote(name, safe='')}/correct"
-        fields = {"run": self.id, "revision": revision}
-        return checked(BoardType, self._client.post(path, **fields), self._client.url(path))
-
-    def _image(self, view: ViewReply) -> ComponentImage:
-        def load() -> NDArray[Any]:
-            return self._client.picture(view.url)[1]
-
-        fields: dict[str, Any] = {name: getattr(view, name) for name in FIELDS}
-        fields |= {"crop_from_cad": view.crop_from_cad, "image_from_crop": view.image_from_crop}
-        covariance = None if view.covariance_px2 is None else np.array(view.covariance_px2)
-        return ComponentImage(**fields, covariance_px2=covariance, _load=load)
+    verdict: Literal["ok", "degraded", "failed", "none"]
+    board_type: str
+    board_id: str
+    read_id: str
+    reason: str
+    since: str | datetime
+    until: str | datetime
+    before: str
 
 
 class Station:
@@ -170,6 +58,8 @@ class Station:
             raise InputError.field("connect", "key", type(key).__name__, "a text")
         credentials = caller_credentials(_path("key_file", key_file), _path("ca", ca), key=key)
         self._client = Client(checked_address(address), credentials)
+        self.board_types = StationBoardTypes(self._client)
+        """The board types of the station."""
 
     def snapshot(self) -> dict[str, Any]:
         """Return the present state of the station as `GET station` gives it."""
@@ -186,6 +76,7 @@ class Station:
         job_id: str | None = None,
         runs: int | None = None,
         allow_lost_cameras: bool = False,
+        passing: Passing | None = None,
     ) -> dict[str, Any]:
         """Arm the line: film every board from now on, or only the next `runs` boards. Return the station's state.
 
@@ -195,6 +86,8 @@ class Station:
             job_id: the caller's id of the job, likewise.
             runs: number of runs after which the line is disarmed; None: it stays armed.
             allow_lost_cameras: arm although cameras are missing.
+            passing: while a board passes, which keeps the order before: "wait" until it has left (the default), take
+                effect "after" it and return at once, or "refuse".
 
         Raises:
             NotFoundError: the station has no such board type.
@@ -207,6 +100,7 @@ class Station:
             "job_id": job_id,
             "runs": None if runs is None else require_whole("arm", "runs", runs, 1, 1_000_000),
             "allow_lost_cameras": allow_lost_cameras or None,
+            "passing": None if passing is None else require_text("arm", "passing", passing),
         }
         return self._command("/station/arm", {k: v for k, v in fields.items() if v is not None})
 
@@ -221,10 +115,37 @@ class Station:
         """
         yield from self._client.messages(require_whole("events", "after", after, 0, 2**53))
 
-    def runs(self, limit: int = 50) -> list[dict[str, Any]]:
-        """Return summaries of the newest runs, newest first."""
-        require_whole("runs", "limit", limit, 1, 1_000_000)
-        return checked(RunListReply, self._client.get("/runs", limit=limit), self._client.url("/runs")).runs
+    def runs(self, limit: int = 50, **filters: Unpack[RunFilters]) -> list[dict[str, Any]]:
+        """Return summaries of runs, newest first: the newest ones, or of those that all filters let pass.
+
+        Args:
+            limit: largest number of runs.
+            **filters: `verdict` ("ok", "degraded", "failed", "none": without a result), `board_type`, `board_id` (the
+                armed one), `read_id` (read from the board, or reported by the next machine), `reason` (a code or
+                cause), `since` and `until` (times with a zone, RFC 3339 or datetime), `before` (id of a run).
+        """
+        missing = require_whole("runs", "limit", limit, 1, 1_000_000)
+        query = _filters(filters)
+        found: list[dict[str, Any]] = []
+        # One reply has at most `_PAGE` runs, and with a filter it may have fewer although more follow.
+        while missing > 0:
+            reply = self._client.get("/runs", **query, limit=min(missing, _PAGE))
+            page = checked(RunListReply, reply, self._client.url("/runs"))
+            found += page.runs
+            missing -= len(page.runs)
+            if page.next is None:
+                break
+            query["before"] = page.next
+        return found
+
+    def counts(self, since: str | datetime | None = None) -> RunCounts:
+        """Return the numbers of boards by verdict, and of missed ones, since a time; by default since midnight."""
+        query = _filters({} if since is None else {"since": since})
+        return checked(RunCounts, self._client.get("/runs/counts", **query), self._client.url("/runs/counts"))
+
+    def calibration(self) -> CalibrationStatus:
+        """Return the calibration in force, with the displacement of every camera from it in the latest runs."""
+        return checked(CalibrationStatus, self._client.get("/calibration"), self._client.url("/calibration"))
 
     def run(self, run_id: str = "latest") -> StationRun:
         """Return a run by its id, by default the one that finished last."""
@@ -290,6 +211,18 @@ def connect(
     # One request now, so that a wrong address is an error here and not at the first use.
     station.snapshot()
     return station
+
+
+def _filters(given: RunFilters) -> dict[str, str]:
+    """Return filters as the parameters of a query; raise InputError for an unknown name or a wrong value."""
+    query = {}
+    for name, value in given.items():
+        if name not in RunFilters.__annotations__:
+            raise InputError.field("runs", name, value, f"one of {', '.join(RunFilters.__annotations__)}")
+        if isinstance(value, datetime) and value.tzinfo is None:
+            raise InputError.field("runs", name, str(value), "a time with its zone")
+        query[name] = value.isoformat() if isinstance(value, datetime) else require_text("runs", name, value)
+    return query
 
 
 def _path(name: str, value: str | Path | None) -> Path | None:

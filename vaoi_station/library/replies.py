@@ -5,7 +5,7 @@ Unknown keys are accepted, so that a newer station may send more. Everything els
 
 from __future__ import annotations
 
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -13,6 +13,8 @@ from vaoi_station.demo.client import unusable_reply
 from vaoi_station.files.documents import describe
 from vaoi_station.model.frozen_model import Matrix, Point, Positive, Whole
 from vaoi_station.rendering.view import Plane
+from vaoi_station.runs.archive.board_type_history import BoardTypeVersion
+from vaoi_station.runs.states.schemas import BoardTypeSummary
 
 M = TypeVar("M", bound=BaseModel)
 
@@ -33,6 +35,21 @@ class RunListReply(_Reply):
     """A page of the list of runs."""
 
     runs: list[dict[str, Any]]
+    next: str | None = None
+    """Id of a run, before which the next page begins; None on the last page."""
+
+
+class BoardTypeListReply(_Reply):
+    """All board types, and the names of those that were deleted and can be restored."""
+
+    board_types: tuple[BoardTypeSummary, ...]
+    deleted: tuple[str, ...] = ()
+
+
+class VersionListReply(_Reply):
+    """The versions of a board type that were replaced or deleted, newest first."""
+
+    revisions: tuple[BoardTypeVersion, ...]
 
 
 class AddressReply(_Reply):
@@ -74,6 +91,56 @@ class ViewReply(_Reply):
     url: Annotated[str, Field(pattern=r"^/api/")]
 
 
+class MergedReply(_Reply):
+    """One picture that is merged of several frames."""
+
+    k: Whole
+    merged: tuple[tuple[Whole, Whole], ...]
+    """(camera, row) of the frames, best first."""
+    exposures: Whole
+    """Number of different exposures; with 1, saturated places have no value."""
+    lights: tuple[str, ...]
+    width_px: Whole
+    height_px: Whole
+    px_per_mm: Positive
+    plane_height_mm: float
+    """Height above the board of the plane in which frames are merged."""
+    crop_from_cad: Matrix
+    cad_from_crop: Matrix
+    url: Annotated[str, Field(pattern=r"^/api/.*\?")]
+
+
+class MergedListReply(_Reply):
+    """The merged pictures of a component or region."""
+
+    pictures: tuple[MergedReply, ...]
+
+
+class MosaicReply(_Reply):
+    """One picture of a whole board."""
+
+    name: str
+    light: str | None = None
+    exposure_us: float | None = None
+    hdr: bool
+    width_px: Whole
+    height_px: Whole
+    px_per_mm: Positive
+    levels: Whole
+    image_from_cad: Matrix
+    """CAD → pixels of the largest picture; centres of pixels are integers."""
+    dzi: str
+    iiif: str
+    tiff: str
+    """Addresses as Deep Zoom Image, over IIIF, and as a file."""
+
+
+class MosaicListReply(_Reply):
+    """The pictures of a whole board."""
+
+    mosaics: tuple[MosaicReply, ...]
+
+
 class ComponentReply(_Reply):
     """All views of one component."""
 
@@ -87,7 +154,9 @@ def checked(model: type[M], reply: Any, url: str) -> M:
     Raises:
         DeviceError: the reply is empty, lacks a key, or has a value of another type; the message names address and key.
     """
+    # Documents that the station writes itself are closed; a newer station may have added keys to them.
+    extra: Literal["ignore"] | None = "ignore" if model.model_config.get("extra") != "allow" else None
     try:
-        return model.model_validate(reply)
+        return model.model_validate(reply, extra=extra)
     except ValidationError as error:
         raise unusable_reply(url, f"another document than expected: {describe(error, 'reply').rstrip('.')}") from error

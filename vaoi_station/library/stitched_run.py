@@ -34,23 +34,11 @@ from vaoi_station.rendering import (
     measure,
     render_chosen,
 )
-from vaoi_station.rendering.description import describe
+from vaoi_station.rendering.description import component_covariances, describe
+from vaoi_station.rendering.selection import frame_facts
 
 _SAME_PX = 0.01
 """Largest difference in a frame, px, of two equal calibrations: results state displacements with four decimals."""
-
-
-def component_covariances(result: Stitch, ref: str) -> dict[tuple[int, int], Floats]:
-    """Return the covariance (2, 2) in px² of a component's centre in each frame, by (camera, row)."""
-    try:
-        rows = result.quality.get("component_covariance_px2", {}).get(ref, [])
-        return {(int(c), int(j)): np.array([[xx, xy], [xy, yy]], dtype=np.float64) for c, j, xx, xy, yy in rows}
-    except (AttributeError, TypeError, ValueError) as error:
-        # `quality` accepts any keys and values, so that readers of older versions can open newer results.
-        raise InputError(
-            f"the result: quality.component_covariance_px2 of {ref!r} is not a list of [camera, row, xx, xy, yy].",
-            action="Stitch the recording again.",
-        ) from error
 
 
 def component_height(result: Stitch, ref: str) -> tuple[float | None, float | None]:
@@ -96,7 +84,7 @@ class StitchedRun:
         return self.result.cad_matrix
 
     def component_matrix(self, ref: str) -> Floats | None:
-        """Return C (3, 3) of a component: its own where local fiducials place it; None without a CAD mapping.
+        """Return C (3, 3) of a component: its own, that of its board on a panel, or C; None without a CAD mapping.
 
         Raises:
             NotFoundError: the board type has no such component.
@@ -190,14 +178,7 @@ class StitchedRun:
     @cached_property
     def _facts(self) -> dict[tuple[int, int], FrameFacts]:
         """How each frame (camera, row) was taken."""
-        head = self.recording.head
-        times_s = (head.row_times_s() - head.row_times_s()[0]).tolist()
-        lights = head.lights or ("",) * head.rows
-        return {
-            (i, j): FrameFacts(head.exposure_us(i, j), head.gain(i, j), lights[j] or None, times_s[j])
-            for i in range(len(head.cameras))
-            for j in range(head.rows)
-        }
+        return frame_facts(self.recording.head)
 
     def _measure(self, view: View) -> Measures:
         return measure(view, self._frame(view))

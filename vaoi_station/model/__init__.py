@@ -5,13 +5,13 @@ are free for the user: the software keeps them and does not interpret them. Came
 """
 
 from vaoi_station.model.board_identity import BoardCode, BoardIdentity, BoardReading, CodePlace
+from vaoi_station.model.board_marks import Fiducial, OtherMark
 from vaoi_station.model.board_type import (
     MM_PER_UNIT,
     VISIBILITY,
     BoardLine,
     BoardType,
     Component,
-    Fiducial,
     FixtureMarkShape,
     Place,
     Visibility,
@@ -42,6 +42,7 @@ __all__ = [
     "FixtureMarkShape",
     "FrameRecord",
     "FrozenModel",
+    "OtherMark",
     "Place",
     "Positive",
     "Program",

@@ -6,7 +6,7 @@ import hashlib
 import json
 import math
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -15,6 +15,7 @@ from pydantic import Field, model_validator
 
 from vaoi_station.geometry.polygon import encloses, find_crossing_edges
 from vaoi_station.model.board_identity import BoardIdentity, check_places
+from vaoi_station.model.board_marks import Fiducial, OtherMark, fiducials_by_board, largest_distance
 from vaoi_station.model.frozen_model import MOST_MM, Finite, FrozenModel, Millimetres, Point, Positive, Whole
 from vaoi_station.model.light_program import Program
 
@@ -31,9 +32,8 @@ _MOST_HEIGHT_MM = 1000.0
 MOST_CUT_OUT_CORNERS = 20_000
 """Largest number of corners of all cut-outs together."""
 BoardTypeState = Literal["draft", "approved", "retired"]
-FoundBy = Literal["element", "attribute", "package", "name", "place"]
-OF_IMPORT: dict[str, Any] = {"fiducials": {"__all__": {"kind", "found_by", "components"}}}
-"""Keys of the fiducials that are left out of digests; `BoardType.local_terms` has those of local ones."""
+OF_IMPORT: dict[str, Any] = {"fiducials": {"__all__": {"kind", "found_by", "components", "panel"}}}
+"""Keys of the fiducials that are left out of digests; `BoardType.local_terms` has those of local ones and of boards."""
 _NOT_FILMED: dict[str, Any] = OF_IMPORT | {
     "revision": True,
     "state": True,
@@ -45,34 +45,6 @@ _NOT_FILMED: dict[str, Any] = OF_IMPORT | {
 """Keys on which no run depends. Without them the digest is that of versions that did not have them, so that drift is
 watched on across an update."""
 MM_PER_UNIT = {"mm": 1.0, "inch": 25.4, "mil": 0.0254}
-
-
-class Fiducial(FrozenModel):
-    """A fiducial mark of the board at known CAD coordinates."""
-
-    name: str
-    x: Finite
-    y: Finite
-    shape: Literal["circle", "cross", "square", "diamond"] = "circle"
-    diameter: Positive
-    kind: Literal["global", "local"] | None = None
-    """Local: of the components below; None: not stated."""
-    found_by: FoundBy | None = None
-    """How the import has recognised the mark."""
-    components: tuple[str, ...] | None = None
-    """Addresses of the components that a local fiducial places."""
-
-
-class OtherMark(FrozenModel):
-    """A mark by which no board is placed: a fiducial of the panel, or a mark that states that a board is bad."""
-
-    name: str
-    x: Finite
-    y: Finite
-    shape: Literal["circle", "cross", "square", "diamond"] = "circle"
-    diameter: Positive
-    kind: Literal["panel", "bad-board"]
-    found_by: FoundBy | None = None
 
 
 class Visibility(FrozenModel):
@@ -210,6 +182,7 @@ class BoardType(FrozenModel):
                         f"{low.tolist()} … {high.tolist()} {self.unit}"
                     )
         _check_cut_outs(self)
+        _check_positions(self)
         if self.identity is not None and self.identity.places:
             check_places(self.identity, *self.extent(), 1.0 / self.mm_per_unit)
         if self.fixture_marks and self.fixture_mark is None:
@@ -243,10 +216,51 @@ class BoardType(FrozenModel):
         return local if len(self.fiducials) - len(local) >= 2 else frozenset()
 
     @property
+    def board_fiducials(self) -> dict[str, tuple[int, ...]]:
+        """Numbers of the fiducials of each board of a panel, by its position; local fiducials are none of them."""
+        return fiducials_by_board(self.fiducials)
+
+    def board_of_c(self, found: Collection[int], fixture_marks: int = 0) -> str | None:
+        """Return the position of the board of a panel whose fiducials alone determine C; None if none does.
+
+        It is the board with the largest distance between two fiducials that are found. The panel's fiducials take its
+        place, together with the fixture marks around the panel, if at least two of these are found.
+
+        Args:
+            found: numbers of the fiducials that were found.
+            fixture_marks: number of fixture marks that were found.
+        """
+        boards = self.board_fiducials
+        of_panel = set(found).difference(self.local_fiducials, *boards.values())
+        if not boards or len(of_panel) + fixture_marks >= 2:
+            return None
+        seen = {position: [self.fiducials[n] for n in at if n in found] for position, at in boards.items()}
+        spans = {position: largest_distance(marks) for position, marks in seen.items()}
+        widest = max(spans, key=lambda position: spans[position])
+        return widest if spans[widest] > 0 else None
+
+    def apart_from_c(self, found: Collection[int], fixture_marks: int = 0) -> frozenset[int]:
+        """Return the numbers of the fiducials that have no part in C: local ones, and those of boards of a panel.
+
+        Where one board determines C, all others have no part in it, nor has a single fiducial of the panel. Arguments
+        as of `board_of_c`.
+        """
+        boards, local = self.board_fiducials, self.local_fiducials
+        of_boards = frozenset(n for numbers in boards.values() for n in numbers)
+        of_panel = set(found) - of_boards - local
+        if (position := self.board_of_c(found, fixture_marks)) is not None:
+            return local | (of_boards - frozenset(boards[position])) | of_panel
+        return local | of_boards if len(of_panel) + fixture_marks >= 2 else local
+
+    @property
     def local_terms(self) -> str:
-        """Text of what positions owe to local fiducials; empty without any, so that digests stay those of before."""
+        """Text of what positions owe to fiducials of components and of boards; empty without any.
+
+        Digests of board types without such fiducials are then those of earlier versions.
+        """
         local = {self.fiducials[n].name: self.fiducials[n].components for n in sorted(self.local_fiducials)}
-        return json.dumps(local) if local else ""
+        boards = {position: [self.fiducials[n].name for n in at] for position, at in self.board_fiducials.items()}
+        return (json.dumps(local) if local else "") + (json.dumps(boards) if boards else "")
 
     def filmed_digest(self) -> str:
         """Return a digest of everything on which runs depend.
@@ -341,6 +355,26 @@ def _check_cut_outs(board: BoardType) -> None:
         points = np.array(corners, dtype=np.float64)
         if (points < low).any() or (points > high).any():
             raise ValueError(f"cut_outs.{n} lies outside the outline {low.tolist()} … {high.tolist()} {board.unit}")
+
+
+def _check_positions(board: BoardType) -> None:
+    """Raise ValueError if a fiducial belongs to a board without components, or an address may be of two boards."""
+    of_parts = {str(c.panel) for c in board.components if c.panel is not None}
+    marks = [("fiducial", f.name, f.panel) for f in board.fiducials]
+    marks += [("mark", m.name, m.panel) for m in board.other_marks or ()]
+    for what, name, position in marks:
+        if position is not None and str(position) not in of_parts:
+            raise ValueError(
+                f"{what} {name!r} belongs to position {str(position)!r} of the panel, which has no components; give "
+                "these components the same `panel`"
+            )
+    positions = board.board_fiducials
+    for c in board.components if positions else ():
+        if c.panel is None and "/" in c.ref and c.ref.partition("/")[0] in positions:
+            raise ValueError(
+                f"component {c.ref!r} belongs to no position of the panel, but its name begins like that of one; give "
+                "`panel` and `ref` apart"
+            )
 
 
 def _check_unique(names: list[str], what: str) -> None:

@@ -34,6 +34,8 @@ class ReasonCode(StrEnum):
     FIDUCIAL_OFF_PLACE = "fiducial-off-place"
     FIDUCIAL_WRONG = "fiducial-wrong"
     LOCAL_FIDUCIAL_UNUSABLE = "local-fiducial-unusable"
+    BOARD_UNPLACED = "board-unplaced"
+    BAD_BOARD_DOUBTFUL = "bad-board-doubtful"
     SCALE_WRONG = "scale-wrong"
     SURFACE_UNLIKELY = "surface-unlikely"
     OUTLINE_SHIFTED = "outline-shifted"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from enum import StrEnum
 from typing import Annotated, Any, Literal, Self
@@ -71,7 +71,12 @@ class Stitch(FrozenModel):
     It is None in results of older versions, which assumed that the calibrated N_i are exact."""
 
     local_matrices: dict[str, Matrix] | None = None
-    """C of each component that its local fiducials place, by address; other components follow `cad_matrix`."""
+    """C of each component that its local fiducials place, by address; other components follow their board."""
+    board_matrices: dict[str, Matrix] | None = None
+    """C of each board of a panel that its fiducials place, by position; other boards follow `cad_matrix`."""
+
+    skipped_boards: tuple[str, ...] | None = None
+    """Positions of the boards of a panel that are bad, as their marks show: their components are not demanded."""
 
     @model_validator(mode="after")
     def _one_code_per_reason(self) -> Self:
@@ -104,7 +109,22 @@ class Stitch(FrozenModel):
 
     def component_matrix(self, address: str) -> NDArray[np.float64] | None:
         """Return the matrix (3, 3) from CAD to tester coordinates that holds for a component; None without C."""
-        return (self.local_matrices or {}).get(address, self.cad_matrix)
+        own = (self.local_matrices or {}).get(address)
+        if own is None and self.board_matrices is not None:
+            position, separator, _ = address.partition("/")
+            own = self.board_matrices.get(position) if separator else None
+        return self.cad_matrix if own is None else own
+
+    def displacements(self, addresses: Iterable[str]) -> dict[str, NDArray[np.float64]]:
+        """Return, by address, the matrices (3, 3) of those components that do not follow C.
+
+        They take CAD coordinates of a component to those of the same place by C.
+        """
+        if self.cad_matrix is None or not (self.local_matrices or self.board_matrices):
+            return {}
+        back = np.linalg.inv(self.cad_matrix)
+        matrices = {address: self.component_matrix(address) for address in addresses}
+        return {ref: back @ m for ref, m in matrices.items() if m is not None and m is not self.cad_matrix}
 
     @property
     def tester_from_cad(self) -> Projective | None:

@@ -13,7 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import BoardType, Stitch
+from vaoi_station.model.known_height import known_height_mm
 from vaoi_station.mosaic.cells import (
     CELL_PX,
     Sight,
@@ -45,6 +47,14 @@ class PlannedFrame(NamedTuple):
     log_gain: float
 
 
+class RaisedBody(NamedTuple):
+    """A body whose top is shown in its own plane."""
+
+    corners: Floats
+    """(4, 2) corners of its footprint, CAD."""
+    height_mm: float
+
+
 class CameraPhotometry(NamedTuple):
     """What turns grey levels of one camera into those of the mosaic."""
 
@@ -71,6 +81,8 @@ class MosaicPlan:
     cameras: dict[int, CameraPhotometry]
     tone: tuple[float, float]
     """Radiance of the darkest and the brightest places, for display."""
+    bodies: tuple[RaisedBody, ...] = ()
+    """With HDR, the bodies of known height, the highest last: the layers show them from different frames."""
 
     @property
     def covered(self) -> float:
@@ -125,9 +137,16 @@ def make_plan(
     }
     frames = tuple(PlannedFrame(s.taken, gains.frame[s.taken.camera, s.taken.row]) for s in surveyed)
     reference = max((f.sensitivity for f in choice.frames), default=1.0)
+    bodies = _raised_bodies(board_type, stitch) if choice.hdr else ()
     return MosaicPlan(
-        base, choice.light, choice.hdr, reference, frames, tuple(layers), cameras, _tone(surveyed, gains.dark)
+        base, choice.light, choice.hdr, reference, frames, tuple(layers), cameras, _tone(surveyed, gains.dark), bodies
     )
+
+
+def _raised_bodies(board_type: BoardType, stitch: Stitch) -> tuple[RaisedBody, ...]:
+    heights = ((c, known_height_mm(c, board_type, stitch)) for c in board_type.components)
+    found = (RaisedBody(board_type.footprint(c), height_mm) for c, height_mm in heights if height_mm)
+    return tuple(sorted(found, key=lambda body: body.height_mm))
 
 
 def _labels(

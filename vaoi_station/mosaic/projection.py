@@ -43,9 +43,9 @@ class FrameProjector:
         """Return whether stitching placed a frame."""
         return self._placed[camera][row] is not None
 
-    def raw_px(self, camera: int, row: int, cad: Floats) -> Floats:
-        """Project CAD points (..., 2) on the board's surface to raw pixels (..., 2) of a frame."""
-        height = 0.0 if self._surface is None else self._surface.height_mm(cad)
+    def raw_px(self, camera: int, row: int, cad: Floats, above_mm: float = 0.0) -> Floats:
+        """Project CAD points (..., 2), so far above the board's surface, to raw pixels (..., 2) of a frame."""
+        height = above_mm if self._surface is None else above_mm + self._surface.height_mm(cad)
         return self.cameras[camera].project(apply(self._row_from_cad[row], cad), height)
 
     def slant_mm(self, camera: int, row: int, cad: Floats) -> Floats:
@@ -56,29 +56,42 @@ class FrameProjector:
         offset = apply(self._row_from_cad[row], cad) - self.cameras[camera].foot_mm
         return np.asarray(np.hypot(offset[..., 0], offset[..., 1]))
 
-    def raw_from_mosaic(self, camera: int, row: int, grid: MosaicGrid, box: tuple[int, int, int, int]) -> Floats:
+    def raw_from_mosaic(
+        self, camera: int, row: int, grid: MosaicGrid, box: tuple[int, int, int, int], above_mm: float = 0.0
+    ) -> Floats:
         """Return the homography (3, 3) from pixels of a part x0, y0, x1, y1 of a mosaic to raw pixels of a frame.
+
+        The pixels of the mosaic lie `above_mm` above the board.
 
         It is exact at the corners of the part. Between them a lens or a bowed board bends the picture, by less than
         0.05 px within 256 px for the lenses of such an array.
         """
         x0, y0, x1, y1 = box
         corners = np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)], dtype=np.float64) - 0.5
-        raw = self.raw_px(camera, row, apply(grid.cad_from_mosaic, corners))
+        raw = self.raw_px(camera, row, apply(grid.cad_from_mosaic, corners), above_mm)
         matrix = _from_rectangle(raw, x1 - x0, y1 - y0)
         matrix[:, 2] -= corners[0, 0] * matrix[:, 0] + corners[0, 1] * matrix[:, 1]
         return matrix
+
+    def cad(self, camera: int, row: int, raw_px: Floats) -> Floats:
+        """Return the CAD points (k, 2) on the board's surface that raw pixels (k, 2) of a frame show."""
+        eye, cad_from_row = self.cameras[camera], np.linalg.inv(self._row_from_cad[row])
+        cad = apply(cad_from_row, eye.ground(raw_px))
+        if self._surface is not None:
+            cad = apply(cad_from_row, eye.ground(raw_px, self._surface.height_mm(cad)))
+        return np.asarray(cad)
+
+    def outline(self, camera: int, row: int) -> Floats:
+        """Return the corners (4, 2), going round, of what a frame shows of the board's plane, CAD coordinates."""
+        w, h = self.cameras[camera].width_px - 0.5, self.cameras[camera].height_px - 0.5
+        return self.cad(camera, row, np.array([(-0.5, -0.5), (w, -0.5), (w, h), (-0.5, h)]))
 
     def seen_box(self, camera: int, row: int, grid: MosaicGrid) -> tuple[int, int, int, int]:
         """Return the part x0, y0, x1, y1 (ends excluded) of a mosaic that encloses what a frame shows; may be empty."""
         eye = self.cameras[camera]
         w, h = eye.width_px - 1.0, eye.height_px - 1.0
         border = np.array([(x * w / 4, y * h / 4) for y in range(5) for x in range(5)])
-        cad_from_row = np.linalg.inv(self._row_from_cad[row])
-        cad = apply(cad_from_row, eye.ground(border))
-        if self._surface is not None:
-            cad = apply(cad_from_row, eye.ground(border, self._surface.height_mm(cad)))
-        at = apply(grid.mosaic_from_cad, cad)
+        at = apply(grid.mosaic_from_cad, self.cad(camera, row, border))
         low, high = np.floor(at.min(0)).astype(int) - 1, np.ceil(at.max(0)).astype(int) + 2
         x0, y0 = np.clip(low, 0, (grid.width, grid.height))
         x1, y1 = np.clip(high, 0, (grid.width, grid.height))

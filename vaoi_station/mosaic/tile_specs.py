@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -17,7 +17,7 @@ from vaoi_station.geometry.transforms import Floats
 from vaoi_station.mosaic.cells import CELL_PX
 from vaoi_station.mosaic.frames import TakenFrame
 from vaoi_station.mosaic.grid import MosaicGrid
-from vaoi_station.mosaic.plan import FIELD_PX, MosaicPlan
+from vaoi_station.mosaic.plan import FIELD_PX, MosaicPlan, PlannedFrame
 from vaoi_station.mosaic.projection import FrameProjector, between
 from vaoi_station.mosaic.survey import Floats32
 from vaoi_station.photometry import NoiseModel
@@ -70,6 +70,18 @@ class TileSpec:
     cells_from_tile: Floats
     """(2, 3) matrix from pixels of the tile to cells."""
     parts: tuple[FramePart, ...]
+    bodies: tuple[BodyPart, ...] = ()
+    """Bodies that the tile shows, the highest last."""
+
+
+class BodyPart(NamedTuple):
+    """The part of a tile around a body, in the plane of the body's top. It uses frames of the tile only."""
+
+    first: tuple[int, int]
+    """First column and row of the part in the tile."""
+    corners: Floats
+    """(4, 2) corners of the footprint in pixels of the part."""
+    spec: TileSpec
 
 
 class TileRenderer:
@@ -80,6 +92,7 @@ class TileRenderer:
         base_from_grid = plan.base.mosaic_from_cad @ grid.cad_from_mosaic
         self._cells_from_grid = between(base_from_grid, CELL_PX, 1)
         per_base_px = float(base_from_grid[0, 0])
+        self._bodies = [(apply(grid.mosaic_from_cad, body.corners), body.height_mm) for body in plan.bodies]
         self._reduction = 2 ** max(int(np.floor(np.log2(max(per_base_px, 1.0)) + 0.01)), 0)
 
     @cached_property
@@ -123,6 +136,20 @@ class TileRenderer:
 
     def spec(self, box: Box) -> TileSpec:
         """Prepare one tile."""
+        return replace(self._spec(box, 0.0), bodies=tuple(self._body_parts(box)))
+
+    def _body_parts(self, box: Box) -> Iterator[BodyPart]:
+        """Yield the bodies that a tile shows, in the planes of their tops."""
+        for corners, height_mm in self._bodies:
+            low = np.maximum(np.floor(corners.min(0) + 0.5).astype(int), box[:2])
+            high = np.minimum(np.ceil(corners.max(0) + 0.5).astype(int), box[2:])
+            if (low < high).all():
+                x0, y0, x1, y1 = (int(v) for v in (*low, *high))
+                spec = self._spec((x0, y0, x1, y1), height_mm)
+                yield BodyPart((x0 - box[0], y0 - box[1]), corners - low, spec)
+
+    def _spec(self, box: Box, above_mm: float) -> TileSpec:
+        """Prepare a part of the picture in the plane so far above the board."""
         x0, y0, x1, y1 = box
         plan, shape = self._plan, self._plan.layers[0].shape
         ends = apply(self._cells_from_grid, np.array([(x0 - 0.5, y0 - 0.5), (x1 - 0.5, y1 - 0.5)]))
@@ -142,27 +169,32 @@ class TileRenderer:
                     mine = None if (labels == n).all() else (labels == n).astype(np.uint8)
                     window = _window(mine, tile_from_cells, (x1 - x0, y1 - y0))
                     if window[2] > window[0] and window[3] > window[1]:
-                        parts.append(self._part(number, int(n), box, window, tile_from_cells, mine, labels.shape))
+                        frame = plan.frames[int(n)]
+                        place = box[0] + window[0], box[1] + window[1], box[0] + window[2], box[1] + window[3]
+                        matrix = self._matrix(frame.taken, place, box, above_mm)
+                        parts.append(self._part(number, frame, matrix, window, tile_from_cells, mine, labels.shape))
         return TileSpec(x1 - x0, y1 - y0, plan.hdr, len(plan.layers), cells_from_tile[:2], tuple(parts))
+
+    def _matrix(self, taken: TakenFrame, place: Box, box: Box, above_mm: float) -> Floats:
+        """Return the matrix from pixels of the tile `box` to raw pixels of a frame, which is right in `place`."""
+        matrix = self._projector.raw_from_mosaic(taken.camera, taken.row, self.grid, place, above_mm)
+        matrix[:, 2] += box[0] * matrix[:, 0] + box[1] * matrix[:, 1]
+        return matrix
 
     def _part(
         self,
         layer: int,
-        number: int,
-        box: Box,
+        frame: PlannedFrame,
+        matrix: Floats,
         window: Box,
         tile_from_cells: Floats,
         mine: NDArray[np.uint8] | None,
         cells: tuple[int, ...],
     ) -> FramePart:
-        plan = self._plan
-        taken, log_gain = plan.frames[number]
+        plan, (taken, log_gain) = self._plan, frame
         photometry = plan.cameras[taken.camera]
         eye = self._projector.cameras[taken.camera]
         x0, y0, x1, y1 = window
-        place = box[0] + x0, box[1] + y0, box[0] + x1, box[1] + y1
-        matrix = self._projector.raw_from_mosaic(taken.camera, taken.row, self.grid, place)
-        matrix[:, 2] += box[0] * matrix[:, 0] + box[1] * matrix[:, 1]
         # Between the cells of one tile the lens matters less to the field than one of its pixels.
         field_from_cells = between(matrix @ tile_from_cells, FIELD_PX, 1)
         field = cv2.warpPerspective(

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.errors import InputError
+from vaoi_station.geometry.polygon import pixels_inside
 from vaoi_station.geometry.shifting import shift
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.mosaic.blending import Cells, Nodes, Pictures, blend, nodes_along
@@ -61,7 +62,7 @@ def render_tile(spec: TileSpec, read: ReadFrame, scratch: Scratch | None = None)
     """
     memory = Scratch() if scratch is None else scratch
     if spec.hdr:
-        return _render_hdr(spec, read)
+        return _with_bodies(_render_hdr(spec, read), spec, read)
     found = [(part, *source) for part in spec.parts if (source := _source(part, read)) is not None]
     if not found:
         return None
@@ -182,7 +183,17 @@ def _windows(mine: NDArray[np.uint8] | None, lefts: Sequence[int], tops: Sequenc
     return boxes
 
 
-def _render_hdr(spec: TileSpec, read: ReadFrame) -> NDArray[Any] | None:
+def _with_bodies(ground: Floats32 | None, spec: TileSpec, read: ReadFrame) -> Floats32 | None:
+    """Replace what footprints hide by the tops of their bodies, which the layers show in one place only there."""
+    for first, corners, part in spec.bodies if ground is not None else ():
+        top = _render_hdr(part, read)
+        if top is not None and ground is not None:
+            shown = pixels_inside(corners, part.width, part.height) & np.isfinite(top)
+            ground[first[1] : first[1] + part.height, first[0] : first[0] + part.width][shown] = top[shown]
+    return ground
+
+
+def _render_hdr(spec: TileSpec, read: ReadFrame) -> Floats32 | None:
     """Render radiance: blend the frames of each layer, then merge the layers by their noise."""
     shape = spec.height, spec.width
     totals: dict[int, list[Floats32]] = {}

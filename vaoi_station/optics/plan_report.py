@@ -9,6 +9,7 @@ from typing import Any
 from vaoi_station.optics.constraint import Constraint
 from vaoi_station.optics.optics_plan import Plan
 from vaoi_station.optics.paper_example import PaperFigure
+from vaoi_station.optics.remedies import Remedy, find_remedies
 
 _VERDICTS = {True: "ok", False: "VIOLATED", None: "open"}
 
@@ -16,20 +17,22 @@ _VERDICTS = {True: "ok", False: "VIOLATED", None: "open"}
 def plan_to_json(plan: Plan, figures: Sequence[PaperFigure] = ()) -> dict[str, Any]:
     """Convert a plan to JSON data.
 
-    The keys are `requirements`, the sections of figures, `constraints` and `ok`. If `figures` of the comparison with
-    the paper are given, they are under `paper`.
+    The keys are `requirements`, the sections of figures, `constraints`, `ok` and `remedies`. If `figures` of the
+    comparison with the paper are given, they are under `paper`.
     """
-    document = asdict(plan) | {"ok": plan.ok}
+    document = asdict(plan) | {"ok": plan.ok, "remedies": [asdict(r) for r in find_remedies(plan)]}
     return document | {"paper": [asdict(f) for f in figures]} if figures else document
 
 
 def format_plan(plan: Plan, figures: Sequence[PaperFigure] = ()) -> str:
-    """Format a plan as text tables: requirements, computed values, constraints with margins, the paper's figures."""
+    """Format a plan as text tables: requirements, results, constraints, remedies, the paper's figures."""
     blocks = [
         _block("Requirements", _requirements(plan)),
         _block("Results", _results(plan)),
         _constraints(plan.constraints),
     ]
+    if remedies := find_remedies(plan):
+        blocks.append("What would mend what is violated\n" + _table([_remedy(r) for r in remedies], right={2}))
     if figures:
         blocks.append(_comparison(figures))
     return "\n\n".join(blocks) + "\n"
@@ -96,6 +99,12 @@ def _constraints(constraints: Iterable[Constraint]) -> str:
         for c in constraints
     ]
     return "Constraints\n" + _table(rows, right={2, 4, 5})
+
+
+def _remedy(remedy: Remedy) -> tuple[str, str, str, str]:
+    option = f"--{remedy.requirement.replace('_', '-')}"
+    new = f"violates {', '.join(remedy.violates)}" if remedy.violates else ""
+    return remedy.constraint, option, _number(remedy.value), new
 
 
 def _comparison(figures: Iterable[PaperFigure]) -> str:

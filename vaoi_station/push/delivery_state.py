@@ -111,8 +111,12 @@ def read_state(path: Path, newest: Callable[[], int]) -> DeliveryState:
         except VaoiError as error:
             _log.error("%s Deliveries continue with the next event.", error)
         else:
-            # After a restored backup the log is shorter: its next events have numbers that were used before.
-            return state.model_copy(update={"last": min(state.last, newest())})
+            last = newest()
+            if state.last <= last:
+                return state
+            # After a restored backup the log is shorter: its next events have numbers that were used before, and what
+            # was tried of the event whose turn it was does not count for another one.
+            return state.model_copy(update={"last": last, "attempts": 0, "due_s": 0.0})
     return DeliveryState(last=newest())
 
 

@@ -134,7 +134,8 @@ class MqttTransport:
         if broker.tls:
             context = ssl.create_default_context(cafile=broker.ca)
             if broker.certificate is not None and broker.private_key is not None:
-                context.load_cert_chain(broker.certificate, broker.private_key)
+                # Without a password here, an encrypted key would be asked for at the terminal.
+                context.load_cert_chain(broker.certificate, broker.private_key, lambda: "")
             client.tls_set_context(context)
         return client
 

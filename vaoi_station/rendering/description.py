@@ -4,10 +4,27 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
+from vaoi_station.errors import InputError
 from vaoi_station.geometry.transforms import Floats
+from vaoi_station.model import Stitch
 from vaoi_station.rendering.measures import Measures
 from vaoi_station.rendering.selection import ChosenView
 from vaoi_station.rendering.view import sigma_px
+
+
+def component_covariances(result: Stitch, ref: str) -> dict[tuple[int, int], Floats]:
+    """Return the covariance (2, 2) in px² of a component's centre in each frame, by (camera, row)."""
+    try:
+        rows = result.quality.get("component_covariance_px2", {}).get(ref, [])
+        return {(int(c), int(j)): np.array([[xx, xy], [xy, yy]], dtype=np.float64) for c, j, xx, xy, yy in rows}
+    except (AttributeError, TypeError, ValueError) as error:
+        # `quality` accepts any keys and values, so that readers of older versions can open newer results.
+        raise InputError(
+            f"the result: quality.component_covariance_px2 of {ref!r} is not a list of [camera, row, xx, xy, yy].",
+            action="Stitch the recording again.",
+        ) from error
 
 
 def describe(choice: ChosenView, covariance_px2: Floats | None) -> dict[str, Any]:

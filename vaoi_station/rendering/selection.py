@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vaoi_station.errors import InputError, StateError
+from vaoi_station.model import RecordingHead
 from vaoi_station.rendering.measures import Measures
 from vaoi_station.rendering.request import AZIMUTHS, Bounds, Choice, ImageRequest
 from vaoi_station.rendering.view import View
@@ -37,6 +38,17 @@ class FrameFacts(NamedTuple):
         if self.exposure_us is None or other.exposure_us is None:
             return 1.0
         return self.exposure_us * (self.gain or 1.0) / (other.exposure_us * (other.gain or 1.0))
+
+
+def frame_facts(head: RecordingHead) -> dict[tuple[int, int], FrameFacts]:
+    """Return how each frame (camera, row) of a recording was taken."""
+    times_s = (head.row_times_s() - head.row_times_s()[0]).tolist()
+    lights = head.lights or ("",) * head.rows
+    return {
+        (i, j): FrameFacts(head.exposure_us(i, j), head.gain(i, j), lights[j] or None, times_s[j])
+        for i in range(len(head.cameras))
+        for j in range(head.rows)
+    }
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,7 +23,7 @@ from vaoi_station.simulation.camera_array import (
     Section,
     Share,
 )
-from vaoi_station.simulation.surroundings import CarrierSection, CodeSection, FiducialMark, TextureSection
+from vaoi_station.simulation.surroundings import CarrierSection, CodeSection, FiducialMark, PanelSection, TextureSection
 
 
 class SpeedChange(Section):
@@ -69,6 +69,8 @@ class BoardSection(Section):
     height_scale: NotNegative = 1.0
     fiducials: tuple[FiducialMark, ...] | None = None
     codes: tuple[CodeSection, ...] = ()
+    panel: PanelSection | None = None
+    """Boards of which a panel of this size consists; None: one board."""
     placement_sigma_mm: NotNegative = 0.03
     turned_deg: Literal[0, 90, 180, 270] = 0
     lift_mm: Finite = 0.0
@@ -104,6 +106,22 @@ class BoardSection(Section):
                 )
             if "{serial}" not in code.text:
                 raise ValueError(f"the text of a code is {code.text!r}, must contain {{serial}}")
+        return self
+
+    @model_validator(mode="after")
+    def _boards_on_panel(self) -> Self:
+        if self.panel is None:
+            return self
+        if self.file is not None or self.photograph is not None or self.grid_mm is not None:
+            raise ValueError("panel is given together with file, photograph or grid_mm; boards of panels are generated")
+        width, length = self.panel.width_mm, self.panel.length_mm
+        for board in self.panel.boards:
+            w, h = (width, length) if board.rotated_deg % 180 == 0 else (length, width)
+            if not (0 <= board.x_mm <= self.width_mm - w and 0 <= board.y_mm <= self.length_mm - h):
+                raise ValueError(
+                    f"a board of the panel at ({board.x_mm}, {board.y_mm}) mm, {w} × {h} mm, lies off the panel "
+                    f"of {self.width_mm} × {self.length_mm} mm"
+                )
         return self
 
     @property

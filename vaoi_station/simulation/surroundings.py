@@ -1,4 +1,4 @@
-"""Tables of a scenario: marks and codes of the board, and its surroundings, the texture of the belt and a carrier."""
+"""Tables of a scenario: marks, codes and panel of the board, and its surroundings, the belt's texture and a carrier."""
 
 from __future__ import annotations
 
@@ -29,6 +29,40 @@ class CodeSection(Section):
     turned_deg: Annotated[float, Field(ge=-360, le=360)] = 0.0
     inverted: bool = False
     panel: str | int | None = None
+
+
+Look = Literal["dark", "light", "blank"]
+
+
+class BadMarkSection(Section):
+    """The mark of every board of a panel that states whether it is bad. Its position counts from the board's corner."""
+
+    x_mm: Finite
+    y_mm: Finite
+    diameter_mm: Positive = 2.0
+    good: Look = "light"
+    bad: Look = "dark"
+
+
+class PanelBoardSection(Section):
+    """The place of a board on the panel, as CAD data state it, and how the real board differs from it."""
+
+    x_mm: Finite
+    y_mm: Finite
+    rotated_deg: Literal[0, 90, 180, 270] = 0
+    shift_mm: tuple[Finite, Finite] = (0.0, 0.0)
+    turn_deg: Annotated[float, Field(ge=-5, le=5)] = 0.0
+    mark: Literal["good", "bad", "half"] = "good"
+
+
+class PanelSection(Section):
+    """The boards of a panel: equal ones, each with its fiducials and its bad-board mark."""
+
+    width_mm: Annotated[float, Field(ge=8, le=4000)]
+    length_mm: Annotated[float, Field(ge=8, le=4000)]
+    boards: Annotated[tuple[PanelBoardSection, ...], Field(min_length=1, max_length=200)]
+    fiducials: tuple[FiducialMark, ...] = ()
+    bad_mark: BadMarkSection | None = None
 
 
 class TextureSection(Section):

@@ -9,6 +9,7 @@ import numpy as np
 
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.simulation.board.layout import board_from_cad
+from vaoi_station.simulation.board.panel import moves
 from vaoi_station.simulation.imaging.pinholes import Pinhole
 from vaoi_station.simulation.world import World
 
@@ -29,14 +30,16 @@ def passage_truth(
     planes = [p.plane() for p in pinholes]
     first = np.linalg.inv(poses[0])
     motions = [e @ first for e in poses]
-    board = board_from_cad(twin.scenario.board)
+    board, panel = board_from_cad(twin.scenario.board), twin.scenario.board.panel
+    displaced = {} if panel is None else moves(panel)
+    of_boards = {position: (poses[0] @ move @ board).tolist() for position, move in displaced.items()}
     return {
         "image_matrices": [[(n @ d).tolist() for d in motions] for n in planes],
         "cad_matrix": (poses[0] @ board).tolist(),
         "row_motion": [d.tolist() for d in motions],
         "heights": {p.ref: 0.0 if p.ref in absent else p.body_height_mm for p in twin.parts},
         "views": views(twin, pinholes, poses),
-    }
+    } | ({"board_matrices": of_boards} if of_boards else {})
 
 
 def views(twin: World, pinholes: tuple[Pinhole, ...], poses: list[Floats]) -> dict[str, list[list[float]]]:

@@ -32,6 +32,8 @@ def build_result(
         surface=findings.surface,
         components=_component_views(findings),
         local_matrices=_local_matrices(findings),
+        board_matrices=_board_matrices(findings),
+        skipped_boards=tuple(at for at, marks in findings.bad_marks.items() if marks.state == "bad") or None,
     )
 
 
@@ -53,8 +55,13 @@ def _component_views(findings: Findings) -> dict[str, tuple[tuple[int, int, floa
 
 def _local_matrices(findings: Findings) -> dict[str, Floats] | None:
     """Return C of the components that local fiducials place, by address; None without any."""
-    places = findings.local_places.items()
+    places = findings.own_places.local.items()
     return {ref: _read_only(place.matrix) for ref, place in places if place.matrix is not None} or None
+
+
+def _board_matrices(findings: Findings) -> dict[str, Floats] | None:
+    """Return C of the boards of a panel that their fiducials place, by position; None without any."""
+    return {position: _read_only(matrix) for position, matrix in findings.own_places.of_boards.items()} or None
 
 
 def _read_only(matrices: Floats) -> Floats:

@@ -19,6 +19,7 @@ from vaoi_station.errors import NotFoundError
 from vaoi_station.store.board_stitching import BoardStitching
 from vaoi_station.store.configurations import Configurations
 from vaoi_station.store.database import Database
+from vaoi_station.store.history.board_figures import BoardFigures
 from vaoi_station.store.history.calibration_checks import CalibrationChecks
 from vaoi_station.store.history.decisions import RunDecisions
 from vaoi_station.store.history.identities import IdentityRow, RunIdentities, write_identity
@@ -104,7 +105,7 @@ class Store:
         self.checks = CalibrationChecks(database)
         self.heights = ComponentHeights(database)
         self.decisions, self.search = RunDecisions(database), RunSearch(database)
-        self.identities = RunIdentities(database)
+        self.identities, self.figures = RunIdentities(database), BoardFigures(database)
         self.stitching = BoardStitching(database)
         self.retention = RunRetention(database)
         self.standing = StandingDocuments(database)

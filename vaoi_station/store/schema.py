@@ -146,6 +146,33 @@ STEPS: tuple[tuple[str, ...], ...] = (
         "ALTER TABLE identities ADD COLUMN degrading TEXT",
         "CREATE INDEX identities_pending ON identities (run) WHERE pending",
     ),
+    (
+        # Figures outlive the runs that they are of, so these tables do not refer to runs (`history/board_figures.py`).
+        """CREATE TABLE board_figures (
+            run TEXT PRIMARY KEY,
+            started TEXT NOT NULL,
+            board_type TEXT NOT NULL,
+            document TEXT NOT NULL
+        ) STRICT, WITHOUT ROWID""",
+        "CREATE INDEX board_figures_in_time ON board_figures (started, board_type)",
+        """CREATE TABLE hourly_figures (
+            number INTEGER PRIMARY KEY,
+            hour TEXT NOT NULL,
+            board_type TEXT NOT NULL,
+            document TEXT NOT NULL,
+            UNIQUE (hour, board_type)
+        ) STRICT""",
+        """CREATE TABLE figure_marks (
+            number INTEGER PRIMARY KEY,
+            kind TEXT NOT NULL,
+            board_type TEXT NOT NULL,
+            started TEXT NOT NULL,
+            run TEXT NOT NULL,
+            before TEXT,
+            after TEXT NOT NULL
+        ) STRICT""",
+        "CREATE INDEX figure_marks_by_kind ON figure_marks (kind, board_type)",
+    ),
 )
 VERSION = len(STEPS)
 PACKED = "packed"

@@ -31,6 +31,9 @@ _TABLES: tuple[tuple[str, str, str, str, int], ...] = (
     ("documents", "digest", "json_valid(document)", "NULL", LARGE_ROWS),
     ("board_references", "board_type", "json_valid(document)", "NULL", LARGE_ROWS),
     ("whole_runs", "run", "finish_number <> 0", "NULL", ROWS),
+    ("board_figures", "run", "json_valid(document)", "NULL", ROWS),
+    ("hourly_figures", "number", "json_valid(document)", "NULL", ROWS),
+    ("figure_marks", "number", "kind <> ''", "NULL", ROWS),
     ("events", "number", "json_valid(document)", "NULL", ROWS),
 )
 """Table, key, condition that a sound row fulfils, packed text, and number of rows of a step.
@@ -58,7 +61,7 @@ class DatabaseCheck:
             self._left_out -= 1
             return
         table, key, sound, content, rows = _TABLES[self._table]
-        # The key of events is a number, which SQLite compares with a text as smaller: the first value must be one too.
+        # The key "number" is a number, which SQLite compares with a text as smaller: the first value must be one too.
         after: str | int = self._after or (-1 if key == "number" else "")
         try:
             found = self._database.read(

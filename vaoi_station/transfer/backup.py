@@ -18,6 +18,7 @@ from vaoi_station.files.atomic_directory import refuse_existing
 from vaoi_station.files.directory_walk import files_below
 from vaoi_station.runs.archive.recordings import DIRECTORY as RECORDINGS
 from vaoi_station.runs.archive.recordings import HEAD_FILE
+from vaoi_station.runs.mosaics.kept_mosaics import DIRECTORY as MOSAICS
 from vaoi_station.runs.states.run_ids import utc
 from vaoi_station.store.database_file import MARK
 from vaoi_station.store.schema import VERSION as TABLES
@@ -50,7 +51,7 @@ def back_up(config_path: Path, out: Path, *, recordings: bool = False) -> Backup
     Args:
         config_path: the station.toml.
         out: the file to write, which must not exist.
-        recordings: whether to include the kept recordings of frames.
+        recordings: whether to include the kept recordings of frames, and the pictures of boards.
 
     Raises:
         InputError: the file exists.
@@ -100,7 +101,10 @@ def restore(package: Path, config_path: Path) -> StationConfig:
 
 
 def _entries(config_path: Path, config: StationConfig, database: Path, deleted: list[str] | None) -> Iterator[Entry]:
-    """Yield everything of a backup; without the recordings if `deleted`, to which it adds those deleted, is None."""
+    """Yield everything of a backup.
+
+    Without recordings and pictures of boards if `deleted`, to which it adds recordings that were deleted, is None.
+    """
     yield from _file(config_path, CONFIG)
     yield from _file(database, f"{DATA}/{DATABASE}")
     yield from _file(config.calibration, CALIBRATION)
@@ -118,7 +122,7 @@ def _entries(config_path: Path, config: StationConfig, database: Path, deleted: 
         elif path.name == REFERENCES:
             for below in _visible(path):
                 yield from _whole(below, f"{name}/{below.name}")
-        elif path.name != RECORDINGS:
+        elif path.name not in (RECORDINGS, MOSAICS) or deleted is not None:
             yield from _files(path, name)
 
 

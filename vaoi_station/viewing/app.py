@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from fastapi import FastAPI, Query
 from fastapi.responses import FileResponse, Response
 
-from vaoi_station.api import problems
+from vaoi_station.api import pages, problems
 from vaoi_station.api.pages import FRESH, Assets
 from vaoi_station.api.request_guard import RequestGuard
 from vaoi_station.config import StationConfig
@@ -18,6 +18,8 @@ from vaoi_station.viewing.frame_documents import frame_document
 from vaoi_station.viewing.latest_frames import LatestFrames
 
 WEB = Path(__file__).parent / "web"
+SHARED = pages.WEB / "parts"
+"""Parts of the station's page that this page has too."""
 LONGEST_WAIT_S = 5.0
 """Largest time-out that the page may request, s."""
 
@@ -27,6 +29,7 @@ def create_app(config: StationConfig, latest: LatestFrames, notices: Sequence[st
     app = FastAPI(title="VAOI view", version=__version__, docs_url=None, redoc_url=None, openapi_url=None)
     problems.install(app)
     app.mount("/web", Assets(directory=WEB), name="web")
+    app.mount("/parts", Assets(directory=SHARED), name="parts")
 
     @app.get("/")
     def page() -> FileResponse:

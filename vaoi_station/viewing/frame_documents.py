@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from vaoi_station.config import StationConfig
-from vaoi_station.viewing.image_quality import ImageQuality
+from vaoi_station.photometry.image_quality import ImageQuality, histogram
 from vaoi_station.viewing.latest_frames import ViewedFrame
 
 
@@ -22,6 +22,7 @@ def frame_document(frame: ViewedFrame, config: StationConfig) -> dict[str, Any]:
         "height": camera.height,
         "exposure_us": camera.exposure_us,
         "figures": _quality_document(inspection.quality),
+        "histogram": list(histogram(frame.pixels)),
         "marks": [
             {"x": round(m.x, 3), "y": round(m.y, 3), "score": round(m.score, 3)}
             for m in inspection.marks

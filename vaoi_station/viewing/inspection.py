@@ -12,8 +12,8 @@ from vaoi_station.files.images import Image
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.marks import find_candidates, locate_mark
 from vaoi_station.marks.candidate_search import reduction_factor
+from vaoi_station.photometry.image_quality import ImageQuality, measure_quality
 from vaoi_station.pixel_formats import eight_bit_grey
-from vaoi_station.viewing.image_quality import ImageQuality, measure_quality
 from vaoi_station.viewing.mark_spec import MarkSpec
 
 _MAX_MARKS = 200

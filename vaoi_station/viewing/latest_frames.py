@@ -11,7 +11,7 @@ import cv2
 
 from vaoi_station.errors import GoneError
 from vaoi_station.files.images import Image, encode_jpeg
-from vaoi_station.viewing.image_quality import full_scale
+from vaoi_station.photometry.image_quality import full_scale
 from vaoi_station.viewing.inspection import FrameInspection, inspect_frame
 from vaoi_station.viewing.mark_spec import MarkSpec
 

@@ -375,18 +375,25 @@ namespace Vaoi
         [DataMember(Name = "image_matrices")] public double[][][][] Image;
         /// <summary>C, CAD to tester; null if it is unknown.</summary>
         [DataMember(Name = "cad_matrix")] public double[][] Cad;
-        /// <summary>C of each component that its local fiducials place, by address; null if all follow Cad.</summary>
+        /// <summary>C of each component that its local fiducials place, by address; null if there is none.</summary>
         [DataMember(Name = "local_matrices")] public Dictionary<string, double[][]> Local;
+        /// <summary>C of each board of a panel that its fiducials place, by position; null if there is none.</summary>
+        [DataMember(Name = "board_matrices")] public Dictionary<string, double[][]> Boards;
+        /// <summary>Positions of the boards of a panel that are crossed out; null if none is.</summary>
+        [DataMember(Name = "skipped_boards")] public string[] Skipped;
         [DataMember(Name = "row_motion")] public double[][][] RowMotion;
         [DataMember(Name = "status")] public string Status;
         [DataMember(Name = "reasons")] public string[] Reasons;
         [DataMember(Name = "reason_codes")] public string[] ReasonCodes;
 
-        /// <summary>CAD to tester for one component: its own C where local fiducials place it.</summary>
+        /// <summary>CAD to tester for one component, by its address: its own C where local fiducials place it,
+        /// that of its board on a panel, else C.</summary>
         public double[][] CadOf(string component)
         {
             double[][] own;
-            return Local != null && Local.TryGetValue(component, out own) ? own : Cad;
+            if (Local != null && Local.TryGetValue(component, out own)) return own;
+            int end = component.IndexOf('/');
+            return Boards != null && end > 0 && Boards.TryGetValue(component.Substring(0, end), out own) ? own : Cad;
         }
     }
 
@@ -400,6 +407,8 @@ namespace Vaoi
         [DataMember(Name = "tester_mm")] public double[] TesterMm;
         [DataMember(Name = "views")] public int Views;
         [DataMember(Name = "unseen")] public bool Unseen;
+        /// <summary>Whether its board on the panel is crossed out.</summary>
+        [DataMember(Name = "skipped")] public bool Skipped;
     }
 
     [DataContract]

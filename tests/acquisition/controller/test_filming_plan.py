@@ -196,3 +196,17 @@ def _with_cameras(config: StationConfig, **keys: Any) -> StationConfig:
 def _with_line(config: StationConfig, **keys: Any) -> StationConfig:
     line = type(config.line).model_validate({**config.line.model_dump(), **keys})
     return config.model_copy(update={"line": line})
+
+
+def test_a_sequencer_has_the_steps_of_one_turn(serial: StationConfig) -> None:
+    """Each camera its own exposure and gain, which no other way can give."""
+    config = _with_cameras(serial, exposure_by="sequencer")
+    steps = [
+        {"light": light, "exposure_us": [exposure_us, 200.0], "gain_db": [gain_db, 0.0]}
+        for light, exposure_us, gain_db in (("left", 200.0, 0.0), ("ring", 50.0, 6.0)) * 2
+    ]
+    plan = filming_plan(config, board(program=steps))
+    assert plan.by_trigger == ()
+    assert [wanted.sequence for wanted in exposures_of(plan, config)] == [((200.0, 0.0), (50.0, 6.0)), ()]
+    uneven = filming_plan(config, board(program=steps[:3]))
+    assert len(exposures_of(uneven, config)[0].sequence) == 3

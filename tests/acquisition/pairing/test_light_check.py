@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from vaoi_station.acquisition.pairing.light_check import contradicted_rows, contradiction
-from vaoi_station.acquisition.pairing.run_record import ObservedPulse
+from vaoi_station.acquisition.cameras.interface import StatedExposure
+from vaoi_station.acquisition.pairing.light_check import contradicted_frames, contradicted_rows, contradiction
+from vaoi_station.acquisition.pairing.run_record import ObservedFrame, ObservedPulse
 from vaoi_station.model import ProgramRow, Pulse
 
 LEFT = ProgramRow("left", (200.0, 200.0), (0.0, 6.0), 80.0)
@@ -52,3 +53,20 @@ def test_rows_are_compared_with_the_step_of_their_turn() -> None:
     pulses = {0: pulse("left", 0), 1: pulse("left", 1), 3: pulse("right", 3)}
     assert list(contradicted_rows(pulses, (LEFT, RIGHT))) == [1]
     assert contradicted_rows(pulses, ()) == {}
+
+
+def stating(row: int | None, exposure_us: float, gain_db: float | None = 0.0) -> ObservedFrame:
+    return ObservedFrame(row, 1, 0.0, 0.0, 0.0, stated=StatedExposure(exposure_us, gain_db))
+
+
+def test_frames_state_the_exposure_and_gain_of_their_row() -> None:
+    """Sensors expose whole lines, but never so that another step would be as near."""
+    program = (ProgramRow("left", (9.0, 100.0), (0.0, 0.0)), ProgramRow("left", (9.0, 120.0), (0.0, 0.4)))
+    fitting = [stating(0, 92.0), stating(1, 111.0, 0.3), stating(2, 100.0, None), stating(None, 5.0)]
+    assert contradicted_frames(1, [*fitting, ObservedFrame(3, 1, 0.0, 0.0, 0.0)], program) == {}
+    other = contradicted_frames(1, [stating(4, 111.0), stating(5, 120.0, 0.1)], program)
+    assert {row: text.split(":")[0] for row, text in other.items()} == {
+        4: "its frame states an exposure of 111 µs, but the light program has 100 µs",
+        5: "its frame states a gain of 0.1 dB, but the light program has 0.4 dB",
+    }
+    assert contradicted_frames(1, [stating(0, 5.0)], ()) == {}

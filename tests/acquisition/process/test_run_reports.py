@@ -81,6 +81,17 @@ def test_the_head_states_the_rotation_of_boards_on_this_line(
     assert finished_report(turned, finished(None), 101.0).head.rotation_deg == written
 
 
+def test_a_run_whose_reports_contradict_keeps_what_the_line_states(make_config: Callable[..., StationConfig]) -> None:
+    config = make_config()
+    expected = config.line.expected_board.model_copy(update={"rotation_deg": 90})
+    turned = config.model_copy(update={"line": config.line.model_copy(update={"expected_board": expected})})
+    run = finished(None)
+    run.record.pulses[1] = ObservedPulse(Pulse(index=1, time_s=0.5), 100.05)  # earlier than the pulse before it
+    head = finished_report(turned, run, 101.0).head
+    assert (head.rotation_deg, head.trigger_times_s) == (90, None)
+    assert "contradict each other" in head.doubts[0]
+
+
 def test_a_clock_jump_names_the_camera_its_cost_and_what_to_do() -> None:
     report = trouble_report(clock_jump_error("camera c0", ClockJump(37.0, 10.0, 10.5)))
     assert report.message == (

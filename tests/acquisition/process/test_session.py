@@ -48,6 +48,9 @@ class ScriptedDevice:
     def set_exposure(self, wanted: CameraExposure) -> None:
         self.exposures.append((wanted.exposures_us[0], wanted.gain_db))
 
+    def rewind(self) -> None:
+        """Do nothing: there is no sequencer."""
+
     def queue(self, slot: Slot) -> None:
         self.slots.append(slot)
 

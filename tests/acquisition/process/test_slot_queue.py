@@ -19,6 +19,11 @@ class SlotHolder:
 
     def __init__(self) -> None:
         self.slots: deque[Slot] = deque()
+        self.rewound_with: list[int] = []
+        """For each time at which the sequence began anew, the count of slots that the camera held."""
+
+    def rewind(self) -> None:
+        self.rewound_with.append(len(self.slots))
 
     def queue(self, slot: Slot) -> None:
         assert slot.number not in [s.number for s in self.slots]
@@ -37,7 +42,7 @@ class SlotHolder:
 
 @pytest.fixture
 def ring(tmp_path: Path) -> Iterator[Ring]:
-    with Ring.create(tmp_path / "m.ring", RingLayout(3, 3, (FrameShape(16, 16, "Mono8"),) * 2)) as ring:
+    with Ring.create(tmp_path / "m.ring", RingLayout(3, 3, (FrameShape(16, 16, "Mono8"),) * 2, 4096)) as ring:
         yield ring
 
 
@@ -61,6 +66,8 @@ def test_loading_queues_every_slot_of_a_bay_in_its_camera(
     slot_queue.load(1)
     for n, camera in enumerate(cameras):
         assert numbers(camera) == [ring.slot(1, n, k) for k in range(3)]
+        assert camera.rewound_with == [0], "each run begins with the first set of a sequencer"
+        assert {slot.room for slot in camera.slots} == {4096}
     slot_queue.unload()
     assert [numbers(c) for c in cameras] == [[], []]
     assert slot_queue.loaded is None

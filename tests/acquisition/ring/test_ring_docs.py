@@ -29,7 +29,7 @@ def test_the_c_program_reads_what_the_station_wrote(tmp_path: Path) -> None:
     source, binary = tmp_path / "look.c", tmp_path / "look"
     source.write_text(program)
     subprocess.run(["cc", "-std=gnu11", "-Wall", "-Werror", "-o", str(binary), str(source)], check=True)
-    layout = RingLayout(2, 2, (FrameShape(16, 16, "Mono8"), FrameShape(20, 30, "Mono16")))
+    layout = RingLayout(2, 2, (FrameShape(16, 16, "Mono8"), FrameShape(20, 30, "Mono16")), 4096)
     with Ring.create(tmp_path / "c.ring", layout) as ring:
         ring.claim(1)
         for slot, state, row, grey in ((ring.slot(1, 0, 1), OK, 5, 7), (ring.slot(1, 1, 0), INCOMPLETE, 2, 300)):

@@ -21,7 +21,11 @@ from vaoi_station.errors import InputError
 
 shapes = st.builds(FrameShape, st.integers(16, 5000), st.integers(16, 5000), st.sampled_from(["Mono8", "Mono16"]))
 layouts = st.builds(
-    RingLayout, st.integers(1, 6), st.integers(1, 9), st.lists(shapes, min_size=1, max_size=5).map(tuple)
+    RingLayout,
+    st.integers(1, 6),
+    st.integers(1, 9),
+    st.lists(shapes, min_size=1, max_size=5).map(tuple),
+    st.sampled_from([0, PAGE_BYTES]),
 )
 
 
@@ -39,7 +43,7 @@ def test_slots_lie_on_pages_of_their_own_inside_the_file(layout: RingLayout) -> 
     offsets = [layout.offset(s) for s in range(layout.slots)]
     assert all(o % PAGE_BYTES == 0 for o in offsets)
     assert all(b - a == layout.slot_bytes for a, b in pairwise(offsets))
-    assert all(f.nbytes <= layout.slot_bytes for f in layout.frames)
+    assert all(f.nbytes + layout.room_bytes <= layout.slot_bytes for f in layout.frames)
     assert offsets[-1] + layout.slot_bytes == layout.file_bytes
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from tests.api.held.setup_files import setup_files
 from vaoi_station.api import create_app
 from vaoi_station.api.access.access_control import AccessControl
 from vaoi_station.api.access.audit import AuditLog
@@ -16,6 +17,8 @@ from vaoi_station.files.access_keys import KeyFile
 EXPECTED = {
     "admin": {
         "POST /keys",
+        "POST /calibration/trial",
+        "POST /calibration/trial/accept",
         "PUT /webhooks/{name}",
         "DELETE /webhooks/{name}",
         "POST /webhooks/{name}/test",
@@ -61,7 +64,7 @@ EXPECTED = {
 def test_every_command_has_its_scope(station: Any, push: Any, tmp_path: Path) -> None:
     audit = AuditLog(tmp_path / "audit.jsonl")
     access = AccessControl(KeyFile(tmp_path / "keys.json"), audit)
-    paths = create_app(station, access=access, push=push).openapi()["paths"]
+    paths = create_app(station, (), access, push, files=setup_files(tmp_path)).openapi()["paths"]
     audit.close()
     found: dict[Any, set[str]] = {scope: set() for scope in EXPECTED}
     for path, operations in paths.items():
@@ -83,6 +86,8 @@ def test_every_command_has_its_scope(station: Any, push: Any, tmp_path: Path) ->
         ("GET", "/metrics", "read"),
         ("GET", "/api/v1/keys", "admin"),
         ("GET", "/api/v1/audit", "admin"),
+        ("GET", "/api/v1/calibration", "read"),
+        ("GET", "/api/v1/calibration/trial", "admin"),
         ("GET", "/api/v1/webhooks", "admin"),
         ("GET", "/api/v1/webhooks/mes/dead-letters", "admin"),
         ("POST", "/api/v1/unknown", "admin"),

@@ -27,6 +27,12 @@ def held_batches(station: Any) -> BatchAccess:
 ROWS = 4
 
 
+class _Finished(SimpleNamespace):
+    """The parts of a finished run that batches read."""
+
+    __hash__ = object.__hash__  # type: ignore[assignment]  # as of a finished run, by which tables are kept
+
+
 class _Archive:
     def __init__(self, station: Any) -> None:
         self._station = station
@@ -35,7 +41,7 @@ class _Archive:
         detail, stitch = self._station.run(run), self._station.stitch(run)
         board_type, cameras = self._station.types["demo-board"], self._station.cameras
         numbered = tuple(f.model_copy(update={"slot": n}) for n, f in enumerate(detail.frames))
-        return SimpleNamespace(
+        return _Finished(
             detail=detail.model_copy(update={"frames": numbered}),
             board_type=board_type,
             cameras=cameras,

@@ -11,9 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tests.api.held.batches import held_batches
-from vaoi_station.errors import GoneError
+from vaoi_station.errors import GoneError, NotFoundError
+from vaoi_station.files.images import encode_jpeg
+from vaoi_station.mosaic import MosaicGrid
 from vaoi_station.runs.archive.measured_heights import MeasuredHeights
 from vaoi_station.runs.mosaics.mosaics import Mosaics
+from vaoi_station.runs.mosaics.picture_names import PictureName
 
 
 class HeldMosaics(Mosaics):
@@ -28,7 +31,7 @@ class HeldMosaics(Mosaics):
         super().__init__(archive, self._held, self._perform)
         # Heights of components are measured, and batches cut, by the same workers.
         station.batches = held_batches(station)
-        station.heights = MeasuredHeights(self._archive, self._lease, self._render, self._bay, station)
+        station.heights = MeasuredHeights(self._archive, self._held, self._render, self._bay, station)
 
     def _bay(self, run: str) -> Any:
         with self._held(run, "look-up") as bay:
@@ -42,6 +45,7 @@ class HeldMosaics(Mosaics):
             board_type=self._station.types["demo-board"],
             cameras=self._station.cameras,
             stitch=self._station.stitch(run),
+            text=self._station.stitch_text(run),
             head=None,
         )
 
@@ -60,3 +64,27 @@ class HeldMosaics(Mosaics):
             return pixels
 
         return job.perform(frame)
+
+
+class HeldKeptMosaics:
+    """The small pictures that a held station keeps: of the runs that a test names."""
+
+    def __init__(self, station: Any) -> None:
+        self._station = station
+        self._pictures: dict[str, bytes] = {}
+
+    def keep(self, run: str) -> None:
+        """Make the picture of a run whose frames are still there."""
+        mosaics = self._station.mosaics
+        picture, _ = mosaics.small(run, 10**9, mosaics._held)
+        self._pictures[run] = encode_jpeg(picture)
+
+    def grid(self, run: str) -> MosaicGrid | None:
+        found: MosaicGrid = self._station.mosaics.grid(run, PictureName())
+        return found if run in self._pictures else None
+
+    def content(self, run: str) -> bytes:
+        self._station.run(run)
+        if run not in self._pictures:
+            raise NotFoundError(f"No picture of the whole board of run {run} is kept.", code="no-kept-mosaic")
+        return self._pictures[run]

@@ -5,12 +5,14 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from typing import Any, Protocol
 
+from tests.api.held.trends import HeldTrends
 from vaoi_station.errors import NotFoundError, StateError
 from vaoi_station.identity.comparison import compare
 from vaoi_station.model import BoardCode, BoardIdentity, BoardReading, Status
 from vaoi_station.model.board_identity import IdentityDocument, IdentityState, ReportedId
 from vaoi_station.runs.archive.run_history import RunHistory
 from vaoi_station.runs.states.decision_schemas import Choice, Decision, RunCounts
+from vaoi_station.runs.states.identity_schemas import IdentitySummary
 from vaoi_station.runs.states.run_ids import utc
 from vaoi_station.runs.states.storage_schemas import SetAsideFile
 from vaoi_station.store.history.run_search import RunFilter
@@ -91,8 +93,10 @@ class HeldPins:
     def __init__(self, station: Runs) -> None:
         self._station = station
         self.identities = HeldIdentities(station)
+        self.mosaics: Any = None
+        """The small pictures of whole boards; set by the station."""
         self._pins: set[str] = set()
-        self.history = HeldDecisions(station)
+        self.history, self.trends = HeldDecisions(station), HeldTrends()
 
     def pin(self, run: str) -> None:
         self._station.run(run)
@@ -113,7 +117,10 @@ class HeldPins:
 
     def shown(self, document: Any) -> Any:
         decision = self.history.made.get(document.id)
-        return document.model_copy(update={"pinned": document.id in self._pins, "decision": decision})
+        known = document.id in {*self.identities.readings, *self.identities.pending}
+        identity = IdentitySummary.of(self.identities.document(document.id)) if known else None
+        changes = {"pinned": document.id in self._pins, "decision": decision, "identity": identity}
+        return document.model_copy(update=changes)
 
     def all_shown(self, documents: tuple[Any, ...]) -> tuple[Any, ...]:
         return tuple(self.shown(document) for document in documents)

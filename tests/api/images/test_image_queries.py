@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import inspect
 from typing import Any
 
@@ -27,15 +28,15 @@ def test_every_option_is_a_parameter_with_its_default() -> None:
 
 
 def test_parameters_make_the_request() -> None:
-    framing = image_queries._framing(20.0, 0.5, "part", "top")
-    bounds = image_queries._bounds(0.9, 1.0, 2.0, 3.0, 4.0, 5.0, 0.1)
-    choice = image_queries._choice("left", "right", "120", 30.0, "sharpest", 2, True)
+    framing = asyncio.run(image_queries._framing(20.0, 0.5, "part", "top"))
+    bounds = asyncio.run(image_queries._bounds(0.9, 1.0, 2.0, 3.0, 4.0, 5.0, 0.1))
+    choice = asyncio.run(image_queries._choice("left", "right", "120", 30.0, "sharpest", 2, True))
     assert framing == Framing(20.0, 0.5, "part", "top")
     assert bounds == Bounds(0.9, 1.0, 2.0, 3.0, 4.0, 5.0, 0.1)
     assert choice == Choice("left", "right", 120.0, 30.0, "sharpest", 2, True)
-    assert image_queries._wanted(framing, bounds, choice) == ImageRequest(framing, bounds, choice)
+    assert asyncio.run(image_queries._wanted(framing, bounds, choice)) == ImageRequest(framing, bounds, choice)
 
 
 def test_contradictions_are_refused() -> None:
     with pytest.raises(InputError, match="min_angle_deg"):
-        image_queries._wanted(Framing(), Bounds(min_angle_deg=20, max_angle_deg=10), Choice())
+        asyncio.run(image_queries._wanted(Framing(), Bounds(min_angle_deg=20, max_angle_deg=10), Choice()))

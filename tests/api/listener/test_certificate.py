@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.certificates import Certificate, make_certificate
+from tests.peers.certificates import Certificate, make_certificate
 from vaoi_station.api.listener.certificate import CertificateFiles
 from vaoi_station.errors import InputError
 

@@ -136,3 +136,18 @@ def test_tiles_of_frames_that_are_gone_are_refused(client: Any, station: Any) ->
     answer = client.get(f"{RUNS}/{run}/mosaics/board_files/9/0_0.jpg")
     assert (answer.status_code, answer.json()["code"]) == (410, "frames-gone")
     assert client.get(f"{RUNS}/{run}/mosaics").status_code == 200
+
+
+def test_the_small_picture_stays_when_the_frames_are_gone(client: Any, station: Any) -> None:
+    run = station.film()
+    assert "kept" not in client.get(f"{RUNS}/{run}/mosaics").json()
+    refused = client.get(f"{RUNS}/{run}/mosaics/kept.jpg")
+    assert (refused.status_code, refused.json()["code"]) == (404, "no-kept-mosaic")
+    station.kept.mosaics.keep(run)
+    station.release(run)
+    answer = client.get(f"{RUNS}/{run}/mosaics")
+    assert "no-cache" in answer.headers["cache-control"], "the picture may be made later"
+    kept = answer.json()["kept"]
+    shown = client.get(kept["url"])
+    assert shown.headers["content-type"] == "image/jpeg"
+    assert picture(shown).shape[:2] == (kept["height_px"], kept["width_px"])

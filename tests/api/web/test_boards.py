@@ -110,27 +110,6 @@ def test_the_station_filters_the_list_and_a_file_has_it(page: Page, served: Any,
     expect(page.locator("#list-answer")).to_have_text("No boards match.")
 
 
-def test_a_board_has_its_report_its_parts_and_their_pictures(page: Page, served: Any) -> None:
-    run = served.station.film(board_id="SN-1")
-    page.goto(f"{served.url}/#/board/{run}")
-    expect(page.locator("#facts")).to_contain_text("10 of 12 good (1 incomplete, 1 missing), 4 rows × 3 cameras")
-    expect(page.locator("#component")).to_have_value("U1")
-    wait_for_pictures(page, 10)
-    expect(page.locator(".parts polygon")).to_have_count(3)
-    expect(page.locator(".parts .chosen title")).to_have_text("U1")
-    page.locator("#component").select_option("2/R1")
-    wait_for_pictures(page, 3)
-    expect(page.locator("figure img").first).to_have_attribute("alt", "2/R1, camera 0, row 3")
-    expect(page.locator(".parts .chosen title")).to_have_text("2/R1")
-    page.reload()
-    expect(page.locator("#component")).to_have_value("2/R1")
-    wait_for_pictures(page, 3)
-    served.station.release(run)
-    expect(page.locator("#pictures")).to_contain_text("no longer in memory")
-    page.goto(f"{served.url}/#/board/unknown")
-    expect(page.locator("#board-title")).to_have_text("There is no such board.")
-
-
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_texts_have_enough_contrast_and_targets_are_large(page: Page, served: Any, scheme: Any) -> None:
     fail(served.station, "SN-1", Status.DEGRADED)

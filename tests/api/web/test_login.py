@@ -12,7 +12,7 @@ from playwright.sync_api import Browser, Page, expect
 
 from tests.api.conftest import Served
 from tests.api.held_station import HeldStation
-from tests.certificates import make_certificate
+from tests.peers.certificates import make_certificate
 from vaoi_station.api.access.access_control import AccessControl
 from vaoi_station.api.access.audit import AuditLog
 from vaoi_station.files.access_keys import KeyFile

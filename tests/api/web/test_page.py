@@ -171,6 +171,18 @@ def test_a_page_reconnects_to_the_event_stream(page: Page, station: Any, serve: 
     again.stop()
 
 
+def test_a_view_that_cannot_be_loaded_says_so_until_it_comes(page: Page, served: Any) -> None:
+    page.goto(served.url)
+    expect(page.locator("#verdict-word")).to_have_text("No board yet")
+    page.route("**/web/boards/boards.js", lambda route: route.abort())
+    page.get_by_role("link", name="Boards").click()
+    expect(page.get_by_role("alert").filter(has_text="This view could not be loaded")).to_be_visible()
+    expect(page.locator("#verdict-word")).to_have_count(0)  # nothing would renew it
+    page.unroute("**/web/boards/boards.js")
+    expect(page.locator("#list")).to_be_visible()
+    expect(page.get_by_role("button", name="Load again")).to_have_count(0)
+
+
 def test_the_api_documentation_needs_no_network(page: Page, served: Any) -> None:
     paths = served.client.get("/api/v1/openapi.json").json()["paths"]
     page.goto(f"{served.url}/docs")

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import hashlib
 import re
+from pathlib import Path
+
+import pytest
 
 from vaoi_station.api.pages import WEB
 
 LINE = re.compile(r"\| `(.+?)` \| `([0-9a-f]{64})` \|")
 
 
-def test_vendored_files_have_the_recorded_hashes() -> None:
-    vendor = WEB / "vendor"
+@pytest.mark.parametrize("vendor", [WEB / "vendor", Path(__file__).parent / "vendor"], ids=["page", "tests"])
+def test_vendored_files_have_the_recorded_hashes(vendor: Path) -> None:
     written = dict(LINE.findall((vendor / "VENDORED.md").read_text()))
     found = {
         str(p.relative_to(vendor)): hashlib.sha256(p.read_bytes()).hexdigest()

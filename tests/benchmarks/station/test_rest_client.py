@@ -5,7 +5,7 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from tests.web_server import ScriptedHandler, serving
+from tests.peers.web_server import ScriptedHandler, serving
 from vaoi_station.benchmarks.station.rest_client import callers, read_batch
 from vaoi_station.errors import DeviceError
 

@@ -8,7 +8,15 @@ import math
 import pytest
 
 from vaoi_station.benchmarks.station.prerendered_run import PrerenderedRun
-from vaoi_station.benchmarks.station.rest_pace import RestFigures, measure_rest, picture_times
+from vaoi_station.benchmarks.station.rest_pace import (
+    LARGE_CALLERS,
+    LARGE_PX_PER_MM,
+    RestFigures,
+    measure_rest,
+    picture_paths,
+    picture_times,
+)
+from vaoi_station.runs.states.schemas import ComponentSummary
 
 
 def test_percentiles_are_measured_values() -> None:
@@ -18,6 +26,25 @@ def test_percentiles_are_measured_values() -> None:
 
 def test_no_picture_has_no_time() -> None:
     assert math.isnan(picture_times([]).p99_ms)
+
+
+def test_every_seen_component_has_a_picture_and_the_largest_ones_have_large_pictures(small_run: PrerenderedRun) -> None:
+    board = small_run.board_type
+    seen = [_summary(c.address, views=n) for n, c in enumerate(board.components)]
+    small, large = picture_paths("/runs/r1", seen, board)
+    assert small == [f"/runs/r1/components/{c.address}/images/0" for c in board.components[1:]]
+    area = {c.address: c.width * c.height for c in board.components}
+    areas = [area[path.split("/")[4]] for path in large]
+    assert areas == sorted(areas, reverse=True)
+    assert 0 < len(large) <= LARGE_CALLERS
+    assert all(path.endswith(f"/images/0?px_per_mm={LARGE_PX_PER_MM}") for path in large)
+
+
+def _summary(address: str, views: int) -> ComponentSummary:
+    return ComponentSummary(
+        address=address, ref=address, panel=None, center_mm=(0, 0), width_mm=1, height_mm=1, rotation_deg=0,
+        tester_mm=None, views=views,
+    )  # fmt: skip
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vaoi_station.calibration.artwork.drawing_elements import BAR_MM, LABEL_MM, cross, scale_bar
+from vaoi_station.calibration.artwork import Board
+from vaoi_station.calibration.artwork.drawing_elements import (
+    BAR_MM,
+    LABEL_MM,
+    arrow,
+    cross,
+    label_baseline_mm,
+    scale_bar,
+)
 
 
 @given(st.tuples(st.floats(-100, 100), st.floats(-100, 100)), st.floats(0.5, 10), st.floats(0.05, 0.5))
@@ -30,3 +38,11 @@ def test_the_scale_bar_is_shorter_on_small_boards_and_lies_in_the_label_strip(wi
     assert strokes[..., 0].max() <= high[0]
     assert strokes[..., 1].min() >= high[1] - LABEL_MM
     assert strokes[..., 1].max() <= high[1]
+
+
+def test_the_arrow_points_along_the_cameras_below_the_views(board: Board) -> None:
+    shaft, *head = arrow(board.low_mm, board.high_mm, 0.0)
+    assert shaft[1, 0] - shaft[0, 0] >= 3.0
+    assert shaft[:, 1] == pytest.approx(label_baseline_mm(board.high_mm) - 0.9)
+    assert all(stroke[1] == pytest.approx(shaft[1]) for stroke in head)
+    assert min(shaft[:, 1]) > 13.0

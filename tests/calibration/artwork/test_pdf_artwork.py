@@ -56,6 +56,11 @@ def test_printers_are_asked_not_to_scale_and_the_title_is_escaped(board: Board) 
     assert rb"three <cameras> \(33 mm\) & \\ more" in document
 
 
+def test_every_camera_has_its_number(board: Board) -> None:
+    document = render_pdf(board, TITLE)
+    assert all(b"(camera %d) Tj" % i in document for i in range(3))
+
+
 def test_light_marks_stand_on_dark_ground() -> None:
     assert b"\n0 g " in render_pdf(design_board(ArrayDesign(1, 30.0, (34.8, 26.0), polarity="light")), "")
 

@@ -40,6 +40,14 @@ def test_marks_scale_bar_and_page_are_those_of_the_board(board: Board, numbers: 
     assert min(s[:, 1].min() for s in strokes) > 13.0, "below the lower edge of the views"
 
 
+def test_every_camera_has_its_number_below_its_view(board: Board) -> None:
+    texts = ElementTree.fromstring(render_svg(board, TITLE)).iter("{http://www.w3.org/2000/svg}text")
+    found = {str(t.text): (float(str(t.get("x"))), float(str(t.get("y")))) for t in texts}
+    for i, x in enumerate(board.camera_x_mm):
+        assert found[f"camera {i}"][0] == pytest.approx(x, abs=1e-3)
+        assert 13.0 < found[f"camera {i}"][1] < board.high_mm[1]
+
+
 def test_the_title_is_escaped(board: Board) -> None:
     assert "three &lt;cameras&gt;" in render_svg(board, TITLE)
 

@@ -28,8 +28,8 @@ def test_station_runs_with_configuration_port_and_log(
 ) -> None:
     path, _ = write_station_files(scenario_path("small"), tmp_path)
     assert vaoi("serve", "--config", path, "--port", "0", "--log-json").code == 0
-    (as_json,), (config, port) = served
-    assert (as_json, port, config.name[:5]) == (True, 0, "demo-")
+    (as_json,), (config, port, given) = served
+    assert (as_json, port, config.name[:5], given) == (True, 0, "demo-", path)
 
 
 def test_unsuitable_configuration_is_refused_before_the_start(

@@ -10,7 +10,9 @@ import pytest
 from typer.testing import CliRunner
 
 from vaoi_station.cli import app
+from vaoi_station.config import read_config
 from vaoi_station.demo.station_files import write_station_files
+from vaoi_station.doctor.check_context import RunningProcess
 from vaoi_station.errors import InputError
 from vaoi_station.simulation import Twin, calibration_board, read_scenario, scenario_path
 
@@ -61,3 +63,12 @@ def test_options_that_exclude_each_other_are_refused(config: Path) -> None:
     for options in (["--json"], ["--row", "1"], ["--once", "--row", "0"], ["--once", "--mark", "cross"]):
         refused = CliRunner().invoke(app, ["view", "--config", str(config), *options])
         assert isinstance(refused.exception, InputError), options
+
+
+def test_beside_a_running_station_its_page_is_named(config: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    running = RunningProcess(1, snapshot={"state": "armed"})
+    monkeypatch.setattr("vaoi_station.doctor.checks.running_station.find", lambda _: running)
+    done = CliRunner().invoke(app, ["view", "--config", str(config)])
+    assert done.exit_code == 0, done.output
+    port = read_config(config).api.port
+    assert f"Its page shows them: http://127.0.0.1:{port}/#/cameras" in done.stdout

@@ -19,6 +19,7 @@ OFFERED = cameras.Offered(
     vendor="Maker", model="M", serial="1", triggers=("FrameStart",), sources=("Line0", "Line1"),
     formats=("Mono8", "Mono12"), exposure_us=(10.0, 1e6), sensor=(2048, 1536), trigger_mode="Off", port="lo",
     address="127.0.0.1", packets=PacketLimits(smallest=200, largest=16000, step=4),
+    without=("SequencerMode",),
 )  # fmt: skip
 
 
@@ -41,6 +42,7 @@ def test_suitable_camera_is_ok() -> None:
         ({"trigger_line": "Line7"}, "has no trigger input Line7; it has Line0, Line1"),
         ({"pixel_format": "Mono16"}, "has no pixel format Mono16; it has Mono8, Mono12"),
         ({"exposure_by": "trigger-width"}, "for the width of the trigger, as exposure_by states: it has none."),
+        ({"exposure_by": "sequencer"}, "has no sequencer, as exposure_by states: SequencerMode missing."),
         ({"exposure_us": 5.0}, "cannot expose for 5 µs; its range is 10 … 1e+06 µs"),
         (
             {"width": 2000, "offset_px": (100, 0)},

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 import pytest
 
 from tests.doctor.conftest import assert_problem, at_port, only, without_privileges
-from tests.web_server import ScriptedHandler, serving
+from tests.peers.web_server import ScriptedHandler, serving
 from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import StationConfig
 from vaoi_station.doctor.check_context import CheckContext, RunningProcess

@@ -68,19 +68,19 @@ def test_file_system_without_free_inodes_is_a_fault() -> None:
 
 
 def test_a_disk_that_cannot_hold_the_quotas_is_a_warning_with_the_numbers() -> None:
-    keep = KeepConfig(database_gb=16.0, recordings_gb=20.0)
+    keep = KeepConfig(database_gb=15.0, recordings_gb=20.0, mosaics_gb=1.0)
     short = storage.judge_quotas(space(12e9), int(3e9), keep, "/data")
     assert_problem(
         short,
         Level.WARNING,
         "12 GB free and 3 GB in use",
         "23 GB less",
-        "16 GB for the database, 20 GB for recordings and 2 GB as a reserve",
+        "15 GB for the database, 1 GB for pictures of boards, 20 GB for recordings and 2 GB as a reserve",
     )
     assert short.figures == {"free_bytes": 12e9, "used_bytes": 3e9, "quota_bytes": 38e9}
     # What the station has written already counts as space for it.
     assert storage.judge_quotas(space(12e9), int(26e9), keep, "/data").level is Level.OK
-    without = KeepConfig(database_gb=16.0, recordings_gb=0.0)
+    without = KeepConfig(database_gb=15.0, recordings_gb=0.0)
     assert storage.judge_quotas(space(16.1e9), 0, without, "/data").level is Level.OK
     assert "recordings and" not in storage.judge_quotas(space(15e9), 0, without, "/data").message
 

@@ -36,6 +36,7 @@ def test_positions_are_those_of_the_cad_mapping_and_views_are_counted(rig: Any) 
     [component] = component_views.components_of(finished)
     assert (component.address, component.center_mm, component.tester_mm) == ("U1", (10, 10), (10.0, 20.0))
     assert component.views == len(views_of(finished)) > 0
+    assert component.footprint == ((8, 8), (12, 8), (12, 12), (8, 12))
 
 
 def test_unseen_components_are_named_by_run_event_and_list(rig: Any, make_stitch: Callable[..., Stitch]) -> None:

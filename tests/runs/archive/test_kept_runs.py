@@ -43,7 +43,7 @@ def test_runs_without_data_cannot_be_pinned(make_rig: Callable[..., Any], store:
         rig.coordinator.kept.pin("unknown")
     store.retention.forget_details([grant.run]).result(10)
     archive = Archive(store, EventLog(store))
-    frames, heights = rig.coordinator._frames, rig.coordinator.heights
-    kept = KeptRuns(rig.config, archive, EventLog(store), frames, heights, lambda _job, _name: None)
+    frames, made = rig.coordinator._frames, (rig.coordinator.heights, rig.coordinator.kept.mosaics)
+    kept = KeptRuns(rig.config, archive, EventLog(store), frames, *made, lambda _job, _name: None)
     with pytest.raises(GoneError):
         kept.pin(grant.run)

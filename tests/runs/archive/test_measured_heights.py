@@ -84,11 +84,11 @@ def station() -> Station:
 def measured_after(station: Station) -> None:
     """Let one run end, and wait until its heights were stored or refused."""
     heights = station.heights()
-    heights.start()
+    heights.queue.start()
     heights.finished(station.finished.detail)
     assert station.saved.wait(20)
-    heights.stop()
-    assert heights.thread.fault() is None
+    heights.queue.stop()
+    assert heights.queue.thread.fault() is None
 
 
 def test_heights_are_measured_once_from_usable_frames_under_a_lease(station: Station) -> None:
@@ -117,7 +117,7 @@ def test_stored_heights_are_served_while_those_of_another_run_are_measured(stati
     station.free.clear()
     heights, detail = station.heights(), station.finished.detail
     detail.id = "r2"
-    heights.start()
+    heights.queue.start()
     heights.finished(detail)
     with ThreadPoolExecutor(1) as readers:
         try:
@@ -128,7 +128,7 @@ def test_stored_heights_are_served_while_those_of_another_run_are_measured(stati
         finally:
             station.free.set()
     assert station.saved.wait(20)
-    heights.stop()
+    heights.queue.stop()
     assert heights.known("r2") == {"U1": (1.5, 0.02)}
 
 

@@ -49,7 +49,7 @@ class Station:
         self.worker_s = 0.1
         frames = tuple(SimpleNamespace(camera=0, row=j, slot=j, usable=j != 1) for j in range(3))
         self.finished = SimpleNamespace(
-            detail=SimpleNamespace(id="r1", frames=frames, board_id="1", stored=True),
+            detail=SimpleNamespace(id="r1", frames=frames, board_id="1", stored=True, skipped_boards=()),
             board_type=BoardType(name="b", outline=((0, 0), (9, 9)), identity=identity),
             cameras=(),
             stitch=SimpleNamespace(cad_matrix=[[1.0]]),
@@ -100,8 +100,8 @@ class Station:
         self.identities.start()
         self.identities.finished(self.finished.detail)
         assert self.done.wait(20)
-        self.identities.stop()
-        assert self.identities.thread.fault() is None
+        self.identities.queue.stop()
+        assert self.identities.queue.thread.fault() is None
 
     def shown(self, verdict: Status = Status.OK) -> RunSummary:
         summary = RunSummary(
@@ -159,7 +159,7 @@ def test_run_is_pending_until_its_codes_are_read() -> None:
     finally:
         station.free.set()
     assert station.done.wait(20)
-    station.identities.stop()
+    station.identities.queue.stop()
     assert station.identities.document("r1").state == "agrees"
 
 
@@ -223,7 +223,7 @@ def test_run_whose_codes_were_being_read_when_the_station_ended_is_degraded() ->
     again.identities.on_degraded = degraded.append
     again.identities.start()
     assert again.done.wait(20)
-    again.identities.stop()
+    again.identities.queue.stop()
     shown = again.shown()
     assert (shown.verdict, [r.code for r in shown.reasons]) == (Status.DEGRADED, ["identity-not-read"])
     assert again.saved["r1"].degrading == ("identity-not-read",)

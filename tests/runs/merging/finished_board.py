@@ -13,9 +13,12 @@ import numpy as np
 from vaoi_station.errors import GoneError
 from vaoi_station.geometry import Camera
 from vaoi_station.model import BoardType, FrameRecord, RecordingHead, Stitch, Verdict
+from vaoi_station.photometry import FlatFields
+from vaoi_station.photometry.flat_fields import FlatFieldDocument, write_flat_fields
 from vaoi_station.rendering import ViewCalculator
 from vaoi_station.runs.merging.merged_pictures import MergedAccess
-from vaoi_station.runs.workers.merge_job import MergeJob, merge
+from vaoi_station.runs.workers.jobs import PictureJob
+from vaoi_station.runs.workers.merge_job import MergeJob, RowLevelsJob, merge
 
 EXPOSURES_US = (200.0, 20.0)
 RADIANCE = 0.5
@@ -25,10 +28,18 @@ class Merging:
     """A run whose cameras alternate between two exposures of an even surface; one frame is incomplete."""
 
     def __init__(
-        self, board_type: BoardType, stitch: Stitch, cameras: tuple[Camera, ...], flat_fields: Path | None = None
+        self,
+        board_type: BoardType,
+        stitch: Stitch,
+        cameras: tuple[Camera, ...],
+        flat_fields: Path | None = None,
+        flicker: float = 0.0,
     ) -> None:
+        """Make the run; the brightness of its rows deviates by at most `flicker`."""
         rows = len(stitch.row_motion)
+        self.levels = 1 + flicker * np.cos(2.1 * np.arange(rows))
         records, self.pixels, self.jobs = [], {}, list[MergeJob]()
+        self.compared: list[RowLevelsJob] = []
         for i, camera in enumerate(cameras):
             for j in range(rows):
                 slot = i * rows + j
@@ -39,9 +50,11 @@ class Merging:
                     camera=i, row=j, verdict=verdict, slot=slot, exposure_us=exposure_us, gain=1.0, light=light
                 )
                 records.append(record)
-                grey = np.full((camera.height_px, camera.width_px), RADIANCE * exposure_us)
+                grey = np.full((camera.height_px, camera.width_px), RADIANCE * exposure_us * self.levels[j])
                 self.pixels[slot] = np.round(grey).astype(np.uint8)
         self.gone = False
+        self.recorded_in: Path | None = None
+        """Folder with the frames of a recording, each named after its slot; None: there is no recording."""
         heads = [{"width": c.width_px, "height": c.height_px, "exposure_us": 100.0} for c in cameras]
         head = {"format": "vaoi-recording", "version": 1, "cameras": heads, "rows": rows}
         self.finished: Any = SimpleNamespace(
@@ -62,8 +75,32 @@ class Merging:
         yield SimpleNamespace(number=1, generation=7)
 
     def _recorded(self, run: str, camera: int, row: int) -> Path | None:
-        return None
+        slot = camera * len(self.levels) + row
+        return None if self.recorded_in is None else self.recorded_in / f"{slot}.png"
 
-    def _render(self, job: MergeJob, name: str) -> bytes:
+    def _render(self, job: PictureJob, name: str) -> Any:
+        if isinstance(job, RowLevelsJob):
+            self.compared.append(job)
+            return job.perform(self.pixels.__getitem__)
+        assert isinstance(job, MergeJob)
         self.jobs.append(job)
         return merge(job, self.pixels.__getitem__)
+
+
+def even_fields(directory: Path, cameras: tuple[Camera, ...]) -> Path:
+    """Write flat fields without any shade, under both lights; return their directory."""
+    lights: tuple[str | None, ...] = ("even", "left")
+    sizes = [(c.width_px, c.height_px) for c in cameras]
+    document = {
+        "format": "vaoi-flatfield",
+        "version": 1,
+        "cameras": [{"width": w, "height": h, "read": 1.0, "shot": 0.02} for w, h in sizes],
+        "fields": [
+            {"camera": i, "light": light, "file": f"fields/{i}-{light}.tiff", "level": 1.0, "rows": 4}
+            for i in range(len(sizes))
+            for light in lights
+        ],
+    }
+    flats = {(i, light): np.ones((h, w), np.float32) for i, (w, h) in enumerate(sizes) for light in lights}
+    write_flat_fields(directory, FlatFields(FlatFieldDocument.model_validate(document), flats))
+    return directory

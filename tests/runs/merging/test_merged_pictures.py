@@ -57,6 +57,26 @@ def test_regions_and_single_lights(merging: Merging) -> None:
     assert merging.access.image("r1", wanted, None, "png").startswith(b"\x89PNG")
 
 
+def test_a_region_has_its_bodies_in_the_planes_of_their_tops(merging: Merging) -> None:
+    """Each by those frames of the picture that show it."""
+    board_type = merging.finished.board_type
+    (u1, *others) = board_type.components
+    solid = u1.model_copy(update={"body_height": 1.5})
+    merging.finished.board_type = board_type.model_copy(update={"components": (solid, *others)})
+    corners = board_type.footprint(u1)
+    low, high = (corners.min(0) - 1).tolist(), (corners.max(0) + 1).tolist()
+    wanted = MergeRequest(region=(low[0], low[1], high[0], high[1]), px_per_mm=4)
+    value = array(merging.access.image("r1", wanted, None, "npy"))
+    np.testing.assert_allclose(value[np.isfinite(value)], RADIANCE, rtol=0.01)
+    job = merging.jobs[0]
+    (body,) = job.bodies
+    assert body.body.height_mm == 1.5
+    assert {f.view.height_mm for f in body.frames} == {1.5}
+    assert {(f.view.camera, f.view.row) for f in body.frames} <= {(f.view.camera, f.view.row) for f in job.frames}
+    merging.access.image("r1", MergeRequest("U1"), None, "npy")
+    assert merging.jobs[1].bodies == ()
+
+
 @pytest.mark.parametrize(
     ("wanted", "error", "message"),
     [

@@ -16,7 +16,14 @@ from vaoi_station.acquisition.pairing.proof import TriggerFinding, TriggerProof
 from vaoi_station.acquisition.process.messages import RunFinished
 from vaoi_station.model import RecordingHead, Status, Stitch
 from vaoi_station.runs.run.progress import Progress
-from vaoi_station.runs.run.run_views import belt_speed, detail_of, reasons_of, trigger_reasons, versions
+from vaoi_station.runs.run.run_views import (
+    belt_speed,
+    detail_of,
+    reasons_of,
+    timeline_of,
+    trigger_reasons,
+    versions,
+)
 from vaoi_station.runs.workers.jobs import Concluded
 
 
@@ -60,6 +67,21 @@ def test_stops_of_a_belt_with_an_encoder_do_not_count_as_its_speed(
     belt = detail_of(progress).belt
     assert belt is not None
     assert belt.ratio == pytest.approx(1.01)
+
+
+def test_pulses_and_barrier_count_from_the_first_interruption(
+    progress: Progress, make_head: Callable[[int], RecordingHead]
+) -> None:
+    head = make_head(2).model_copy(update={"trigger_times_s": (7.0, 7.11), "lights": ("left", "right")})
+    progress.recorded = RunFinished("r1", 1, head, (), 51.0, "clear", interruptions=((-0.04, 0.3), (0.4, None)))
+    found = timeline_of(progress)
+    assert [(r.row, r.light) for r in found.rows] == [(0, "left"), (1, "right")]
+    assert [r.pulse_s for r in found.rows] == pytest.approx([0.04, 0.15])
+    assert {(r.exposure_us, r.led_us) for r in found.rows} == {(100.0, None)}
+    assert [b.blocked_s for b in found.barrier] == pytest.approx([0.0, 0.44])
+    assert found.barrier[1].clear_s is None
+    progress.recorded = RunFinished("r1", 1, head, (), 51.0, "clear")
+    assert timeline_of(progress).rows == (), "the barrier was not reported"
 
 
 def test_trigger_findings_are_reasons_with_camera_and_row() -> None:

@@ -247,6 +247,29 @@ def test_detections_of_one_mark_in_several_frames_are_merged_and_all_assigned(wo
     np.testing.assert_allclose(on_board, apply_similarity(c, points.cad), atol=1e-9)
 
 
+@pytest.mark.parametrize(("count", "determine_c"), [(1, {0, 1}), (2, {-1})])
+def test_a_board_of_a_panel_determines_c_alone_or_not_at_all(workshop: Any, count: int, determine_c: set[int]) -> None:
+    """Beside one fixture mark the two fiducials of the board determine C; beside two they have no part in it."""
+    camera = workshop.camera()
+    data = board(fiducials=(("A", 3.0, 3.0), ("B", 15.0, 9.0))).model_dump(mode="json", exclude_none=True)
+    for mark in data["fiducials"]:
+        mark["panel"] = "1"
+    data["components"] = [{"ref": "U1", "panel": "1", "center": [8, 6], "width": 2, "height": 2}]
+    data["fixture_mark"] = {"size": 2.0}
+    data["fixture_marks"] = [{"x": 3.0, "y": 9.0}, {"x": 15.0, "y": 3.0}][:count]
+    plane = board_plane(BoardType.model_validate(data), camera)
+    c, motion = placed(plane, camera, at=(-8.0, -9.0)), nominal_motion(np.zeros(1), np.full(1, 50.0), np.zeros(2))
+    fixture = plane.flat(np.array([(m["x"], m["y"]) for m in data["fixture_marks"]]))
+    mm = apply_similarity(c, np.vstack([plane.fiducials, fixture]))
+    kind = np.array([0, 0] + [1] * count)
+    px = camera.project(motion.row_from_tester(0)(mm))
+    k = len(px)
+    seen = [Detections(Task("marks", (0, 0)), px, np.full(k, 0.01), np.full(k, 0.9), kind)]
+    points = assign_fiducials(plane, c, seen, (camera,), motion)
+    assert len(points.which) == k
+    assert set(points.which[points.sigma_mm < 0.01].tolist()) == determine_c
+
+
 @settings(deadline=None)
 @given(st.integers(0, 1000), st.floats(0.1, 3.0))
 def test_the_first_of_close_places_of_a_kind_is_kept(seed: int, apart: float) -> None:

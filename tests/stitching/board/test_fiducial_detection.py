@@ -58,12 +58,14 @@ def test_fiducials_displaced_by_look_alikes_are_located_again(filmed: Any) -> No
     scene = Scene(filmed.setup.cameras, tuple(filmed.present), prepared.__getitem__)
     none = np.zeros(0)
     nothing = [Detections(Task("marks", k), np.zeros((0, 2)), none, none, none.astype(int)) for k in filmed.present]
-    again = relocate_fiducials(filmed.board_type, np.array(filmed.truth["cad_matrix"]), scene, motion, nothing)
+    marks = np.array([(f.x, f.y) for f in filmed.board_type.fiducials])
+    places = apply(np.array(filmed.truth["cad_matrix"]), marks)
+    again = relocate_fiducials(filmed.board_type, places, scene, motion, nothing)
     assert [s.task for s in again] == [s.task for s in nothing]
     for s in again:
         for place in true_places(filmed)[s.task.a].values():
             assert np.hypot(*(s.px - place).T).min() < 0.1
-    twice = relocate_fiducials(filmed.board_type, np.array(filmed.truth["cad_matrix"]), scene, motion, again)
+    twice = relocate_fiducials(filmed.board_type, places, scene, motion, again)
     assert [len(s.px) for s in twice] == [len(s.px) for s in again], "a known detection is not listed twice"
     deep = detect_more_marks(filmed.board_type, scene, nothing, fixture=False)
     assert sum(len(s.px) for s in deep) >= sum(len(s.px) for s in again)

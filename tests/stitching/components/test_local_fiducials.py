@@ -128,7 +128,8 @@ def test_a_local_fiducial_of_no_component_counts_as_a_global_one() -> None:
 
 def test_landmarks_move_with_the_components_that_are_placed() -> None:
     plane = BoardPlane(board(1), True)
-    moved = placed_landmarks(plane, C, placed(1, [(0.1, -0.05)], noise_px=0.0))
+    places = placed(1, [(0.1, -0.05)], noise_px=0.0)
+    moved = placed_landmarks(plane, C, {ref: place.matrix for ref, place in places.items() if place.matrix is not None})
     assert apply(C, moved[0]) - apply(C, np.array([30.0, 20.0])) == pytest.approx([0.1, -0.05])
     assert moved[1] == pytest.approx([50, 20])
 

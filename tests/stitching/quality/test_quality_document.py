@@ -12,6 +12,7 @@ import pytest
 KEYS = {
     "links",
     "unlinked",
+    "link_pairs",
     "residual_px",
     "seams_px",
     "fiducials",
@@ -49,6 +50,19 @@ def test_every_kind_of_point_is_counted(quality: Any) -> None:
         assert 0 <= count["used"] <= count["found"]
     assert quality["links"]["rows"]["used"] > 100
     assert quality["links"]["fixture"] == {"found": 0, "used": 0}
+
+
+def test_every_pair_of_frames_states_its_links(quality: Any, filmed: Any) -> None:
+    pairs, kinds = quality["link_pairs"], quality["links"]
+    assert sum(p["found"] for p in pairs) == kinds["rows"]["found"] + kinds["neighbours"]["found"]
+    assert sum(p["used"] for p in pairs) == kinds["rows"]["used"] + kinds["neighbours"]["used"]
+    tester_from_cad = np.array(filmed.stitch.cad_matrix)
+    low, high = filmed.board_type.extent()
+    for pair in pairs:
+        x, y, _ = np.linalg.inv(tester_from_cad) @ (*pair["at_mm"], 1)
+        assert (low <= (x, y)).all(), "links lie on the board"
+        assert ((x, y) <= high).all()
+        assert np.hypot(*pair["residual_px"]) <= pair["rms_px"] + 1e-4
 
 
 def test_fiducials_are_listed_in_the_order_of_the_board_type(quality: Any, filmed: Any) -> None:

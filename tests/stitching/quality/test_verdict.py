@@ -131,7 +131,10 @@ def test_local_fiducials_that_no_frame_shows_are_no_reason() -> None:
 
     def reasons(place: LocalPlace, method: str, *in_view: int) -> list[str]:
         places: Any = SimpleNamespace(
-            method=METHODS[method], local_places={"U1": place}, fiducials_in_view=dict.fromkeys(in_view, (0, 0))
+            method=METHODS[method],
+            own_places=SimpleNamespace(local={"U1": place}),
+            skipped_parts=frozenset(),
+            fiducials_in_view=dict.fromkeys(in_view, (0, 0)),
         )
         plane: Any = SimpleNamespace(board_type=SimpleNamespace(fiducials=[SimpleNamespace(name="L0")]))
         none: Any = None

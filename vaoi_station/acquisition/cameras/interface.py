@@ -25,6 +25,17 @@ class Slot:
 
     number: int
     memory: NDArray[np.uint8]
+    room: int = 0
+    """Bytes behind the view that the camera may write to as well, for chunk data."""
+
+
+@dataclass(frozen=True)
+class StatedExposure:
+    """What a frame states in its chunk data: the exposure with which the camera took it."""
+
+    exposure_us: float
+    gain_db: float | None
+    """None if the camera has no gain to set."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +56,8 @@ class Arrival:
     """Time at which the camera delivered the slot, by time.monotonic()."""
     fault: str = ""
     """The defect that the backend found; it becomes the cause of the frame's verdict. Empty if there is none."""
+    stated: StatedExposure | None = None
+    """The exposure that the frame itself states; None if the camera adds no chunk data."""
 
 
 @dataclass(frozen=True)
@@ -52,10 +65,13 @@ class CameraExposure:
     """How a camera exposes the rows of a run."""
 
     exposures_us: tuple[float, ...]
-    """Exposure of the rows, in turn. They are equal unless the width of the trigger sets them."""
+    """Exposure of the rows, in turn. They are equal unless the width of the trigger or the sequencer sets them."""
     gain_db: float
     by_trigger: bool = False
     """Whether the camera exposes for as long as the trigger is high."""
+    sequence: tuple[tuple[float, float], ...] = ()
+    """Exposure (µs) and gain (dB) of the sets of the camera's sequencer, which its frames use in turn; empty if the
+    camera uses no sequencer."""
 
 
 @dataclass(frozen=True)
@@ -125,8 +141,14 @@ class CameraDevice(Protocol):
         """Expose with these values from now on. Called while no pulse is fired.
 
         Raises:
-            DeviceError: the camera refuses or ignores a value, or cannot expose for the width of the trigger. A camera
-                that is lost takes the values when it is back.
+            DeviceError: the camera refuses or ignores a value, cannot expose for the width of the trigger, or has no
+                sequencer for these values. A camera that is lost takes the values when it is back.
+        """
+
+    def rewind(self) -> None:
+        """Let the next frame be exposed with the first set of the sequencer. Called between two runs.
+
+        It does nothing without a sequencer. A camera that does not answer counts as lost; that is reported as usual.
         """
 
     def queue(self, slot: Slot) -> None:

@@ -70,6 +70,9 @@ class VirtualCamera:
     def set_exposure(self, wanted: CameraExposure) -> None:
         """Do nothing: the frames that callers pass to `expose` have their exposure already."""
 
+    def rewind(self) -> None:
+        """Do nothing: there is no sequencer."""
+
     def queue(self, slot: Slot) -> None:
         """Queue memory for a frame that is to come."""
         with self._change:

@@ -117,10 +117,23 @@ def exposures_of(plan: TriggerPlan, config: StationConfig) -> list[CameraExposur
         return [CameraExposure((camera.exposure_us,), camera.gain_db) for camera in config.cameras]
     return [
         CameraExposure(
-            tuple(r.exposures_us[n] for r in plan.program), plan.program[0].gains_db[n], n in plan.by_trigger
+            tuple(r.exposures_us[n] for r in plan.program),
+            plan.program[0].gains_db[n],
+            n in plan.by_trigger,
+            _sequence(plan, n) if camera.exposure_by == "sequencer" else (),
         )
-        for n in range(len(config.cameras))
+        for n, camera in enumerate(config.cameras)
     ]
+
+
+def _sequence(plan: TriggerPlan, camera: int) -> tuple[tuple[float, float], ...]:
+    """Return exposure and gain of the sets that a camera's sequencer needs; none if all rows have the same.
+
+    A program that repeats itself for this camera, as one with lights in turn does, needs only the sets of one turn.
+    """
+    steps = tuple((row.exposures_us[camera], row.gains_db[camera]) for row in plan.program)
+    turn = next(n for n in range(1, len(steps) + 1) if len(steps) % n == 0 and steps[:n] * (len(steps) // n) == steps)
+    return steps[:turn] if turn > 1 else ()
 
 
 def require_time(plan: TriggerPlan, config: StationConfig) -> None:
@@ -222,7 +235,7 @@ def _is_by_trigger(camera: CameraConfig, exposures_us: Sequence[float]) -> bool:
 
 def _check_register(where: str, rows: Sequence[ProgramRow], camera: CameraConfig, number: int) -> None:
     """Raise InputError if a real camera would have to change a register from row to row."""
-    if camera.backend != "aravis":
+    if camera.backend != "aravis" or camera.exposure_by == "sequencer":
         return
     # A value that is written to the camera between two rows may take effect before or after the next pulse.
     registers = [("gain_db", "dB", [row.gains_db[number] for row in rows])]
@@ -236,5 +249,6 @@ def _check_register(where: str, rows: Sequence[ProgramRow], camera: CameraConfig
                 f"program.{other}.{key}",
                 values[other],
                 f"{values[0]:g} {unit} as in program.0: {camera.label} has one {key} for all rows of a program",
-                "Let the on-time of the LEDs (on_us) make the difference between rows.",
+                "Let the on-time of the LEDs (on_us) make the difference between rows, or, with a camera that has one, "
+                'the sequencer (exposure_by = "sequencer").',
             )

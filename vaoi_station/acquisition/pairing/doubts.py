@@ -28,8 +28,8 @@ ACTIONS: Mapping[Kind, str] = {
     "early": "Film the board again; report it with the proof of the run if it returns.",
     "miscounted": "Check the camera's setting of the frame id, then film the board again.",
     "other-light": (
-        "Film the board again. If it returns, check the wiring of the LED channels; with a replay, use a program that "
-        "fits the recording."
+        "Film the board again. If it returns, check the wiring of the LED channels, and the trigger line of a camera "
+        "whose sequencer is a row off; with a replay, use a program that fits the recording."
     ),
     "extra-frame": "Check the trigger line for bounces and crosstalk.",
 }

@@ -1,10 +1,13 @@
-"""Compare what the controller or a replay reports of every pulse with the light program of the run. Pure logic."""
+"""Compare with the light program what the controller or a replay reports of every pulse, and what frames state.
+
+Pure logic."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
-from vaoi_station.acquisition.pairing.run_record import ObservedPulse
+from vaoi_station.acquisition.cameras.interface import StatedExposure
+from vaoi_station.acquisition.pairing.run_record import ObservedFrame, ObservedPulse
 from vaoi_station.model import ProgramRow
 from vaoi_station.model.light_program import row_of
 
@@ -12,6 +15,9 @@ ON_TOLERANCE_US = 1.0
 """Accepted difference of an on-time or a width of the trigger, µs: the firmware rounds it to ticks of 0.5 µs."""
 SHARE_TOLERANCE = 0.01
 """Accepted relative difference of a reported exposure or gain."""
+STATED_TOLERANCE_US, STATED_TOLERANCE_DB = 20.0, 0.3
+"""Accepted difference of the exposure and the gain that a frame states: sensors expose whole lines, and gains have
+steps. Of the exposure `SHARE_TOLERANCE` is accepted if it is more."""
 
 
 def contradicted_rows(pulses: Mapping[int, ObservedPulse], program: Sequence[ProgramRow]) -> dict[int, str]:
@@ -44,3 +50,41 @@ def contradiction(pulse: ObservedPulse, expected: ProgramRow) -> str:
             if abs(is_ - must) > SHARE_TOLERANCE * must:
                 return f"camera {camera} had {name} {is_:g}{unit}, but the light program has {must:g}{unit}"
     return ""
+
+
+def contradicted_frames(camera: int, frames: Iterable[ObservedFrame], program: Sequence[ProgramRow]) -> dict[int, str]:
+    """Return {row: text} for the frames of a camera that state another exposure or gain than the program."""
+    if not program:
+        return {}
+    return {
+        frame.row: text
+        for frame in frames
+        if frame.row is not None
+        and frame.stated is not None
+        and (text := _stated_contradiction(frame.stated, camera, frame.row, program))
+    }
+
+
+def _stated_contradiction(stated: StatedExposure, camera: int, row: int, program: Sequence[ProgramRow]) -> str:
+    """Return what a frame states if the program has something else for its row; an empty text otherwise."""
+    expected = program[row % len(program)]
+    must_us, must_db = expected.exposures_us[camera], expected.gains_db[camera]
+    others_us = [step.exposures_us[camera] for step in program]
+    limit_us = _limit(must_us, others_us, max(STATED_TOLERANCE_US, SHARE_TOLERANCE * must_us))
+    if abs(stated.exposure_us - must_us) > limit_us:
+        return (
+            f"its frame states an exposure of {stated.exposure_us:g} µs, but the light program has {must_us:g} µs: the "
+            "camera's sequencer is at another row"
+        )
+    limit_db = _limit(must_db, [step.gains_db[camera] for step in program], STATED_TOLERANCE_DB)
+    if stated.gain_db is not None and abs(stated.gain_db - must_db) > limit_db:
+        return (
+            f"its frame states a gain of {stated.gain_db:g} dB, but the light program has {must_db:g} dB: the camera's "
+            "sequencer is at another row"
+        )
+    return ""
+
+
+def _limit(must: float, others: Iterable[float], tolerance: float) -> float:
+    """Return the accepted difference from a value: less than that from which another step is as near."""
+    return min([tolerance, *(abs(other - must) / 2 for other in others if other != must)])

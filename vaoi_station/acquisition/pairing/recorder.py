@@ -391,7 +391,7 @@ class Recorder:
 
 def _observed(arrival: Arrival, row: int | None, host_s: float) -> ObservedFrame:
     assert arrival.time_s is not None
-    return ObservedFrame(row, arrival.frame_id, arrival.time_s, host_s, arrival.host_time_s)
+    return ObservedFrame(row, arrival.frame_id, arrival.time_s, host_s, arrival.host_time_s, 0, arrival.stated)
 
 
 def _of_camera(values: Sequence[float], camera: int) -> float | None:

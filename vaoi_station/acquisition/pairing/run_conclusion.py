@@ -11,7 +11,7 @@ from vaoi_station.acquisition.causes import NO_PACKET, Gap, explain_missing, fin
 from vaoi_station.acquisition.clocks import ClockJump
 from vaoi_station.acquisition.outages import Outages
 from vaoi_station.acquisition.pairing.clock_fit import median
-from vaoi_station.acquisition.pairing.light_check import contradicted_rows
+from vaoi_station.acquisition.pairing.light_check import contradicted_frames, contradicted_rows
 from vaoi_station.acquisition.pairing.proof import TriggerFinding, TriggerProof, prove, questioned_rows
 from vaoi_station.acquisition.pairing.run_record import ObservedFrame, RunRecord
 from vaoi_station.model import FrameRecord, Verdict
@@ -57,8 +57,13 @@ def judge_run(
         missing += _missing(run, camera, gaps[-1], outages, sum(f.row is None for f in observed))
     unconfirmed = {camera for camera, confirmed in run.latency_known.items() if not confirmed}
     proof = _with_jumps(prove(run.pulses, pulse_bound_s, frames, gaps, unconfirmed), jumped)
-    proof = _with_lights(proof, contradicted_rows(run.pulses, run.program))
-    return missing, proof
+    rows = contradicted_rows(run.pulses, run.program)
+    # What the pulse was fired with is stated first; a frame that contradicts as well adds nothing to it.
+    contradicted = [
+        contradicted_frames(camera, run.complete_frames[camera], run.program) | rows
+        for camera in range(len(unassigned))
+    ]
+    return missing, _with_lights(proof, contradicted)
 
 
 def cameras_in_doubt(proof: TriggerProof) -> frozenset[int]:
@@ -123,16 +128,16 @@ def _with_jumps(proof: TriggerProof, jumped: Sequence[Mapping[int, str]]) -> Tri
     return TriggerProof(proven=False, cameras=cameras, findings=(*proof.findings, *found))
 
 
-def _with_lights(proof: TriggerProof, contradicted: Mapping[int, str]) -> TriggerProof:
+def _with_lights(proof: TriggerProof, contradicted: Sequence[Mapping[int, str]]) -> TriggerProof:
     """Return the proof with a finding for every camera and row that was not filmed as the light program states."""
     found = tuple(
-        TriggerFinding(camera=c.camera, row=row, kind="other-light", text=text)
-        for c in proof.cameras
-        for row, text in contradicted.items()
+        TriggerFinding(camera=camera, row=row, kind="other-light", text=text)
+        for camera, rows in enumerate(contradicted)
+        for row, text in sorted(rows.items())
     )
     if not found:
         return proof
-    cameras = tuple(c.model_copy(update={"proven": False}) for c in proof.cameras)
+    cameras = tuple(c.model_copy(update={"proven": c.proven and not contradicted[c.camera]}) for c in proof.cameras)
     return TriggerProof(proven=False, cameras=cameras, findings=(*proof.findings, *found))
 
 

@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from vaoi_station.acquisition.cameras.interface import StatedExposure
 from vaoi_station.acquisition.controller.interface import PulseSkipped
 from vaoi_station.line_config import row_ways_mm
 from vaoi_station.model import FrameRecord, ProgramRow, Pulse
@@ -48,6 +49,8 @@ class ObservedFrame:
     """Host time at which the frame arrived."""
     epoch: int = 0
     """Number of the camera's outages before this frame. Frames of one epoch have the same clock and frame counter."""
+    stated: StatedExposure | None = None
+    """The exposure that the frame itself states; None if the camera adds no chunk data."""
 
 
 Interruption = tuple[float, float | None]

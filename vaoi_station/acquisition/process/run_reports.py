@@ -29,7 +29,7 @@ def finished_report(config: StationConfig, finished: Finished, now_s: float) -> 
     except ValidationError as error:
         # What a device reported contradicts itself. This costs the certainty of one run, not the process.
         _log.exception("run %s: its recording cannot be described", record.run)
-        head = _head_without_measurements(config, finished, error)
+        head = _head_without_measurements(config, finished, _refused(finished, error))
     # A fast replay reports pulses before their time, so the last pulse may lie in the future.
     last_pulse_s = min(max(p.host_s for p in record.pulses.values()), now_s)
     return RunFinished(
@@ -52,6 +52,21 @@ def _head(config: StationConfig, finished: Finished) -> RecordingHead:
         ValidationError: what was reported does not fit together.
     """
     record = finished.record
+    measured = {
+        "trigger_times_s": record.times_s(),
+        "belt_mm": record.belt_mm(),
+        "exposures_us": record.exposures_us(),
+        "gains": _gains(config, record),
+        "lights": record.lights(),
+    }
+    # The whole head is validated: `model_copy` would take the measured values as they are.
+    known = _head_without_measurements(config, finished, doubts_of(finished.proof))
+    return RecordingHead.model_validate(dict(known) | measured)
+
+
+def _head_without_measurements(config: StationConfig, finished: Finished, doubts: tuple[str, ...]) -> RecordingHead:
+    """Return the head of a run with what is known without its reports."""
+    record = finished.record
     return RecordingHead(
         format="vaoi-recording",
         version=1,
@@ -61,32 +76,16 @@ def _head(config: StationConfig, finished: Finished) -> RecordingHead:
         conveyor_mm_s=record.conveyor_mm_s or config.line.conveyor_mm_s,
         rotation_deg=config.line.expected_board.rotation_deg or None,
         missing=tuple((f.camera, f.row) for f in finished.frames if not f.usable),
-        trigger_times_s=record.times_s(),
-        belt_mm=record.belt_mm(),
-        exposures_us=record.exposures_us(),
-        gains=_gains(config, record),
-        lights=record.lights(),
-        doubts=doubts_of(finished.proof),
+        doubts=doubts,
     )
 
 
-def _head_without_measurements(config: StationConfig, finished: Finished, error: ValidationError) -> RecordingHead:
-    """Return the head of a run whose measured values were refused: only what is known anyway, and a doubt."""
-    record, first = finished.record, error.errors()[0]
+def _refused(finished: Finished, error: ValidationError) -> tuple[str, ...]:
+    """Return the doubts of a run whose measured values were refused."""
+    first = error.errors()[0]
     what = ": ".join([*map(str, first["loc"]), first["msg"]])
-    return RecordingHead(
-        format="vaoi-recording",
-        version=1,
-        cameras=tuple(c.head for c in config.cameras),
-        rows=record.rows,
-        trigger_period_s=record.period_s,
-        conveyor_mm_s=record.conveyor_mm_s or config.line.conveyor_mm_s,
-        missing=tuple((f.camera, f.row) for f in finished.frames if not f.usable),
-        doubts=(
-            f"times, exposures and lights of this run contradict each other and are not used ({what})",
-            *doubts_of(finished.proof),
-        ),
-    )
+    refused = f"times, exposures and lights of this run contradict each other and are not used ({what})"
+    return refused, *doubts_of(finished.proof)
 
 
 def _gains(config: StationConfig, record: RunRecord) -> tuple[tuple[float, ...], ...] | None:

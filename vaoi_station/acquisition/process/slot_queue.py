@@ -30,8 +30,13 @@ class SlotQueue:
         return self._loaded
 
     def load(self, bay: int) -> None:
-        """Queue every slot of a bay in the cameras, except those to which a camera still writes."""
+        """Queue every slot of a bay in the cameras, except those to which a camera still writes.
+
+        The sequencers of the cameras begin anew, since the frames that come are those of another board.
+        """
         self._loaded = bay
+        for device in self._cameras:
+            device.rewind()
         for camera in range(len(self._cameras)):
             for k in range(self._ring.layout.slots_per_camera):
                 slot = self._ring.slot(bay, camera, k)
@@ -95,7 +100,7 @@ class SlotQueue:
     def _queue(self, slot: int) -> None:
         self._held.add(slot)
         camera = self._ring.layout.place(slot)[1]
-        self._cameras[camera].queue(Slot(slot, self._ring.memory(slot)))
+        self._cameras[camera].queue(Slot(slot, self._ring.memory(slot), self._ring.layout.room_bytes))
 
     def _take_back(self, camera: int) -> list[int]:
         slots = self._cameras[camera].take_back()

@@ -8,7 +8,7 @@ of one frame and begins on a page boundary. All numbers are little-endian.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -81,6 +81,8 @@ class RingLayout:
     slots_per_camera: int
     frames: tuple[FrameShape, ...]
     """Size and pixel format of every camera's frames."""
+    room_bytes: int = 0
+    """Bytes behind the largest frame that every slot has as well, whole pages: cameras write chunk data there."""
 
     def __post_init__(self) -> None:
         for key in ("bays", "slots_per_camera"):
@@ -93,7 +95,8 @@ class RingLayout:
     def of(cls, config: StationConfig) -> RingLayout:
         """Return a station's layout: `ring.runs` bays, each with slots for the longest board and the spare rows."""
         shapes = tuple(FrameShape(c.width, c.height, c.pixel_format) for c in config.cameras)
-        return cls(config.ring.runs, config.rows_per_run, shapes)
+        room_bytes = _pages(max(c.chunk_room_bytes for c in config.cameras))
+        return cls(config.ring.runs, config.rows_per_run, shapes, room_bytes)
 
     @property
     def cameras(self) -> int:
@@ -112,8 +115,8 @@ class RingLayout:
 
     @cached_property
     def slot_bytes(self) -> int:
-        """Distance between the starts of two slots, bytes: the size of the largest frame, rounded up to whole pages."""
-        return _pages(max(f.nbytes for f in self.frames))
+        """Distance between the starts of two slots, bytes: the largest frame in whole pages, and the room behind it."""
+        return _pages(max(f.nbytes for f in self.frames)) + self.room_bytes
 
     @property
     def camera_table(self) -> int:
@@ -191,7 +194,8 @@ class RingLayout:
             FrameShape(int(c["width"]), int(c["height"]), names.get(int(c["pixel_format"]), hex(c["pixel_format"])))
             for c in cameras
         )
-        return cls(int(header["bays"][0]), int(header["slots_per_camera"][0]), frames)
+        plain = cls(int(header["bays"][0]), int(header["slots_per_camera"][0]), frames)
+        return replace(plain, room_bytes=max(int(header["slot_bytes"][0]) - plain.slot_bytes, 0))
 
 
 def _pages(nbytes: int) -> int:

@@ -37,7 +37,7 @@ STREAMS: dict[int | str, dict[str, Any]] = {
 _LONGEST_ADDRESS = 200
 
 
-def _request(
+async def _request(
     wanted: Wanted,
     component: Annotated[
         list[str] | None,

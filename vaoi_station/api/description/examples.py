@@ -31,5 +31,5 @@ def add_examples(operation: dict[str, Any]) -> None:
             kind["example"] = known["bodies"][name]
     for status, answer in operation["responses"].items():
         content = answer.get("content", {}).get("application/json")
-        if content is not None and status in ("200", "201") and name in known["answers"]:
+        if content is not None and status in ("200", "201", "202") and name in known["answers"]:
             content["example"] = known["answers"][name]

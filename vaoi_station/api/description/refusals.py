@@ -28,7 +28,7 @@ _ALWAYS = frozenset({400, 421, 422, 500})
 _OF_THE_API = _ALWAYS | {401, 403, 503}
 _OF_A_COMMAND = frozenset({408, 409, 413})
 _OF_A_RUN = frozenset({404, 409, 410})
-_ABSENT = ("/station/arm", "/runs", "/runs/latest", "/runs/next")
+_ABSENT = ("/station/arm", "/runs", "/runs/latest", "/runs/next", "/doctor")
 """Ends of paths without parameters that may name something that does not exist, or ask for it."""
 
 
@@ -45,7 +45,9 @@ def statuses(method: str, path: str, operation: dict[str, Any]) -> list[int]:
         found |= _OF_A_COMMAND
     if "{" in path or path.endswith(_ABSENT):
         found.add(404)
-    if "/runs/{run}" in path or path.endswith("/runs/next") or "reference" in path:
+    if any(part in path for part in ("/runs/{run}", "/cameras/{camera}/picture", "reference")) or path.endswith(
+        "/next"
+    ):
         found |= _OF_A_RUN
     kinds = [kind for answer in operation["responses"].values() for kind in answer.get("content", {})]
     if "application/x-npy" in kinds:

@@ -1,4 +1,7 @@
-"""Query parameters that choose temporary images, and the request that they make."""
+"""Query parameters that choose temporary images, and the request that they make.
+
+The functions are coroutines because FastAPI performs other ones in a thread, which takes longer than the functions.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ from vaoi_station.rendering.request import MOST_IMAGES, Bounds, Choice, ImageReq
 Number = Annotated[float, Query(allow_inf_nan=False)]
 
 
-def _framing(
+async def _framing(
     px_per_mm: PxPerMm = None,
     margin_mm: Annotated[
         Number, Query(description="Strip of surroundings on all sides of the component.", ge=0, le=MOST_MARGIN_MM)
@@ -30,7 +33,7 @@ def _framing(
     return Framing(px_per_mm, margin_mm, align, plane)
 
 
-def _bounds(
+async def _bounds(
     min_coverage: MinCoverage = 0.5,
     min_exposure_us: Annotated[Number | None, Query(description="Least exposure time.", ge=0)] = None,
     max_exposure_us: Annotated[Number | None, Query(description="Longest exposure time.", ge=0)] = None,
@@ -52,7 +55,7 @@ def _bounds(
     )
 
 
-def _choice(
+async def _choice(
     light: Annotated[str | None, Query(description="Only images under this light.", max_length=200)] = None,
     minus: Annotated[
         str | None,
@@ -74,7 +77,7 @@ def _choice(
     return Choice(light, minus, direction(seen_from), within_deg, order, limit, measure)
 
 
-def _wanted(
+async def _wanted(
     framing: Annotated[Framing, Depends(_framing)],
     bounds: Annotated[Bounds, Depends(_bounds)],
     choice: Annotated[Choice, Depends(_choice)],

@@ -63,7 +63,7 @@ class MergedList(Strict):
     pictures: list[MergedEntry]
 
 
-def _wanted(
+async def _wanted(
     component: Component = None,
     region: Region = None,
     light: Light = None,

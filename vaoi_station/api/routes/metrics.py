@@ -16,6 +16,7 @@ from vaoi_station.api.routes.services import Services
 from vaoi_station.push.delivery import Delivery
 from vaoi_station.runs.archive.run_statistics import LATENCY_BOUNDS_S, RunFigures
 from vaoi_station.runs.states.schemas import StationSnapshot
+from vaoi_station.runs.states.storage_schemas import ArchiveStatus
 from vaoi_station.runs.states.tables import StationState
 
 MEDIA_TYPE = "text/plain; version=0.0.4; charset=utf-8"
@@ -78,7 +79,25 @@ def metrics_of(
         *_cameras(snapshot),
         *_processes(snapshot),
         *_receivers(deliveries),
+        *_archive(snapshot.retention.archive),
     )  # fmt: skip
+
+
+def _archive(status: ArchiveStatus | None) -> Iterable[Metric]:
+    """Yield the metrics of the archive; without one they have no values."""
+    there = () if status is None else (status,)
+    outcomes = [(name, getattr(one, name)) for one in there for name in ("added", "dropped", "refused")]
+    yield _metric(
+        "vaoi_archive_up",
+        "gauge",
+        "1 if the archive takes runs, 0 if runs wait for it.",
+        *(({}, not one.problem) for one in there),
+    )
+    yield _metric(
+        "vaoi_archive_waiting", "gauge", "Runs that wait for the archive.", *(({}, one.waiting) for one in there)
+    )
+    yield _metric("vaoi_archive_runs_total", "counter", "Runs for the archive since the start, by outcome.",
+                  *(({"outcome": name}, count) for name, count in outcomes))  # fmt: skip
 
 
 def _latency(figures: RunFigures) -> Metric:

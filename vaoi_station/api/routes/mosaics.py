@@ -18,7 +18,7 @@ from starlette.types import Receive, Scope, Send
 from vaoi_station.api.callers.picture_seats import FileSeats
 from vaoi_station.api.http_caching import IMMUTABLE, REVALIDATE, conditional_response
 from vaoi_station.api.parameters import RunId
-from vaoi_station.api.rest_models import MosaicEntry, MosaicList
+from vaoi_station.api.rest_models import KeptMosaicEntry, MosaicEntry, MosaicList
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import InputError
 from vaoi_station.mosaic.deep_zoom import (
@@ -58,6 +58,12 @@ FILE: dict[int | str, dict[str, Any]] = {
         "description": "The bytes of the header Range.",
         "content": {"image/tiff": {"schema": {"type": "string", "format": "binary"}}},
     },
+}
+KEPT: dict[int | str, dict[str, Any]] = {
+    200: {
+        "description": "The picture.",
+        "content": {"image/jpeg": {"schema": {"type": "string", "format": "binary"}}},
+    }
 }
 DZI: dict[int | str, dict[str, Any]] = {
     200: {"description": "The .dzi file.", "content": {"application/xml": {"schema": {"type": "string"}}}}
@@ -123,10 +129,20 @@ def router(services: Services) -> APIRouter:
                         tiff=f"{address}.tif",
                     )
                 )
-            return MosaicList(mosaics=found)
+            return MosaicList(mosaics=found, kept=_kept(services, run, f"{quote(request.url.path)}/kept.jpg"))
 
         body = (await ask(entries)).model_dump_json(exclude_none=True).encode()
-        return conditional_response(request, body, "application/json", cache=IMMUTABLE)
+        # The small picture is made later, and deleted before the run.
+        return conditional_response(request, body, "application/json", cache=REVALIDATE)
+
+    @routes.get("/kept.jpg", response_class=Response, responses=KEPT)
+    async def get_kept_mosaic(request: Request, run: RunId) -> Response:
+        """Return the small picture of the whole board that is kept when the frames are gone, at most 2 megapixels.
+
+        The station makes it in spare time after a run, within `[keep] mosaics_gb`. 404 `no-kept-mosaic`: there is none.
+        """
+        content = await ask(services.coordinator.kept.mosaics.content, run)
+        return conditional_response(request, content, MEDIA["jpg"], cache=IMMUTABLE)
 
     @routes.get("/{picture}.dzi", response_class=Response, responses=DZI)
     async def get_dzi(request: Request, run: RunId, picture: Picture) -> Response:
@@ -221,6 +237,17 @@ def router(services: Services) -> APIRouter:
         )
 
     return routes
+
+
+def _kept(services: Services, run: str, url: str) -> KeptMosaicEntry | None:
+    """Return the entry of the kept picture of a run; None if none is kept."""
+    grid = services.coordinator.kept.mosaics.grid(run)
+    if grid is None:
+        return None
+    matrix = grid.mosaic_from_cad.tolist()
+    return KeptMosaicEntry(
+        width_px=grid.width, height_px=grid.height, px_per_mm=grid.px_per_mm, image_from_cad=matrix, url=url
+    )
 
 
 def _download(corners: tuple[float | None, ...], px_per_mm: float | None) -> Download:

@@ -30,7 +30,7 @@ Cursor = Annotated[str | None, Query(description="Id of a run.", min_length=1, m
 Holder = Annotated[str, Query(description="Name of the holder.", min_length=1, max_length=80)]
 
 
-def run_filter(
+async def run_filter(
     verdict: Annotated[Wanted | None, Query(description="Verdict; `none`: ended without a result.")] = None,
     board_type: Annotated[str | None, Query(description="Name of the board type.", max_length=200)] = None,
     board_id: Annotated[str | None, Query(description="The caller's id of the board.", max_length=200)] = None,

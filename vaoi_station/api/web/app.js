@@ -1,9 +1,7 @@
 // The frame of all pages: which view is shown, the station's state, and whether it is out of date.
-import { BoardView } from "./boards/board.js";
-import { BoardsView } from "./boards/boards.js";
 import { LineView } from "./line/line.js";
 import { RecentBoards } from "./line/recent_boards.js";
-import { $, setText } from "./parts/elements.js";
+import { $, make, setText } from "./parts/elements.js";
 import { Live } from "./parts/live.js";
 import { loggedIn } from "./parts/login.js";
 import * as rest from "./parts/rest.js";
@@ -13,7 +11,6 @@ import { changeLanguage, fillIn, language, texts } from "./texts/texts.js";
 const EARLIER_EVENTS = 200; // so that boards that were missed before the page was opened are shown
 
 document.documentElement.lang = language;
-fillIn(document);
 $("language").addEventListener("click", changeLanguage);
 $("sound").addEventListener("click", () => {
   sound.switchTo(!sound.isOn());
@@ -34,12 +31,34 @@ export const station = {
   boards: new RecentBoards(),
 };
 
-const VIEWS = [
-  [/^#?\/?$/, () => new LineView(station, refresh)],
-  [/^#\/boards(?:\?(.*))?$/, (query) => new BoardsView(station, query ?? "")],
-  [/^#\/board\/([^/?]+)(?:\?(.*))?$/, (run, query) => new BoardView(station, run, query ?? "")],
+// The entries of the navigation: the text of each, and its first address.
+const ENTRIES = [
+  ["line", "#/"],
+  ["boards", "#/boards"],
+  ["trends.entry", "#/trends"],
+  ["cameras.entry", "#/cameras"],
+  ["setUp", "#/setup"],
 ];
+// The views: the entry each belongs to, the form of its address, and how it is opened. The first is shown for other addresses.
+// It is there at once; the others are loaded when they are opened.
+const VIEWS = [
+  ["line", /^#?\/?$/, () => new LineView(station, refresh)],
+  ["boards", /^#\/boards(?:\?(.*))?$/, async (query) => new (await import("./boards/boards.js")).BoardsView(station, query ?? "")],
+  ["boards", /^#\/board\/([^/?]+)(?:\?(.*))?$/, async (run, query) => new (await import("./board/board.js")).BoardView(station, run, query ?? "")],
+  ["trends.entry", /^#\/trends(?:\?(.*))?$/, async (query) => new (await import("./trends/trends.js")).TrendsView(station, query ?? "")],
+  ["cameras.entry", /^#\/cameras$/, async () => new (await import("./cameras/cameras.js")).CamerasView(station)],
+  ["setUp", /^#\/setup(?:\/(.*))?$/, async (path) => new (await import("./setup/setup.js")).SetupView(path ?? "")],
+];
+const links = ENTRIES.map(([name, href]) => {
+  const link = make("a", { href });
+  link.dataset.text = name;
+  return link;
+});
+document.querySelector("nav").prepend(...links);
+fillIn(document);
 let view = null;
+let routed = 0;
+let unloaded = false; // the view of the address could not be loaded
 let asking = false;
 let again = false;
 
@@ -53,18 +72,33 @@ const live = new Live({
   },
   onHeartbeat: (heartbeat) => {
     station.offset_ms = Date.parse(heartbeat.time) - Date.now();
+    if (unloaded) rest.unattended(route());
     if (heartbeat.state !== station.now?.state || heartbeat.last_event !== station.now?.last_event) refresh();
   },
   onAge: showAge,
 });
 
-function route() {
+async function route() {
+  const turn = ++routed;
+  const [entry, pattern, open] = VIEWS.find(([, form]) => form.test(location.hash)) ?? VIEWS[0];
+  const loading = open(...(pattern.exec(location.hash) ?? []).slice(1));
+  // Closed before the next one has come: what it still does must not reach the address of that one.
   view?.close?.();
-  const [pattern, open] = VIEWS.find(([form]) => form.test(location.hash)) ?? VIEWS[0];
-  view = open(...(pattern.exec(location.hash) ?? []).slice(1));
-  for (const link of document.querySelectorAll("nav a[href^='#']")) {
-    const here = link.getAttribute("href") === "#/" ? view instanceof LineView : !(view instanceof LineView);
-    if (here) link.setAttribute("aria-current", "page");
+  view = null;
+  // Nor must a verdict stay in sight that nothing renews any more.
+  if (!unloaded) $("view").replaceChildren();
+  let made;
+  try {
+    made = await loading;
+  } catch (error) {
+    if (turn === routed) showUnloaded();
+    throw error;
+  }
+  if (turn !== routed) return; // overtaken by a later address
+  view = made;
+  unloaded = false;
+  for (const link of links) {
+    if (link.dataset.text === entry) link.setAttribute("aria-current", "page");
     else link.removeAttribute("aria-current");
   }
   document.body.className = document.body.classList.contains("waiting") ? "waiting" : "";
@@ -75,6 +109,18 @@ function route() {
   view.open?.();
   view.onAge?.(station.stale);
   if (station.now) rest.unattended(view.show(station.now));
+}
+
+// Said in place of a view whose files have not come. It is tried again by each heartbeat; the button loads the whole page.
+function showUnloaded() {
+  if (unloaded) return;
+  unloaded = true;
+  const again = make("button", { type: "button", textContent: texts.loadAgain });
+  again.addEventListener("click", () => location.reload());
+  const said = make("p", { textContent: texts.unloaded });
+  said.setAttribute("role", "alert");
+  $("view").className = "";
+  $("view").replaceChildren(said, again);
 }
 
 // One request at a time, and one more if an event came meanwhile.
@@ -90,7 +136,7 @@ async function refresh() {
       station.now = await rest.station();
       setText($("name"), station.now.name);
       document.body.classList.remove("waiting");
-      await view.show(station.now);
+      await view?.show(station.now);
     } while (again);
   } catch (error) {
     if (!(error instanceof rest.Refusal) && !(error instanceof TypeError)) throw error;
@@ -115,8 +161,8 @@ function showAge(old, seconds) {
 async function start() {
   showSound();
   await loggedIn(live);
-  window.addEventListener("hashchange", route);
-  route();
+  window.addEventListener("hashchange", () => rest.unattended(route()));
+  await rest.unattended(route());
   try {
     station.now = await rest.station();
     live.open(Math.max(station.now.last_event - EARLIER_EVENTS, 0));

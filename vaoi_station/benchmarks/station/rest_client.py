@@ -17,6 +17,8 @@ from vaoi_station.errors import DeviceError
 
 REPLY_LIMIT_S = 60.0
 """Longest wait for bytes of a reply."""
+BATCH_LIMIT_S = 120.0
+"""Time after which a batch is no longer read; it is then incomplete."""
 _TAIL = 2000
 _READ = 1 << 20
 
@@ -63,11 +65,15 @@ def callers(port: int, paths: Sequence[str], count: int) -> Iterator[list[Fetche
         yield found
     finally:
         stop.set()
+        reply: str | list[tuple[float, float]] = "its process ended without a report."
         with contextlib.suppress(EOFError):
-            reply = here.recv()
+            # Each thread ends with its reply, which takes at most the limit of a connection.
+            if here.poll(2 * REPLY_LIMIT_S):
+                reply = here.recv()
+        process.kill()
         process.join()
     if isinstance(reply, str):
-        raise DeviceError(f"A caller of the benchmark was refused: {reply}")
+        raise DeviceError(f"A caller of the benchmark failed: {reply}")
     found.extend(Fetched(*fetched) for fetched in reply)
 
 
@@ -115,7 +121,7 @@ def _read(port: int, path: str) -> tuple[float, float, float, bool]:
     began_s = time.monotonic()
     connection.request("GET", path)
     answer = connection.getresponse()
-    while count := answer.readinto(memory):
+    while (count := answer.readinto(memory)) and time.monotonic() < began_s + BATCH_LIMIT_S:
         first_s = first_s or time.monotonic()
         size += count
         tail = (tail + bytes(memory[:count]))[-_TAIL:]

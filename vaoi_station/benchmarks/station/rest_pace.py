@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 import os
 import statistics
-import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -24,8 +24,9 @@ from vaoi_station.benchmarks.station.rest_client import ReadBatch, callers, read
 from vaoi_station.benchmarks.station.sender_devices import Playback, acquisition_launcher
 from vaoi_station.benchmarks.station.station_pace import PAUSE_S, READY_S, RUN_LIMIT_S, pace_config, wait_until_ready
 from vaoi_station.errors import StateError
+from vaoi_station.model import BoardType
 from vaoi_station.runs.control.coordinator import StationCoordinator
-from vaoi_station.runs.states.schemas import RunDetail
+from vaoi_station.runs.states.schemas import ComponentSummary, RunDetail
 from vaoi_station.station import Station
 
 LARGE_CALLERS, LARGE_PX_PER_MM = 8, 277
@@ -86,7 +87,11 @@ class RestFigures:
             f"{name:20s} p50 {t.p50_ms:.1f} ms, p99 {t.p99_ms:.1f} ms, max {t.max_ms:.1f} ms of {t.count}"
             for name, t in (("component pictures", self.picture), ("large pictures", self.large))
         ]
-        shown += [f"matrices {name:26s} {ms:.0f} ms after the last frame" for name, ms in self.ready_ms.items()]
+        alone = self.ready_ms["alone"]
+        shown += [
+            f"matrices {name:26s} {ms:.0f} ms after the last frame, {ms / alone:.2f} × alone"
+            for name, ms in self.ready_ms.items()
+        ]
         for b in self.batches:
             size = f"{b.mbytes:.1f} MB in {b.total_s:.2f} s{'' if b.complete else ', incomplete'}"
             memory = f"station {b.memory_mb['station']:.0f} MB"
@@ -94,7 +99,9 @@ class RestFigures:
         return [*shown, f"load before {self.load_before:.1f}"]
 
 
-def measure_rest(run: PrerenderedRun, workers: int, folder: Path, ring: Path) -> RestFigures:
+def measure_rest(
+    run: PrerenderedRun, workers: int, folder: Path, ring: Path, report: Callable[[str], None] = lambda _: None
+) -> RestFigures:
     """Run a station with its REST service and callers in other processes, and measure them.
 
     Args:
@@ -102,6 +109,7 @@ def measure_rest(run: PrerenderedRun, workers: int, folder: Path, ring: Path) ->
         workers: number of worker processes.
         folder: folder for the station's files, which are not deleted.
         ring: directory for the file of the ring.
+        report: receives a line before each step.
     """
     config, load = pace_config(run, 1.0, workers, folder, ring), os.getloadavg()[0]
     playback = Playback(run, 1.0, PAUSE_S)
@@ -112,30 +120,30 @@ def measure_rest(run: PrerenderedRun, workers: int, folder: Path, ring: Path) ->
             server = WebServer(create_app(station.coordinator), listener, lambda: None)
             server.start()
             try:
-                return _measured(station.coordinator, run, listener.getsockname()[1], load)
+                return _measured(station.coordinator, run, listener.getsockname()[1], load, report)
             finally:
                 server.stop()
 
 
-def _measured(coordinator: StationCoordinator, run: PrerenderedRun, port: int, load: float) -> RestFigures:
+def _measured(
+    coordinator: StationCoordinator, run: PrerenderedRun, port: int, load: float, report: Callable[[str], None]
+) -> RestFigures:
     parts = run.board_type.components
+    report("A board passes alone.")
     coordinator.arm(run.board_type.name, runs=1)
     first = _next_run(coordinator, None)
     coordinator.hold(first.id, _HOLDER, "measures callers")
     base = f"/api/v1/runs/{first.id}"
-    pictures = [
-        f"{base}/components/{quote(c.address)}/images/0" for c in parts if c.address in _shown(coordinator, first)
-    ]
-    mm = run.board_type.mm_per_unit
-    sizes = {c.address: c.width * c.height * (mm * LARGE_PX_PER_MM) ** 2 for c in parts}
-    large = sorted((a for a, px in sizes.items() if px * 1.1 < _LARGEST_PX), key=lambda a: -sizes[a])[:LARGE_CALLERS]
-    crops = [f"{base}/components/{quote(a)}/images/0?px_per_mm={LARGE_PX_PER_MM}" for a in large]
+    pictures, crops = picture_paths(base, coordinator.components(first.id), run.board_type)
+    report(f"A board passes while a caller fetches {len(pictures)} pictures one by one.")
     second, single = _with_callers(coordinator, first, port, pictures, 1)
+    report(f"A board passes while {LARGE_CALLERS} callers fetch pictures of {LARGE_PX_PER_MM} px/mm.")
     third, several = _with_callers(coordinator, second, port, crops, LARGE_CALLERS)
     pids = {"station": os.getpid()} | {p.name: p.pid for p in coordinator.snapshot().processes if p.pid is not None}
     before = _memory_mb(pids)
     batches = []
     for query in _BATCHES:
+        report(f"All pictures of a run are read in one request ({query}).")
         found = read_batch(port, f"{base}/images?container=tar&{query}")
         batches.append(BatchTimes(query, *_rounded(found), found.complete, _memory_mb(pids)))
     return RestFigures(
@@ -153,27 +161,40 @@ def _measured(coordinator: StationCoordinator, run: PrerenderedRun, port: int, l
     )
 
 
+def picture_paths(
+    base: str, components: Sequence[ComponentSummary], board_type: BoardType
+) -> tuple[list[str], list[str]]:
+    """Return the addresses of the best picture of every component that is seen, and of the largest as large pictures.
+
+    Args:
+        base: address of the run.
+        components: the components of the run; each call of the coordinator computes them anew.
+        board_type: the type of the board.
+    """
+    seen = [c.address for c in components if c.views]
+    mm = board_type.mm_per_unit
+    px = {c.address: c.width * c.height * (mm * LARGE_PX_PER_MM) ** 2 for c in board_type.components}
+    # A tenth more, because a picture has whole pixels all around.
+    large = sorted((a for a in seen if px[a] * 1.1 < _LARGEST_PX), key=lambda a: -px[a])[:LARGE_CALLERS]
+    address = f"{base}/components/{{}}/images/0".format
+    return (
+        [address(quote(a)) for a in seen],
+        [f"{address(quote(a))}?px_per_mm={LARGE_PX_PER_MM}" for a in large],
+    )
+
+
 def _with_callers(
     coordinator: StationCoordinator, before: RunDetail, port: int, paths: Sequence[str], count: int
 ) -> tuple[RunDetail, PictureTimes]:
     """Let callers fetch pictures while the next board passes; return its run, and their times while it was filmed."""
-    filming, seen = list[float](), coordinator.snapshot().last_event
-
-    def watch() -> None:
-        last = seen
-        while len(filming) < 2:
-            records = coordinator.events(last, 1.0)
-            last = records[-1].number if records else last
-            filming.extend(time.monotonic() for r in records if r.kind == "run" and r.state in ("filming", "stitching"))
-
-    watching = threading.Thread(target=watch, daemon=True)
-    watching.start()
     with callers(port, paths, count) as fetched:
         # Armed only now: the process of the callers may take longer to load than a board takes to pass.
         coordinator.arm(before.board_type, runs=1)
         found = _next_run(coordinator, before.id)
-    watching.join()
-    return found, picture_times([f.ms for f in fetched if filming[0] <= f.sent_s <= filming[1]])
+    utc_of_host_s = time.time() - time.monotonic()
+    began_s = datetime.fromisoformat(found.started).timestamp() - utc_of_host_s
+    ended_s = began_s + coordinator.timeline(found.id).last_frame_s
+    return found, picture_times([f.ms for f in fetched if began_s <= f.sent_s <= ended_s])
 
 
 def picture_times(times_ms: Sequence[float]) -> PictureTimes:
@@ -194,10 +215,6 @@ def _next_run(coordinator: StationCoordinator, after: str | None) -> RunDetail:
             return found
         coordinator.events(coordinator.snapshot().last_event, 1.0)
     raise StateError(f"No run ended within {RUN_LIMIT_S:.0f} s.", action="See the log.")
-
-
-def _shown(coordinator: StationCoordinator, run: RunDetail) -> frozenset[str]:
-    return frozenset(c.address for c in coordinator.components(run.id) if c.views)
 
 
 def _ready_ms(run: RunDetail) -> float:

@@ -115,6 +115,9 @@ class SenderCamera:
     def set_exposure(self, wanted: CameraExposure) -> None:
         """Do nothing: the frames were rendered before."""
 
+    def rewind(self) -> None:
+        """Do nothing: there is no sequencer."""
+
     def queue(self, slot: Slot) -> None:
         """Queue memory for a frame that is to come."""
         self._slots.append(slot)

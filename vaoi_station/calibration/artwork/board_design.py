@@ -73,6 +73,8 @@ class Board:
     low_mm: tuple[float, float]
     """Smallest x and y of the board's outline, mm, in layout coordinates."""
     high_mm: tuple[float, float]
+    camera_x_mm: tuple[float, ...]
+    """x coordinate below each camera, mm."""
 
     @property
     def size_mm(self) -> tuple[float, float]:
@@ -116,7 +118,8 @@ def design_board(design: ArrayDesign) -> Board:
     edge = design.border_mm
     low = -width / 2 - edge, -height / 2 - edge
     high = (design.cameras - 1) * design.pitch_mm + width / 2 + edge, height / 2 + edge + LABEL_MM
-    return Board(layout, (_micron(low[0]), _micron(low[1])), (_micron(high[0]), _micron(high[1])))
+    below = tuple(_micron(i * design.pitch_mm) for i in range(design.cameras))
+    return Board(layout, (_micron(low[0]), _micron(low[1])), (_micron(high[0]), _micron(high[1])), below)
 
 
 def _columns(design: ArrayDesign) -> Floats:

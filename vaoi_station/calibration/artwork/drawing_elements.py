@@ -1,4 +1,4 @@
-"""Shapes that the artwork contains in every file format: the cross of a mark, and the scale bar."""
+"""Shapes of the artwork: the cross of a mark, the scale bar, and the arrow along the cameras."""
 
 from __future__ import annotations
 
@@ -30,3 +30,18 @@ def scale_bar(low_mm: tuple[float, float], high_mm: tuple[float, float]) -> tupl
     ends = [(x, y), (x + length, y)]
     ticks = [[(end, y - 1.5), (end, y + 1.5)] for end in (x, x + length)]
     return np.array([ends, *ticks]), length
+
+
+def label_baseline_mm(high_mm: tuple[float, float]) -> float:
+    """Return y of the baseline of the cameras' numbers: between the views and the strip of the scale bar."""
+    return high_mm[1] - LABEL_MM - 1.0
+
+
+def arrow(low_mm: tuple[float, float], high_mm: tuple[float, float], first_camera_x_mm: float) -> Floats:
+    """Compute the strokes (3, 2, 2) mm of an arrow from camera 0 towards the next one, left of the number of camera 0.
+
+    It shows how the board lies: camera 0 above its number 0, and the arrow along the cameras.
+    """
+    begin, y = low_mm[0] + 1.0, label_baseline_mm(high_mm) - 0.9
+    tip = max(begin + 3.0, min(begin + 12.0, first_camera_x_mm - 7.0))
+    return np.array([[(begin, y), (tip, y)], *([(tip - 1.5, y + dy), (tip, y)] for dy in (-1.0, 1.0))])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from vaoi_station.calibration.artwork.board_design import Board
-from vaoi_station.calibration.artwork.drawing_elements import cross, scale_bar
+from vaoi_station.calibration.artwork.drawing_elements import arrow, cross, label_baseline_mm, scale_bar
 from vaoi_station.errors import InputError
 
 _POINTS_PER_MM = 72 / 25.4
@@ -56,11 +56,17 @@ def _content(board: Board, title: str, page_height: float) -> str:
     for place in board.places_mm:
         first, *rest = (f"{u:.6f} {v:.6f}" for u, v in cross(place, size, width))
         lines.append(f"{first} m " + " ".join(f"{corner} l" for corner in rest) + " h f")
-    lines += [f"{a[0]:.6f} {a[1]:.6f} m {b[0]:.6f} {b[1]:.6f} l S" for a, b in strokes]
+    drawn = [*strokes, *arrow(board.low_mm, board.high_mm, board.camera_x_mm[0])]
+    lines += [f"{a[0]:.6f} {a[1]:.6f} m {b[0]:.6f} {b[1]:.6f} l S" for a, b in drawn]
     end = ((strokes[0, 1] - (x, y)) * k).tolist()
     text = f"{length:g} mm  {title}".replace("\\", r"\\").replace("(", r"\(").replace(")", r"\)")
     # The text is written in points after Q has restored the matrix, because the flipped matrix would mirror it.
     lines += ["Q", f"{ink} g", f"BT /F1 7.5 Tf {end[0] + 6:.3f} {page_height - end[1] - 3:.3f} Td ({text}) Tj ET"]
+    down = page_height - (label_baseline_mm(board.high_mm) - y) * k
+    for i, at in enumerate(board.camera_x_mm):
+        name = f"camera {i}"
+        # Half of the text's width: the letters of Helvetica are half as wide as they are high.
+        lines.append(f"BT /F1 7.5 Tf {(at - x) * k - 7.5 * len(name) / 4:.3f} {down:.3f} Td ({name}) Tj ET")
     return "\n".join(lines)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from xml.sax.saxutils import escape
 
 from vaoi_station.calibration.artwork.board_design import Board
-from vaoi_station.calibration.artwork.drawing_elements import cross, scale_bar
+from vaoi_station.calibration.artwork.drawing_elements import arrow, cross, label_baseline_mm, scale_bar
 
 
 def render_svg(board: Board, title: str) -> str:
@@ -38,6 +38,20 @@ def render_svg(board: Board, title: str) -> str:
         "</g>",
         f'<text x="{end[0] + 2:.3f}" y="{end[1] + 1:.3f}" font-family="sans-serif" font-size="2.6" fill="{ink}">'
         f"{length:g} mm  {escape(title)}</text>",
+        f'<g id="cameras" stroke="{ink}" stroke-width="0.3" fill="none">',
+    ]
+    lines += [
+        f'<path d="M{a[0]:.6f} {a[1]:.6f} L{b[0]:.6f} {b[1]:.6f}"/>'
+        for a, b in arrow(board.low_mm, board.high_mm, board.camera_x_mm[0])
+    ]
+    baseline = label_baseline_mm(board.high_mm)
+    lines += [
+        "</g>",
+        *(
+            f'<text x="{at:.3f}" y="{baseline:.3f}" font-family="sans-serif" font-size="2.6" text-anchor="middle" '
+            f'fill="{ink}">camera {i}</text>'
+            for i, at in enumerate(board.camera_x_mm)
+        ),
         "</svg>",
     ]
     return "\n".join(lines) + "\n"

@@ -17,12 +17,14 @@ from vaoi_station.files import Recording, open_recording, read_board_type, read_
 from vaoi_station.files.documents import write_bytes, write_json
 from vaoi_station.geometry import Camera
 from vaoi_station.hdr import Exposed, MergedPicture, merge_views
+from vaoi_station.hdr.bodies import bodies_in, merge_region, views_of_bodies
 from vaoi_station.hdr.encoding import LINEAR, MergedFormat, encode_merged
-from vaoi_station.hdr.parts import known_height_mm, region_component, views_on_top
-from vaoi_station.hdr.row_levels import row_levels
+from vaoi_station.hdr.parts import region_component, views_on_top
+from vaoi_station.hdr.row_levels import at_level, row_levels
 from vaoi_station.hdr.tone_mapping import ToneCurve
 from vaoi_station.library.stitched_run import check_result
 from vaoi_station.model import BoardType, Component, Stitch
+from vaoi_station.model.known_height import known_height_mm
 from vaoi_station.photometry import FlatFields, NoiseModel, Taken, noise_from_frames
 from vaoi_station.rendering import View, ViewCalculator
 from vaoi_station.stitching.recordings.origin import check_origin
@@ -97,30 +99,45 @@ def cut_merged(
         assert found is not None, "views of missing frames are left out"
         return found
 
-    levels = row_levels(head, case.board_type, case.stitch, case.cameras, fields, case.frame)
-    calculator = ViewCalculator(case.board_type, case.stitch, case.cameras)
-    for part in parts:
-        height = known_height_mm(part, case.board_type, case.stitch)
-        views = views_on_top(calculator, part, height, px_per_mm=px_per_mm, min_coverage=min_coverage)
-        exposed = [
+    taken = {
+        (i, j): Taken(head.exposure_us(i, j), head.gain(i, j), head.light(j))
+        for i in range(len(head.cameras))
+        for j in range(head.rows)
+        if (i, j) not in head.missing
+    }
+
+    def all_exposed(views: Iterable[View]) -> list[Exposed]:
+        return [
             Exposed(
                 v,
-                Taken(head.exposure_us(v.camera, v.row) * levels[v.row], head.gain(v.camera, v.row), head.light(v.row)),
+                at_level(taken[v.camera, v.row], levels[v.row]),
                 fields.maps(v.camera, head.light(v.row)),
                 (head.cameras[v.camera].width, head.cameras[v.camera].height),
                 partial(pixels, v.camera, v.row),
             )
             for v in views
-            if (v.camera, v.row) not in head.missing
+            if (v.camera, v.row) in taken
         ]
-        _write(part, exposed, out, form, height)
+
+    levels = row_levels(taken, case.board_type, case.stitch, case.cameras, fields, case.frame)
+    calculator = ViewCalculator(case.board_type, case.stitch, case.cameras)
+    for part in parts:
+        height = known_height_mm(part, case.board_type, case.stitch)
+        views = views_on_top(calculator, part, height, px_per_mm=px_per_mm, min_coverage=min_coverage)
+        exposed = all_exposed(views)
+        if region is None or not exposed:
+            pictures = merge_views(exposed) if exposed else []
+        else:
+            bodies = bodies_in(exposed[0].view, case.board_type, case.stitch)
+            seen = views_of_bodies(calculator, bodies, exposed[0].view.px_per_mm)
+            pictures = merge_region(exposed, [(body, all_exposed(of)) for body, of in seen])
+        _write(part, pictures, out, form, height)
 
 
 def _write(
-    part: Component, exposed: Sequence[Exposed], out: Path, form: tuple[MergedFormat, bool], height_mm: float
+    part: Component, pictures: Sequence[MergedPicture], out: Path, form: tuple[MergedFormat, bool], height_mm: float
 ) -> None:
     stem = part.address.replace("/", "_")
-    pictures = merge_views(exposed) if exposed else []
     curve = ToneCurve.of(pictures[-1].value) if pictures else None
     suffix = {"jpeg": "jpg"}.get(form[0], form[0])
     listing = []

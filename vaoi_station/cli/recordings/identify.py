@@ -30,7 +30,8 @@ def identify(
     opened = Case.open(case, result, calibration, board)
     reading = read_codes(opened.board_type, opened.stitch, opened.cameras, opened.recording.frame)
     # Without `identity` in the board type, any code is taken for the board's.
-    found = compare(opened.board_type.identity or BoardIdentity(), reading, expect)
+    identity = opened.board_type.identity or BoardIdentity()
+    found = compare(identity, reading, expect, skipped=opened.stitch.skipped_boards or ())
     mm = opened.board_type.unit
     for code in found.codes:
         x, y = code.center

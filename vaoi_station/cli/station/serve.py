@@ -28,4 +28,4 @@ def serve(
     check_backends(settings)
     set_process_title("vaoi", arguments=False)
     configure_logging(log_json)
-    station.serve(settings, port)
+    station.serve(settings, port, config)

@@ -6,9 +6,12 @@ import json
 import sys
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from vaoi_station.config import StationConfig
 
 
 class Mark(StrEnum):
@@ -41,7 +44,10 @@ def view(
     row: Annotated[int | None, typer.Option(min=0, help="With --once --boards: use this row [the middle one].")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="With --once: print one JSON document.")] = False,
 ) -> None:
-    """Show live frames of every camera, for mounting and focusing, until Ctrl-C."""
+    """Show live frames of every camera, for mounting and focusing, until Ctrl-C.
+
+    While the station runs, it has the cameras: its page shows the same cards of the frames that it films.
+    """
     from vaoi_station.config import read_config
     from vaoi_station.demo.signal_handling import INTERRUPTED, interruptible
     from vaoi_station.errors import InputError
@@ -54,6 +60,10 @@ def view(
     if row is not None and not (once and boards):
         raise InputError("--row needs --once and --boards.", action="Add both, or omit --row.")
     station = read_config(config)
+    if not once and (address := _running_station(station)) is not None:
+        print(f"The station runs and has the cameras. Its page shows them: {address}/#/cameras", flush=True)
+        print("To film without boards, stop the station first (systemctl stop vaoi-station).", flush=True)
+        return
     specs = mark_specs(station, mark.value if mark else None, mark_size_mm, layout, px_per_mm)
     rate_hz = None if boards else rate
     code = 0
@@ -68,3 +78,15 @@ def view(
         # Ctrl-C is the normal end of the live view, but it cuts a single measurement short.
         code = INTERRUPTED if once else 0
     raise typer.Exit(code)
+
+
+def _running_station(config: StationConfig) -> str | None:
+    """Return the address of the station of this configuration if it runs and replies; None otherwise."""
+    from vaoi_station.doctor.checks.running_station import find
+    from vaoi_station.doctor.station_connection import address_of
+
+    process = find(config)
+    if process is None or not process.snapshot:
+        return None
+    host, port = address_of(config.api)
+    return f"http{'' if config.api.certificate is None else 's'}://{host}:{port}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -48,6 +49,14 @@ def bench(
         Path | None,
         typer.Option(help="Measure what it costs to keep a run on the disk of this directory."),
     ] = None,
+    archive: Annotated[
+        Path | None,
+        typer.Option(help="Compare compressions of the frames of this recording, or of all in this directory."),
+    ] = None,
+    plant: Annotated[
+        int | None,
+        typer.Option(min=4, max=10_000, help="Stitch this number of archived runs on clusters of one and two workers."),
+    ] = None,
     scenario: Annotated[
         str | None,
         typer.Option(help="With --station, --rest [paper] or --growth [small]: a shipped scenario, or a file."),
@@ -65,38 +74,36 @@ def bench(
 ) -> None:
     """Measure stitching and rendering on frames in memory, in one thread, and compare with the paper's method.
 
-    With --marks, --links, --codes, --consistency, --station, --rest, --growth or --storage, measure marks, links,
-    printed codes, the predicted uncertainty, a whole station, its callers, the growth of time and memory, or the cost
-    of keeping runs.
+    With --marks, --links, --codes, --consistency, --station, --rest, --growth, --storage, --archive or --plant, measure
+    marks, links, printed codes, the predicted uncertainty, a whole station, its callers, the growth of time and memory,
+    the cost of keeping runs, the compression of frames, or archived runs on a cluster.
     """
     from vaoi_station.files.documents import write_json
 
-    numbered = [given is not None for given in (codes, consistency, storage)]
-    if marks + links + station + rest + growth + sum(numbered) > 1:
-        raise InputError(
-            "--marks, --links, --codes, --consistency, --station, --rest, --growth and --storage exclude each other.",
-            action="Give one of them.",
-        )
+    kinds: dict[str, tuple[bool, Callable[[], dict[str, Any]]]] = {
+        "--marks": (marks, lambda: _marks(plot)),
+        "--links": (links, lambda: _links(plot)),
+        "--codes": (codes is not None, lambda: _codes(codes or 0)),
+        "--consistency": (consistency is not None, lambda: _consistency(consistency or 0, recordings, plot)),
+        "--station": (
+            station,
+            lambda: _station(scenario or "paper", _numbers("--rates", rates), boards, workers, films, ring),
+        ),
+        "--rest": (rest, lambda: _rest(scenario or "paper", workers, films, ring)),
+        "--growth": (
+            growth,
+            lambda: _growth(scenario or "small", tuple(int(n) for n in _numbers("--rows", rows)), films),
+        ),
+        "--storage": (storage is not None, lambda: _storage(case, storage or Path())),
+        "--archive": (archive is not None, lambda: _archive(archive or Path())),
+        "--plant": (plant is not None, lambda: _plant(case, plant or 0)),
+    }
+    chosen = [option for option, (given, _) in kinds.items() if given]
+    if len(chosen) > 1:
+        raise InputError(f"{' and '.join(chosen)} exclude each other.", action="Give one of them.")
     if plot is not None and not marks and not links and consistency is None:
         raise InputError("--plot needs --marks, --links or --consistency.", action="Add one of them, or omit --plot.")
-    if marks:
-        document = _marks(plot)
-    elif links:
-        document = _links(plot)
-    elif codes is not None:
-        document = _codes(codes)
-    elif consistency is not None:
-        document = _consistency(consistency, recordings, plot)
-    elif station:
-        document = _station(scenario or "paper", _numbers("--rates", rates), boards, workers, films, ring)
-    elif rest:
-        document = _rest(scenario or "paper", workers, films, ring)
-    elif growth:
-        document = _growth(scenario or "small", tuple(int(n) for n in _numbers("--rows", rows)), films)
-    elif storage is not None:
-        document = _storage(case, storage)
-    else:
-        document = _stitching(case, repetitions)
+    document = kinds[chosen[0]][1]() if chosen else _stitching(case, repetitions)
     if json is not None:
         write_json(json, document)
 
@@ -128,6 +135,26 @@ def _storage(case: Path | None, directory: Path) -> dict[str, Any]:
     figures = measure_storage(directory, stitch_text(stitch_board(board)), board.head.model_dump_json())
     for key, value in figures.document().items():
         typer.echo(f"{key:28s} {value}")
+    return figures.document()
+
+
+def _plant(case: Path | None, runs: int) -> dict[str, Any]:
+    from vaoi_station.benchmarks.plant_speed import measure_plant
+
+    if case is None:
+        raise InputError("--plant needs --case.", action="Give a recording, whose copies are archived and stitched.")
+    document = measure_plant(case, runs, typer.echo).document()
+    for key, value in document.items():
+        typer.echo(f"{key:28s} {value}")
+    return document
+
+
+def _archive(folder: Path) -> dict[str, Any]:
+    from vaoi_station.benchmarks.frame_compression import measure_compression
+
+    figures = measure_compression(folder)
+    for line in figures.lines():
+        typer.echo(line)
     return figures.document()
 
 
@@ -215,8 +242,7 @@ def _rest(scenario: str, workers: int, films: Path | None, ring: Path) -> dict[s
 
     with temporary_folder("bench") as temporary:
         board = prerender(read_scenario(_path(scenario)), (films or temporary) / Path(scenario).stem, typer.echo)
-        typer.echo("Three boards pass, then all pictures of a run are read in one request, four times.")
-        figures = measure_rest(board, workers, temporary / "rest", ring)
+        figures = measure_rest(board, workers, temporary / "rest", ring, typer.echo)
     for line in figures.lines():
         typer.echo(line)
     return {"scenario": scenario, "workers": workers, **figures.document()}

@@ -34,14 +34,8 @@ def calibration_board(
     light: Annotated[bool, typer.Option("--light", help="Make light marks on a dark board.")] = False,
 ) -> None:
     """Make a calibration board for an array: SVG, PDF (1:1, with a scale bar), Gerber files, and layout.json."""
-    from vaoi_station.calibration.artwork import (
-        ArrayDesign,
-        design_board,
-        render_gerber_marks,
-        render_gerber_outline,
-        render_pdf,
-        render_svg,
-    )
+    from vaoi_station.calibration.artwork import ArrayDesign, design_board
+    from vaoi_station.calibration.artwork.artwork_files import RENDERERS, artwork_title
     from vaoi_station.files.documents import write_bytes
     from vaoi_station.files.layouts import write_layout
 
@@ -59,15 +53,9 @@ def calibration_board(
     )
     board = design_board(design)
     w, h = board.size_mm
-    title = f"{count} x {pitch:g} mm, {len(board.layout.marks)} marks"
-    files = {
-        "calibration-board.svg": render_svg(board, title).encode(),
-        "calibration-board.pdf": render_pdf(board, title),
-        "calibration-board.gbr": render_gerber_marks(board).encode(),
-        "calibration-board-outline.gbr": render_gerber_outline(board).encode(),
-    }
-    for name, content in files.items():
-        write_bytes(out / name, content)
+    title = artwork_title(board, pitch)
+    for name, render in RENDERERS.items():
+        write_bytes(out / name, render(board, title))
     write_layout(out / "layout.json", board.layout)
     typer.echo(f"{len(board.layout.marks)} marks for {count} cameras, board {w:g} × {h:g} mm → {out}")
     typer.echo("camera i: nominal_center_mm = [i × pitch, 0]; check the scale bar of the print with a ruler")
@@ -100,21 +88,11 @@ def _array(
 
 def _configured(config: Path, px_per_mm: float | None) -> tuple[int, float | None, tuple[float, float] | None]:
     """Return number of cameras, distance of neighbours and field of view (mm) from nominal values in `config`."""
-    import numpy as np
-
+    from vaoi_station.calibration.artwork.artwork_files import array_of
     from vaoi_station.config import read_config
 
-    cameras = read_config(config).cameras
-    centers = [c.nominal_center_mm for c in cameras]
-    pitch = None
-    if len(cameras) > 1 and None not in centers:
-        pitch = float(np.hypot(*np.diff(np.array(centers, dtype=np.float64), axis=0).T).max())
-    # The camera of the finest resolution sees least. If one resolution is unknown, the option must give the field.
-    resolutions = [c.nominal_px_per_mm or 0.0 for c in cameras]
-    r = px_per_mm or (max(resolutions) if all(resolutions) else 0.0)
-    # The smallest frame: the same marks must fit into the view of every camera.
-    small = min(c.width for c in cameras), min(c.height for c in cameras)
-    return len(cameras), pitch, (small[0] / r, small[1] / r) if r else None
+    heads = [camera.head for camera in read_config(config).cameras]
+    return len(heads), *array_of(heads, px_per_mm)
 
 
 def _pair(text: str, name: str) -> tuple[float, float]:

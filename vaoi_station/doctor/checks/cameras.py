@@ -23,6 +23,7 @@ from vaoi_station.acquisition.cameras.aravis.discovery import (
     search,
 )
 from vaoi_station.acquisition.cameras.aravis.library import glib_error
+from vaoi_station.acquisition.cameras.aravis.sequencing.sequencer import missing_features
 from vaoi_station.acquisition.cameras.aravis.settings import TRIGGER_WIDTH
 from vaoi_station.acquisition.cameras.aravis.trigger import FRAME_TRIGGERS, recipe_for
 from vaoi_station.config import CameraConfig
@@ -55,6 +56,8 @@ class Offered:
     packets: network.PacketLimits | None = None
     exposure_modes: tuple[str, ...] = ()
     """Entries of the feature ExposureMode; empty if the camera does not have it."""
+    without: tuple[str, ...] = ()
+    """Features of a sequencer that the camera does not have."""
 
 
 def cameras(context: CheckContext) -> Iterator[Finding]:
@@ -128,6 +131,7 @@ def ask(camera: CameraConfig) -> Offered:
             formats=tuple(opened.dup_available_pixel_formats_as_strings()),
             exposure_us=(low, high),
             exposure_modes=_exposure_modes(opened),
+            without=missing_features(opened),
             sensor=(width, height),
             trigger_mode=device.get_string_feature_value("TriggerMode"),
             port=port,
@@ -196,6 +200,11 @@ def _shortcomings(camera: CameraConfig, offered: Offered) -> Iterator[tuple[str,
         has = f"its exposure modes are {', '.join(offered.exposure_modes)}" if offered.exposure_modes else "it has none"
         yield (
             f"cannot expose for the width of the trigger, as exposure_by states: {has}.",
+            'Set exposure_by = "auto" or "register" in station.toml.',
+        )
+    if camera.exposure_by == "sequencer" and offered.without:
+        yield (
+            f"has no sequencer, as exposure_by states: {', '.join(offered.without)} missing.",
             'Set exposure_by = "auto" or "register" in station.toml.',
         )
     needed = (camera.offset_px[0] + camera.width, camera.offset_px[1] + camera.height)

@@ -16,6 +16,7 @@ from vaoi_station.doctor.machine import format_bytes, nearest, writable
 from vaoi_station.files.directory_walk import files_below
 from vaoi_station.runs.archive.recordings import DIRECTORY as RECORDINGS
 from vaoi_station.runs.archive.recordings import DISK_RESERVE
+from vaoi_station.runs.mosaics.kept_mosaics import DIRECTORY as MOSAICS
 from vaoi_station.station import DATABASE
 from vaoi_station.store.database_file import acknowledged_files
 from vaoi_station.store.schema import VERSION
@@ -113,8 +114,9 @@ def judge_space(space: os.statvfs_result, where: str) -> Finding:
 
 
 def bytes_in_use(directory: Path) -> int:
-    """Return the size of the database, with its log, and of the recordings in a data directory, in bytes."""
-    files = (directory / DATABASE, directory / f"{DATABASE}-wal", *files_below(directory / RECORDINGS))
+    """Return the size of database, its log, recordings and pictures of boards in a data directory, in bytes."""
+    kept = (path for name in (RECORDINGS, MOSAICS) for path in files_below(directory / name))
+    files = (directory / DATABASE, directory / f"{DATABASE}-wal", *kept)
     sizes = []
     for path in files:
         # Files of a running station may be deleted meanwhile.
@@ -135,11 +137,11 @@ def judge_quotas(space: os.statvfs_result, used_bytes: int, keep: KeepConfig, wh
     """
     free = space.f_bavail * space.f_frsize
     recordings = keep.recordings_gb * 1e9
-    needed = keep.database_gb * 1e9 + (recordings + DISK_RESERVE if recordings else 0)
+    needed = (keep.database_gb + keep.mosaics_gb) * 1e9 + (recordings + DISK_RESERVE if recordings else 0)
     figures: Figures = {"free_bytes": free, "used_bytes": used_bytes, "quota_bytes": needed}
     if free + used_bytes >= needed:
         return ok(f"{where}: {format_bytes(free)} free", figures=figures)
-    allowed = f"{keep.database_gb:g} GB for the database" + (
+    allowed = f"{keep.database_gb:g} GB for the database, {keep.mosaics_gb:g} GB for pictures of boards" + (
         f", {keep.recordings_gb:g} GB for recordings and {format_bytes(DISK_RESERVE)} as a reserve"
         if recordings
         else ""

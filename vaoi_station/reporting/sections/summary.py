@@ -70,6 +70,7 @@ def _evidence(stitched: StitchedRun, q: dict[str, Any]) -> list[tuple[str, str]]
         *counts,
         ("components in view", f"{sum(1 for v in views.values() if v)} of {len(views)}" if views else "–"),
         ("components seen too little", _unseen(q["unseen"])),
+        *((("boards skipped", ", ".join(stitched.result.skipped_boards)),) if stitched.result.skipped_boards else ()),
         ("components with a height", str(len(q["heights_mm"]))),
     ]
 

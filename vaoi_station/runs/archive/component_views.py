@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from vaoi_station.errors import NotFoundError, StateError
+from vaoi_station.files.results import component_tables
 from vaoi_station.geometry import apply
 from vaoi_station.model import BoardType, Component, FrameRecord, Stitch, Verdict
 from vaoi_station.rendering import ChosenImages, ChosenView, FrameFacts, ImageRequest, ViewCalculator, choose_images
@@ -18,6 +20,9 @@ from vaoi_station.runs.states.schemas import ComponentSummary
 from vaoi_station.stitching.board.component_index import ComponentIndex
 from vaoi_station.stitching.board.coverage import Coverage, component_coverage
 
+_RUNS = 4
+"""Number of runs whose tables are kept between requests: callers read the pictures of few runs at a time."""
+
 
 def components_of(finished: FinishedRun) -> tuple[ComponentSummary, ...]:
     """Return a summary of every component of the run's board type. Without a CAD mapping, positions are None."""
@@ -25,7 +30,10 @@ def components_of(finished: FinishedRun) -> tuple[ComponentSummary, ...]:
     views, seen = _view_counts(finished), _coverages(finished)
     parts = board_type.components
     positions = [_tester_mm(stitch, c) for c in parts]
-    unseen = {u.address for u in finished.detail.unseen}
+    unseen, skipped = {u.address for u in finished.detail.unseen}, finished.detail.skipped_boards
+    sigma_px = component_tables(finished.document).get("component_sigma_px", {}) if finished.document else {}
+    footprints = ComponentIndex.of(board_type).corners.round(6).tolist()
+    px_per_mm = float(np.mean([c.px_per_mm for c in finished.cameras])) if finished.cameras else np.inf
     return tuple(
         _summary(
             part,
@@ -35,6 +43,10 @@ def components_of(finished: FinishedRun) -> tuple[ComponentSummary, ...]:
             coverage=None if seen is None else round(float(seen.share[n]), 4),
             in_one_frame=None if seen is None else bool(seen.in_one_frame[n]),
             unseen=part.address in unseen,
+            skipped=part.panel is not None and str(part.panel) in skipped,
+            sigma_px=(sigma := sigma_px.get(part.address)),
+            sigma_mm=None if sigma is None else round(sigma / px_per_mm, 6),
+            footprint=tuple(map(tuple, footprints[n])),
         )
         for n, (part, at) in enumerate(zip(parts, positions, strict=True))
     )
@@ -70,15 +82,12 @@ def images_of_component(
         InputError: an image would be too large, or the run has no frame under a light that the request names.
         StateError: the request names a direction, and the calibration does not give directions.
     """
-    part = component_of(finished.board_type, ref)
-    # Incomplete frames have matrices too, but the areas of their missing packets are black. The matrix of a frame that
-    # is not proven may be that of another row. So neither kind of frame gives a view.
-    whole = {(f.camera, f.row) for f in finished.detail.frames if f.usable}
+    part = _components(finished).get(ref) or component_of(finished.board_type, ref)
     calculator = finished.view_calculator
     # The complete result is parsed only for a request that needs the height of a body.
     on_top = wanted.framing.plane == "top"
     stitch = with_heights(finished.result, heights_mm or {}) if on_top else finished.stitch or finished.result
-    frames = whole, frame_facts(finished)
+    frames = usable_frames(finished), frame_facts(finished)
     return choose_images(calculator, part, (finished.board_type, stitch), frames, wanted.check(), measure)
 
 
@@ -113,7 +122,22 @@ def with_heights(result: Stitch, heights_mm: Heights) -> Stitch:
     return result.model_copy(update={"quality": {**result.quality, **changed}})
 
 
-def frame_facts(finished: FinishedRun) -> dict[tuple[int, int], FrameFacts]:
+@lru_cache(_RUNS)
+def _components(finished: FinishedRun) -> Mapping[str, Component]:
+    """Return the components of the run's board type by address."""
+    return {part.address: part for part in finished.board_type.components}
+
+
+@lru_cache(_RUNS)
+def usable_frames(finished: FinishedRun) -> Set[tuple[int, int]]:
+    """Return the frames (camera, row) of a run that may give a view."""
+    # Incomplete frames have matrices too, but the areas of their missing packets are black. The matrix of a frame that
+    # is not proven may be that of another row. So neither kind of frame gives a view.
+    return frozenset((f.camera, f.row) for f in finished.detail.frames if f.usable)
+
+
+@lru_cache(_RUNS)
+def frame_facts(finished: FinishedRun) -> Mapping[tuple[int, int], FrameFacts]:
     """Return how each frame (camera, row) of a run was taken."""
     times_s = finished.head.row_times_s().tolist() if finished.head else []
     return {
@@ -170,7 +194,7 @@ def _view_counts(finished: FinishedRun) -> Counter[str]:
     stitch = finished.stitch
     if stitch is None or stitch.cad_matrix is None:
         return Counter()
-    whole = {(f.camera, f.row) for f in finished.detail.frames if f.usable}
+    whole = usable_frames(finished)
     board = ViewCalculator(finished.board_type, stitch, finished.cameras).compute_all(finished.board_type.components)
     return Counter({address: sum((v.camera, v.row) in whole for v in views) for address, views in board.items()})
 
@@ -181,9 +205,8 @@ def _coverages(finished: FinishedRun) -> Coverage | None:
     if stitch is None or stitch.cad_matrix is None:
         return None
     whole = [(f.camera, f.row) for f in finished.detail.frames if f.usable]
-    rows, back = np.array(stitch.row_motion), np.linalg.inv(stitch.cad_matrix)
-    moves = {ref: back @ matrix for ref, matrix in (stitch.local_matrices or {}).items()}
-    parts = ComponentIndex.of(finished.board_type).moved(moves)
+    rows, parts = np.array(stitch.row_motion), ComponentIndex.of(finished.board_type)
+    parts = parts.moved(stitch.displacements(parts.addresses))
     return component_coverage(parts, stitch.cad_matrix, finished.cameras, rows, whole, stitch.surface)
 
 

@@ -38,9 +38,9 @@ CACHED_RUNS = 32
 """Number of finished runs that are kept in memory with their documents parsed."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FinishedRun:
-    """The complete record of a run that has ended."""
+    """The complete record of a run that has ended; every change makes another object."""
 
     detail: RunDetail
     finish_number: int
@@ -95,8 +95,8 @@ class Archive:
         self.statistics = RunStatistics()
         self.on_finished: Callable[[RunDetail], None] = lambda _detail: None
         """Function that is called before a run is announced, with its document. It must return at once."""
-        self.retention, self.heights, self.decisions, self.search, self.identities = (
-            store.retention, store.heights, store.decisions, store.search, store.identities
+        self.retention, self.heights, self.decisions, self.search, self.identities, self.figures = (
+            store.retention, store.heights, store.decisions, store.search, store.identities, store.figures
         )  # fmt: skip
         self._changed = threading.Condition()
         self._recent: OrderedDict[str, FinishedRun] = OrderedDict()

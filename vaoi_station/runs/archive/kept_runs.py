@@ -1,14 +1,15 @@
-"""Pins of runs, decisions about them, and the recordings, heights and identities kept of them, as callers see them."""
+"""Pins of runs, decisions about them, and what is kept of them, as callers see it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import NotFoundError, StateError, VaoiError
 from vaoi_station.model import Status
+from vaoi_station.mosaic import MosaicGrid
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.archive.measured_heights import MeasuredHeights
@@ -17,10 +18,39 @@ from vaoi_station.runs.archive.recordings import DIRECTORY, FrameSource, Recordi
 from vaoi_station.runs.archive.run_history import RunHistory
 from vaoi_station.runs.states.run_ids import utc
 from vaoi_station.runs.states.schemas import RunDetail, RunSummary, StationSnapshot
+from vaoi_station.runs.states.storage_schemas import ArchiveStatus
+from vaoi_station.runs.trends.trend_history import TrendHistory
 from vaoi_station.runs.workers.jobs import PictureJob
 from vaoi_station.store.history.run_search import RunFilter
+from vaoi_station.supervised_queue import SupervisedQueue
 
 R = TypeVar("R", bound=RunSummary)
+
+
+class KeptPictures(Protocol):
+    """The small pictures of whole boards that are kept."""
+
+    queue: SupervisedQueue[Any]
+
+    @property
+    def runs(self) -> int:
+        """Number of kept pictures."""
+
+    @property
+    def size_bytes(self) -> int:
+        """Size of all kept pictures."""
+
+    def finished(self, detail: RunDetail) -> None:
+        """Have the picture of a run made that has just ended; it returns at once."""
+
+    def tend(self) -> None:
+        """Delete pictures that are not to be kept any more."""
+
+    def grid(self, run: str) -> MosaicGrid | None:
+        """Return the pixel grid of the kept picture of a run; None if none is kept."""
+
+    def content(self, run: str) -> bytes:
+        """Return the kept picture of a run as JPEG; `NotFoundError` if none is kept."""
 
 
 class KeptRuns:
@@ -33,14 +63,21 @@ class KeptRuns:
         events: EventLog,
         frames: FrameSource,
         heights: MeasuredHeights,
+        mosaics: KeptPictures,
         render: Callable[[PictureJob, str], Any],
     ) -> None:
         """Store the parts. `frames` are those in the ring; `render` has a worker perform a job for callers."""
         self._archive, self._events = archive, events
         self.recordings = Recordings(config.data / DIRECTORY, config.keep, archive, events, frames)
+        self.recordings.program = config.program
+        self.archive_status: Callable[[], ArchiveStatus | None] = lambda: None
+        """Function that returns the state of the archive to which runs are handed."""
         self.heights, self._after_run = heights, config.heights == "after-run"
         self.identities = ReadIdentities(archive, render, frames.bay_of, events)
+        self.mosaics = mosaics
         self.history = RunHistory(archive, events, self.identities.shown)
+        names = [camera.name for camera in config.cameras]
+        self.trends = TrendHistory(archive.figures, names, config.keep.database_gb)
         archive.on_finished = self._finished
         self.identities.on_degraded = self._identity_degrades
 
@@ -48,27 +85,36 @@ class KeptRuns:
         """Start the threads that write recordings, and have codes read and heights measured."""
         self.recordings.start()
         self.identities.start()
-        self.heights.start()
+        self.heights.queue.start()
+        self.mosaics.queue.start()
 
     def stop(self) -> None:
         """End these threads."""
-        self.heights.stop()
-        self.identities.stop()
+        self.mosaics.queue.stop()
+        self.heights.queue.stop()
+        self.identities.queue.stop()
         self.recordings.stop()
+
+    def tend(self) -> None:
+        """Delete recordings and pictures that are not to be kept any more."""
+        self.recordings.tend()
+        self.mosaics.tend()
 
     def _finished(self, detail: RunDetail) -> None:
         """Keep what is to be kept of a run that has just ended; it returns at once."""
+        self.trends.finished(detail, lambda run: self._archive.get(run).stitch)
         self.recordings.finished(detail)
         self.identities.finished(detail)
         if self._after_run:
             self.heights.finished(detail)
+        self.mosaics.finished(detail)
 
     def _identity_degrades(self, run: str) -> None:
         """Keep the frames of a run that its identity degrades, as of others that are not ok; it returns at once."""
         with suppress(VaoiError):  # The run was forgotten.
             detail = self._archive.get(run).detail
             if detail.verdict is Status.OK and detail.frames_available:
-                self.recordings.degraded(run)
+                self.recordings.finished(self.identities.shown((detail,))[0])
 
     def pin(self, run: str) -> None:
         """Keep a run until it is unpinned: its record and result, and its frames if they are in memory.
@@ -125,12 +171,15 @@ class KeptRuns:
         return admitted, runs[limit - 1] if len(runs) > limit else None
 
     def with_counts(self, snapshot: StationSnapshot) -> StationSnapshot:
-        """Return the snapshot with the numbers of recordings filled in."""
+        """Return the snapshot with the numbers of recordings and kept pictures filled in."""
         recordings = self.recordings
         counts = {
             "recordings": recordings.runs,
             "recordings_bytes": recordings.size_bytes,
             "recordings_late": recordings.counts.late,
             "recordings_refused": recordings.counts.refused,
+            "mosaics": self.mosaics.runs,
+            "mosaics_bytes": self.mosaics.size_bytes,
+            "archive": self.archive_status(),
         }
         return snapshot.model_copy(update={"retention": snapshot.retention.model_copy(update=counts)})

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import logging
 import threading
-from collections import OrderedDict, deque
+from collections import OrderedDict
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from typing import Any
@@ -22,7 +22,7 @@ from vaoi_station.runs.run.memory import Bay
 from vaoi_station.runs.states.schemas import RunDetail
 from vaoi_station.runs.workers.heights_job import CombineHeightsJob, HeightsJob
 from vaoi_station.runs.workers.jobs import PictureJob, Priority
-from vaoi_station.supervised_thread import SupervisedThread
+from vaoi_station.supervised_queue import SupervisedQueue
 
 _log = logging.getLogger(__name__)
 
@@ -32,10 +32,6 @@ _MOST_WAITING = 8
 """Largest number of runs that wait for their heights; the oldest ones then get none."""
 _SLICE_PARTS = 48
 """Number of components in the message of one slice: more than a worker measures in one slice."""
-_END_S = 5.0
-"""Longest wait for the end of the thread, which may wait for a worker."""
-_LOOK_S = 0.5
-"""Longest time in which the thread does not check whether it is to end."""
 
 
 class MeasuredHeights:
@@ -65,28 +61,12 @@ class MeasuredHeights:
         """Guards `_known`; never held while a worker or the disk is awaited."""
         self._lock = threading.Lock()
         """Held during a measurement, which may wait for minutes behind later boards."""
-        self._waiting: deque[str] = deque(maxlen=_MOST_WAITING)
-        self._wake, self._stopping = threading.Condition(), False
-        self.thread = SupervisedThread(self._run, "heights")
-
-    def start(self) -> None:
-        """Start the thread that has heights measured after runs."""
-        self.thread.start()
-
-    def stop(self) -> None:
-        """End the thread; the slice under way is not awaited for longer than a worker needs for it."""
-        self.thread.expect_end()
-        with self._wake:
-            self._stopping = True
-            self._wake.notify_all()
-        if self.thread.is_alive():
-            self.thread.join(_END_S)
+        self.queue = SupervisedQueue(self._measure_after, "heights", _MOST_WAITING)
+        """The runs whose heights are to be measured; started and stopped by the owner."""
 
     def finished(self, detail: RunDetail) -> None:
         """Have the heights of a run measured that has just ended; it returns at once."""
-        with self._wake:
-            self._waiting.append(detail.id)
-            self._wake.notify_all()
+        self.queue.put(detail.id)
 
     def document(self, run: str) -> bytes:
         """Return the heights of a run's components as JSON.
@@ -144,30 +124,18 @@ class MeasuredHeights:
         slots = {(f.camera, f.row): f.slot for f in finished.detail.frames if f.usable and f.slot is not None}
         lights = (head.lights or ()) if head is not None else ()
         parts: dict[str, Any] = {}
-        while len(parts) < len(board_type.components) and not self._stopping:
+        while len(parts) < len(board_type.components) and not self.queue.stopping:
             some = board_type.components[len(parts) : len(parts) + _SLICE_PARTS]
             slim = board_type.model_copy(update={"components": some})
             job = HeightsJob(
                 run, bay.number, bay.generation, slim, stitch, finished.cameras, lights, slots, priority=priority
             )
             parts |= self._render(job, "heights")
-        if self._stopping:
+        if self.queue.stopping:
             raise StateError("The station is stopping; the heights were not measured.")
         combine = CombineHeightsJob(run, bay.number, bay.generation, board_type, stitch, parts, priority=priority)
         content: bytes = self._render(combine, "table of heights")
         return content
-
-    def _run(self) -> None:
-        """Have the heights of the waiting runs measured, until the station stops."""
-        while not self._stopping:
-            self.thread.beat()
-            with self._wake:
-                if not self._waiting:
-                    self._wake.wait(_LOOK_S)
-                run = self._waiting.popleft() if self._waiting else None
-            if run is not None:
-                with self.thread.waiting():
-                    self._measure_after(run)
 
     def _measure_after(self, run: str) -> None:
         """Measure the heights of a run that has just ended, if it can have any."""

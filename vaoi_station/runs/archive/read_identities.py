@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import threading
-from collections import OrderedDict, deque
+from collections import OrderedDict
 from collections.abc import Callable, Collection
 from concurrent.futures import Future
 from typing import Any, TypeVar
@@ -29,7 +29,7 @@ from vaoi_station.runs.states.schemas import Reason, RunDetail, RunSummary
 from vaoi_station.runs.states.tables import RunState
 from vaoi_station.runs.workers.identity_job import IdentityJob, IdentitySlice
 from vaoi_station.runs.workers.jobs import PictureJob
-from vaoi_station.supervised_thread import SupervisedThread
+from vaoi_station.supervised_queue import SupervisedQueue
 
 _log = logging.getLogger(__name__)
 
@@ -40,10 +40,6 @@ _KEPT = 256
 """Number of runs whose identities are kept in memory."""
 _MOST_WAITING = 8
 """Largest number of runs that wait for their codes to be read; the oldest ones are then not read."""
-_END_S = 5.0
-"""Longest wait for the end of the thread, which may wait for a worker."""
-_LOOK_S = 0.5
-"""Longest time in which the thread does not check whether it is to end."""
 
 
 class ReadIdentities:
@@ -75,24 +71,14 @@ class ReadIdentities:
         """Guards `_known`; never held while a worker or the disk is awaited."""
         self._changing = threading.Lock()
         """Held while a stored identity is changed, so that no report is lost."""
-        self._waiting: deque[str] = deque()
-        self._wake, self._stopping = threading.Condition(), False
-        self.thread = SupervisedThread(self._run, "identity")
+        self.queue = SupervisedQueue(self._read_next, "identity", _MOST_WAITING, begin=self._close_earlier)
+        """The runs whose codes are to be read; stopped by the owner."""
 
     def start(self) -> None:
         """Start the thread that has codes read after runs."""
         with contextlib.suppress(DeviceError):  # A database that cannot be read does not keep the station from filming.
             self._earlier = self._archive.identities.pending()
-        self.thread.start()
-
-    def stop(self) -> None:
-        """End the thread; the slice under way is not awaited for longer than a worker needs for it."""
-        self.thread.expect_end()
-        with self._wake:
-            self._stopping = True
-            self._wake.notify_all()
-        if self.thread.is_alive():
-            self.thread.join(_END_S)
+        self.queue.start()
 
     def finished(self, detail: RunDetail) -> None:
         """Have the codes of a run read that has just ended, if its board type has any; it returns at once."""
@@ -102,11 +88,7 @@ class ReadIdentities:
             self._remember(detail.id, None)
             return
         self._remember(detail.id, compare(identity, None, finished.detail.board_id, without="pending"))
-        with self._wake:
-            self._waiting.append(detail.id)
-            left_out = self._waiting.popleft() if len(self._waiting) > _MOST_WAITING else None
-            self._wake.notify_all()
-        if left_out is not None:
+        if (left_out := self.queue.put(detail.id)) is not None:
             self._not_read(left_out)
 
     def document(self, run: str) -> IdentityDocument:
@@ -139,7 +121,7 @@ class ReadIdentities:
             read = None
             if before.read:
                 read = BoardReading(codes=before.codes, unread_places=before.unread_places, complete=before.complete)
-            return self._keep(run, compare(finished.board_type.identity, read, finished.detail.board_id, reported))
+            return self._keep(run, _compared(finished, read, reported))
 
     def runs_of(self, board_id: str, limit: int, before: str | None) -> list[str]:
         """Return the ids of the runs of which this id was read or reported, newest first."""
@@ -201,19 +183,10 @@ class ReadIdentities:
         )  # fmt: skip
         return document
 
-    def _run(self) -> None:
-        """Have the codes of the waiting runs read, until the station stops."""
-        self._safely(self._close_earlier, "")
-        while not self._stopping:
-            self.thread.beat()
-            with self._wake:
-                if not self._waiting:
-                    self._wake.wait(_LOOK_S)
-                run = self._waiting.popleft() if self._waiting else None
-            if run is not None:
-                with self.thread.waiting():
-                    if not self._safely(self._read_after, run):
-                        self._safely(self._not_read, run)
+    def _read_next(self, run: str) -> None:
+        """Have the codes of a run read, or record that they were not."""
+        if not self._safely(self._read_after, run):
+            self._safely(self._not_read, run)
 
     def _safely(self, step: Callable[[str], None], run: str) -> bool:
         """Perform a step, and return whether it succeeded; a fault is published."""
@@ -228,7 +201,7 @@ class ReadIdentities:
             return True
         return False
 
-    def _close_earlier(self, _: str) -> None:
+    def _close_earlier(self) -> None:
         """Record that codes were not read of the runs that waited for it when the station ended."""
         for run in self._earlier:
             self._safely(self._not_read, run)
@@ -238,7 +211,7 @@ class ReadIdentities:
         finished = self._archive.get(run)
         reading = self._reading(finished)
         with self._changing:
-            self._keep(run, compare(finished.board_type.identity, reading, finished.detail.board_id))
+            self._keep(run, _compared(finished, reading))
 
     def _reading(self, finished: FinishedRun) -> BoardReading | None:
         """Have the codes read, slice by slice; None if the run has no result, or its frames were needed."""
@@ -255,7 +228,7 @@ class ReadIdentities:
                 return None
             bay = self._bay_of(run)
             job = IdentityJob(run, bay.number, bay.generation, slim, stitch, finished.cameras, slots)
-            while not self._stopping:
+            while not self.queue.stopping:
                 done = self._render(job, "codes")
                 assert isinstance(done, IdentitySlice)
                 spent_s += done.worker_s
@@ -264,9 +237,17 @@ class ReadIdentities:
                 job = IdentityJob(run, bay.number, bay.generation, slim, stitch, finished.cameras, slots, done.progress)
         except (GoneError, NotFoundError, BusyError):
             pass  # It has no result, or its frames were needed; what was read until then counts.
-        if self._stopping:
+        if self.queue.stopping:
             raise StateError("The station is stopping; the codes were not read.")
         return done.reading if done is not None and done.reading.codes else None
+
+
+def _compared(
+    finished: FinishedRun, reading: BoardReading | None, reported: ReportedId | None = None
+) -> IdentityDocument:
+    """Compare the ids of a run's board; boards of a panel that are crossed out need no code."""
+    detail = finished.detail
+    return compare(finished.board_type.identity, reading, detail.board_id, reported, skipped=detail.skipped_boards)
 
 
 def _with_identity(document: R, identity: IdentityDocument | None) -> R:

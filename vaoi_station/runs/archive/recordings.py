@@ -24,10 +24,10 @@ from vaoi_station.errors import DeviceError, GoneError, StateError, VaoiError
 from vaoi_station.files import write_board_type, write_calibration, write_recording
 from vaoi_station.files.atomic_directory import new_directory, remove_directory
 from vaoi_station.files.directory_walk import files_below
-from vaoi_station.files.documents import write_bytes
+from vaoi_station.files.documents import write_bytes, write_json
 from vaoi_station.files.images import Image
 from vaoi_station.files.recordings import frame_file
-from vaoi_station.model import FrameRecord, RecordingHead, Status
+from vaoi_station.model import FrameRecord, Program, RecordingHead, Status
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive, FinishedRun
 from vaoi_station.runs.archive.housekeeping import LOWEST_PRIORITY, TASK_LIMIT_S
@@ -43,6 +43,9 @@ MOST_WAITING = 16
 DISK_RESERVE = 2_000_000_000
 """Free space in bytes that recordings leave on the disk for the database."""
 RUN_FILE, RESULT_FILE, HEAD_FILE = "run.json", "result.json", "recording.json"
+LIGHT_PROGRAM_FILE = "light_program.json"
+FOR_ARCHIVE_FILE = "for_archive"
+"""Empty file in a recording that is deleted as soon as an archive has it; it holds beyond a restart of the station."""
 
 
 class FrameSource(Protocol):
@@ -50,6 +53,9 @@ class FrameSource(Protocol):
 
     def bay_of(self, run: str) -> Bay:
         """Return the bay of a run. Raise GoneError if its frames are no longer in memory."""
+
+    def busy(self) -> bool:
+        """Return whether a board is being filmed or stitched."""
 
     def copier(self, bay: Bay) -> Callable[[int], NDArray[Any]]:
         """Return a function that copies the frame in a slot; it raises GoneError once the bay has another run."""
@@ -75,7 +81,14 @@ class Recordings:
         self.directory, self._keep = directory, keep
         self._archive, self._events, self._frames = archive, events, frames
         self.counts = Counts()
-        self._waiting: SimpleQueue[str | None] = SimpleQueue()
+        self.program: Program = ()
+        """Light program of station.toml, for board types without one."""
+        self.wanted_for_archive: Callable[[RunDetail], bool] = lambda _detail: False
+        """Function that returns whether a run that is not kept otherwise is kept until an archive has it."""
+        self.on_kept: Callable[[str], None] = lambda _run: None
+        """Function that is called when a run was kept, with its id. It must return at once."""
+        self._waiting: SimpleQueue[tuple[str, bool] | None] = SimpleQueue()
+        """Runs to be written, and whether they are kept for an archive only."""
         self._stopping = threading.Event()
         self._lock = threading.Lock()
         self.thread = SupervisedThread(self._run, "recordings", TASK_LIMIT_S)
@@ -84,6 +97,7 @@ class Recordings:
             shutil.rmtree(draft, ignore_errors=True)
         archive.retention.pins()  # This is read now because `finished` must not wait for the disk.
         self._sizes = {path.name: _size_of(path) for path in directory.glob("*")}
+        self._for_archive = {run for run in self._sizes if (directory / run / FOR_ARCHIVE_FILE).exists()}
 
     def start(self) -> None:
         """Start the thread that writes recordings."""
@@ -98,24 +112,28 @@ class Recordings:
             self.thread.join()
 
     def finished(self, detail: RunDetail) -> None:
-        """Keep the frames of a run that has ended if the configuration keeps runs with its verdict. Returns at once."""
+        """Keep the frames of a run if the configuration keeps runs with its verdict. Returns at once.
+
+        It is called when the run has ended, and again if it is degraded afterwards.
+        """
         wanted = detail.verdict is not Status.OK and self._keep.recordings_of_failed
         if wanted or self._archive.retention.pinned(detail.id):
             self.request(detail.id)
-
-    def degraded(self, run: str) -> None:
-        """Keep the frames of a run that was degraded after its end, as `finished` does. Returns at once."""
-        if self._keep.recordings_of_failed:
-            self.request(run)
+        elif self.wanted_for_archive(detail):
+            self._request(detail.id, for_archive=True)
 
     def request(self, run: str) -> None:
-        """Keep the frames of a finished run, unless they are kept already. Returns at once."""
-        if not self._keep.recordings_gb or run in self._sizes or self._stopping.is_set():
+        """Keep the frames of a finished run, even if they are kept for an archive only. Returns at once."""
+        self._request(run, for_archive=False)
+
+    def _request(self, run: str, *, for_archive: bool) -> None:
+        known = run in self._sizes and (for_archive or run not in self._for_archive)
+        if not self._keep.recordings_gb or known or self._stopping.is_set():
             return
         if self._waiting.qsize() >= MOST_WAITING:
             self._late(run)
             return
-        self._waiting.put(run)
+        self._waiting.put((run, for_archive))
 
     def path_of(self, run: str) -> Path | None:
         """Return the recording of a run; None if none is kept."""
@@ -136,6 +154,19 @@ class Recordings:
                 code="frames-gone",
             )
         return path
+
+    def all(self) -> tuple[str, ...]:
+        """Return the ids of the runs of which a recording is kept, oldest first."""
+        return tuple(sorted(self._sizes.copy()))
+
+    def release(self, run: str) -> None:
+        """Delete the recording of a run that an archive has now, if it was kept for this only."""
+        with self._lock:
+            if run in self._for_archive:
+                if self._archive.retention.pinned(run):
+                    self._keep_beyond_archive(run)
+                else:
+                    self._delete(run)
 
     @property
     def runs(self) -> int:
@@ -170,9 +201,10 @@ class Recordings:
 
     def _run(self) -> None:
         os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), LOWEST_PRIORITY)
-        while (run := self._next()) is not None and not self._stopping.is_set():
+        while (order := self._next()) is not None and not self._stopping.is_set():
+            run, for_archive = order
             try:
-                self._write(run)
+                self._write(run, for_archive=for_archive)
             except GoneError:
                 self._late(run)
             except StateError:
@@ -185,14 +217,19 @@ class Recordings:
                 _log.warning("recording of run %s failed", run, exc_info=True)
                 self._refused(run, f"{type(error).__name__}: {error}.")
 
-    def _next(self) -> str | None:
-        """Wait for the next run to be kept; None is the request to end."""
+    def _next(self) -> tuple[str, bool] | None:
+        """Wait for the next run to be kept, and whether for an archive only; None is the request to end."""
         with self.thread.waiting():
             return self._waiting.get()
 
-    def _write(self, run: str) -> None:
+    def _write(self, run: str, *, for_archive: bool) -> None:
+        if run in self._sizes:
+            with self._lock:
+                if run in self._for_archive and not for_archive:
+                    self._keep_beyond_archive(run)
+            return
         finished = self._archive.get(run)
-        if finished.head is None or run in self._sizes:
+        if finished.head is None:
             return
         head = _head_of(finished, finished.head)
         copy = self._frames.copier(self._frames.bay_of(run))
@@ -206,10 +243,18 @@ class Recordings:
             write_bytes(draft / RUN_FILE, finished.detail.model_dump_json().encode())
             if finished.document is not None:
                 write_bytes(draft / RESULT_FILE, finished.document.encode())
+            if program := finished.board_type.program or self.program:
+                steps = [step.model_dump(mode="json", exclude_none=True) for step in program]
+                write_json(draft / LIGHT_PROGRAM_FILE, steps)
+            if for_archive:
+                write_bytes(draft / FOR_ARCHIVE_FILE, b"")
         with self._lock:
             self._sizes[run] = _size_of(target)
+            if for_archive:
+                self._for_archive.add(run)
         self.counts.kept += 1
         self._events.add("recording", "The frames are kept as a recording.", run=run)
+        self.on_kept(run)
 
     def _copies(
         self, finished: FinishedRun, head: RecordingHead, copy: Callable[[int], NDArray[Any]]
@@ -243,7 +288,13 @@ class Recordings:
 
     def _delete(self, run: str) -> None:
         del self._sizes[run]
+        self._for_archive.discard(run)
         remove_directory(self.directory / run)
+
+    def _keep_beyond_archive(self, run: str) -> None:
+        """Keep a recording as if no archive had wanted it."""
+        (self.directory / run / FOR_ARCHIVE_FILE).unlink(missing_ok=True)
+        self._for_archive.discard(run)
 
     def _late(self, run: str) -> None:
         with self._lock:

@@ -6,7 +6,7 @@ The worker performs the check after it has sent the run's result, so the check d
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from pydantic import ValidationError
 
@@ -43,6 +43,8 @@ class CalibrationWatch:
         self, checks: CalibrationChecks, events: EventLog, calibration: Calibration, names: Sequence[str]
     ) -> None:
         self._kept, self._events, self._names = checks, events, tuple(names)
+        self.on_checked: Callable[[RunCheck], None] = lambda _check: None
+        """Function that receives every check under the calibration in force. It must return at once."""
         self.digest = digest_of(calibration.model_dump_json())
         self._created = calibration.created
         known = [
@@ -87,6 +89,7 @@ class CalibrationWatch:
         self._kept.save(run, digest, check.model_dump_json())
         if digest != self.digest:
             return  # The run was stitched with another calibration, so its check is not about the present one.
+        self.on_checked(check)
         if self._remember(check):
             kept = KeptBaselines(calibration=digest, types=tuple(self._last_of.values()))
             self._kept.save_baselines(kept.model_dump_json())

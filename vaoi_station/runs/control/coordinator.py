@@ -103,8 +103,9 @@ class StationCoordinator:
         access = self._frames = FrameAccess(self._inbox, self._core, ring, parts.archive, requests)
         self.mosaics = Mosaics(parts.archive, access.lease, requests.render, parts.config.flat_fields)
         self.heights = MeasuredHeights(parts.archive, access.lease, requests.render, access.bay_of, parts.events)
-        self.kept = KeptRuns(parts.config, parts.archive, parts.events, access, self.heights, requests.render)
-        access.heights = self.heights.known
+        made = self.heights, access.kept_mosaics(parts.config, self.mosaics, parts.events)
+        self.kept = KeptRuns(parts.config, parts.archive, parts.events, access, *made, requests.render)
+        access.heights, parts.watch.on_checked = self.heights.known, self.kept.trends.checked
         access.recorded, self.merged = self.kept.recordings.frame_file, access.merged(parts.config)
         self.batches = access.batches(self.merged)
         teaching = ReferenceTeaching(references, parts.config.method)

@@ -24,12 +24,16 @@ from vaoi_station.files.images import read_kept_image
 from vaoi_station.model import FrameRecord
 from vaoi_station.rendering import ChosenImages, ChosenView, ImageRequest, Measures, View, measure
 from vaoi_station.runs.archive import component_views
+from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.batches.batches import BatchAccess
 from vaoi_station.runs.control.active_runs import Workers
 from vaoi_station.runs.control.core import Core
 from vaoi_station.runs.control.inbox import Inbox
 from vaoi_station.runs.merging.merged_pictures import MergedAccess
+from vaoi_station.runs.mosaics.kept_mosaics import DIRECTORY as MOSAICS
+from vaoi_station.runs.mosaics.kept_mosaics import KeptMosaics
+from vaoi_station.runs.mosaics.mosaics import Mosaics
 from vaoi_station.runs.run.leases import OWN, Lease
 from vaoi_station.runs.run.memory import Bay
 from vaoi_station.runs.states.schemas import ImageFormat, RunDetail
@@ -194,10 +198,18 @@ class FrameAccess:
         """Return the access to batches of pictures, of which `merged` makes those that are merged."""
         return BatchAccess(self._archive.get, self.lease, self.recorded, self._requests.render, merged, self.heights)
 
+    def kept_mosaics(self, config: StationConfig, mosaics: Mosaics, events: EventLog) -> KeptMosaics:
+        """Return the small pictures of whole boards that are kept, which `mosaics` makes."""
+        return KeptMosaics(config.data / MOSAICS, config.keep, self._archive, mosaics, self, events)
+
     def bay_of(self, run: str) -> Bay:
         """Return the bay of a run, without a lease. Raise GoneError if the frames are no longer in memory."""
         with self.lease(run, "look-up of its memory") as bay:
             return bay
+
+    def busy(self) -> bool:
+        """Return whether a board is being filmed or stitched."""
+        return bool(self._core.runs.active)
 
     def copier(self, bay: Bay) -> Callable[[int], NDArray[Any]]:
         """Return a function that takes the number of a slot in a leased bay, and returns a copy of the frame in it."""

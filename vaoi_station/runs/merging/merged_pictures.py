@@ -7,24 +7,30 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from vaoi_station.errors import GoneError, InputError, NotFoundError
 from vaoi_station.hdr import Exposed
+from vaoi_station.hdr.bodies import bodies_in, views_of_bodies
 from vaoi_station.hdr.encoding import LINEAR, MergedFormat
 from vaoi_station.hdr.merging import distinct_exposures, exposure_groups
-from vaoi_station.hdr.parts import known_height_mm, region_component, views_on_top
+from vaoi_station.hdr.parts import region_component, views_on_top
+from vaoi_station.hdr.row_levels import at_level
 from vaoi_station.model import FrameRecord
+from vaoi_station.model.known_height import known_height_mm
 from vaoi_station.photometry import FieldMaps, FlatFields, NoiseModel, Taken
 from vaoi_station.rendering import View
 from vaoi_station.runs.archive.component_views import component_of
 from vaoi_station.runs.archive.finished_runs import FinishedRun
+from vaoi_station.runs.merging.row_brightness import RowBrightness
 from vaoi_station.runs.run.memory import Bay
-from vaoi_station.runs.workers.merge_job import MergedFrame, MergeJob
+from vaoi_station.runs.workers.jobs import PictureJob
+from vaoi_station.runs.workers.merge_job import MergedBody, MergedFrame, MergeJob
 
 MOST_WORK = 400_000_000
 """Largest number of pixels times frames of one merged picture; it takes a worker about four seconds."""
@@ -147,8 +153,8 @@ class MergedAccess:
     """Function that keeps a run's frames in memory in a `with` block."""
     recorded: Callable[[str, int, int], Path | None]
     """Function that returns the file of a frame in the run's recording; None if no recording is kept."""
-    render: Callable[[MergeJob, str], bytes]
-    """Function that submits a job and waits for the encoded picture."""
+    render: Callable[[PictureJob, str], Any]
+    """Function that submits a job and waits for its reply: here an encoded picture, or the levels of rows."""
     flat_fields: Path | None
     """Directory of the station's flat fields."""
 
@@ -178,25 +184,56 @@ class MergedAccess:
             )
         choice = choices[-1 if k is None else k]
         self._check_fields(run, choice)
+        choice = self._at_levels(run, choice)
         name = f"{wanted.component or 'region'}/merged"
         first = choice.frames[0]
         try:
             with self.lease(run, f"image {name}") as bay:
                 job = MergeJob(
-                    run, bay.number, bay.generation, first.slot, first.view, format,
-                    frames=choice.frames, flat_fields=self.flat_fields, sigma=sigma,
+                    run, bay.number, bay.generation, first.slot, first.view, format, frames=choice.frames,
+                    bodies=self._bodies(run, wanted, choice.frames), flat_fields=self.flat_fields, sigma=sigma,
                 )  # fmt: skip
-                return self.render(job, name)
+                return self._encoded(job, name)
         except GoneError:
             files = [self.recorded(run, f.view.camera, f.view.row) for f in choice.frames]
             if None in files:
                 raise
         frames = tuple(f._replace(file=file) for f, file in zip(choice.frames, files, strict=True))
         job = MergeJob(
-            run, 0, 0, 0, first.view, format, file=files[0],
-            frames=frames, flat_fields=self.flat_fields, sigma=sigma,
+            run, 0, 0, 0, first.view, format, file=files[0], frames=frames,
+            bodies=self._bodies(run, wanted, frames), flat_fields=self.flat_fields, sigma=sigma,
         )  # fmt: skip
-        return self.render(job, name)
+        return self._encoded(job, name)
+
+    def _bodies(self, run: str, wanted: MergeRequest, frames: Sequence[MergedFrame]) -> tuple[MergedBody, ...]:
+        """Return the bodies in the picture of a region, each with those of the picture's frames that show it."""
+        if wanted.region is None:
+            return ()
+        finished, of = self.get(run), {(f.view.camera, f.view.row): f for f in frames}
+        view = frames[0].view
+        bodies = bodies_in(view, finished.board_type, finished.result)
+        return tuple(
+            MergedBody(body, tuple(of[v.camera, v.row]._replace(view=v) for v in views if (v.camera, v.row) in of))
+            for body, views in views_of_bodies(finished.view_calculator, bodies, view.px_per_mm)
+        )
+
+    def _encoded(self, job: MergeJob, name: str) -> bytes:
+        content: bytes = self.render(job, name)
+        return content
+
+    def _at_levels(self, run: str, choice: MergedChoice) -> MergedChoice:
+        """Return the choice with frames as if all rows were equally bright; without flat fields that is not known."""
+        if self._brightness is None:
+            return choice
+        levels = self._brightness.levels(self.get(run))
+        frames = tuple(f._replace(taken=at_level(f.taken, levels[f.view.row])) for f in choice.frames)
+        return replace(choice, frames=frames)
+
+    @cached_property
+    def _brightness(self) -> RowBrightness | None:
+        if self.flat_fields is None:
+            return None
+        return RowBrightness(self.lease, self.recorded, self.render, self.flat_fields)
 
     def _check_fields(self, run: str, choice: MergedChoice) -> None:
         """Refuse flat fields of another array, resolution or light, before a worker is asked."""

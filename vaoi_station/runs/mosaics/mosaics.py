@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vaoi_station.errors import InputError
+from vaoi_station.errors import InputError, StateError
 from vaoi_station.files.pyramids import TILE_PX, PyramidLayout, write_pyramid
 from vaoi_station.mosaic import MosaicGrid, MosaicPlan, TakenFrame, TileRenderer, choose_frames
 from vaoi_station.mosaic.deep_zoom import Box
@@ -22,7 +22,10 @@ from vaoi_station.mosaic.tiles import NODATA
 from vaoi_station.photometry import FlatFields
 from vaoi_station.runs.archive.finished_runs import Archive, FinishedRun
 from vaoi_station.runs.mosaics.board_checks import BoardChecks, Lease, Render, slots_of
+from vaoi_station.runs.mosaics.overlays import overlay_of
 from vaoi_station.runs.mosaics.picture_names import PictureName
+from vaoi_station.runs.states.overlay_schemas import RunOverlay
+from vaoi_station.runs.workers.jobs import Priority
 from vaoi_station.runs.workers.mosaic_jobs import PlanJob, TileJob
 
 MOST_PLANS = 8
@@ -48,12 +51,20 @@ class _Planned:
     plan: MosaicPlan | None = None
 
 
+class _Access(NamedTuple):
+    """How frames are kept while a worker reads them, and how urgent its jobs are."""
+
+    lease: Lease
+    priority: Priority
+
+
 class Mosaics:
     """Renders mosaics of runs. Methods may be called from any thread."""
 
     def __init__(self, archive: Archive, lease: Lease, render: Render, flat_fields: Path | None = None) -> None:
         """Create it; `flat_fields` is the directory of the station's flat fields."""
-        self._archive, self._lease, self._render = archive, lease, render
+        self._archive, self._render = archive, render
+        self._callers = _Access(lease, Priority.RENDER)
         self._flat_fields = flat_fields
         self.board_checks = BoardChecks(archive, lease, render)
         """Board types laid over these runs."""
@@ -90,6 +101,10 @@ class Mosaics:
             finished.board_type, download.px_per_mm or resolution, download.region, MOST_DOWNLOAD_PX
         )
 
+    def overlay(self, run: str) -> RunOverlay:
+        """Return what is drawn over the mosaics of a run; raises the errors of `overlay_of`."""
+        return overlay_of(self._archive.get(run))
+
     def tile(self, run: str, name: PictureName, reduction: int, box: Box, format: str) -> bytes:
         """Have a worker render a part of a mosaic that is reduced by a factor; return it as `jpg` or `png`.
 
@@ -103,6 +118,32 @@ class Mosaics:
         renderer = TileRenderer(plan, self._projector(finished), grid)
         content: bytes = self._tile(finished, renderer, box, plan.tone, format)
         return content
+
+    def small(self, run: str, most_px: int, lease: Lease) -> tuple[NDArray[Any], int]:
+        """Have workers make the whole board as one small picture, in jobs of the lowest priority.
+
+        Returns its pixels, 0 where no frame shows the board, and the factor by which it is reduced. `lease` yields the
+        bay of the run before each job; other callers' plans are not displaced.
+        """
+        finished, name = self._archive.get(run), PictureName()
+        whole = self.grid(run, name)
+        reduction = 1
+        while whole.width * whole.height > most_px * reduction**2:
+            reduction *= 2
+        grid, access = whole.reduced(reduction), _Access(lease, Priority.HEIGHTS)
+        plan = self._made(finished, name, access)
+        renderer = TileRenderer(plan, self._projector(finished), grid)
+        picture: NDArray[Any] | None = None
+        for x, y in np.ndindex(-(-grid.width // TILE_PX), -(-grid.height // TILE_PX)):
+            box = _box(grid, x, y)
+            part = self._tile(finished, renderer, box, plan.tone, None, access)
+            if part is not None:
+                if picture is None:
+                    picture = np.zeros((grid.height, grid.width, *part.shape[2:]), part.dtype)
+                picture[box[1] : box[3], box[0] : box[2]] = part
+        if picture is None:
+            raise StateError(f"No frame of run {run} shows the board.", code="not-covered")
+        return picture, reduction
 
     def write(self, run: str, name: PictureName, download: Download, path: Path) -> None:
         """Write a mosaic as a pyramidal TIFF, as `vaoi mosaic` does."""
@@ -137,14 +178,21 @@ class Mosaics:
         write_pyramid(path, layout, tile)
 
     def _tile(
-        self, finished: FinishedRun, renderer: TileRenderer, box: Box, tone: tuple[float, float], format: str | None
+        self,
+        finished: FinishedRun,
+        renderer: TileRenderer,
+        box: Box,
+        tone: tuple[float, float],
+        format: str | None,
+        access: _Access | None = None,
     ) -> Any:
+        access = access or self._callers
         spec = renderer.spec(box)
         slots = slots_of(finished)
         needed = {(p.camera, p.row): slots[p.camera, p.row] for p in spec.parts}
         run = finished.detail.id
-        with self._lease(run, "tile of a mosaic") as bay:
-            job = TileJob(run, bay.number, bay.generation, needed, spec, tone, format)
+        with access.lease(run, "tile of a mosaic") as bay:
+            job = TileJob(run, bay.number, bay.generation, needed, spec, tone, format, priority=access.priority)
             return self._render(job, f"tile {box} of the mosaic")
 
     def _plan(self, run: str, name: PictureName) -> MosaicPlan:
@@ -157,10 +205,10 @@ class Mosaics:
                 self._plans.popitem(last=False)
         with planned.lock:
             if planned.plan is None:
-                planned.plan = self._made(self._archive.get(run), name)
+                planned.plan = self._made(self._archive.get(run), name, self._callers)
             return planned.plan
 
-    def _made(self, finished: FinishedRun, name: PictureName) -> MosaicPlan:
+    def _made(self, finished: FinishedRun, name: PictureName, access: _Access) -> MosaicPlan:
         choice = choose_frames(_taken(finished), light=name.light, exposure_us=name.exposure_us, hdr=name.hdr)
         projector = self._projector(finished)
         base = MosaicGrid.of_board(finished.board_type, projector.px_per_mm, most_px=float("inf"))
@@ -169,7 +217,7 @@ class Mosaics:
             # Refused here, before a worker is asked.
             lights = [choice.light] if choice.light is not None else None
             FlatFields.peek(self._flat_fields).check(finished.head.cameras, lights)
-        with self._lease(run, "plan of a mosaic") as bay:
+        with access.lease(run, "plan of a mosaic") as bay:
             job = PlanJob(
                 run,
                 bay.number,
@@ -181,6 +229,7 @@ class Mosaics:
                 finished.board_type,
                 base,
                 self._flat_fields,
+                priority=access.priority,
             )
             plan: MosaicPlan = self._render(job, "plan of the mosaic")
         return plan

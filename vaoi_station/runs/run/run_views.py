@@ -14,6 +14,7 @@ from vaoi_station.acquisition.pairing.proof import QUESTIONING_KINDS, TriggerPro
 from vaoi_station.geometry import apply
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Stitch, Verdict
+from vaoi_station.model.light_program import row_of
 from vaoi_station.runs.host.clock_state import clock_state
 from vaoi_station.runs.run.order import Order
 from vaoi_station.runs.run.progress import Progress
@@ -31,7 +32,7 @@ from vaoi_station.runs.states.schemas import (
     Versions,
 )
 from vaoi_station.runs.states.tables import FINISHED, IN_MEMORY
-from vaoi_station.runs.states.timeline_schemas import Timeline
+from vaoi_station.runs.states.timeline_schemas import BarrierTiming, RowTiming, Timeline
 from vaoi_station.version import __version__
 
 
@@ -81,6 +82,7 @@ def detail_of(progress: Progress) -> RunDetail:
         bay=progress.context.bay,
         generation=progress.context.generation,
         unseen=unseen_of(progress.stitch),
+        skipped_boards=(progress.stitch.skipped_boards or ()) if progress.stitch else (),
         stored=False,  # Set by the archive, which has this information.
     )
 
@@ -117,12 +119,43 @@ def summary_of(detail: RunDetail) -> RunSummary:
 def timeline_of(progress: Progress) -> Timeline:
     """Build the timeline of a run. Its times are in seconds since the board interrupted the barrier."""
     zero = progress.barrier_s
+    rows, barrier = _controller_times(progress)
     return Timeline(
         frames_settled_s=tuple((*key, at - zero) for key, at in sorted(progress.settled_s.items())),
         tasks=tuple(progress.timings),
         last_frame_s=(progress.recorded.last_frame_host_s if progress.recorded else zero) - zero,
         ready_s=None if progress.ready_s is None else progress.ready_s - zero,
+        rows=rows,
+        barrier=barrier,
     )
+
+
+def _controller_times(progress: Progress) -> tuple[tuple[RowTiming, ...], tuple[BarrierTiming, ...]]:
+    """Return pulses and interruptions of a run since its first interruption; none if that was not reported."""
+    recorded, plan = progress.recorded, progress.order.plan
+    if recorded is None or not recorded.interruptions:
+        return (), ()
+    head, zero = recorded.head, recorded.interruptions[0][0]
+    times_s = head.row_times_s()
+    rows = []
+    for row, time_s in enumerate(times_s.tolist()):
+        step = row_of(plan.program, row) if plan is not None else None
+        shutters = (
+            step.exposures_us if step is not None else [head.exposure_us(i, row) for i in range(len(head.cameras))]
+        )
+        rows.append(
+            RowTiming(
+                row=row,
+                pulse_s=time_s - float(times_s[0]) - zero,
+                light=head.light(row) or "",
+                led_us=None if step is None else step.on_us,
+                exposure_us=max(shutters),
+            )
+        )
+    barrier = tuple(
+        BarrierTiming(blocked_s=b - zero, clear_s=None if c is None else c - zero) for b, c in recorded.interruptions
+    )
+    return tuple(rows), barrier
 
 
 def reasons_of(progress: Progress) -> tuple[Reason, ...]:

@@ -16,7 +16,7 @@ from vaoi_station.model import FrameRecord, Status
 from vaoi_station.runs.states.decision_schemas import Decision
 from vaoi_station.runs.states.identity_schemas import IdentitySummary
 from vaoi_station.runs.states.made_with import MadeWith, Origin
-from vaoi_station.runs.states.storage_schemas import SetAsideFile
+from vaoi_station.runs.states.storage_schemas import ArchiveStatus, SetAsideFile
 from vaoi_station.runs.states.tables import RunState, StationState
 from vaoi_station.stitching.quality.missing.unseen import Cause as UnseenCause
 
@@ -148,6 +148,11 @@ class Retention(Schema):
     """Number of runs since the start whose memory was needed before their frames were on disk."""
     recordings_refused: int = 0
     """Number of runs since the start whose frames were not kept because of the quota, the disk or a fault."""
+    mosaics: int = 0
+    """Number of runs of which a small picture of the whole board is kept."""
+    mosaics_bytes: int = 0
+    archive: ArchiveStatus | None = None
+    """The archive to which runs are handed; None if none is configured."""
 
 
 class Versions(Schema):
@@ -336,6 +341,8 @@ class RunDetail(RunSummary):
     """Generation of that bay for this run; while the bay's table has another one, its pixels are of another run."""
     unseen: tuple[Unseen, ...] = ()
     """Components that the good frames show too little of; the run is then not ok."""
+    skipped_boards: tuple[str, ...] = ()
+    """Positions of the boards of a panel that are crossed out; their components are not demanded."""
 
 
 class ComponentSummary(Schema):
@@ -359,6 +366,14 @@ class ComponentSummary(Schema):
     """Whether one good frame shows the whole footprint; None without a CAD mapping."""
     unseen: bool = False
     """Whether the good frames show less of the component than the board type or the station asks for."""
+    skipped: bool = False
+    """Whether its board on the panel is crossed out, so that it is not demanded."""
+    sigma_px: float | None = None
+    """Standard deviation of the component's position in its worst view; None if it is not known."""
+    sigma_mm: float | None = None
+    """The same on the board."""
+    footprint: tuple[tuple[float, float], ...] = ()
+    """Corners of the footprint, going round, in CAD coordinates (unit of the board type)."""
 
 
 class EventRecord(Schema):

@@ -18,7 +18,7 @@ from vaoi_station.mosaic import FrameChoice, MosaicGrid, MosaicPlan, make_plan
 from vaoi_station.mosaic.projection import FrameProjector
 from vaoi_station.mosaic.tile_specs import TileSpec
 from vaoi_station.mosaic.tiles import render_tile
-from vaoi_station.runs.workers.jobs import FramesJob
+from vaoi_station.runs.workers.jobs import FramesJob, Priority
 from vaoi_station.runs.workers.merge_job import opened_fields
 
 Slots = Mapping[tuple[int, int], int]
@@ -43,6 +43,7 @@ class PlanJob(FramesJob):
     flat_fields: Path | None = None
     """Directory of the flat fields; None: brightness follows from the overlaps of the frames alone."""
     request: int = 0
+    priority: Priority = Priority.RENDER
 
     def perform(self, frame: ReadSlot) -> MosaicPlan:
         """Survey the frames of the run, and return the plan."""
@@ -78,6 +79,7 @@ class TileJob(FramesJob):
     format: str | None
     """`jpg`, `png`, or None."""
     request: int = 0
+    priority: Priority = Priority.RENDER
 
     def perform(self, frame: ReadSlot) -> bytes | NDArray[Any] | None:
         """Render the tile."""

@@ -7,6 +7,7 @@ narrow margin of belt around the board, so that the board's edge lies at its exa
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import chain
 
 import cv2
 import numpy as np
@@ -18,6 +19,7 @@ from vaoi_station.simulation.board.bodies import Body, build_bodies
 from vaoi_station.simulation.board.canvas import Bytes, Canvas, bands, to_bytes
 from vaoi_station.simulation.board.layout import Part, mounting_holes, place_parts
 from vaoi_station.simulation.board.packages import Finish
+from vaoi_station.simulation.board.panel import BadMark, bad_marks_at, marks_at, real_poses
 from vaoi_station.simulation.board.routing import Copper, route
 from vaoi_station.simulation.scenario import BoardSection
 from vaoi_station.simulation.surroundings import FiducialMark
@@ -65,6 +67,12 @@ def draw(section: BoardSection, px_per_mm: float, belt_grey: float) -> Artwork:
         _paint_photograph(canvas, section)
     for mark in section.marks:
         paint_fiducial(canvas, mark)
+    if section.panel is not None:
+        poses = real_poses(section.panel)
+        for mark in chain.from_iterable(marks_at(section.panel, poses).values()):
+            paint_fiducial(canvas, mark)
+        for bad in bad_marks_at(section.panel, poses).values():
+            _paint_bad_mark(canvas, bad)
     # The belt is painted last, so that it covers everything that extends beyond the board's edge.
     _paint_belt(canvas, section, belt_grey)
     bodies = build_bodies(parts, px_per_mm, canvas if section.photograph else None)
@@ -185,6 +193,16 @@ def paint_fiducial(canvas: Canvas, mark: FiducialMark) -> None:
     else:
         side = d if mark.shape == "square" else d / np.sqrt(2)
         canvas.box(place, (side, side), COPPER, metal=1.0, turned_deg=0.0 if mark.shape == "square" else 45.0)
+
+
+def _paint_bad_mark(canvas: Canvas, mark: BadMark) -> None:
+    """Paint a bad-board mark on a disc of even solder mask; one half of it may look otherwise than the other."""
+    place, d = (mark.x_mm, mark.y_mm), mark.diameter_mm
+    grey = {"dark": HOLE, "light": SILK, "blank": MASK_ON_COPPER}
+    canvas.disc(place, 2.2 * d, MASK_ON_COPPER)
+    canvas.disc(place, d, grey[mark.look])
+    if mark.half != mark.look:
+        canvas.box((mark.x_mm + d / 4, mark.y_mm), (d / 2, 0.85 * d), grey[mark.half])
 
 
 def _paint_belt(canvas: Canvas, section: BoardSection, grey: float) -> None:

@@ -13,8 +13,9 @@ import numpy as np
 
 from vaoi_station.files import read_board_type
 from vaoi_station.geometry.transforms import Floats, apply
-from vaoi_station.model import MM_PER_UNIT, BoardIdentity, BoardType, Component, Fiducial
+from vaoi_station.model import MM_PER_UNIT, BoardIdentity, BoardType, Component, Fiducial, OtherMark
 from vaoi_station.simulation.board.packages import BIG, MIDDLE, SMALL, Package, light_emitting_diode, package_of
+from vaoi_station.simulation.board.panel import BadMark, bad_marks_at, marks_at, nominal_poses, real_poses
 from vaoi_station.simulation.scenario import BoardSection
 from vaoi_station.simulation.surroundings import FiducialMark
 
@@ -83,19 +84,38 @@ def board_type(section: BoardSection, parts: tuple[Part, ...], identity: BoardId
         # The inverse matrix gives values like 12.299999999999999, so coordinates are rounded to nine decimals.
         return round(float(u), 9), round(float(v), 9)
 
-    fiducials = [
-        Fiducial(
-            name=f"FID{n + 1}",
-            x=cad(m.x_mm, m.y_mm)[0],
-            y=cad(m.x_mm, m.y_mm)[1],
-            shape=m.shape,
+    def fiducial(name: str, m: FiducialMark, position: str | None = None) -> Fiducial:
+        x, y = cad(m.x_mm, m.y_mm)
+        return Fiducial(name=name, x=x, y=y, shape=m.shape, diameter=m.diameter_mm / k, panel=position)
+
+    def bad_mark(position: str, m: BadMark) -> OtherMark:
+        x, y = cad(m.x_mm, m.y_mm)
+        return OtherMark(
+            name=f"BBM{position}",
+            x=x,
+            y=y,
             diameter=m.diameter_mm / k,
+            kind="bad-board",
+            panel=position,
+            good=m.good,
+            bad=m.bad,
         )
-        for n, m in enumerate(section.marks)
-    ]
+
+    fiducials = [fiducial(f"FID{n + 1}", m) for n, m in enumerate(section.marks)]
+    if section.panel is not None:
+        poses = nominal_poses(section.panel)
+        # CAD data state where boards should lie, not where they do.
+        parts = _parts_of_panel(section, poses)
+        fiducials += [
+            fiducial(f"{position}/FID{n + 1}", m, position)
+            for position, marks in marks_at(section.panel, poses).items()
+            for n, m in enumerate(marks)
+        ]
+    bad_marks = [] if section.panel is None else bad_marks_at(section.panel, nominal_poses(section.panel)).items()
     components = [
         Component(
-            ref=p.ref,
+            ref=p.ref.rpartition("/")[2],
+            panel=p.ref.rpartition("/")[0] or None,
             center=cad(*p.place),
             width=p.package.size[0] / k,
             height=p.package.size[1] / k,
@@ -111,6 +131,7 @@ def board_type(section: BoardSection, parts: tuple[Part, ...], identity: BoardId
         side=section.side,
         outline=(cad(0, 0), cad(section.width_mm, section.length_mm)),
         fiducials=tuple(fiducials),
+        other_marks=tuple(bad_mark(position, mark) for position, mark in bad_marks) or None,
         components=tuple(components),
         identity=identity,
     )
@@ -124,8 +145,27 @@ def place_parts(section: BoardSection) -> tuple[Part, ...]:
     """
     if section.file is not None:
         return _given_parts(section, read_board_type(section.file))
+    if section.panel is not None:
+        return _parts_of_panel(section, real_poses(section.panel))
     placer = _PartPlacer(section)
     return placer.fill() if section.grid_mm is None else placer.fill_grid(section.grid_mm)
+
+
+def _parts_of_panel(section: BoardSection, poses: dict[str, Floats]) -> tuple[Part, ...]:
+    """Return the parts of all boards of a panel, named `position/ref`, with the boards at these poses."""
+    panel = section.panel
+    assert panel is not None
+    clear = () if panel.bad_mark is None else (panel.bad_mark,)
+    reserved = [FiducialMark(x_mm=m.x_mm, y_mm=m.y_mm, diameter_mm=m.diameter_mm) for m in clear]
+    one = {"width_mm": panel.width_mm, "length_mm": panel.length_mm, "panel": None, "codes": ()}
+    parts = _PartPlacer(section.model_copy(update=one | {"fiducials": (*panel.fiducials, *reserved)})).fill()
+
+    def moved(part: Part, position: str, pose: Floats) -> Part:
+        x, y = apply(pose, np.array(part.place)).tolist()
+        turned = part.turned_deg + math.degrees(math.atan2(pose[0, 1], pose[0, 0]))
+        return replace(part, ref=f"{position}/{part.ref}", place=(x, y), turned_deg=round(turned, 9))
+
+    return tuple(moved(part, position, pose) for position, pose in poses.items() for part in parts)
 
 
 def _given_parts(section: BoardSection, given: BoardType) -> tuple[Part, ...]:
@@ -252,7 +292,7 @@ def mounting_holes(section: BoardSection) -> tuple[tuple[float, float], ...]:
 
     They lie where the default fiducials leave room.
     """
-    if min(section.width_mm, section.length_mm) < 45 or section.file is not None:
+    if min(section.width_mm, section.length_mm) < 45 or section.file is not None or section.panel is not None:
         return ()
     return (4.5, section.length_mm - 4.5), (section.width_mm / 2, 4.5)
 

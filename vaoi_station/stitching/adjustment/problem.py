@@ -44,6 +44,11 @@ class FiducialPoints:
         names = ("row", "ground_mm", "lean", "cad", "sigma_mm", "px_per_mm", "which", "camera")
         return FiducialPoints(*(np.concatenate([getattr(p, name) for p in parts]) for name in names))
 
+    @property
+    def fixture_marks(self) -> int:
+        """Number of fixture marks among the points, each counted once."""
+        return len(np.unique(self.cad[self.which == FIXTURE], axis=0))
+
     @staticmethod
     def empty() -> FiducialPoints:
         """Return a set of observed points without any point."""

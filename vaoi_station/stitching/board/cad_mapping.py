@@ -13,11 +13,12 @@ from typing import NamedTuple
 import numpy as np
 
 from vaoi_station.geometry.robust import Failure
-from vaoi_station.geometry.transforms import Floats
+from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import ReasonCode
 from vaoi_station.stitching.adjustment.camera_equations import comparable_cameras
 from vaoi_station.stitching.adjustment.motion import Motion
-from vaoi_station.stitching.adjustment.problem import REFERENCE, AdjustmentResult, FiducialPoints, Problem, SurfaceBasis
+from vaoi_station.stitching.adjustment.observations import Observations
+from vaoi_station.stitching.adjustment.problem import AdjustmentResult, FiducialPoints, Problem, SurfaceBasis
 from vaoi_station.stitching.adjustment.row_motion import board_texture, motion_from_links
 from vaoi_station.stitching.adjustment.solver import adjust
 from vaoi_station.stitching.adjustment.surface import SIGMA_MM, basis_at_board
@@ -30,7 +31,7 @@ from vaoi_station.stitching.board.fiducial_assignment import (
     find_rough_places,
     merge_detections,
 )
-from vaoi_station.stitching.board.fiducial_detection import detect_more_marks, relocate_fiducials
+from vaoi_station.stitching.board.fiducial_detection import detect_more_marks, displaced_places, relocate_fiducials
 from vaoi_station.stitching.board.footprints import component_at, near_component
 from vaoi_station.stitching.board.orientation import (
     Orientation,
@@ -40,7 +41,7 @@ from vaoi_station.stitching.board.orientation import (
 )
 from vaoi_station.stitching.board.outline import OutlineShift, measure_outline_shift
 from vaoi_station.stitching.board.own_texture import MOST_BESIDE, links_on_board, outline_confirmed, shares_beside
-from vaoi_station.stitching.board.reference import Reference, cad_points, initial_similarity, inliers
+from vaoi_station.stitching.board.reference import Reference, cad_points, disagreeing_reference, initial_similarity
 from vaoi_station.stitching.board.reference_orientation import ReferenceScene, Rivals, compare_with_reference
 from vaoi_station.stitching.matching.evidence import Detections, Links
 from vaoi_station.stitching.matching.patch_tables import WINDOW_PX
@@ -55,8 +56,6 @@ _CERTAIN_FIDUCIALS = 3
 """Number of fiducials from which on a board is placed although its outline is not confirmed.
 
 In addition, all fiducials of the board type must be found."""
-_LEAST_AGREEING = 0.5
-"""Least share of the points linked to a reference that must agree on one position of the board."""
 
 
 class Turned(Failure):
@@ -70,6 +69,8 @@ class LeftOut(NamedTuple):
     """Share of these links in all links between rows."""
     confirmed: bool
     """Whether the pictures show the edges of the board at its outline."""
+    links: Observations
+    """These links."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,12 +132,19 @@ def map_cad(
     guess, detections, outline = first
     if isinstance(guess, Failure):
         return guess
-    seen = relocate_fiducials(plane.board_type, plane.matrix(guess.c), scene, moved.motion, detections)
-    marks = assign_fiducials(plane, guess.c, seen, scene.cameras, moved.motion)
-    points = FiducialPoints.joined([marks, referred])
+    places = apply(plane.matrix(guess.c), plane.cad(plane.fiducials))
+    if plane.board_type.board_fiducials:
+        found = merge_detections(detections, scene.cameras, moved.motion)
+        places = displaced_places(plane.board_type, places, found.mm, found.kind)
+    seen = relocate_fiducials(plane.board_type, places, scene, moved.motion, detections)
+    marks = assign_fiducials(plane, guess.c, seen, scene.cameras, moved.motion, places)
+    # Boards of a panel lie differently in every panel, so that a reference shows no C where fiducials do.
+    fiducials = len(set(marks.which[marks.which >= 0].tolist()))
+    alone = bool(plane.board_type.board_fiducials) and max(fiducials, marks.fixture_marks) >= 2
+    points = marks if alone else FiducialPoints.joined([marks, referred])
     whole = _with_board(problem, points, plane, scene, moved.motion, guess.c)
     adjusted = adjust(whole, moved.motion, guess.c)
-    if contradiction := _disagreeing_reference(points, adjusted):
+    if contradiction := disagreeing_reference(points, adjusted.fiducial_px):
         return contradiction
     # The outline is measured with the displaced cameras, as everything after the adjustment is.
     corrected = replace(scene, cameras=adjusted.problem.cameras) if adjusted.cameras is not None else scene
@@ -241,22 +249,8 @@ def _without_surroundings(
         and outline.visible
         and outline_confirmed(plane.board_type, plane.matrix(guess.c), scene, motion.motion)
     )
-    return _OwnTexture(own, motion, (guess, known.detections, outline), LeftOut(share, confirmed))
-
-
-def _disagreeing_reference(points: FiducialPoints, adjusted: AdjustmentResult) -> Failure | None:
-    """Return a failure if only the reference places the board and its points do not agree on one position."""
-    if not len(points.which) or (points.which != REFERENCE).any():
-        return None
-    fitting = int(inliers(points, adjusted.fiducial_px).sum())
-    if fitting >= _LEAST_AGREEING * len(points.which):
-        return None
-    # Links of a frame that shows another part of the board agree with one another, but not with those of other frames.
-    return Failure(
-        f"only {fitting} of {len(points.which)} points of the reference agree on a place of the board (limit "
-        f"{_LEAST_AGREEING:.0%}): it is turned, or of another type, or looks unlike the reference",
-        ReasonCode.REFERENCE_CONTRADICTS,
-    )
+    others = problem.links.select(np.setdiff1d(np.arange(len(problem.links)), on_board))
+    return _OwnTexture(own, motion, (guess, known.detections, outline), LeftOut(share, confirmed, others))
 
 
 def _find_first_c(

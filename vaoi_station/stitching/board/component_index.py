@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.compiled import compiled
-from vaoi_station.geometry.transforms import Floats, apply
+from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment.observations import Ints
 
@@ -74,11 +74,11 @@ class ComponentIndex:
     def moved(self, moves: Mapping[str, Floats]) -> ComponentIndex:
         """Return an index with some components displaced and turned, by (3, 3) matrices in CAD coordinates."""
         center, angle = self.center.copy(), self.angle_rad.copy()
-        for n, address in enumerate(self.addresses if moves else ()):
-            if address in moves:
-                move = moves[address]
-                center[n] = apply(move, center[n])
-                angle[n] += math.atan2(move[1, 0], move[0, 0])
+        at = [n for n, address in enumerate(self.addresses) if address in moves]
+        if at:
+            move = np.array([moves[self.addresses[n]] for n in at])
+            center[at] = (move[:, :2, :2] @ center[at, :, None])[:, :, 0] + move[:, :2, 2]
+            angle[at] += np.arctan2(move[:, 1, 0], move[:, 0, 0])
         return replace(self, center=center, angle_rad=angle)
 
     def find(self, cad_from_board: Floats, board_mm: Floats) -> Ints:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -29,7 +29,8 @@ from vaoi_station.stitching.matching.evidence import Detections
 
 _SAME_PLACE_MM = 0.4
 LOCAL_MM = 0.5
-"""Standard deviation of local fiducials against C: they state where their components are, not where the board is."""
+"""Standard deviation against C of fiducials that have no part in it: they state where components are, or a board of a
+panel."""
 _SCALE_SIGMA = 1.0e-3
 _SCORE_SIGMA = 0.02
 _TEXTURE_MARGIN_MM = 1.0
@@ -42,6 +43,8 @@ _ROUGH_FACTOR, _MOST_PLACES = 4.0, 6
 The first is a factor on the limits of the scale of C and of the distance between a fiducial and its candidate. The
 second is the largest number of positions of the board that are tried."""
 _SLACK_MM = 0.15
+_MOST_PAIRS = 24
+"""Largest number of pairs of fiducials of a panel's boards that are tried."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +133,7 @@ def find_board(
     kinds = [mark_kinds(board_type).index(kind_of(f, board_type)) for f in board_type.fiducials]
     best: Hypothesis | None = None
     nearest: tuple[float, str] = (np.inf, "")
-    for i, j in combinations(range(len(flat)), 2):
+    for i, j in _pairs_to_try(plane):
         for c, pair in _similarities_of_pairs(flat[i], flat[j], places, kinds[i], kinds[j], board_type.mm_per_unit):
             turn = _wrapped(float(np.arctan2(c[1], c[0])) - angle_rad)
             scale = float(np.hypot(c[0], c[1])) / board_type.mm_per_unit - 1
@@ -153,6 +156,21 @@ def find_board(
     return Failure(nowhere, ReasonCode.FIDUCIALS_NOT_FOUND)
 
 
+def _pairs_to_try(plane: BoardPlane) -> list[tuple[int, int]]:
+    """List the pairs of fiducials that may locate the board: all, but of a panel's boards only those farthest apart.
+
+    A panel of 20 boards has 780 pairs, and trying all would take seconds. Its boards are displaced: a long
+    pair shows scale and turn best.
+    """
+    of_boards = {n for numbers in plane.board_type.board_fiducials.values() for n in numbers}
+    every = list(combinations(range(len(plane.fiducials)), 2))
+    if not of_boards:
+        return every
+    panel = [pair for pair in every if not of_boards.intersection(pair)]
+    far = sorted(set(every) - set(panel), key=lambda pair: -math.dist(*plane.fiducials[list(pair)]))
+    return panel + far[:_MOST_PAIRS]
+
+
 def find_rough_places(
     plane: BoardPlane, places: FiducialCandidates, angle_rad: float, expectation: Expectation
 ) -> list[Hypothesis]:
@@ -164,7 +182,7 @@ def find_rough_places(
     flat, found = plane.fiducials, []
     kinds = [mark_kinds(plane.board_type).index(kind_of(f, plane.board_type)) for f in plane.board_type.fiducials]
     mm_per_unit, limit = plane.board_type.mm_per_unit, _ROUGH_FACTOR * _SCALE_LIMIT
-    for i, j in combinations(range(len(flat)), 2):
+    for i, j in _pairs_to_try(plane):
         ends = (flat[i], flat[j])
         for c, pair in _similarities_of_pairs(*ends, places, kinds[i], kinds[j], mm_per_unit, limit):
             turn = _wrapped(float(np.arctan2(c[1], c[0])) - angle_rad)
@@ -187,9 +205,17 @@ def find_rough_places(
 
 
 def assign_fiducials(
-    plane: BoardPlane, c: Floats, detections: Sequence[Detections], cameras: Sequence[Camera], motion: Motion
+    plane: BoardPlane,
+    c: Floats,
+    detections: Sequence[Detections],
+    cameras: Sequence[Camera],
+    motion: Motion,
+    places_mm: Floats | None = None,
 ) -> FiducialPoints:
-    """Select the detections that are fiducials or fixture marks under a first C, and return them as observations."""
+    """Select the detections that are fiducials or fixture marks under a first C, and return them as observations.
+
+    `places_mm` (k, 2) are the predicted places of the fiducials, where the first C does not give them.
+    """
     board_type = plane.board_type
     kinds = [mark_kinds(board_type).index(kind_of(f, board_type)) for f in board_type.fiducials]
     flat, number = plane.fiducials, np.arange(len(kinds))
@@ -203,9 +229,10 @@ def assign_fiducials(
     camera, ground, board = _to_board(seen, cameras, motion)
     ends = np.append(0, np.cumsum([len(s.px) for s in seen]))
     of_seen = np.concatenate([s.kind for s in seen]).astype(np.int_)
-    at, mark = match_nearest(
-        board, of_seen, ends, apply_similarity(c, flat), np.array(kinds, dtype=np.int_), _SAME_PLACE_MM
-    )
+    expected = apply_similarity(c, flat)
+    if places_mm is not None:
+        expected[: len(places_mm)] = places_mm
+    at, mark = match_nearest(board, of_seen, ends, expected, np.array(kinds, dtype=np.int_), _SAME_PLACE_MM)
     row = np.repeat([s.task.a[1] for s in seen], np.diff(ends))[at]
     camera, ground, lean, resolution = camera[at], ground[at], np.empty((len(at), 2)), np.empty(len(at))
     for i in np.unique(camera).tolist():
@@ -213,9 +240,13 @@ def assign_fiducials(
         lean[mine] = cameras[i].parallax(ground[mine])
         resolution[mine] = [cameras[i].image_from_row.scale_at(p) for p in ground[mine]]
     sigma = np.concatenate([s.sigma_px for s in seen])[at] / resolution
-    local = np.isin(number[mark], sorted(board_type.local_fiducials))
-    sigma = np.where(local, np.hypot(sigma, LOCAL_MM), sigma)
-    return FiducialPoints(row, ground, lean, flat[mark], sigma, resolution, number[mark], camera)
+    points = FiducialPoints(row, ground, lean, flat[mark], sigma, resolution, number[mark], camera)
+    found, fixture = {n for n in points.which.tolist() if n >= 0}, points.fixture_marks
+    apart = set(board_type.apart_from_c(found, fixture))
+    if board_type.board_of_c(found, fixture) is not None:
+        # The board is displaced against the fixture, as it is against a fiducial of the panel.
+        apart.add(FIXTURE)
+    return replace(points, sigma_mm=np.where(np.isin(points.which, sorted(apart)), np.hypot(sigma, LOCAL_MM), sigma))
 
 
 @compiled

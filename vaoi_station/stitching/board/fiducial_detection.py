@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from itertools import combinations, product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.robust import Failure
-from vaoi_station.geometry.transforms import Floats, apply
+from vaoi_station.geometry.transforms import Floats
 from vaoi_station.marks import Mark, find_candidates, locate_mark
 from vaoi_station.marks.candidate_search import reduction_factor
 from vaoi_station.marks.mark_shape import Shape
@@ -21,6 +22,11 @@ from vaoi_station.stitching.matching.prepared_frame import PreparedFrame, downsa
 from vaoi_station.stitching.matching.scene import Scene
 
 _MOST_PER_FRAME, _MOST_WHEN_LOST = 12, 80
+BOARD_MM = 1.2
+"""Largest distance of a fiducial of a board of a panel from the place that the first C gives it."""
+_UNLIKE_MM, _NEARER, _TURN_RAD = 0.25, 0.1, np.radians(1.5)
+"""Limits of a pair of candidates of one board: difference of their distance from that of the fiducials, share of the
+displacement that is added to it, and turn."""
 _SMALL = 1.12
 """Factor on a mark's size before the reduction of the frame is chosen.
 
@@ -123,18 +129,50 @@ def detect_more_marks(
     ]
 
 
+def displaced_places(board_type: BoardType, places: Floats, mm: Floats, kind: NDArray[np.int_]) -> Floats:
+    """Return the predicted places (k, 2) of fiducials, those of a panel's boards displaced as their candidates show.
+
+    The pair of candidates that fits the distance of two fiducials best shows shift and turn of their board.
+
+    Args:
+        board_type: the board type.
+        places: (k, 2) places of the fiducials by a first C, tester coordinates.
+        mm: (n, 2) candidates, tester coordinates.
+        kind: (n,) their kinds.
+    """
+    kinds, out = mark_kinds(board_type), places.copy()
+    for position, numbers in board_type.board_fiducials.items():
+        of = [np.flatnonzero(kind == kinds.index(kind_of(board_type.fiducials[n], board_type))) for n in numbers]
+        near = [at[np.hypot(*(mm[at] - places[n]).T) < BOARD_MM] for n, at in zip(numbers, of, strict=True)]
+        best, least = None, _UNLIKE_MM
+        for (a, at_a), (b, at_b) in combinations(zip(numbers, near, strict=True), 2):
+            arrow = complex(*(places[b] - places[a]))
+            for p, q in product(at_a.tolist(), at_b.tolist()):
+                found = complex(*(mm[q] - mm[p]))
+                # Of equal fits, the smaller displacement is the likelier one.
+                off = abs(abs(found) - abs(arrow)) + _NEARER * abs(complex(*(mm[p] - places[a])))
+                if off < least and abs(found) > 0 and abs(np.angle(found / arrow)) < _TURN_RAD:
+                    best, least = (places[a], mm[p], found / arrow / abs(found / arrow)), off
+        if best is None:
+            continue
+        start, end, turn = best
+        mine = [n for n, f in enumerate(board_type.fiducials) if f.panel is not None and str(f.panel) == position]
+        moved = (places[mine] - start) @ (1, 1j) * turn
+        out[mine] = end + np.stack([moved.real, moved.imag], -1)
+    return np.asarray(out)
+
+
 def relocate_fiducials(
-    board_type: BoardType, cad_matrix: Floats, scene: Scene, motion: Motion, detections: Sequence[Detections]
+    board_type: BoardType, places_mm: Floats, scene: Scene, motion: Motion, detections: Sequence[Detections]
 ) -> list[Detections]:
     """Locate precisely each fiducial that a frame must show; all other detections are returned unchanged.
 
-    The first C (`cad_matrix`) predicts where each fiducial lies in a frame. Only this place is searched. So a fiducial
-    is found even in frames whose short list of detections did not contain it.
+    The predicted places (k, 2) of the fiducials, tester coordinates, show where each lies in a frame. Only this place
+    is searched. So a fiducial is found even in frames whose short list of detections did not contain it.
     """
     kinds = mark_kinds(board_type)
     kind = [kinds.index(kind_of(f, board_type)) for f in board_type.fiducials]
-    board = apply(cad_matrix, np.array([(f.x, f.y) for f in board_type.fiducials]))
-    expected = _in_view(board, scene, motion)
+    expected = _in_view(places_mm, scene, motion)
     return [_relocated(s, expected[s.task.a], kind, kinds, scene) if s.task.a in expected else s for s in detections]
 
 

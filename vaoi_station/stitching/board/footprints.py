@@ -95,7 +95,13 @@ class FootprintViews:
 
     def without_rows(self, rows: Sequence[int]) -> FootprintViews:
         """Return the views in all rows except the given ones."""
-        keep = ~np.isin(self.row, rows)
+        return self._where(~np.isin(self.row, rows))
+
+    def without_points(self, points: Sequence[int]) -> FootprintViews:
+        """Return the views of all points except the given ones."""
+        return self._where(~np.isin(self.point, points)) if points else self
+
+    def _where(self, keep: NDArray[np.bool_]) -> FootprintViews:
         return FootprintViews(self.point[keep], self.camera[keep], self.row[keep], self.place_mm[keep], self.px[keep])
 
 

@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.geometry import Camera
+from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats, apply
-from vaoi_station.model import Stitch
+from vaoi_station.model import ReasonCode, Stitch
 from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.adjustment.problem import REFERENCE, FiducialPoints
 from vaoi_station.stitching.board.board_plane import BoardPlane
@@ -25,6 +26,8 @@ _SCATTER_PX = 0.03
 """Scatter of single links in addition to image noise."""
 _OUTLIER = 8.5
 """Residual, in standard deviations, above which a point has no weight: 6 per axis, so 6·√2 in the plane."""
+_LEAST_AGREEING = 0.5
+"""Least share of the points linked to a reference that must agree on one position of the board."""
 _SHARED_PX = 0.006
 """Error that all links of one frame have in common, px. It does not average out."""
 
@@ -115,3 +118,23 @@ def initial_similarity(plane: BoardPlane, reference: Reference, points: Fiducial
     # The median is used because some links are false and nothing has been adjusted yet.
     off = np.median(board - apply(plane.matrix(start), plane.cad(points.cad)), axis=0)
     return np.concatenate([start[:2], start[2:] + off])
+
+
+def disagreeing_reference(points: FiducialPoints, residual_px: Floats) -> Failure | None:
+    """Return a failure if only the reference places the board and its points do not agree on one position.
+
+    Args:
+        points: the k points with known CAD coordinates.
+        residual_px: (k, 2) their residuals in the adjustment.
+    """
+    if not len(points.which) or (points.which != REFERENCE).any():
+        return None
+    fitting = int(inliers(points, residual_px).sum())
+    if fitting >= _LEAST_AGREEING * len(points.which):
+        return None
+    # Links of a frame that shows another part of the board agree with one another, but not with those of other frames.
+    return Failure(
+        f"only {fitting} of {len(points.which)} points of the reference agree on a place of the board (limit "
+        f"{_LEAST_AGREEING:.0%}): it is turned, or of another type, or looks unlike the reference",
+        ReasonCode.REFERENCE_CONTRADICTS,
+    )

@@ -53,7 +53,11 @@ class LocalPlace:
 
 
 def local_places(
-    plane: BoardPlane, adjusted: AdjustmentResult, points: FiducialPoints | None, cad_matrix: Floats
+    plane: BoardPlane,
+    adjusted: AdjustmentResult,
+    points: FiducialPoints | None,
+    cad_matrix: Floats,
+    of_boards: Mapping[str, Floats] | None = None,
 ) -> dict[str, LocalPlace]:
     """Return the places of components that have local fiducials, by address.
 
@@ -62,12 +66,13 @@ def local_places(
         adjusted: solution of the adjustment.
         points: fiducial points of that adjustment.
         cad_matrix: C, (3, 3).
+        of_boards: C of the boards of a panel that have one, by position; it takes the place of `cad_matrix`.
     """
     board = plane.board_type
     if points is None:
         return {}
-    measured = {n: _displacement(points, adjusted.fiducial_px, n) for n in sorted(board.local_fiducials)}
-    at = apply(cad_matrix, plane.cad(plane.fiducials))
+    measured = {n: displacement(points, adjusted.fiducial_px, n) for n in sorted(board.local_fiducials)}
+    by_panel, cad = apply(cad_matrix, plane.cad(plane.fiducials)), plane.cad(plane.fiducials)
     wanted: dict[str, list[int]] = {}
     for n in sorted(board.local_fiducials):
         for address in board.fiducials[n].components or ():
@@ -87,7 +92,11 @@ def local_places(
         values = [value for n in found if (value := measured[n]) is not None]
         shifts, sigmas = np.array([shift for shift, _ in values]), np.array([sigma for _, sigma in values])
         body = np.vstack([[component.center], board.footprint(component)])
-        out[component.address] = _placed(names, at[found], shifts, sigmas, cad_matrix, body)
+        matrix = (of_boards or {}).get(str(component.panel), cad_matrix)
+        at = apply(matrix, cad[found])
+        # Displacements were measured against C of the panel.
+        shifts = shifts - (at - by_panel[found])
+        out[component.address] = _placed(names, at, shifts, sigmas, matrix, body)
     return out
 
 
@@ -105,8 +114,10 @@ def common_displacement_mm(
         points: fiducial points of that adjustment.
         cad_matrix: C, (3, 3).
     """
-    fiducials, local = plane.board_type.fiducials, sorted(plane.board_type.local_fiducials)
-    measured = {n: value for n in local if (value := _displacement(points, adjusted.fiducial_px, n)) is not None}
+    fiducials = plane.board_type.fiducials
+    # Boards of a panel lie displaced, and their local fiducials with them.
+    local = [] if plane.board_type.board_fiducials else sorted(plane.board_type.local_fiducials)
+    measured = {n: value for n in local if (value := displacement(points, adjusted.fiducial_px, n)) is not None}
     parts = [fiducials[n].components for n in measured]
     if len(measured) < _LEAST_LOCAL or len(set(parts)) < 2:
         return 0.0
@@ -127,23 +138,23 @@ def common_displacement_mm(
     return float(length[length > _COMMON_SIGMAS * np.sqrt(variance)].max(initial=0.0))
 
 
-def placed_landmarks(plane: BoardPlane, cad_matrix: Floats, places: Mapping[str, LocalPlace]) -> Floats:
+def placed_landmarks(plane: BoardPlane, cad_matrix: Floats, matrices: Mapping[str, Floats]) -> Floats:
     """Return the `landmarks` (n, 2) of a board such that C puts each where it lies.
 
-    A component that its local fiducials displace is where C puts another point of the board.
+    A component that does not follow C is where C puts another point of the board.
     """
-    parts = placed_parts(plane, cad_matrix, places)
+    parts = placed_parts(plane, cad_matrix, matrices)
     return parts.center if parts.addresses else landmarks(plane)[1]
 
 
-def placed_parts(plane: BoardPlane, cad_matrix: Floats, places: Mapping[str, LocalPlace]) -> ComponentIndex:
-    """Return the components of a board such that C puts each where it lies, as `placed_landmarks` does."""
+def placed_parts(plane: BoardPlane, cad_matrix: Floats, matrices: Mapping[str, Floats]) -> ComponentIndex:
+    """Return the components of a board such that C puts each where it lies; `matrices` are their own C, by address."""
     back = np.linalg.inv(cad_matrix)
-    moves = {ref: back @ place.matrix for ref, place in places.items() if place.matrix is not None}
+    moves = {ref: back @ matrix for ref, matrix in matrices.items()}
     return plane.components.moved(moves) if moves else plane.components
 
 
-def _displacement(points: FiducialPoints, residual_px: Floats, number: int) -> tuple[Floats, float] | None:
+def displacement(points: FiducialPoints, residual_px: Floats, number: int) -> tuple[Floats, float] | None:
     """Return the mean displacement (2,) of a fiducial against C, mm, and its standard deviation; None if not found."""
     mine = points.which == number
     if not mine.any():

@@ -2,21 +2,22 @@
 
 The CAD coordinates of all links to a reference come from the reference's own CAD mapping. So they all have the error of
 that mapping. No residual shows this error, and it does not average out. Its effect on the result is proportional to the
-weight of the reference in the estimate of C. Components that local fiducials place have the errors of these.
+weight of the reference in the estimate of C. Components that local
+fiducials or those of a board of a panel place have the errors of these.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.adjustment.problem import REFERENCE, FiducialPoints
 from vaoi_station.stitching.board.reference import inliers
-from vaoi_station.stitching.components.local_fiducials import LocalPlace
 from vaoi_station.stitching.quality.covariances import largest_sigma
 from vaoi_station.stitching.quality.uncertainty import PredictedSigma
 
@@ -61,22 +62,31 @@ def with_camera_errors(predicted: PredictedSigma, sigma_px: Mapping[int, float])
 
 
 def with_component_errors(
-    predicted: PredictedSigma, places: Mapping[str, LocalPlace], cameras: Sequence[Camera]
+    predicted: PredictedSigma, sigma_mm: Mapping[str, float], cameras: Sequence[Camera], skipped: Collection[str] = ()
 ) -> PredictedSigma:
-    """Return a prediction with the error of local fiducials, for the components that they place."""
-    sigma_mm = {ref: place.sigma_mm for ref, place in places.items() if place.matrix is not None}
+    """Return a prediction with an additional error for each component, mm per axis, by address; none without an entry.
+
+    These are the errors of fiducials that place a component, or the board of a panel on which it is. The largest
+    standard deviations of rows and run do not contain those of `skipped` components.
+    """
     if predicted.worst_px is None or not sigma_mm:
         return predicted
     camera = predicted.seen_in[:, 0]
     px_per_mm = np.array([c.px_per_mm for c in cameras])[camera]
     added = np.array([sigma_mm.get(name, 0.0) for name in predicted.names])[predicted.part] * px_per_mm
-    return _with_added(predicted, added)
+    demanded = np.array([name not in skipped for name in predicted.names], np.bool_)[predicted.part]
+    return _with_added(predicted, added, demanded)
 
 
-def _with_added(predicted: PredictedSigma, sigma_px: Floats) -> PredictedSigma:
-    """Return a prediction with an additional error (k,) of each of k views, px per axis."""
+def _with_added(
+    predicted: PredictedSigma, sigma_px: Floats, demanded: NDArray[np.bool_] | bool = True
+) -> PredictedSigma:
+    """Return a prediction with an additional error (k,) of each of k views, px per axis.
+
+    The largest standard deviations contain those of the `demanded` views (k,) only.
+    """
     covariance = predicted.covariance_px2 + (sigma_px**2)[:, None, None] * np.eye(2)
-    length, rows = largest_sigma(covariance), np.array(predicted.rows_px)
+    length, rows = np.where(demanded, largest_sigma(covariance), 0.0), np.array(predicted.rows_px)
     np.maximum.at(rows, predicted.seen_in[:, 1], length)
     worst = max(float(length.max(initial=0)), predicted.worst_px or 0.0)
     return replace(predicted, rows_px=tuple(rows.tolist()), worst_px=worst, covariance_px2=covariance)

@@ -66,7 +66,9 @@ def fiducial_reasons(
         return []
     out = []
     fiducials = plane.board_type.fiducials
-    seen = {n: of for n, of in _places(adjusted, points, moved).items() if n not in plane.board_type.local_fiducials}
+    places = _places(adjusted, points, moved)
+    apart = plane.board_type.apart_from_c(places, points.fixture_marks if points is not None else 0)
+    seen = {n: of for n, of in places.items() if n not in apart}
     for n, (_, off_px) in seen.items():
         if off_px > _FIDUCIAL_LIMIT_PX:
             text = f"fiducial {fiducials[n].name} lies {off_px:.2f} px from its place (limit {_FIDUCIAL_LIMIT_PX})"
@@ -90,7 +92,8 @@ def common_local_reasons(
     """
     if adjusted.similarity is None or points is None or (points.which < 0).any():
         return []
-    if len(set(points.which.tolist()) - plane.board_type.local_fiducials) > 2:
+    found = set(points.which.tolist())
+    if len(found - plane.board_type.apart_from_c(found)) > 2:
         return []
     off_mm = common_displacement_mm(plane, adjusted, points, plane.matrix(adjusted.similarity))
     if off_mm * px_per_mm <= _FIDUCIAL_LIMIT_PX:
@@ -108,7 +111,8 @@ def uncertain_detections(plane: BoardPlane, points: FiducialPoints | None, limit
     if points is None:
         return ""
     sigma_px = points.sigma_mm * points.px_per_mm
-    numbers = set(points.which[points.which >= 0].tolist()) - plane.board_type.local_fiducials
+    found = set(points.which[points.which >= 0].tolist())
+    numbers = found - plane.board_type.apart_from_c(found, points.fixture_marks)
     unsure = [n for n in sorted(numbers) if sigma_px[points.which == n].min() > limit_px]
     if not unsure:
         return ""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
+from collections import Counter
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -20,7 +20,10 @@ from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.cad_mapping import CadMapping
 from vaoi_station.stitching.board.expectation import Expectation
 from vaoi_station.stitching.board.footprints import FootprintViews, frames_of_marks
-from vaoi_station.stitching.components.local_fiducials import LocalPlace, local_places, placed_landmarks, placed_parts
+from vaoi_station.stitching.components.bad_board_marks import BoardMarks, MarkedPanel, read_bad_marks
+from vaoi_station.stitching.components.local_fiducials import placed_landmarks, placed_parts
+from vaoi_station.stitching.components.own_places import OwnPlaces, own_places
+from vaoi_station.stitching.components.panel_boards import components_of
 from vaoi_station.stitching.components.shift import ComponentShift, measure_component_shift
 from vaoi_station.stitching.matching.evidence import FrameKey, Links
 from vaoi_station.stitching.matching.scene import Scene
@@ -35,6 +38,7 @@ from vaoi_station.stitching.quality.agreement import seam_offset_px
 from vaoi_station.stitching.quality.covariances import largest_sigma
 from vaoi_station.stitching.quality.heights import Height, component_heights
 from vaoi_station.stitching.quality.lens_errors import LensError, lens_errors
+from vaoi_station.stitching.quality.missing.confirmation import confirmed_beside, confirmed_by_links
 from vaoi_station.stitching.quality.missing.dark_lights import DarkLight
 from vaoi_station.stitching.quality.missing.unseen import FilmedBoard, SeenFrames, UnseenComponent, find_unseen
 from vaoi_station.stitching.quality.row_offsets import row_offset
@@ -55,10 +59,6 @@ _PLACED_SIGMA_PX = 2.0
 """Largest accepted standard deviation of a position in a row that neither links nor CAD points tie to other rows."""
 _OTHER_LIFT_MM = 1.0
 """The lift measured by overlaps contradicts the lift of the adjustment if they differ by more than this."""
-_LEAST_FITTING, _LEAST_SHARE, _SURELY = 3, 0.25, 5
-"""Least number and share of a frame's links that must fit the board's motion; number that always suffices.
-
-In sound frames of recordings and twin, a share of 0.7 or more fits. In a repeated one, one link may fit by chance."""
 _SEAM_LINKS = 12
 """Least number of links between two cameras from which it can be decided whether the cameras agree."""
 
@@ -115,7 +115,7 @@ class Findings:
         predicted = predict_sigma(self.scene, self.plane, self.adjusted, self.views)
         share = reference_share(self.problem.fiducials, self.adjusted.fiducial_px) * self.reference_sigma_px
         predicted = with_common_error(predicted, share) if share > 0 else predicted
-        predicted = with_component_errors(predicted, self.local_places, self.scene.cameras)
+        predicted = with_component_errors(predicted, self.own_places.sigma_mm, self.scene.cameras, self.skipped_parts)
         return with_camera_errors(predicted, {i: error.position_px for i, error in self.lens_errors.items()})
 
     @cached_property
@@ -139,11 +139,11 @@ class Findings:
         return None if self.plane is None or self.mapping is None or c is None else self.plane.matrix(c)
 
     @cached_property
-    def local_places(self) -> dict[str, LocalPlace]:
-        """Places of components by their local fiducials, by address; empty without C."""
+    def own_places(self) -> OwnPlaces:
+        """Places of boards of a panel and of components that do not follow C; empty without C."""
         if self.plane is None or self.cad_matrix is None:
-            return {}
-        return local_places(self.plane, self.adjusted, self.problem.fiducials, self.cad_matrix)
+            return OwnPlaces()
+        return own_places(self.plane, self.adjusted, self.problem.fiducials, self.cad_matrix)
 
     @cached_property
     def views(self) -> FootprintViews | None:
@@ -151,16 +151,31 @@ class Findings:
         if self.plane is None or self.cad_matrix is None:
             return None
         rows = self.adjusted.motion.rows_from_tester
-        cad = placed_landmarks(self.plane, self.cad_matrix, self.local_places)
+        cad = placed_landmarks(self.plane, self.cad_matrix, self.own_places.matrices)
         views = FootprintViews.of(cad, self.cad_matrix, self.scene.cameras, rows, self.surface)
         return views.without_rows(self.unplaced) if self.unplaced else views
+
+    @cached_property
+    def bad_marks(self) -> dict[str, BoardMarks]:
+        """What the bad-board marks of a panel show, by position of the board; empty without C or such marks."""
+        if self.plane is None or self.cad_matrix is None:
+            return {}
+        at = self.own_places.of_boards, self.adjusted.motion.rows_from_tester, self.surface
+        return read_bad_marks(MarkedPanel(self.plane.board_type, self.cad_matrix, *at), self.scene, self.confirmed)
+
+    @cached_property
+    def skipped_parts(self) -> frozenset[str]:
+        """Addresses of the components of bad boards, which are not demanded."""
+        bad = {position for position, marks in self.bad_marks.items() if marks.state == "bad"}
+        return frozenset() if self.plane is None else components_of(self.plane, bad)
 
     @cached_property
     def component_shift(self) -> ComponentShift | None:
         """Shift of the components' pictures against their places by C; None without C, or if too few show it."""
         if self.plane is None or self.views is None or self.cad_matrix is None:
             return None
-        return measure_component_shift(self.plane, self.cad_matrix, self.scene, self.adjusted.motion, self.views)
+        views = self.views.without_points([self.plane.components.addresses.index(ref) for ref in self.skipped_parts])
+        return measure_component_shift(self.plane, self.cad_matrix, self.scene, self.adjusted.motion, views)
 
     @cached_property
     def fiducials_in_view(self) -> dict[int, FrameKey]:
@@ -174,32 +189,17 @@ class Findings:
 
     @cached_property
     def confirmed(self) -> frozenset[FrameKey]:
-        """The good frames whose pictures fit the board's motion: by their links, or by a point with CAD coordinates.
-
-        A few links of a frame may fit by chance, so a certain share of its links must fit. A frame that is black,
-        covered or repeated can be complete, but it does not fit the motion, and no component counts as seen in it.
-        """
+        """The good frames whose pictures fit the board's motion: by their links, or by a point with CAD coordinates."""
+        possible = frozenset(self.scene.present) - self.copies
         if not self.method.links:
-            # without links there is nothing that could confirm a frame between two fiducials
-            return frozenset(self.scene.present) - self.copies
-        o, points = self.problem.links, self.problem.fiducials
-        every = np.bincount(o.group, minlength=len(o.groups))
-        used = np.bincount(o.group[self.adjusted.weight > _USED], minlength=len(o.groups))
-        linked: defaultdict[FrameKey, list[int]] = defaultdict(lambda: [0, 0])
-        for links, own, fitting in zip(o.groups, every.tolist(), used.tolist(), strict=True):
-            for key in (links.task.a, links.task.b):
-                if key is not None:
-                    linked[key][0] += own
-                    linked[key][1] += fitting
-        # Most links of a frame at the end of the board may lie on a textured belt.
-        frames = {
-            key
-            for key, (own, fits) in linked.items()
-            if fits >= _SURELY or (fits >= _LEAST_FITTING and fits > _LEAST_SHARE * own)
-        }
-        if points is not None:
+            return possible  # Without links there is nothing that could confirm a frame between two fiducials.
+        frames, decided = confirmed_by_links(self.problem.links, self.adjusted.weight)
+        if (points := self.problem.fiducials) is not None:
             frames |= set(zip(points.camera.tolist(), points.row.tolist(), strict=True))
-        return frozenset(frames & set(self.scene.present) - self.copies)
+        left_out = self.mapping.left_out if self.mapping is not None else None
+        if left_out is not None:
+            frames |= confirmed_beside(left_out.links, self.adjusted.motion, possible - frames - decided)
+        return frozenset(frames & possible)
 
     @cached_property
     def unconfirmed(self) -> tuple[FrameKey, ...]:
@@ -216,10 +216,11 @@ class Findings:
         if self.plane is None or self.cad_matrix is None:
             return ()
         rows = self.adjusted.motion.rows_from_tester
-        parts = placed_parts(self.plane, self.cad_matrix, self.local_places)
+        parts = placed_parts(self.plane, self.cad_matrix, self.own_places.matrices)
         board = FilmedBoard(self.plane.board_type, parts, self.cad_matrix, self.scene.cameras, rows, self.surface)
         frames = SeenFrames(self.scene.present, self.confirmed)
-        return find_unseen(board, frames, self.problem.velocity_mm_s, self.visibility)
+        unseen = find_unseen(board, frames, self.problem.velocity_mm_s, self.visibility)
+        return tuple(part for part in unseen if part.address not in self.skipped_parts)
 
     @cached_property
     def heights(self) -> dict[str, Height]:

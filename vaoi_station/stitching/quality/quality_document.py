@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from vaoi_station.geometry.transforms import apply
+from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.stitching.adjustment.motion import measured_velocity
 from vaoi_station.stitching.adjustment.problem import FIXTURE, REFERENCE
 from vaoi_station.stitching.quality.covariances import matrix_sigmas, row_covariances
@@ -15,6 +15,8 @@ from vaoi_station.stitching.quality.uncertainty import surface_sigma_mm
 
 AMBIGUOUS = "ambiguous"
 """Value of `quality.orientation` if the board turned by 180° would fit as well."""
+_USED = 0.1
+"""Weight above which a link counts as used."""
 _OUTLIER = 8.5
 """Residual above which a CAD point has no weight, in standard deviations: 6 per axis, that is 6·√2 in the plane."""
 
@@ -29,7 +31,7 @@ def quality_document(f: Findings) -> dict[str, Any]:
         group = max(f.connected_groups, key=len)
         velocity = measured_velocity(a.motion, f.problem.times_s, group)
     nominal = float(np.hypot(*f.problem.velocity_mm_s))
-    used, rows = a.weight > 0.1, row_covariances(a)
+    used, rows = a.weight > _USED, row_covariances(a)
     displacement, displacement_sigma = _displacements(f)
     return {
         "links": {
@@ -40,6 +42,7 @@ def quality_document(f: Findings) -> dict[str, Any]:
         "unlinked": [
             {"a": list(e.task.a), "b": list(e.task.b or ()), "reason": e.note} for e in f.links if not len(e.a_px)
         ],
+        "link_pairs": _link_pairs(f),
         "unplaced_rows": list(f.unplaced),
         "residual_px": {
             "median": _rounded(float(np.sqrt(np.median((a.link_px**2).sum(1)[used])))) if used.any() else None,
@@ -51,6 +54,7 @@ def quality_document(f: Findings) -> dict[str, Any]:
         "camera_displacement_sigma_px": displacement_sigma,
         "fiducials": _fiducials(f),
         **_local_places(f),
+        **_boards(f),
         "orientation": None if f.mapping is None else AMBIGUOUS if f.mapping.ambiguous else "certain",
         "scale_error": _scale_error(f),
         "fiducial_check": _fiducial_check(f),
@@ -87,6 +91,37 @@ def quality_document(f: Findings) -> dict[str, Any]:
     }
 
 
+def _link_pairs(f: Findings) -> list[dict[str, Any]]:
+    """Return for every pair of linked frames how many links there are, where on the board, and their residual."""
+    links, a = f.problem.links, f.adjusted
+    if not len(links):
+        return []
+    count, used = len(links.groups), a.weight > _USED
+    tester_from_row = np.linalg.inv(a.motion.rows_from_tester)[links.p]
+    at_mm = np.einsum("kij,kj->ki", tester_from_row[:, :2, :2], links.a_mm) + tester_from_row[:, :2, 2]
+    found, kept = np.bincount(links.group, minlength=count), np.bincount(links.group, used, count)
+
+    def means(values: Floats) -> Floats:
+        """Return the mean of (k,) values over the used links of each pair."""
+        return np.asarray(np.bincount(links.group, values * used, count) / np.maximum(kept, 1))
+
+    x, y, dx, dy = map(means, (*at_mm.T, *a.link_px.T))
+    rms = np.sqrt(means((a.link_px**2).sum(1)))
+    return [
+        {
+            "a": list(e.task.a),
+            "b": list(e.task.b or e.task.a),
+            "found": int(found[n]),
+            "used": int(kept[n]),
+            "at_mm": [_rounded(float(x[n]), 3), _rounded(float(y[n]), 3)] if kept[n] else None,
+            "residual_px": [_rounded(float(dx[n])), _rounded(float(dy[n]))] if kept[n] else None,
+            "rms_px": _rounded(float(rms[n])) if kept[n] else None,
+        }
+        for n, e in enumerate(links.groups)
+        if found[n]
+    ]
+
+
 def _local_places(f: Findings) -> dict[str, Any]:
     """Return what local fiducials show of their components, by address; no entry without any."""
     places = {
@@ -97,9 +132,29 @@ def _local_places(f: Findings) -> dict[str, Any]:
             "sigma_mm": _rounded(place.sigma_mm),
             "refusal": place.refusal or None,
         }
-        for ref, place in f.local_places.items()
+        for ref, place in f.own_places.local.items()
     }
     return {"local_fiducials": places} if places else {}
+
+
+def _boards(f: Findings) -> dict[str, Any]:
+    """Return how the boards of a panel lie against C, by position; no entry without any."""
+    boards: dict[str, dict[str, Any]] = {
+        position: {
+            "fiducials": list(place.fiducials),
+            "lost": list(place.lost),
+            "shift_mm": [_rounded(float(v)) for v in place.shift_mm],
+            "turn_deg": _rounded(float(np.degrees(place.turn_rad))),
+            "sigma_mm": _rounded(place.sigma_mm),
+            "sigma_turn_deg": _rounded(float(np.degrees(place.sigma_turn_rad))),
+            "refusal": place.refusal or None,
+        }
+        for position, place in f.own_places.boards.items()
+    }
+    for position, marks in f.bad_marks.items():
+        shown = [{"name": m.name, "look": m.look, "shares": m.shares, "frames": m.frames} for m in marks.marks]
+        boards.setdefault(position, {}).update({"state": marks.state, "marks": shown})
+    return {"boards": boards} if boards else {}
 
 
 def _points_used(f: Findings) -> dict[str, dict[str, int]]:
@@ -123,8 +178,9 @@ def _fiducial_check(f: Findings) -> dict[str, Any] | None:
     points = f.mapping.problem.fiducials if f.mapping else None
     if f.plane is None or f.cad_matrix is None or points is None:
         return None
-    # Local fiducials have no part in C, so they show no error of it.
-    used = np.array(sorted(set(points.which[points.which >= 0].tolist()) - f.plane.board_type.local_fiducials), np.int_)
+    # Fiducials of components and boards have no part in C, so they show no error of it.
+    found = set(points.which[points.which >= 0].tolist())
+    used = np.array(sorted(found - f.plane.board_type.apart_from_c(found, points.fixture_marks)), np.int_)
     shift = f.component_shift
     unnoticed = None
     if shift is not None and len(used) == 2:

@@ -20,6 +20,7 @@ from vaoi_station.stitching.adjustment.row_motion import board_texture
 from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.cad_mapping import CadMapping
 from vaoi_station.stitching.board.fiducial_assignment import outside_share
+from vaoi_station.stitching.components.board_reasons import board_reasons, mark_reasons
 from vaoi_station.stitching.quality.agreement import (
     common_local_reasons,
     component_reasons,
@@ -39,7 +40,7 @@ from vaoi_station.stitching.quality.row_offsets import shifted_cameras
 from vaoi_station.stitching.quality.seam_causes import explain_seam, repeated_overlap
 from vaoi_station.stitching.quality.uncertainty import uncertain_calibration
 
-_OK_SIGMA_PX = 0.20
+OK_SIGMA_PX = 0.20
 _FLOOR_LIMIT_PX = 0.30
 _OUTSIDE_LIMIT = 0.03
 _CAUSES_OF_FAILURE = (ReasonCode.ROWS_LOST, ReasonCode.BOARD_OFF_PLANE)
@@ -187,8 +188,9 @@ def _missing_fiducials(b: _Placed) -> Iterator[Reason]:
     if not b.findings.method.marks:
         return
     which = b.points.which if b.points is not None else np.zeros(0, dtype=np.int_)
-    local = b.plane.board_type.local_fiducials
-    seen = {int(w) for w in which if w >= 0} - local
+    found = {int(w) for w in which if w >= 0}
+    local = b.plane.board_type.apart_from_c(found, b.points.fixture_marks if b.points is not None else 0)
+    seen = found - local
     if (which < 0).any() or len(seen) >= _ENOUGH_FIDUCIALS:
         return
     in_view = b.findings.fiducials_in_view
@@ -212,13 +214,23 @@ def _unusable_local_fiducials(b: _Placed) -> Iterator[Reason]:
         return
     # A fiducial that no frame shows is missing in the frames, not on the board.
     in_view = {b.plane.board_type.fiducials[n].name for n in b.findings.fiducials_in_view}
-    places = b.findings.local_places.items()
+    skipped = b.findings.skipped_parts
+    places = [(ref, p) for ref, p in b.findings.own_places.local.items() if ref not in skipped]
     refused = [(ref, p) for ref, p in places if p.refusal and (p.fiducials or in_view.intersection(p.lost))]
     if refused:
         shown = "; ".join(f"{ref}: {place.refusal}" for ref, place in refused[:4])
         more = f" and {len(refused) - 4} more" if len(refused) > 4 else ""
         text = f"local fiducials do not place {len(refused)} components, which follow the board: {shown}{more}"
         yield Reason(ReasonCode.LOCAL_FIDUCIAL_UNUSABLE, text)
+
+
+def _boards_of_panel(b: _Placed) -> Iterator[Reason]:
+    f = b.findings
+    bad = {position for position, marks in f.bad_marks.items() if marks.state == "bad"}
+    # Without its fiducials nothing shows where a board of the panel lies, whatever locates the panel.
+    places = {position: place for position, place in f.own_places.boards.items() if position not in bad}
+    yield from board_reasons(places, b.px_per_mm, searched=f.method.marks)
+    yield from mark_reasons(f.bad_marks)
 
 
 def _disagreeing_fiducials(b: _Placed) -> Iterator[Reason]:
@@ -277,11 +289,11 @@ def _texture_off_the_board(b: _Placed) -> Iterator[Reason]:
 
 def _uncertain_positions(b: _Placed) -> Iterator[Reason]:
     worst = b.findings.sigma.worst_px
-    if worst is not None and worst > _OK_SIGMA_PX:
-        blamed = uncertain_detections(b.plane, b.points, _OK_SIGMA_PX) + uncertain_calibration(
-            b.findings.calibrated, _OK_SIGMA_PX / 2
+    if worst is not None and worst > OK_SIGMA_PX:
+        blamed = uncertain_detections(b.plane, b.points, OK_SIGMA_PX) + uncertain_calibration(
+            b.findings.calibrated, OK_SIGMA_PX / 2
         )
-        uncertain = f"positions are uncertain by {worst:.2f} px (1 σ, limit {_OK_SIGMA_PX}){blamed}"
+        uncertain = f"positions are uncertain by {worst:.2f} px (1 σ, limit {OK_SIGMA_PX}){blamed}"
         yield Reason(ReasonCode.POSITIONS_UNCERTAIN, uncertain)
 
 
@@ -317,6 +329,7 @@ _RUN_CHECKS: tuple[Callable[[Findings], Iterable[Reason]], ...] = (
 _BOARD_CHECKS: tuple[Callable[[_Placed], Iterable[Reason]], ...] = (
     _missing_fiducials,
     _unusable_local_fiducials,
+    _boards_of_panel,
     _disagreeing_fiducials,
     _shifted_board,
     _ambiguous_orientation,

@@ -1,8 +1,8 @@
 // Live frames with their figures. A reply lists the latest frames; their pictures are loaded before anything is drawn, so
 // that marks are always drawn on the frame in which they were detected.
+import { histogram, node, sharpnessMap } from "/parts/camera_card.js";
+
 const $ = (selector, root = document) => root.querySelector(selector);
-const SVG = "http://www.w3.org/2000/svg";
-const BLUR_LIMIT = 1.3;
 const cards = new Map();
 const best = new Map();
 let held = false;
@@ -25,24 +25,16 @@ function card(camera) {
   return cards.get(camera.camera);
 }
 
-function node(name, attributes, words = "") {
-  const made = document.createElementNS(SVG, name);
-  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
-  if (words) made.append(Object.assign(document.createElementNS(SVG, "title"), { textContent: words }));
-  return made;
-}
-
 function marks(camera) {
-  const { width: w, height: h } = camera;
-  const r = Math.max((camera.mark_size_px ?? 0) * 0.65, 0.012 * w);
-  const lines = [1, 2].flatMap((k) => [
-    node("path", { class: "grid", d: `M${(k * w) / 3} 0V${h}` }),
-    node("path", { class: "grid", d: `M0 ${(k * h) / 3}H${w}` }),
-  ]);
+  const r = Math.max((camera.mark_size_px ?? 0) * 0.65, 0.012 * camera.width);
   const found = camera.marks.map((m) =>
     node("path", { class: "mark", d: `M${m.x - r} ${m.y}h${2 * r}M${m.x} ${m.y - r}v${2 * r}M${m.x - r} ${m.y - r}h${2 * r}v${2 * r}h${-2 * r}z` }));
-  const doubtful = camera.doubtful.map((m) => node("circle", { class: "doubtful", cx: m.x, cy: m.y, r }, m.why));
-  return [...lines, ...found, ...doubtful];
+  const doubtful = camera.doubtful.map((m) => {
+    const mark = node("circle", { class: "doubtful", cx: m.x, cy: m.y, r });
+    mark.append(node("title", {}, m.why));
+    return mark;
+  });
+  return [...found, ...doubtful];
 }
 
 const percent = (share, digits = 0) => `${(100 * share).toFixed(digits)} %`;
@@ -56,13 +48,9 @@ function focus(root, camera) {
   $(".now", root).value = share;
   const sharp = f.blur_px === null ? "no edges" : `blur ${px(f.blur_px)} px, MTF50 ${f.mtf50.toFixed(2)} cycles/px`;
   $(".words", root).textContent = `${percent(share)} of the best value (${f.focus.toPrecision(3)}); ${sharp}`;
-  $(".tiles tbody", root).replaceChildren(...f.blur_tiles_px.map((row) => {
-    const line = document.createElement("tr");
-    line.append(...row.map((value) => Object.assign(document.createElement("td"), {
-      textContent: px(value), className: value !== null && value > BLUR_LIMIT ? "soft" : "",
-    })));
-    return line;
-  }));
+  const tiles = f.blur_tiles_px.flatMap((blurs, row) => blurs.map((blur_px, column) => ({ column, row, blur_px })));
+  $(".map", root).replaceChildren(...sharpnessMap(tiles, px));
+  $(".levels", root).replaceChildren(histogram(camera.histogram, f.saturated, `${percent(f.saturated, 2)} of the pixels are saturated`));
 }
 
 function facts(root, camera) {
@@ -93,7 +81,7 @@ function draw(camera, picture) {
   $("h2", root).replaceChildren(`camera ${camera.camera}: ${camera.name}`, heading);
   picture.alt = `newest frame of camera ${camera.camera}`;
   $("img", root).replaceWith(picture);
-  const overlay = $("svg", root);
+  const overlay = $("svg.marks", root);
   overlay.setAttribute("viewBox", `-0.5 -0.5 ${camera.width} ${camera.height}`);
   overlay.replaceChildren(...marks(camera));
   focus(root, camera);

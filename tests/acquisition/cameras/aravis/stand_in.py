@@ -183,6 +183,8 @@ class StandInCamera:
         self.triggers = ["FrameStart", "AcquisitionStart"]
         self.choices: dict[str, list[str]] = {}
         """Entries of enumerations."""
+        self.bounds: dict[str, tuple[int, int]] = {}
+        """Limits of integer features."""
         self.device = StandInDevice(
             {
                 "PixelFormat": "Mono16",
@@ -268,8 +270,14 @@ class StandInCamera:
     def gv_set_stream_options(self, _options: object) -> None:
         pass
 
-    def get_integer_bounds(self, _feature: str) -> tuple[int, int]:
-        return 220, 9000
+    def get_integer_bounds(self, feature: str) -> tuple[int, int]:
+        return self.bounds.get(feature, (220, 9000))
+
+    def get_exposure_time_bounds(self) -> tuple[float, float]:
+        return 20.0, 100_000.0
+
+    def get_gain_bounds(self) -> tuple[float, float]:
+        return 0.0, 24.0
 
     def get_integer_increment(self, _feature: str) -> int:
         return 4

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Iterator
 from queue import SimpleQueue
@@ -59,8 +60,9 @@ class StandInConnection:
     refusal: DeviceError | None = None
     """Raised by `configure`."""
 
-    def __init__(self, config: CameraConfig, where: str) -> None:
-        self.config, self.where = config, where
+    def __init__(self, config: CameraConfig, where: str, sequence: tuple[tuple[float, float], ...] = ()) -> None:
+        self.config, self.where, self.sequence = config, where, sequence
+        self.rewound = 0
         self.identity = Identity("Acme", "Model 1", self.serial, where, "")
         self.is_gige = False
         self.stream = StandInStream()
@@ -83,11 +85,25 @@ class StandInConnection:
         return ClockReading(EPOCH_S - epoch_ns * 1e-9, time.monotonic(), 0.0)
 
     exposure_refusal: DeviceError | None = None
+    slow_exposure: Callable[[], object] | None = None
+    """Called while an exposure is written."""
+    n_exposures = 0
 
-    def set_exposure(self, wanted: CameraConfig) -> None:
+    def has_exposure(self, wanted: CameraConfig, sequence: tuple[tuple[float, float], ...]) -> bool:
+        return (self.config, self.sequence) == (wanted, sequence)
+
+    def set_exposure(self, wanted: CameraConfig, sequence: tuple[tuple[float, float], ...]) -> None:
+        self.n_exposures += 1
+        if self.slow_exposure is not None:
+            self.slow_exposure()
         if self.exposure_refusal is not None:
             raise self.exposure_refusal
-        self.config = wanted
+        self.config, self.sequence = wanted, sequence
+
+    def rewind(self) -> None:
+        if self.error is not None:
+            raise self.error
+        self.rewound += 1
 
     def temperature_c(self) -> float:
         return 41.5
@@ -272,9 +288,43 @@ def test_exposure_is_set_now_or_when_the_camera_is_back(bench: Bench) -> None:
     assert bench.connection.config.exposure_by == "trigger-width"
 
 
+def test_the_supervisor_does_not_write_an_exposure_that_is_being_written(bench: Bench) -> None:
+    checked = threading.Event()
+
+    def is_controller() -> bool:
+        checked.set()
+        return True
+
+    def wait_for_the_supervisor() -> None:
+        checked.clear()
+        assert checked.wait(10)
+
+    bench.connection.is_controller = is_controller  # type: ignore[method-assign]
+    bench.connection.slow_exposure = wait_for_the_supervisor
+    bench.camera.start(bench.events)
+    bench.camera.set_exposure(CameraExposure((80.0,), 6.0))
+    # A check that begins now has passed what the supervisor would write.
+    wait_for_the_supervisor()
+    wait_for_the_supervisor()
+    assert bench.connection.n_exposures == 1
+
+
 def test_a_refused_exposure_leaves_the_one_before(bench: Bench) -> None:
     bench.connection.exposure_refusal = DeviceError("camera c0: ignores a setting.")
     before = bench.camera.config
     with pytest.raises(DeviceError, match="ignores"):
         bench.camera.set_exposure(CameraExposure((1.0,), 0.0))
     assert bench.camera.config == before
+
+
+def test_a_sequence_is_set_now_or_when_the_camera_is_back_and_begins_anew(bench: Bench) -> None:
+    sequence = ((80.0, 0.0), (20.0, 6.0))
+    bench.camera.set_exposure(CameraExposure((80.0, 20.0), 0.0, sequence=sequence))
+    bench.camera.rewind()
+    assert (bench.connection.sequence, bench.connection.rewound) == (sequence, 1)
+    bench.camera.start(bench.events)
+    bench.connection.error = DeviceError("camera c0: does not answer.", code="camera-lost")
+    bench.camera.rewind()
+    assert bench.next(CameraLost).error is bench.connection.made[0].error
+    bench.next(CameraBack)
+    assert bench.connection.sequence == sequence

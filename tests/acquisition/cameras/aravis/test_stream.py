@@ -13,7 +13,7 @@ from tests.acquisition.cameras.aravis.stand_in import BufferStatus, StandInBuffe
 from vaoi_station.acquisition.cameras.aravis import stream as stream_module
 from vaoi_station.acquisition.cameras.aravis.frame_check import FrameFormat
 from vaoi_station.acquisition.cameras.aravis.stream import SlotResult, SlotStream
-from vaoi_station.acquisition.cameras.interface import Slot
+from vaoi_station.acquisition.cameras.interface import Slot, StatedExposure
 from vaoi_station.pixel_formats import PIXEL_FORMATS
 
 MEMORY = np.zeros((4, 256), np.uint8)
@@ -171,3 +171,34 @@ def test_closing_ends_the_thread_and_returns_the_unused_slots(bench: Bench) -> N
 
 def test_only_counts_are_counters(bench: Bench) -> None:
     assert bench.slots.counters() == {"n_completed_buffers": 0, "n_duplicated_packets": 0, "n_underruns": 0}
+
+
+class StandInReader:
+    """Reads what the test says."""
+
+    nbytes = 40
+
+    def __init__(self) -> None:
+        self.stated: StatedExposure | None = StatedExposure(250.0, 6.0)
+
+    def read(self, _buffer: StandInBuffer) -> StatedExposure | None:
+        return self.stated
+
+
+def test_chunk_data_lie_in_the_room_behind_the_slot_and_are_read(bench: Bench) -> None:
+    reader = StandInReader()
+    aravis_stream = StandInStream()
+    kind = FrameFormat(16, 16, PIXEL_FORMATS["Mono8"].code)
+    slots = SlotStream(aravis_stream, kind, bench.results.put, "chunks", reader)  # type: ignore[arg-type]
+    bench.aravis_stream = aravis_stream
+    try:
+        for slot in SLOTS[:3]:
+            slots.queue(Slot(slot.number, slot.memory, 4096))
+        assert aravis_stream.pushed[0].size == 256 + 4096
+        assert bench.fill(k=0, received=296, chunks=True).stated == StatedExposure(250.0, 6.0)
+        assert "does not state its exposure" in bench.fill(k=1).fault
+        reader.stated = None
+        unread = bench.fill(k=2, received=296, chunks=True)
+        assert (unread.whole, unread.fault) == (False, "the exposure in its chunk data cannot be read")
+    finally:
+        slots.close()

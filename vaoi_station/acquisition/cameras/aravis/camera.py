@@ -72,7 +72,7 @@ class AravisCamera:
             DeviceError: the camera's clock cannot be read, or the stream cannot be created. The caller must then close
                 the connection.
         """
-        self.number, self.config = number, connection.config
+        self.number, self.config, self._sequence = number, connection.config, connection.sequence
         self._share = share
         self._identity = connection.identity
         self._is_gige = connection.is_gige
@@ -82,13 +82,15 @@ class AravisCamera:
         """
         self._lock = threading.Lock()
         """Lock that guards `_connection` and `_waiting`."""
+        self._setting = threading.Lock()
+        """Lock that guards the wanted exposure while it is written: the supervisor must not write it a second time."""
         self._connection: Connection | None = connection
         self._waiting: list[Slot] = []
         self._arrivals: SimpleQueue[CameraEvent] = SimpleQueue()
         self._counts = _Counts()
         self._counting = threading.Lock()
         self._fault: VaoiError | None = None
-        self._clock_error: DeviceError | None = None
+        self._access_error: DeviceError | None = None
         self._backoff = Backoff(PACE)
         self._last_reply_s = time.monotonic()
         """Monotonic time, s, at which the camera last replied."""
@@ -105,22 +107,37 @@ class AravisCamera:
 
     def set_exposure(self, wanted: CameraExposure) -> None:
         """Write exposure and gain, read them back and compare. A lost camera gets them when it is opened again."""
-        before = self.config
-        # A connection that is opened later writes the settings of this configuration.
-        self.config = before.model_copy(
+        with self._setting:
+            self._set_exposure(wanted)
+
+    def _set_exposure(self, wanted: CameraExposure) -> None:
+        before = self.config, self._sequence
+        # A connection that is opened later writes these settings. Whether frames have chunk data is not changed.
+        way = "trigger-width" if wanted.by_trigger else "register"
+        self.config = self.config.model_copy(
             update={
                 "exposure_us": wanted.exposures_us[0],
                 "gain_db": wanted.gain_db,
-                "exposure_by": "trigger-width" if wanted.by_trigger else "register",
+                "exposure_by": "sequencer" if self.config.exposure_by == "sequencer" else way,
             }
         )
+        self._sequence = wanted.sequence
         connection = self._connection
         try:
-            if connection is not None and connection.config != self.config:
-                connection.set_exposure(self.config)
+            if connection is not None:
+                self._bring_up_to_date(connection)
         except DeviceError:
-            self.config = before
+            self.config, self._sequence = before
             raise
+
+    def rewind(self) -> None:
+        """Begin the sequence of exposures anew. A lost camera begins it when it is opened again."""
+        connection = self._connection
+        try:
+            if connection is not None:
+                connection.rewind()
+        except DeviceError as error:
+            self._access_error = error
 
     def queue(self, slot: Slot) -> None:
         """Give a slot to the stream. While the camera is lost, keep the slot until the camera is back."""
@@ -147,7 +164,7 @@ class AravisCamera:
             return connection.read_clock(self._epoch_ns)
         except DeviceError as error:
             # The supervisor, not this thread, decides whether the camera is lost: only it may replace the connection.
-            self._clock_error = error
+            self._access_error = error
             raise
 
     def health(self) -> CameraHealth:
@@ -197,7 +214,14 @@ class AravisCamera:
         time_s = None if result.time_ns is None else (result.time_ns - self._epoch_ns) * 1e-9
         self._arrivals.put(
             Arrival(
-                self.number, result.slot.number, result.whole, result.frame_id, time_s, result.host_time_s, result.fault
+                self.number,
+                result.slot.number,
+                result.whole,
+                result.frame_id,
+                time_s,
+                result.host_time_s,
+                result.fault,
+                result.stated,
             )
         )
 
@@ -212,13 +236,18 @@ class AravisCamera:
             try:
                 self._check(self._connection)
                 # Exposure or gain may have been set while the camera was being opened with the values of before.
-                if self._connection.config != self.config:
-                    self._connection.set_exposure(self.config)
+                with self._setting:
+                    self._bring_up_to_date(self._connection)
                 if time.monotonic() >= temperature_due_s:
                     self._counts.temperature_c = self._connection.temperature_c()
                     temperature_due_s = time.monotonic() + TEMPERATURE_S
             except DeviceError as error:
                 self._on_loss(error)
+
+    def _bring_up_to_date(self, connection: Connection) -> None:
+        """Write exposure, gain and sequence to the camera if they are not those in force."""
+        if not connection.has_exposure(self.config, self._sequence):
+            connection.set_exposure(self.config, self._sequence)
 
     def _reopen_when_due(self) -> None:
         """Try to open the camera if its back-off permits an attempt. An unplugged camera ends the back-off."""
@@ -252,9 +281,9 @@ class AravisCamera:
                 action="Check its power, and close other programs that use it; it is opened again automatically.",
                 code="camera-lost",
             )
-        clock_error, self._clock_error = self._clock_error, None
-        if clock_error is not None:
-            raise clock_error
+        access_error, self._access_error = self._access_error, None
+        if access_error is not None:
+            raise access_error
         self._last_reply_s = asked_s
         self._last_controlled_s = max(self._last_controlled_s, asked_s - HEARTBEAT_S)
 
@@ -297,7 +326,7 @@ class AravisCamera:
     def _connect(self) -> tuple[Connection, ClockReading]:
         # All objects are built anew: with the old ones `start_acquisition` raises nothing after a reconnection, and no
         # frame arrives (measured, Aravis 0.8.26; camera_aravis2 #41 and Aravis #735 report failures there).
-        connection = Connection(self.config, self._locate())
+        connection = Connection(self.config, self._locate(), self._sequence)
         try:
             if connection.identity.serial != self._identity.serial:
                 raise InputError.field(

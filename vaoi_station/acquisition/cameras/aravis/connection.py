@@ -19,6 +19,7 @@ from vaoi_station.acquisition.cameras.aravis.clock import find_clock
 from vaoi_station.acquisition.cameras.aravis.discovery import open_device
 from vaoi_station.acquisition.cameras.aravis.frame_check import FrameFormat
 from vaoi_station.acquisition.cameras.aravis.library import aravis, glib_error, version
+from vaoi_station.acquisition.cameras.aravis.sequencing import chunks, sequencer
 from vaoi_station.acquisition.cameras.aravis.settings import Setting
 from vaoi_station.acquisition.cameras.aravis.stream import SlotResult, SlotStream
 from vaoi_station.acquisition.clocks import ClockReading
@@ -38,6 +39,8 @@ RESENT_PACKETS, RESENT_SHARE = 20, 0.001
 """Count and share of packets that were sent again above which a camera is warned of. A sound network loses none."""
 TRAFFIC_CHECK_S = 0.02
 """Interval at which a camera that must be silent is checked for packets."""
+Sequence = tuple[tuple[float, float], ...]
+"""Exposure (µs) and gain (dB) of the sets of a sequencer."""
 
 
 @dataclass(frozen=True)
@@ -67,18 +70,26 @@ class PortShare:
 class Connection:
     """An open camera with its stream. Call `configure`, then `start`, and `close` at the end."""
 
-    def __init__(self, config: CameraConfig, where: str) -> None:
+    def __init__(self, config: CameraConfig, where: str, sequence: Sequence = ()) -> None:
         """Open the camera at an address.
+
+        Args:
+            config: the settings that `configure` writes.
+            where: IP address, or device id of a USB camera.
+            sequence: the sets of the sequencer that `configure` writes; empty: it stays off.
 
         Raises:
             DeviceError: the camera is absent, or another program controls it.
         """
-        self.config = config
+        self.config, self.sequence = config, sequence
+        self._exposure_known = True
+        """Whether exposure and sequence of the camera are those of `config` and `sequence`, once it is configured."""
         self._camera: Any = open_device(config, where)
         self._lock = threading.Lock()
         self._stream: SlotStream | None = None
         self.is_gige = bool(self._camera.is_gv_device())
         self.packet_bytes = 0
+        self._chunk_bytes = 0
         self._route_trouble = network.route_trouble(where) if self.is_gige else ""
         self.granted_bytes = 0
         """Size of the receive buffer that the kernel granted for the camera's packets."""
@@ -99,10 +110,22 @@ class Connection:
             with contextlib.suppress(glib_error()):
                 self._camera.stop_acquisition()
             settings.apply(self._camera, self.config)
+            if self.config.chunk_room_bytes:
+                chunks.switch_on(self._camera, self.config)
+            if self.sequence:
+                sequencer.program(self._camera, self.config, self.sequence)
             if self.is_gige:
                 self._configure_packets(share)
             payload = self._camera.get_payload()
-        if payload != self.config.frame_bytes:
+        self._chunk_bytes = payload - self.config.frame_bytes
+        if self.config.chunk_room_bytes and not 0 < self._chunk_bytes <= self.config.chunk_room_bytes:
+            raise DeviceError(
+                f"{self.config.label}: sends frames of {payload} bytes, but {self.config.frame_bytes} bytes of pixels "
+                f"with at most {self.config.chunk_room_bytes} bytes of chunk data are expected.",
+                action="Turn further chunks off (ChunkEnable), or correct width, height, format.",
+                code="frame-size",
+            )
+        if self._chunk_bytes and not self.config.chunk_room_bytes:
             raise DeviceError(
                 f"{self.config.label}: sends frames of {payload} bytes, but {self.config.width}×"
                 f"{self.config.height} px {self.config.pixel_format} are {self.config.frame_bytes}.",
@@ -110,15 +133,41 @@ class Connection:
                 code="frame-size",
             )
 
-    def set_exposure(self, wanted: CameraConfig) -> None:
-        """Write exposure and gain to the running camera, read them back and compare.
+    def set_exposure(self, wanted: CameraConfig, sequence: Sequence = ()) -> None:
+        """Write exposure and gain, and the sets of the sequencer, to the running camera, read them back and compare.
 
         Raises:
-            DeviceError: the camera refuses or ignores a value.
+            DeviceError: the camera refuses or ignores a value, or has no such sequencer.
         """
         with self._device_access("does not take its exposure"):
-            settings.apply_exposure(self._camera, wanted)
-        self.config = wanted
+            # A refusal half-way leaves some of the new values in the camera.
+            self._exposure_known = False
+            if not sequence and not self.sequence:
+                settings.apply_exposure(self._camera, wanted)
+            else:
+                with self._acquisition_stopped():
+                    sequencer.switch_off(self._camera, wanted)
+                    self.sequence = ()
+                    if sequence:
+                        sequencer.require_sequencer(self._camera, wanted, sequence)
+                    settings.apply_exposure(self._camera, wanted)
+                    if sequence:
+                        self._program(wanted, sequence)
+            self.config, self.sequence, self._exposure_known = wanted, sequence, True
+
+    def has_exposure(self, wanted: CameraConfig, sequence: Sequence) -> bool:
+        """Whether the camera certainly has this exposure, gain and sequence; not after a refusal."""
+        return self._exposure_known and (self.config, self.sequence) == (wanted, sequence)
+
+    def rewind(self) -> None:
+        """Let the next frame be exposed with the first set of the sequencer, if there is one.
+
+        Raises:
+            DeviceError: the camera does not answer.
+        """
+        if self.sequence:
+            with self._device_access("does not begin its sequence anew"), self._acquisition_stopped():
+                sequencer.rewind(self._camera, self.config)
 
     def start(self, on_slot: Callable[[SlotResult], None], share: PortShare) -> None:
         """Create the stream and start the acquisition. The stream calls `on_slot` when a frame has ended in a slot.
@@ -137,7 +186,8 @@ class Connection:
                 # (#994).
                 self.granted_bytes = network.widen_receive_buffer(stream.get_port(), share.socket_bytes)
             kind = FrameFormat(self.config.width, self.config.height, PIXEL_FORMATS[self.config.pixel_format].code)
-            self._stream = SlotStream(stream, kind, on_slot, f"camera-{self.config.name}")
+            reader = chunks.ChunkReader(self._camera, self._chunk_bytes) if self._chunk_bytes else None
+            self._stream = SlotStream(stream, kind, on_slot, f"camera-{self.config.name}", reader)
             self._camera.start_acquisition()
 
     @property
@@ -217,6 +267,24 @@ class Connection:
         # Aravis ends its threads and sockets when the last reference to the camera is gone. The Python wrappers of
         # PyGObject may be in reference cycles, which only the garbage collector removes.
         gc.collect()
+
+    def _program(self, wanted: CameraConfig, sequence: Sequence) -> None:
+        """Program the sequencer; leave it switched off if the camera does not take the sequence."""
+        try:
+            sequencer.program(self._camera, wanted, sequence)
+        except DeviceError:
+            with contextlib.suppress(DeviceError):  # the first error says what is wrong
+                sequencer.switch_off(self._camera, wanted)
+            raise
+
+    @contextlib.contextmanager
+    def _acquisition_stopped(self) -> Iterator[None]:
+        """Stop the acquisition in a `with` block: a running camera locks its sequencer. Its stream keeps its slots."""
+        self._camera.stop_acquisition()
+        try:
+            yield
+        finally:
+            self._camera.start_acquisition()
 
     def _configure_packets(self, share: PortShare) -> None:
         camera, name = self._camera, self.config.label

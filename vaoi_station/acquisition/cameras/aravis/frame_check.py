@@ -23,6 +23,10 @@ FAULTS = {
     "filling": "receiving the frame was broken off",
 }
 """Nickname of a buffer's status in Aravis → text for users. Newer versions of Aravis may have more nicknames."""
+WITH_CHUNKS = "the camera adds chunk data to its frames: its ChunkModeActive was switched on; switch it off"
+WITHOUT_CHUNKS = (
+    "the frame does not state its exposure: the camera's ChunkModeActive was switched off; switch the camera off and on"
+)
 _DUPLICATES = "n_duplicated_packets"
 """Counter of a GigE stream: packets of which the number had been seen in the same frame."""
 
@@ -43,8 +47,15 @@ class FrameFormat:
 class FrameCheck:
     """The check of all frames of one stream. Use it for every frame of the stream, in the order of their ends."""
 
-    def __init__(self, stream: Any, kind: FrameFormat) -> None:
-        self._stream, self._format = stream, kind
+    def __init__(self, stream: Any, kind: FrameFormat, chunk_bytes: int = 0) -> None:
+        """Prepare the check.
+
+        Args:
+            stream: the `Aravis.Stream`.
+            kind: size and pixel format that complete frames must have.
+            chunk_bytes: size of the chunk data behind the pixels of complete frames; 0: they have none.
+        """
+        self._stream, self._format, self._chunk_bytes = stream, kind, chunk_bytes
         names = [stream.get_info_name(k) for k in range(stream.get_n_infos())]
         self._counts_duplicates = _DUPLICATES in names  # a USB stream does not
         self._duplicates = 0
@@ -56,21 +67,21 @@ class FrameCheck:
 
         Args:
             buffer: the `Aravis.Buffer` that holds the frame.
-            frame_bytes: size of a complete frame.
+            frame_bytes: size of the pixels of a complete frame.
         """
         status = buffer.get_status()
         repeated = self._began_before_duplicate(buffer)
         if status != aravis().BufferStatus.SUCCESS:
             return FAULTS.get(status.value_nick, f"Aravis calls the frame {status.value_nick!r}")
-        if buffer.has_chunks():
-            return "the camera adds chunk data to its frames: its ChunkModeActive was switched on; switch it off"
+        if buffer.has_chunks() != bool(self._chunk_bytes):
+            return WITHOUT_CHUNKS if self._chunk_bytes else WITH_CHUNKS
         kind = FrameFormat(buffer.get_image_width(), buffer.get_image_height(), buffer.get_image_pixel_format())
         if kind != self._format:
             return f"the frame is {kind}, not {self._format}"
-        received = received_bytes(buffer)
-        if received != frame_bytes:
+        received, expected = received_bytes(buffer), frame_bytes + self._chunk_bytes
+        if received != expected:
             return (
-                f"{received} of its {frame_bytes} bytes arrived although it ended: packets had wrong numbers, or "
+                f"{received} of its {expected} bytes arrived although it ended: packets had wrong numbers, or "
                 "the camera sends shorter frames than it states; update its firmware"
             )
         if repeated:

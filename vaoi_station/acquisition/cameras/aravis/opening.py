@@ -31,7 +31,8 @@ def open_aravis_cameras(config: StationConfig) -> tuple[AravisCamera, ...]:
         try:
             for camera, where in zip(config.cameras, _locate_cameras(config.cameras), strict=True):
                 # Until a light program is armed, the register holds the exposure: `vaoi view` fires without a program.
-                connections.append(Connection(camera.model_copy(update={"exposure_by": "register"}), where))
+                by = camera.exposure_by if camera.exposure_by == "sequencer" else "register"
+                connections.append(Connection(camera.model_copy(update={"exposure_by": by}), where))
             _check_distinct(connections)
             shares = _port_shares(config, connections)
             for connection, share in zip(connections, shares, strict=True):

@@ -126,6 +126,8 @@ def _picture(camera: Any, config: CameraConfig) -> Iterator[Setting]:
     x, y = config.offset_px
     region = (x, y, config.width, config.height)
     device = camera.get_device()
+    # An earlier program may have left the sequencer on, which then would overwrite exposure and gain.
+    yield from sequencer_off_settings(device)
     for feature in ("BinningHorizontal", "BinningVertical", "DecimationHorizontal", "DecimationVertical"):
         if device.is_feature_available(feature):
             yield feature_setting(device, feature, 1)
@@ -138,7 +140,8 @@ def _picture(camera: Any, config: CameraConfig) -> Iterator[Setting]:
     # Chunk data would follow the pixels in every frame, which then would not fit its slot. A clock that is synchronised
     # (PTP, under its names in SFNC 2 and GigE Vision) may jump within a run; the station fits every clock by itself.
     for feature in ("ChunkModeActive", "PtpEnable", "GevIEEE1588"):
-        if device.is_feature_available(feature):
+        # A camera with a sequencer states exposures in its chunk data, for which its slots have room.
+        if device.is_feature_available(feature) and not (feature == "ChunkModeActive" and config.chunk_room_bytes):
             yield feature_setting(device, feature, False)
     yield Setting("Region", region, lambda: camera.set_region(*region), lambda: _region(camera))
     # Turned off before exposure and gain are set: while an automatic control is on, cameras refuse or overwrite values.
@@ -146,6 +149,19 @@ def _picture(camera: Any, config: CameraConfig) -> Iterator[Setting]:
         if device.is_feature_available(feature):
             yield feature_setting(device, feature, False if feature == "GammaEnable" else "Off")
     yield from _exposure(camera, config)
+
+
+def sequencer_off_settings(device: Any) -> Iterator[Setting]:
+    """Yield the settings that switch a sequencer off; none if the camera has no sequencer, or if it is off.
+
+    Cameras whose sets were never programmed refuse any write to SequencerMode, so that nothing is written in vain. The
+    configuration ends first: while it is on, SequencerMode is locked.
+    """
+    for feature in ("SequencerConfigurationMode", "SequencerMode"):
+        if device.is_feature_available(feature):
+            off = feature_setting(device, feature, "Off")
+            if not off.matches(off.read()):
+                yield off
 
 
 def _exposure(camera: Any, config: CameraConfig) -> Iterator[Setting]:
@@ -164,16 +180,20 @@ def _exposure(camera: Any, config: CameraConfig) -> Iterator[Setting]:
     ):
         # Written only to end the other mode: cameras have further modes, which station.toml does not know.
         yield feature_setting(device, "ExposureMode", "Timed")
-    if not by_trigger:
+    yield from exposure_settings(camera, None if by_trigger else config.exposure_us, config.gain_db)
+
+
+def exposure_settings(camera: Any, exposure_us: float | None, gain_db: float) -> Iterator[Setting]:
+    """Yield the settings of the registers of exposure, unless it is None, and of gain, if the camera has one."""
+    if exposure_us is not None:
         yield Setting(
             "ExposureTime",
-            config.exposure_us,
-            lambda: camera.set_exposure_time(config.exposure_us),
+            exposure_us,
+            lambda: camera.set_exposure_time(exposure_us),
             camera.get_exposure_time,
-            max(EXPOSURE_TOLERANCE_US, EXPOSURE_TOLERANCE * config.exposure_us),
+            max(EXPOSURE_TOLERANCE_US, EXPOSURE_TOLERANCE * exposure_us),
         )
-    if config.gain_db or camera.is_gain_available():
-        gain_db = config.gain_db
+    if gain_db or camera.is_gain_available():
         yield Setting("Gain", gain_db, lambda: camera.set_gain(gain_db), camera.get_gain, GAIN_TOLERANCE_DB)
 
 

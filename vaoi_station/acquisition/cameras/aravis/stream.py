@@ -14,7 +14,8 @@ from typing import Any
 
 from vaoi_station.acquisition.cameras.aravis.frame_check import FrameCheck, FrameFormat
 from vaoi_station.acquisition.cameras.aravis.library import aravis
-from vaoi_station.acquisition.cameras.interface import Slot
+from vaoi_station.acquisition.cameras.aravis.sequencing.chunks import ChunkReader
+from vaoi_station.acquisition.cameras.interface import Slot, StatedExposure
 from vaoi_station.supervised_thread import SupervisedThread
 
 POP_US = 50_000
@@ -36,12 +37,21 @@ class SlotResult:
     """Time stamp of the frame by the camera's clock, ns; None for an incomplete frame."""
     host_time_s: float
     fault: str = ""
+    stated: StatedExposure | None = None
+    """The exposure that a complete frame states in its chunk data."""
 
 
 class SlotStream:
     """A stream of frames into slots. A thread takes the filled slots from the stream and reports them."""
 
-    def __init__(self, stream: Any, kind: FrameFormat, on_slot: Callable[[SlotResult], None], name: str) -> None:
+    def __init__(
+        self,
+        stream: Any,
+        kind: FrameFormat,
+        on_slot: Callable[[SlotResult], None],
+        name: str,
+        chunks: ChunkReader | None = None,
+    ) -> None:
         """Create the stream of slots and start its thread.
 
         Args:
@@ -50,9 +60,10 @@ class SlotStream:
             on_slot: called with the outcome of each slot, in the pulling thread or in a thread that calls `take_back`.
                 It must not block.
             name: beginning of the thread's name.
+            chunks: reads the chunk data of frames; None: frames have none.
         """
-        self._stream = stream
-        self._check, self._on_slot = FrameCheck(stream, kind), on_slot
+        self._stream, self._chunks = stream, chunks
+        self._check, self._on_slot = FrameCheck(stream, kind, chunks.nbytes if chunks is not None else 0), on_slot
         self._filling = aravis().BufferStatus.FILLING
         self._lock = threading.Lock()
         self._buffer_pulled = threading.Condition(self._lock)
@@ -66,7 +77,7 @@ class SlotStream:
 
     def queue(self, slot: Slot) -> None:
         """Give a slot's memory to the stream. Frames fill slots in the order in which the slots were given."""
-        buffer = aravis().Buffer.new(slot.memory.nbytes, slot.memory.ctypes.data)
+        buffer = aravis().Buffer.new(slot.memory.nbytes + slot.room, slot.memory.ctypes.data)
         with self._lock:
             # The hash of a PyGObject is its C pointer, and a popped buffer may have a new Python wrapper.
             self._queued[hash(buffer)] = (buffer, slot)
@@ -135,7 +146,10 @@ class SlotStream:
         # the leader packet arrives (measured: id 65401 again instead of 65406).
         if fault := self._check.fault(buffer, slot.memory.nbytes):
             return SlotResult(slot, False, None, None, host_time_s, fault)
-        return SlotResult(slot, True, buffer.get_frame_id(), buffer.get_timestamp(), host_time_s)
+        stated = None if self._chunks is None else self._chunks.read(buffer)
+        if self._chunks is not None and stated is None:
+            return SlotResult(slot, False, None, None, host_time_s, "the exposure in its chunk data cannot be read")
+        return SlotResult(slot, True, buffer.get_frame_id(), buffer.get_timestamp(), host_time_s, stated=stated)
 
     def _wait_for_filling_frames(self) -> None:
         with self._buffer_pulled:

@@ -23,6 +23,8 @@ class Recipe:
     """Whether the camera refuses to change TriggerSource while TriggerMode is On."""
     extra: tuple[tuple[str, str], ...] = ()
     """(feature, value) of further settings, which are written if the camera has the feature."""
+    sequencer_path: int = 0
+    """The path of a sequencer that leads from set to set."""
 
 
 # Input names: Line0 at FLIR, Line1 at Basler, Line2 at Lucid; the order of settings has side effects (Aravis #1045).
@@ -30,7 +32,8 @@ RECIPES = {
     "flir": Recipe("Line0", off_while_changing=True, extra=(("TriggerOverlap", "ReadOut"),)),
     "point grey": Recipe("Line0", off_while_changing=True, extra=(("TriggerOverlap", "ReadOut"),)),
     "teledyne": Recipe("Line0", off_while_changing=True, extra=(("TriggerOverlap", "ReadOut"),)),
-    "basler": Recipe("Line1"),
+    # Path 0 of Basler's sequencers only leads back to set 0 (ace U, "Sequencer").
+    "basler": Recipe("Line1", sequencer_path=1),
     "lucid": Recipe("Line2", extra=(("TriggerOverlap", "PreviousFrame"),)),
     "aravis": Recipe("Line0"),
 }

@@ -1,5 +1,7 @@
 // The list of boards: filters that the station applies, reasons, decisions, and a file for spreadsheets.
+import { quoted } from "../parts/csv.js";
 import { $, make, setText } from "../parts/elements.js";
+import { readId } from "../parts/identity.js";
 import * as rest from "../parts/rest.js";
 import { draw } from "../parts/signs.js";
 import { moment, number, texts } from "../texts/texts.js";
@@ -34,6 +36,7 @@ function sign(name) {
 const COLUMNS = {
   started: (run) => moment(run.started),
   board_id: (run) => run.board_id ?? "",
+  read_id: (run) => readId(run.identity),
   board_type: (run) => run.board_type,
   verdict: (run) => texts.verdicts[run.verdict ?? (run.finished ? "failed" : "none")],
   frames: (run) => texts.framesOf(run.counts.ok, run.rows * run.cameras),
@@ -151,12 +154,6 @@ export class BoardsView {
   }
 
   async show() {}
-}
-
-// A cell of CSV (RFC 4180). A text that a spreadsheet would take for a formula gets an apostrophe.
-function quoted(value) {
-  const text = /^[=+\-@\t\r]/.test(value) ? `'${value}` : String(value);
-  return `"${text.replaceAll('"', '""')}"`;
 }
 
 // The value of a field for local time.

@@ -32,10 +32,13 @@ export class Arming {
       event.preventDefault();
       if (!this.#offersDisarm() && !this.#pressed) this.#arm();
     });
-    for (const field of [this.#type, this.#id]) field.addEventListener("input", () => this.#showButton());
+    for (const field of [this.#type, this.#id]) {
+      field.addEventListener("input", () => this.#showButton());
+      field.addEventListener("focus", () => (this.#pressed = false));
+    }
     this.#type.addEventListener("change", () => keep("board-type", this.#type.value));
     for (const begin of ["pointerdown", "keydown"]) this.#button.addEventListener(begin, (event) => this.#begin(event));
-    for (const end of ["pointerup", "pointerleave", "pointercancel", "keyup", "blur"]) this.#button.addEventListener(end, () => this.#end());
+    for (const end of ["pointerup", "pointerleave", "pointercancel", "keyup", "blur"]) this.#button.addEventListener(end, () => this.#stop());
   }
 
   get #type() {
@@ -61,9 +64,10 @@ export class Arming {
   }
 
   #begin(event) {
-    if (event.repeat || !this.#offersDisarm() || (event.type === "keydown" && !["Enter", " "].includes(event.key))) return;
+    if (event.repeat || (event.type === "keydown" && !["Enter", " "].includes(event.key))) return;
     this.#stop();
-    this.#pressed = true;
+    this.#pressed = this.#offersDisarm();
+    if (!this.#pressed) return;
     this.#button.classList.add("holding");
     this.#holding = setTimeout(() => {
       this.#stop();
@@ -71,15 +75,10 @@ export class Arming {
     }, HOLD_MS);
   }
 
+  // The click, and with it the submission, comes after the release: `#pressed` lasts until the next press or another field.
   #stop() {
     clearTimeout(this.#holding);
     this.#button.classList.remove("holding");
-  }
-
-  // The click, and with it the submission, comes after the release.
-  #end() {
-    this.#stop();
-    setTimeout(() => (this.#pressed = false));
   }
 
   #arm() {

@@ -61,7 +61,11 @@ export class LastBoard {
     setText(this.#part("verdict-word"), texts.verdicts[verdict]);
     setText(this.#part("board-name"), run.board_id ?? texts.noId);
     setText(this.#part("board-order"), run.decision ? texts.decided[run.decision.choice](run.decision.name) : "");
-    setText(this.#part("unseen"), run.unseen?.length ? texts.unseenCount(run.unseen.length) : "");
+    const remarks = [
+      run.unseen?.length && texts.unseenCount(run.unseen.length),
+      run.skipped_boards?.length && texts.skippedBoards(run.skipped_boards),
+    ];
+    setText(this.#part("unseen"), remarks.filter(Boolean).join(" · "));
     this.#part("open-board").href = `#/board/${encodeURIComponent(run.id)}`;
     this.#part("open-board").hidden = false;
     this.tick(now_ms);

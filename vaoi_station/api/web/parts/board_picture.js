@@ -11,15 +11,6 @@ function svg(name, fields) {
   return element;
 }
 
-// The corners of a component in CAD coordinates of the board type, which are mm in the documents of runs.
-function corners(part) {
-  const [cos, sin] = [Math.cos((part.rotation_deg * Math.PI) / 180), Math.sin((part.rotation_deg * Math.PI) / 180)];
-  return [[-1, -1], [1, -1], [1, 1], [-1, 1]].map(([a, b]) => {
-    const [x, y] = [(a * part.width_mm) / 2, (b * part.height_mm) / 2];
-    return [part.center_mm[0] + cos * x - sin * y, part.center_mm[1] + sin * x + cos * y];
-  });
-}
-
 export function toPicture(matrix, [x, y]) {
   const [u, v, w] = matrix.map((row) => row[0] * x + row[1] * y + row[2]);
   return [u / w, v / w];
@@ -64,7 +55,7 @@ async function hatched(run, mosaic) {
   pattern.append(svg("rect", { width: step, height: step, class: "hatch-ground" }), svg("rect", { width: step / 2, height: step, class: "hatch-line" }));
   over.append(pattern);
   for (const part of parts) {
-    const points = corners(part).map((corner) => toPicture(mosaic.image_from_cad, corner).map((v) => v.toFixed(1)).join(",")).join(" ");
+    const points = part.footprint.map((corner) => toPicture(mosaic.image_from_cad, corner).map((v) => v.toFixed(1)).join(",")).join(" ");
     const shape = svg("polygon", { points, fill: "url(#hatch)", "stroke-width": step / 4 });
     shape.append(Object.assign(svg("title", {}), { textContent: part.address }));
     over.append(shape);

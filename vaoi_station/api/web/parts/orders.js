@@ -28,7 +28,7 @@ const BOARD_GROUPS = {
     "fiducials-not-found", "outline-shifted", "outline-turned", "outline-invisible", "board-turned", "texture-off-board",
     "reference-contradicts",
   ],
-  marks: ["fiducial-missing", "fiducial-off-place", "local-fiducial-unusable"],
+  marks: ["fiducial-missing", "fiducial-off-place", "local-fiducial-unusable", "board-unplaced", "bad-board-doubtful"],
   light: ["no-texture", "light-dark", "overlap-blank", "overlap-exposure"],
   place: ["components-unseen"],
   camera: ["wrong-rows", "camera-displaced", "lens-differs", "not-explained"],

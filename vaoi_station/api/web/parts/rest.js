@@ -15,37 +15,55 @@ export const unattended = (promise) =>
     if (!(error instanceof Refusal) && !(error instanceof TypeError)) throw error;
   });
 
-async function call(method, path, body) {
+// A body that is a file is sent as it is, any other as JSON. `tag`: the ETag of the reply, for a later If-Match.
+export async function request(method, path, body, headers = {}) {
+  const file = body instanceof Blob;
   const answer = await fetch(api + path, {
     method,
-    headers: body ? { "Content-Type": "application/json" } : {},
-    body: body ? JSON.stringify(body) : undefined,
+    headers: { ...headers, ...(body ? { "Content-Type": file ? "application/octet-stream" : "application/json" } : {}) },
+    body: body && !file ? JSON.stringify(body) : body,
   });
   const text = await answer.text();
-  const content = text ? JSON.parse(text) : null;
+  const json = /json/.test(answer.headers.get("Content-Type") ?? "");
+  const content = !text ? null : json ? JSON.parse(text) : text;
   if (answer.status === 401 && path !== "/session") await beginAgain();
-  if (!answer.ok) throw new Refusal(content ?? { detail: `HTTP ${answer.status}.`, action: "", status: answer.status });
-  return content;
+  if (!answer.ok) throw new Refusal(json && content ? content : { detail: `HTTP ${answer.status}.`, action: "", status: answer.status });
+  return { content, tag: answer.headers.get("ETag") };
 }
+
+export const call = async (...order) => (await request(...order)).content;
 
 // The login has ended, or its key was revoked: the page begins again, with the login.
 async function beginAgain() {
   if (!(await session()).scopes.includes("read")) location.reload();
 }
 
-const part = (address) => address.split("/").map(encodeURIComponent).join("/");
+export const part = (address) => address.split("/").map(encodeURIComponent).join("/");
 
 export const station = () => call("GET", "/station");
 export const boardTypes = async () => (await call("GET", "/board-types")).board_types;
 export const runs = (query) => call("GET", `/runs?${new URLSearchParams(query)}`);
+export const trends = (query) => call("GET", `/trends?${new URLSearchParams(query)}`);
+export const trendComparison = (query) => call("GET", `/trends/comparison?${new URLSearchParams(query)}`);
+export const calibration = () => call("GET", "/calibration");
+export const cameraFrame = (camera) => call("GET", `/cameras/${camera}/frame`);
+export const cameraPicture = (frame) => `${api}/cameras/${frame.camera}/picture?${new URLSearchParams({ run: frame.run, row: frame.row })}`;
+export const examination = () => call("GET", "/doctor");
 export const counts = () => call("GET", "/runs/counts");
 export const decide = (id, decision) => call("PUT", `/runs/${encodeURIComponent(id)}/decision`, decision);
-export const mosaics = async (id) => (await call("GET", `/runs/${encodeURIComponent(id)}/mosaics`)).mosaics;
+export const mosaicList = (id) => call("GET", `/runs/${encodeURIComponent(id)}/mosaics`);
+export const mosaics = async (id) => (await mosaicList(id)).mosaics;
 export const run = (id) => call("GET", `/runs/${encodeURIComponent(id)}`);
 export const components = async (id, query = {}) =>
   (await call("GET", `/runs/${encodeURIComponent(id)}/components?${new URLSearchParams(query)}`)).components;
 export const component = (id, ref, query = {}) =>
   call("GET", `/runs/${encodeURIComponent(id)}/components/${part(ref)}?${new URLSearchParams(query)}`);
+export const timeline = (id) => call("GET", `/runs/${encodeURIComponent(id)}/timeline`);
+export const overlay = (id) => call("GET", `/runs/${encodeURIComponent(id)}/overlay`);
+export const heights = async (id) => (await call("GET", `/runs/${encodeURIComponent(id)}/heights`)).heights;
+export const merged = async (id, query) => (await call("GET", `/runs/${encodeURIComponent(id)}/merged?${new URLSearchParams(query)}`)).pictures;
+export const reference = (type) => call("GET", `/board-types/${encodeURIComponent(type)}/reference`);
+export const runAddress = (id, rest) => `${api}/runs/${encodeURIComponent(id)}${rest}`;
 export const arm = (request) => call("POST", "/station/arm", request);
 export const disarm = () => call("POST", "/station/disarm");
 export const acknowledge = (file) => call("POST", `/station/set-aside/${part(file)}/acknowledge`);

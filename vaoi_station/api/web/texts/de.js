@@ -1,7 +1,17 @@
 // Alle Texte der Seiten auf Deutsch, mit denselben Schlüsseln wie en.js.
+import { board } from "./board_de.js";
+import { cameras } from "./cameras_de.js";
+import { setup } from "./setup_de.js";
+import { trends } from "./trends_de.js";
+
 export const texts = {
+  board,
+  cameras,
+  setup,
+  trends,
   line: "Linie",
   boards: "Baugruppen",
+  setUp: "Einrichten",
   interface: "API",
   otherLanguage: "English",
   soundOn: "Ton an",
@@ -14,6 +24,8 @@ export const texts = {
   logOut: "Abmelden",
   noAnswer: "Die Station hat nicht geantwortet. Versuchen Sie es noch einmal.",
   noData: (s) => `Keine Daten seit ${s} s`,
+  unloaded: "Diese Ansicht wurde nicht geladen: Die Station hat ihre Dateien nicht gesendet. Sobald die Station antwortet, wird es erneut versucht.",
+  loadAgain: "Neu laden",
   old: "Was diese Seite zeigt, ist veraltet.",
   why: "Warum?",
   close: "Schließen",
@@ -103,6 +115,7 @@ export const texts = {
     if (s < 86400) return `vor ${Math.floor(s / 3600)} h`;
     return `vor ${Math.floor(s / 86400)} Tagen`;
   },
+  skippedBoards: (list) => `Übersprungen: Baugruppe ${list.join(", ")}`,
   unseenCount: (n) => (n === 1 ? "1 Bauteil nicht gesehen" : `${n} Bauteile nicht gesehen`),
   filmAgain: "Neu aufnehmen",
   use: "Trotzdem nutzen",
@@ -130,15 +143,21 @@ export const texts = {
   csv: "Als CSV sichern",
   nothingFound: "Keine Baugruppe passt dazu.",
   columns: {
-    started: "Zeit", board_id: "Nummer", board_type: "Typ", verdict: "Urteil", frames: "Einzelbilder", reasons: "Gründe", decision: "Entscheid",
+    started: "Zeit", board_id: "Nummer", read_id: "Gelesene Nummer", board_type: "Typ", verdict: "Urteil", frames: "Einzelbilder", reasons: "Gründe", decision: "Entscheid",
     ready_ms: "Ergebnis nach, ms",
   },
   framesOf: (ok, all) => `${ok} von ${all}`,
 
+  identities: {
+    agrees: "stimmt überein", differs: "weicht ab", unread: "kein Code gelesen", "not-compared": "keine andere Nummer zum Vergleich", "not-expected": "keine Codes",
+    pending: "wird gelesen", "not-read": "nicht gelesen",
+  },
+  identityOf: (armed, read, word) => `aktiviert ${armed ?? "ohne Nummer"}, gelesen ${read || "keine"}: ${word}`,
+
   component: "Bauteil",
   facts: {
-    board: "Nummer", run: "Lauf", type: "Typ", job: "Auftrag", since: "Fertig", frames: "Einzelbilder", trigger: "Auslösung",
-    unseen: "Nicht gesehen", belt: "Band", result: "Ergebnis", software: "Software",
+    board: "Nummer", identity: "Identität", run: "Lauf", type: "Typ", job: "Auftrag", since: "Fertig", frames: "Einzelbilder", trigger: "Auslösung",
+    unseen: "Nicht gesehen", skipped: "Übersprungene Baugruppen (durchgestrichen)", belt: "Band", result: "Ergebnis", software: "Software",
   },
   frames: (ok, incomplete, missing, unproven, rows, cameras) => {
     const all = ok + incomplete + missing + unproven;

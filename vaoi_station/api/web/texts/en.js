@@ -1,8 +1,18 @@
 // All texts of the pages in English. Another language is another file with the same keys.
+import { board } from "./board_en.js";
+import { cameras } from "./cameras_en.js";
+import { setup } from "./setup_en.js";
+import { trends } from "./trends_en.js";
+
 export const texts = {
+  board,
+  cameras,
+  setup,
+  trends,
   // frame of all pages
   line: "Line",
   boards: "Boards",
+  setUp: "Set up",
   interface: "API",
   otherLanguage: "Deutsch",
   soundOn: "Sound on",
@@ -15,6 +25,8 @@ export const texts = {
   logOut: "Log out",
   noAnswer: "The station did not respond. Try again.",
   noData: (s) => `No data for ${s} s`,
+  unloaded: "This view could not be loaded: the station did not send its files. It is tried again as soon as the station responds.",
+  loadAgain: "Load again",
   old: "What this page shows is out of date.",
   why: "Why?",
   close: "Close",
@@ -109,6 +121,7 @@ export const texts = {
     if (s < 86400) return `${Math.floor(s / 3600)} h ago`;
     return `${Math.floor(s / 86400)} days ago`;
   },
+  skippedBoards: (list) => `Skipped: board ${list.join(", ")}`,
   unseenCount: (n) => (n === 1 ? "1 part not seen" : `${n} parts not seen`),
   filmAgain: "Film again",
   use: "Use it anyway",
@@ -138,16 +151,23 @@ export const texts = {
   csv: "Save as CSV",
   nothingFound: "No boards match.",
   columns: {
-    started: "Time", board_id: "Board", board_type: "Type", verdict: "Verdict", frames: "Frames", reasons: "Reasons", decision: "Decision",
+    started: "Time", board_id: "Board", read_id: "Read id", board_type: "Type", verdict: "Verdict", frames: "Frames", reasons: "Reasons", decision: "Decision",
     ready_ms: "Result after, ms",
   },
   framesOf: (ok, all) => `${ok} of ${all}`,
 
+  // which board it is
+  identities: {
+    agrees: "agrees", differs: "differs", unread: "no code read", "not-compared": "no other id to compare", "not-expected": "no codes",
+    pending: "being read", "not-read": "not read",
+  },
+  identityOf: (armed, read, word) => `armed ${armed ?? "without id"}, read ${read || "none"}: ${word}`,
+
   // one board
   component: "Component",
   facts: {
-    board: "Board", run: "Run", type: "Type", job: "Job", since: "Finished", frames: "Frames", trigger: "Trigger",
-    unseen: "Not seen", belt: "Belt", result: "Result", software: "Software",
+    board: "Board", identity: "Identity", run: "Run", type: "Type", job: "Job", since: "Finished", frames: "Frames", trigger: "Trigger",
+    unseen: "Not seen", skipped: "Skipped boards (crossed out)", belt: "Belt", result: "Result", software: "Software",
   },
   frames: (ok, incomplete, missing, unproven, rows, cameras) => {
     const all = ok + incomplete + missing + unproven;

@@ -14,12 +14,21 @@ export function changeLanguage() {
   location.reload();
 }
 
+// A text by its name; those of a view are in an object of their own: "trends.title".
+const named = (name) => name.split(".").reduce((group, key) => group[key], texts);
+
 // Fill in every element that names a text.
 export function fillIn(root) {
-  for (const element of root.querySelectorAll("[data-text]")) element.textContent = texts[element.dataset.text];
-  for (const element of root.querySelectorAll("[data-label]")) element.setAttribute("aria-label", texts[element.dataset.label]);
+  for (const element of root.querySelectorAll("[data-text]")) element.textContent = named(element.dataset.text);
+  for (const element of root.querySelectorAll("[data-label]")) element.setAttribute("aria-label", named(element.dataset.label));
 }
 
 export const number = (value, digits = 0) => value.toLocaleString(language, { minimumFractionDigits: digits, maximumFractionDigits: digits });
 export const clock = (time) => new Date(time).toLocaleTimeString(language, { hour: "2-digit", minute: "2-digit", second: "2-digit" });
 export const moment = (time) => new Date(time).toLocaleString(language, { dateStyle: "short", timeStyle: "medium" });
+
+// The label of a time on an axis whose labels lie `step_s` apart.
+export function tick(time, step_s) {
+  const form = step_s >= 86400 ? { day: "2-digit", month: "2-digit" } : { hour: "2-digit", minute: "2-digit", hourCycle: "h23" };
+  return new Date(time).toLocaleString(language, form);
+}

@@ -1,0 +1,66 @@
+"""The newest frame of a camera: the last good one in memory, measured once, and as a small picture."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.api.held_station import HeldStation
+from vaoi_station.api.cameras.newest_frames import LARGEST_PX, NewestFrames
+from vaoi_station.errors import NotFoundError
+from vaoi_station.model import Status
+
+
+def test_the_last_good_frame_of_the_newest_run_is_measured_once(
+    station: HeldStation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frames = NewestFrames(station)
+    with pytest.raises(NotFoundError, match="No frame of camera cam1") as refusal:
+        frames.frame(1)
+    assert refusal.value.code == "no-frame-yet"
+    station.film()
+    run = station.film()
+    found = frames.frame(1)
+    assert (found.run, found.row, len(found.tiles)) == (run, 3, 9)
+    assert found.link_mbit_s == pytest.approx(3 * found.width * found.height * 8e-6 / 1.2, abs=0.1)
+    read: list[Any] = []
+    monkeypatch.setattr(station, "frame", lambda *asked: read.append(asked))
+    assert frames.frame(1) == found
+    assert read == []
+    with pytest.raises(NotFoundError, match="There is no camera 9; the station has 3"):
+        frames.frame(9)
+
+
+def test_a_run_whose_frames_are_gone_gives_way_to_an_earlier_one(station: HeldStation) -> None:
+    first, second = station.film(), station.film(verdict=Status.FAILED)
+    station.release(second)
+    assert NewestFrames(station).frame(0).run == first
+    unfinished = station.film(finish=False)
+    found = NewestFrames(station).frame(0)
+    assert (found.run, found.link_mbit_s) == (unfinished, None)
+
+
+def test_no_row_of_a_board_that_is_filmed_is_measured_while_an_earlier_frame_is_there(
+    station: HeldStation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frames = NewestFrames(station)
+    station.film()
+    found = frames.frame(0)
+    station.film(finish=False)
+    with monkeypatch.context() as patch:
+        patch.setattr(station, "frame", lambda *_: pytest.fail("a frame is measured"))
+        assert frames.frame(0) == found
+    station.release(found.run)
+    assert frames.frame(0).run != found.run
+
+
+def test_a_large_frame_is_shown_as_a_small_picture(station: HeldStation, monkeypatch: pytest.MonkeyPatch) -> None:
+    large = np.full((1000, 2000), 40_000, np.uint16)
+    monkeypatch.setattr(station, "frame", lambda *_: (large, None))
+    picture = cv2.imdecode(np.frombuffer(NewestFrames(station).picture(0, "r", 0), np.uint8), cv2.IMREAD_UNCHANGED)
+    assert picture is not None
+    assert picture.shape == (LARGEST_PX // 2, LARGEST_PX)
+    assert int(picture.mean()) == pytest.approx(40_000 / 65535 * 255, abs=1)

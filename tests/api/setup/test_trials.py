@@ -1,0 +1,113 @@
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+
+from tests.api.held.setup_files import OPTIONS, film_board
+from tests.api.held_station import HeldStation
+from vaoi_station.api.setup.calibration_routes import design_of
+from vaoi_station.api.setup.models import TrialRequest
+from vaoi_station.api.setup.station_files import StationFiles
+from vaoi_station.api.setup.trials import Trials
+from vaoi_station.calibration.artwork import design_board
+from vaoi_station.errors import InputError, NotFoundError, StateError
+
+
+@pytest.fixture
+def wanted(station: HeldStation, files: StationFiles) -> TrialRequest:
+    layout = design_board(design_of(files, OPTIONS)).layout
+    return TrialRequest(run=film_board(station, layout), row=0, layout=layout)
+
+
+def test_a_trial_is_judged_compared_and_accepted(
+    station: HeldStation, files: StationFiles, wanted: TrialRequest
+) -> None:
+    trials = Trials(station, files)
+    before = files.config.calibration.read_bytes()
+    assert trials.status().state == "none"
+    with pytest.raises(StateError):
+        trials.accept()
+    assert trials.begin(wanted).state == "reading"
+    with pytest.raises(StateError) as refused:
+        trials.begin(wanted)
+    assert refused.value.code == "trial-running"
+    trials.perform(wanted)
+    trial = trials.status()
+    assert (trial.state, trial.message, trial.frames_read) == ("judged", None, 3)
+    assert all(c.used >= 12 and c.residual_px is not None and c.residual_px < 0.1 for c in trial.cameras)
+    assert trial.shift_mm == pytest.approx((-0.4, 0.0), abs=0.02)
+    assert all(trials.picture(name).startswith(b"\xff\xd8") for name in ("marks", "difference"))
+    assert files.config.calibration.read_bytes() == before, "nothing is changed until it is accepted"
+    accepted = trials.accept()
+    assert (accepted.state, accepted.accepted_as) == ("accepted", "calibration.json")
+    assert files.config.calibration.read_bytes() == trials.document()
+    assert accepted.backup is not None
+    assert files.config.calibration.with_name(accepted.backup).read_bytes() == before
+    with pytest.raises(StateError):
+        trials.accept()
+
+
+def test_a_refused_trial_shows_why_and_changes_nothing(
+    station: HeldStation, files: StationFiles, wanted: TrialRequest
+) -> None:
+    trials = Trials(station, files)
+    empty = wanted.model_copy(update={"row": 3})
+    trials.begin(empty)
+    trials.perform(empty)
+    trial = trials.status()
+    assert trial.state == "refused"
+    assert "camera 0" in str(trial.message)
+    assert trials.picture("marks")
+    for call in (trials.document, lambda: trials.picture("difference")):
+        with pytest.raises(NotFoundError):
+            call()
+    lost = wanted.model_copy(update={"run": station.film(), "row": 3})
+    station.release(lost.run)
+    trials.begin(lost)
+    trials.perform(lost)
+    assert "were released" in str(trials.status().message)
+
+
+def test_a_fault_of_the_fit_ends_the_trial(
+    station: HeldStation, files: StationFiles, wanted: TrialRequest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(*_: Any) -> None:
+        raise ValueError("wrong")
+
+    trials = Trials(station, files)
+    monkeypatch.setattr(trials, "_perform", broken)
+    trials.begin(wanted)
+    trials.perform(wanted)
+    assert trials.status().state == "refused"
+
+
+def test_what_cannot_be_tried_is_refused_at_once(
+    station: HeldStation, files: StationFiles, wanted: TrialRequest
+) -> None:
+    trials = Trials(station, files)
+    for changed, message in (
+        ({"row": 4}, "row is 4, but must be below 4"),
+        ({"flatness_um": 5.0}, "flatness_um is given without working_distance_mm"),
+    ):
+        with pytest.raises(InputError, match=message):
+            trials.begin(wanted.model_copy(update=changed))
+    with pytest.raises(NotFoundError):
+        trials.begin(wanted.model_copy(update={"run": "unknown"}))
+    station.arm("demo-board")
+    with pytest.raises(StateError) as refused:
+        trials.begin(wanted)
+    assert refused.value.code == "line-armed"
+
+
+def test_a_calibration_in_force_that_cannot_be_read_is_replaced(
+    station: HeldStation, files: StationFiles, wanted: TrialRequest
+) -> None:
+    files.config.calibration.write_text("{")
+    trials = Trials(station, files)
+    trials.begin(wanted)
+    trials.perform(wanted)
+    assert trials.status().shift_mm is None
+    trials.accept()
+    assert json.loads(files.config.calibration.read_text())["format"] == "vaoi-calibration"

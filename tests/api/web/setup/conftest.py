@@ -1,0 +1,92 @@
+"""A station whose imports are made in this process, and the measure of what does not fit on a page."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from tests.api.board_data.test_previews import import_here
+from tests.api.conftest import Served
+from tests.api.held.setup_files import setup_files
+from tests.api.held_station import HeldStation
+from vaoi_station.api.access.access_control import AccessControl
+from vaoi_station.api.access.audit import AuditLog
+from vaoi_station.api.board_data import previews
+from vaoi_station.files.access_keys import KeyFile
+
+SIZES = ((800, 480), (1024, 768), (1280, 800), (1920, 1080))
+WHERE = os.environ.get("VAOI_SCREENSHOTS")
+"""Directory into which pictures of the pages are written, if it is named."""
+CLIPPED = """() => [...document.querySelectorAll(".setup, .setup *")].filter((e) => {
+    const style = getComputedStyle(e);
+    return e.checkVisibility() && !e.closest("svg, td, th") && style.display !== "inline"
+        && !e.matches(".wizard, .wizards, .file, pre, input, select, option, textarea, img")
+        && (e.scrollWidth > e.clientWidth + 1
+            || (style.overflowY !== "visible" && e.scrollHeight > e.clientHeight + 8));
+}).map((e) => `${e.tagName} ${e.id || e.className}: ${e.textContent.slice(0, 40)}`)
+    .concat([...document.querySelectorAll("main, .wizard")].filter((e) => e.scrollWidth > e.clientWidth + 1)
+        .map((e) => `wide: ${e.className}`))"""
+"""The elements of the page whose contents do not fit. What scrolls downwards on purpose is left out."""
+
+Fits = Callable[..., None]
+
+
+@pytest.fixture
+def keys(tmp_path: Path) -> KeyFile:
+    return KeyFile(tmp_path / "keys.json")
+
+
+@pytest.fixture
+def engineer(tmp_path: Path, keys: KeyFile, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
+    """A station with keys, on whose own machine everything except the scope admin is permitted."""
+    monkeypatch.setattr(previews, "import_limited", import_here)
+    audit = AuditLog(tmp_path / "audit.jsonl")
+    access = AccessControl(keys, audit)
+    served = Served(HeldStation(), access=access, files=setup_files(tmp_path))
+    served.access = access  # type: ignore[attr-defined]
+    yield served
+    served.stop()
+    audit.close()
+
+
+@pytest.fixture
+def admin(page: Page, engineer: Served, keys: KeyFile) -> str:
+    """Log the page in with the scope admin; the address of the station."""
+    page.goto(engineer.url)
+    secret = keys.create("ada", ["admin", "teach", "operate"]).secret
+    page.evaluate(
+        """key => fetch("/api/v1/session", {method: "POST", headers: {"Content-Type": "application/json"},
+                                            body: JSON.stringify({key})})""",
+        secret,
+    )
+    return engineer.url
+
+
+@pytest.fixture
+def fits(page: Page) -> Fits:
+    """Return a function that asserts that nothing of the shown page is clipped, at all sizes and in both languages."""
+
+    def check(name: str, ready: str, step: Callable[[], Any] = lambda: None) -> None:
+        for language in ("en", "de"):
+            page.emulate_media(color_scheme="dark" if language == "de" else "light")
+            page.evaluate("language => localStorage.setItem('vaoi-language', language)", language)
+            page.reload()
+            expect(page.locator(ready).first).to_be_visible()
+            step()
+            for width, height in SIZES:
+                page.set_viewport_size({"width": width, "height": height})
+                if WHERE:
+                    page.screenshot(path=Path(WHERE) / f"{name}-{language}-{width}.png")
+                assert page.evaluate(CLIPPED) == [], (name, language, width)
+        page.emulate_media(color_scheme="light")
+        page.evaluate("localStorage.setItem('vaoi-language', 'en')")
+        page.set_viewport_size({"width": 1280, "height": 800})
+        page.reload()
+        expect(page.locator(ready).first).to_be_visible()
+
+    return check

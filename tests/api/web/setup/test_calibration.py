@@ -1,0 +1,65 @@
+"""Calibration in a real browser: print, film, follow the trial, judge, accept."""
+
+from __future__ import annotations
+
+import threading
+from typing import Any
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from tests.api.held.setup_files import film_board
+from vaoi_station.api.setup.trials import Trials
+from vaoi_station.files.layouts import Layout
+
+pytestmark = pytest.mark.browser
+
+
+def test_a_calibration_is_filmed_followed_judged_and_accepted(
+    page: Page, engineer: Any, admin: str, fits: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    may_end, perform = threading.Event(), Trials.perform
+
+    def waiting(trials: Trials, wanted: Any) -> None:
+        assert may_end.wait(120)
+        perform(trials, wanted)
+
+    monkeypatch.setattr(Trials, "perform", waiting)
+    page.goto(f"{admin}/#/setup/calibration")
+    expect(page.get_by_text("No run has frames that can be read.")).to_be_visible()
+    page.get_by_role("button", name="Calibrate").click()
+    page.get_by_label("Distance from the edge").fill("9")
+    page.keyboard.press("Tab")
+    expect(page.locator(".answer.refused")).to_be_visible()
+    layout = page.evaluate("() => fetch('/api/v1/calibration/layout?tolerance_mm=1.5').then((r) => r.json())")
+    run = film_board(engineer.station, Layout.model_validate(layout))
+    page.reload()
+    page.get_by_label("Distance from the edge").fill("1,5")
+    page.keyboard.press("Tab")
+    expect(page.locator(".answer.refused")).to_have_count(0)
+    expect(page.locator("img.artwork")).not_to_have_js_property("naturalWidth", 0)
+    expect(page.get_by_label("Run")).to_have_value(run)
+    page.get_by_label("Row in which").fill("0")
+    expect(page.locator(".frames img").first).not_to_have_js_property("naturalWidth", 0)
+    page.get_by_text("Limits and accuracy").click()
+    page.get_by_label("Largest residual").fill("many")
+    page.locator("#calibrate").click()
+    expect(page.get_by_text("Largest residual is “many”; it must be a number.")).to_be_visible()
+    page.get_by_label("Largest residual").fill("0.2")
+    page.locator("#calibrate").click()
+    expect(page.locator("progress")).to_be_visible()
+    page.reload()  # the station goes on, and the page finds it again
+    expect(page.locator("progress")).to_be_visible()
+    with page.expect_event("requestfailed", lambda request: request.url.endswith("/calibration/trial")):
+        page.route("**/calibration/trial", lambda route: route.abort())
+    page.unroute("**/calibration/trial")  # an answer that was lost ends nothing
+    may_end.set()
+    expect(page.get_by_role("heading", name="4. Judge it")).to_be_visible()
+    expect(page.locator(".pictures img")).to_have_count(2)
+    fits("calibration", "#accept", lambda: page.evaluate(PICTURES))
+    page.locator("#accept").click()
+    expect(page.locator(".answer.done")).to_contain_text("Written as calibration.json; the one before is kept as")
+
+
+PICTURES = "() => Promise.allSettled([...document.querySelectorAll('.wizard img')].map((image) => image.decode()))"
+"""Waits until every picture is loaded; a frame that never arrived has none."""

@@ -1,0 +1,286 @@
+"""One board in a real browser: parts and what is drawn over them, pictures, comparison, report, times, files."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from playwright.sync_api import Browser, Page, expect
+
+from tests.api.web.test_boards import fail, wait_for_pictures
+from vaoi_station.model import Status
+
+pytestmark = pytest.mark.browser
+
+SIZES = [(800, 480), (1024, 768), (1280, 800), (1920, 1080)]
+WIDER = """() => [...document.querySelectorAll("#view *")].filter((e) => {
+    const style = getComputedStyle(e);
+    return e.checkVisibility() && !e.closest("svg") && !e.closest("#zoom-view") && style.display !== "inline"
+        && !["INPUT", "SELECT", "OPTION", "IMG"].includes(e.tagName) && e.id !== "list"
+        && e.scrollWidth > e.clientWidth + 1;
+}).map((e) => e.id || e.className || e.tagName)"""
+"""The elements whose contents are wider than they are; a list of boards may be scrolled."""
+
+
+CHOOSE_TWICE = """async () => {
+    const { DeepZoom } = await import("/web/board/deep_zoom.js");
+    const root = document.createElement("div");
+    document.body.append(root);
+    const unchanged = [[1, 0, 0], [0, 1, 0], [0, 0, 1]];
+    const picture = (name) => ({ name, url: `/web/icon.svg?${name}`, image_from_cad: unchanged });
+    const part = (address) => ({ address, footprint: [[0, 0], [9, 0], [9, 9]] });
+    const deep = new DeepZoom(root, () => {}, () => {});
+    await deep.open(picture("under"), [part("U1")]);
+    const viewer = OpenSeadragon.getViewer(root);
+    await new Promise((done) => viewer.addOnceHandler("open", done));
+    const both = new Promise((done) => {
+        let added = 0;
+        viewer.world.addHandler("add-item", () => ++added === 2 && setTimeout(done));
+    });
+    deep.compare(picture("first"));
+    deep.compare(picture("second"));
+    await both;
+    const laid = Array.from({ length: viewer.world.getItemCount() }, (_, n) => viewer.world.getItemAt(n).source.url);
+    await deep.open(picture("under"), [part("U2")]);
+    const parts = [...root.querySelectorAll("polygon")].map((shape) => shape.dataset.address);
+    deep.close();
+    root.remove();
+    return [laid, parts];
+}"""
+"""Chooses another board to compare with before the first has come, then shows a picture with other parts."""
+
+
+def test_a_board_has_its_report_its_parts_and_their_pictures(page: Page, served: Any) -> None:
+    run = served.station.film(board_id="SN-1")
+    served.station.kept.identities.read(run, "demo;SN-2")
+    page.goto(f"{served.url}/#/board/{run}")
+    expect(page.locator("#component")).to_have_value("U1")
+    wait_for_pictures(page, 10)
+    expect(page.locator(".outlines polygon")).to_have_count(3)
+    expect(page.locator(".outlines .chosen title")).to_have_text("U1")
+    expect(page.locator("#part-facts")).to_contain_text("0.020 px, 2.5 µm")
+    page.locator("#component").fill("2/r1")
+    page.keyboard.press("Enter")
+    wait_for_pictures(page, 3)
+    expect(page.locator("figure img").first).to_have_attribute("alt", "2/R1, camera 0, row 3")
+    expect(page.locator(".outlines .chosen title")).to_have_text("2/R1")
+    page.locator("#component").fill("X99")
+    page.keyboard.press("Enter")
+    expect(page.locator("#finder-answer")).to_have_text("There is no part X99.")
+    page.get_by_role("tab", name="Report").click()
+    expect(page.locator("#facts")).to_contain_text("10 of 12 good (1 incomplete, 1 missing), 4 rows × 3 cameras")
+    expect(page.locator("#facts")).to_contain_text("armed SN-1, read SN-2: differs")
+    expect(page.locator("#facts")).to_contain_text("0.400 px, 50.0 µm (2/R1)")
+    expect(page.locator("#facts")).to_contain_text("0/2 – 1/2: too dark")
+    gone = served.station.film(board_id="SN-2")
+    served.station.release(gone)
+    page.goto(f"{served.url}/#/board/{gone}")
+    expect(page.locator("#pictures-note")).to_contain_text("no longer in memory")
+    expect(page.locator("#zoom-note")).to_contain_text("The frames were released by the tester.")
+    page.goto(f"{served.url}/#/board/unknown")
+    expect(page.locator("#board-title")).to_have_text("There is no such board.")
+
+
+def test_a_link_reproduces_colours_drawings_part_picture_and_comparison(page: Page, served: Any) -> None:
+    station = served.station
+    station.lights = ("left", "right")
+    first, second = station.film(board_id="SN-1"), station.film(board_id="SN-2")
+    page.goto(f"{served.url}/#/board/{second}")
+    wait_for_pictures(page, 10)
+    page.get_by_label("Colour parts by").select_option("sigma")
+    expect(page.locator(".outlines .c3 title")).to_have_text("2/R1: σ 0.400 px = 50.0 µm")
+    expect(page.locator("#legend")).to_contain_text("σ in the worst view, px")
+    for name, shapes in (("Frames", 11), ("Links", 13), ("Fiducials", 2), ("Residuals", 16)):
+        page.get_by_role("button", name=name).click()
+        expect(page.locator(f".drawn-{name.lower()} > *")).to_have_count(shapes)
+    expect(page.locator("#legend")).to_contain_text("Residuals, enlarged")
+    page.get_by_role("button", name="Next part").click()
+    expect(page.locator("#component")).not_to_have_value("U1")
+    page.locator("#component").fill("U1")
+    page.keyboard.press("Enter")
+    page.get_by_label("Light").select_option("left")
+    wait_for_pictures(page, 5)
+    page.locator("figure button").nth(1).click()
+    page.get_by_label("Compare with").select_option("previous")
+    expect(page.locator("#compare-answer")).to_have_text(f"Beside SN-1 ({first}).")
+    page.get_by_role("button", name="1:1").click()
+    expect(page.locator("#other")).to_be_visible()
+    chosen = page.locator("figure.chosen img").get_attribute("alt")
+    page.reload()
+    wait_for_pictures(page, 5)
+    expect(page.get_by_label("Colour parts by")).to_have_value("sigma")
+    expect(page.locator(".drawn-residuals > *")).to_have_count(16)
+    expect(page.locator("#large")).to_have_attribute("alt", chosen or "")
+    expect(page.locator("#other")).to_have_attribute("src", re.compile(first))
+    width = page.locator("#large").evaluate("e => e.clientWidth - e.naturalWidth / devicePixelRatio")
+    assert abs(width) <= 1, "one pixel of the camera is one of the screen"
+
+
+def test_only_the_board_chosen_last_is_laid_over_and_parts_are_those_of_the_picture(page: Page, served: Any) -> None:
+    page.goto(f"{served.url}/#/board/{served.station.film()}")
+    expect(page.locator("#zoom-view[data-mosaic]")).to_be_visible()
+    laid, parts = page.evaluate(CHOOSE_TWICE)
+    assert laid == ["/web/icon.svg?under", "/web/icon.svg?second"]
+    assert parts == ["U2"]
+
+
+def test_lights_are_subtracted_exposures_merged_and_boards_blink(page: Page, served: Any) -> None:
+    station = served.station
+    station.lights = ("left", "right")
+    first, second = station.film(board_id="SN-1"), station.film(board_id="SN-2")
+    page.goto(f"{served.url}/#/board/{second}?light=left&minus=right&with={first}&how=blink")
+    expect(page.locator("#stage-facts")).to_contain_text("minus camera")
+    expect(page.locator("#with-run")).to_have_value(first)
+    for _ in range(2):
+        expect(page.locator("#other")).to_have_css("visibility", "hidden")
+        expect(page.locator("#other")).to_have_css("visibility", "visible")
+    page.get_by_role("button", name="Slider").click()
+    page.get_by_label("Place of the divide").focus()
+    page.keyboard.press("Home")
+    for _ in range(25):
+        page.keyboard.press("ArrowRight")
+    expect(page.locator("#other")).to_have_css("clip-path", "inset(0px 0px 0px 25%)")
+    page.get_by_role("button", name="HDR").click()
+    expect(page.locator("#stage-facts")).to_contain_text("merged of")
+    page.get_by_label("Compare with").select_option("reference")
+    expect(page.locator("#compare-answer")).to_have_text("This board type has no reference.")
+    page.get_by_label("Compare with").select_option("run")
+    page.locator("#with-run").fill(second)
+    page.keyboard.press("Enter")
+    expect(page.locator("#compare-answer")).to_have_text("That is this run.")
+    expect(page.locator("#other")).to_be_hidden()
+
+
+def test_the_times_of_a_run_are_drawn_and_listed(page: Page, served: Any) -> None:
+    run = served.station.film(board_id="SN-1")
+    page.goto(f"{served.url}/#/board/{run}?tab=timing")
+    for name, count in (("barrier", 1), ("pulse", 4), ("led", 4), ("exposure", 4), ("transfer", 4), ("stitch", 9)):
+        expect(page.locator(f"svg .t-{name}")).to_have_count(count)
+    expect(page.locator(".times tbody tr")).to_have_count(4)
+    expect(page.locator(".times tbody tr").nth(1)).to_have_text("10.150080250" + "44.060.0")
+    expect(page.locator("#tab-timing")).to_contain_text("80.0 ms after the last frame")
+
+
+def test_files_are_offered_and_what_is_gone_says_why(page: Page, served: Any) -> None:
+    run = served.station.film(board_id="SN-1")
+    page.goto(f"{served.url}/#/board/{run}")
+    page.get_by_role("tab", name="Part").focus()
+    for _ in range(3):
+        page.keyboard.press("ArrowRight")
+    expect(page.locator("#tab-export")).to_be_visible()
+    with page.expect_download() as saved:
+        page.get_by_role("button", name="Components, CSV").click()
+    lines = saved.value.path().read_text(encoding="utf-8-sig").splitlines()
+    assert lines[1].startswith('"U1","20","20","0","2"')
+    with page.expect_download() as matrices:
+        page.get_by_role("link", name="Matrices, JSON").click()
+    assert matrices.value.path().read_text().startswith('{"format":"vaoi-stitch"')
+    gone = served.station.film(board_id="SN-2")
+    served.station.release(gone)
+    page.goto(f"{served.url}/#/board/{gone}?tab=export")
+    expect(page.get_by_role("button", name="Whole board, TIFF")).to_be_disabled()
+    expect(page.locator("#tab-export")).to_contain_text("was not kept as a recording")
+
+
+def test_a_board_whose_frames_are_gone_has_its_kept_picture(page: Page, served: Any) -> None:
+    run, other = served.station.film(board_id="SN-1"), served.station.film(board_id="SN-2")
+    for number in (run, other):
+        served.station.kept.mosaics.keep(number)
+        served.station.release(number)
+    page.goto(f"{served.url}/#/board/{other}?with={run}&colour=sigma")
+    expect(page.locator("#zoom-note")).to_contain_text("small picture of the board that the station has kept")
+    expect(page.locator("#zoom-view")).to_have_attribute("data-mosaic", "kept")
+    expect(page.locator(".outlines .filled")).to_have_count(3)
+    expect(page.locator("#pictures-note")).to_contain_text("no longer in memory")
+    expect(page.locator("#compare-answer")).to_have_text(f"Beside SN-1 ({run}).")
+    page.locator("#to-export").click()
+    expect(page.get_by_role("link", name="Kept picture, JPEG")).to_be_visible()
+
+
+def test_every_control_is_reached_by_keyboard(page: Page, served: Any) -> None:
+    station = served.station
+    station.lights = ("left", "right")
+    station.film(board_id="SN-1")
+    run = station.film(board_id="SN-2")
+    page.goto(f"{served.url}/#/board/{run}?light=left&with=previous")
+    expect(page.locator("#other")).to_be_visible()
+    reached: set[str] = set()
+    for _ in range(60):
+        page.keyboard.press("Tab")
+        reached.add(
+            page.evaluate("(({id, className, textContent}) => id || className || textContent)(document.activeElement)")
+        )
+        if page.evaluate("document.activeElement.closest('figure') !== null"):
+            break
+    controls = {"before", "component", "after", "colour", "mosaic", "closer", "farther", "whole", "to-part", "with"}
+    assert reached >= controls | {
+        "divide",
+        "light",
+        "minus",
+        "hdr",
+        "stage-view",
+        "size",
+        "file",
+        "openseadragon-canvas",
+    }
+    assert reached >= {"Frames", "Links", "Fiducials", "Residuals", "Slider", "Blink"}
+    page.keyboard.press("Tab")
+    page.keyboard.press("Enter")
+    expect(page.locator("figure").nth(1)).to_have_class(re.compile("chosen"))
+    page.locator(".openseadragon-canvas").focus()
+    before = page.locator(".parts > g").get_attribute("transform")
+    page.keyboard.press("+")
+    expect(page.locator(".parts > g")).not_to_have_attribute("transform", before or "")
+
+
+def test_the_pictures_of_the_guide(page: Page, served: Any) -> None:
+    """VAOI_STATION=http://… (of `vaoi demo`) VAOI_SCREENSHOTS=docs/pictures writes them."""
+    url = os.environ.get("VAOI_STATION", served.url)
+    if url == served.url:
+        served.station.film(board_id="SN-1")
+    run = page.request.get(f"{url}/api/v1/runs?verdict=ok&limit=1").json()["runs"][0]["id"]
+    page.request.put(f"{url}/api/v1/runs/{run}/hold?holder=guide")
+    page.goto(f"{url}/#/board/{run}?component=U1&colour=height&show=frames,fiducials,residuals")
+    expect(page.locator(".outlines .filled").first).to_be_attached()
+    expect(page.locator("#part-facts")).not_to_contain_text("not known")
+    expect(page.locator("#large")).not_to_have_js_property("naturalWidth", 0)
+    expect(page.locator(".outlines .agrees, .outlines .none").first).to_be_attached()
+    page.wait_for_function("e => document.querySelector('#zoom-view').dataset.mosaic")
+    keep(page, "page-board")
+    page.locator("#to-timing").click()
+    expect(page.locator("svg .t-result")).to_be_attached()
+    keep(page.locator("#side"), "page-timing")
+    page.request.delete(f"{url}/api/v1/runs/{run}/hold?holder=guide")
+
+
+def keep(shown: Any, name: str) -> None:
+    """Write a picture for the guide, if a directory for it is named."""
+    if where := os.environ.get("VAOI_SCREENSHOTS"):
+        shown.screenshot(path=Path(where) / f"{name}.png")
+
+
+@pytest.mark.parametrize(("language", "scheme"), [("en", "light"), ("de", "dark")])
+def test_nothing_is_clipped(browser: Browser, served: Any, language: str, scheme: Any) -> None:
+    station = served.station
+    station.lights = ("left", "right")
+    station.film(board_id="SN-47-of-a-long-series")
+    run = fail(station, "SN-48-of-a-long-series", Status.DEGRADED)
+    context = browser.new_context(locale=language, color_scheme=scheme)
+    page = context.new_page()
+    page.goto(f"{served.url}/#/boards")
+    expect(page.locator("#list tbody tr")).to_have_count(2)
+    for width, height in SIZES:
+        page.set_viewport_size({"width": width, "height": height})
+        assert page.evaluate(WIDER) == [], (width, "list")
+    page.goto(f"{served.url}/#/board/{run}?colour=sigma&show=frames,links,fiducials,residuals&light=left&with=previous")
+    expect(page.locator("#other")).to_be_visible()
+    for width, height in SIZES:
+        page.set_viewport_size({"width": width, "height": height})
+        for name in ("part", "report", "timing", "export"):
+            page.locator(f"#to-{name}").click()
+            expect(page.locator(f"#tab-{name} > *").first).to_be_visible()
+            assert page.evaluate(WIDER) == [], (width, name)
+    context.close()

@@ -1,0 +1,31 @@
+"""Figures of the cluster: ratios of one call, and what is counted of each outcome."""
+
+from __future__ import annotations
+
+import gzip
+import json
+from pathlib import Path
+
+from vaoi_station.benchmarks.plant_speed import PlantFigures, _Outcomes, _tenths
+from vaoi_station.plant.restitch import Terms
+from vaoi_station.plant.restitch.task import FORMAT, VERSION, RunTask
+
+
+def test_ratios_are_of_one_call() -> None:
+    found = PlantFigures(100, 95.0, 100.0, 50.0, 0.9, 1.0, 1.0, 1.0, (300.0, 301.0), 9, 0, 0).document()
+    assert found["two_against_one"] == 2
+    assert found["overhead"] == 0.0526
+    assert found["rss_mb"] == [300, 301]
+
+
+def test_outcomes_are_counted_by_run_and_process(tmp_path: Path) -> None:
+    outcomes = _Outcomes(tmp_path)
+    for process, key in ((1, "a"), (2, "b"), (1, "b")):
+        document = {"format": FORMAT, "version": VERSION, "cost": {"process": process, "rss_mb": 300.0, "cpu_s": 0.5}}
+        outcomes.keep(RunTask("x", key, Terms("s")), gzip.compress(json.dumps(document).encode()))
+    assert outcomes.keys == {"a": 1, "b": 2}
+    assert outcomes.rss_mb == {1: [300, 300], 2: [300]}
+
+
+def test_the_first_tenth_is_not_counted() -> None:
+    assert _tenths([500.0] * 2 + [300.0] * 16 + [302.0] * 2) == (300.0, 302.0)

@@ -1,0 +1,42 @@
+"""`vaoi restitch`: exit codes, and what is named on stderr."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from vaoi_station.plant.archive import Archive
+
+NOWHERE = ("--scheduler", "tcp://127.0.0.1:1", "--patience", "1")
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "text"),
+    [
+        ((), 2, "one of them is needed"),
+        (("--workers", "1", "--verdict", "good"), 2, "--verdict is 'good', but must be one of ok, degraded, failed"),
+        (("--workers", "1", "--verdict", "ok,failed"), 2, "but must be one verdict"),
+        (("--workers", "1", "--since", "May"), 2, "since is 'May'"),
+        (("--workers", "1", "--calibration", "absent.json"), 2, "absent.json"),
+        (NOWHERE, 3, "no scheduler answers within 1 s"),
+    ],
+)
+def test_wrong_options_and_an_absent_scheduler_are_named(
+    vaoi: Callable[..., Any], archive: Archive, tmp_path: Path, options: tuple[str, ...], code: int, text: str
+) -> None:
+    done = vaoi("restitch", archive.url, "--out", tmp_path / "out", *options)
+    assert (done.code, text in done.err) == (code, True), done.err
+
+
+def test_a_fault_of_an_archive_gives_exit_code_1(vaoi: Callable[..., Any], archive: Archive, tmp_path: Path) -> None:
+    manifest = Path(archive.url) / archive.run("r1").key
+    manifest.write_text("{")
+    done = vaoi("restitch", archive.url, "--out", tmp_path / "out", *NOWHERE)
+    assert done.code == 1, "without a run to do, no scheduler is needed"
+    assert str(manifest) in done.err
+    assert "0 of 0 runs stitched" in done.out
+    assert len(json.loads((tmp_path / "out" / "left-out.json").read_text())) == 1

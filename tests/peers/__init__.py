@@ -1,0 +1,1 @@
+"""What clients meet in tests: a scripted web server, and certificates for TLS."""

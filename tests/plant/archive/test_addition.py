@@ -1,0 +1,94 @@
+"""Recordings are added with their documents, each blob once."""
+
+from __future__ import annotations
+
+import shutil
+import zlib
+from pathlib import Path
+
+import pytest
+
+from vaoi_station.errors import InputError, NotFoundError
+from vaoi_station.plant.archive import Archive, RunLabel
+
+
+def test_the_same_run_again_changes_nothing(tmp_path: Path, recording: Path) -> None:
+    archive = Archive.create(tmp_path / "archive")
+    first = archive.add(recording)
+    before = list(archive.storage.entries(""))
+    assert archive.add(recording) == first
+    assert list(archive.storage.entries("")) == before
+
+
+def test_another_run_of_the_same_board_type_adds_no_document_twice(tmp_path: Path, recording: Path) -> None:
+    archive = Archive.create(tmp_path / "archive")
+    archive.add(recording, label=RunLabel(run="a"))
+    before = len(list(archive.storage.entries("blobs")))
+    archive.add(recording, label=RunLabel(run="b"))
+    assert len(list(archive.storage.entries("blobs"))) == before
+
+
+def test_a_recording_without_an_id_has_that_of_its_frames(tmp_path: Path, recording: Path) -> None:
+    archive = Archive.create(tmp_path / "archive")
+    run = archive.add(recording)
+    assert run.run.startswith("frames-")
+    assert (run.board_type, run.verdict, run.pixels, len(run.frames)) == ("demo", None, 3 * 24 * 32, 3)
+
+
+def test_what_a_station_recorded_is_stated(tmp_path: Path, recording: Path) -> None:
+    kept = tmp_path / "kept"
+    shutil.copytree(recording, kept)
+    (kept / "run.json").write_text(
+        '{"id": "01m7z3abcd-123456", "started": "2026-03-01T08:00:00.125Z", "board_id": "S7", "verdict": "degraded"}'
+    )
+    run = Archive.create(tmp_path / "archive").add(kept, station="one")
+    assert run.key == "runs/one/2026-03-01/01m7z3abcd-123456.json"
+    assert (run.serial, run.verdict, run.time) == ("S7", "degraded", "2026-03-01T08:00:00.125Z")
+
+
+def test_another_run_under_the_same_id_is_refused(tmp_path: Path, recording: Path) -> None:
+    archive = Archive.create(tmp_path / "archive")
+    archive.add(recording, label=RunLabel(run="a", time="2026-03-01T08:00:00Z"))
+    with pytest.raises(InputError, match="has another run under the id a"):
+        archive.add(recording, label=RunLabel(run="a", time="2026-03-01T09:00:00Z"))
+
+
+def test_a_recording_without_a_calibration_is_refused(tmp_path: Path, recording: Path) -> None:
+    bare = tmp_path / "bare"
+    shutil.copytree(recording, bare)
+    (bare / "calibration.json").unlink()
+    archive = Archive.create(tmp_path / "archive")
+    with pytest.raises(NotFoundError, match="Give its calibration"):
+        archive.add(bare)
+    assert list(archive.storage.entries("blobs")) == []
+    archive.add(bare, calibration=recording / "calibration.json")
+
+
+@pytest.mark.parametrize("label", [RunLabel(run="../a"), RunLabel(time="yesterday")])
+def test_a_label_that_names_no_file_is_refused(tmp_path: Path, recording: Path, label: RunLabel) -> None:
+    with pytest.raises(InputError):
+        Archive.create(tmp_path / "archive").add(recording, label=label)
+
+
+def test_a_run_that_another_zlib_compressed_is_the_same(
+    tmp_path: Path, recording: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    archive = Archive.create(tmp_path / "archive")
+    first = archive.add(recording)
+    compress = zlib.compress
+    monkeypatch.setattr(zlib, "compress", lambda content, _level: compress(content, 0))
+    assert archive.add(recording) == first
+    assert [run.documents for run in archive.runs()] == [first.documents]
+
+
+def test_a_damaged_manifest_comes_back_from_the_recording(tmp_path: Path, recording: Path) -> None:
+    archive = Archive.create(tmp_path / "archive")
+    first = archive.add(recording)
+    archive.storage.write(first.key, b"{")
+    assert archive.add(recording) == first
+    assert list(archive.runs()) == [first]
+
+
+def test_a_name_that_no_folder_can_have_is_refused(tmp_path: Path, recording: Path) -> None:
+    with pytest.raises(InputError, match="takes 270 bytes as the name of a folder, must be at most 255"):
+        Archive.create(tmp_path / "archive").add(recording, station="线" * 30)

@@ -1,0 +1,32 @@
+"""Manifests are found without being read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from vaoi_station.plant.archive.catalogue import Place, places, runs
+from vaoi_station.plant.archive.fault import ArchiveFault
+from vaoi_station.plant.archive.manifest import ArchivedRun
+from vaoi_station.plant.archive.selection import RunSelection
+from vaoi_station.plant.archive.storage import LocalStorage
+
+
+def test_places_follow_from_names(tmp_path: Path) -> None:
+    storage = LocalStorage(tmp_path)
+    storage.write("runs/line 2%2Ftop/2026-03-01/r.json", b"")
+    key = "runs/line 2%2Ftop/2026-03-01/r.json"
+    assert list(places(storage)) == [Place(key, "line 2/top", "2026-03-01", "r")]
+
+
+def test_folders_of_other_programs_are_reported_once_and_runs_are_read(tmp_path: Path) -> None:
+    storage = LocalStorage(tmp_path)
+    run = ArchivedRun(
+        run="r", station="s", time="9999-12-31T23:00:00Z", board_type="t", pixels=8, documents={}, frames=()
+    )
+    storage.write(run.key, run.text().encode())
+    for name in ("a.jpg", "b.jpg"):
+        storage.write(f"runs/s/@eaDir/{name}", b"")
+    faults: list[ArchiveFault] = []
+    assert list(runs(storage, RunSelection(until="9999-12-31"), faults.append)) == [run]
+    [fault] = faults
+    assert "runs/s/@eaDir: is no day" in fault.what

@@ -1,0 +1,59 @@
+"""What is missing, damaged or left over is named, and the rest is verified."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from vaoi_station.plant.archive import Archive, RunLabel, RunSelection, addition
+from vaoi_station.plant.archive.fault import ArchiveFault, ignore_fault
+from vaoi_station.plant.archive.verification import verify
+
+
+@pytest.fixture
+def archive(tmp_path: Path, recording: Path) -> Archive:
+    """Return an archive with two runs, which share every blob but that of their frames."""
+    made = Archive.create(tmp_path / "archive")
+    for run in ("a", "b"):
+        made.add(recording, label=RunLabel(run=run, time="2026-03-01T08:00:00Z"))
+    return made
+
+
+def test_a_sound_archive_has_no_faults(archive: Archive) -> None:
+    found = archive.verify()
+    assert (found.runs, found.damaged_runs, found.faults) == (2, 0, 0)
+    assert found.blobs == 3 + 2 * 3
+    assert archive.verify(RunSelection(until="2026-02-28")).runs == 0
+
+
+def test_missing_and_damaged_blobs_are_named_for_every_run(archive: Archive) -> None:
+    run = archive.run("a")
+    flipped = bytearray(archive.storage.read(run.frames[0].key))
+    flipped[40] ^= 1
+    archive.storage.write(run.frames[0].key, bytes(flipped))
+    archive.storage.delete(run.frames[1].key)
+    faults: list[ArchiveFault] = []
+    found = archive.verify(on_fault=faults.append)
+    assert (found.runs, found.damaged_runs, found.faults) == (2, 2, 4)
+    assert f"run a: blob {run.frames[0].sha256} is damaged" in faults[0].what
+    assert f"run a: blob {run.frames[1].sha256} is missing" in faults[1].what
+    assert "run b" in faults[2].what
+
+
+def test_a_run_half_written_is_named_once_it_is_not_under_way(
+    archive: Archive, recording: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise RuntimeError("power cut")
+
+    monkeypatch.setattr(addition, "_store_manifest", fail)
+    with pytest.raises(RuntimeError):
+        archive.add(recording, station="one", label=RunLabel(run="c"))
+    assert archive.verify().faults == 0
+    faults: list[ArchiveFault] = []
+    verify(archive.storage, RunSelection(), faults.append, under_way_s=-60.0)
+    assert "run one/c is half written" in faults[0].what
+    monkeypatch.undo()
+    archive.add(recording, station="one", label=RunLabel(run="c"))
+    assert verify(archive.storage, RunSelection(), ignore_fault, under_way_s=-60.0).faults == 0

@@ -1,0 +1,39 @@
+"""What changed: a calibration that is wrong by 0.2 px in one camera stands out by camera and size."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from vaoi_station.plant.comparison import Changes, compare
+from vaoi_station.plant.tables import write_tables
+
+
+def test_the_displaced_camera_comes_first_with_its_size(changes: Changes) -> None:
+    first, *others = changes.cameras
+    assert (first.station, first.camera) == ("line 1", 1)
+    # Two runs are compared, one of which has not changed: the mean is half of 0.2 px.
+    assert first.runs == 2
+    assert first.size_px == pytest.approx(0.1, abs=0.01)
+    assert first.y_px == pytest.approx(-0.1, abs=0.01), "the picture lies higher than the calibration says"
+    assert all(camera.size_px < 0.7 * first.size_px for camera in others)
+
+
+def test_runs_without_a_former_result_are_counted_apart(changes: Changes) -> None:
+    assert (changes.runs, changes.only_new) == (2, 1)
+    assert {b.run for b in changes.boards} == {"r0", "r1"}
+    unchanged = next(b for b in changes.boards if b.run == "r0")
+    assert (unchanged.changed, unchanged.worst_px, unchanged.former) == (0, 0.0, unchanged.new)
+
+
+def test_components_are_counted_over_their_runs(changes: Changes) -> None:
+    assert {c.runs for c in changes.components} == {2}
+    assert changes.changed_components == sum(c.changed > 0 for c in changes.components)
+    assert sum(count for _, _, count in changes.verdicts) == 2
+
+
+def test_a_data_set_without_runs_has_no_changes(tmp_path: Path) -> None:
+    write_tables(tmp_path / "it's empty", [])
+    none = compare(tmp_path / "it's empty")
+    assert (none.runs, none.views, none.boards, none.cameras, none.components) == (0, 0, (), (), ())

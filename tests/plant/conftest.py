@@ -1,0 +1,79 @@
+"""A small recording that tests of the plant share; and a board of the twin with its result, and an archive of it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vaoi_station import RecordedRun, StitchedRun, open_recording
+from vaoi_station.files import read_calibration, write_calibration, write_recording
+from vaoi_station.model import RecordingHead
+from vaoi_station.plant.archive import Archive, RunLabel
+from vaoi_station.simulation import Twin, read_scenario, scenario_path
+from vaoi_station.simulation.recording_writer import write_passage
+
+
+@pytest.fixture(scope="session")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a recording of two cameras and two rows of noise, of which one frame is missing; read only."""
+    folder = tmp_path_factory.mktemp("recording")
+    cameras = [{"width": 32, "height": 24, "exposure_us": 100.0}] * 2
+    head = {"format": "vaoi-recording", "version": 1, "cameras": cameras, "rows": 2, "trigger_period_s": 0.1}
+    head |= {"conveyor_mm_s": [0.0, 100.0], "missing": [[1, 1]], "x_shift": "night"}
+    noise = np.random.default_rng(1).integers(90, 110, (3, 24, 32)).astype(np.uint8)
+    frames = zip(((0, 0), (0, 1), (1, 0)), noise, strict=True)
+    write_recording(folder, RecordingHead.model_validate(head), ((*at, image) for at, image in frames))
+    matrix = [[40.0, 0.0, 16.0], [0.0, 40.0, 12.0], [0.0, 0.0, 1.0]]
+    calibration = {"format": "vaoi-calibration", "version": 1, "unit": "mm", "camera_matrices": [matrix, matrix]}
+    (folder / "calibration.json").write_text(json.dumps(calibration))
+    marks = [{"name": name, "x": x, "y": 0.0, "diameter": 1.0} for name, x in (("F1", 0.0), ("F2", 10.0))]
+    (folder / "board.json").write_text(json.dumps({"name": "demo", "fiducials": marks}))
+    return folder
+
+
+@pytest.fixture(scope="session")
+def board(tmp_path_factory: pytest.TempPathFactory) -> RecordedRun:
+    """Return a recording of a board under three cameras, with its `result.json`; read only."""
+    folder = tmp_path_factory.mktemp("board")
+    text = scenario_path("small").read_text(encoding="utf-8")
+    # With two cameras a run does not show which of them is displaced.
+    wide = text.replace("cameras = 2", "cameras = 3").replace("width_mm = 60.0", "width_mm = 88.0")
+    (folder / "wide.toml").write_text(wide, encoding="utf-8")
+    write_passage(Twin(read_scenario(folder / "wide.toml")).passage(0), folder / "run", with_truth=False)
+    filmed = open_recording(folder / "run")
+    filmed.stitch().save(folder / "run" / "result.json")
+    return filmed
+
+
+@pytest.fixture(scope="session")
+def stitched(board: RecordedRun) -> StitchedRun:
+    return board.with_result(board.directory / "result.json")
+
+
+@pytest.fixture(scope="session")
+def moved_calibration(board: RecordedRun, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the calibration of the board with camera 1 displaced by 0.2 px along y, as a file."""
+    path = tmp_path_factory.mktemp("moved") / "calibration.json"
+    known = read_calibration(board.directory / "calibration.json")
+    matrices = [np.array(matrix) for matrix in known.camera_matrices]
+    matrices[1] = np.array([[1, 0, 0], [0, 1, 0.2], [0, 0, 1.0]]) @ matrices[1]
+    write_calibration(path, known.model_copy(update={"camera_matrices": tuple(matrices)}))
+    return path
+
+
+@pytest.fixture(scope="session")
+def stored(board: RecordedRun, tmp_path_factory: pytest.TempPathFactory) -> Archive:
+    """Return an archive of four runs of one board, on four days, at two stations; read only."""
+    archive = Archive.create(tmp_path_factory.mktemp("stored") / "archive")
+    add_runs(archive, board.directory, 4)
+    return archive
+
+
+def add_runs(archive: Archive, recording: Path, runs: int) -> None:
+    """Add a recording under several ids: run r0 of board B0 on day 1 at line 0, r1 of B1 on day 2 at line 1, …"""
+    for n in range(runs):
+        label = RunLabel(run=f"r{n}", time=f"2026-11-{n % 28 + 1:02d}T10:00:00Z", serial=f"B{n}")
+        archive.add(recording, station=f"line {n % 2}", label=label)

@@ -1,0 +1,103 @@
+"""A whole call: data set, report, what is left out; repeated, interrupted, and with other terms."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+
+from vaoi_station.errors import InputError
+from vaoi_station.plant.archive import Archive, RunLabel, RunSelection
+from vaoi_station.plant.restitch import ClusterOptions, Session, Terms, restitch
+from vaoi_station.plant.restitch.software import software
+
+
+def test_a_call_writes_data_set_and_report_and_goes_on(
+    session: Callable[..., Session], cluster: ClusterOptions, moved_calibration: Path, tmp_path: Path
+) -> None:
+    steps: list[tuple[int, int]] = []
+    terms = Terms(software(), calibration=moved_calibration.read_bytes())
+
+    def interrupt(done: int, runs: int) -> None:
+        steps.append((done, runs))
+        if done == 2:
+            raise KeyboardInterrupt
+
+    first = session(terms=terms)
+    first.progress = interrupt
+    with pytest.raises(KeyboardInterrupt):
+        restitch(first, cluster)
+    summary = restitch(session(terms=terms), cluster)
+    assert steps == [(0, 4), (1, 4), (2, 4)]
+    assert (summary.runs, summary.done, summary.stitched, summary.left_out) == (4, 4, 2, ())
+    out = tmp_path / "out"
+    runs = pq.read_table(out / "tables" / "runs").to_pylist()
+    assert [(r["run"], r["result"]) for r in runs] == [
+        (f"r{n}", result) for n in (0, 2, 1, 3) for result in ("former", "new")
+    ], "by station, day and id, whatever was ready first"
+    camera = summary.changes.cameras[0]
+    assert camera.camera == 1
+    assert camera.size_px == pytest.approx(0.2, abs=0.02)
+    assert "Cameras" in (out / "report.html").read_text(encoding="utf-8")
+    # Everything is done: no cluster is needed.
+    nowhere = ClusterOptions(scheduler="tcp://127.0.0.1:1", patience_s=1)
+    again = restitch(session(terms=terms), nowhere)
+    assert (again.done, again.stitched) == (4, 0)
+    with pytest.raises(InputError, match=r"restitch\.json: .* the calibration"):
+        restitch(session(), cluster)
+
+
+def test_faults_of_archives_are_named_and_the_rest_goes_on(
+    session: Callable[..., Session], stored: Archive, cluster: ClusterOptions, tmp_path: Path
+) -> None:
+    copied = Archive.open(shutil.copytree(stored.url, tmp_path / "copied"))
+    place = tmp_path / "copied"
+    newer = place / copied.run("r1").key
+    newer.write_text(newer.read_text().replace('"version": 1', '"version": 9'))
+    half = place / copied.run("r2").key
+    half.write_bytes(half.read_bytes()[:200])
+    # The same run in both archives is one run; another run under its id is none.
+    other = Archive.create(tmp_path / "other")
+    folder = copied.extract("r0", tmp_path / "r0")
+    shutil.copyfile(folder / "calibration.json", tmp_path / "c.json")
+    calibration = json.loads((tmp_path / "c.json").read_text())
+    (tmp_path / "c.json").write_text(json.dumps(calibration | {"created": "another day"}))
+    other.add(
+        folder,
+        calibration=tmp_path / "c.json",
+        station="line 0",
+        label=RunLabel(run="r0", time="2026-11-01T10:00:00Z", serial="B0"),
+    )
+    summary = restitch(session(copied, other, stored, selection=RunSelection(until="2026-11-03")), cluster)
+    text = "\n".join(summary.left_out)
+    assert "version is 9" in text
+    assert str(half) in text
+    assert "r0.json: two runs have this id, and differ" in text
+    assert (summary.runs, summary.done) == (2, 2), "r1 and r2 are whole in the third archive"
+    assert json.loads((tmp_path / "out" / "left-out.json").read_text()) == list(summary.left_out)
+
+
+def test_a_directory_of_something_else_is_refused(
+    session: Callable[..., Session], cluster: ClusterOptions, tmp_path: Path
+) -> None:
+    made = session()
+    (tmp_path / "x").mkdir()
+    (tmp_path / "x" / "letter.txt").write_text("")
+    with pytest.raises(InputError, match=r"is not empty and has no restitch\.json"):
+        restitch(replace(made, out=tmp_path / "x"), cluster)
+
+
+def test_a_damaged_file_of_a_run_is_left_out_with_what_to_do(
+    session: Callable[..., Session], cluster: ClusterOptions, tmp_path: Path
+) -> None:
+    chosen = RunSelection(until="2026-11-01")
+    restitch(session(selection=chosen), cluster)
+    (path,) = (tmp_path / "out").rglob("r0.json.gz")
+    path.write_bytes(b"nothing")
+    summary = restitch(session(selection=chosen), cluster)
+    assert "Delete it and repeat the command" in summary.left_out[0]

@@ -1,0 +1,100 @@
+"""One run: the station's result, and faults as values that name run and blob."""
+
+from __future__ import annotations
+
+import gzip
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.plant.conftest import add_runs
+from vaoi_station import RecordedRun, StitchedRun
+from vaoi_station.errors import InputError, StateError
+from vaoi_station.files.results import stitch_document
+from vaoi_station.model import Status
+from vaoi_station.plant.archive import Archive
+from vaoi_station.plant.restitch.software import software
+from vaoi_station.plant.restitch.task import RunFault, RunTask, Terms, _with_verdict, read_outcome, restitch_run
+
+
+def outcome(archive: Archive, run: str, tmp_path: Path, terms: Terms | None = None) -> dict[str, object]:
+    packed = restitch_run(RunTask(archive.url, archive.run(run).key, terms or Terms(software())))
+    assert isinstance(packed, bytes), packed
+    (tmp_path / "run.json.gz").write_bytes(packed)
+    return read_outcome(tmp_path / "run.json.gz")
+
+
+def test_the_result_is_that_of_the_station(stored: Archive, stitched: StitchedRun, tmp_path: Path) -> None:
+    document = outcome(stored, "r1", tmp_path)
+    ours, theirs = json.loads(json.dumps(document["result"])), json.loads(json.dumps(stitch_document(stitched.result)))
+    for result in (ours, theirs):
+        del result["quality"]["timings_ms"]
+        del result["quality"]["recording"]["name"]  # that of the folder
+    assert ours == theirs, "to the last digit"
+    assert (document["station"], document["run"]) == ("line 1", "r1")
+    tables = document["tables"]
+    assert isinstance(tables, dict)
+    assert tables["runs"]["result"] == ["former", "new"]
+    views = tables["views"]["x_px"]
+    assert views[: len(views) // 2] == views[len(views) // 2 :]
+
+
+@pytest.mark.parametrize(
+    ("verdict", "statuses", "expected"),
+    [("degraded", "ok ok", "degraded degraded"), ("degraded", "ok failed", "degraded failed"),
+     ("degraded", "degraded ok", "degraded ok"), (None, "ok ok", "ok ok")],
+)  # fmt: skip
+def test_verdict_of_the_run_holds_for_both_results(
+    stitched: StitchedRun, verdict: str | None, statuses: str, expected: str
+) -> None:
+    """What degrades a run beside its result, such as another board id, is not mended by another result."""
+    former, new = (stitched.result.model_copy(update={"status": Status(s)}) for s in statuses.split())
+    found = _with_verdict(Status(verdict) if verdict else None, former, new)
+    assert " ".join(result.status for result in found) == expected
+
+
+def test_another_calibration_is_used(stored: Archive, moved_calibration: Path, tmp_path: Path) -> None:
+    document = outcome(stored, "r0", tmp_path, Terms(software(), calibration=moved_calibration.read_bytes()))
+    tables = document["tables"]
+    assert isinstance(tables, dict)
+    moved = tables["cameras"]["y_px"]
+    assert moved[4] - moved[1] == pytest.approx(-0.2, abs=0.03)
+
+
+def test_a_board_type_that_fits_nothing_is_a_fault(stored: Archive) -> None:
+    terms = Terms(software(), board_type=b'{"name": "bare"}')
+    fault = restitch_run(RunTask(stored.url, stored.run("r0").key, terms))
+    assert isinstance(fault, RunFault)
+
+
+def test_a_missing_and_a_damaged_blob_are_named(board: RecordedRun, tmp_path: Path) -> None:
+    archive = Archive.create(tmp_path / "archive")
+    add_runs(archive, board.directory, 1)
+    run = archive.run("r0")
+    blob = run.frames[3]
+    path = tmp_path / "archive" / blob.key
+    content = path.read_bytes()
+    path.write_bytes(content[:100] + bytes([content[100] ^ 1]) + content[101:])
+    task = RunTask(archive.url, run.key, Terms(software()))
+    assert "r0" in str(restitch_run(task))
+    assert blob.sha256 in str(restitch_run(task))
+    path.unlink()
+    assert "is missing" in str(restitch_run(task))
+
+
+def test_other_software_is_refused(stored: Archive) -> None:
+    task = RunTask(stored.url, stored.run("r0").key, Terms("vaoi_station 0.0.1"))
+    with pytest.raises(StateError, match=r"must have vaoi_station 0\.0\.1"):
+        restitch_run(task)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"", gzip.compress(b"{"), gzip.compress(b"[]"), gzip.compress(b'{"format": "vaoi-restitched-run"}')],
+    ids=["empty", "no JSON", "no object", "no version"],
+)
+def test_a_damaged_file_is_refused_with_what_to_do(content: bytes, tmp_path: Path) -> None:
+    (tmp_path / "r.json.gz").write_bytes(content)
+    with pytest.raises(InputError, match=r"r\.json\.gz: .* Delete it and repeat"):
+        read_outcome(tmp_path / "r.json.gz")

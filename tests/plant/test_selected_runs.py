@@ -1,0 +1,29 @@
+"""The runs of several archives: equal ones once, different ones under one id not at all."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from vaoi_station.plant.archive import Archive, RunLabel, RunSelection
+from vaoi_station.plant.selected_runs import select_runs
+
+
+def test_runs_are_found_once_and_in_order(recording: Path, tmp_path: Path) -> None:
+    first = Archive.create(tmp_path / "a")
+    for station, run in (("b", "r1"), ("a", "r2")):
+        first.add(recording, station=station, label=RunLabel(run=run, time="2026-11-01T10:00:00Z"))
+    second = Archive.open(shutil.copytree(tmp_path / "a", tmp_path / "b"))
+    found = select_runs([first.url, second.url, first.url], RunSelection(), pytest.fail)
+    assert [(url, key.rpartition("/")[2]) for url, key in found] == [(first.url, "r2.json"), (first.url, "r1.json")]
+
+
+def test_different_runs_with_one_id_are_named(recording: Path, tmp_path: Path) -> None:
+    archives = [Archive.create(tmp_path / name) for name in "ab"]
+    for archive, serial in zip(archives, ("B1", "B2"), strict=True):
+        archive.add(recording, station="s", label=RunLabel(run="r1", time="2026-11-01T10:00:00Z", serial=serial))
+    reported: list[str] = []
+    assert select_runs([a.url for a in archives], RunSelection(), reported.append) == []
+    assert "r1.json: two runs have this id, and differ" in reported[0]

@@ -1,0 +1,274 @@
+"""Runs go to the archive when the line leaves time, and wait for an archive that is absent."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from multiprocessing import Pipe
+from pathlib import Path
+from typing import Any, cast
+from unittest.mock import Mock
+
+import numpy as np
+import pytest
+
+from tests.runs.conftest import a_stitch
+from vaoi_station.acquisition.process.messages import Grant
+from vaoi_station.backoff import BackoffPolicy
+from vaoi_station.config import ArchiveConfig
+from vaoi_station.files import open_recording
+from vaoi_station.model import Status
+from vaoi_station.model.board_identity import IdentityDocument, IdentityReason
+from vaoi_station.plant.archive import Archive
+from vaoi_station.runs.archive.event_log import EventLog
+from vaoi_station.runs.archive.recordings import Recordings
+from vaoi_station.runs.handover.adder import serve
+from vaoi_station.runs.handover.handover import SILENCE_S, Handover
+from vaoi_station.runs.states.schemas import RunDetail
+
+
+class Helper(threading.Thread):
+    """The adder as a thread of the test: no process starts."""
+
+    def kill(self) -> None:
+        """Do nothing: it ends because its pipe is closed."""
+
+
+class Blocked(Helper):
+    """An adder that does not end when it is killed."""
+
+    def join(self, timeout: float | None = None) -> None:
+        """Return at once: no caller may wait for it."""
+
+
+def launch() -> tuple[Any, Helper]:
+    """Start an adder."""
+    ours, its = Pipe()
+    helper = Helper(target=serve, args=(its,))
+    helper.start()
+    return ours, helper
+
+
+class Line:
+    """A station, an archive, and the thread between them."""
+
+    def __init__(self, rig: Any, folder: Path) -> None:
+        self.rig, self.folder = rig, folder
+        self.busy = threading.Event()
+        self.armed = False
+        self.codes: list[str] = []
+        self.recordings = rig.coordinator.kept.recordings
+
+    def add(self, _kind: str, _message: str, code: str = "", **_: object) -> None:
+        """Take an event of the thread."""
+        self.codes.append(code)
+
+    @contextmanager
+    def running(self, **settings: Any) -> Iterator[Handover]:
+        """Hand over to the archive in `folder`."""
+        started = settings.pop("launch", launch)
+        silence_s = settings.pop("silence_s", SILENCE_S)
+        config = ArchiveConfig(url=str(self.folder), **settings)
+        retry = BackoffPolicy(first_s=0.01, longest_s=0.02, proven_s=60.0)
+        made = Handover(config, "one", cast("EventLog", self), self.busy.is_set, retry, started, silence_s)
+        with made.running(self.recordings):
+            yield made
+
+    def board(self, verdict: Status) -> RunDetail:
+        """Film a board."""
+        self.rig.workers.result = lambda head: a_stitch(head, verdict, ("weak",) if verdict is not Status.OK else ())
+        # The line stays armed: the grant for the next board comes by itself.
+        grant = self.rig.peer.expect(Grant) if self.armed else self.rig.arm()
+        self.armed = True
+        self.rig.board(grant)
+        detail: RunDetail = self.rig.result_of(grant.run)
+        return detail
+
+    def wait(self, true: Callable[[], bool], what: str) -> None:
+        """Wait until a condition holds."""
+        self.rig.wait_for(true, what)
+
+
+@pytest.fixture
+def line(make_rig: Callable[..., Any], tmp_path: Path) -> Line:
+    """Return a station that is ready, and the path of an archive that is not made yet."""
+    rig = make_rig()
+    rig.ready()
+    return Line(rig, tmp_path / "archive")
+
+
+def test_a_degraded_run_is_archived_and_stays_as_a_recording(line: Line, tmp_path: Path) -> None:
+    archive = Archive.create(line.folder)
+    with line.running() as handover:
+        run = line.board(Status.DEGRADED)
+        line.wait(lambda: handover.status().added == 1, "the run is in the archive")
+    [added] = archive.runs()
+    assert (added.run, added.station, added.time, added.verdict) == (run.id, "one", run.started, "degraded")
+    assert archive.verify().faults == 0
+    kept = open_recording(line.recordings.directory / run.id)
+    back = open_recording(archive.extract(run.id, tmp_path / "back"))
+    assert np.array_equal(back.frame(1, 2), kept.frame(1, 2))  # type: ignore[arg-type]
+    assert line.codes == []
+
+
+def test_a_good_run_is_recorded_for_the_archive_only(line: Line) -> None:
+    archive = Archive.create(line.folder)
+    with line.running(ok_every=1) as handover:
+        run = line.board(Status.OK)
+        line.wait(lambda: handover.status().added == 1, "the run is in the archive")
+        line.wait(lambda: line.recordings.path_of(run.id) is None, "its recording is deleted")
+    assert [one.run for one in archive.runs()] == [run.id]
+
+
+def again(recordings: Recordings) -> Recordings:
+    """Return the recordings of a station after a restart."""
+    return Recordings(recordings.directory, recordings._keep, recordings._archive, recordings._events, Mock())
+
+
+def test_a_restart_forgets_no_run_that_is_recorded_for_the_archive_only(line: Line) -> None:
+    with line.running(ok_every=1) as handover:
+        runs = [line.board(Status.OK).id for _ in range(2)]
+        line.wait(lambda: handover.status().waiting == 2, "both wait for an archive that is absent")
+    line.rig.coordinator.kept.pin(runs[0])
+    line.wait(lambda: runs[0] not in line.recordings._for_archive, "the pinned one is kept beyond the archive")
+    Archive.create(line.folder)
+    line.recordings = again(line.recordings)
+    with line.running(ok_every=1) as handover:
+        line.wait(lambda: handover.status().added == 2, "both are in the archive")
+        line.wait(lambda: line.recordings.path_of(runs[1]) is None, "the recording of the other is deleted")
+    assert line.recordings.all() == (runs[0],)
+    assert not (line.recordings.directory / runs[1]).exists()
+
+
+def test_a_run_that_is_degraded_after_its_end_is_recorded_for_the_archive(line: Line) -> None:
+    line.recordings._keep = line.recordings._keep.model_copy(update={"recordings_of_failed": False})
+    archive = Archive.create(line.folder)
+    with line.running() as handover:
+        run = line.board(Status.OK)
+        assert line.recordings.path_of(run.id) is None
+        identities = line.rig.coordinator.kept.identities
+        identities.on_degraded(run.id)
+        assert handover.status().waiting == 0, "nothing has degraded it"
+        reason = IdentityReason(code="board-id-unread", message="No code was read.", action="Clean the code.")
+        identities._remember(run.id, IdentityDocument(state="unread", required=True, reasons=(reason,)))
+        identities.on_degraded(run.id)
+        line.wait(lambda: handover.status().added == 1, "the run is in the archive")
+        line.wait(lambda: line.recordings.path_of(run.id) is None, "its recording is deleted")
+    assert [one.run for one in archive.runs()] == [run.id]
+
+
+def test_runs_wait_for_an_absent_archive_and_the_station_says_so(line: Line) -> None:
+    with line.running() as handover:
+        run = line.board(Status.FAILED)
+        line.wait(lambda: handover.reasons() != (), "the warning")
+        [warning] = handover.reasons()
+        assert warning.code == "archive-waits"
+        assert "is no archive" in warning.message
+        assert "1 runs wait on this disk" in warning.message
+        assert "mounted" in warning.action
+        Archive.create(line.folder)
+        line.wait(lambda: handover.status().added == 1, "the run is in the archive")
+        assert (handover.reasons(), handover.status().waiting) == ((), 0)
+    assert line.codes == ["archive-waits", "archive-back"]
+    assert Archive.open(line.folder).run(run.id).verdict == "failed"
+
+
+def test_a_run_that_made_room_for_others_is_reported(line: Line) -> None:
+    with line.running() as handover:
+        run = line.board(Status.FAILED)
+        line.wait(lambda: handover.status().problem != "", "the archive is absent")
+        with line.recordings._lock:
+            line.recordings._delete(run.id)
+        line.wait(lambda: handover.status().dropped == 1, "the run is given up")
+    assert line.codes[-1] == "archive-dropped"
+
+
+def test_nothing_is_written_while_a_board_is_filmed(line: Line) -> None:
+    archive = Archive.create(line.folder)
+    line.busy.set()
+    with line.running() as handover:
+        run = line.board(Status.FAILED)
+        line.wait(lambda: handover.status().adding == run.id, "the run has its turn")
+        assert list(archive.storage.entries("blobs")) == []
+        line.busy.clear()
+        line.wait(lambda: handover.status().added == 1, "the run is in the archive")
+
+
+def test_a_station_that_stops_gives_a_run_up_and_goes_on_after_its_start(line: Line) -> None:
+    archive = Archive.create(line.folder)
+    line.busy.set()
+    with line.running() as handover:
+        run = line.board(Status.FAILED)
+        line.wait(lambda: handover.status().adding == run.id, "the run has its turn")
+    assert not handover.thread.is_alive()
+    line.busy.clear()
+    with line.running() as again:
+        line.wait(lambda: again.status().added == 1, "the run is in the archive")
+    assert [one.run for one in archive.runs()] == [run.id]
+
+
+def test_a_run_that_cannot_be_added_is_named_and_others_are_added(line: Line) -> None:
+    archive = Archive.create(line.folder)
+    line.busy.set()
+    with line.running() as handover:
+        run = line.board(Status.FAILED)
+        line.wait(lambda: handover.status().adding == run.id, "the run has its turn")
+        frame = line.recordings.directory / run.id / "frames" / "c01_r002.tiff"
+        content = frame.read_bytes()
+        frame.write_text("torn")
+        line.busy.clear()
+        line.wait(lambda: handover.status().refused == 1, "the run is refused")
+        frame.write_bytes(content)
+        handover.offer(run.id)
+        line.wait(lambda: handover.status().added == 1, "it is in the archive")
+    assert line.codes == ["archive-refused"]
+    assert [one.run for one in archive.runs()] == [run.id]
+
+
+def test_every_nth_good_run_is_wanted_and_all_others(line: Line) -> None:
+    run = line.board(Status.OK)
+    made = [run.model_copy(update={"id": f"{number:010d}-abcdef"}) for number in range(400)]
+    for every, least, most in ((0, 0, 0), (1, 400, 400), (4, 60, 140)):
+        with line.running(ok_every=every) as handover:
+            assert least <= sum(handover.wants(one) for one in made) <= most
+            assert handover.wants(run.model_copy(update={"verdict": None}))
+
+
+def test_an_adder_that_cannot_be_started_does_not_end_the_station(line: Line) -> None:
+    Archive.create(line.folder)
+    failures = [MemoryError(), BlockingIOError(11, "Resource temporarily unavailable")]
+
+    def launch_at_last() -> tuple[Any, Helper]:
+        if failures:
+            raise failures.pop()
+        return launch()
+
+    with line.running(launch=launch_at_last) as handover:
+        line.board(Status.FAILED)
+        line.wait(lambda: handover.status().added == 1, "the run is in the archive")
+        assert handover.thread.fault() is None
+    assert line.codes == ["archive-waits", "archive-back"]
+
+
+def test_an_adder_that_a_share_blocks_is_given_up_and_no_other_is_blocked(line: Line) -> None:
+    Archive.create(line.folder)
+    answers, started = threading.Event(), []
+
+    def launch_blocked() -> tuple[Any, Helper]:
+        if answers.is_set():
+            return launch()
+        ours, its = Pipe()
+        started.append(its)
+        helper = Blocked(target=answers.wait, daemon=True)
+        helper.start()
+        return ours, helper
+
+    with line.running(launch=launch_blocked, silence_s=0.3) as handover:
+        line.board(Status.FAILED)
+        line.wait(lambda: handover.reasons() != (), "the warning")
+        assert "does not answer" in handover.reasons()[0].message
+        answers.set()
+        line.wait(lambda: handover.status().added == 1, "the run is in the archive")
+    assert len(started) == 1
+    assert line.codes == ["archive-waits", "archive-back"]

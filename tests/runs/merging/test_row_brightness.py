@@ -1,0 +1,139 @@
+"""Rows that flicker are equally bright in merged pictures of a station with flat fields; they are compared once."""
+
+from __future__ import annotations
+
+import io
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.api.held_station import BOARD, HeldStation
+from tests.runs.merging.finished_board import RADIANCE, Merging, even_fields
+from vaoi_station.errors import GoneError, InternalError
+from vaoi_station.files.images import write_image
+from vaoi_station.model import BoardType
+from vaoi_station.runs.merging.merged_pictures import MergeRequest
+from vaoi_station.runs.merging.row_brightness import RowBrightness
+from vaoi_station.runs.workers.jobs import PictureJob
+from vaoi_station.runs.workers.merge_job import RowLevelsJob
+
+WANTED = MergeRequest(region=(5, 5, 45, 35), px_per_mm=2)
+
+
+@pytest.fixture(scope="module")
+def station() -> HeldStation:
+    return HeldStation()
+
+
+@pytest.fixture
+def merging(station: HeldStation, tmp_path: Path) -> Merging:
+    fields = even_fields(tmp_path / "fields", station.cameras)
+    return Merging(BoardType.model_validate(BOARD), station.stitch(station.film()), station.cameras, fields, 0.08)
+
+
+def spread(merging: Merging, pictures: int) -> float:
+    """Return by how much the mean radiance differs between the merged pictures, as a share."""
+    found = [np.load(io.BytesIO(merging.access.image("r1", WANTED, k, "npy"))) for k in range(pictures)]
+    means = [float(np.nanmean(value)) for value in found]
+    assert np.mean(means) == pytest.approx(RADIANCE, rel=0.06)
+    return max(means) / min(means) - 1
+
+
+def test_rows_that_flicker_are_equally_bright(merging: Merging) -> None:
+    pictures = len(merging.access.pictures("r1", WANTED))
+    assert pictures > 2
+    assert spread(merging, pictures) < 0.01
+    (job,) = merging.compared
+    assert (job.bay, job.generation, job.recorded) == (1, 7, False)
+    assert len(job.frames) == sum(f.usable for f in merging.finished.detail.frames)
+
+
+def test_levels_belong_to_the_flat_fields_they_were_made_with(merging: Merging, tmp_path: Path) -> None:
+    merging.access.image("r1", WANTED, None, "npy")
+    merging.access.image("r1", WANTED, None, "npy")
+    assert len(merging.compared) == 1
+    document = tmp_path / "fields" / "flatfield.json"
+    document.write_bytes(document.read_bytes() + b" ")
+    merging.access.image("r1", WANTED, None, "npy")
+    assert len(merging.compared) == 2
+
+
+def test_frames_of_a_recording_are_compared_by_their_files(
+    merging: Merging, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    merging.gone = True
+    with pytest.raises(GoneError):
+        merging.access.image("r1", WANTED, None, "npy")
+    rows = len(merging.levels)
+    for slot, pixels in merging.pixels.items():
+        write_image(tmp_path / f"{slot}.png", pixels)
+    # The access binds the function that finds files when it is made.
+    monkeypatch.setattr(merging, "recorded_in", tmp_path)
+    value = np.load(io.BytesIO(merging.access.image("r1", WANTED, None, "npy")))
+    assert np.nanstd(value) / np.nanmean(value) < 0.02
+    (job,) = merging.compared
+    assert job.recorded
+    assert {frame.file for frame in job.frames} == {tmp_path / f"{f.camera * rows + f.row}.png" for f in job.frames}
+
+
+def test_a_frame_that_was_not_recorded_is_left_out(
+    merging: Merging, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def recorded(run: str, camera: int, row: int) -> Path | None:
+        if (camera, row) == absent:
+            raise GoneError(f"The recording of run {run} has no frame (camera {camera}, row {row}).")
+        return tmp_path / f"{camera * len(merging.levels) + row}.png"
+
+    for slot, pixels in merging.pixels.items():
+        write_image(tmp_path / f"{slot}.png", pixels)
+    usable = [f for f in merging.finished.detail.frames if f.usable]
+    absent = usable[-1].camera, usable[-1].row
+    merging.gone = True
+    brightness = RowBrightness(merging._lease, recorded, merging._render, tmp_path / "fields")
+    levels = brightness.levels(merging.finished)
+    assert len(levels) == len(merging.levels)
+    (job,) = merging.compared
+    assert {(f.camera, f.row) for f in job.frames} == {(f.camera, f.row) for f in usable} - {absent}
+
+
+def test_rows_of_a_failed_comparison_count_as_equal_and_are_not_compared_again(
+    merging: Merging, tmp_path: Path
+) -> None:
+    asked: list[str] = []
+
+    def render(job: PictureJob, name: str) -> Any:
+        asked.append(name)
+        raise InternalError("given up after 2 attempts")
+
+    brightness = RowBrightness(merging._lease, merging._recorded, render, tmp_path / "fields")
+    for _ in range(2):
+        np.testing.assert_array_equal(brightness.levels(merging.finished), np.ones(len(merging.levels)))
+    assert len(asked) == 1
+
+
+def test_a_run_that_is_kept_does_not_wait_for_another(merging: Merging, tmp_path: Path) -> None:
+    begun, finish = threading.Event(), threading.Event()
+
+    def render(job: PictureJob, name: str) -> Any:
+        if isinstance(job, RowLevelsJob) and job.run == "r2":
+            begun.set()
+            finish.wait(60)
+        return np.ones(len(merging.levels))
+
+    brightness = RowBrightness(merging._lease, merging._recorded, render, tmp_path / "fields")
+    brightness.levels(merging.finished)
+    detail = SimpleNamespace(id="r2", frames=merging.finished.detail.frames)
+    other: Any = SimpleNamespace(**{**vars(merging.finished), "detail": detail})
+    with ThreadPoolExecutor(2) as threads:
+        slow = threads.submit(brightness.levels, other)
+        try:
+            assert begun.wait(60)
+            assert len(threads.submit(brightness.levels, merging.finished).result(60)) == len(merging.levels)
+            assert not slow.done()
+        finally:
+            finish.set()

@@ -1,0 +1,129 @@
+"""Figures of a station's boards: kept when a run ends and when it is checked, returned whole, thinned and compared."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+from unittest.mock import Mock
+
+import pytest
+
+from vaoi_station.acquisition.process.messages import Grant
+from vaoi_station.errors import StateError
+from vaoi_station.runs.trends import trend_history
+from vaoi_station.runs.trends.trend_history import TrendHistory
+from vaoi_station.store import Store
+from vaoi_station.store.history.board_figures import BoardRow, Span
+
+EVER = Span("2000-01-01T00:00:00.000Z", "2100-01-01T00:00:00.000Z")
+YEAR = Span("2026-01-01T00:00:00.000Z", "2027-01-01T00:00:00.000Z")
+
+
+def fill(store: Store, boards: int, kept: int = 10_000) -> TrendHistory:
+    """A board per 30 minutes from the begin of 2026 on."""
+    for n in range(boards):
+        time = f"2026-01-{1 + n // 48:02d}T{n % 48 // 2:02d}:{n % 2 * 30:02d}:00.000Z"
+        store.figures.add(
+            BoardRow(f"r{n:03d}", time, "b", {"ready_ms": float(n)}), {("software", ""): str(n // 9)}, kept
+        )
+    store.database.write(lambda _: None).result(10)
+    return TrendHistory(store.figures, ("a", "b"), 16)
+
+
+def test_figures_outlive_their_run(make_rig: Callable[..., Any], store: Store) -> None:
+    rig = make_rig()
+    rig.ready()
+    grant = rig.arm()
+    rig.board(grant)
+    rig.result_of(grant.run)
+    trends = rig.coordinator.kept.trends
+
+    def figures() -> set[str]:
+        return {series.figure for series in trends.trends(EVER, (), 100).series}
+
+    rig.wait_for(lambda: {"lost_frames", "drift_px"} <= figures(), "the figures of run and check")
+    store.retention.forget_details([grant.run]).result(10)
+    store.database.write(lambda c: c.execute("DELETE FROM calibration_checks")).result(10)
+    store.retention.forget_runs([grant.run]).result(10)
+    found = trends.trends(EVER, (), 100)
+    assert (found.boards, found.runs, found.bin_s) == (1, (grant.run,), None)
+    assert {"lost_frames", "drift_px"} <= figures()
+
+
+def test_figures_that_cannot_be_kept_hold_up_no_result(
+    make_rig: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = make_rig()
+    rig.ready()
+    grant = rig.arm()
+    for fault in (StateError("The database is closed."), ValueError("a fault")):
+        monkeypatch.setattr(rig.archive.figures, "add", Mock(side_effect=fault))
+        rig.board(grant)
+        assert rig.result_of(grant.run).verdict == "ok"
+        grant = rig.peer.expect(Grant)
+
+
+def test_a_fault_of_a_check_is_only_logged(store: Store, caplog: pytest.LogCaptureFixture) -> None:
+    TrendHistory(store.figures, ("a",), 16).checked(Mock(run="r1", spec=["run"]))
+    assert "figures of run r1 were not kept" in caplog.text
+
+
+def test_long_spans_are_thinned(store: Store) -> None:
+    history = fill(store, 100)
+    one = history.trends(Span(YEAR.since, "2026-01-02T00:00:00.000Z"), (), 100)
+    assert (one.boards, one.bin_s, len(one.times)) == (48, None, 48)
+    binned = history.trends(Span(YEAR.since, "2026-01-04T00:00:00.000Z"), (), 24)
+    assert (binned.boards, binned.bin_s, len(binned.times)) == (100, 10800, 17)
+    assert binned.series[0].values[0] == 2.5
+    assert (binned.series[0].least or [None])[0] == 0
+    assert (binned.series[0].runs or [None])[0] == "r005"
+    assert [m.after for m in binned.marks] == [str(n) for n in range(1, 12)]
+    assert binned.complete
+
+
+def test_a_dim_board_is_found_in_a_bin_and_in_an_hour(store: Store) -> None:
+    history = TrendHistory(store.figures, ("a",), 16)
+    for n, percent in enumerate((100.0, 80.0, 103.0)):
+        row = BoardRow(f"r{n}", f"2026-01-01T00:0{n}:00.000Z", "b", {"brightness_percent:a": percent})
+        store.figures.add(row, {}).result(10)
+    (hour,) = store.figures.hours(YEAR)
+    assert hour.figures["brightness_percent:a"][4] == "r1"
+    assert history.trends(YEAR, (), 2).series[0].runs == ("r1",)
+
+
+def test_figures_per_hour_go_further_back(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("vaoi_station.store.history.board_figures._EVERY", 100)
+    history = fill(store, 100, kept=10)
+    assert store.figures.count(YEAR) == 10
+    found = history.trends(Span(YEAR.since, "2026-02-01T00:00:00.000Z"), ["ready_ms"], 100)
+    assert (found.boards, found.bin_s, found.series[0].values[0]) == (100, 43200.0, 11.5)
+    recent = history.trends(Span("2026-01-02T22:00:00.000Z", "2026-02-01T00:00:00.000Z"), (), 100)
+    assert recent.boards == len(recent.runs or ()) == 8
+    monkeypatch.setattr(trend_history, "MOST_READ", 3)
+    assert history.trends(Span("2026-01-02T22:00:00.000Z", "2026-01-03T00:00:00.000Z"), (), 100).bin_s == 3600
+
+
+def test_an_answer_is_bounded_and_says_so(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    history = fill(store, 40)
+    monkeypatch.setattr(trend_history, "MOST_MARKS", 2)
+    found = history.trends(YEAR, (), 100)
+    assert [m.after for m in found.marks] == ["3", "4"]
+    assert not found.complete
+
+
+def test_many_boards_are_compared_by_every_nth(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    history = fill(store, 96)
+    monkeypatch.setattr(trend_history, "MOST_COMPARED", 12)
+    middle = "2026-01-02T00:00:00.000Z"
+    found = history.compared(Span(YEAR.since, middle), Span(middle, YEAR.until))
+    assert (found.before_boards, found.boards) == (48, 48)
+    (change,) = found.changes
+    assert change.before.boards == 12
+    assert change.change == 48
+    assert change.changed
+    assert len(found.marks) == 10
+
+
+def test_a_small_database_keeps_few_boards(store: Store) -> None:
+    assert TrendHistory(store.figures, (), 0.05)._kept == 2500
+    assert TrendHistory(store.figures, (), 16)._kept == 200_000

@@ -1,0 +1,86 @@
+"""Which good frames are confirmed by links on the board, and by what lies beside it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.hostile.judging import judge
+from vaoi_station.geometry.transforms import Floats
+from vaoi_station.stitching.adjustment.motion import Motion
+from vaoi_station.stitching.adjustment.observations import Observations
+from vaoi_station.stitching.matching.evidence import Links, Task
+from vaoi_station.stitching.quality.missing.confirmation import confirmed_beside, confirmed_by_links
+
+STEP_MM = 10.0
+MOTION = Motion(np.zeros(3), np.array([(0.0, 0.0), (-STEP_MM, 0.0), (-2 * STEP_MM, 0.0)]), np.zeros(2))
+"""The board is carried 10 mm along x from row to row."""
+
+
+def observed(*pairs: tuple[Task, Floats]) -> Observations:
+    """Return links of pairs of frames, each with the way (k, 2) between its two points, mm."""
+    count = [len(way) for _, way in pairs]
+    a_mm = np.concatenate([np.linspace((0, 0), (5, 40), len(way)) for _, way in pairs])
+    way_mm = np.concatenate([way for _, way in pairs])
+    group = np.repeat(np.arange(len(pairs)), count)
+    p = np.array([task.a[1] for task, _ in pairs])[group]
+    q = np.array([(task.b or task.a)[1] for task, _ in pairs])[group]
+    zero = np.zeros_like(a_mm)
+    empty = tuple(Links.empty(task, "") for task, _ in pairs)
+    noise = np.zeros((len(a_mm), 2, 2))
+    return Observations(p, q, a_mm, a_mm + way_mm, zero, zero, noise, np.ones(len(a_mm)), group, empty)
+
+
+def ways(*mm: float) -> Floats:
+    return np.array([(x, 0.0) for x in mm])
+
+
+ROWS = Task("rows", (0, 0), (0, 1))
+
+
+@pytest.mark.parametrize(
+    ("weight", "confirmed", "decided"),
+    [
+        ([1.0] * 2, False, False),
+        ([1.0] * 3, True, False),
+        ([1.0] * 3 + [0.0] * 9, False, True),
+        ([1.0] * 5 + [0.0] * 40, True, True),
+        ([0.0] * 5, False, True),
+    ],
+)
+def test_a_number_or_a_share_of_links_must_fit(weight: list[float], confirmed: bool, decided: bool) -> None:
+    links = observed((ROWS, ways(*[STEP_MM] * len(weight))))
+    both = {(0, 0), (0, 1)}
+    assert confirmed_by_links(links, np.array(weight)) == (both if confirmed else set(), both if decided else set())
+
+
+@pytest.mark.parametrize(
+    ("way_mm", "confirmed"),
+    [
+        (STEP_MM, True),
+        (STEP_MM * 0.985, True),  # a carrier below the board
+        (0.0, False),  # the picture of the row before, or dirt on the lens
+        (2 * STEP_MM, False),  # the picture of a later row
+        (STEP_MM * 0.9, False),
+    ],
+)
+def test_a_carrier_confirms_a_frame_only_if_it_moves_with_the_board(way_mm: float, confirmed: bool) -> None:
+    beside = observed((ROWS, ways(*[way_mm] * 8)))
+    found = confirmed_beside(beside, MOTION, {(0, 0)})
+    assert found == ({(0, 0)} if confirmed else set()), "only frames that are asked for are named"
+
+
+def test_few_links_beside_the_board_and_links_between_cameras_confirm_nothing() -> None:
+    few = observed((ROWS, ways(*[STEP_MM] * 4)))
+    assert confirmed_beside(few, MOTION, {(0, 0)}) == set()
+    mixed = observed((ROWS, ways(*[STEP_MM] * 6, *[0.0] * 4)))
+    assert confirmed_beside(mixed, MOTION, {(0, 0)}) == set()
+    neighbours = observed((Task("neighbours", (0, 0), (1, 0)), ways(*[0.0] * 20)))
+    assert confirmed_beside(neighbours, MOTION, {(0, 0)}) == set()
+    assert confirmed_beside(Observations.empty(), MOTION, {(0, 0)}) == set()
+
+
+def test_a_frame_that_shows_almost_only_the_carrier_is_no_reason() -> None:
+    """The first frame of camera 0 shows five components, but all its links lie on the carrier (hostile seed 71014)."""
+    outcome = judge(71014)
+    assert (outcome.status, outcome.finds) == ("ok", ()), outcome.reasons

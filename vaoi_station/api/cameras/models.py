@@ -1,0 +1,73 @@
+"""Answers about cameras and about the examination of the station."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict
+
+
+class Answer(BaseModel):
+    """Base class of these answers: immutable; a program may get further fields with any version."""
+
+    model_config = ConfigDict(frozen=True)
+
+
+class SharpnessTile(Answer):
+    """The sharpness of one of the 3 × 3 parts of a frame."""
+
+    column: int
+    row: int
+    blur_px: float | None = None
+    """Standard deviation of the blur across edges, px; absent if the part has too few edges."""
+
+
+class CameraFrame(Answer):
+    """The newest frame of a camera that is in memory, and its figures. Grey levels are shares of the full scale."""
+
+    camera: int
+    run: str
+    row: int
+    width: int
+    height: int
+    light: str
+    exposure_us: float | None = None
+    gain: float | None = None
+    focus: float
+    """Figure of focus: a higher value is sharper. Comparable only between frames of the same scene."""
+    blur_px: float | None = None
+    """Standard deviation of the blur across edges, px, of the whole frame; absent if there are too few edges."""
+    mtf50: float | None = None
+    """Spatial frequency, cycles per pixel, at which the modulation falls to one half."""
+    tiles: tuple[SharpnessTile, ...]
+    mean: float
+    low: float
+    """Grey level below which 1 % of the pixels lie."""
+    high: float
+    """Grey level below which 99 % of the pixels lie."""
+    saturated: float
+    """Share of the pixels at full scale."""
+    histogram: tuple[float, ...]
+    """Share of the pixels in each of 64 equal steps of grey, from dark to bright."""
+    link_mbit_s: float | None = None
+    """Mean data rate of the camera while the run was filmed, Mbit/s; absent while it is."""
+
+
+class ExaminationFinding(Answer):
+    """One finding of `vaoi doctor`."""
+
+    check: str
+    subject: str
+    """The camera, file or port that it concerns; empty: the station."""
+    level: Literal["ok", "warning", "fault", "not-applicable"]
+    message: str
+    action: str
+    """The step that solves the problem; empty without a problem."""
+
+
+class Examination(Answer):
+    """All findings of `vaoi doctor`, in the order of its checks."""
+
+    created: str
+    worst: Literal["ok", "warning", "fault", "not-applicable"]
+    findings: tuple[ExaminationFinding, ...]

@@ -1,0 +1,66 @@
+"""Routes under `cameras` and `doctor`: the newest frame of each camera with its figures; the findings of the doctor."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Query, Response
+
+from vaoi_station.api.cameras.examination import Examinations
+from vaoi_station.api.cameras.models import CameraFrame, Examination
+from vaoi_station.api.cameras.newest_frames import NewestFrames
+from vaoi_station.api.event_hub import ThreadLimit
+from vaoi_station.api.http_caching import LIVE
+from vaoi_station.api.parameters import Camera
+from vaoi_station.api.routes.services import Services
+
+JPEG = {
+    200: {"description": "The picture.", "content": {"image/jpeg": {"schema": {"type": "string", "format": "binary"}}}}
+}
+
+
+def router(services: Services, config: Path | None = None) -> APIRouter:
+    """Create the routes for cameras; `config` is the station.toml that the doctor examines."""
+    routes = APIRouter(tags=["station"])
+    frames, examinations = NewestFrames(services.coordinator), Examinations(config)
+    # An examination takes seconds: it must not take the threads of commands or of pictures.
+    examining = ThreadLimit(1)
+
+    @routes.get("/cameras/{camera}/frame", response_model_exclude_none=True)
+    async def get_camera_frame(response: Response, camera: Camera) -> CameraFrame:
+        """Return the figures of a camera's newest frame in memory: sharpness over the field, histogram, exposure.
+
+        404 `no-frame-yet`: no frame of the camera is in memory. State, temperature, packets: `cameras` of GET station.
+        """
+        response.headers["Cache-Control"] = LIVE
+        return await services.pictures.ask(frames.frame, camera)
+
+    @routes.get(
+        "/cameras/{camera}/picture",
+        response_class=Response,
+        responses=dict(JPEG),  # type: ignore[arg-type]
+        dependencies=[Depends(services.picture_seats.hold)],
+    )
+    async def get_camera_picture(
+        camera: Camera,
+        run: Annotated[str | None, Query(description="Run of the frame.", min_length=1, max_length=64)] = None,
+        row: Annotated[int | None, Query(description="Row of the frame.", ge=0, le=99999)] = None,
+    ) -> Response:
+        """Return a frame as JPEG of at most 960 px, for display; without `run` and `row` the newest in memory.
+
+        Without loss, and in full size: `runs/{run}/frames/{camera}/{row}`.
+        """
+        content = await services.pictures.ask(frames.picture, camera, run, row)
+        return Response(content, media_type="image/jpeg", headers={"Cache-Control": LIVE})
+
+    @routes.get("/doctor", response_model_exclude_none=True)
+    async def examine_station(response: Response) -> Examination:
+        """Run `vaoi doctor` on the station's machine and return its findings; it changes nothing and takes seconds.
+
+        An answer of the last 10 s is given again. 404 `not-examinable`: the station has no station.toml.
+        """
+        response.headers["Cache-Control"] = LIVE
+        return await examining.ask(examinations.examine)
+
+    return routes

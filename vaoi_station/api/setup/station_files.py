@@ -1,0 +1,42 @@
+"""The files by which a station is set up, and the copies that are made before one of them is replaced."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from vaoi_station.config import StationConfig
+from vaoi_station.files.documents import write_bytes
+
+_MOST_BACKUPS = 50
+"""Copies that are kept of one file; the oldest is deleted."""
+
+
+@dataclass(frozen=True)
+class StationFiles:
+    """The configuration in force, and the file from which it was read. No other file is named by a caller."""
+
+    path: Path
+    """station.toml."""
+    config: StationConfig
+    """As it was read at the start."""
+
+
+def replace_with_backup(path: Path, content: bytes) -> str | None:
+    """Write a file, after a copy of what it was before; return the copy's name, or None if there was no file.
+
+    Raises:
+        InputError: the file or its folder cannot be written to; the file is as it was.
+        DeviceError: the disk is full or damaged; the file is as it was.
+    """
+    path = path.resolve()
+    backup = None
+    if path.is_file():
+        now = datetime.now(UTC).strftime("%Y%m%dT%H%M%S%fZ")
+        backup = path.with_name(f"{path.stem}.before-{now}{path.suffix}")
+        write_bytes(backup, path.read_bytes(), mode=path.stat().st_mode & 0o777)
+    write_bytes(path, content, mode=path.stat().st_mode & 0o777 if backup else 0o644)
+    for old in sorted(path.parent.glob(f"{path.stem}.before-*{path.suffix}"))[:-_MOST_BACKUPS]:
+        old.unlink(missing_ok=True)
+    return None if backup is None else backup.name

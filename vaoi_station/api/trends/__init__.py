@@ -1,0 +1,1 @@
+"""REST: how the figures of boards develop, and how two spans of time differ."""

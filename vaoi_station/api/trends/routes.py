@@ -1,0 +1,95 @@
+"""Routes under `trends`: figures over boards and days, and the comparison of two spans."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta
+from typing import Annotated, Literal
+
+from fastapi import APIRouter, Query, Response
+from pydantic import AwareDatetime
+
+from vaoi_station.api.http_caching import LIVE
+from vaoi_station.api.routes.services import Services
+from vaoi_station.errors import InputError
+from vaoi_station.runs.states.run_ids import utc
+from vaoi_station.runs.trends.trend_schemas import TrendComparison, Trends
+from vaoi_station.store.history.board_figures import Span
+
+LONGEST = timedelta(days=3660)
+"""Longest span of one request: as long as figures per hour are kept."""
+DAY = timedelta(days=1)
+FigureName = Literal[
+    "residual_px", "seam_px", "sigma_px", "belt_mm_s", "slip_percent", "brightness_percent", "drift_px", "ready_ms",
+    "lost_frames", "unseen_parts",
+]  # fmt: skip
+Moment = Annotated[AwareDatetime | None, Query(description="A time with its zone, RFC 3339.")]
+_FIRST, _LAST = datetime(2, 1, 1, tzinfo=UTC), datetime(9998, 1, 1, tzinfo=UTC)
+"""Times beyond these cannot be converted to UTC from every zone."""
+TypeName = Annotated[str | None, Query(description="Name of the board type.", max_length=200)]
+
+
+def router(services: Services) -> APIRouter:
+    """Create the routes for trends."""
+    routes = APIRouter(prefix="/trends", tags=["runs"])
+    ask, history = services.commands.ask, services.coordinator.kept
+
+    @routes.get("", response_model_exclude_none=True)
+    async def get_trends(
+        *,
+        response: Response,
+        since: Moment = None,
+        until: Moment = None,
+        board_type: TypeName = None,
+        figure: Annotated[
+            list[FigureName] | None, Query(description="Name of a figure; may be repeated. None: all.", max_length=10)
+        ] = None,
+        points: Annotated[int, Query(description="Largest number of times in the reply.", ge=10, le=2000)] = 600,
+    ) -> Trends:
+        """Return the figures of the boards of a span: the last day, unless it is stated.
+
+        There is one value per board, or per bin of time with mean, least and largest value if there are more boards
+        than `points`. Figures of single boards are kept for 200,000 boards (fewer with a small `database_gb`), figures
+        per hour for ten years; both longer than the runs. At most 200 series and 200 marks are returned (`complete`).
+        """
+        response.headers["Cache-Control"] = LIVE
+        span = _span("since", since, "until", until, datetime.now(UTC), board_type)
+        return await ask(history.trends.trends, span, figure or (), points)
+
+    @routes.get("/comparison", response_model_exclude_none=True)
+    async def compare_trends(
+        *,
+        response: Response,
+        since: Moment = None,
+        until: Moment = None,
+        before_since: Moment = None,
+        before_until: Moment = None,
+        board_type: TypeName = None,
+    ) -> TrendComparison:
+        """Compare the figures of two spans, and rank them by the change in spreads from board to board.
+
+        Without times, the last day is compared with the day before it. Only boards whose figures are kept one by one
+        are compared; of more than 4000 boards of a span, every n-th is read.
+        """
+        response.headers["Cache-Control"] = LIVE
+        now = _span("since", since, "until", until, datetime.now(UTC), board_type)
+        end = datetime.fromisoformat(now.since)
+        before = _span("before_since", before_since, "before_until", before_until, end, board_type)
+        return await ask(history.trends.compared, before, now)
+
+    return routes
+
+
+def _span(
+    first: str, since: datetime | None, last: str, until: datetime | None, end: datetime, board_type: str | None
+) -> Span:
+    """Return a span that two parameters state; without them, the day before `end`."""
+    until = min(max(until or end, _FIRST), _LAST)
+    since = max(since or until - DAY, _FIRST)
+    if not timedelta(0) < until - since <= LONGEST:
+        raise InputError(
+            f"{first} is {since.isoformat()} and {last} is {until.isoformat()}: {first} must be earlier, by "
+            f"{LONGEST.days} days at most.",
+            action="State an earlier begin, or a shorter span.",
+        )
+    begin, end_text = (utc(moment.astimezone(UTC)) for moment in (since, until))
+    return Span(begin, end_text, board_type)

@@ -1,0 +1,197 @@
+// One board: the whole board to zoom into, the pictures of its parts, the report, the times of its steps, and files to take.
+import { Decisions } from "../parts/decisions.js";
+import { make, setText } from "../parts/elements.js";
+import { boardOrder } from "../parts/orders.js";
+import * as rest from "../parts/rest.js";
+import { draw } from "../parts/signs.js";
+import { fillIn, texts } from "../texts/texts.js";
+import { Comparison, shownMosaics } from "./comparison.js";
+import { showExports } from "./exports.js";
+import { PageState } from "./page_state.js";
+import { Pictures } from "./pictures.js";
+import { showReport } from "./report.js";
+import { timing } from "./timing.js";
+import { ZoomSide } from "./zoom.js";
+
+const TABS = ["part", "report", "timing", "export"];
+const PART = `
+<section id="head">
+  <svg id="verdict-shape" viewBox="0 0 100 100" aria-hidden="true"></svg>
+  <h2 id="board-title" data-text="board.loading"></h2>
+  <p id="board-order"></p>
+  <div id="decisions"></div>
+  <a href="#/boards" class="button" data-text="back"></a>
+</section>
+<section id="zoom" data-label="mosaic"></section>
+<section id="side">
+  <div id="tabs" role="tablist" data-label="board.tabs"></div>
+  <div id="tab-part" role="tabpanel"><div id="compare"></div><div id="part"></div></div>
+  <div id="tab-report" role="tabpanel" hidden></div>
+  <div id="tab-timing" role="tabpanel" hidden></div>
+  <div id="tab-export" role="tabpanel" hidden></div>
+</section>`;
+
+export class BoardView {
+  name = "board-view";
+  #id;
+  #state;
+  #run = null;
+  #seen = "";
+  #shown = { parts: [], mosaics: [], overlay: null, heights: null };
+  #zoom;
+  #pictures;
+  #comparison;
+  #decisions;
+
+  constructor(_station, id, query) {
+    this.#id = id.replaceAll("%20", " ");
+    this.#state = new PageState(this.#id, query);
+    this.root = make("div", { className: "board" });
+    this.root.innerHTML = PART;
+    fillIn(this.root);
+    this.#decisions = new Decisions(this.#part("decisions"), () => rest.unattended(this.show()));
+    this.#zoom = new ZoomSide(this.#part("zoom"), this.#state, (address) => this.#choose(address));
+    this.#pictures = new Pictures(this.#part("part"), this.#state);
+    this.#comparison = new Comparison(this.#part("compare"), this.#state, (other) => this.#compare(other));
+    this.#makeTabs();
+  }
+
+  #part(id) {
+    return this.root.querySelector(`#${id}`);
+  }
+
+  // Tabs as WAI-ARIA has them: one is reached by the tabulator, the others by the arrow keys.
+  #makeTabs() {
+    const tabs = TABS.map((name) => {
+      const tab = make("button", { type: "button", id: `to-${name}`, textContent: texts.board.tab[name] });
+      tab.setAttribute("role", "tab");
+      tab.setAttribute("aria-controls", `tab-${name}`);
+      this.#part(`tab-${name}`).setAttribute("aria-labelledby", tab.id);
+      this.#part(`tab-${name}`).tabIndex = 0; // it is scrolled by keyboard
+      tab.addEventListener("click", () => this.#open(name));
+      return tab;
+    });
+    this.#part("tabs").append(...tabs);
+    this.#part("tabs").addEventListener("keydown", (event) => {
+      const by = { ArrowRight: 1, ArrowLeft: -1 }[event.key];
+      if (!by) return;
+      event.preventDefault();
+      const next = tabs[(tabs.indexOf(document.activeElement) + by + tabs.length) % tabs.length];
+      next.focus();
+      next.click();
+    });
+    this.#open(TABS.includes(this.#state.get("tab")) ? this.#state.get("tab") : TABS[0]);
+  }
+
+  #open(name) {
+    this.#state.set({ tab: name });
+    for (const tab of TABS) {
+      const here = tab === name;
+      this.#part(`tab-${tab}`).hidden = !here;
+      this.#part(`to-${tab}`).setAttribute("aria-selected", here);
+      this.#part(`to-${tab}`).tabIndex = here ? 0 : -1;
+    }
+    if (name === "timing" && this.#run) rest.unattended(timing(this.#part("tab-timing"), this.#run));
+  }
+
+  close() {
+    this.#zoom.close();
+    this.#pictures.close();
+    this.#comparison.close();
+  }
+
+  async show() {
+    let run;
+    try {
+      run = await rest.run(this.#id);
+    } catch (error) {
+      if (!(error instanceof rest.Refusal)) throw error;
+      this.root.classList.add("unknown");
+      draw(this.#part("verdict-shape"), "unknown");
+      setText(this.#part("board-title"), error.status === 404 ? texts.notFound : error.message);
+      return;
+    }
+    const seen = `${run.state} ${run.frames_available} ${run.recording} ${run.decision?.decided} ${JSON.stringify(run.identity)}`;
+    if (seen === this.#seen) return;
+    this.#seen = seen;
+    this.#run = run;
+    this.#showHead(run);
+    // None of these is awaited by the state of the page.
+    rest.unattended(this.#showBoard(run));
+  }
+
+  #showHead(run) {
+    const verdict = run.verdict ?? (run.finished ? "failed" : "none");
+    draw(this.#part("verdict-shape"), verdict);
+    this.#part("head").dataset.verdict = verdict;
+    this.#decisions.show(run);
+    setText(this.#part("board-title"), `${run.board_id ?? texts.noId}: ${texts.verdicts[verdict]}`);
+    const decided = run.decision && `${texts.decided[run.decision.choice](run.decision.name)}: ${run.decision.reason}`;
+    setText(this.#part("board-order"), decided ?? (verdict === "ok" || verdict === "none" ? "" : boardOrder(run)));
+    showReport(this.#part("tab-report"), run, { parts: [], overlay: null });
+  }
+
+  async #showBoard(run) {
+    const result = run.verdict != null && run.verdict !== "failed";
+    const [parts, mosaics, overlay] = result
+      ? await Promise.all([rest.components(run.id).catch(() => []), shownMosaics(run).catch(() => []), rest.overlay(run.id).catch(() => null)])
+      : [[], [], null];
+    if (run !== this.#run) return; // its state has changed meanwhile
+    this.#shown = { parts, mosaics, overlay, heights: null };
+    showReport(this.#part("tab-report"), run, this.#shown);
+    showExports(this.#part("tab-export"), run, this.#shown);
+    if (this.#state.get("tab") === "timing") rest.unattended(timing(this.#part("tab-timing"), run));
+    this.#part("part").hidden = this.#part("compare").hidden = parts.length === 0;
+    const asked = parts.some((part) => part.address === this.#state.get("component"));
+    if (!asked) this.#state.set({ component: (largestSeen(parts) ?? parts[0])?.address ?? "" });
+    await this.#zoom.show({ parts, mosaics, overlay, why: mosaics.length ? whatIsShown(mosaics[0]) : why(run, parts) });
+    if (!parts.length) return;
+    this.#choose(this.#state.get("component"), asked);
+    rest.unattended(this.#showHeights(run));
+    await this.#comparison.show(run);
+  }
+
+  // Heights may be measured only now: nothing else waits for them.
+  async #showHeights(run) {
+    const heights = await rest.heights(run.id).catch(() => null);
+    if (run !== this.#run) return;
+    this.#shown.heights = heights;
+    this.#zoom.heights(heights);
+    this.#pictures.heights(heights);
+    showExports(this.#part("tab-export"), run, this.#shown);
+  }
+
+  #choose(address, fly = true) {
+    const part = this.#shown.parts.find((p) => p.address === address);
+    if (!part) return;
+    this.#state.set({ component: address });
+    this.#zoom.choose(address, fly);
+    const matrix = this.#shown.mosaics[0]?.image_from_cad;
+    rest.unattended(this.#pictures.show(this.#run, part, this.#shown.heights, matrix?.[0][0] < 0));
+  }
+
+  #compare({ run, mosaics, visible, from }) {
+    const wanted = this.#state.get("mosaic");
+    this.#zoom.compare(mosaics.find((m) => m.name === wanted) ?? mosaics[0] ?? null, visible, from);
+    this.#pictures.compare({ run, visible, from });
+  }
+}
+
+// What is shown in place of the mosaics of a run whose frames are gone.
+function whatIsShown(mosaic) {
+  return mosaic.kept ? texts.board.keptShown : "";
+}
+
+// Why there is no picture of the whole board.
+function why(run, parts) {
+  if (run.verdict === "failed") return texts.board.failedNote;
+  if (run.verdict == null) return texts.verdicts.none;
+  if (!parts.length && run.frames_available) return texts.noComponents;
+  return `${texts.board.framesGone(run.state)} ${run.recording ? texts.board.recordingKept : texts.board.notRecorded} ${texts.board.nothingKept}`;
+}
+
+// The default choice: defects are seen best on the largest component.
+function largestSeen(list) {
+  const seen = list.filter((c) => c.views > 0);
+  return seen.sort((a, b) => b.width_mm * b.height_mm - a.width_mm * a.height_mm)[0];
+}

@@ -1,0 +1,135 @@
+// The comparison of a board with another one: which, and how: a slider between both, or blinking.
+import { make, setText } from "../parts/elements.js";
+import * as rest from "../parts/rest.js";
+import { texts } from "../texts/texts.js";
+
+const BLINK_MS = 700;
+const SOUGHT = 20; // earlier runs among which the previous board is sought
+const PART = `
+<label><span data-text="board.compare"></span><select id="with"></select></label>
+<input id="with-run" maxlength="64" spellcheck="false" autocomplete="off" data-label="board.otherRun" hidden>
+<div id="how" role="group" data-label="board.how" hidden></div>
+<input id="divide" type="range" min="0" max="100" value="50" data-label="board.divide" hidden>
+<p id="compare-answer" role="status"></p>`;
+
+export class Comparison {
+  #state;
+  #onChange;
+  #run = null;
+  #other = null;
+  #mosaics = [];
+  #timer = null;
+  #visible = true;
+  #asked = 0;
+
+  // onChange({ run, mosaics, visible, from }): the other run or null, its mosaics, and which part of it is shown.
+  constructor(root, state, onChange) {
+    [this.root, this.#state, this.#onChange] = [root, state, onChange];
+    root.innerHTML = PART;
+    const choices = { "": texts.board.nothing, previous: texts.board.previous, reference: texts.board.reference, run: texts.board.otherRun };
+    this.#part("with").append(...Object.entries(choices).map(([value, textContent]) => make("option", { value, textContent })));
+    this.#part("how").append(...["slider", "blink"].map((how) => this.#mode(how)));
+    const chosen = state.get("with");
+    this.#part("with").value = chosen in choices ? chosen : "run";
+    this.#part("with-run").value = chosen in choices ? "" : chosen;
+    this.#part("with").addEventListener("change", () => {
+      const value = this.#part("with").value;
+      this.#state.set({ with: value === "run" ? this.#part("with-run").value.trim() : value });
+      if (value === "run") this.#part("with-run").focus();
+      rest.unattended(this.#resolve());
+    });
+    this.#part("with-run").addEventListener("change", () => {
+      this.#state.set({ with: this.#part("with-run").value.trim() });
+      rest.unattended(this.#resolve());
+    });
+    this.#part("divide").addEventListener("input", () => this.#report());
+  }
+
+  #part(id) {
+    return this.root.querySelector(`#${id}`);
+  }
+
+  #mode(how) {
+    const button = make("button", { type: "button", textContent: texts.board[how] });
+    button.dataset.how = how;
+    button.addEventListener("click", () => {
+      this.#state.set({ how });
+      this.#begin();
+    });
+    return button;
+  }
+
+  async show(run) {
+    this.#run = run;
+    await this.#resolve();
+  }
+
+  // Find the other run; every refusal is said here.
+  async #resolve() {
+    const asked = ++this.#asked;
+    const chosen = this.#state.get("with");
+    this.#part("with-run").hidden = this.#part("with").value !== "run";
+    let [other, mosaics, answer] = [null, [], ""];
+    if (chosen) {
+      try {
+        const id = await this.#idOf(chosen);
+        other = id && (await rest.run(id));
+        if (!other) answer = texts.board.noOther[chosen] ?? texts.notFound;
+        else if (other.board_type !== this.#run.board_type) [other, answer] = [null, texts.board.otherType(other.board_type)];
+        else if (other.id === this.#run.id) [other, answer] = [null, texts.board.itself];
+      } catch (error) {
+        if (!(error instanceof rest.Refusal)) throw error;
+        answer = error.code === "no-reference" ? texts.board.noOther.reference : error.status === 404 ? texts.notFound : error.message;
+      }
+    }
+    if (other) {
+      mosaics = await shownMosaics(other).catch(() => []);
+      answer = texts.board.comparedWith(other.board_id ?? texts.noId, other.id) + (mosaics.length ? "" : ` ${texts.board.otherGone}`);
+    }
+    if (asked !== this.#asked) return; // overtaken by a later choice
+    [this.#other, this.#mosaics] = [other, mosaics];
+    setText(this.#part("compare-answer"), answer);
+    this.#begin();
+  }
+
+  async #idOf(chosen) {
+    if (chosen === "reference") return (await rest.reference(this.#run.board_type)).run;
+    if (chosen !== "previous") return chosen;
+    const { runs } = await rest.runs({ board_type: this.#run.board_type, before: this.#run.id, limit: SOUGHT });
+    return runs.find((run) => run.verdict === "ok" || run.verdict === "degraded")?.id;
+  }
+
+  #begin() {
+    clearInterval(this.#timer);
+    const how = this.#state.get("how");
+    this.#visible = true;
+    this.#part("how").hidden = !this.#other;
+    this.#part("divide").hidden = !this.#other || how !== "slider";
+    for (const button of this.#part("how").children) button.setAttribute("aria-pressed", button.dataset.how === how);
+    if (this.#other && how === "blink") {
+      this.#timer = setInterval(() => {
+        this.#visible = !this.#visible;
+        this.#report();
+      }, BLINK_MS);
+    }
+    this.#report();
+  }
+
+  #report() {
+    const from = this.#state.get("how") === "slider" ? Number(this.#part("divide").value) / 100 : 0;
+    this.#onChange({ run: this.#other, mosaics: this.#mosaics, visible: this.#visible, from });
+  }
+
+  close() {
+    this.#asked++;
+    clearInterval(this.#timer);
+  }
+}
+
+// The pictures of the whole board that can be shown of a run: its mosaics while the frames are in memory, else the kept one.
+export async function shownMosaics(run) {
+  if (run.verdict == null || run.verdict === "failed") return [];
+  const { mosaics, kept } = await rest.mosaicList(run.id);
+  if (run.frames_available) return mosaics;
+  return kept ? [{ ...kept, kept: true, name: "kept" }] : [];
+}

@@ -1,0 +1,45 @@
+// What is shown of a board, kept in the address: a link reproduces the part, the overlay, the pictures and the comparison.
+const DEFAULTS = {
+  component: "", // address of the chosen part
+  tab: "part", // part, report, timing, export
+  colour: "none", // what parts are coloured by: none, sigma, views, height
+  show: "", // frames, links, fiducials, residuals: separated by commas
+  mosaic: "", // name of the mosaic; empty: the first
+  light: "", // pictures under this light only
+  minus: "", // its difference with this light
+  hdr: "", // "1": merged of all exposures
+  picture: "", // camera.row of the large picture
+  size: "fit", // fit, or 1:1
+  with: "", // what the board is compared with: previous, reference, or the id of a run
+  how: "slider", // slider or blink
+};
+
+export class PageState {
+  #id;
+  #values;
+
+  constructor(id, query) {
+    this.#id = id;
+    const given = new URLSearchParams(query);
+    this.#values = Object.fromEntries(Object.entries(DEFAULTS).map(([name, value]) => [name, given.get(name) ?? value]));
+  }
+
+  get(name) {
+    return this.#values[name];
+  }
+
+  // Which of the drawings that can be shown together are shown.
+  shown() {
+    return new Set(this.get("show").split(",").filter(Boolean));
+  }
+
+  set(changes) {
+    // An address that says the same in other characters stays: the frame of the page would take it for another one.
+    if (Object.entries(changes).every(([name, value]) => this.#values[name] === value)) return;
+    Object.assign(this.#values, changes);
+    const query = new URLSearchParams();
+    for (const [name, value] of Object.entries(this.#values)) if (value !== DEFAULTS[name]) query.set(name, value);
+    const stated = query.toString();
+    history.replaceState(null, "", `#/board/${encodeURIComponent(this.#id)}${stated ? `?${stated}` : ""}`);
+  }
+}

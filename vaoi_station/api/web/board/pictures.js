@@ -1,0 +1,301 @@
+// The pictures of one part: which frames show it, under which light, and one of them large, beside that of another board.
+import { make, setText } from "../parts/elements.js";
+import * as rest from "../parts/rest.js";
+import { number, texts } from "../texts/texts.js";
+import { heightText } from "./colours.js";
+
+const MAX_PICTURES = 48;
+const DECODE_LIMIT_MS = 1000;
+const PART = `
+<div id="part-head"><h3 id="part-name"></h3><span id="views"></span></div>
+<dl id="part-facts"></dl>
+<div id="picture-tools">
+  <label id="light-label"><span data-text="board.light"></span><select id="light"></select></label>
+  <label id="minus-label"><span data-text="board.minus"></span><select id="minus"></select></label>
+  <button type="button" id="hdr" data-text="board.hdr"></button>
+</div>
+<div id="stage" hidden>
+  <div id="stage-view" tabindex="0" data-label="board.large"><div id="pair"><img id="large" alt=""><img id="other" alt=""></div></div>
+  <div id="stage-tools"><button type="button" id="size"></button><a id="file" class="button" target="_blank" data-text="board.file"></a></div>
+  <p id="stage-facts"></p><p id="other-facts"></p>
+</div>
+<p id="pictures-note" role="status"></p>
+<div id="pictures" role="group" data-label="component"></div>`;
+
+export class Pictures {
+  #state;
+  #run = null;
+  #shown = null;
+  #views = [];
+  #other = { run: null, views: [], visible: true, from: 0 };
+  #mirrored = false;
+  #turn = 0;
+
+  constructor(root, state) {
+    [this.root, this.#state] = [root, state];
+    root.innerHTML = PART;
+    const chosen = (name) => () => {
+      state.set({ [name]: this.#at(name).value, ...(name === "light" ? { minus: "" } : {}), hdr: "", picture: "" });
+      rest.unattended(this.#load());
+    };
+    for (const name of ["light", "minus"]) this.#at(name).addEventListener("change", chosen(name));
+    this.#at("hdr").addEventListener("click", () => {
+      state.set({ hdr: state.get("hdr") ? "" : "1", picture: "" });
+      rest.unattended(this.#load());
+    });
+    this.#at("size").addEventListener("click", () => {
+      state.set({ size: state.get("size") === "1:1" ? "fit" : "1:1" });
+      this.#lay();
+    });
+    for (const id of ["large", "other"]) this.#at(id).addEventListener("load", () => this.#lay());
+    this.#at("large").addEventListener("error", () => this.#say(texts.board.unloadable));
+  }
+
+  #at(id) {
+    return this.root.querySelector(`#${id}`);
+  }
+
+  // Show a part of a run. `mirrored`: its pictures show the bottom side, on which angles run the other way.
+  async show(run, part, heights, mirrored) {
+    if (part.address !== this.#shown?.address && this.#shown) this.#state.set({ picture: "" });
+    [this.#run, this.#shown, this.#mirrored] = [run, part, mirrored];
+    setText(this.#at("part-name"), part.address);
+    this.heights(heights);
+    this.#offer(run);
+    await this.#load();
+  }
+
+  // Say how high the part is, and its other figures.
+  heights(heights) {
+    const part = this.#shown;
+    if (!part) return;
+    const lines = [
+      [texts.board.sigma, part.sigma_px == null ? texts.board.noValue : `${number(part.sigma_px, 3)} px, ${number(part.sigma_mm * 1000, 1)} µm`],
+      ...(part.coverage == null ? [] : [[texts.board.coverage, `${number(part.coverage * 100)} %${part.in_one_frame ? "" : `, ${texts.board.inSeveral}`}`]]),
+      [texts.board.height, heights?.[part.address] ? heightText(heights[part.address]) : texts.board.noValue],
+      [texts.board.footprint, `${number(part.width_mm, 1)} × ${number(part.height_mm, 1)} mm, ${number(part.rotation_deg)}°`],
+    ];
+    this.#at("part-facts").replaceChildren(...lines.flatMap(([name, value]) => [make("dt", { textContent: name }), make("dd", { textContent: value })]));
+  }
+
+  // The lights and exposures that the run has.
+  #offer(run) {
+    const usable = run.frames.filter((f) => f.verdict === "ok" && f.proven);
+    const lights = [...new Set(usable.map((f) => f.light).filter(Boolean))];
+    const options = (none, values) => [make("option", { value: "", textContent: none }), ...values.map((value) => make("option", { value, textContent: value }))];
+    this.#at("light").replaceChildren(...options(texts.board.allLights, lights));
+    this.#at("light").value = lights.includes(this.#state.get("light")) ? this.#state.get("light") : "";
+    this.#at("minus").replaceChildren(...options(texts.board.nothing, lights.filter((light) => light !== this.#at("light").value)));
+    this.#at("minus").value = this.#state.get("minus");
+    this.#at("light-label").hidden = lights.length < 2;
+    this.#at("minus-label").hidden = lights.length < 2 || !this.#at("light").value;
+    this.#at("hdr").hidden = new Set(usable.map((f) => f.exposure_us).filter(Boolean)).size < 2;
+    this.#at("hdr").setAttribute("aria-pressed", this.#state.get("hdr") === "1");
+  }
+
+  // The query for the pictures of the part, of this run and of the one it is compared with.
+  #query() {
+    const query = { align: "part" }; // turned to the part's own orientation, so that pin 1 of every U1 is at the same corner
+    if (this.#at("light").value) query.light = this.#at("light").value;
+    if (this.#at("light").value && this.#at("minus").value) query.minus = this.#at("minus").value;
+    return query;
+  }
+
+  async #load() {
+    const turn = ++this.#turn;
+    const [run, part] = [this.#run, this.#shown];
+    this.#offer(run);
+    const gone = !run.frames_available && !run.recording;
+    this.#at("picture-tools").hidden = gone;
+    if (gone) {
+      this.#views = [];
+      setText(this.#at("views"), "");
+      this.#at("stage").hidden = true;
+      this.#at("pictures").replaceChildren();
+      this.#say(texts.picturesGone);
+      return;
+    }
+    this.#say(this.#views.length ? "" : texts.board.loading);
+    try {
+      const views = await viewsOf(run, part, this.#state.get("hdr") === "1", this.#query());
+      if (turn !== this.#turn) return; // overtaken by a later choice
+      const figures = views.slice(0, MAX_PICTURES).map((view) => this.#figure(view));
+      await loaded(figures);
+      if (turn !== this.#turn) return;
+      this.#views = views;
+      setText(this.#at("views"), texts.views(views.length));
+      this.#at("pictures").replaceChildren(...figures);
+      this.#say(figures.length ? "" : texts.noPictures);
+      this.#choose(this.#chosen());
+      await this.#loadOther();
+    } catch (error) {
+      if (!(error instanceof rest.Refusal)) throw error;
+      if (turn !== this.#turn) return;
+      this.#views = [];
+      this.#at("stage").hidden = true;
+      this.#at("pictures").replaceChildren();
+      this.#say(error.message);
+    }
+  }
+
+  #say(text) {
+    setText(this.#at("pictures-note"), text);
+  }
+
+  #chosen() {
+    return this.#views.find((view) => nameOf(view) === this.#state.get("picture")) ?? this.#views[0];
+  }
+
+  #figure(view) {
+    const image = make("img", { alt: texts.alt(this.#shown.address, view) });
+    const caption = make("figcaption", { textContent: captionOf(view) });
+    const button = make("button", { type: "button" }, image);
+    const figure = make("figure", {}, button, caption);
+    figure.dataset.picture = nameOf(view);
+    this.#upright(image, view);
+    image.onerror = () => {
+      figure.classList.add("unloadable");
+      caption.textContent = captionOf(view) + texts.unloadable;
+    };
+    image.src = addressOf(this.#run, view);
+    button.addEventListener("click", () => {
+      this.#state.set({ picture: nameOf(view) });
+      this.#choose(view);
+      this.#at("stage").scrollIntoView({ block: "nearest" });
+    });
+    return figure;
+  }
+
+  // Merged pictures follow the CAD axes: they are turned here.
+  #upright(image, view) {
+    const angle = this.#shown.rotation_deg * (this.#mirrored ? -1 : 1);
+    image.style.transform = view.merged && angle % 360 ? `rotate(${angle}deg)` : "";
+  }
+
+  #choose(view) {
+    this.#at("stage").hidden = !view;
+    if (!view) return;
+    for (const figure of this.#at("pictures").children) {
+      const here = figure.dataset.picture === nameOf(view);
+      figure.classList.toggle("chosen", here);
+      figure.firstChild.setAttribute("aria-pressed", here);
+    }
+    this.#upright(this.#at("large"), view);
+    Object.assign(this.#at("large"), { src: addressOf(this.#run, view), alt: texts.alt(this.#shown.address, view) });
+    this.#at("file").href = addressOf(this.#run, view);
+    setText(this.#at("stage-facts"), factsOf(view));
+    this.#lay();
+    this.#showOther();
+  }
+
+  // What is shown of another board; `run` is null if there is none.
+  compare({ run, visible, from }) {
+    const same = run?.id === this.#other.run?.id;
+    Object.assign(this.#other, { run, visible, from });
+    if (same) {
+      this.#cut();
+      return;
+    }
+    this.#other.views = [];
+    if (this.#shown) rest.unattended(this.#loadOther());
+  }
+
+  async #loadOther() {
+    const [turn, run] = [this.#turn, this.#other.run];
+    let [views, answer] = [[], ""];
+    if (run && this.#views.length) {
+      if (!run.frames_available && !run.recording) answer = texts.board.otherPicturesGone;
+      else {
+        try {
+          views = await viewsOf(run, this.#shown, this.#state.get("hdr") === "1", this.#query());
+          if (!views.length) answer = texts.board.otherHasNone;
+        } catch (error) {
+          if (!(error instanceof rest.Refusal)) throw error;
+          answer = error.message;
+        }
+      }
+    }
+    if (turn !== this.#turn || run !== this.#other.run) return;
+    this.#other.views = views;
+    setText(this.#at("other-facts"), answer);
+    this.#showOther();
+  }
+
+  // The other board's picture that was taken most like the chosen one.
+  #showOther() {
+    const [view, image] = [this.#chosen(), this.#at("other")];
+    const found = view && alike(view, this.#other.views);
+    image.hidden = !found;
+    if (found) {
+      this.#upright(image, found);
+      const src = addressOf(this.#other.run, found);
+      if (image.getAttribute("src") !== src) Object.assign(image, { src, alt: texts.alt(this.#shown.address, found) });
+      setText(this.#at("other-facts"), `${texts.board.beside} ${captionOf(found)}`);
+    } else image.removeAttribute("src");
+    this.#cut();
+  }
+
+  #cut() {
+    const image = this.#at("other");
+    image.style.visibility = this.#other.visible ? "" : "hidden";
+    image.style.clipPath = this.#other.from > 0 ? `inset(0 0 0 ${this.#other.from * 100}%)` : "";
+  }
+
+  // Lay the large picture out: as large as its place, or one pixel of the camera on one pixel of the screen.
+  #lay() {
+    const [large, exact] = [this.#at("large"), this.#state.get("size") === "1:1"];
+    setText(this.#at("size"), exact ? texts.board.fit : texts.board.exact);
+    this.#at("stage-view").classList.toggle("exact", exact);
+    const [width, height] = exact ? [large.naturalWidth, large.naturalHeight].map((n) => `${n / devicePixelRatio}px`) : ["", ""];
+    Object.assign(this.#at("pair").style, { width, height });
+  }
+
+  close() {
+    this.#turn++;
+  }
+}
+
+// The views of a part, or with `hdr` its merged pictures, the one of all frames first.
+async function viewsOf(run, part, hdr, query) {
+  if (!hdr) return (await rest.component(run.id, part.address, query)).views;
+  const pictures = await rest.merged(run.id, { component: part.address, ...(query.light ? { light: query.light } : {}) });
+  return pictures.reverse().map((p) => ({ ...p, camera: p.merged[0][0], row: p.merged[0][1], light: p.lights.join(", "), coverage: 1 }));
+}
+
+const nameOf = (view) => (view.merged ? `m${view.k}` : `${view.camera}.${view.row}`);
+
+// After a reinstallation run ids may repeat; the start time keeps the browser from using a cached picture.
+function addressOf(run, view) {
+  const address = new URL(view.url, location.href);
+  address.searchParams.set("format", "jpeg");
+  address.searchParams.set("_", run.started);
+  return address.href;
+}
+
+function captionOf(view) {
+  if (view.merged) return texts.board.mergedOf(view.merged.length, view.exposures) + (view.light ? `, ${view.light}` : "");
+  return texts.caption(view) + texts.whole(Math.floor(view.coverage * 100 + 0.5));
+}
+
+function factsOf(view) {
+  const facts = [captionOf(view)];
+  if (view.minus) facts.push(texts.board.minusFrame(...view.minus));
+  if (view.exposure_us != null) facts.push(`${number(view.exposure_us)} µs`);
+  if (view.gain != null && view.gain !== 1) facts.push(`${texts.board.gain} ${number(view.gain, 2)}`);
+  if (view.view_angle_deg != null) facts.push(texts.board.angle(number(view.view_angle_deg, 1), view.view_azimuth_deg == null ? null : number(view.view_azimuth_deg)));
+  if (view.sigma_px != null) facts.push(`σ ${number(view.sigma_px, 3)} px`);
+  facts.push(`${number(view.px_per_mm, 1)} px/mm`);
+  return facts.join(" · ");
+}
+
+// The view that was taken most like another one: same light, same camera, seen at the same place of the frame.
+function alike(view, views) {
+  const cost = (v) => (v.light !== view.light ? 100 : 0) + (v.camera !== view.camera ? 10 : 0) + Math.abs((v.off_center ?? 0) - (view.off_center ?? 0)) + Math.abs((v.exposure_us ?? 0) - (view.exposure_us ?? 0)) / 1e3;
+  return [...views].sort((a, b) => cost(a) - cost(b))[0];
+}
+
+// Waits until the pictures are decoded, so that they change together; a slow one is not awaited longer than this.
+function loaded(figures) {
+  const images = figures.map((figure) => figure.querySelector("img").decode());
+  return Promise.race([Promise.allSettled(images), new Promise((done) => setTimeout(done, DECODE_LIMIT_MS))]);
+}

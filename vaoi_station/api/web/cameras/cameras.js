@@ -1,0 +1,187 @@
+// A card for each camera: its newest frame, sharpness, histogram, state of the device, drift, and what the doctor finds.
+import { histogram, sharpnessMap, BLUR_LIMIT_PX, DARK_LIMIT, SATURATED_LIMIT } from "../parts/camera_card.js";
+import { make, setText } from "../parts/elements.js";
+import * as rest from "../parts/rest.js";
+import { moment, number, texts } from "../texts/texts.js";
+
+const AGAIN_MS = 2000;
+const LOST = /lost|missing|resent|resend|underrun|fail|error|discard|drop/i; // names of drivers' counters of trouble
+const PART = `
+<div id="camera-tools">
+  <p id="camera-answer" role="status"></p>
+  <button type="button" id="examine" data-text="cameras.examine"></button>
+</div>
+<div id="camera-cards"></div>
+<section id="doctor" aria-labelledby="doctor-title">
+  <h2 id="doctor-title" data-text="cameras.doctor"></h2>
+  <p id="doctor-answer" role="status"></p>
+  <ul id="doctor-findings"></ul>
+</section>`;
+
+const px = (value) => number(value, 2);
+const percent = (share, digits = 0) => `${number(100 * share, digits)} %`;
+
+class Card {
+  #shown = "";
+
+  constructor(camera) {
+    this.index = camera.camera;
+    this.title = make("h2", { textContent: camera.name });
+    this.state = make("span", { className: "camera-state" });
+    this.picture = make("div", { className: "camera-picture" });
+    this.focus = make("p", { className: "camera-focus" });
+    this.levels = make("div", { className: "camera-levels" });
+    this.facts = make("dl", {});
+    this.remarks = make("ul", { className: "camera-remarks" });
+    this.root = make("section", { className: "camera-card" }, make("div", { className: "camera-head" }, this.title, this.state),
+      this.picture, this.focus, this.levels, this.remarks, this.facts);
+  }
+
+  // `frame`: the newest frame with its figures, or null; `findings`: what the doctor says about this camera.
+  async show(camera, drift, frame, findings) {
+    const words = texts.cameras;
+    setText(this.state, camera.connected ? words.connected : words.lost);
+    this.root.classList.toggle("lost", !camera.connected);
+    this.#showFacts(camera, drift, frame);
+    this.#showRemarks(camera, drift, frame, findings);
+    if (frame) await this.#showFrame(frame);
+    else if (!this.#shown) this.picture.replaceChildren(make("p", { textContent: words.noFrame }));
+  }
+
+  async #showFrame(frame) {
+    const words = texts.cameras;
+    const shown = `${frame.run}/${frame.row}`;
+    if (shown === this.#shown) return;
+    const image = make("img", { src: rest.cameraPicture(frame), alt: words.alt(frame.row) });
+    await image.decode().catch(() => {}); // its memory may be given to a later board: the next frame is shown soon
+    if (!image.naturalWidth) return;
+    this.#shown = shown;
+    this.picture.style.aspectRatio = `${frame.width} / ${frame.height}`;
+    this.picture.replaceChildren(image, ...sharpnessMap(frame.tiles, px));
+    const blur = frame.blur_px == null ? words.noEdges : make("b", { textContent: px(frame.blur_px) });
+    this.focus.replaceChildren(...(frame.blur_px == null ? [blur] : [blur, ` ${words.blur}`]));
+    const label = words.histogram(percent(frame.low), percent(frame.high), percent(frame.saturated, 2));
+    this.levels.replaceChildren(histogram(frame.histogram, frame.saturated, label), make("p", { textContent: label }));
+  }
+
+  #showFacts(camera, drift, frame) {
+    const words = texts.cameras.facts;
+    const counters = Object.entries(camera.counters).filter(([name, value]) => LOST.test(name) && value);
+    const lines = [
+      ...(camera.temperature_c == null ? [] : [[words.temperature, `${number(camera.temperature_c, 1)} °C`]]),
+      [words.delivered, number(camera.delivered)],
+      [words.incomplete, number(camera.incomplete)],
+      ...counters.map(([name, value]) => [name, number(value)]),
+      ...(frame?.link_mbit_s == null ? [] : [[words.link, `${number(frame.link_mbit_s, 1)} Mbit/s`]]),
+      ...(drift ? [[words.drift, drift]] : []),
+      ...(frame?.exposure_us == null ? [] : [[words.exposure, `${number(frame.exposure_us)} µs`]]),
+      ...(frame?.gain == null ? [] : [[words.gain, `× ${number(frame.gain, 2)}`]]),
+      ...(frame?.light ? [[words.light, frame.light]] : []),
+    ];
+    this.facts.replaceChildren(...lines.flatMap(([name, value]) => [make("dt", { textContent: name }), make("dd", { textContent: value })]));
+  }
+
+  #showRemarks(camera, drift, frame, findings) {
+    const words = texts.cameras;
+    const tiles = frame?.tiles.filter((tile) => tile.blur_px != null && tile.blur_px > BLUR_LIMIT_PX).length ?? 0;
+    const lines = [
+      ...(camera.message ? [camera.message] : []),
+      ...(frame && frame.saturated > SATURATED_LIMIT ? [words.tooBright(percent(frame.saturated, 1))] : []),
+      ...(frame && frame.high < DARK_LIMIT ? [words.tooDark(percent(frame.high))] : []),
+      ...(tiles ? [words.soft(tiles)] : []),
+      ...findings.map((finding) => `${finding.message} ${finding.action}`.trim()),
+    ];
+    const wanted = JSON.stringify(lines);
+    if (this.remarks.dataset.shown === wanted) return;
+    this.remarks.dataset.shown = wanted;
+    this.remarks.replaceChildren(...lines.map((text) => make("li", { textContent: text })));
+  }
+}
+
+export class CamerasView {
+  name = "cameras-view";
+  #station;
+  #cards = [];
+  #findings = [];
+  #due = 0;
+  #closed = false;
+
+  constructor(station) {
+    this.#station = station;
+    this.root = make("div", { className: "cameras" });
+    this.root.innerHTML = PART;
+    this.root.querySelector("#examine").addEventListener("click", () => rest.unattended(this.#examine()));
+  }
+
+  open() {
+    rest.unattended(this.#follow());
+  }
+
+  close() {
+    this.#closed = true;
+    clearTimeout(this.#due);
+  }
+
+  async show() {}
+
+  // The cards follow the frames while the view is open and visible.
+  async #follow() {
+    if (!document.hidden && this.#station.now && !this.#station.stale) await rest.unattended(this.#load());
+    if (!this.#closed) this.#due = setTimeout(() => this.#follow(), this.#station.now ? AGAIN_MS : 200);
+  }
+
+  async #load() {
+    const { cameras } = this.#station.now;
+    const calibration = await rest.calibration();
+    if (this.#closed) return;
+    if (this.#cards.length !== cameras.length) {
+      this.#cards = cameras.map((camera) => new Card(camera));
+      this.root.querySelector("#camera-cards").replaceChildren(...this.#cards.map((card) => card.root));
+    }
+    const ready = cameras.filter((camera) => camera.connected).length;
+    setText(this.root.querySelector("#camera-answer"), texts.cameras.ready(ready, cameras.length));
+    // One after the other: the station measures each frame, and boards come first.
+    for (const [n, card] of this.#cards.entries()) {
+      const frame = await rest.cameraFrame(n).catch((error) => {
+        if (error instanceof rest.Refusal) return null;
+        throw error;
+      });
+      if (this.#closed) return;
+      const named = this.#findings.filter((finding) => finding.subject === cameras[n].name && finding.action);
+      await card.show(cameras[n], this.#drift(calibration.cameras[n]), frame, named);
+    }
+    this.root.dataset.shown = "cards";
+  }
+
+  #drift(camera) {
+    const words = texts.cameras;
+    if (!camera) return "";
+    if (camera.drift) return words.drifted(px(camera.drift.size_px), moment(camera.drift.since));
+    return words.states[camera.state];
+  }
+
+  async #examine() {
+    const words = texts.cameras;
+    const [button, answer] = [this.root.querySelector("#examine"), this.root.querySelector("#doctor-answer")];
+    button.disabled = true;
+    setText(answer, words.examining);
+    try {
+      const found = await rest.examination();
+      this.#findings = found.findings;
+      const wrong = found.findings.filter((finding) => finding.level === "warning" || finding.level === "fault");
+      setText(answer, `${words.found(wrong.length, found.findings.length)} (${moment(found.created)})`);
+      this.root.querySelector("#doctor-findings").replaceChildren(...wrong.map((finding) => this.#finding(finding)));
+    } catch (error) {
+      setText(answer, error instanceof rest.Refusal ? error.message : texts.noAnswer);
+    }
+    button.disabled = false;
+  }
+
+  #finding(finding) {
+    const where = [finding.check, finding.subject].filter(Boolean).join(", ");
+    return make("li", { className: finding.level },
+      make("strong", { textContent: `${texts.cameras.levels[finding.level]}: ${where}` }),
+      make("p", { textContent: finding.message }),
+      make("p", { className: "remedy", textContent: finding.action }));
+  }
+}

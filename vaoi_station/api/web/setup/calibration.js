@@ -1,0 +1,195 @@
+// Calibration: print the board, film it, let the station measure its marks, judge, accept or try again.
+import { make } from "../parts/elements.js";
+import * as rest from "../parts/rest.js";
+import { moment, number, texts } from "../texts/texts.js";
+import { answerLine, attempt, button, choice, facts, input, labelled, section, table, tick, Wrong } from "./fields.js";
+import * as requests from "./requests.js";
+
+const POLL_MS = 500;
+const FILES = ["pdf", "svg", "gbr"];
+const UNDER_WAY = ["reading", "fitting"];
+
+export async function open(root) {
+  const page = new Calibration(root);
+  await page.show();
+  return page;
+}
+
+class Calibration {
+  #root;
+  #answer = answerLine();
+  #board = {}; // fields of the artwork
+  #limits = {};
+  #layout = null; // the layout.json that was chosen instead of the artwork of this page
+  #judged = make("div");
+  #drawn = make("div");
+  #run;
+  #row = input("row", "0", { type: "range", min: 0, max: 0 });
+  #runs = [];
+  #shown = "";
+  #closed = false;
+
+  constructor(root) {
+    this.#root = root;
+  }
+
+  close() {
+    this.#closed = true;
+  }
+
+  async show() {
+    const t = texts.setup;
+    const { runs } = await rest.runs({ limit: 30 });
+    this.#runs = runs.filter((run) => run.finished && (run.frames_available || run.recording));
+    const limits = make("details", {}, make("summary", { textContent: t.limits }), make("div", { className: "fields" }, ...this.#limitFields()));
+    this.#root.replaceChildren(make("h2", { textContent: t.pages.calibration }), this.#answer, this.#judged,
+      make("div", { className: "two even" }, section(t.printBoard, make("p", { className: "help", textContent: t.printHelp }), this.#artwork(), this.#drawn),
+        make("div", { className: "column" }, section(t.filmBoard, make("p", { className: "help", textContent: t.filmHelp }), this.#choice()),
+          section(t.calibrate, labelled(t.layoutFile, this.#layoutField(), { help: t.layoutHelp }), limits, make("div", { className: "buttons" }, button(t.calibrate, () => this.#begin(), this.#answer, { className: "primary", id: "calibrate" }))))));
+    this.#draw();
+    this.#showFrames();
+    rest.unattended(this.#follow()); // not awaited: the page is open at once, and can be closed meanwhile
+  }
+
+  #artwork() {
+    const t = texts.setup;
+    const field = (name, text, value, unit = "") => {
+      this.#board[name] = input(name, value, { inputMode: "decimal" });
+      this.#board[name].addEventListener("change", () => this.#draw());
+      return labelled(text, this.#board[name], { unit });
+    };
+    const light = tick("light_marks", t.lightMarks);
+    this.#board.light_marks = light.querySelector("input");
+    this.#board.light_marks.addEventListener("change", () => this.#draw());
+    return make("div", { className: "fields", id: "artwork" }, field("columns", t.marksAcross, "5"), field("rows", t.marksDown, "4"), field("mark_mm", t.markSize, "2", "mm"),
+      field("tolerance_mm", t.edgeDistance, "3", "mm"), field("pitch_mm", t.pitch, "", "mm"), field("px_per_mm", t.resolution, "", "px/mm"), light);
+  }
+
+  #options() {
+    return Object.fromEntries(Object.entries(this.#board).map(([name, field]) => [name, field.type === "checkbox" ? field.checked || "" : field.value.trim().replace(",", ".")]));
+  }
+
+  // The drawing is what is printed. A refusal says which value is missing.
+  #draw() {
+    const t = texts.setup;
+    attempt(null, async () => {
+      const [options, { marks }] = [this.#options(), await requests.layout(this.#options())];
+      const picture = make("img", { src: requests.artwork("calibration-board.svg", options), alt: t.artworkAlt(marks.length), className: "artwork" });
+      const links = FILES.map((kind) => make("a", { className: "button", href: requests.artwork(`calibration-board.${kind}`, options), download: `calibration-board.${kind}`, textContent: t.artworkFiles[kind] }));
+      this.#drawn.replaceChildren(picture, make("div", { className: "buttons" }, ...links,
+        make("a", { className: "button", href: requests.artwork("calibration-board-outline.gbr", options), download: "calibration-board-outline.gbr", textContent: t.artworkFiles.outline }), this.#layoutLink(options)));
+    }, this.#answer).then((fine) => fine || this.#drawn.replaceChildren());
+  }
+
+  #layoutLink(options) {
+    return button("layout.json", async () => {
+      const file = new Blob([JSON.stringify(await requests.layout(options), null, 1)], { type: "application/json" });
+      const link = make("a", { href: URL.createObjectURL(file), download: "layout.json" });
+      link.click();
+      URL.revokeObjectURL(link.href);
+    }, this.#answer);
+  }
+
+  #choice() {
+    const t = texts.setup;
+    if (!this.#runs.length) return make("p", { textContent: t.noFrames });
+    this.#run = choice("run", Object.fromEntries(this.#runs.map((run) => [run.id, t.runOf(run.board_id ?? run.id, moment(run.started))])), this.#runs[0].id);
+    this.#run.addEventListener("change", () => this.#showFrames(true));
+    this.#row.addEventListener("change", () => this.#showFrames());
+    return make("div", {}, labelled(t.run, this.#run), labelled(t.row, this.#row), make("p", { id: "row-shown" }), make("div", { className: "frames" }));
+  }
+
+  // The frames of the row, so that a person sees whether every camera shows the board.
+  #showFrames(other = !this.#shown) {
+    const run = this.#runs.find((r) => r.id === this.#run?.value);
+    if (!run) return;
+    if (other) Object.assign(this.#row, { max: run.rows - 1, value: Math.floor(run.rows / 2) });
+    this.#shown = run.id;
+    this.#root.querySelector("#row-shown").textContent = texts.setup.rowOf(this.#row.value, run.rows);
+    this.#root.querySelector(".frames").replaceChildren(...Array.from({ length: run.cameras }, (_, camera) => {
+      const picture = make("img", { src: requests.frame(run.id, camera, this.#row.value), alt: texts.setup.frameOf(camera, this.#row.value) });
+      const name = make("figcaption", { textContent: texts.setup.frameOf(camera, this.#row.value) });
+      picture.onerror = () => (name.textContent += texts.unloadable);
+      return make("figure", {}, picture, name);
+    }));
+  }
+
+  #layoutField() {
+    const file = make("input", { type: "file", accept: ".json,application/json", id: "layout-file" });
+    file.addEventListener("change", () => attempt(file, async () => {
+      this.#layout = null;
+      if (!file.files.length) return "";
+      try {
+        this.#layout = JSON.parse(await file.files[0].text());
+      } catch {
+        throw new Wrong(texts.setup.noLayout(file.files[0].name));
+      }
+      return "";
+    }, this.#answer));
+    return file;
+  }
+
+  #limitFields() {
+    const t = texts.setup;
+    return [["working_distance_mm", "", "mm"], ["center_tolerance_mm", "2", "mm"], ["residual_limit_px", "0.2", "px"], ["mark_accuracy_um", "0", "µm"], ["flatness_um", "0", "µm"]].map(([name, value, unit]) => {
+      this.#limits[name] = input(name, value, { inputMode: "decimal" });
+      return labelled(t.limitNames[name], this.#limits[name], { unit });
+    });
+  }
+
+  async #begin() {
+    const t = texts.setup;
+    if (!this.#run) throw new Wrong(t.noFrames);
+    const values = Object.entries(this.#limits).map(([name, field]) => [name, field.value.trim().replace(",", ".")]).filter(([, value]) => value !== "");
+    const wrong = values.find(([, value]) => !Number.isFinite(Number(value)));
+    if (wrong) throw new Wrong(t.notNumber(t.limitNames[wrong[0]], wrong[1]));
+    const layout = this.#layout ?? (await requests.layout(this.#options()));
+    await requests.beginTrial({ run: this.#run.value, row: Number(this.#row.value), layout, ...Object.fromEntries(values.map(([name, value]) => [name, Number(value)])) });
+    await this.#follow();
+    return "";
+  }
+
+  // Show the latest trial, again and again while it is made. The station keeps it, so that a page that is loaded anew goes on.
+  async #follow() {
+    for (;;) {
+      // An answer that is lost on its way ends nothing: the station goes on.
+      const trial = await requests.trial().catch((error) => {
+        if (error instanceof TypeError || error.status >= 500) return null;
+        throw error;
+      });
+      if (this.#closed) return;
+      if (trial) this.#judged.replaceChildren(...this.#shownTrial(trial));
+      if (trial && !UNDER_WAY.includes(trial.state)) return;
+      await new Promise((done) => setTimeout(done, POLL_MS));
+    }
+  }
+
+  #shownTrial(trial) {
+    const t = texts.setup;
+    if (trial.state === "none") return [];
+    const title = `${t.trialStates[trial.state]}: ${t.trialOf(trial.run, trial.row, moment(trial.begun))}`;
+    if (UNDER_WAY.includes(trial.state)) {
+      const bar = make("progress", { max: trial.frames + 1, value: trial.frames_read });
+      bar.setAttribute("aria-label", title);
+      return [section(title, bar, make("p", { textContent: t.trialProgress(trial.frames_read, trial.frames) }))];
+    }
+    const refused = trial.message ? make("p", { className: "answer refused", textContent: `${trial.message} ${trial.action ?? ""}`.trim() }) : "";
+    const figures = trial.cameras.length ? table(t.trialColumns, trial.cameras.map((c) => [
+      c.name, t.ofAll(c.used, c.marks), ...[[c.residual_px, 3], [c.corner_sigma_px, 3], [c.distortion_px, 3], [c.changed_px, 2]].map(([value, digits]) => (value == null ? "–" : number(value, digits))), c.refusal ?? t.good,
+    ])) : "";
+    const against = trial.shift_mm ? facts([
+      [t.inForce, trial.in_force_created ? moment(trial.in_force_created) : "–"], [t.boardShift, t.millimetres(trial.shift_mm.map((v) => number(v, 3)).join(" / "))], [t.turn, `${number(trial.turned_deg, 4)}°`],
+    ]) : "";
+    const pictures = trial.cameras.length ? ["marks", ...(trial.shift_mm ? ["difference"] : [])].map((name) => {
+      const picture = make("img", { src: requests.trialPicture(name, trial.begun), alt: t.trialPictures[name] });
+      return make("figure", {}, make("a", { href: picture.src, target: "_blank" }, picture), make("figcaption", { textContent: t.trialPictures[name] }));
+    }) : [];
+    const orders = trial.state === "judged" ? make("div", { className: "buttons" }, button(t.accept, async () => {
+      await requests.acceptTrial();
+      await this.#follow();
+      return "";
+    }, this.#answer, { className: "primary", id: "accept" }), make("a", { className: "button", href: requests.trialCalibration, download: "calibration.json", textContent: t.download })) : "";
+    const written = trial.state === "accepted" ? make("p", { className: "answer done", textContent: t.acceptedAs(trial.accepted_as, trial.backup) }) : "";
+    return [section(title, refused, written, figures, make("ul", { className: "warnings" }, ...trial.notes.map((textContent) => make("li", { textContent }))), against, orders, make("div", { className: "pictures" }, ...pictures))];
+  }
+}

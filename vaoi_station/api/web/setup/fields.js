@@ -1,0 +1,92 @@
+// Pieces of forms that the pages under "Set up" share.
+import { make, setText } from "../parts/elements.js";
+import { Refusal } from "../parts/rest.js";
+import { texts } from "../texts/texts.js";
+
+let count = 0;
+
+// What a person has entered cannot be used: shown as a refusal, without asking the station.
+export class Wrong extends Error {}
+
+// A field under its label; `unit` stands behind the label, `help` below the field.
+export function labelled(text, field, { unit = "", help = "" } = {}) {
+  field.id ||= `field-${++count}`;
+  const label = make("label", { htmlFor: field.id, textContent: unit ? `${text}, ${unit}` : text });
+  const box = make("div", { className: "field" }, label, field);
+  if (help) {
+    const said = make("p", { className: "help", id: `${field.id}-help`, textContent: help });
+    field.setAttribute("aria-describedby", said.id);
+    box.append(said);
+  }
+  return box;
+}
+
+export const input = (name, value = "", fields = {}) => make("input", { name, value, autocomplete: "off", spellcheck: false, ...fields });
+
+export function choice(name, options, value = "") {
+  const list = Array.isArray(options) ? options.map((o) => [o, o]) : Object.entries(options);
+  const select = make("select", { name }, ...list.map(([key, textContent]) => make("option", { value: key, textContent })));
+  select.value = value;
+  return select;
+}
+
+export function tick(name, text, checked = false) {
+  const box = make("input", { type: "checkbox", name, checked });
+  return make("label", { className: "tick" }, box, make("span", { textContent: text }));
+}
+
+// A button that is disabled while its work goes on; what the station refuses is shown in `answer`.
+export function button(text, work, answer, fields = {}) {
+  const made = make("button", { type: "button", textContent: text, ...fields });
+  made.addEventListener("click", () => attempt(made, work, answer));
+  return made;
+}
+
+export async function attempt(control, work, answer) {
+  const before = control?.disabled;
+  if (control) control.disabled = true;
+  say(answer, texts.setup.working, "working");
+  try {
+    const said = await work();
+    say(answer, said || "", said ? "done" : "");
+    return true;
+  } catch (error) {
+    if (!(error instanceof Refusal) && !(error instanceof TypeError) && !(error instanceof Wrong)) throw error;
+    say(answer, error instanceof TypeError ? texts.noAnswer : error.message, "refused");
+    return false;
+  } finally {
+    if (control) control.disabled = before;
+  }
+}
+
+export function say(answer, text, kind = "") {
+  setText(answer, text);
+  answer.className = `answer ${kind}`;
+}
+
+// The place where a page says what came of the last order.
+export function answerLine() {
+  const line = make("p", { className: "answer" });
+  line.setAttribute("role", "status");
+  return line;
+}
+
+export function facts(pairs) {
+  const shown = pairs.filter(([, value]) => value !== "" && value != null);
+  return make("dl", { className: "facts" }, ...shown.flatMap(([name, value]) => [make("dt", { textContent: name }), make("dd", {}, value)]));
+}
+
+export function section(title, ...content) {
+  const head = make("h3", { textContent: title, id: `head-${++count}` });
+  const made = make("section", { className: "panel" }, head, ...content);
+  made.setAttribute("aria-labelledby", head.id);
+  return made;
+}
+
+export function table(heads, rows) {
+  const head = make("tr", {}, ...heads.map((textContent) => make("th", { scope: "col", textContent })));
+  const body = rows.map((cells) => make("tr", {}, ...cells.map((cell) => make("td", {}, cell ?? ""))));
+  const box = make("div", { className: "table", tabIndex: 0 }, make("table", {}, make("thead", {}, head), make("tbody", {}, ...body)));
+  box.setAttribute("role", "group");
+  return box;
+}

@@ -1,0 +1,137 @@
+// A file that was uploaded: what it would make, drawn to scale; its options are corrected, and it is confirmed.
+import { make } from "../parts/elements.js";
+import { number, texts } from "../texts/texts.js";
+import { boardDrawing } from "./drawing.js";
+import { answerLine, attempt, button, choice, facts, input, labelled, section } from "./fields.js";
+import { fiducialChoice } from "./fiducials.js";
+import * as requests from "./requests.js";
+import { typeAddress } from "./types.js";
+
+const COLUMNS = ["ref", "x", "y", "rotation", "side", "package", "value"];
+
+export async function open(root, id) {
+  const page = new Preview(root, await requests.preview(id));
+  await page.show();
+  return page;
+}
+
+class Preview {
+  #root;
+  #preview;
+  #answer = answerLine();
+  #chosen = null; // fiducials chosen by hand; null: as the import has found them
+
+  constructor(root, preview) {
+    [this.#root, this.#preview] = [root, preview];
+  }
+
+  async show() {
+    const { filename, found, refusal, id } = this.#preview;
+    const type = found ? await requests.previewed(id) : null;
+    this.#chosen = null;
+    const parts = [make("a", { href: "#/setup/types", className: "up", textContent: texts.setup.toTypes }), make("h2", { textContent: filename })];
+    if (refusal) parts.push(make("p", { className: "answer refused", textContent: refusal }));
+    const side = make("div", { className: "column" }, this.#options(found), this.#joined());
+    if (found) side.append(this.#foundOf(found), this.#fiducials(type), this.#confirm(type));
+    else side.append(this.#discard());
+    parts.push(this.#answer, make("div", { className: "two" }, type ? boardDrawing(type) : make("div"), side));
+    this.#root.replaceChildren(...parts);
+  }
+
+  #foundOf(found) {
+    const t = texts.setup;
+    const missing = found.missing.map((m) => make("li", { textContent: t.missing[m.what]?.(m.count) ?? m.message }));
+    return section(t.found, facts([
+      [t.format, found.format], [t.size, t.millimetres(found.size_mm.map((v) => number(v, 2)).join(" × "))],
+      [t.componentsOf, t.partsOf(found.components, found.parts_top, found.parts_bottom)], [t.fiducialCount, String(found.fiducials)],
+      [t.heights, t.ofAll(found.heights, found.components)], [t.cutOuts, found.cut_outs ? String(found.cut_outs) : ""],
+      [t.notFitted, found.not_fitted ? String(found.not_fitted) : ""],
+      [t.unit, found.table ? `${found.table.unit} (${found.table.unit_from})` : ""],
+    ]), missing.length ? make("h4", { textContent: t.missingTitle }) : "", make("ul", { className: "warnings" }, ...missing),
+    found.check.length ? make("details", {}, make("summary", { textContent: t.toCheck(found.check.length) }), make("ul", {}, ...found.check.map((textContent) => make("li", { textContent })))) : "");
+  }
+
+  // Side, name, and for a centroid file its unit and columns. Every change is imported anew by the station.
+  #options(found) {
+    const [t, options] = [texts.setup, this.#preview.options];
+    const side = choice("side", t.sides, options.side);
+    const name = input("name", options.name ?? found?.name ?? "", { maxLength: 80 });
+    const fields = [labelled(t.sideUp, side), labelled(t.typeName, name)];
+    const centroid = found?.table;
+    const unit = choice("units", { "": t.recognised, mm: "mm", inch: "inch", mil: "mil" }, options.units ?? "");
+    const columns = new Map();
+    if (centroid || options.format === "centroid") {
+      fields.push(labelled(t.unit, unit));
+      const headers = centroid?.headers ?? [];
+      for (const column of centroid ? COLUMNS : []) {
+        const now = centroid.columns.find((c) => c.name === column)?.number ?? "";
+        const last = Math.max(headers.length, ...centroid.columns.map((c) => c.number));
+        const list = { "": t.noColumn, ...Object.fromEntries(Array.from({ length: last }, (_, n) => [n + 1, `${n + 1}: ${headers[n] ?? ""}`])) };
+        columns.set(column, choice(`column-${column}`, list, String(now)));
+        fields.push(labelled(t.columnNames[column], columns.get(column)));
+      }
+    }
+    const step = input("step", options.step ?? "", { maxLength: 200 });
+    if (/odb/.test(found?.format ?? "")) fields.push(labelled(t.step, step));
+    const form = make("form", { className: "fields", id: "options" }, ...fields);
+    form.addEventListener("change", () => attempt(null, async () => {
+      const given = [...columns].filter(([, select]) => select.value).map(([column, select]) => `${column}=${select.value}`).join(",");
+      await this.#again({ ...options, side: side.value, name: name.value.trim(), units: unit.value, columns: given || options.columns, step: step.value });
+    }, this.#answer));
+    form.addEventListener("submit", (event) => event.preventDefault());
+    return section(t.options, form);
+  }
+
+  async #again(options) {
+    this.#preview = await requests.change(this.#preview.id, options);
+    await this.show();
+  }
+
+  #joined() {
+    const [t, { options }] = [texts.setup, this.#preview];
+    const file = make("input", { type: "file", id: "join-file", className: "file" });
+    file.addEventListener("change", () => attempt(file, async () => {
+      const other = await requests.upload(file.files[0], { side: options.side });
+      await this.#again({ ...options, join: other.id });
+    }, this.#answer));
+    const drop = options.join ? button(t.unjoin, () => this.#again({ ...options, join: null }), this.#answer) : "";
+    return section(t.join, make("p", { className: "help", textContent: options.join ? t.joined : t.joinHelp }),
+      make("div", { className: "buttons" }, file, make("label", { htmlFor: file.id, className: "button", textContent: t.chooseFile }), drop));
+  }
+
+  #fiducials(type) {
+    return section(texts.setup.fiducialsTitle, fiducialChoice(type, (chosen) => {
+      this.#chosen = chosen;
+      this.#root.querySelector(".drawing").replaceWith(boardDrawing({ ...type, fiducials: chosen }));
+    }));
+  }
+
+  #discard() {
+    return button(texts.setup.discard, async () => {
+      await requests.discard(this.#preview.id);
+      location.hash = "#/setup/types";
+    }, this.#answer, { className: "plain" });
+  }
+
+  // A board type of the same name is replaced by a second press: it may be one that boards are filmed with.
+  #confirm(type) {
+    const t = texts.setup;
+    const store = button(t.confirm(type.name), async () => {
+      const sure = store.classList.contains("sure");
+      try {
+        await requests.storeType(this.#chosen ? { ...type, fiducials: this.#chosen } : type, sure ? {} : requests.ifNew);
+      } catch (error) {
+        if (sure || error.code !== "changed") throw error;
+        store.classList.add("sure");
+        store.textContent = t.replaceSure(type.name);
+        return t.exists(type.name);
+      }
+      // It may be gone already: deleted by another person, or because others are newer.
+      await requests.discard(this.#preview.id).catch((error) => {
+        if (error.status !== 404) throw error;
+      });
+      location.hash = typeAddress(type.name);
+    }, this.#answer, { className: "primary", id: "confirm" });
+    return make("div", { className: "buttons" }, store, this.#discard());
+  }
+}

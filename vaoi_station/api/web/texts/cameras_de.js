@@ -1,0 +1,26 @@
+// Texte der Kameras auf Deutsch.
+export const cameras = {
+  entry: "Kameras",
+  ready: (n, all) => (n === all ? `Alle ${all} Kameras sind verbunden.` : `${n} von ${all} Kameras sind verbunden.`),
+  connected: "verbunden",
+  lost: "nicht verbunden",
+  noFrame: "Kein Bild im Speicher. Eine Baugruppe durchlaufen lassen.",
+  noEdges: "Keine Kanten: Unschärfe nicht messbar.",
+  blur: "px Unschärfe (gut: unter 1,3)",
+  alt: (row) => `Neuestes Bild, Zeile ${row}`,
+  histogram: (low, high, saturated) => `1 % der Pixel unter ${low}, 99 % unter ${high}, ${saturated} gesättigt`,
+  tooBright: (share) => `Zu hell: ${share} der Pixel sind gesättigt (Grenze 0,5 %).`,
+  tooDark: (share) => `Dunkel: 99 % der Pixel liegen unter ${share} (mindestens 35 %).`,
+  soft: (n) => `Unscharf in ${n} von 9 Teilen: Objektiv scharf stellen; ist nur eine Seite unscharf, steht die Kamera schief.`,
+  facts: {
+    temperature: "Temperatur", delivered: "Bilder geliefert", incomplete: "Bilder unvollständig", link: "Datenrate, letzte Baugruppe", drift: "Lage",
+    exposure: "Belichtung", gain: "Verstärkung", light: "Licht",
+  },
+  drifted: (size, since) => `bewegt um ${size} px seit ${since}`,
+  states: { steady: "wie kalibriert", drifted: "bewegt", unseen: "in den letzten Baugruppen nicht gesehen", unknown: "noch nicht geprüft" },
+  doctor: "Befunde der Untersuchung",
+  examine: "Station untersuchen",
+  examining: "Rechner, Dateien und Geräte werden untersucht …",
+  found: (n, all) => (n ? `${n} von ${all} Befunden brauchen Aufmerksamkeit.` : `${all} Befunde, keiner braucht Aufmerksamkeit.`),
+  levels: { warning: "Warnung", fault: "Störung" },
+};

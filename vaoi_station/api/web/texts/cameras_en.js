@@ -1,0 +1,26 @@
+// Texts of the cameras in English.
+export const cameras = {
+  entry: "Cameras",
+  ready: (n, all) => (n === all ? `All ${all} cameras are connected.` : `${n} of ${all} cameras are connected.`),
+  connected: "connected",
+  lost: "not connected",
+  noFrame: "No frame in memory. Let a board pass.",
+  noEdges: "No edges: blur cannot be measured.",
+  blur: "px blur (good: below 1.3)",
+  alt: (row) => `Newest frame, row ${row}`,
+  histogram: (low, high, saturated) => `1 % of the pixels below ${low}, 99 % below ${high}, ${saturated} saturated`,
+  tooBright: (share) => `Too bright: ${share} of the pixels are saturated (limit 0.5 %).`,
+  tooDark: (share) => `Dark: 99 % of the pixels are below ${share} (at least 35 %).`,
+  soft: (n) => `Not sharp in ${n} of 9 parts: focus the lens; if only one side is soft, the camera is tilted.`,
+  facts: {
+    temperature: "Temperature", delivered: "Frames delivered", incomplete: "Frames incomplete", link: "Link, last board", drift: "Position",
+    exposure: "Exposure", gain: "Gain", light: "Light",
+  },
+  drifted: (size, since) => `moved by ${size} px since ${since}`,
+  states: { steady: "as calibrated", drifted: "moved", unseen: "not seen in the last boards", unknown: "not checked yet" },
+  doctor: "What the doctor finds",
+  examine: "Examine the station",
+  examining: "Machine, files and devices are being examined …",
+  found: (n, all) => (n ? `${n} of ${all} findings need attention.` : `${all} findings, none needs attention.`),
+  levels: { warning: "Warning", fault: "Fault" },
+};

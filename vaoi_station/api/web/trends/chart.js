@@ -1,0 +1,250 @@
+// One figure over time: a line per part, its limits, and where something changed. A point opens its board.
+import { make, setText } from "../parts/elements.js";
+import { moment, number, texts, tick } from "../texts/texts.js";
+
+const LIBRARY = "/web/vendor/uplot/uPlot";
+const HEIGHT = 170;
+const COLOURS = 6; // --series-1 … of the style sheet
+const DASHES = [[], [8, 4], [2, 3], [10, 3, 2, 3]]; // lines differ without colour too, from the seventh on
+const BANDS = 3; // with more parts, the bands of least and largest values would hide the lines
+const NEAR_PX = 30;
+
+let loading = null;
+export function library() {
+  loading ??= new Promise((done, failed) => {
+    const script = make("script", { src: `${LIBRARY}.iife.min.js` });
+    script.onload = () => done(window.uPlot);
+    script.onerror = () => {
+      loading = null;
+      failed(new TypeError(LIBRARY));
+    };
+    document.head.append(make("link", { rel: "stylesheet", href: `${LIBRARY}.min.css` }), script);
+  });
+  return loading;
+}
+
+const digits = (figure, value) => number(value, figure.endsWith("_px") ? 3 : figure === "slip_percent" ? 2 : figure === "ready_ms" ? 0 : 1);
+const beyond = (series, value) => value != null && ((series.upper != null && value > series.upper) || (series.lower != null && value < series.lower));
+
+export class Chart {
+  #figure;
+  #plot = null;
+  #trends = null;
+  #series = [];
+  #at = null;
+  #style = null;
+  #resized = new ResizeObserver(() => this.#fit());
+
+  constructor(figure) {
+    this.#figure = figure;
+    this.root = make("section", { className: "chart", id: `chart-${figure}` });
+    this.title = make("h3", { textContent: `${texts.trends.figures[figure]}` }, make("small", { textContent: ` ${texts.trends.units[figure]}` }));
+    this.parts = make("ul", { className: "chart-parts" });
+    this.warning = make("p", { className: "chart-warning" });
+    this.area = make("div", { className: "chart-area", tabIndex: 0 });
+    this.area.setAttribute("role", "slider");
+    this.area.setAttribute("aria-label", texts.trends.figures[figure]);
+    this.readout = make("p", { className: "chart-readout" });
+    this.root.append(make("div", { className: "chart-head" }, this.title, this.warning), this.parts, this.area, this.readout);
+    this.area.addEventListener("keydown", (event) => this.#key(event));
+    this.area.addEventListener("click", () => this.#open(this.#near(this.#plot.cursor.top)));
+    this.#resized.observe(this.area);
+  }
+
+  async show(trends, series) {
+    [this.#trends, this.#series] = [trends, series];
+    this.#at = null;
+    const uPlot = await library();
+    if (!this.root.isConnected) return;
+    this.#style = getComputedStyle(this.root);
+    const times = trends.times.map((time) => Date.parse(time) / 1000);
+    const banded = series.length <= BANDS && trends.bin_s != null;
+    const columns = series.flatMap((s) => (banded ? [s.values, s.least, s.largest] : [s.values]));
+    this.#plot?.destroy();
+    this.#plot = new uPlot(this.#options(uPlot, banded), [times, ...columns], this.area);
+    this.#showParts();
+    this.#describe();
+  }
+
+  close() {
+    this.#resized.disconnect();
+    this.#plot?.destroy();
+    this.#plot = null;
+  }
+
+  #colour(n) {
+    return this.#style.getPropertyValue(`--series-${(n % COLOURS) + 1}`);
+  }
+
+  #options(uPlot, banded) {
+    const ink = this.#style.getPropertyValue("--soft");
+    const edge = this.#style.getPropertyValue("--edge");
+    const font = "13px system-ui, 'DejaVu Sans', sans-serif";
+    const axis = { stroke: ink, font, grid: { stroke: edge, width: 1 }, ticks: { stroke: edge, width: 1, size: 4 } };
+    const hidden = { stroke: "transparent", width: 0, points: { show: false } };
+    const lines = this.#series.flatMap((series, n) => {
+      const dash = DASHES[Math.floor(n / COLOURS) % DASHES.length];
+      const line = { stroke: this.#colour(n), width: 2, dash, spanGaps: false, points: { show: series.values.length < 60, size: 5 } };
+      return banded ? [line, hidden, hidden] : [line];
+    });
+    const bands = banded ? this.#series.map((_, n) => ({ series: [3 * n + 3, 3 * n + 2], fill: `color-mix(in srgb, ${this.#colour(n)} 22%, transparent)` })) : [];
+    return {
+      width: Math.max(this.area.clientWidth, 200), height: HEIGHT, legend: { show: false }, bands,
+      cursor: { sync: { key: "trends", setSeries: false }, drag: { x: false, y: false }, focus: { prox: NEAR_PX }, y: false },
+      scales: { x: { time: true, range: () => this.#span() }, y: { range: (_, least, largest) => this.#range(least, largest) } },
+      axes: [
+        { ...axis, size: 30, values: (_, splits, __, ___, step) => splits.map((time) => tick(time * 1000, step)), space: 70 },
+        { ...axis, size: 62, space: 34, values: (_, splits) => splits.map((value) => value.toLocaleString(document.documentElement.lang)) },
+      ],
+      series: [{}, ...lines],
+      hooks: { draw: [(plot) => this.#draw(plot)], setCursor: [(plot) => this.#moved(plot.cursor.idx)] },
+    };
+  }
+
+  // The span, without the time before the first board.
+  #span() {
+    const [since, until, first] = [this.#trends.since, this.#trends.until, this.#trends.times[0]].map((time) => Date.parse(time) / 1000);
+    return [Math.max(since, first - 0.02 * (until - first)), until];
+  }
+
+  // Limits are in view when values come near them; a flat line lies in the middle.
+  #range(least, largest) {
+    if (least == null || largest == null) return [0, 1];
+    const { lower, upper } = this.#series[0];
+    if (upper === 0) return [-0.05, Math.max(1, largest) * 1.15]; // a count
+    const reach = Math.max(largest - least, Math.abs(largest) * 0.02, 1e-6);
+    const top = upper != null && upper - largest < 2 * reach ? Math.max(largest, upper) : largest;
+    const bottom = lower != null && least - lower < 2 * reach ? Math.min(least, lower) : least;
+    return [bottom - 0.12 * reach, top + 0.15 * reach];
+  }
+
+  #draw(plot) {
+    const { ctx } = plot;
+    const { left, top, width, height } = plot.bbox;
+    const scale = devicePixelRatio;
+    ctx.save();
+    ctx.beginPath();
+    ctx.rect(left, top, width, height);
+    ctx.clip();
+    ctx.lineWidth = 2 * scale;
+    ctx.strokeStyle = ctx.fillStyle = this.#style.getPropertyValue("--caution");
+    ctx.setLineDash([8 * scale, 5 * scale]);
+    for (const limit of [this.#series[0].upper, this.#series[0].lower].filter(Boolean)) {
+      const y = plot.valToPos(limit, "y", true);
+      ctx.beginPath();
+      ctx.moveTo(left, y);
+      ctx.lineTo(left + width, y);
+      ctx.stroke();
+    }
+    ctx.setLineDash([]);
+    for (const series of this.#series) {
+      series.values.forEach((_, n) => {
+        const worst = this.#worst(series, n);
+        if (!beyond(series, worst)) return;
+        ctx.beginPath();
+        ctx.arc(plot.valToPos(plot.data[0][n], "x", true), plot.valToPos(worst, "y", true), 4 * scale, 0, 7);
+        ctx.fill();
+      });
+    }
+    ctx.strokeStyle = this.#style.getPropertyValue("--ink");
+    ctx.fillStyle = ctx.strokeStyle;
+    ctx.lineWidth = scale;
+    for (const mark of this.#trends.marks) {
+      const x = plot.valToPos(Date.parse(mark.time) / 1000, "x", true);
+      ctx.beginPath();
+      ctx.moveTo(x, top);
+      ctx.lineTo(x, top + height);
+      ctx.stroke();
+      ctx.beginPath();
+      ctx.moveTo(x - 5 * scale, top);
+      ctx.lineTo(x + 5 * scale, top);
+      ctx.lineTo(x, top + 8 * scale);
+      ctx.fill();
+    }
+    ctx.restore();
+  }
+
+  // The value of a time that lies furthest beyond a limit: of a bin, its largest or least value.
+  #worst(series, n) {
+    if (!series.least) return series.values[n];
+    if (beyond(series, series.largest[n]) && series.upper != null) return series.largest[n];
+    return series.lower == null ? series.values[n] : series.least[n];
+  }
+
+  #showParts() {
+    const several = this.#series.length > 1 || this.#series[0].part;
+    const names = several ? this.#series.map((series, n) => this.#entry(series, n)) : [];
+    this.parts.replaceChildren(...names);
+    const count = this.#series.reduce((sum, series) => sum + series.values.filter((_, n) => beyond(series, this.#worst(series, n))).length, 0);
+    setText(this.warning, count ? `⚠ ${texts.trends.beyond(count)}` : "");
+  }
+
+  #entry(series, n) {
+    const sample = make("span", { className: "chart-sample" });
+    sample.style.borderTopColor = this.#colour(n);
+    sample.style.borderTopStyle = ["solid", "dashed", "dotted", "double"][Math.floor(n / COLOURS) % 4];
+    return make("li", {}, sample, series.part);
+  }
+
+  #moved(index) {
+    if (index == null || index === this.#at) return;
+    this.#at = index;
+    this.#describe();
+  }
+
+  #describe() {
+    const last = this.#trends.times.length - 1;
+    const n = this.#at ?? last;
+    const values = this.#series.map((series) => {
+      if (series.values[n] == null) return "";
+      const text = digits(this.#figure, series.values[n]);
+      const said = series.least ? texts.trends.range(text, digits(this.#figure, series.least[n]), digits(this.#figure, series.largest[n])) : text;
+      return `${series.part ? `${series.part} ` : ""}${said}`;
+    });
+    const { upper, lower } = this.#series[0];
+    const limit = upper ?? lower;
+    const text = [moment(this.#trends.times[n]), ...values.filter(Boolean)].join(" · ");
+    setText(this.readout, limit == null ? text : `${text} · ${texts.trends.limit(limit.toLocaleString(document.documentElement.lang))}`);
+    for (const [name, value] of Object.entries({ valuemin: 0, valuemax: last, valuenow: n, valuetext: text })) this.area.setAttribute(`aria-${name}`, value);
+  }
+
+  #key(event) {
+    const last = this.#trends.times.length - 1;
+    const steps = { ArrowLeft: -1, ArrowRight: 1, ArrowDown: -1, ArrowUp: 1, PageUp: -10, PageDown: 10, Home: -last, End: last };
+    if (event.key === "Enter") this.#open(this.#far());
+    else if (event.key in steps) {
+      event.preventDefault();
+      const n = Math.min(Math.max((this.#at ?? last) + steps[event.key], 0), last);
+      this.#plot.setCursor({ left: this.#plot.valToPos(this.#plot.data[0][n], "x"), top: HEIGHT / 2 });
+      this.#moved(n);
+    }
+  }
+
+  get #shownAt() {
+    return this.#at ?? this.#trends.times.length - 1;
+  }
+
+  // The line whose value or mark of the shown time lies next to this height, px.
+  #near(top) {
+    const n = this.#shownAt;
+    const away = (value) => (value == null ? Infinity : Math.abs(this.#plot.valToPos(value, "y") - top));
+    const distance = (series) => Math.min(away(series.values[n]), beyond(series, this.#worst(series, n)) ? away(this.#worst(series, n)) : Infinity);
+    return this.#series.reduce((best, series) => (distance(series) < distance(best) ? series : best));
+  }
+
+  // The line that is beyond its limit at the shown time, or else the first: keys point at no line.
+  #far() {
+    return this.#series.find((series) => beyond(series, this.#worst(series, this.#shownAt))) ?? this.#series[0];
+  }
+
+  // The board of the point; of a bin, the one that lies furthest off, of this line.
+  #open(line) {
+    const n = this.#shownAt;
+    const run = this.#trends.runs?.[n] ?? line.runs?.[n] ?? this.#series.map((series) => series.runs?.[n]).find(Boolean);
+    if (run) location.hash = `#/board/${encodeURIComponent(run)}`;
+  }
+
+  #fit() {
+    if (this.#plot && this.area.clientWidth) this.#plot.setSize({ width: this.area.clientWidth, height: HEIGHT });
+  }
+}

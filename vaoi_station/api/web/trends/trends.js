@@ -1,0 +1,156 @@
+// How the figures of boards develop: a chart per figure, what changed meanwhile, and the comparison of two spans.
+import { make, setText } from "../parts/elements.js";
+import * as rest from "../parts/rest.js";
+import { moment, texts } from "../texts/texts.js";
+import { Chart } from "./chart.js";
+import { Comparison } from "./comparison.js";
+
+const SPANS_H = { hours: 8, day: 24, week: 7 * 24, month: 30 * 24, year: 365 * 24 };
+const POINTS = 400;
+const AGAIN_MS = 20_000; // at most so often the charts follow new boards
+const PART = `
+<form id="trend-tools">
+  <label><span data-text="trends.span"></span><select name="span"></select></label>
+  <label><span data-text="boardType"></span><select name="board_type"></select></label>
+  <p id="trend-answer" role="status"></p>
+</form>
+<div id="trend-top"></div>
+<div id="charts"></div>
+<p id="trend-help" data-text="trends.help"></p>`;
+
+function width(bin_s) {
+  const words = texts.trends;
+  if (bin_s < 3600) return words.minutes(bin_s / 60);
+  return bin_s < 86400 ? words.hours(bin_s / 3600) : words.days(bin_s / 86400);
+}
+
+// Bring the values of a series to their times; between them are gaps.
+function spread(series, count) {
+  for (const name of ["values", "least", "largest", "runs"]) {
+    if (!series[name]) continue;
+    const column = new Array(count).fill(null);
+    series.at.forEach((n, k) => (column[n] = series[name][k]));
+    series[name] = column;
+  }
+}
+
+export class TrendsView {
+  name = "trends-view";
+  #charts = new Map();
+  #query;
+  #asked = 0;
+  #due = 0;
+
+  constructor(_station, query) {
+    this.#query = new URLSearchParams(query);
+    this.root = make("div", { className: "trends" });
+    this.root.innerHTML = PART;
+    this.comparison = new Comparison(this.#query.get("compare") ?? "day");
+    this.marks = make("section", { id: "marks" });
+    this.root.querySelector("#trend-top").append(this.comparison.root, this.marks);
+    const spans = Object.entries(texts.trends.spans).map(([value, textContent]) => make("option", { value, textContent }));
+    this.#field("span").append(...spans);
+    this.#field("span").value = this.#query.get("span") in SPANS_H ? this.#query.get("span") : "day";
+    this.#field("board_type").append(make("option", { value: "", textContent: texts.any }));
+    this.root.querySelector("form").addEventListener("change", () => {
+      history.replaceState(null, "", `#/trends?${this.#stated()}`); // a link reproduces the view
+      rest.unattended(this.#load());
+    });
+    this.root.querySelector("form").addEventListener("submit", (event) => event.preventDefault());
+    this.comparison.choice.addEventListener("change", () => history.replaceState(null, "", `#/trends?${this.#stated()}`));
+  }
+
+  #field(name) {
+    return this.root.querySelector(`[name="${name}"]`);
+  }
+
+  #stated() {
+    const stated = { span: this.#field("span").value, board_type: this.#field("board_type").value, compare: this.comparison.choice.value };
+    return new URLSearchParams(Object.entries(stated).filter(([, value]) => value));
+  }
+
+  async open() {
+    const types = await rest.boardTypes().catch(() => []);
+    const chosen = this.#query.get("board_type") ?? "";
+    const names = new Set([...types.map((type) => type.name), ...(chosen ? [chosen] : [])]);
+    this.#field("board_type").append(...[...names].map((name) => make("option", { value: name, textContent: name })));
+    this.#field("board_type").value = chosen;
+    await rest.unattended(this.#load());
+  }
+
+  close() {
+    clearTimeout(this.#due);
+    this.#due = -1;
+    for (const chart of this.#charts.values()) chart.close();
+  }
+
+  onEvent(event) {
+    if (event.kind !== "run" || this.#due) return;
+    this.#due = setTimeout(() => {
+      this.#due = 0;
+      rest.unattended(this.#load());
+    }, AGAIN_MS);
+  }
+
+  async show() {}
+
+  async #load() {
+    const asked = ++this.#asked;
+    const until = new Date(Date.now() + 1000);
+    const since = new Date(until - SPANS_H[this.#field("span").value] * 3_600_000);
+    const type = this.#field("board_type").value;
+    const query = { since: since.toISOString(), until: until.toISOString(), points: POINTS, ...(type ? { board_type: type } : {}) };
+    let found;
+    try {
+      found = await rest.trends(query);
+    } catch (error) {
+      setText(this.root.querySelector("#trend-answer"), error instanceof rest.Refusal ? error.message : texts.noAnswer);
+      return;
+    }
+    if (asked !== this.#asked) return; // overtaken by a later choice
+    found.series.forEach((series) => spread(series, found.times.length));
+    this.#say(found);
+    this.#showMarks(found.marks);
+    await Promise.all([this.#showCharts(found), this.comparison.show(found.marks, type)]);
+    this.root.dataset.shown = asked;
+  }
+
+  #say(found) {
+    const words = texts.trends;
+    const each = found.bin_s == null ? words.perBoard : words.perBin(width(found.bin_s));
+    const text = found.boards ? `${words.boards(found.boards)}, ${each}.` : words.none;
+    setText(this.root.querySelector("#trend-answer"), found.complete ? text : `${text} ${words.incomplete}`);
+  }
+
+  #showMarks(marks) {
+    const words = texts.trends;
+    const lines = marks.map((mark) => {
+      const text = words.mark(words.kinds[mark.kind], mark.board_type, short(mark.before), short(mark.after));
+      return make("li", {}, make("a", { href: `#/board/${encodeURIComponent(mark.run)}`, textContent: moment(mark.time) }), ` ${text}`);
+    });
+    const list = lines.length ? make("ol", {}, ...lines.reverse()) : make("p", { textContent: words.noMarks });
+    this.marks.replaceChildren(make("h2", { textContent: words.marks }), list);
+  }
+
+  async #showCharts(found) {
+    const names = [...new Set(found.series.map((series) => series.figure))];
+    for (const [name, chart] of this.#charts) {
+      if (names.includes(name)) continue;
+      chart.close();
+      chart.root.remove();
+      this.#charts.delete(name);
+    }
+    for (const name of names) {
+      if (!this.#charts.has(name)) this.#charts.set(name, new Chart(name));
+    }
+    const charts = names.map((name) => this.#charts.get(name));
+    // Charts that are there already stay in their place, with the focus of the keyboard.
+    charts.forEach((chart, n) => {
+      const there = this.root.querySelector("#charts").children[n];
+      if (there !== chart.root) this.root.querySelector("#charts").insertBefore(chart.root, there ?? null);
+    });
+    await Promise.all(names.map((name, n) => charts[n].show(found, found.series.filter((series) => series.figure === name))));
+  }
+}
+
+const short = (text) => (text.length > 60 ? `${text.slice(0, 59)}…` : text);

@@ -1,0 +1,183 @@
+"""Speed of stitching archived runs on a local cluster: workers, overhead of Dask, killed workers, memory."""
+
+from __future__ import annotations
+
+import os
+import signal
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vaoi_station.errors import InternalError
+from vaoi_station.plant.archive import Archive, RunLabel
+from vaoi_station.plant.restitch import ClusterOptions, Terms
+from vaoi_station.plant.restitch.cluster import cluster_address
+from vaoi_station.plant.restitch.dispatch import Dispatch
+from vaoi_station.plant.restitch.software import software
+from vaoi_station.plant.restitch.task import RunTask, read_outcome, restitch_run
+from vaoi_station.plant.tables import write_tables
+from vaoi_station.stitching.recordings.offline import stitch_frames
+from vaoi_station.stitching.recordings.opening import open_run
+
+KILL_EVERY = 10
+"""Number of runs after which a worker is killed in the kill test."""
+_PATIENCE_S = 300.0
+
+
+@dataclass(frozen=True)
+class PlantFigures:
+    """What was measured. Ratios are of measurements of one call; absolute times depend on the machine."""
+
+    runs: int
+    direct_s: float
+    """Wall time of all runs in this process, without Dask."""
+    one_worker_s: float
+    two_workers_s: float
+    task_cpu_s: float
+    """CPU time of one run in a worker, median."""
+    archive_kb: float
+    """Size of one run in the archive."""
+    outcome_kb: float
+    """Size of the file of one stitched run."""
+    tables_kb: float
+    """Size of its rows in the Parquet tables."""
+    rss_mb: tuple[float, float]
+    """Memory of a worker: median of the second and of the last tenth of its runs, largest of the workers."""
+    kills: int
+    lost: int
+    """Number of runs without an outcome when workers were killed."""
+    twice: int
+    """Number of runs with two outcomes."""
+
+    def document(self) -> dict[str, Any]:
+        """Return the figures with their ratios, as JSON values."""
+        return {
+            **{name: list(v) if isinstance(v, tuple) else v for name, v in vars(self).items()},
+            "two_against_one": round(self.one_worker_s / self.two_workers_s, 3),
+            "overhead": round(self.one_worker_s / self.direct_s - 1, 4),
+        }
+
+
+@dataclass
+class _Outcomes:
+    """Collects what workers return."""
+
+    directory: Path
+    processes: list[int] = field(default_factory=list)
+    rss_mb: dict[int, list[float]] = field(default_factory=dict)
+    cpu_s: list[float] = field(default_factory=list)
+    keys: Counter[str] = field(default_factory=Counter)
+    size: int = 0
+
+    def keep(self, task: RunTask, content: bytes) -> None:
+        path = self.directory / "outcome.json.gz"
+        path.write_bytes(content)
+        cost = read_outcome(path)["cost"]
+        self.keys[task.key] += 1
+        self.processes.append(cost["process"])
+        self.rss_mb.setdefault(cost["process"], []).append(cost["rss_mb"])
+        self.cpu_s.append(cost["cpu_s"])
+        self.size = len(content)
+
+
+def measure_plant(case: Path, runs: int, report: Callable[[str], None]) -> PlantFigures:
+    """Measure on copies of a recording under different ids."""
+    with tempfile.TemporaryDirectory(prefix="vaoi-plant-") as scratch:
+        folder = Path(scratch)
+        archive, tasks = _archive(case, folder, runs)
+        report(f"{runs} runs, one after the other in this process")
+        restitch_run(tasks[0])  # imports and compiles
+        began_s = time.perf_counter()
+        for task in tasks:
+            restitch_run(task)
+        direct_s = time.perf_counter() - began_s
+        report("one worker")
+        one_s, one = _cluster(folder, 1, tasks)
+        report("two workers")
+        two_s, two = _cluster(folder, 2, tasks)
+        report(f"two workers, one is killed after every {KILL_EVERY} runs")
+        kills, killed = _killed(folder, tasks)
+        write_tables(folder / "tables", [read_outcome(folder / "outcome.json.gz")["tables"]])
+        early, late = zip(*(_tenths(rss_mb) for rss_mb in two.rss_mb.values()), strict=True)
+        return PlantFigures(
+            runs=runs,
+            direct_s=round(direct_s, 3),
+            one_worker_s=round(one_s, 3),
+            two_workers_s=round(two_s, 3),
+            task_cpu_s=round(float(np.median(one.cpu_s)), 4),
+            archive_kb=round(archive.run("r0").bytes / 1e3, 1),
+            outcome_kb=round(one.size / 1e3, 1),
+            tables_kb=round(sum(p.stat().st_size for p in (folder / "tables").rglob("*.parquet")) / 1e3, 1),
+            rss_mb=(max(early), max(late)),
+            kills=kills,
+            lost=runs - len(killed.keys),
+            twice=sum(count > 1 for count in killed.keys.values()),
+        )
+
+
+def _archive(case: Path, folder: Path, runs: int) -> tuple[Archive, list[RunTask]]:
+    """Archive a recording under several ids, with its result."""
+    from vaoi_station.files import write_stitch
+
+    opened = open_run(case)
+    write_stitch(folder / "result.json", stitch_frames(opened.setup, opened.recording.head, opened.recording.frame))
+    archive = Archive.create(folder / "archive")
+    terms = Terms(software())
+    tasks = []
+    for n in range(runs):
+        label = RunLabel(run=f"r{n}", time="2026-01-01T00:00:00Z")
+        run = archive.add(case, result=folder / "result.json", station="bench", label=label)
+        tasks.append(RunTask(archive.url, run.key, terms))
+    return archive, tasks
+
+
+def _cluster(folder: Path, workers: int, tasks: list[RunTask]) -> tuple[float, _Outcomes]:
+    """Return the wall time of all runs on workers that have already had runs."""
+    outcomes = _Outcomes(folder)
+    with cluster_address(ClusterOptions(workers=workers)) as address:
+        # Imports, and the machine code of each process.
+        _dispatch(_Outcomes(folder)).work(address, tasks[: 4 * workers], _PATIENCE_S)
+        began_s = time.perf_counter()
+        _dispatch(outcomes).work(address, tasks, _PATIENCE_S)
+        return time.perf_counter() - began_s, outcomes
+
+
+def _killed(folder: Path, tasks: list[RunTask]) -> tuple[int, _Outcomes]:
+    """Kill the worker of every tenth outcome while it works on its next run."""
+    outcomes, kills = _Outcomes(folder), 0
+
+    def kill() -> None:
+        nonlocal kills
+        if len(outcomes.processes) % KILL_EVERY == 0:
+            # Its last outcome may be received after its end.
+            with suppress(ProcessLookupError):
+                os.kill(outcomes.processes[-1], signal.SIGKILL)
+                kills += 1
+
+    with cluster_address(ClusterOptions(workers=2)) as address:
+        _dispatch(outcomes, kill).work(address, tasks, _PATIENCE_S)
+    return kills, outcomes
+
+
+def _dispatch(outcomes: _Outcomes, then: Callable[[], None] = lambda: None) -> Dispatch:
+    def keep(task: RunTask, content: bytes) -> None:
+        outcomes.keep(task, content)
+        then()
+
+    def fail(text: str) -> None:
+        raise InternalError(f"vaoi bench --plant: {text}")
+
+    return Dispatch(software(), keep, fail, lambda _: None)
+
+
+def _tenths(values: list[float]) -> tuple[float, float]:
+    """Return the medians of the second and of the last tenth."""
+    tenth = max(1, len(values) // 10)
+    return float(np.median(values[tenth : 2 * tenth] or values)), float(np.median(values[-tenth:]))

@@ -1,0 +1,112 @@
+"""Check the receivers of events: secrets, certificates and passwords can be read, and what MQTT needs is installed.
+
+A fault here is a warning: the station films without its receivers. Nothing is sent.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import ssl
+from collections.abc import Iterator
+from pathlib import Path
+from urllib.parse import urlsplit
+
+from vaoi_station.doctor.check_context import CheckContext
+from vaoi_station.doctor.finding import Finding, not_applicable, ok, warning
+from vaoi_station.errors import VaoiError
+from vaoi_station.model.receivers import MqttConfig, WebhookConfig
+from vaoi_station.push.push_service import FOLDER, WEBHOOKS
+from vaoi_station.push.signing import read_secrets
+from vaoi_station.push.webhook_file import WebhookFile
+
+_OTHERS = 0o007
+"""Permissions of users who are neither owner nor group of a file."""
+
+
+def receivers(context: CheckContext) -> Iterator[Finding]:
+    """Check webhooks and broker of station.toml, and the webhooks that were made over REST."""
+    push, stored = context.config.push, context.config.data / FOLDER / WEBHOOKS
+    made = WebhookFile(stored) if stored.exists() else None
+    if not push.webhooks and push.mqtt is None and made is None:
+        yield not_applicable("no receivers of events are configured")
+        return
+    found = [finding for webhook in push.webhooks for finding in _webhook(webhook)]
+    if push.ca is not None:
+        found += _authorities(push.ca, "push.ca")
+    if made is not None and made.fault is not None:
+        found.append(warning(made.fault.message, made.fault.action, subject=stored.name))
+    if push.mqtt is not None:
+        found += _broker(push.mqtt)
+    yield from found
+    if not found:
+        webhooks = len(push.webhooks) + (0 if made is None else len(made.all()))
+        broker = "no broker" if push.mqtt is None else f"the broker {push.mqtt.host}"
+        yield ok(f"{webhooks} webhooks and {broker} can be used", figures={"webhooks": webhooks})
+
+
+def _webhook(webhook: WebhookConfig) -> Iterator[Finding]:
+    try:
+        read_secrets(webhook.secret_file)
+    except VaoiError as error:
+        action = error.action or "Correct the file; docs/api/push.md describes it."
+        yield warning(f"webhook {webhook.name!r}: {error.message}", action, subject=webhook.name)
+    else:
+        yield from _private(webhook.secret_file, f"webhook {webhook.name!r}: the secrets", webhook.name)
+    parts = urlsplit(webhook.url)
+    if parts.scheme == "http" and parts.query:
+        yield warning(
+            f"webhook {webhook.name!r}: its URL begins with http:// and has a query, which everyone on the way can "
+            f"read; {parts.hostname} gets it with each message.",
+            "Use https://, or a receiver that needs no token: messages are signed.",
+            subject=webhook.name,
+        )
+
+
+def _broker(broker: MqttConfig) -> Iterator[Finding]:
+    if importlib.util.find_spec("paho") is None:
+        yield warning(
+            f"push.mqtt: {broker.host} is configured, but the package paho-mqtt is absent.",
+            "pip install 'vaoi-station[mqtt]'",
+            subject="mqtt",
+        )
+    if broker.password_file is not None:
+        try:
+            empty = not broker.password_file.read_text("utf-8").strip()
+        except (OSError, UnicodeDecodeError) as error:
+            cause = getattr(error, "strerror", None) or "it is not UTF-8"
+            yield warning(
+                f"push.mqtt.password_file: {broker.password_file} cannot be read ({cause}).",
+                "Make it readable to the service.",
+                subject="mqtt",
+            )
+        else:
+            if empty:
+                yield warning(
+                    f"push.mqtt.password_file: {broker.password_file} is empty.", "Write the password.", subject="mqtt"
+                )
+            yield from _private(broker.password_file, "push.mqtt: the password", "mqtt")
+    if broker.ca is not None:
+        yield from _authorities(broker.ca, "push.mqtt.ca")
+    if broker.certificate is not None and broker.private_key is not None:
+        try:
+            # Without a password here, an encrypted key would be asked for at the terminal.
+            ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT).load_cert_chain(broker.certificate, broker.private_key, lambda: "")
+        except (OSError, ValueError) as error:
+            yield warning(
+                f"push.mqtt: {broker.certificate} and {broker.private_key} cannot be used ({error}).",
+                "Give a certificate and its private key as PEM files without a password.",
+                subject="mqtt",
+            )
+
+
+def _authorities(path: Path, key: str) -> Iterator[Finding]:
+    try:
+        ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT).load_verify_locations(path)
+    except OSError as error:
+        yield warning(f"{key}: {path} cannot be read as PEM certificates ({error}).", "Give a PEM file.", subject=key)
+
+
+def _private(path: Path, what: str, subject: str) -> Iterator[Finding]:
+    """Warn of a file with a secret that every user of the machine can read."""
+    if path.stat().st_mode & _OTHERS:
+        yield warning(f"{what} in {path} can be read by every user.", f"chmod o= {path}", subject=subject)

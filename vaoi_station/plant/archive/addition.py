@@ -1,0 +1,198 @@
+"""Adds a recording to an archive: blobs first, the manifest last."""
+
+from __future__ import annotations
+
+import time
+import zlib
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from pydantic import BaseModel, ValidationError
+
+from vaoi_station.errors import DeviceError, InputError, NotFoundError
+from vaoi_station.files import Recording, open_recording, read_board_type, read_calibration, read_stitch
+from vaoi_station.files.documents import parse, read_json
+from vaoi_station.files.images import read_image
+from vaoi_station.model import Status
+from vaoi_station.plant.archive.frames import encode_frame
+from vaoi_station.plant.archive.manifest import (
+    ArchivedRun,
+    Blob,
+    DocumentBlob,
+    DocumentKind,
+    FrameBlob,
+    RunLabel,
+    digest_of,
+    frames_digest,
+)
+from vaoi_station.plant.archive.storage import Storage
+
+FILES: dict[DocumentKind, str] = {
+    "head": "recording.json",
+    "calibration": "calibration.json",
+    "board_type": "board.json",
+    "result": "result.json",
+    "light_program": "light_program.json",
+    "run": "run.json",
+}
+"""The files of a recording that an archive keeps besides the frames."""
+_NEEDED: tuple[DocumentKind, ...] = ("head", "calibration", "board_type")
+_SHARED: tuple[DocumentKind, ...] = ("calibration", "board_type", "light_program")
+"""Documents that many runs have. They are stored as they are, because releases of zlib write different bytes."""
+
+
+REWRITE_S, LONGEST_S = 12 * 3600.0, 6 * 3600.0
+"""Age at which a blob is written again, and longest duration of an addition: half and a quarter of the period for which
+`pruning` keeps blobs that no run needs."""
+
+
+class Documents(NamedTuple):
+    """Files that are given apart from the recording."""
+
+    result: Path | None = None
+    calibration: Path | None = None
+    board_type: Path | None = None
+    light_program: Path | None = None
+
+
+class _RunRecord(BaseModel):
+    """What an archive needs of run.json, the record of a station."""
+
+    id: str
+    started: str
+    board_id: str | None = None
+    verdict: Status | None = None
+
+
+def add(storage: Storage, folder: Path, given: Documents, station: str, label: RunLabel) -> ArchivedRun:
+    """Store a recording; see `Archive.add`."""
+    recording = open_recording(folder)
+    paths = _paths(folder, given)
+    board_type = read_board_type(paths["board_type"])
+    read_calibration(paths["calibration"])
+    # Everything is read before anything is written: a document that is invalid leaves no blobs behind.
+    verdict = read_stitch(paths["result"]).status if "result" in paths else None
+    record = parse(_RunRecord, read_json(paths["run"]), paths["run"]) if "run" in paths else None
+    cameras = recording.head.cameras
+    frames = [(i, j) for i in range(len(cameras)) for j in range(recording.head.rows)]
+    known = label.run or (record.id if record else None)
+    content: dict[str, Any] = {
+        "run": known or f"recording-{digest_of(paths['head'].read_bytes())[:20]}",
+        "station": station,
+        "time": label.time or (record.started if record else _written_at(paths["head"])),
+        "board_type": board_type.name,
+        "revision": board_type.revision,
+        "verdict": record.verdict if record else verdict,
+        "serial": label.serial or (record.board_id if record else None),
+        "pixels": sum(cameras[i].width * cameras[i].height for i, j in frames if (i, j) not in recording.head.missing),
+        "documents": {},
+        "frames": (),
+    }
+    draft = parse(ArchivedRun, content, folder)
+    began_s = time.monotonic()
+    storage.write(draft.draft_key, draft.text().encode())
+    stored = tuple(_store_frames(storage, recording))
+    run = draft.model_copy(
+        update={
+            "run": known or frames_digest(stored),
+            "documents": {kind: _store_document(storage, kind, path) for kind, path in paths.items()},
+            "frames": stored,
+        }
+    )
+    if time.monotonic() - began_s > LONGEST_S:
+        raise DeviceError(
+            f"{storage.url}: run {run.run} took {time.monotonic() - began_s:.0f} s, more than {LONGEST_S:.0f} s.",
+            action="Use a faster connection; adding the run again goes on where this ended.",
+            code="archive-absent",
+        )
+    kept = _store_manifest(storage, run)
+    storage.delete(draft.draft_key)
+    return kept
+
+
+def _paths(folder: Path, given: Documents) -> dict[DocumentKind, Path]:
+    """Return the files of the documents; NotFoundError if one that is needed or given is absent."""
+    named = given._asdict()
+    paths: dict[DocumentKind, Path] = {}
+    for kind, name in FILES.items():
+        path = named.get(kind) or folder / name
+        if path.is_file():
+            paths[kind] = path
+        elif named.get(kind) or kind in _NEEDED:
+            raise NotFoundError(
+                f"{path}: there is no such file, and a run is not archived without it.", action=f"Give its {kind}."
+            )
+    return paths
+
+
+def _store_document(storage: Storage, kind: DocumentKind, path: Path) -> DocumentBlob:
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be read ({error.strerror}).", action="Add the run again if its recording still exists."
+        ) from error
+    packed = kind not in _SHARED
+    stored = zlib.compress(content, 6) if packed else content
+    blob = DocumentBlob(sha256=digest_of(stored), bytes=len(stored), packed=packed)
+    _store_blob(storage, blob, stored)
+    return blob
+
+
+def _store_frames(storage: Storage, recording: Recording) -> Iterator[FrameBlob]:
+    for camera in range(len(recording.head.cameras)):
+        for row in range(recording.head.rows):
+            if (path := recording.frame_path(camera, row)) is not None:
+                stored = encode_frame(read_image(path))
+                blob = FrameBlob(sha256=digest_of(stored), bytes=len(stored), camera=camera, row=row)
+                _store_blob(storage, blob, stored)
+                yield blob
+
+
+def _store_blob(storage: Storage, blob: Blob, content: bytes) -> None:
+    """Write a blob, unless it is there with its full size, and young enough that nothing removes it meanwhile."""
+    entry = storage.entry(blob.key)
+    if entry is None or entry.size != blob.bytes or (datetime.now(UTC) - entry.changed).total_seconds() > REWRITE_S:
+        storage.write(blob.key, content)
+
+
+def _store_manifest(storage: Storage, run: ArchivedRun) -> ArchivedRun:
+    """Write the manifest, unless the archive has the run, and return the one that the archive has."""
+    content = run.text().encode()
+    try:
+        written = storage.read(run.key)
+        before = ArchivedRun.model_validate_json(written)
+    except (NotFoundError, ValidationError):
+        # A damaged manifest is written again: the recording is what it was made from.
+        storage.write(run.key, content)
+        return run
+    if written != content and not _is_same(storage, before, run):
+        raise InputError(
+            f"{storage.url}: has another run under the id {run.run} of station {run.station!r}.",
+            action="Give this one another id, or remove the other by `vaoi archive prune`.",
+        )
+    return before
+
+
+def _is_same(storage: Storage, before: ArchivedRun, run: ArchivedRun) -> bool:
+    """Return whether two runs differ at most in how their documents are compressed: releases of zlib differ."""
+    if before.model_copy(update={"documents": run.documents}) != run or before.documents.keys() != run.documents.keys():
+        return False
+    pairs = [(before.documents[kind], run.documents[kind]) for kind in run.documents]
+    try:
+        return all(old == new or _content(storage, old) == _content(storage, new) for old, new in pairs)
+    except (NotFoundError, zlib.error):
+        return False
+
+
+def _content(storage: Storage, blob: DocumentBlob) -> bytes:
+    stored = storage.read(blob.key)
+    return zlib.decompress(stored) if blob.packed else stored
+
+
+def _written_at(path: Path) -> str:
+    """Return when a file was written, RFC 3339 in UTC with milliseconds."""
+    moment = datetime.fromtimestamp(path.stat().st_mtime, UTC)
+    return moment.isoformat(timespec="milliseconds").replace("+00:00", "Z")

@@ -1,0 +1,108 @@
+"""Which manifests an archive has, and what they say."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+from urllib.parse import unquote
+
+from vaoi_station.errors import InputError, NotFoundError, VaoiError
+from vaoi_station.files.documents import check_format, parse, refuse_duplicate_keys
+from vaoi_station.plant.archive.fault import ArchiveFault, OnFault
+from vaoi_station.plant.archive.manifest import RUNS, ArchivedRun
+from vaoi_station.plant.archive.selection import RunSelection
+from vaoi_station.plant.archive.storage import Storage
+
+
+class Place(NamedTuple):
+    """Where a manifest is."""
+
+    key: str
+    station: str
+    day: str
+    run: str
+
+
+def places(storage: Storage) -> Iterator[Place]:
+    """Yield the places of all manifests by station, day and id, without reading them."""
+    for folder in storage.names(RUNS):
+        for day in storage.names(f"{RUNS}/{folder}"):
+            for name in storage.names(f"{RUNS}/{folder}/{day}"):
+                yield Place(f"{RUNS}/{folder}/{day}/{name}", unquote(folder), day, name.removesuffix(".json"))
+
+
+def runs(storage: Storage, selection: RunSelection, on_fault: OnFault) -> Iterator[ArchivedRun]:
+    """Yield the selected runs; see `Archive.runs`."""
+    found = list(_admitted(storage, selection, on_fault))
+    same: dict[str, list[Place]] = {}
+    for place in found:
+        same.setdefault(place.run, []).append(place)
+    for place in found:
+        if len(same[place.run]) > 1:
+            if place is same[place.run][0]:
+                on_fault(ArchiveFault.of(several(storage, same[place.run])))
+            continue
+        try:
+            run = read_manifest(storage, place.key)
+            admitted = selection.admits(run)
+        except NotFoundError:
+            continue  # It was pruned meanwhile.
+        except VaoiError as error:
+            on_fault(ArchiveFault.of(error))
+            continue
+        if admitted:
+            yield run
+
+
+def _admitted(storage: Storage, selection: RunSelection, on_fault: OnFault) -> Iterator[Place]:
+    """Yield the places in which selected runs can be; a folder that is no day of an archive is reported once."""
+    known: dict[tuple[str, str], bool] = {}
+    for place in places(storage):
+        folder = (place.station, place.day)
+        if folder not in known:
+            try:
+                known[folder] = selection.admits_folder(*folder)
+            except InputError:
+                known[folder] = False
+                on_fault(
+                    ArchiveFault(
+                        f"{storage.url}/{place.key.rpartition('/')[0]}: is no day (YYYY-MM-DD) of a station.",
+                        "It is not of the archive: other programs put such folders on shares. Remove it.",
+                    )
+                )
+        if known[folder]:
+            yield place
+
+
+def read_manifest(storage: Storage, key: str) -> ArchivedRun:
+    """Read one manifest; InputError if it is damaged, newer than the software, or of another run."""
+    where = f"{storage.url}/{key}"
+    data = read_document(storage, key)
+    check_format(data, Path(where), "vaoi-archived-run", 1)
+    run = parse(ArchivedRun, data, where, "Restore it from a copy, or remove it by `vaoi archive prune --run`.")
+    if run.key != key:
+        raise InputError(
+            f"{where}: is the manifest of {run.key}.", action="Remove the copy by `vaoi archive prune --run`."
+        )
+    return run
+
+
+def read_document(storage: Storage, key: str) -> object:
+    """Read a JSON object of an archive; InputError if it is damaged."""
+    try:
+        return json.loads(storage.read(key), object_pairs_hook=refuse_duplicate_keys)
+    except (ValueError, RecursionError) as error:
+        raise InputError(
+            f"{storage.url}/{key}: not valid JSON ({error}).",
+            action="It is damaged: restore it from a copy, or remove it by `vaoi archive prune --run`.",
+        ) from error
+
+
+def several(storage: Storage, found: list[Place]) -> InputError:
+    """Return the error of several runs with one id."""
+    return InputError(
+        f"{storage.url}: {len(found)} runs have the id {found[0].run}: {', '.join(place.key for place in found)}.",
+        action="Which is meant is not known: remove all but one by `vaoi archive prune --run ID --station NAME`.",
+    )

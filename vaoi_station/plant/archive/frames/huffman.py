@@ -1,0 +1,80 @@
+"""Huffman codes of residuals: small ones are symbols; of large ones the leading bits are, and the rest follows."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.compiled import compiled
+
+DIRECT = 64
+"""Residuals below this, as unsigned numbers, are symbols; of larger ones the two leading bits."""
+DIRECT_BITS = 6
+SYMBOLS = DIRECT + 2 * 11
+"""Number of symbols: residuals have at most 17 bits."""
+LONGEST = 11
+"""Largest length of a code in bits: the table of a decoder has 2^LONGEST entries for each kind."""
+
+
+@compiled
+def code_lengths(counts: NDArray[np.int64]) -> NDArray[np.uint8]:
+    """Return the length of each symbol's code, 0 for one that does not occur; at most LONGEST."""
+    size = len(counts)
+    lengths = np.zeros(size, np.uint8)
+    weight = counts.copy()
+    # Rare symbols are counted as more frequent until no code is too long.
+    least = counts.sum() >> (LONGEST + 2)
+    while True:
+        nodes = np.zeros(2 * size, np.int64)
+        parent = np.full(2 * size, -1, np.int64)
+        nodes[:size] = weight
+        made = size
+        while True:
+            # The two lightest nodes without a parent; of equal ones the first.
+            one, two = -1, -1
+            for k in range(made):
+                if nodes[k] > 0 and parent[k] < 0:
+                    if one < 0 or nodes[k] < nodes[one]:
+                        one, two = k, one
+                    elif two < 0 or nodes[k] < nodes[two]:
+                        two = k
+            if two < 0:
+                break
+            nodes[made] = nodes[one] + nodes[two]
+            parent[one] = parent[two] = made
+            made += 1
+        longest = 0
+        for k in range(size):
+            depth, at = 0, k
+            while parent[at] >= 0:
+                depth, at = depth + 1, parent[at]
+            # A symbol that is alone has a code of one bit, which nothing else uses.
+            lengths[k] = 0 if counts[k] == 0 else max(depth, 1)
+            longest = max(longest, depth)
+        if longest <= LONGEST:
+            return lengths
+        least = 2 * least + 1
+        for k in range(size):
+            if counts[k] > 0:
+                weight[k] = max(counts[k], least)
+
+
+def codes_of(lengths: NDArray[np.uint8]) -> NDArray[np.uint32]:
+    """Return the canonical code of each symbol, first bit lowest."""
+    codes = np.zeros(len(lengths), np.uint32)
+    code = 0
+    for length in range(1, LONGEST + 1):
+        for symbol in np.flatnonzero(lengths == length):
+            codes[symbol] = int(f"{code:0{length}b}"[::-1], 2)
+            code += 1
+        code <<= 1
+    return codes
+
+
+def decoding_table(lengths: NDArray[np.uint8]) -> NDArray[np.uint16]:
+    """Return symbol · 16 + length for each LONGEST bits of a stream; length 0 where no code begins so."""
+    table = np.zeros(1 << LONGEST, np.uint16)
+    for symbol, code in enumerate(codes_of(lengths)):
+        if length := int(lengths[symbol]):
+            table[int(code) :: 1 << length] = symbol << 4 | length
+    return table

@@ -1,0 +1,67 @@
+"""Compares an archive with its checksums."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+from vaoi_station.errors import VaoiError
+from vaoi_station.plant.archive import catalogue
+from vaoi_station.plant.archive.extraction import read_blob
+from vaoi_station.plant.archive.fault import ArchiveFault, OnFault
+from vaoi_station.plant.archive.manifest import DRAFTS
+from vaoi_station.plant.archive.selection import RunSelection
+from vaoi_station.plant.archive.storage import Storage
+
+UNDER_WAY_S = 3600.0
+"""A run that was begun less than this ago may be under way."""
+
+
+@dataclass
+class Verified:
+    """What was found."""
+
+    runs: int = 0
+    damaged_runs: int = 0
+    blobs: int = 0
+    bytes: int = 0
+    faults: int = 0
+    """Number of everything that was reported."""
+
+
+def verify(storage: Storage, selection: RunSelection, on_fault: OnFault, under_way_s: float = UNDER_WAY_S) -> Verified:
+    """Verify runs; see `Archive.verify`."""
+    found = Verified()
+
+    def report(fault: ArchiveFault) -> None:
+        found.faults += 1
+        on_fault(fault)
+
+    # Shared documents are read once; frames are hardly ever shared, and their digests would take memory.
+    sound: set[str] = set()
+    for run in catalogue.runs(storage, selection, report):
+        found.runs += 1
+        before = found.faults
+        documents = {blob.sha256 for blob in run.documents.values()}
+        for blob in run.blobs:
+            if blob.sha256 in sound:
+                continue
+            try:
+                found.bytes += len(read_blob(storage, run, blob))
+            except VaoiError as error:
+                report(ArchiveFault.of(error))
+                continue
+            found.blobs += 1
+            if blob.sha256 in documents:
+                sound.add(blob.sha256)
+        found.damaged_runs += found.faults > before
+    for draft in storage.entries(DRAFTS):
+        if (datetime.now(UTC) - draft.changed).total_seconds() > under_way_s:
+            report(
+                ArchiveFault(
+                    f"{storage.url}: run {draft.key.removeprefix(f'{DRAFTS}/').removesuffix('.json')} is half written: "
+                    f"its addition began at {draft.changed:%Y-%m-%d %H:%M} UTC and did not end.",
+                    "Add it again, which goes on where it ended, or remove what is there by `vaoi archive prune`.",
+                )
+            )
+    return found

@@ -1,0 +1,173 @@
+"""The cluster: one on this machine, or a scheduler somewhere; and which of its workers may be used."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from vaoi_station.errors import InputError, StateError
+from vaoi_station.plant.restitch.software import software
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+MOST_WORKERS = 256
+_ANY_PORT = "127.0.0.1:0"
+EXTRA = "Install the extra: pip install 'vaoi-station[plant]'."
+
+
+@dataclass(frozen=True)
+class ClusterOptions:
+    """Where the work is done: by a number of processes of this machine, or by the workers of a scheduler."""
+
+    scheduler: str | None = None
+    workers: int | None = None
+    memory_mb: int = 2000
+    """Limit of one local worker; a scheduler's workers have theirs."""
+    dashboard: str | None = None
+    """Address of the local cluster's dashboard, such as 127.0.0.1:8787; None: any free port of loopback."""
+    patience_s: float = 30.0
+    """Longest wait for the scheduler, and for a usable worker."""
+
+    def check(self) -> None:
+        """Raise InputError unless exactly one of scheduler and workers is given, within its limits."""
+        if (self.scheduler is None) == (self.workers is None):
+            raise InputError(
+                "vaoi restitch: --scheduler and --workers exclude each other, and one of them is needed.",
+                action="Give --workers N for processes of this machine, or --scheduler tcp://HOST:8786.",
+            )
+        if self.workers is not None and not 1 <= self.workers <= MOST_WORKERS:
+            raise InputError.field("vaoi restitch", "--workers", self.workers, f"from 1 to {MOST_WORKERS}")
+        if self.scheduler is not None and "://" not in self.scheduler:
+            raise InputError.field(
+                "vaoi restitch", "--scheduler", self.scheduler, "an address such as tcp://10.0.0.5:8786"
+            )
+
+
+@contextmanager
+def cluster_address(options: ClusterOptions) -> Iterator[str]:
+    """Yield the address of the scheduler. A local cluster lives as long as this context."""
+    try:
+        from distributed import LocalCluster
+    except ImportError as error:
+        raise InputError(f"{error.name or 'distributed'}: is not installed.", action=EXTRA) from error
+    options.check()
+    if options.scheduler is not None:
+        yield options.scheduler
+        return
+    with ExitStack() as stack:
+        # One task at a time in each process: the memory of a worker is that of one run. TCP on loopback, as between
+        # machines; the nanny of each worker starts it again after a kill.
+        local = LocalCluster(
+            n_workers=options.workers,
+            threads_per_worker=1,
+            processes=True,
+            host="127.0.0.1",
+            protocol="tcp://",
+            memory_limit=f"{options.memory_mb}MB",
+            # Without an address Dask's pages would be served on port 8787 of all interfaces, or fail if that is taken.
+            dashboard_address=options.dashboard or _ANY_PORT,
+            worker_dashboard_address=_ANY_PORT,
+            silence_logs=40,  # errors only: the outcome of every run is reported here
+        )
+        stack.enter_context(local)
+        yield str(local.scheduler_address)
+
+
+@contextmanager
+def connection(address: str, patience_s: float) -> Iterator[Client]:
+    """Yield a client of a scheduler.
+
+    Raises:
+        StateError: the scheduler does not answer in time.
+    """
+    from distributed import Client
+
+    try:
+        # Dask's own wait is not bounded where a port accepts connections and never replies.
+        asyncio.run(asyncio.wait_for(_greet(address), patience_s))
+        client = Client(address, timeout=patience_s, set_as_default=False)
+    except (OSError, TimeoutError, ValueError) as error:  # ValueError: an unknown protocol
+        raise StateError(
+            f"{address}: no scheduler answers within {patience_s:g} s ({type(error).__name__}).",
+            action="Check address and firewall, start it with `dask scheduler`, then repeat the command: what is done "
+            "stays done.",
+            code="scheduler-absent",
+        ) from error
+    try:
+        yield client
+    finally:
+        client.close(timeout=2)
+
+
+async def _greet(address: str) -> None:
+    """Connect to a scheduler until it replies; a wait for it is bounded by the caller."""
+    from distributed.comm.core import connect
+    from distributed.core import send_recv
+
+    comm = await connect(address, timeout="1 day")
+    try:
+        known = await send_recv(comm, op="identity", reply=True)
+    finally:
+        comm.abort()
+    if known.get("type") != "Scheduler":
+        raise ValueError(f"{address} is a {known.get('type')}")
+
+
+class Crew:
+    """The workers that may be used: those with the stated software. Others are reported once and not used.
+
+    A worker is admitted by an abstract resource, which every task needs. So Dask itself gives tasks to admitted workers
+    only, one at a time, and to those that join or come back as soon as they are admitted.
+    """
+
+    def __init__(self, client: Client, stated: str, report: Callable[[str], None]) -> None:
+        self._client, self._stated, self._report = client, stated, report
+        self._judged: dict[str, str] = {}
+        """Local directory of each worker that was asked, by address. No two processes have the same."""
+        self.admitted: set[str] = set()
+        """Addresses of the workers that are there and may be used."""
+        self.refused: list[str] = []
+        """Why each other worker is not used."""
+
+    @property
+    def resource(self) -> str:
+        """Name of the resource."""
+        return f"vaoi-{hashlib.sha256(self._stated.encode()).hexdigest()[:16]}"
+
+    def update(self) -> None:
+        """Find out which workers are there, and admit or refuse the new ones."""
+        workers = self._client.scheduler_info()["workers"]
+        present = {address: str(worker["local_directory"]) for address, worker in workers.items()}
+        # A worker that is started again under its address has no resource, and maybe other software.
+        self._judged = {address: known for address, known in self._judged.items() if present.get(address) == known}
+        self.admitted &= self._judged.keys()
+        new = sorted(present.keys() - self._judged.keys())
+        if not new:
+            return
+        replies = self._client.run(_admit, self._stated, self.resource, workers=new, on_error="return")
+        for address in new:
+            reply: Any = replies.get(address)
+            if isinstance(reply, OSError) or reply is None:
+                continue  # it has just gone; if not, the next call tries it again
+            self._judged[address] = present[address]
+            if reply == self._stated:
+                self.admitted.add(address)
+            else:
+                # A worker without this package, or with one too old for this question, replies with an exception.
+                has = reply if isinstance(reply, str) else f"no usable software ({type(reply).__name__}: {reply})"
+                line = f"worker {address} is not used: it has {has}, but must have {self._stated}."
+                if line not in self.refused:
+                    self.refused.append(line)
+                    self._report(line)
+
+
+async def _admit(stated: str, name: str, dask_worker: Any) -> str:
+    """Run on a worker: give it the resource if it has the stated software; return its software."""
+    if (own := software()) == stated:
+        await dask_worker.set_resources(**{name: 1})
+    return own

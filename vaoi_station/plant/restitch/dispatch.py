@@ -1,0 +1,175 @@
+"""Gives the runs to Dask, a bounded number at a time, and receives what becomes of them."""
+
+from __future__ import annotations
+
+import threading
+import time
+import uuid
+from collections import deque
+from collections.abc import Callable, Sequence
+from queue import Empty, SimpleQueue
+from typing import TYPE_CHECKING, Any
+
+from vaoi_station.errors import StateError, VaoiError
+from vaoi_station.plant.restitch.cluster import Crew, connection
+from vaoi_station.plant.restitch.task import RunFault, RunTask, restitch_run
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+AHEAD = 2
+"""Number of runs per worker that the scheduler knows: one in work, one that follows without a pause."""
+RETRIES = 2
+"""Number of further attempts at a run whose storage did not answer."""
+_LOOK_S = 1.0
+"""Pause between two searches for workers that have joined or come back."""
+
+
+_REPLY_S = 60.0
+"""Longest wait for a reply of scheduler and workers. A new worker first imports the software."""
+
+
+class _SchedulerLostError(Exception):
+    """The connection to the scheduler has ended."""
+
+
+class Dispatch:
+    """The work on a list of runs, also if workers or the scheduler are replaced meanwhile."""
+
+    def __init__(
+        self,
+        software: str,
+        keep: Callable[[RunTask, bytes], None],
+        leave_out: Callable[[str], None],
+        report: Callable[[str], None],
+    ) -> None:
+        self._software, self._keep, self._leave_out, self._report = software, keep, leave_out, report
+        self.refused_workers: list[str] = []
+        self._waiting: deque[RunTask] = deque()
+
+    def work(
+        self, address: str, tasks: Sequence[RunTask], patience_s: float, workers_patience_s: float | None = None
+    ) -> None:
+        """Work on all tasks. A scheduler that has ended is waited for, and given what is not done.
+
+        Args:
+            address: that of the scheduler.
+            tasks: the runs.
+            patience_s: longest wait for the scheduler.
+            workers_patience_s: longest wait for a usable worker; None: as long as for the scheduler.
+
+        Raises:
+            StateError: the scheduler, or any usable worker, is absent for too long.
+        """
+        self._waiting.extend(tasks)
+        left = -1
+        while self._waiting:
+            try:
+                with connection(address, patience_s) as client:
+                    crew = Crew(client, self._software, self._report)
+                    try:
+                        self._work(client, crew, patience_s if workers_patience_s is None else workers_patience_s)
+                    finally:
+                        self.refused_workers += (line for line in crew.refused if line not in self.refused_workers)
+            except _SchedulerLostError as error:
+                # One that is lost again and again without any outcome would be tried for ever.
+                if len(self._waiting) == left:
+                    raise StateError(
+                        f"{address}: the scheduler was lost twice without the outcome of a run.",
+                        action="Check its log and the network, then repeat the command: what is done stays done.",
+                        code="scheduler-absent",
+                    ) from error
+                left = len(self._waiting)
+                self._report(f"{address}: the scheduler has gone; {left} runs are given to the next.")
+
+    def _work(self, client: Client, crew: Crew, patience_s: float) -> None:
+        finished: SimpleQueue[Any] = SimpleQueue()
+        given: dict[Any, RunTask] = {}
+        looked_s, seen_s = 0.0, time.monotonic()
+        try:
+            while self._waiting or given:
+                now_s = time.monotonic()
+                if client.status != "running":
+                    raise _SchedulerLostError
+                if now_s - looked_s >= _LOOK_S:
+                    looked_s = now_s
+                    _ask(crew)
+                seen_s = now_s if crew.admitted else seen_s
+                if now_s - seen_s > patience_s:
+                    raise _without_workers(crew, patience_s, len(self._waiting) + len(given))
+                while self._waiting and len(given) < AHEAD * len(crew.admitted):
+                    task = self._waiting.popleft()
+                    future = _submit(client, task, crew.resource)
+                    given[future] = task
+                    future.add_done_callback(finished.put)
+                try:
+                    future = finished.get(timeout=_LOOK_S / 4)
+                except Empty:
+                    continue
+                if future in given:
+                    self._receive(future, given)
+        finally:
+            # Also after Ctrl-C: what was given and not received is done again, by this call or the next.
+            self._waiting.extendleft(reversed(given.values()))
+            if given and client.status == "running":
+                client.cancel(list(given), force=True)
+
+    def _receive(self, future: Any, given: dict[Any, RunTask]) -> None:
+        """Keep the outcome of a run, or leave the run out."""
+        from distributed.comm.core import CommClosedError
+
+        task = given[future]
+        try:
+            outcome = future.result(timeout=60)
+        except VaoiError as error:  # of a storage or disk, after the last attempt
+            outcome = RunFault(str(error))
+        except Exception as error:
+            # Dask has lost the connection, or has given a run up; any other exception is a fault of the software.
+            if future.status in {"lost", "cancelled"} or isinstance(error, CommClosedError):
+                raise _SchedulerLostError from error
+            text = str(error).partition("\n")[0]
+            outcome = RunFault(f"{task.archive}/{task.key}: {type(error).__name__}: {text}")
+        del given[future]
+        future.release()
+        if isinstance(outcome, RunFault):
+            self._leave_out(outcome.message)
+        else:
+            self._keep(task, outcome)
+
+
+def _submit(client: Client, task: RunTask, resource: str) -> Any:
+    # A key of its own: the key of another call for the same run would give that call's outcome.
+    key = f"vaoi-restitch-{uuid.uuid4().hex}"
+    return client.submit(restitch_run, task, key=key, resources={resource: 1}, retries=RETRIES, pure=False)
+
+
+def _ask(crew: Crew) -> None:
+    """Update the crew. A scheduler that does not reply in time counts as gone."""
+    failures: list[Exception] = []
+
+    def update() -> None:
+        try:
+            crew.update()
+        except Exception as error:  # noqa: BLE001  (raised again below, in the thread that waits)
+            failures.append(error)
+
+    # Dask's calls have no bound where a scheduler hangs; a daemon thread is left behind then.
+    thread = threading.Thread(target=update, name="vaoi-crew", daemon=True)
+    thread.start()
+    thread.join(_REPLY_S)
+    if thread.is_alive():
+        raise _SchedulerLostError
+    if failures:
+        if isinstance(failures[0], OSError | TimeoutError):
+            raise _SchedulerLostError from failures[0]
+        raise failures[0]
+
+
+def _without_workers(crew: Crew, patience_s: float, runs: int) -> StateError:
+    others = " ".join(crew.refused) or "No worker has joined."
+    return StateError(
+        f"No usable worker for {patience_s:g} s; {runs} runs are left. {others}",
+        action="Start workers with the stated software (`dask worker ADDRESS`), then repeat the command: what is done "
+        "stays done.",
+        code="no-worker",
+    )

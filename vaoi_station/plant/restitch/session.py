@@ -1,0 +1,130 @@
+"""One call of `vaoi restitch`: which runs are left to do, the work on them, and the data set of all."""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from vaoi_station.errors import InputError
+from vaoi_station.files.documents import check_format, read_json, write_bytes, write_json
+from vaoi_station.plant.archive import RunSelection
+from vaoi_station.plant.comparison import Changes, compare, write_changes
+from vaoi_station.plant.restitch.cluster import ClusterOptions, cluster_address
+from vaoi_station.plant.restitch.dispatch import Dispatch
+from vaoi_station.plant.restitch.task import RunTask, Terms, read_outcome
+from vaoi_station.plant.selected_runs import select_runs
+from vaoi_station.plant.tables import Tables, write_tables
+
+HEAD, TABLES, REPORT, FAULTS = "restitch.json", "tables", "report.html", "left-out.json"
+
+
+@dataclass(frozen=True)
+class Summary:
+    """How a call ended."""
+
+    runs: int
+    """Number of selected runs."""
+    done: int
+    """Number of those that are stitched, by this call or an earlier one."""
+    stitched: int
+    """Number of runs that this call has stitched."""
+    left_out: tuple[str, ...]
+    """Runs, archives' faults and workers that were left out, and why."""
+    changes: Changes
+
+
+@dataclass
+class Session:
+    """What a call works on. `progress` receives the numbers of done and of all runs, `report` a sentence."""
+
+    archives: list[str]
+    selection: RunSelection
+    terms: Terms
+    out: Path
+    progress: Callable[[int, int], None] = lambda _done, _runs: None
+    report: Callable[[str], None] = lambda _text: None
+    left_out: list[str] = field(default_factory=list)
+
+    def leave_out(self, text: str) -> None:
+        """Note and report what is left out."""
+        self.left_out.append(text)
+        self.report(text)
+
+
+def restitch(session: Session, options: ClusterOptions) -> Summary:
+    """Stitch all selected runs that are not done yet, then write data set and report.
+
+    After an interruption of any kind the same call goes on where this one ended.
+
+    Raises:
+        InputError: an archive or an option is wrong, or the directory has runs that were stitched with other terms.
+        StateError: scheduler or workers do not answer.
+    """
+    options.check()
+    _claim(session)
+    chosen = select_runs(session.archives, session.selection, session.leave_out)
+    tasks = [RunTask(url, key, session.terms) for url, key in chosen]
+    files = {task: session.out / f"{task.key}.gz" for task in tasks}
+    todo = [task for task in tasks if not files[task].is_file()]
+    finished = len(tasks) - len(todo)
+    session.progress(finished, len(tasks))
+
+    def keep(task: RunTask, content: bytes) -> None:
+        nonlocal finished
+        write_bytes(files[task], content)
+        finished += 1
+        session.progress(finished, len(tasks))
+
+    if todo:
+        with cluster_address(options) as address:
+            dispatch = Dispatch(session.terms.software, keep, session.leave_out, session.report)
+            dispatch.work(address, todo, options.patience_s)
+        session.left_out += dispatch.refused_workers
+    write_tables(session.out / TABLES, _done(session, files))
+    changes = compare(session.out / TABLES)
+    write_changes(session.out / REPORT, changes, _terms(session), session.left_out)
+    write_json(session.out / FAULTS, session.left_out)
+    return Summary(len(tasks), finished, finished - (len(tasks) - len(todo)), tuple(session.left_out), changes)
+
+
+def _claim(session: Session) -> None:
+    """Make the output directory one of these terms, or check that it is."""
+    path = session.out / HEAD
+    document = {"format": "vaoi-restitch", "version": 1, "terms": session.terms.document()}
+    if path.exists():
+        found = read_json(path)
+        check_format(found, path, "vaoi-restitch", 1)
+        theirs = found.get("terms") if isinstance(found.get("terms"), dict) else {}
+        for name, value in document["terms"].items():  # type: ignore[attr-defined]
+            if theirs.get(name) != value:
+                raise InputError(
+                    f"{path}: its runs were stitched with the {name} {theirs.get(name)!r}, this call has {value!r}.",
+                    action="Repeat the call with what it was begun with, or give another --out.",
+                )
+        return
+    if session.out.exists() and any(session.out.iterdir()):
+        raise InputError(
+            f"{session.out}: is not empty and has no {HEAD}.", action="Give a new directory, or one of an earlier call."
+        )
+    write_json(path, document | {"id": uuid.uuid4().hex})
+
+
+def _done(session: Session, files: dict[RunTask, Path]) -> Iterator[Tables]:
+    """Yield the tables of every stitched run, in the order of the tasks."""
+    for path in files.values():
+        if not path.is_file():
+            continue
+        try:
+            yield read_outcome(path)["tables"]
+        except InputError as error:
+            session.leave_out(str(error))
+
+
+def _terms(session: Session) -> list[tuple[str, str]]:
+    chosen: dict[str, Any] = {name: value for name, value in vars(session.selection).items() if value is not None}
+    made = {name: str(value or "of each run") for name, value in session.terms.document().items()}
+    archives = {"archive": ", ".join(session.archives)}
+    return [(name.replace("_", " "), str(value)) for name, value in {**archives, **chosen, **made}.items()]

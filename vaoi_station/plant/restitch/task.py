@@ -1,0 +1,173 @@
+"""The work on one run, as a worker performs it: extract, stitch, lay out as tables."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import os
+import resource
+import tempfile
+import time
+from contextlib import suppress
+from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+from vaoi_station.errors import InputError, NotFoundError, StateError
+from vaoi_station.files import read_stitch
+from vaoi_station.files.documents import write_bytes
+from vaoi_station.files.results import stitch_document
+from vaoi_station.model import Status, Stitch
+from vaoi_station.plant.archive import Archive
+from vaoi_station.plant.archive.catalogue import read_manifest
+from vaoi_station.plant.archive.manifest import ArchivedRun
+from vaoi_station.plant.restitch.software import software
+from vaoi_station.plant.tables import RunKey, Tables, result_tables
+from vaoi_station.stitching.method import MethodName
+from vaoi_station.stitching.recordings.offline import stitch_frames
+from vaoi_station.stitching.recordings.opening import OpenedRun, open_run
+from vaoi_station.stitching.recordings.origin import with_origin
+
+FORMAT, VERSION = "vaoi-restitched-run", 1
+
+
+@dataclass(frozen=True)
+class Terms:
+    """With what runs are stitched; None: with what the archive has for each run."""
+
+    software: str
+    calibration: bytes | None = None
+    """Content of a calibration.json."""
+    board_type: bytes | None = None
+    """Content of a board.json."""
+    method: MethodName = "auto"
+
+    def document(self) -> dict[str, Any]:
+        """Return what identifies the terms, as a JSON object."""
+        digests = {"calibration": self.calibration, "board_type": self.board_type}
+        return {
+            "software": self.software,
+            "method": self.method,
+            **{name: content and sha256(content).hexdigest() for name, content in digests.items()},
+        }
+
+
+@dataclass(frozen=True)
+class RunTask:
+    """One run to be stitched: archive and key of its manifest. It is sent to a worker."""
+
+    archive: str
+    key: str
+    terms: Terms
+
+
+@dataclass(frozen=True)
+class RunFault:
+    """A run that no worker can stitch."""
+
+    message: str
+
+
+def restitch_run(task: RunTask) -> bytes | RunFault:
+    """Stitch one run, and return its file: packed JSON with tables, result and cost.
+
+    Raises:
+        StateError: this process has another software than the terms state.
+        DeviceError: storage or disk do not answer. Another attempt may succeed.
+    """
+    if software() != task.terms.software:
+        raise StateError(f"This worker has {software()}, but must have {task.terms.software}.")
+    try:
+        return _restitch(task)
+    except (InputError, NotFoundError) as error:
+        # A value, not an exception: Dask would repeat the task, with the same outcome.
+        return RunFault(str(error))
+
+
+def _restitch(task: RunTask) -> bytes:
+    began_s, began_cpu_s = time.monotonic(), time.process_time()
+    archive = Archive.open(task.archive)
+    run = read_manifest(archive.storage, task.key)
+    with tempfile.TemporaryDirectory(prefix="run-", dir=_scratch()) as scratch:
+        folder = archive.extract(run, Path(scratch) / "run")
+        extracted_s = time.monotonic()
+        opened = _open(folder, Path(scratch), task.terms)
+        reference = opened.reference.recording.frame if opened.reference else None
+        result = stitch_frames(opened.setup, opened.recording.head, opened.recording.frame, reference)
+        result = with_origin(result, opened.recording, opened.calibration, opened.setup.board_type)
+        path = folder / "result.json"
+        former = read_stitch(path) if path.is_file() else None
+    cost = {
+        "extract_s": round(extracted_s - began_s, 4),
+        "stitch_s": round(time.monotonic() - extracted_s, 4),
+        "cpu_s": round(time.process_time() - began_cpu_s, 4),
+        "rss_mb": round(int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 1e6, 1),
+        "process": os.getpid(),
+    }
+    tables = _tables(run, former, result, opened)
+    document = {"format": FORMAT, "version": VERSION, "run": run.run, "station": run.station, "time": run.time}
+    document |= {"tables": tables, "result": stitch_document(result), "cost": cost}
+    text = json.dumps(document, allow_nan=False, separators=(",", ":"))
+    return gzip.compress(text.encode(), compresslevel=1, mtime=0)
+
+
+def read_outcome(path: Path) -> dict[str, Any]:
+    """Read the file of a stitched run.
+
+    Raises:
+        InputError: it is damaged, or of a newer version.
+    """
+    action = "Delete it and repeat the command: the run is stitched again."
+    try:
+        document = json.loads(gzip.decompress(path.read_bytes()))
+    except (OSError, EOFError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read ({error}).", action=action) from error
+    found = (document.get("format"), document.get("version")) if isinstance(document, dict) else None
+    if found != (FORMAT, VERSION):
+        raise InputError(f"{path}: has format and version {found}, must be {(FORMAT, VERSION)}.", action=action)
+    return dict(document)
+
+
+def _tables(run: ArchivedRun, former: Stitch | None, result: Stitch, opened: OpenedRun) -> Tables:
+    """Return the rows of both results; those of the former one come first."""
+    key = RunKey(run.station, run.run, run.time, run.board_type, run.serial)
+    board_type, head = opened.setup.board_type, opened.recording.head
+    if former is not None:
+        former, result = _with_verdict(run.verdict, former, result)
+    tables = result_tables(key, "new", result, board_type, head)
+    if former is None:
+        return tables
+    earlier = result_tables(key, "former", former, board_type, head)
+    return {name: {c: earlier[name][c] + values for c, values in table.items()} for name, table in tables.items()}
+
+
+def _with_verdict(verdict: Status | None, former: Stitch, result: Stitch) -> tuple[Stitch, Stitch]:
+    """Return both results with the verdict of the run, which may be lower than that of the station's result.
+
+    A board id that differs, for example, is no fault of the result: it holds for the new result too.
+    """
+    order = list(Status)
+    if verdict is None or order.index(verdict) <= order.index(former.status):
+        return former, result
+    lowered = max(verdict, result.status, key=order.index)
+    return former.model_copy(update={"status": verdict}), result.model_copy(update={"status": lowered})
+
+
+def _open(folder: Path, scratch: Path, terms: Terms) -> OpenedRun:
+    """Open a run with other documents where the terms state them."""
+    paths: dict[str, Path | None] = {}
+    for name, content in (("calibration", terms.calibration), ("board", terms.board_type)):
+        paths[name] = None if content is None else scratch / f"{name}.json"
+        if content is not None:
+            write_bytes(scratch / f"{name}.json", content, durable=False)
+    return open_run(folder, calibration=paths["calibration"], board=paths["board"], method=terms.method)
+
+
+def _scratch() -> str | None:
+    """Return the directory of this worker, which Dask removes also after a kill; None outside of a worker."""
+    from distributed import get_worker
+
+    with suppress(ValueError):
+        return str(get_worker().local_directory)
+    return None

@@ -1,0 +1,186 @@
+"""A result as rows of the tables, in plain Python values that are written as JSON or Parquet."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from vaoi_station.geometry import apply
+from vaoi_station.model import BoardType, RecordingHead, Stitch
+from vaoi_station.plant.tables.schema import TABLES
+
+ResultName = Literal["former", "new"]
+Tables = dict[str, dict[str, list[Any]]]
+"""By table and column: the values of all rows. All columns of a table have the same length."""
+
+
+class RunKey(NamedTuple):
+    """What identifies a run in every table, and the board that it showed."""
+
+    station: str
+    run: str
+    time: str
+    """Begin, UTC, RFC 3339."""
+    board_type: str
+    board_id: str | None = None
+
+
+def result_tables(
+    key: RunKey, name: ResultName, result: Stitch, board_type: BoardType | None, head: RecordingHead
+) -> Tables:
+    """Return the rows that a result adds to each table.
+
+    Figures that a result of an older version does not state, or states in another form, are None.
+    """
+    rows = {
+        "runs": [_run(key, result)],
+        "rows": list(_rows(result)),
+        "cameras": list(_cameras(result, head)),
+        "seams": list(_seams(result)),
+        "fiducials": list(_fiducials(result)),
+        "components": list(_components(result, board_type)),
+        "views": list(_views(result)),
+    }
+    common = {"station": key.station, "run": key.run, "time": key.time, "board_type": key.board_type, "result": name}
+    return {
+        table: {c.name: [(common | row)[c.name] for row in rows[table]] for c in columns}
+        for table, columns in TABLES.items()
+    }
+
+
+def _run(key: RunKey, result: Stitch) -> dict[str, Any]:
+    q = result.quality
+    residual, belt = _mapping(q.get("residual_px")), _mapping(q.get("belt"))
+    speed = _numbers(belt.get("measured_mm_s"), 2)
+    return {
+        "board_id": key.board_id,
+        "status": str(result.status),
+        "reason_codes": list(result.reason_codes),
+        "method": result.method,
+        "software": software if isinstance(software := q.get("software"), str) else None,
+        "cameras": len(result.image_matrices),
+        "rows": len(result.row_motion),
+        "link_median_px": _number(residual.get("median")),
+        "link_scatter_px": _number(residual.get("scatter")),
+        "sigma0": _number(residual.get("sigma0")),
+        "cad_sigma_px": _number(q.get("cad_sigma_px")),
+        "scale_error": _number(q.get("scale_error")),
+        "speed_mm_s": None if speed[0] is None or speed[1] is None else math.hypot(speed[0], speed[1]),
+    }
+
+
+def _rows(result: Stitch) -> Iterator[dict[str, Any]]:
+    pivot = _numbers(result.quality.get("pivot_mm"), 2)
+    # About another point than the pivot, the errors of rotation and displacement of a row would be correlated.
+    about = np.array([0.0 if v is None else v for v in pivot])
+    sigma = _numbers(result.quality.get("row_sigma_px"), len(result.row_motion))
+    for row, matrix in enumerate(result.row_motion):
+        x, y = (apply(np.asarray(matrix), about[None])[0] - about).tolist()
+        turn = 1e3 * math.atan2(matrix[1][0], matrix[0][0])
+        yield {"row": row, "x_mm": x, "y_mm": y, "turn_mrad": turn, "sigma_px": sigma[row]}
+
+
+def _cameras(result: Stitch, head: RecordingHead) -> Iterator[dict[str, Any]]:
+    count = len(head.cameras)
+    moved = _sequence(result.quality.get("camera_displacement_px"), count)
+    sigma = _sequence(result.quality.get("camera_displacement_sigma_px"), count)
+    for i, camera in enumerate(head.cameras):
+        x, y, turn = _numbers(moved[i], 3)
+        sigma_x, sigma_y, sigma_turn = _numbers(sigma[i], 3)
+        out = {"camera": i, "x_px": x, "y_px": y, "turn_px": turn}
+        out |= {"sigma_x_px": sigma_x, "sigma_y_px": sigma_y, "sigma_turn_px": sigma_turn}
+        center_mm: list[Any] = [None, None]
+        px_per_mm = None
+        if result.camera_matrices is not None and i < len(result.camera_matrices):
+            row_from_image = np.linalg.inv(np.asarray(result.camera_matrices[i]))
+            middle = np.array([(camera.width - 1) / 2, (camera.height - 1) / 2])
+            # The middle, and the pixels beside it, whose distances are the size of a pixel.
+            near = apply(row_from_image, middle + np.array([[0, 0], [1, 0], [0, 1]]))
+            center_mm = near[0].tolist()
+            edges = near[1:] - near[0]
+            px_per_mm = 1 / math.sqrt(abs(float(edges[0, 0] * edges[1, 1] - edges[0, 1] * edges[1, 0])))
+        yield out | {"center_x_mm": center_mm[0], "center_y_mm": center_mm[1], "px_per_mm": px_per_mm}
+
+
+def _seams(result: Stitch) -> Iterator[dict[str, Any]]:
+    for pair, residual in _mapping(result.quality.get("seams_px")).items():
+        first, _, second = str(pair).partition("-")
+        if first.isdecimal() and second.isdecimal():
+            yield {"camera": int(first), "other_camera": int(second), "residual_px": _number(residual)}
+
+
+def _fiducials(result: Stitch) -> Iterator[dict[str, Any]]:
+    found = result.quality.get("fiducials")
+    for entry in found if isinstance(found, list) else []:
+        mark = _mapping(entry)
+        x, y = _numbers(mark.get("residual_px"), 2)
+        count = _number(mark.get("sightings"))
+        yield {
+            "name": str(mark.get("name")),
+            "sightings": None if count is None else int(count),
+            "x_px": x,
+            "y_px": y,
+        }
+
+
+def _components(result: Stitch, board_type: BoardType | None) -> Iterator[dict[str, Any]]:
+    q = result.quality
+    sigma, height, height_sigma, unseen = (
+        _mapping(q.get(name)) for name in ("component_sigma_px", "heights_mm", "height_sigma_mm", "unseen")
+    )
+    views = result.components or {}
+    for part in board_type.components if board_type else ():
+        address = part.address
+        matrix = result.component_matrix(address)
+        place = [None, None] if matrix is None else apply(np.asarray(matrix), np.array([part.center]))[0].tolist()
+        yield {
+            "component": address,
+            "package": part.package,
+            "x_mm": place[0],
+            "y_mm": place[1],
+            "sigma_px": _number(sigma.get(address)),
+            "height_mm": _number(height.get(address)),
+            "height_sigma_mm": _number(height_sigma.get(address)),
+            "views": len(views.get(address, ())),
+            "coverage": _number(_mapping(unseen.get(address)).get("coverage")),
+            "status": str(result.status),
+        }
+
+
+def _views(result: Stitch) -> Iterator[dict[str, Any]]:
+    covariances = _mapping(result.quality.get("component_covariance_px2"))
+    for address, views in (result.components or {}).items():
+        stated = covariances.get(address)
+        entries = [_numbers(entry, 5) for entry in (stated if isinstance(stated, list) else [])]
+        sigma = {(c, r): _largest_sigma(xx, xy, yy) for c, r, xx, xy, yy in entries}
+        for camera, row, x, y in views:
+            at = {"component": address, "camera": camera, "row": row, "x_px": x, "y_px": y}
+            yield at | {"sigma_px": sigma.get((camera, row))}
+
+
+def _largest_sigma(xx: float | None, xy: float | None, yy: float | None) -> float | None:
+    """Return the standard deviation in the direction in which it is largest, of a covariance ((xx, xy), (xy, yy))."""
+    if xx is None or xy is None or yy is None:
+        return None
+    return math.sqrt(max((xx + yy) / 2 + math.hypot((xx - yy) / 2, xy), 0.0))
+
+
+def _number(value: Any) -> float | None:
+    usable = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    return float(value) if usable else None
+
+
+def _mapping(value: Any) -> Mapping[str, Any]:
+    return value if isinstance(value, dict) else {}
+
+
+def _sequence(value: Any, length: int) -> Sequence[Any]:
+    """Return a sequence of the given length; of None if the value has another form."""
+    return value if isinstance(value, list | tuple) and len(value) == length else [None] * length
+
+
+def _numbers(value: Any, length: int) -> list[float | None]:
+    return [_number(v) for v in _sequence(value, length)]

@@ -1,0 +1,95 @@
+"""The process that adds runs to an archive. It waits for the station before every access to the archive.
+
+It is a process, not a thread of the station: a thread of the lowest priority that compiles or encodes could hold the
+interpreter's lock for as long as others use the processor, and the station would wait for it.
+"""
+
+from __future__ import annotations
+
+import os
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from vaoi_station.errors import DeviceError, InputError, StateError, VaoiError
+from vaoi_station.runs.archive.housekeeping import LOWEST_PRIORITY
+from vaoi_station.runs.host.process_setup import set_up_process
+
+
+class Addition(NamedTuple):
+    """A run that is to be added. It is answered by `Turn`s, then by `Added` or `Failed`."""
+
+    url: str
+    folder: Path
+    station: str
+
+
+class Turn(NamedTuple):
+    """The adder is about to write `size` bytes, or to read. It goes on when the station has sent True."""
+
+    size: int
+
+
+class Added(NamedTuple):
+    """The run is in the archive; `bytes` is its size there."""
+
+    bytes: int
+
+
+class Failed(NamedTuple):
+    """The run could not be added."""
+
+    error: VaoiError
+    of_run: bool
+    """Whether the run is at fault, and not the archive."""
+
+
+def launch_adder() -> tuple[Connection[Any, Any], BaseProcess]:
+    """Start the process, and return the pipe to it."""
+    context = get_context("spawn")
+    ours, its = context.Pipe()
+    process = context.Process(target=run_adder, args=(its,), name="vaoi-archive", daemon=True)
+    process.start()
+    its.close()
+    return ours, process
+
+
+def run_adder(connection: Connection[Any, Any]) -> None:
+    """Set the process up, and add runs until the station closes the pipe."""
+    set_up_process(one_thread=True)
+    os.setpriority(os.PRIO_PROCESS, 0, LOWEST_PRIORITY)
+    serve(connection)
+
+
+def serve(connection: Connection[Any, Any]) -> None:
+    """Add runs until the other side closes the pipe."""
+    try:
+        while True:
+            connection.send(_add(connection, connection.recv()))
+    except (EOFError, OSError):
+        return  # The station has ended, or has given the run up.
+
+
+def _add(connection: Connection[Any, Any], wanted: Addition) -> Added | Failed:
+    from vaoi_station.plant.archive import Archive
+    from vaoi_station.runs.handover.paced_storage import PacedStorage
+
+    def take_turn(size: int) -> None:
+        connection.send(Turn(size))
+        connection.recv()
+
+    try:
+        archive = Archive(PacedStorage(Archive.open(wanted.url).storage, take_turn))
+    except VaoiError as error:
+        return Failed(error, of_run=False)
+    try:
+        return Added(archive.add(wanted.folder, station=wanted.station).bytes)
+    except VaoiError as error:
+        return Failed(error, of_run=not isinstance(error, DeviceError | StateError))
+    except (EOFError, BrokenPipeError, ConnectionResetError):
+        raise
+    except Exception as error:  # noqa: BLE001  the process must go on: it adds later runs
+        cause = InputError(f"{type(error).__name__}: {error}.", action="Report it to the maintainer.")
+        return Failed(cause, of_run=True)

@@ -1,0 +1,98 @@
+"""Series of figures from boards or from hours: one value per board, or per bin of time if there are too many boards."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from datetime import UTC, datetime, timedelta
+from typing import NamedTuple
+
+from vaoi_station.runs.states.run_ids import utc
+from vaoi_station.runs.trends.figures import FIGURES, has_only_lower_limit
+from vaoi_station.runs.trends.trend_schemas import TrendSeries
+from vaoi_station.store.history.board_figures import BoardRow, HourFigure, HourRow, Span, merged
+
+MOST_SERIES = 200
+"""Largest number of series in one answer."""
+BINS_S = (60, 120, 300, 600, 900, 1800, 3600, 7200, 10800, 21600, 43200, 86400, 7 * 86400)
+"""Widths of bins, s; a week is the widest."""
+
+
+class Group(NamedTuple):
+    """The boards of one time."""
+
+    time: str
+    boards: int
+    figures: Mapping[str, HourFigure]
+
+
+def bin_width_s(span: Span, points: int, least_s: float = 0.0) -> float:
+    """Return the width of the bins, s, with which a span has at most `points` of them, if a week suffices."""
+    length_s = (_moment(span.until) - _moment(span.since)).total_seconds()
+    return next((float(s) for s in BINS_S if s >= least_s and length_s / s <= points), float(BINS_S[-1]))
+
+
+def groups_of_boards(rows: Iterable[BoardRow], width_s: float) -> list[Group]:
+    """Return boards in bins of a width, oldest first."""
+    return _binned(((r.started, {k: (1, v, v, v, r.run) for k, v in r.figures.items()}, 1) for r in rows), width_s)
+
+
+def groups_of_hours(rows: Iterable[HourRow], width_s: float) -> list[Group]:
+    """Return hours in bins of a width, oldest first. Every board has the figure `lost_frames`, which counts them."""
+    entries = ((f"{r.hour}:00:00.000Z", r.figures, max((f[0] for f in r.figures.values()), default=0)) for r in rows)
+    return _binned(entries, width_s)
+
+
+def series_of_boards(rows: Sequence[BoardRow], wanted: Sequence[str]) -> list[TrendSeries]:
+    """Return one series per figure with the value of every board."""
+    found = []
+    for key in _keys((r.figures for r in rows), wanted):
+        at = tuple(n for n, row in enumerate(rows) if key in row.figures)
+        found.append(_series(key, at, tuple(rows[n].figures[key] for n in at)))
+    return found
+
+
+def series_of_groups(groups: Sequence[Group], wanted: Sequence[str]) -> list[TrendSeries]:
+    """Return one series per figure with mean, least and largest value of every group."""
+    found = []
+    for key in _keys((g.figures for g in groups), wanted):
+        at = tuple(n for n, group in enumerate(groups) if key in group.figures)
+        cells = [groups[n].figures[key] for n in at]
+        _, means, least, largest, runs = zip(*cells, strict=True)
+        series = _series(key, at, tuple(float(f"{mean:.5g}") for mean in means))
+        found.append(series.model_copy(update={"least": least, "largest": largest, "runs": runs}))
+    return found
+
+
+def _series(key: str, at: tuple[int, ...], values: tuple[float, ...]) -> TrendSeries:
+    figure, _, part = key.partition(":")
+    known = FIGURES[figure]
+    return TrendSeries(figure=figure, part=part, lower=known.lower, upper=known.upper, at=at, values=values)
+
+
+def _keys(rows: Iterable[Mapping[str, object]], wanted: Sequence[str]) -> list[str]:
+    """Return the names of all wanted figures that rows have, in the order of `FIGURES`. No names want all."""
+    names = list(FIGURES)
+    found = {key for row in rows for key in row}
+    chosen = [key for key in found if (figure := key.partition(":")[0]) in FIGURES and figure in (wanted or names)]
+    return sorted(chosen, key=lambda key: (names.index(key.partition(":")[0]), key))
+
+
+def _binned(entries: Iterable[tuple[str, Mapping[str, HourFigure], int]], width_s: float) -> list[Group]:
+    bins: dict[float, list[tuple[Mapping[str, HourFigure], int]]] = defaultdict(list)
+    for time, figures, boards in entries:
+        bins[_moment(time).timestamp() // width_s].append((figures, boards))
+    groups = []
+    for number, members in sorted(bins.items()):
+        parts: dict[str, list[HourFigure]] = defaultdict(list)
+        for figures, _ in members:
+            for key, figure in figures.items():
+                parts[key].append(figure)
+        begin = utc(datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=number * width_s))
+        figures = {key: merged(found, only_lower_limit=has_only_lower_limit(key)) for key, found in parts.items()}
+        groups.append(Group(begin, sum(boards for _, boards in members), figures))
+    return groups
+
+
+def _moment(time: str) -> datetime:
+    return datetime.fromisoformat(time)

@@ -1,0 +1,81 @@
+"""A bounded queue that one supervised thread serves, so that its owner never waits for the work."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable
+from typing import Generic, TypeVar
+
+from vaoi_station.supervised_thread import SupervisedThread
+
+T = TypeVar("T")
+
+_END_S = 5.0
+"""Longest wait for the end of the thread, which may wait for another process."""
+_LOOK_S = 0.5
+"""Longest time in which the thread does not check whether it is to end."""
+
+
+class SupervisedQueue(Generic[T]):
+    """Passes items to a function, one after the other, in a thread of its own. Methods may be called from any thread.
+
+    The function may take any time: the thread counts as waiting meanwhile. It must not raise.
+    """
+
+    def __init__(
+        self, serve: Callable[[T], object], name: str, most: int, begin: Callable[[], object] | None = None
+    ) -> None:
+        """Prepare the queue.
+
+        Args:
+            serve: receives each item.
+            name: name of the thread.
+            most: largest number of waiting items; a further one takes the place of the oldest.
+            begin: is called once in the thread, before the first item.
+        """
+        self._serve, self._most, self._begin = serve, most, begin
+        self._waiting: deque[T] = deque()
+        self._wake, self._stopping = threading.Condition(), False
+        self.thread = SupervisedThread(self._run, name)
+
+    @property
+    def stopping(self) -> bool:
+        """Whether the thread was asked to end: the item under way is to be given up."""
+        return self._stopping
+
+    def start(self) -> None:
+        """Start the thread."""
+        self.thread.start()
+
+    def put(self, item: T) -> T | None:
+        """Add an item, and return the oldest one if there is no room for it: it is not served."""
+        with self._wake:
+            self._waiting.append(item)
+            left_out = self._waiting.popleft() if len(self._waiting) > self._most else None
+            self._wake.notify_all()
+        return left_out
+
+    def stop(self) -> None:
+        """End the thread; the item under way is not awaited for longer than five seconds."""
+        self.thread.expect_end()
+        with self._wake:
+            self._stopping = True
+            self._wake.notify_all()
+        if self.thread.is_alive():
+            self.thread.join(_END_S)
+
+    def _run(self) -> None:
+        """Serve the waiting items until the queue is stopped."""
+        if self._begin is not None:
+            self._begin()
+        while not self._stopping:
+            self.thread.beat()
+            with self._wake:
+                if not self._waiting:
+                    self._wake.wait(_LOOK_S)
+                if self._stopping or not self._waiting:
+                    continue
+                item = self._waiting.popleft()
+            with self.thread.waiting():
+                self._serve(item)
