@@ -6,7 +6,7 @@ import re
 from typing import Any
 
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Page, Route, expect
 
 from tests.api.board_data.test_check_routes import proposing
 from tests.board_data.readers import samples
@@ -76,6 +76,25 @@ def test_a_file_becomes_an_approved_board_type(page: Page, engineer: Any, fits: 
     fits("type", ".board-drawing")
     page.get_by_role("button", name="Delete this board type").click()
     expect(page.get_by_role("heading", name="Deleted")).to_be_visible()
+
+
+def test_changes_that_overtake_the_reply_are_all_made(page: Page, engineer: Any) -> None:
+    """A person goes on to the next field while the station still imports the file with the former one."""
+    page.goto(f"{engineer.url}/#/setup/types")
+    choose_file(page, "#board-file", "places.csv", TABLE)
+    expect(page.get_by_role("heading", name="places.csv")).to_be_visible()
+    held: list[Route] = []
+    page.route("**/board-data/previews/*", lambda route: held.append(route) if not held else route.continue_())
+    page.get_by_label("Unit").select_option("mil")
+    page.get_by_label("Unit").select_option("mm")
+    page.get_by_label("Name of the board type").fill("product-7")
+    held[0].continue_()
+    expect(page.locator(".facts")).to_contain_text("mm (as given)")
+    expect(page.get_by_label("Name of the board type")).to_have_value("product-7")
+    expect(page.get_by_label("Name of the board type")).to_be_focused()
+    page.keyboard.press("Tab")
+    expect(page.get_by_role("button", name="Store as product-7")).to_be_visible()
+    expect(page.get_by_label("Unit")).to_have_value("mm")
 
 
 def test_what_the_station_refuses_is_shown(page: Page, engineer: Any) -> None:

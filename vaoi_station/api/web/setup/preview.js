@@ -20,6 +20,7 @@ class Preview {
   #preview;
   #answer = answerLine();
   #chosen = null; // fiducials chosen by hand; null: as the import has found them
+  #changes = Promise.resolve(); // the last change that was asked for: a change begins when the one before it has ended
 
   constructor(root, preview) {
     [this.#root, this.#preview] = [root, preview];
@@ -74,17 +75,21 @@ class Preview {
     const step = input("step", options.step ?? "", { maxLength: 200 });
     if (/odb/.test(found?.format ?? "")) fields.push(labelled(t.step, step));
     const form = make("form", { className: "fields", id: "options" }, ...fields);
-    form.addEventListener("change", () => attempt(null, async () => {
-      const given = [...columns].filter(([, select]) => select.value).map(([column, select]) => `${column}=${select.value}`).join(",");
-      await this.#again({ ...options, side: side.value, name: name.value.trim(), units: unit.value, columns: given || options.columns, step: step.value });
-    }, this.#answer));
+    form.addEventListener("change", ({ target }) => attempt(null, () => this.#again(optionOf(target, columns)), this.#answer));
     form.addEventListener("submit", (event) => event.preventDefault());
     return section(t.options, form);
   }
 
-  async #again(options) {
-    this.#preview = await requests.change(this.#preview.id, options);
-    await this.show();
+  // Change options. A person may change the next one before the page is drawn with the former: each is merged with the options that hold when it is sent.
+  #again(changed) {
+    const change = async () => {
+      this.#preview = await requests.change(this.#preview.id, { ...this.#preview.options, ...changed });
+      const typing = Typing.of(this.#root);
+      await this.show();
+      typing.goesOn(this.#root);
+    };
+    this.#changes = this.#changes.then(change, change);
+    return this.#changes;
   }
 
   #joined() {
@@ -92,9 +97,9 @@ class Preview {
     const file = make("input", { type: "file", id: "join-file", className: "file" });
     file.addEventListener("change", () => attempt(file, async () => {
       const other = await requests.upload(file.files[0], { side: options.side });
-      await this.#again({ ...options, join: other.id });
+      await this.#again({ join: other.id });
     }, this.#answer));
-    const drop = options.join ? button(t.unjoin, () => this.#again({ ...options, join: null }), this.#answer) : "";
+    const drop = options.join ? button(t.unjoin, () => this.#again({ join: null }), this.#answer) : "";
     return section(t.join, make("p", { className: "help", textContent: options.join ? t.joined : t.joinHelp }),
       make("div", { className: "buttons" }, file, make("label", { htmlFor: file.id, className: "button", textContent: t.chooseFile }), drop));
   }
@@ -133,5 +138,36 @@ class Preview {
       location.hash = typeAddress(type.name);
     }, this.#answer, { className: "primary", id: "confirm" });
     return make("div", { className: "buttons" }, store, this.#discard());
+  }
+}
+
+// What a field of the options says, as the station takes it. A column is stated with all others.
+function optionOf(field, columns) {
+  if (!field.name.startsWith("column-")) return { [field.name]: field.value.trim() };
+  const given = [...columns].filter(([, select]) => select.value).map(([column, select]) => `${column}=${select.value}`);
+  return given.length ? { columns: given.join(",") } : {};
+}
+
+// The field in which a person is, with what is typed but not yet changed: both are there again when the page is drawn anew.
+class Typing {
+  #field;
+
+  static of(root) {
+    const typing = new Typing();
+    if (root.contains(document.activeElement)) typing.#field = document.activeElement;
+    return typing;
+  }
+
+  goesOn(root) {
+    const typed = this.#field;
+    const now = typed?.name && root.querySelector(`[name="${CSS.escape(typed.name)}"]`);
+    if (!now) return;
+    now.focus();
+    if (now.tagName !== "INPUT" || now.value === typed.value) return;
+    now.value = typed.value;
+    // The browser sees no change if the person goes on to the next field without typing more.
+    const untilChanged = new AbortController();
+    now.addEventListener("change", () => untilChanged.abort(), untilChanged);
+    now.addEventListener("blur", () => now.dispatchEvent(new Event("change", { bubbles: true })), untilChanged);
   }
 }
