@@ -38,8 +38,9 @@ def test_an_item_may_take_any_time_without_a_fault_and_sees_the_end() -> None:
 
     def serve(item: str) -> None:
         begun.set()
-        while not queue.stopping:
-            ended.wait(0.01)
+        assert not queue.pause(0.0)
+        assert queue.pause(PATIENCE_S)
+        assert queue.stopping
         assert item == "a", "what waits behind the item under way is not begun"
         ended.set()
 

@@ -36,13 +36,17 @@ class SupervisedQueue(Generic[T]):
         """
         self._serve, self._most, self._begin = serve, most, begin
         self._waiting: deque[T] = deque()
-        self._wake, self._stopping = threading.Condition(), False
+        self._wake, self._stop = threading.Condition(), threading.Event()
         self.thread = SupervisedThread(self._run, name)
 
     @property
     def stopping(self) -> bool:
         """Whether the thread was asked to end: the item under way is to be given up."""
-        return self._stopping
+        return self._stop.is_set()
+
+    def pause(self, time_s: float) -> bool:
+        """Let the item under way wait, or until the thread was asked to end. Return whether it was."""
+        return self._stop.wait(time_s)
 
     def start(self) -> None:
         """Start the thread."""
@@ -60,7 +64,7 @@ class SupervisedQueue(Generic[T]):
         """End the thread; the item under way is not awaited for longer than five seconds."""
         self.thread.expect_end()
         with self._wake:
-            self._stopping = True
+            self._stop.set()
             self._wake.notify_all()
         if self.thread.is_alive():
             self.thread.join(_END_S)
@@ -69,12 +73,12 @@ class SupervisedQueue(Generic[T]):
         """Serve the waiting items until the queue is stopped."""
         if self._begin is not None:
             self._begin()
-        while not self._stopping:
+        while not self._stop.is_set():
             self.thread.beat()
             with self._wake:
                 if not self._waiting:
                     self._wake.wait(_LOOK_S)
-                if self._stopping or not self._waiting:
+                if self._stop.is_set() or not self._waiting:
                     continue
                 item = self._waiting.popleft()
             with self.thread.waiting():

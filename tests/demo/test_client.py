@@ -200,7 +200,6 @@ class LosesReplies(ScriptedHandler):
 
 
 def test_a_command_is_repeated_with_its_key_where_its_reply_was_lost(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(client_module, "_PAUSE_S", 0.0)
     monkeypatch.setattr(LosesReplies, "keys", [])
     with serving(LosesReplies) as address:
         keys = Client(address).post("/station/arm")["keys"]

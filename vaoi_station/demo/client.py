@@ -36,7 +36,6 @@ EVENT_TIMEOUT_S = 15.0
 """Longest time between two lines of the event stream, which sends a heartbeat every two seconds."""
 ATTEMPTS = 3
 """How often a command is sent at most, if the connection ends before its reply."""
-_PAUSE_S = 0.2
 _SHOWN = 200
 """Largest number of bytes of an unusable reply that an error message quotes."""
 _ERRORS: dict[int, type[VaoiError]] = {404: NotFoundError, 409: StateError, 410: GoneError, 503: BusyError}
@@ -145,10 +144,9 @@ class Client:
                     raise
                 attempts += 1
             except StateError as refusal:
-                # The first one has reached the station, which is still at it.
+                # The first one has reached the station, which waited for its end as long as it may.
                 if attempts == 1 or refusal.code != "request-under-way" or time.monotonic() > until_s:
                     raise
-            time.sleep(_PAUSE_S)
 
     def _exchange(self, request: urllib.request.Request) -> bytes:
         with _translated_errors(request.full_url), self._opener.open(request, timeout=REPLY_TIMEOUT_S) as reply:

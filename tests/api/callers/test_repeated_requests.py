@@ -100,26 +100,50 @@ def test_a_refused_command_may_be_tried_again(service: Service, status: int) -> 
     assert service.ask(KEY) == (200, "2")
 
 
-def test_a_repetition_while_the_command_is_under_way_is_refused(service: Service) -> None:
+class SlowService(Service):
+    """A service whose command lasts until it may end."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.begun, self.may_end = asyncio.Event(), asyncio.Event()
+
+    async def work(self, send: Send) -> None:
+        self.begun.set()
+        await self.may_end.wait()
+        await super().work(send)
+
+
+@pytest.mark.parametrize(("status", "replies"), [(200, [(200, "1")] * 3), (409, [(409, "1"), (409, "2"), (409, "3")])])
+def test_a_repetition_waits_for_the_command_under_way(status: int, replies: list[tuple[int, str]]) -> None:
+    """If it was refused, one of those that waited acts in its place, and the next one after it."""
+
+    async def three() -> list[tuple[int, str]]:
+        service = SlowService()
+        service.status = status
+        tasks = [asyncio.create_task(service.asked(KEY)) for _ in replies]
+        await service.begun.wait()
+        other = await service.asked(KEY, body=b"other")
+        assert other == (422, "key-of-another-request"), "another command is refused at once"
+        service.may_end.set()
+        return await asyncio.gather(*tasks)
+
+    assert sorted(asyncio.run(three())) == replies
+
+
+def test_a_repetition_does_not_wait_for_good(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(repeated_requests, "WAIT_S", 0.0)
+
     async def both() -> tuple[int, str]:
-        begun, end = asyncio.Event(), asyncio.Event()
-        work = service.work
-
-        async def slow(send: Send) -> None:
-            begun.set()
-            await end.wait()
-            await work(send)
-
-        service.work = slow  # type: ignore[method-assign]
+        service = SlowService()
         first = asyncio.create_task(service.asked(KEY))
-        await begun.wait()
+        await service.begun.wait()
         refused = await service.asked(KEY)
-        end.set()
+        service.may_end.set()
         assert await first == (200, "1")
+        assert await service.asked(KEY) == (200, "1")
         return refused
 
     assert asyncio.run(both()) == (409, "request-under-way")
-    assert service.ask(KEY) == (200, "1")
 
 
 def test_a_command_that_fails_is_not_kept(service: Service) -> None:

@@ -2,11 +2,12 @@
 
 A program that gets no reply does not know whether its command took effect. It sends the command again with the same
 key (draft-ietf-httpapi-idempotency-key-header). Replies of success are kept, because a refused command changed nothing
-and may be tried again.
+and may be tried again. A command that is repeated while the first one is under way waits for the reply to the first.
 """
 
 from __future__ import annotations
 
+import asyncio
 import hashlib
 import re
 import time
@@ -24,6 +25,8 @@ from vaoi_station.api.problems import problem_response
 HEADER, REPLAYED = "Idempotency-Key", "Idempotency-Replayed"
 KEEP_S = 3600.0
 """Time for which the reply to a command is kept, s."""
+WAIT_S = 10.0
+"""Longest time for which a repeated command waits for the first one, s."""
 MOST_OF_CALLER, MOST_BYTES, MOST_BYTES_OF_CALLER = 200, 16 * 2**20, 2 * 2**20
 """Number of commands of one caller, and total size of all replies in bytes, that are kept; the oldest go first."""
 _MOST_CALLERS = 64
@@ -47,6 +50,7 @@ class _Kept:
     since_s: float
     reply: list[Message] = field(default_factory=list)
     size: int = 0
+    ended: asyncio.Event = field(default_factory=asyncio.Event)
 
 
 class RepeatedRequests:
@@ -76,7 +80,7 @@ class RepeatedRequests:
         self._forget_old()
         name = _Name(_identity(scope), given[0].strip('"'))
         fingerprint = _fingerprint(scope, body)
-        known = self._kept.get(name)
+        known = await self._ended(name, fingerprint)
         if known is None:
             await self._perform(name, _Kept(fingerprint, self._clock()), work, send)
         elif known.fingerprint != fingerprint:
@@ -92,6 +96,20 @@ class RepeatedRequests:
         else:
             for message in known.reply:
                 await send(message)
+
+    async def _ended(self, name: _Name, fingerprint: bytes) -> _Kept | None:
+        """Return the command of a key, as soon as it has ended or `WAIT_S` later; None if a command is to be performed.
+
+        A command that was refused leaves its key: of those that waited for it, one takes its place.
+        """
+        until_s = asyncio.get_running_loop().time() + WAIT_S
+        while (known := self._kept.get(name)) is not None and known.fingerprint == fingerprint and not known.reply:
+            try:
+                async with asyncio.timeout_at(until_s):
+                    await known.ended.wait()
+            except TimeoutError:
+                return known
+        return known
 
     async def _perform(self, name: _Name, kept: _Kept, work: Work, send: Send) -> None:
         self._kept[name] = kept
@@ -112,6 +130,7 @@ class RepeatedRequests:
                 self._make_room(name.caller)
             else:
                 del self._kept[name]
+            kept.ended.set()
 
     def _forget_old(self) -> None:
         now_s = self._clock()
@@ -138,7 +157,7 @@ class RepeatedRequests:
 
 
 _NEW_KEY = "Send a new key with every new command, and the same key only to repeat one."
-_AGAIN = "Wait for the reply, or send the same command again in a moment."
+_AGAIN = "Send the same command with the same key again: the station then waits for the reply."
 
 
 def _identity(scope: Scope) -> tuple[str, str]:

@@ -12,10 +12,10 @@ import os
 import re
 import shutil
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from time import monotonic
 from typing import NamedTuple, Protocol
 
 from vaoi_station.config import KeepConfig
@@ -78,7 +78,7 @@ class KeptMosaics:
         mosaics: Mosaics,
         frames: Frames,
         events: EventLog,
-        clock: Callable[[], float] = time.monotonic,
+        clock: Callable[[], float] = monotonic,
     ) -> None:
         self._directory, self._quota = directory, int(keep.mosaics_gb * 1e9)
         self._archive, self._mosaics, self._frames, self._events = archive, mosaics, frames, events
@@ -151,8 +151,8 @@ class KeptMosaics:
         """Make and keep the picture of a run, if its frames stay for long enough."""
         run, from_s = wanted
         try:
-            while (left_s := from_s - self._clock()) > 0 and not self.queue.stopping:
-                time.sleep(min(left_s, _LOOK_S))
+            while (left_s := from_s - self._clock()) > 0 and not self.queue.pause(min(left_s, _LOOK_S)):
+                pass
             picture, reduction = self._mosaics.small(run, MOST_PX, self._spare)
             self._keep(run, reduction, encode_jpeg(picture, _QUALITY))
         except VaoiError as reason:
@@ -173,8 +173,8 @@ class KeptMosaics:
     @contextmanager
     def _spare(self, run: str, purpose: str) -> Iterator[Bay]:
         """Wait until no board is under way, and yield the bay of a run without a lease."""
-        while self._frames.busy() and not self.queue.stopping:
-            time.sleep(_LOOK_S)
+        while self._frames.busy() and not self.queue.pause(_LOOK_S):
+            pass
         if self.queue.stopping:
             raise StateError(f"The station is stopping; there is no {purpose}.")
         yield self._frames.bay_of(run)
