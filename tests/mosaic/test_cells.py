@@ -61,6 +61,22 @@ def test_body_is_taken_from_the_frame_that_sees_it_most_vertically(board: Filmed
     assert slants[patch[1, 1]] < min(slants) + 0.5
 
 
+def test_a_body_that_does_not_follow_c_is_locked_where_it_lies(board: Filmed) -> None:
+    sights = [sight_of(f, board.projector, board.base) for f in board.taken]
+    right, shift = np.eye(3), 2 * CELL_PX / PX_PER_MM
+    right[0, 2] = shift
+    (c,) = (m for m in (board.stitch.cad_matrix,) if m is not None)
+    own = {part.address: right @ c for part in board.board_type.components}
+    usual, moved = (np.ones(cell_shape(board.base), np.float32) for _ in range(2))
+    lock_bodies(board.board_type, board.stitch, sights, board.base, usual)
+    displaced = board.stitch.model_copy(update={"local_matrices": own})
+    labels = lock_bodies(board.board_type, displaced, sights, board.base, moved)
+    np.testing.assert_array_equal(moved, np.roll(usual, 2, axis=1))
+    assert (usual < 1).any()
+    x, y = (apply(board.base.mosaic_from_cad, (15 + shift, 14)) // CELL_PX).astype(int)
+    assert len(np.unique(labels[y - 1 : y + 2, x - 1 : x + 2])) == 1
+
+
 def test_flat_bodies_are_not_locked(board: Filmed) -> None:
     sights = [sight_of(f, board.projector, board.base) for f in board.taken]
     stitch = board.stitch.model_copy(update={"quality": {"heights_mm": {"U1": 0.05, "U2": 0.1}}})

@@ -10,7 +10,12 @@ import pytest
 from tests.stitching.conftest import Filmed
 from vaoi_station.files.documents import read_toml
 from vaoi_station.geometry import apply
+from vaoi_station.hdr.bodies import bodies_in
+from vaoi_station.hdr.parts import region_component, views_on_top
 from vaoi_station.model import BoardType, Status, Stitch
+from vaoi_station.mosaic import MosaicGrid, choose_frames, make_plan
+from vaoi_station.mosaic.frames import frames_of_head
+from vaoi_station.mosaic.projection import FrameProjector
 from vaoi_station.rendering import ViewCalculator
 from vaoi_station.simulation import Scenario, Twin, scenario_path
 from vaoi_station.stitching.work import StitchSetup
@@ -123,6 +128,32 @@ def test_views_and_component_images_follow_the_board(panel: Filmed) -> None:
                 assert (x / w, y / w) == pytest.approx(truth[ref, view.camera, view.row], abs=0.1)
                 compared += 1
     assert compared > 40
+
+
+def test_pictures_of_the_board_show_bodies_where_their_boards_lie(panel: Filmed) -> None:
+    board_type, result, cameras = panel.board_type, panel.stitch, panel.setup.cameras
+    assert result.cad_matrix is not None
+    back = np.linalg.inv(result.cad_matrix)
+    raised = sorted((c for c in board_type.components if c.body_height), key=lambda c: c.body_height or 0.0)
+    true = [apply(back @ np.array(panel.truth["board_matrices"][c.panel]), board_type.footprint(c)) for c in raised]
+    assert max(np.abs(t - board_type.footprint(c)).max() for t, c in zip(true, raised, strict=True)) > 0.2
+    low, high = (corner.tolist() for corner in board_type.extent())
+    region = region_component((*low, *high), board_type, 18.0)
+    view = views_on_top(ViewCalculator(board_type, result, cameras), region, 0.0, px_per_mm=18.0)[0]
+    in_region = [apply(np.linalg.inv(view.crop_matrix), body.corners) for body in bodies_in(view, board_type, result)]
+    plan = make_plan(
+        choose_frames(frames_of_head(panel.head), hdr=True),
+        lambda _, __: None,
+        projector=FrameProjector(result, cameras),
+        board_type=board_type,
+        stitch=result,
+        base=MosaicGrid.of_board(board_type, 18.0),
+    )
+    in_mosaic = [body.corners for body in plan.bodies]
+    for found in (in_region, in_mosaic):
+        assert len(found) == len(true) > 20
+        for t, f in zip(true, found, strict=True):
+            assert f == pytest.approx(t, abs=0.1 / 18)
 
 
 def test_without_fiducials_of_the_panel_one_board_locates_it(panel: Filmed) -> None:

@@ -37,12 +37,12 @@ def bodies_in(view: View, board_type: BoardType, stitch: Stitch) -> list[Body]:
 
     `view` is any view of the region.
     """
+    heights = ((c, known_height_mm(c, board_type, stitch)) for c in board_type.components)
+    raised = [(c, height_mm) for c, height_mm in heights if height_mm]
+    footprints = stitch.footprints(board_type, [c for c, _ in raised])
     found = []
-    for number, component in enumerate(board_type.components):
-        height_mm = known_height_mm(component, board_type, stitch)
-        if not height_mm:
-            continue
-        corners = apply(view.crop_matrix, board_type.footprint(component))
+    for number, ((_, height_mm), footprint) in enumerate(zip(raised, footprints, strict=True)):
+        corners = apply(view.crop_matrix, footprint)
         low = np.maximum(np.floor(corners.min(0) + 0.5), 0)
         high = np.minimum(np.ceil(corners.max(0) + 0.5), (view.width, view.height))
         if (high <= low).any():

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ConfigDict, Field, model_validator
 
-from vaoi_station.geometry import Camera, Projective, System
+from vaoi_station.geometry import Camera, Projective, System, apply
+from vaoi_station.model.board_type import BoardType, Component
 from vaoi_station.model.frozen_model import FrozenModel, Matrix, Millimetres, Pixels, Point, PointMm, Positive, Whole
 
 _HalfSpan = Annotated[Positive, Field(ge=1e-6)]
@@ -125,6 +126,15 @@ class Stitch(FrozenModel):
         back = np.linalg.inv(self.cad_matrix)
         matrices = {address: self.component_matrix(address) for address in addresses}
         return {ref: back @ m for ref, m in matrices.items() if m is not None and m is not self.cad_matrix}
+
+    def footprints(self, board_type: BoardType, components: Sequence[Component]) -> list[NDArray[np.float64]]:
+        """Return the corners (4, 2) of each component's footprint where it lies, as CAD coordinates of its places by C.
+
+        Pictures of the board and of its regions follow C. Components that do not are displaced in them.
+        """
+        moves = self.displacements(c.address for c in components)
+        nominal = ((c.address, board_type.footprint(c)) for c in components)
+        return [apply(moves[ref], corners) if ref in moves else corners for ref, corners in nominal]
 
     @property
     def tester_from_cad(self) -> Projective | None:

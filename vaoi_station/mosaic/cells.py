@@ -141,14 +141,15 @@ def lock_bodies(
     heights = heights if isinstance(heights, dict) else {}
     near = np.full(cost.shape, np.inf, np.float32)
     boxes = np.array([(s.x0, s.y0, s.x0 + s.inside_px.shape[1], s.y0 + s.inside_px.shape[0]) for s in sights])
-    for component in board_type.components:
+    footprints = stitch.footprints(board_type, board_type.components)
+    for component, footprint in zip(board_type.components, footprints, strict=True):
         height = component.body_height * board_type.mm_per_unit if component.body_height is not None else None
         measured = heights.get(component.address)
         if isinstance(measured, int | float):
             height = float(measured)
         if height is not None and height < _FLAT_MM:
             continue
-        corners = apply(grid.mosaic_from_cad, board_type.footprint(component))
+        corners = apply(grid.mosaic_from_cad, footprint)
         patch = _patch(corners, _AROUND_MM * grid.px_per_mm, cost.shape)
         if patch is None:
             continue

@@ -51,7 +51,7 @@ class RaisedBody(NamedTuple):
     """A body whose top is shown in its own plane."""
 
     corners: Floats
-    """(4, 2) corners of its footprint, CAD."""
+    """(4, 2) corners of its footprint where it lies, CAD coordinates of this place by C."""
     height_mm: float
 
 
@@ -145,7 +145,9 @@ def make_plan(
 
 def _raised_bodies(board_type: BoardType, stitch: Stitch) -> tuple[RaisedBody, ...]:
     heights = ((c, known_height_mm(c, board_type, stitch)) for c in board_type.components)
-    found = (RaisedBody(board_type.footprint(c), height_mm) for c, height_mm in heights if height_mm)
+    raised = [(c, height_mm) for c, height_mm in heights if height_mm]
+    footprints = stitch.footprints(board_type, [c for c, _ in raised])
+    found = (RaisedBody(corners, height_mm) for (_, height_mm), corners in zip(raised, footprints, strict=True))
     return tuple(sorted(found, key=lambda body: body.height_mm))
 
 
