@@ -18,6 +18,7 @@ from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.component_index import ComponentIndex
 from vaoi_station.stitching.board.fiducial_assignment import LOCAL_MM
 from vaoi_station.stitching.board.footprints import landmarks
+from vaoi_station.stitching.components.shift_and_turn import fit_shift_and_turn
 
 LIMIT_MM = 0.3
 """Largest displacement of a component that is accepted: artwork does not bend by more; a wrong mark may lie so far."""
@@ -179,15 +180,7 @@ def _placed(
         cad_matrix: C.
         body: (5, 2) centre and corners of the component, CAD coordinates.
     """
-    middle, shift = at.mean(0), shifts.mean(0)
-    arm = at - middle
-    spread, turn = float((arm**2).sum()), 0.0
-    if len(at) > 1:
-        turn = float((arm[:, 0] * shifts[:, 1] - arm[:, 1] * shifts[:, 0]).sum()) / spread
-    matrix = np.eye(3)
-    c, s = np.cos(turn), np.sin(turn)
-    matrix[:2, :2] = ((c, -s), (s, c))
-    matrix[:2, 2] = middle + shift - matrix[:2, :2] @ middle
+    matrix, turn, middle, spread = fit_shift_and_turn(at, shifts)
     own = matrix @ cad_matrix
     sigma = float(np.sqrt((sigmas**2).sum())) / len(at)
     if len(at) > 1:

@@ -16,6 +16,7 @@ from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.stitching.adjustment.problem import AdjustmentResult, FiducialPoints
 from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.components.local_fiducials import displacement
+from vaoi_station.stitching.components.shift_and_turn import fit_shift_and_turn
 
 LIMIT_MM = 1.0
 """Largest displacement of a board that is accepted: a wrong mark may lie so far."""
@@ -152,15 +153,7 @@ def _placed(
         cad_matrix: C.
         centers: (n, 2) where C puts the components of the board.
     """
-    middle, shift = at.mean(0), shifts.mean(0)
-    arm = at - middle
-    spread, turn = float((arm**2).sum()), 0.0
-    if len(at) > 1:
-        turn = float((arm[:, 0] * shifts[:, 1] - arm[:, 1] * shifts[:, 0]).sum()) / spread
-    matrix = np.eye(3)
-    c, s = np.cos(turn), np.sin(turn)
-    matrix[:2, :2] = ((c, -s), (s, c))
-    matrix[:2, 2] = middle + shift - matrix[:2, :2] @ middle
+    matrix, turn, middle, spread = fit_shift_and_turn(at, shifts)
     left = at + shifts - apply(matrix, at)
     off = float(np.hypot(*left.T).max())
     variance = float((sigmas**2).mean())
