@@ -58,7 +58,7 @@ def test_waiting_ends_after_its_time_and_the_queue_has_an_end() -> None:
             await asyncio.sleep(0)
             with pytest.raises(BusyError, match="a has 2 pictures, waiting ones included"):
                 await seats.take("a").__aenter__()
-            with pytest.raises(BusyError, match=r"No picture could be made within 0\.05 s"):
+            with pytest.raises(BusyError, match=r"For 0\.05 s no other of the pictures could be made"):
                 await waiting
         async with seats.take("a"):
             pass

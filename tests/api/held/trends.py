@@ -7,7 +7,7 @@ from datetime import UTC, datetime, timedelta
 
 from vaoi_station.runs.states.run_ids import utc
 from vaoi_station.runs.trends.comparison import compare
-from vaoi_station.runs.trends.thinning import bin_width_s, groups_of_boards, series_of_boards, series_of_groups
+from vaoi_station.runs.trends.thinning import bin_width_s, groups_of_boards, series_of_groups, single_boards
 from vaoi_station.runs.trends.trend_schemas import TrendComparison, TrendMark, Trends
 from vaoi_station.store.history.board_figures import BoardRow, Span
 
@@ -51,7 +51,7 @@ class HeldTrends:
         if len(rows) <= points:
             return Trends(
                 boards=len(rows), times=tuple(r.started for r in rows), runs=tuple(r.run for r in rows),
-                counts=(1,) * len(rows), series=tuple(series_of_boards(rows, wanted)), marks=marks, **common,
+                counts=(1,) * len(rows), series=tuple(single_boards(rows, wanted).series), marks=marks, **common,
             )  # fmt: skip
         width_s = bin_width_s(span, points)
         groups = groups_of_boards(rows, width_s)

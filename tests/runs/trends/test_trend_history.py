@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import json
+import sqlite3
+import tracemalloc
 from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
 from typing import Any
 from unittest.mock import Mock
 
@@ -86,7 +90,7 @@ def test_a_dim_board_is_found_in_a_bin_and_in_an_hour(store: Store) -> None:
     for n, percent in enumerate((100.0, 80.0, 103.0)):
         row = BoardRow(f"r{n}", f"2026-01-01T00:0{n}:00.000Z", "b", {"brightness_percent:a": percent})
         store.figures.add(row, {}).result(10)
-    (hour,) = store.figures.hours(YEAR)
+    (hour,) = store.figures.hours(store.figures.hour_numbers(YEAR))
     assert hour.figures["brightness_percent:a"][4] == "r1"
     assert history.trends(YEAR, (), 2).series[0].runs == ("r1",)
 
@@ -122,6 +126,31 @@ def test_many_boards_are_compared_by_every_nth(store: Store, monkeypatch: pytest
     assert change.change == 48
     assert change.changed
     assert len(found.marks) == 10
+
+
+@pytest.mark.parametrize("what", ["boards", "hours", "comparison"])
+def test_memory_does_not_grow_with_the_boards_that_are_read(store: Store, what: str) -> None:
+    figures = {f"seam_px:{n}-{n + 1}": n / 8 for n in range(40)}
+    document, hour = json.dumps(figures), json.dumps({k: (9, v, v, v, "r0") for k, v in figures.items()})
+    begin = datetime(2026, 1, 1, tzinfo=UTC)
+    hours = [((begin + timedelta(hours=n)).isoformat()[:13], hour) for n in range(1200)]
+
+    def write(connection: sqlite3.Connection) -> None:
+        rows = [(f"r{n:04d}", f"{hours[n // 5][0]}:{n % 5:02d}:00.000Z", document) for n in range(1200)]
+        connection.executemany("INSERT INTO board_figures VALUES (?, ?, 'b', ?)", rows if what != "hours" else ())
+        connection.executemany("INSERT INTO hourly_figures (hour, board_type, document) VALUES (?, 'b', ?)", hours)
+
+    store.database.write(write).result(10)
+    history, now = TrendHistory(store.figures, ("a",), 16), Span(hours[120][0], "2027")
+    tracemalloc.start()
+    if what == "comparison":
+        assert history.compared(Span("2025", now.since), now).boards == 600
+    else:
+        assert history.trends(YEAR, (), 10).boards == {"boards": 1200, "hours": 10_800}[what]
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    # Parsed, 1200 boards of 40 figures take 7 MB, as many hours 20 MB.
+    assert peak < 2.5e6
 
 
 def test_a_small_database_keeps_few_boards(store: Store) -> None:

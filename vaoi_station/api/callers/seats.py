@@ -54,6 +54,7 @@ class QueuedSeats:
         """Create the seats. Of each caller `queue` requests may wait, each for at most `wait_s`."""
         # The limit of connections also limits the total number of waiting requests.
         self._queue = Seats(f"{what}, waiting ones included", sys.maxsize, per_caller + queue)
+        self._what = what
         self._total, self._per_caller, self._wait_s = total, per_caller, wait_s
         self._held: Counter[str] = Counter()
         self._changed = asyncio.Event()
@@ -68,8 +69,9 @@ class QueuedSeats:
                         await self._changed.wait()
             except TimeoutError:
                 raise BusyError(
-                    f"No picture could be made within {self._wait_s:g} s, because others are made or not yet read.",
-                    action="Ask for fewer pictures at a time, and read each answer.",
+                    f"For {self._wait_s:g} s no other of the {self._what} could be made, because as many as the limit "
+                    "allows were being made or not yet read.",
+                    action="Send fewer such requests at a time, and read each answer.",
                 ) from None
             # There was no `await` since the test, so no other request can have taken the seat.
             self._held[caller] += 1

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import AsyncIterator, Callable
 from datetime import UTC, datetime, timedelta
 from typing import Annotated, Literal
 
-from fastapi import APIRouter, Query, Response
+from fastapi import APIRouter, Depends, Query, Request, Response
 from pydantic import AwareDatetime
 
+from vaoi_station.api.callers.caller import caller_of
+from vaoi_station.api.callers.seats import QueuedSeats
+from vaoi_station.api.event_hub import ThreadLimit
 from vaoi_station.api.http_caching import LIVE
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import InputError
@@ -18,6 +22,10 @@ from vaoi_station.store.history.board_figures import Span
 LONGEST = timedelta(days=3660)
 """Longest span of one request: as long as figures per hour are kept."""
 DAY = timedelta(days=1)
+ANSWERS, ANSWERS_OF_CALLER = 4, 2
+"""Largest number of answers, in all and of one caller, that are made or not yet read; one may have some megabytes."""
+ANSWERS_WAITING = 16
+ANSWER_WAIT_S = 20.0
 FigureName = Literal[
     "residual_px", "seam_px", "sigma_px", "belt_mm_s", "slip_percent", "brightness_percent", "drift_px", "ready_ms",
     "lost_frames", "unseen_parts",
@@ -31,12 +39,24 @@ TypeName = Annotated[str | None, Query(description="Name of the board type.", ma
 def router(services: Services) -> APIRouter:
     """Create the routes for trends."""
     routes = APIRouter(prefix="/trends", tags=["runs"])
-    ask, history = services.commands.ask, services.coordinator.kept
+    history = services.coordinator.kept
+    # Reading takes the interpreter's lock for up to a second: one caller at a time, in none of the threads of commands.
+    reading = ThreadLimit(1)
+    seats = QueuedSeats("answers with figures", ANSWERS, ANSWERS_OF_CALLER, ANSWERS_WAITING, ANSWER_WAIT_S)
 
-    @routes.get("", response_model_exclude_none=True)
+    async def seat(request: Request) -> AsyncIterator[None]:
+        """Hold a seat until the answer was read."""
+        async with seats.take(caller_of(request).name):
+            yield
+
+    async def answer(call: Callable[[], Trends | TrendComparison]) -> Response:
+        # The document becomes text in the thread: it may have half a million values, too many for the event loop.
+        body = await reading.ask(lambda: call().model_dump_json(exclude_none=True).encode())
+        return Response(body, media_type="application/json", headers={"Cache-Control": LIVE})
+
+    @routes.get("", response_model=Trends, dependencies=[Depends(seat)])
     async def get_trends(
         *,
-        response: Response,
         since: Moment = None,
         until: Moment = None,
         board_type: TypeName = None,
@@ -44,37 +64,34 @@ def router(services: Services) -> APIRouter:
             list[FigureName] | None, Query(description="Name of a figure; may be repeated. None: all.", max_length=10)
         ] = None,
         points: Annotated[int, Query(description="Largest number of times in the reply.", ge=10, le=2000)] = 600,
-    ) -> Trends:
+    ) -> Response:
         """Return the figures of the boards of a span: the last day, unless it is stated.
 
         There is one value per board, or per bin of time with mean, least and largest value if there are more boards
         than `points`. Figures of single boards are kept for 200,000 boards (fewer with a small `database_gb`), figures
         per hour for ten years; both longer than the runs. At most 200 series and 200 marks are returned (`complete`).
         """
-        response.headers["Cache-Control"] = LIVE
         span = _span("since", since, "until", until, datetime.now(UTC), board_type)
-        return await ask(history.trends.trends, span, figure or (), points)
+        return await answer(lambda: history.trends.trends(span, figure or (), points))
 
-    @routes.get("/comparison", response_model_exclude_none=True)
+    @routes.get("/comparison", response_model=TrendComparison, dependencies=[Depends(seat)])
     async def compare_trends(
         *,
-        response: Response,
         since: Moment = None,
         until: Moment = None,
         before_since: Moment = None,
         before_until: Moment = None,
         board_type: TypeName = None,
-    ) -> TrendComparison:
+    ) -> Response:
         """Compare the figures of two spans, and rank them by the change in spreads from board to board.
 
         Without times, the last day is compared with the day before it. Only boards whose figures are kept one by one
         are compared; of more than 4000 boards of a span, every n-th is read.
         """
-        response.headers["Cache-Control"] = LIVE
         now = _span("since", since, "until", until, datetime.now(UTC), board_type)
         end = datetime.fromisoformat(now.since)
         before = _span("before_since", before_since, "before_until", before_until, end, board_type)
-        return await ask(history.trends.compared, before, now)
+        return await answer(lambda: history.trends.compared(before, now))
 
     return routes
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from array import array
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -25,7 +26,7 @@ _MEDIAN = 1.2533
 _MOST_SPREADS = 1000.0
 
 
-def compare(before: Sequence[BoardRow], now: Sequence[BoardRow]) -> tuple[TrendChange, ...]:
+def compare(before: Iterable[BoardRow], now: Iterable[BoardRow]) -> tuple[TrendChange, ...]:
     """Return how all figures that both spans have differ, the largest change in spreads first."""
     earlier, later = _columns(before), _columns(now)
     keys = [k for k in earlier if k in later and min(len(earlier[k]), len(later[k])) >= LEAST_BOARDS]
@@ -33,8 +34,8 @@ def compare(before: Sequence[BoardRow], now: Sequence[BoardRow]) -> tuple[TrendC
     return tuple(sorted(changes, key=lambda c: (not c.changed, -c.spreads, c.figure, c.part)))
 
 
-def _columns(rows: Sequence[BoardRow]) -> dict[str, list[float]]:
-    columns: dict[str, list[float]] = defaultdict(list)
+def _columns(rows: Iterable[BoardRow]) -> dict[str, array[float]]:
+    columns: dict[str, array[float]] = defaultdict(lambda: array("d"))
     for row in rows:
         for key, value in row.figures.items():
             columns[key].append(value)

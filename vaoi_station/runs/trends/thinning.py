@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime, timedelta
 from typing import NamedTuple
@@ -10,7 +10,7 @@ from typing import NamedTuple
 from vaoi_station.runs.states.run_ids import utc
 from vaoi_station.runs.trends.figures import FIGURES, has_only_lower_limit
 from vaoi_station.runs.trends.trend_schemas import TrendSeries
-from vaoi_station.store.history.board_figures import BoardRow, HourFigure, HourRow, Span, merged
+from vaoi_station.store.history.board_figures import BoardRow, FigureTotal, HourFigure, HourRow, Span
 
 MOST_SERIES = 200
 """Largest number of series in one answer."""
@@ -24,6 +24,14 @@ class Group(NamedTuple):
     time: str
     boards: int
     figures: Mapping[str, HourFigure]
+
+
+class SingleBoards(NamedTuple):
+    """Boards one by one."""
+
+    times: tuple[str, ...]
+    runs: tuple[str, ...]
+    series: list[TrendSeries]
 
 
 def bin_width_s(span: Span, points: int, least_s: float = 0.0) -> float:
@@ -43,13 +51,19 @@ def groups_of_hours(rows: Iterable[HourRow], width_s: float) -> list[Group]:
     return _binned(entries, width_s)
 
 
-def series_of_boards(rows: Sequence[BoardRow], wanted: Sequence[str]) -> list[TrendSeries]:
-    """Return one series per figure with the value of every board."""
-    found = []
-    for key in _keys((r.figures for r in rows), wanted):
-        at = tuple(n for n, row in enumerate(rows) if key in row.figures)
-        found.append(_series(key, at, tuple(rows[n].figures[key] for n in at)))
-    return found
+def single_boards(rows: Iterable[BoardRow], wanted: Sequence[str]) -> SingleBoards:
+    """Return boards, and one series per figure with the value of every board."""
+    times, runs = [], []
+    columns: dict[str, tuple[list[int], list[float]]] = defaultdict(lambda: ([], []))
+    for n, row in enumerate(rows):
+        times.append(row.started)
+        runs.append(row.run)
+        for key, value in row.figures.items():
+            at, values = columns[key]
+            at.append(n)
+            values.append(value)
+    series = [_series(key, tuple(columns[key][0]), tuple(columns[key][1])) for key in _keys([columns], wanted)]
+    return SingleBoards(tuple(times), tuple(runs), series)
 
 
 def series_of_groups(groups: Sequence[Group], wanted: Sequence[str]) -> list[TrendSeries]:
@@ -79,18 +93,21 @@ def _keys(rows: Iterable[Mapping[str, object]], wanted: Sequence[str]) -> list[s
 
 
 def _binned(entries: Iterable[tuple[str, Mapping[str, HourFigure], int]], width_s: float) -> list[Group]:
-    bins: dict[float, list[tuple[Mapping[str, HourFigure], int]]] = defaultdict(list)
+    # Only the totals of each bin are kept: memory does not grow with the number of entries.
+    bins: dict[float, dict[str, FigureTotal]] = defaultdict(dict)
+    counts: Counter[float] = Counter()
     for time, figures, boards in entries:
-        bins[_moment(time).timestamp() // width_s].append((figures, boards))
+        number = _moment(time).timestamp() // width_s
+        counts[number] += boards
+        totals = bins[number]
+        for key, figure in figures.items():
+            if key not in totals:
+                totals[key] = FigureTotal(only_lower_limit=has_only_lower_limit(key))
+            totals[key].add(figure)
     groups = []
-    for number, members in sorted(bins.items()):
-        parts: dict[str, list[HourFigure]] = defaultdict(list)
-        for figures, _ in members:
-            for key, figure in figures.items():
-                parts[key].append(figure)
+    for number in sorted(bins):
         begin = utc(datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=number * width_s))
-        figures = {key: merged(found, only_lower_limit=has_only_lower_limit(key)) for key, found in parts.items()}
-        groups.append(Group(begin, sum(boards for _, boards in members), figures))
+        groups.append(Group(begin, counts[number], {key: total.figure() for key, total in bins.pop(number).items()}))
     return groups
 
 

@@ -6,11 +6,12 @@ They do not refer to runs, so that they outlive them. Times are RFC 3339 in UTC 
 from __future__ import annotations
 
 import json
+import math
 import sqlite3
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 from vaoi_station.store.database import Database
 
@@ -28,7 +29,10 @@ _EVERY = 500
 """Number of boards after which old rows are deleted."""
 MOST_HOURS = 20_000
 """Largest number of rows per hour and board type that one request reads."""
+_BATCH = 100
+"""Number of rows whose documents are in memory at a time: those of 20,000 hours take 340 MB when they are parsed."""
 
+T = TypeVar("T")
 HourFigure = tuple[int, float, float, float, str]
 """Number of boards, mean, least and largest value of one figure in an hour, and the run that `merged` chooses."""
 
@@ -118,36 +122,48 @@ class BoardFigures:
         rows = self._database.read(f"SELECT count(*) FROM board_figures WHERE {span.condition}", span.values)
         return int(rows[0][0])
 
-    def boards(self, span: Span, every: int = 1) -> list[BoardRow]:
-        """Return every n-th board of a span, oldest first."""
+    def runs(self, span: Span, limit: int, every: int = 1) -> list[str]:
+        """Return the runs of the first `limit` boards, or of every n-th of the boards, of a span, oldest first."""
         rows = self._database.read(
-            f"""SELECT run, started, board_type, document FROM (
-                SELECT *, row_number() OVER (ORDER BY started, run) AS n FROM board_figures WHERE {span.condition})
-                WHERE n % ? = 0 ORDER BY n""",
-            (*span.values, every),
+            f"""SELECT run FROM (SELECT run, row_number() OVER (ORDER BY started, run) AS n
+                FROM board_figures WHERE {span.condition}) WHERE n % ? = 0 ORDER BY n LIMIT ?""",
+            (*span.values, every, limit),
         )
-        return [BoardRow(r["run"], r["started"], r["board_type"], _read(r["document"])) for r in rows]
+        return [str(row[0]) for row in rows]
+
+    def boards(self, runs: Sequence[str]) -> Iterator[BoardRow]:
+        """Yield the boards of runs in the order of the runs; those that were deleted meanwhile are left out."""
+        for batch in _batches(runs):
+            rows = self._database.read(f"SELECT * FROM board_figures WHERE run IN ({_places(batch)})", batch)
+            found = {r["run"]: r for r in rows}
+            for r in (found[run] for run in batch if run in found):
+                yield BoardRow(r["run"], r["started"], r["board_type"], _read(r["document"]))
 
     def first_board(self) -> str | None:
         """Return the time of the oldest board whose figures are kept one by one; None without boards."""
         rows = self._database.read("SELECT min(started) FROM board_figures")
         return None if rows[0][0] is None else str(rows[0][0])
 
-    def hours(self, span: Span) -> list[HourRow]:
-        """Return the hours that lie in a span at least in part, oldest first; the newest `MOST_HOURS` of them.
+    def hour_numbers(self, span: Span) -> list[int]:
+        """Return which rows per hour lie in a span at least in part, oldest first; the newest `MOST_HOURS` of them.
 
         The first and the last hour are returned whole.
         """
         of_type = "" if span.board_type is None else " AND board_type = ?"
         rows = self._database.read(
-            f"SELECT * FROM hourly_figures WHERE hour >= ? AND hour || ':00:00.000Z' < ?{of_type} "
+            f"SELECT number FROM hourly_figures WHERE hour >= ? AND hour || ':00:00.000Z' < ?{of_type} "
             f"ORDER BY hour DESC LIMIT {MOST_HOURS}",
             (span.since[:13], *span.values[1:]),
         )
-        return [
-            HourRow(r["hour"], r["board_type"], {k: tuple(v) for k, v in _read(r["document"]).items()})
-            for r in reversed(rows)
-        ]
+        return [int(row[0]) for row in reversed(rows)]
+
+    def hours(self, numbers: Sequence[int]) -> Iterator[HourRow]:
+        """Yield rows per hour in the order of their numbers; those that were deleted meanwhile are left out."""
+        for batch in _batches(numbers):
+            rows = self._database.read(f"SELECT * FROM hourly_figures WHERE number IN ({_places(batch)})", batch)
+            found = {r["number"]: r for r in rows}
+            for r in (found[number] for number in batch if number in found):
+                yield HourRow(r["hour"], r["board_type"], {k: tuple(v) for k, v in _read(r["document"]).items()})
 
     def marks(self, span: Span, limit: int) -> list[MarkRow]:
         """Return what changed in a span, oldest first; the newest `limit` changes."""
@@ -162,16 +178,49 @@ class BoardFigures:
         ]
 
 
-def merged(figures: Sequence[HourFigure], *, only_lower_limit: bool = False) -> HourFigure:
-    """Return one figure of several groups of boards together.
+class FigureTotal:
+    """One figure of several groups of boards together; the groups are added one by one, and not kept.
 
     Its run is that of the group with the largest magnitude; of a figure with only a lower limit, with the least value.
     """
-    count = sum(f[0] for f in figures)
-    mean = sum(f[0] * f[1] for f in figures) / count
-    least, largest = min(f[2] for f in figures), max(f[3] for f in figures)
-    worst = max(figures, key=lambda f: -f[2] if only_lower_limit else max(abs(f[2]), abs(f[3])))
-    return count, mean, least, largest, worst[4]
+
+    __slots__ = ("_count", "_largest", "_least", "_only_lower_limit", "_run", "_sum", "_worst")
+
+    def __init__(self, *, only_lower_limit: bool = False) -> None:
+        self._only_lower_limit = only_lower_limit
+        self._count, self._sum, self._least, self._largest = 0, 0.0, math.inf, -math.inf
+        self._worst, self._run = -math.inf, ""
+
+    def add(self, figure: HourFigure) -> None:
+        """Add a group of boards."""
+        count, mean, least, largest, run = figure
+        self._count += count
+        self._sum += count * mean
+        self._least = min(self._least, least)
+        self._largest = max(self._largest, largest)
+        worst = -least if self._only_lower_limit else max(abs(least), abs(largest))
+        if worst > self._worst:
+            self._worst, self._run = worst, run
+
+    def figure(self) -> HourFigure:
+        """Return the figure of all groups that were added; there must be one."""
+        return self._count, self._sum / self._count, self._least, self._largest, self._run
+
+
+def merged(figures: Iterable[HourFigure], *, only_lower_limit: bool = False) -> HourFigure:
+    """Return one figure of several groups of boards together; there must be one."""
+    total = FigureTotal(only_lower_limit=only_lower_limit)
+    for figure in figures:
+        total.add(figure)
+    return total.figure()
+
+
+def _batches(keys: Sequence[T]) -> Iterator[tuple[T, ...]]:
+    return (tuple(keys[n : n + _BATCH]) for n in range(0, len(keys), _BATCH))
+
+
+def _places(keys: Sequence[object]) -> str:
+    return ", ".join("?" * len(keys))
 
 
 def _read(document: str) -> dict[str, Any]:
