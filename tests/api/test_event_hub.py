@@ -117,7 +117,9 @@ def test_an_unreadable_event_log_ends_all_waits(station: Any, monkeypatch: pytes
         hub = EventHub(station)
         monkeypatch.setattr(station, "events", broken)
         async with hub.listening():
-            return await hub.events(0, 30), hub.closed
+            found = await hub.events(0, 30), hub.closed
+            await hub.closing()
+            return found
 
     assert asyncio.run(wait()) == ((), True)
 

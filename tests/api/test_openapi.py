@@ -8,6 +8,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from unittest.mock import AsyncMock
 
 import pytest
 
@@ -147,7 +148,7 @@ def test_replies_match_their_schemas(
 ) -> None:
     monkeypatch.setattr(previews, "import_limited", import_here)
     examined = Examination(created="now", worst="ok", findings=())
-    monkeypatch.setattr(Examinations, "examine", lambda _: examined)
+    monkeypatch.setattr(Examinations, "examine", AsyncMock(return_value=examined))
     uploaded = client.post("/api/v1/board-data/previews?filename=b.kicad_pcb", content=samples.KICAD.encode())
     client.post("/api/v1/station/arm?board_type=demo-board&board_id=B1")
     values = {"run": station.film(board_id="B1"), "camera": 0, "row": 0, "ref": "U1", "k": 0, "name": "demo-board"}

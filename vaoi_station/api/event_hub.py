@@ -84,6 +84,11 @@ class EventHub:
         self.closed = True
         self._wakeup.set()
 
+    async def closing(self) -> None:
+        """Wait until the hub is closed: the station stops, or no further event will come."""
+        while not self.closed:
+            await self._wakeup.wait()
+
     @property
     def waiting(self) -> int:
         """Number of long polls and event streams that wait at present."""

@@ -2,57 +2,127 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
-import subprocess
+import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from vaoi_station.api.cameras import examination
-from vaoi_station.api.cameras.examination import Examinations
+from vaoi_station.api.cameras.examination import DOCTOR, Examinations
 from vaoi_station.errors import DeviceError, NotFoundError
 
 FINDING = {"check": "disk", "subject": "", "level": "warning", "message": "nearly full", "action": "Make room."}
 REPORT = {"created": "2026-01-01T00:00:00+00:00", "worst": "warning", "findings": [FINDING | {"figures": {}}]}
+HANGS = "import time; time.sleep(600)"
 
 
-def answer(monkeypatch: pytest.MonkeyPatch, *replies: Any) -> list[list[str]]:
-    """Let processes end with these outputs, or raise these errors; return the list of their commands."""
-    commands: list[list[str]] = []
+class Line:
+    """Examinations whose doctor is a given program, which notes each of its starts."""
 
-    def run(command: list[str], **_: Any) -> Any:
-        reply = replies[len(commands)]
-        commands.append(command)
-        if isinstance(reply, Exception):
-            raise reply
-        return subprocess.CompletedProcess(command, 1, stdout=reply)
+    def __init__(self, folder: Path, program: str) -> None:
+        self._starts, self._stopping = folder / "starts", asyncio.Event()
+        note = f"import os, sys; open({str(self._starts)!r}, 'a').write(f'{{os.getpid()}} {{sys.argv[1]}}\\n')"
+        doctor = (sys.executable, "-c", f"{note}\n{program}")
+        self.examinations = Examinations(folder / "station.toml", self._stop_requested, doctor)
 
-    monkeypatch.setattr(subprocess, "run", run)
-    return commands
+    def stop(self) -> None:
+        self._stopping.set()
 
+    async def _stop_requested(self) -> None:
+        await self._stopping.wait()
 
-def test_one_examination_serves_all_who_ask_at_the_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    commands = answer(monkeypatch, json.dumps(REPORT), json.dumps(REPORT | {"worst": "ok"}))
-    examinations = Examinations(Path("station.toml"))
-    first = examinations.examine()
-    assert (first.worst, first.findings[0].action) == ("warning", "Make room.")
-    assert examinations.examine() == first
-    assert len(commands) == 1
-    assert commands[0][-4:] == ["doctor", "--json", "--config", "station.toml"]
-    monkeypatch.setattr(examination, "KEPT_S", -1)
-    assert examinations.examine().worst == "ok"
+    def starts(self) -> list[list[str]]:
+        return [line.split() for line in self._starts.read_text().splitlines()] if self._starts.exists() else []
+
+    async def started(self, examining: asyncio.Future[Any]) -> None:
+        """Wait until the doctor runs, or its examination has ended."""
+        while not self.starts() and not examining.done():
+            await asyncio.sleep(0.01)
 
 
-@pytest.mark.parametrize("reply", ["", "{}", "[1]", OSError("no nice"), subprocess.TimeoutExpired("vaoi", 60)])
-def test_a_failure_names_the_command(monkeypatch: pytest.MonkeyPatch, reply: Any) -> None:
-    answer(monkeypatch, reply)
-    with pytest.raises(DeviceError, match="did not examine") as failure:
-        Examinations(Path("station.toml")).examine()
-    assert failure.value.code == "examination-failed"
-    assert "vaoi doctor --config station.toml" in failure.value.action
+def reporting(path: Path) -> str:
+    return f"print(open({str(path)!r}).read())"
+
+
+def test_one_examination_serves_all_who_ask_at_the_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    report = tmp_path / "report.json"
+    report.write_text(json.dumps(REPORT))
+
+    async def run() -> None:
+        line = Line(tmp_path, reporting(report))
+        first, second = await asyncio.gather(line.examinations.examine(), line.examinations.examine())
+        assert (first.worst, first.findings[0].action) == ("warning", "Make room.")
+        assert await line.examinations.examine() == second == first
+        assert [start[1] for start in line.starts()] == [str(tmp_path / "station.toml")]
+        monkeypatch.setattr(examination, "KEPT_S", -1)
+        report.write_text(json.dumps(REPORT | {"worst": "ok"}))
+        assert (await line.examinations.examine()).worst == "ok"
+
+    asyncio.run(run())
+    assert DOCTOR[-3:] == ("doctor", "--json", "--config")
+
+
+@pytest.mark.parametrize("program", ["", "print('{}')", "print([1])"])
+def test_a_failure_names_the_command_and_is_kept(tmp_path: Path, program: str) -> None:
+    async def run() -> None:
+        line = Line(tmp_path, program)
+        for _ in range(2):
+            with pytest.raises(DeviceError, match="did not examine") as failure:
+                await line.examinations.examine()
+            assert failure.value.code == "examination-failed"
+            assert f"vaoi doctor --config {tmp_path / 'station.toml'}" in failure.value.action
+        assert len(line.starts()) == 1
+
+    asyncio.run(run())
+
+
+@pytest.mark.parametrize(
+    ("limit_s", "end", "why"),
+    [(60.0, Line.stop, "the station is stopping"), (0.5, lambda _: None, r"it took longer than 0\.5 s")],
+)
+def test_a_doctor_that_hangs_ends_with_the_station_or_at_its_limit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limit_s: float, end: Callable[[Line], Any], why: str
+) -> None:
+    async def run() -> None:
+        line = Line(tmp_path, HANGS)
+        examining = asyncio.create_task(line.examinations.examine())
+        await line.started(examining)
+        end(line)
+        with pytest.raises(DeviceError, match=why):
+            await asyncio.wait_for(examining, 30)
+        assert not any(Path("/proc", start[0]).exists() for start in line.starts())
+
+    monkeypatch.setattr(examination, "LIMIT_S", limit_s)
+    asyncio.run(run())
+
+
+def test_a_caller_that_has_gone_does_not_end_the_examination_of_others(tmp_path: Path) -> None:
+    report, go_on = tmp_path / "report.json", tmp_path / "go-on"
+    report.write_text(json.dumps(REPORT))
+
+    async def run() -> None:
+        waiting = f"import os, time\nwhile not os.path.exists({str(go_on)!r}): time.sleep(0.01)\n"
+        line = Line(tmp_path, waiting + reporting(report))
+        gone, other = (asyncio.create_task(line.examinations.examine()) for _ in range(2))
+        await line.started(other)
+        gone.cancel()
+        go_on.touch()
+        assert (await other).worst == "warning"
+        assert len(line.starts()) == 1
+
+    asyncio.run(run())
 
 
 def test_a_station_without_a_file_is_not_examined() -> None:
     with pytest.raises(NotFoundError, match=r"without a station\.toml"):
-        Examinations(None).examine()
+        asyncio.run(Examinations(None, asyncio.Event().wait).examine())
+
+
+def test_a_machine_without_nice_is_a_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(DeviceError, match="FileNotFoundError"):
+        asyncio.run(Line(tmp_path, "").examinations.examine())

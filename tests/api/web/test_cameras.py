@@ -6,6 +6,7 @@ import os
 import re
 from pathlib import Path
 from typing import Any
+from unittest.mock import AsyncMock
 
 import pytest
 from playwright.sync_api import Page, expect
@@ -32,7 +33,7 @@ def test_each_camera_has_a_card_that_follows_its_frames(
         "worst": "warning",
         "findings": [FINDING, FINDING | {"level": "ok", "action": ""}],
     }
-    monkeypatch.setattr(Examinations, "examine", lambda _: Examination.model_validate(report))
+    monkeypatch.setattr(Examinations, "examine", AsyncMock(return_value=Examination.model_validate(report)))
     page.goto(f"{served.url}/#/cameras")
     cards = page.locator(".camera-card")
     expect(cards).to_have_count(3)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
-import subprocess
+import os
+import signal
 import sys
-import threading
 import time
+from collections.abc import Awaitable, Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from pydantic import ValidationError
@@ -17,20 +20,34 @@ from vaoi_station.errors import DeviceError, NotFoundError
 LIMIT_S = 60.0
 """Longest time of an examination."""
 KEPT_S = 10.0
-"""Time for which an answer is given again, so that several pages cause one examination."""
+"""Time for which an answer, or a failure, is given again, so that several pages cause one examination."""
 LOWEST_PRIORITY = 19
+DOCTOR = (sys.executable, "-m", "vaoi_station", "doctor", "--json", "--config")
+
+
+class _NoFindingsError(Exception):
+    """Why an examination has no findings."""
 
 
 class Examinations:
-    """Examines the station of a station.toml, one examination at a time. Its methods may be called from any thread."""
+    """Examines the station of a station.toml, one examination at a time. Callers wait for it without a thread."""
 
-    def __init__(self, config: Path | None) -> None:
-        self._config = config
-        self._running = threading.Lock()
-        self._last: tuple[float, Examination] | None = None
+    def __init__(
+        self, config: Path | None, closing: Callable[[], Awaitable[object]], doctor: Sequence[str] = DOCTOR
+    ) -> None:
+        """Prepare examinations.
 
-    def examine(self) -> Examination:
-        """Return all findings.
+        Args:
+            config: the station.toml; None if the station does not know it.
+            closing: waits until the station stops; the process of an examination is ended then.
+            doctor: the command to which the path of the station.toml is added.
+        """
+        self._config, self._closing, self._doctor = config, closing, tuple(doctor)
+        self._latest: asyncio.Task[Examination | _NoFindingsError] | None = None
+        self._ended_s = 0.0
+
+    async def examine(self) -> Examination:
+        """Return all findings. Callers that come during an examination, or soon after it, get the same answer.
 
         Raises:
             NotFoundError: the station does not know its station.toml.
@@ -42,23 +59,45 @@ class Examinations:
                 action="Start it by vaoi serve --config station.toml.",
                 code="not-examinable",
             )
-        with self._running:
-            if self._last is None or time.monotonic() - self._last[0] > KEPT_S:
-                found = _run(self._config)
-                self._last = (time.monotonic(), found)
-            return self._last[1]
+        task = self._latest
+        if task is None or (task.done() and time.monotonic() - self._ended_s > KEPT_S):
+            task = self._latest = asyncio.create_task(self._examine(self._config))
+        # The examination goes on for the other callers if this one has gone.
+        found = await asyncio.shield(task)
+        if isinstance(found, _NoFindingsError):
+            raise DeviceError(
+                f"vaoi doctor did not examine the station: {found}.",
+                action=f"Run vaoi doctor --config {self._config} on the station's machine.",
+                code="examination-failed",
+            )
+        return found
 
+    async def _examine(self, config: Path) -> Examination | _NoFindingsError:
+        try:
+            return Examination.model_validate(json.loads(await self._output(config)))
+        except (_NoFindingsError, OSError, ValueError, ValidationError) as error:
+            return error if isinstance(error, _NoFindingsError) else _NoFindingsError(type(error).__name__)
+        finally:
+            self._ended_s = time.monotonic()
 
-def _run(config: Path) -> Examination:
-    command = [sys.executable, "-m", "vaoi_station", "doctor", "--json", "--config", str(config)]
-    try:
-        done = subprocess.run(
-            ["nice", "-n", str(LOWEST_PRIORITY), *command], capture_output=True, timeout=LIMIT_S, check=False
-        )
-        return Examination.model_validate(json.loads(done.stdout))
-    except (OSError, subprocess.TimeoutExpired, ValueError, ValidationError) as error:
-        raise DeviceError(
-            f"vaoi doctor did not examine the station: {type(error).__name__}.",
-            action=f"Run vaoi doctor --config {config} on the station's machine.",
-            code="examination-failed",
-        ) from error
+    async def _output(self, config: Path) -> bytes:
+        """Run the doctor and return its output; end it at the time limit and when the station stops."""
+        # A session of its own, so that what the doctor has started is ended with it.
+        process = await asyncio.create_subprocess_exec(
+            "nice", "-n", str(LOWEST_PRIORITY), *self._doctor, str(config), stdin=asyncio.subprocess.DEVNULL,
+            stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.DEVNULL, start_new_session=True,
+        )  # fmt: skip
+        output, closing = asyncio.create_task(process.communicate()), asyncio.ensure_future(self._closing())
+        try:
+            await asyncio.wait({output, closing}, timeout=LIMIT_S, return_when=asyncio.FIRST_COMPLETED)
+            if output.done():
+                return output.result()[0]
+            raise _NoFindingsError(
+                "the station is stopping" if closing.done() else f"it took longer than {LIMIT_S:g} s"
+            )
+        finally:
+            closing.cancel()
+            with suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+            await process.wait()
+            output.cancel()

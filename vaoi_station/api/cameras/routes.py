@@ -5,16 +5,19 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-from fastapi import APIRouter, Depends, Query, Response
+from fastapi import APIRouter, Depends, Query, Request, Response
 
+from vaoi_station.api.callers.caller import caller_of
+from vaoi_station.api.callers.seats import Seats
 from vaoi_station.api.cameras.examination import Examinations
 from vaoi_station.api.cameras.models import CameraFrame, Examination
 from vaoi_station.api.cameras.newest_frames import NewestFrames
-from vaoi_station.api.event_hub import ThreadLimit
 from vaoi_station.api.http_caching import LIVE
 from vaoi_station.api.parameters import Camera
 from vaoi_station.api.routes.services import Services
 
+EXAMINATIONS, EXAMINATIONS_OF_CALLER = 32, 8
+"""Limits of requests that wait for an examination, in total and of one caller."""
 JPEG = {
     200: {"description": "The picture.", "content": {"image/jpeg": {"schema": {"type": "string", "format": "binary"}}}}
 }
@@ -23,9 +26,8 @@ JPEG = {
 def router(services: Services, config: Path | None = None) -> APIRouter:
     """Create the routes for cameras; `config` is the station.toml that the doctor examines."""
     routes = APIRouter(tags=["station"])
-    frames, examinations = NewestFrames(services.coordinator), Examinations(config)
-    # An examination takes seconds: it must not take the threads of commands or of pictures.
-    examining = ThreadLimit(1)
+    frames, examinations = NewestFrames(services.coordinator), Examinations(config, services.hub.closing)
+    seats = Seats("requests for an examination that wait", EXAMINATIONS, EXAMINATIONS_OF_CALLER)
 
     @routes.get("/cameras/{camera}/frame", response_model_exclude_none=True)
     async def get_camera_frame(response: Response, camera: Camera) -> CameraFrame:
@@ -55,12 +57,13 @@ def router(services: Services, config: Path | None = None) -> APIRouter:
         return Response(content, media_type="image/jpeg", headers={"Cache-Control": LIVE})
 
     @routes.get("/doctor", response_model_exclude_none=True)
-    async def examine_station(response: Response) -> Examination:
+    async def examine_station(request: Request, response: Response) -> Examination:
         """Run `vaoi doctor` on the station's machine and return its findings; it changes nothing and takes seconds.
 
-        An answer of the last 10 s is given again. 404 `not-examinable`: the station has no station.toml.
+        An answer or failure of the last 10 s is given again. 404 `not-examinable`: the station has no station.toml.
         """
         response.headers["Cache-Control"] = LIVE
-        return await examining.ask(examinations.examine)
+        with seats.take(caller_of(request).name):
+            return await examinations.examine()
 
     return routes
