@@ -19,11 +19,6 @@ class SlotHolder:
 
     def __init__(self) -> None:
         self.slots: deque[Slot] = deque()
-        self.rewound_with: list[int] = []
-        """For each time at which the sequence began anew, the count of slots that the camera held."""
-
-    def rewind(self) -> None:
-        self.rewound_with.append(len(self.slots))
 
     def queue(self, slot: Slot) -> None:
         assert slot.number not in [s.number for s in self.slots]
@@ -66,7 +61,6 @@ def test_loading_queues_every_slot_of_a_bay_in_its_camera(
     slot_queue.load(1)
     for n, camera in enumerate(cameras):
         assert numbers(camera) == [ring.slot(1, n, k) for k in range(3)]
-        assert camera.rewound_with == [0], "each run begins with the first set of a sequencer"
         assert {slot.room for slot in camera.slots} == {4096}
     slot_queue.unload()
     assert [numbers(c) for c in cameras] == [[], []]

@@ -84,6 +84,11 @@ class TriggerPlan:
         return self.period_s if self.belt is None else self.belt.shortest_s
 
     @property
+    def shortest_start_s(self) -> float:
+        """Shortest time from the edge of the barrier to the first row."""
+        return self.start_delay_s * self.shortest_period_s / self.period_s
+
+    @property
     def longest_period_s(self) -> float:
         """Mean time between two rows on the slowest belt for which the end of a run is awaited."""
         return self.period_s if self.belt is None else SLOWEST * self.period_s

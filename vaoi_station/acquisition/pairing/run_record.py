@@ -165,6 +165,10 @@ class RunRecord:
         """Return the rows of which no frame of this camera has arrived. Rows without a pulse are left out."""
         return [r for r in range(self.rows) if (camera, r) not in self.taken and r not in self.skipped]
 
+    def awaits_frames(self, cameras: int) -> bool:
+        """Return whether pulses may still be fired, or a frame of a pulse that was fired has not arrived."""
+        return self.pulse_count is None or any(self.open_rows(camera) for camera in range(cameras))
+
     def lights(self) -> tuple[str, ...] | None:
         """Return the name of each row's light pattern; None if no pattern has a name."""
         names = tuple(self.pulses[r].pulse.light if r in self.pulses else self._planned(r) for r in range(self.rows))

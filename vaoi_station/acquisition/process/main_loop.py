@@ -202,6 +202,9 @@ class _MainLoop:
             # This is tried after every item, because the item may be the clock reading that the command waits for.
             self._try(self._retry_waiting)
             self._try(self._disarm_when_due)
+            # An event that waits in the inbox may be the report of a pulse, during which no camera may be stopped.
+            if self._inbox.empty():
+                self._try(self._session.rewind_sequences)
             if isinstance(item, RunEnded) or self._session.awaits_clocks:
                 self._clocks_wanted.set()
 

@@ -14,10 +14,6 @@ from vaoi_station.acquisition.clocks import ClockModel
 from vaoi_station.acquisition.controller.filming_plan import exposures_of, require_time
 from vaoi_station.acquisition.controller.interface import (
     BarrierBlocked,
-    BarrierBlockedAgain,
-    BarrierClear,
-    BarrierClearAfterRun,
-    BoardTooSoon,
     ControllerEvent,
     PulseFired,
     PulseSkipped,
@@ -29,7 +25,7 @@ from vaoi_station.acquisition.outages import Outages
 from vaoi_station.acquisition.pairing.latency import LatencySettings
 from vaoi_station.acquisition.pairing.recorder import Finished, Outcome, Recorder, Unassigned
 from vaoi_station.acquisition.pairing.run_record import RunRecord
-from vaoi_station.acquisition.process.barrier_log import BarrierLog, since_first
+from vaoi_station.acquisition.process.barrier_log import since_first
 from vaoi_station.acquisition.process.messages import (
     Armed,
     BoardMissed,
@@ -41,7 +37,9 @@ from vaoi_station.acquisition.process.messages import (
     Report,
     RunStarted,
 )
+from vaoi_station.acquisition.process.passage_log import PassageLog
 from vaoi_station.acquisition.process.run_reports import finished_report, trouble_report
+from vaoi_station.acquisition.process.sequence_start import SequenceStart
 from vaoi_station.acquisition.process.slot_queue import SlotQueue
 from vaoi_station.acquisition.ring.ring import Ring
 from vaoi_station.acquisition.ring.ring_layout import INCOMPLETE, OK
@@ -85,6 +83,7 @@ class Session:
         self._config, self._ring, self._devices, self._send = config, ring, devices, send
         self._clocks = [controller_clock, *camera_clocks]
         self._slot_queue = SlotQueue(ring, devices.cameras)
+        self._sequences = SequenceStart(devices.cameras, controller_clock.host_s)
         exposures_us = [camera.exposure_us for camera in config.cameras]
         self._recorder = Recorder(
             controller_clock,
@@ -105,9 +104,7 @@ class Session:
         """Reports of the rows that were skipped before the first pulse of a board."""
         self._given_up = False
         """Whether a run was closed before its end was reported; later events of it are ignored."""
-        self._barrier = BarrierLog()
-        self._edge_s = 0.0
-        """Host time of the latest edge of the barrier, or of the latest request of a single pulse."""
+        self._passages = PassageLog(controller_clock)
         self._disarming = False
 
     @property
@@ -131,6 +128,14 @@ class Session:
             self._end_run(self._run.rows, "the controller stopped reporting", now_s)
             self._given_up = True
         self._apply(self._recorder.settle(now_s), now_s)
+
+    def rewind_sequences(self, now_s: float) -> None:
+        """Let the sequencers of the cameras begin anew for the next board. Call it when all events are handled.
+
+        Frames that are awaited are not put at risk, unless the next board is in the barrier already.
+        """
+        if self._sequences.is_due(now_s) and (self._sequences.board_comes or not self._awaits_frames):
+            self._sequences.rewind(now_s)
 
     def grant(self, grant: Grant) -> None:
         """Accept the grant of a bay for one more run."""
@@ -166,6 +171,7 @@ class Session:
                 self._load_next()
                 for camera, wanted in zip(self._devices.cameras, exposures_of(plan, self._config), strict=True):
                     camera.set_exposure(wanted)
+                self._sequences.rewind_all()
                 self._devices.controller.arm(plan)
             except BaseException as error:  # after any failure the station is not armed; raised again
                 # The controller has already given up its previous plan. If it stayed here, it would count as armed.
@@ -194,8 +200,8 @@ class Session:
             raise StateError(
                 "there is no memory for a pulse: all bays of the ring are in use.", action="Fire again in a moment."
             )
-        self._edge_s = now_s
-        self._barrier = BarrierLog()
+        self._sequences.rewind(now_s)
+        self._passages.begin_single(now_s)
         self._devices.controller.fire_one()
 
     def finish_disarming(self, now_s: float) -> None:
@@ -206,8 +212,9 @@ class Session:
         if self._run is not None:
             self._end_run(self._run.rows, "disarmed", now_s)
         self._plan = None
+        self._sequences.end_pulses()
         # While disarmed, no edge is reported. So at the next arming it is not known what is in the barrier.
-        self._barrier = BarrierLog()
+        self._passages.forget()
         self._given_up = False
         self._disarming = True
         self._apply(self._recorder.settle(now_s), now_s)
@@ -215,6 +222,7 @@ class Session:
     def handle_event(self, event: ControllerEvent, now_s: float) -> None:
         """Record an event of the controller (barrier, pulse, end of a run) in the run to which it belongs."""
         self._recorder.note_controller_time(event.time_s)
+        self._sequences.follow(event, self._plan)
         if self._is_outdated(event):
             return
         if isinstance(event, PulseFired):
@@ -229,8 +237,10 @@ class Session:
             (self._skipped if self._run is None else self._run.skipped)[event.index] = event
         elif isinstance(event, RunEnded):
             if self._run is None:
-                self._barrier.over = True
-                self._send(BoardMissed(self._edge_s, f"no pulse was fired; the run ended with {event.reason!r}"))
+                self._passages.barrier.over = True
+                self._send(
+                    BoardMissed(self._passages.edge_s, f"no pulse was fired; the run ended with {event.reason!r}")
+                )
             else:
                 self._end_run(event.pulses, event.reason, now_s)
         else:
@@ -238,31 +248,13 @@ class Session:
 
     def _handle_edge(self, event: ControllerEvent, now_s: float) -> None:
         """Record a confirmed edge of the barrier in the run or passage to which it belongs."""
+        missed = self._passages.add(event, now_s)
+        if missed is not None:
+            self._send(missed)
         if isinstance(event, BarrierBlocked):
-            self._edge_s = min(self._clocks[0].host_s(event.time_s), now_s)
-            self._barrier = BarrierLog()
-            self._barrier.blocked(event.time_s)
             self._skipped = {}
             # During the start delay, slots are queued for the first pulse.
             self._load_while_waiting()
-        elif isinstance(event, BarrierBlockedAgain):
-            self._barrier.blocked(event.time_s)
-        elif isinstance(event, BarrierClear):
-            self._barrier.clear(event.time_s)
-        elif isinstance(event, BarrierClearAfterRun):
-            # What stays in the barrier after its run belongs to that run. Anything else was in the barrier before its
-            # edge counted.
-            if self._barrier.is_open:
-                self._barrier.clear(event.time_s)
-            else:
-                self._miss(event.time_s, now_s, "it stood in the barrier when the line was armed")
-        elif isinstance(event, BoardTooSoon):
-            self._barrier = BarrierLog()
-            self._barrier.blocked(event.time_s)
-            self._miss(event.time_s, now_s, f"it came {event.gap_s:.3f} s after the one before had left")
-
-    def _miss(self, time_s: float, now_s: float, reason: str) -> None:
-        self._send(BoardMissed(min(self._clocks[0].host_s(time_s), now_s), reason))
 
     def _require_clocks(self, limit_s: float) -> None:
         """Raise ClockError if a clock's error bound exceeds `limit_s`; cameras that are away are not checked."""
@@ -287,6 +279,11 @@ class Session:
         return self._recorder.outages
 
     @property
+    def _awaits_frames(self) -> bool:
+        """Whether a frame of any run may still arrive."""
+        return any(run.awaits_frames(len(self._devices.cameras)) for run in self._recorder.open_runs)
+
+    @property
     def awaits_clocks(self) -> bool:
         """Whether a run waits for its end, so that all clocks should be read at once."""
         return self._recorder.awaits_clocks
@@ -307,19 +304,18 @@ class Session:
         self._silent_s = now_s + rows * (plan.longest_period_s if plan else period_s) + SILENCE_S
         if grant is None:
             self._run = self._recorder.begin_run(None, None, period_s)
-            self._send(BoardMissed(self._edge_s, "no memory was free for its frames: all bays of the ring are in use"))
+            reason = "no memory was free for its frames: all bays of the ring are in use"
+            self._send(BoardMissed(self._passages.edge_s, reason))
         else:
             self._devices.feedback.set_memory(False)
             self._run = self._recorder.begin_run(grant.run, grant.bay, period_s)
-            self._send(RunStarted(grant.run, grant.bay, self._edge_s))
+            self._send(RunStarted(grant.run, grant.bay, self._passages.edge_s))
         self._run.skipped, self._skipped = self._skipped, {}
-        if self._barrier.over:
-            self._barrier = BarrierLog()  # the report of this board's edge was lost
         if plan is not None:
             self._run.program, self._run.conveyor_mm_s = plan.program, plan.conveyor_mm_s
             self._run.row_mm, self._run.fastest_s = plan.row_mm, plan.shortest_period_s
         # This is the same list, not a copy: it grows until the end of the run.
-        self._run.interruptions = self._barrier.interruptions
+        self._run.interruptions = self._passages.begin_run().interruptions
 
     def _end_run(self, pulses: int, reason: str, now_s: float) -> None:
         assert self._run is not None
@@ -327,10 +323,11 @@ class Session:
         record.silent = frozenset(k for k, c in enumerate(self._devices.cameras) if is_silent(c.health()))
         # From here on, the log belongs to what is still in the barrier. The run keeps the interruptions known at its
         # end.
-        self._barrier.over = self._barrier.over or record.interruptions is self._barrier.interruptions
+        barrier = self._passages.barrier
+        barrier.over = barrier.over or record.interruptions is barrier.interruptions
         record.interruptions = list(record.interruptions)
         if record.run is None:
-            self._send(MissedPassage(self._edge_s, since_first(record.interruptions)))
+            self._send(MissedPassage(self._passages.edge_s, since_first(record.interruptions)))
         self._apply(self._recorder.end_pulses(record, pulses, reason, now_s), now_s)
         self._load_next()
 

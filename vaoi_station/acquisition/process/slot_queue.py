@@ -30,13 +30,8 @@ class SlotQueue:
         return self._loaded
 
     def load(self, bay: int) -> None:
-        """Queue every slot of a bay in the cameras, except those to which a camera still writes.
-
-        The sequencers of the cameras begin anew, since the frames that come are those of another board.
-        """
+        """Queue every slot of a bay in the cameras, except those to which a camera still writes."""
         self._loaded = bay
-        for device in self._cameras:
-            device.rewind()
         for camera in range(len(self._cameras)):
             for k in range(self._ring.layout.slots_per_camera):
                 slot = self._ring.slot(bay, camera, k)

@@ -23,7 +23,7 @@ from vaoi_station.acquisition.process.messages import Arm, Armed, Ready, RunFini
 from vaoi_station.errors import DeviceError
 from vaoi_station.model import ProgramRow
 
-PERIOD_S = 0.1
+PERIOD_S, START_S = 0.1, 0.4
 SCENE = np.random.default_rng(1).integers(5, 60, WIDTH * HEIGHT, dtype=np.uint8)
 STEPS = ((300.0, 0.0), (100.0, 0.0), (100.0, 6.0))
 FACTORS = (3.0, 1.0, 10**0.3)
@@ -47,7 +47,8 @@ class Line:
         self._pace = threading.Event()
 
     def arm(self, *steps: tuple[float, float]) -> None:
-        self.bench.send(Arm(replace(TriggerPlan.of(self.bench.config.line), program=program(*steps))))
+        plan = replace(TriggerPlan.of(self.bench.config.line), program=program(*steps), start_delay_s=START_S)
+        self.bench.send(Arm(plan))
 
     def film(self, rows: int, ignored: int | None = None) -> RunFinished:
         """Film a board; the camera does not answer the pulse of row `ignored`."""
@@ -55,8 +56,8 @@ class Line:
         def expose(row: int, edge_ns: int) -> None:
             if row not in (-1, ignored):
                 self.camera.film(SCENE.tobytes(), edge_ns)
-            # In row −1 the cameras get their slots.
-            self._pace.wait(PERIOD_S)
+            # In row −1 the cameras get their slots, and their sequencers begin anew.
+            self._pace.wait(PERIOD_S if row >= 0 else START_S)
 
         self.controller.board(rows, expose)
         return self.bench.until(RunFinished)
