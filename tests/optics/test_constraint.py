@@ -35,5 +35,6 @@ def test_rounding_does_not_violate_an_equality(limit: float) -> None:
 
 @pytest.mark.parametrize("value", [None, 3.5])
 def test_a_constraint_with_a_missing_quantity_is_neither_met_nor_violated(value: float | None) -> None:
-    c = not_checked("links", "n·t", "≤", unit="Mbit/s", note="no capacity given", value=value)
-    assert (c.ok, c.limit, c.margin, c.value, c.note) == (None, None, None, value, "no capacity given")
+    c = not_checked("links", "n·t", "≤", unit="Mbit/s", note="none given", missing=("link_mbit_s",), value=value)
+    assert (c.ok, c.limit, c.margin, c.value, c.note) == (None, None, None, value, "none given")
+    assert (c.missing, at_most("n", "e", 1, 2, unit="").missing) == (("link_mbit_s",), ())

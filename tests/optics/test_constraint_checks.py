@@ -60,6 +60,12 @@ def test_a_missing_quantity_is_named(change: dict[str, Any], name: str, note: st
     constraint = check(replace(PAPER, **change))[name]
     assert constraint.ok is None
     assert constraint.note == note
+    # What is named as missing is what makes the check possible.
+    values = {"distance_min_mm": 10.0, "circle_of_confusion_mm": 0.01, "depth_of_field_mm": 5.0, "link_mbit_s": 1000.0}
+    values["f_number"] = 8.0
+    assert constraint.missing
+    given = change | {key: values[key] for key in constraint.missing}
+    assert check(replace(PAPER, **given))[name].ok is not None
 
 
 def test_the_note_on_cameras_is_right_for_one_camera() -> None:

@@ -16,7 +16,7 @@ def test_the_json_data_has_all_sections_and_survives_json() -> None:
     assert document["requirements"]["width_mm"] == 400.0
     assert document["array"]["cameras"] == 12
     assert document["ok"] is False
-    fields = {"name", "equation", "value", "relation", "limit", "margin", "unit", "ok", "note"}
+    fields = {"name", "equation", "value", "relation", "limit", "margin", "unit", "ok", "note", "missing"}
     assert all(set(c) == fields for c in document["constraints"])
 
 

@@ -39,7 +39,7 @@ from vaoi_station.api.routes import (
     stitching,
 )
 from vaoi_station.api.routes.services import Services
-from vaoi_station.api.setup import calibration_routes
+from vaoi_station.api.setup import calibration_routes, optics_routes
 from vaoi_station.api.setup.station_files import StationFiles
 from vaoi_station.api.trends import routes as trends
 from vaoi_station.push.push_service import PushService
@@ -109,7 +109,8 @@ def create_app(
     if access is not None:
         app.include_router(keys.router(services, access), prefix=PREFIX)
     if files is not None:
-        app.include_router(calibration_routes.router(services, files), prefix=PREFIX)
+        for setup in (calibration_routes, optics_routes):
+            app.include_router(setup.router(services, files), prefix=PREFIX)
     _add_health(app, services)
     app.include_router(metrics.router(services))
     pages.install(app)

@@ -24,6 +24,8 @@ class Constraint:
     ok: bool | None
     """Whether the constraint is satisfied; None if a missing quantity, which `note` names, prevents the check."""
     note: str = ""
+    missing: tuple[str, ...] = ()
+    """Requirements that are not given and would make the check possible; empty if it was made."""
 
 
 def at_most(name: str, equation: str, value: float, limit: float, *, unit: str, note: str = "") -> Constraint:
@@ -39,10 +41,17 @@ def at_least(name: str, equation: str, value: float, limit: float, *, unit: str,
 
 
 def not_checked(
-    name: str, equation: str, relation: Literal["≤", "≥"], *, unit: str, note: str, value: float | None = None
+    name: str,
+    equation: str,
+    relation: Literal["≤", "≥"],
+    *,
+    unit: str,
+    note: str,
+    missing: tuple[str, ...],
+    value: float | None = None,
 ) -> Constraint:
-    """Create a constraint that cannot be checked because a quantity is missing; `note` names it."""
-    return Constraint(name, equation, value, relation, None, None, unit, None, note)
+    """Create a constraint that cannot be checked because the requirements `missing` are; `note` says it in words."""
+    return Constraint(name, equation, value, relation, None, None, unit, None, note, missing)
 
 
 def _without_rounding(margin: float, limit: float) -> float:

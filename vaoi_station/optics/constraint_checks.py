@@ -43,19 +43,22 @@ def _highest(q: Requirements, lens: LensPlan) -> Constraint:
 def _lowest(q: Requirements, lens: LensPlan) -> Constraint:
     name, equation, d = "lowest place", "d ≥ d_min, (1)", lens.working_distance_mm
     if q.distance_min_mm is None:
-        return not_checked(name, equation, "≥", unit="mm", note="no d_min given", value=d)
+        return not_checked(name, equation, "≥", unit="mm", note="no d_min given", missing=("distance_min_mm",), value=d)
     return at_least(name, equation, d, q.distance_min_mm, unit="mm")
 
 
 def _depth(q: Requirements, lens: LensPlan) -> Constraint:
     name, equation = "depth of field", "d_f of (2), N of (3)"
+    missing = tuple(key for key in ("circle_of_confusion_mm", "depth_of_field_mm") if getattr(q, key) is None)
     if q.circle_of_confusion_mm is None:
-        return not_checked(name, equation, "≥", unit="mm", note="no circle of confusion given: the f-number stays open")
+        note = "no circle of confusion given: the f-number stays open"
+        return not_checked(name, equation, "≥", unit="mm", note=note, missing=missing)
     if lens.f_number is None or lens.depth_of_field_mm is None:
-        return not_checked(name, equation, "≥", unit="mm", note="neither a depth of field nor an f-number given")
+        note = "neither a depth of field nor an f-number given"
+        return not_checked(name, equation, "≥", unit="mm", note=note, missing=missing)
     if q.depth_of_field_mm is None:
         note = f"at f/{lens.f_number:.1f}; no depth of field asked for"
-        return not_checked(name, equation, "≥", unit="mm", note=note, value=lens.depth_of_field_mm)
+        return not_checked(name, equation, "≥", unit="mm", note=note, missing=missing, value=lens.depth_of_field_mm)
     note = f"at f/{lens.f_number:.1f}" + (" of equation (3)" if q.f_number is None else "")
     return at_least(name, equation, lens.depth_of_field_mm, q.depth_of_field_mm, unit="mm", note=note)
 
@@ -63,10 +66,10 @@ def _depth(q: Requirements, lens: LensPlan) -> Constraint:
 def _diffraction(q: Requirements, lens: LensPlan) -> Constraint:
     name, equation = "diffraction", "Airy disc ≤ c"
     if lens.airy_disc_px is None or q.circle_of_confusion_mm is None:
-        missing = "circle of confusion" if q.circle_of_confusion_mm is None else "f-number"
-        return not_checked(
-            name, equation, "≤", unit="px", note=f"no {missing} to compare with", value=lens.airy_disc_px
-        )
+        absent = q.circle_of_confusion_mm is None
+        note = f"no {'circle of confusion' if absent else 'f-number'} to compare with"
+        missing = ("circle_of_confusion_mm",) * absent + ("f_number",) * (lens.f_number is None)
+        return not_checked(name, equation, "≤", unit="px", note=note, missing=missing, value=lens.airy_disc_px)
     # The circle of confusion is a length on the sensor; pixels make it comparable with the Airy disc.
     acceptable_px = q.circle_of_confusion_mm * q.sensor_px_h / q.sensor_width_mm
     note = f"at f/{lens.f_number:.1f}; not in the paper"
@@ -97,7 +100,8 @@ def _period(q: Requirements, motion: MotionPlan) -> Constraint:
 def _links(q: Requirements, data: DataPlan) -> Constraint:
     name, equation = "links", "n·p_h·p_v·bits·t"
     if q.link_mbit_s is None:
+        note = "no capacity of the links given"
         return not_checked(
-            name, equation, "≤", unit="Mbit/s", note="no capacity of the links given", value=data.data_rate_mbit_s
+            name, equation, "≤", unit="Mbit/s", note=note, missing=("link_mbit_s",), value=data.data_rate_mbit_s
         )
     return at_most(name, equation, data.data_rate_mbit_s, q.link_mbit_s, unit="Mbit/s")

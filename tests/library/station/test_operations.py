@@ -34,6 +34,9 @@ LEFT_OUT = {
     **dict.fromkeys(("get_overlay", "get_trends", "compare_trends", "get_kept_mosaic"), _DRAWN),
     **dict.fromkeys(("get_camera_picture", "get_camera_frame"), _DRAWN),
     **dict.fromkeys(("list_import_previews", "get_import_preview"), "a StationImport holds its document"),
+    **dict.fromkeys(
+        ("plan_optics", "get_optics_requirements"), "the arithmetic of `vaoi plan`, which needs no station"
+    ),
     **dict.fromkeys(("get_health", "get_readiness", "examine_station"), _MONITORING),
     **{
         item["operationId"]: _ADMINISTRATOR

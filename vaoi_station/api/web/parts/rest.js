@@ -6,6 +6,7 @@ export class Refusal extends Error {
     super(`${problem.detail} ${problem.action}`.trim());
     this.status = problem.status;
     this.code = problem.code;
+    this.errors = problem.errors ?? [];
   }
 }
 

@@ -38,6 +38,9 @@ export const trialCalibration = "/api/v1/calibration/trial/calibration";
 export const trialPicture = (name, begun) => `/api/v1/calibration/trial/pictures/${name}?_=${encodeURIComponent(begun)}`;
 export const frame = (run, camera, row) => `/api/v1/runs/${part(run)}/frames/${camera}/${row}?format=png&incomplete=show`;
 
+export const opticsRequirements = (of) => call("GET", `/optics/requirements?of=${of}`);
+export const opticsPlan = (values) => call("GET", `/optics/plan?${new URLSearchParams(values)}`);
+
 export const keys = async () => (await call("GET", "/keys")).keys;
 export const createKey = (name, scopes) => call("POST", "/keys", { name, scopes });
 export const rotateKey = (name) => call("POST", `/keys/${part(name)}/rotate`);

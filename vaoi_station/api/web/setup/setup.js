@@ -5,7 +5,12 @@ import { fillIn, texts } from "../texts/texts.js";
 import { rightsFor } from "./rights.js";
 
 // Name in the address, the file that has the page, the scope that it needs.
-const PAGES = { types: ["./types.js", "teach"], calibration: ["./calibration.js", "admin"], keys: ["./keys.js", "admin"] };
+const PAGES = {
+  types: ["./types.js", "teach"],
+  calibration: ["./calibration.js", "admin"],
+  optics: ["./optics/optics.js", "read"],
+  keys: ["./keys.js", "admin"],
+};
 
 export class SetupView {
   name = "setup-view";

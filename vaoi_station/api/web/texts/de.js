@@ -1,12 +1,14 @@
 // Alle Texte der Seiten auf Deutsch, mit denselben Schlüsseln wie en.js.
 import { board } from "./board_de.js";
 import { cameras } from "./cameras_de.js";
+import { optics } from "./optics_de.js";
 import { setup } from "./setup_de.js";
 import { trends } from "./trends_de.js";
 
 export const texts = {
   board,
   cameras,
+  optics,
   setup,
   trends,
   line: "Linie",

@@ -1,12 +1,14 @@
 // All texts of the pages in English. Another language is another file with the same keys.
 import { board } from "./board_en.js";
 import { cameras } from "./cameras_en.js";
+import { optics } from "./optics_en.js";
 import { setup } from "./setup_en.js";
 import { trends } from "./trends_en.js";
 
 export const texts = {
   board,
   cameras,
+  optics,
   setup,
   trends,
   // frame of all pages

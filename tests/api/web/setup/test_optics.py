@@ -1,0 +1,77 @@
+"""Optics in a real browser: what the station knows, the drawing, constraints, and what would mend them."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from tests.api.held_station import CAMERAS
+from tests.api.web.test_views import examine
+
+pytestmark = pytest.mark.browser
+
+PICTURES = os.environ.get("VAOI_PICTURES")
+"""Directory into which the picture of the guide is written, if it is named (docs/pictures)."""
+FIELDS = """() => [...document.querySelectorAll(".line-drawing .one-row")].map((e) =>
+    ["x", "y", "width", "height"].map((name) => Number(e.getAttribute(name))))"""
+
+
+def test_a_line_is_planned_from_what_the_station_knows(page: Page, engineer: Any, fits: Any) -> None:
+    page.goto(f"{engineer.url}/#/setup/optics")
+    expect(page.locator(".answer.missing")).to_have_text(
+        "Still to be entered: Width of the sensor, Largest distance of the cameras."
+    )
+    expect(page.get_by_label("Number of cameras")).to_have_value(str(CAMERAS))
+    expect(page.locator("#optics-speed_mm_s-help")).to_have_text("from line.conveyor_mm_s")
+    page.get_by_label("Width of the sensor").fill("many")
+    page.keyboard.press("Tab")
+    expect(page.locator(".answer.refused")).to_have_text("Width of the sensor is “many”; it must be a number.")
+    expect(page.locator("[aria-invalid]")).to_have_count(1)
+    page.get_by_label("Width of the sensor").fill("6,4")
+    page.get_by_label("Largest distance of the cameras").fill("500")
+    page.keyboard.press("Tab")
+    expect(page.locator(".verdict")).to_have_text("All constraints that can be checked are met.")
+    expect(page.locator(".constraint.open").first).to_have_text("open: Smallest distance of the cameras not given")
+    # To scale: three fields of 40 × 30 mm, which overlap by 4 mm and end where the board ends.
+    fields = page.evaluate(FIELDS)
+    assert [[round(v, 3) for v in (x, width, height)] for x, _, width, height in fields] == [
+        [0, 40, 30],
+        [36, 40, 30],
+        [72, 40, 30],
+    ]
+    expect(page.locator(".line-drawing .overlap")).to_have_count(2)
+    page.get_by_label("Smallest distance of the cameras").fill("900")
+    page.keyboard.press("Tab")
+    expect(page.locator(".answer.refused")).to_contain_text("distance_min_mm is 900")
+    expect(page.locator("#optics-distance_min_mm")).to_have_attribute("aria-invalid", "true")
+
+
+def test_the_example_of_the_paper_violates_two_constraints_and_remedies_mend_them(
+    page: Page, engineer: Any, fits: Any
+) -> None:
+    page.goto(f"{engineer.url}/#/setup/optics")
+    page.get_by_role("button", name="Example of the paper").focus()
+    page.keyboard.press("Enter")
+    expect(page.locator(".verdict")).to_have_text("2 constraints are violated.")
+    fits("optics", ".verdict")  # a reload finds the values in the address
+    for scheme in ("light", "dark"):
+        page.emulate_media(color_scheme=scheme)
+        assert examine(page) == [], scheme
+    page.emulate_media(color_scheme="light")
+    if PICTURES:
+        page.set_viewport_size({"width": 1280, "height": 1000})
+        page.screenshot(path=Path(PICTURES) / "setup-optics.png")
+    page.get_by_role("button", name="Number of cameras: 13").focus()
+    page.keyboard.press("Enter")
+    expect(page.locator(".verdict")).to_have_text("1 constraint is violated.")
+    expect(page.get_by_label("Number of cameras")).to_have_value("13")
+    page.get_by_role("button", name="Pulses per second: 8.08 1/s").press("Enter")
+    expect(page.locator(".verdict")).to_have_text("All constraints that can be checked are met.")
+    expect(page.locator(".ways")).to_have_count(0)
+    page.get_by_label("Number of cameras").fill("6")
+    page.keyboard.press("Tab")
+    expect(page.locator(".line-drawing .gap")).to_have_count(5)
