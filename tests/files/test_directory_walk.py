@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from vaoi_station.files.directory_walk import files_below
+from vaoi_station.files.directory_walk import files_below, size_below
 
 
 @pytest.fixture
@@ -29,6 +29,7 @@ def names(found: Iterator[Path], tree: Path) -> list[str]:
 def test_regular_files_are_listed_in_order(tree: Path) -> None:
     assert names(files_below(tree), tree) == [".draft/4", "a/1", "a/b/2", "c/.5", "c/d/3"]
     assert names(files_below(tree, hidden=False), tree) == ["a/1", "a/b/2", "c/d/3"]
+    assert size_below(tree) == sum(map(len, names(files_below(tree), tree)))
     assert list(files_below(tree / "absent")) == list(files_below(tree / "a" / "1")) == []
 
 

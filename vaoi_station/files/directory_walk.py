@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 
@@ -24,6 +25,15 @@ def files_below(directory: Path, *, hidden: bool = True) -> Iterator[Path]:
             path = Path(folder, name)
             if (hidden or not name.startswith(".")) and path.is_file():
                 yield path
+
+
+def size_below(directory: Path) -> int:
+    """Return the size in bytes of the files below a directory, without those that are deleted meanwhile."""
+    size = 0
+    for file in files_below(directory):
+        with suppress(FileNotFoundError):
+            size += file.stat().st_size
+    return size
 
 
 def _raise_unless_deleted(error: OSError) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import zlib
 from pathlib import Path
@@ -44,6 +45,42 @@ def test_what_a_station_recorded_is_stated(tmp_path: Path, recording: Path) -> N
     run = Archive.create(tmp_path / "archive").add(kept, station="one")
     assert run.key == "runs/one/2026-03-01/01m7z3abcd-123456.json"
     assert (run.serial, run.verdict, run.time) == ("S7", "degraded", "2026-03-01T08:00:00.125Z")
+
+
+def recorded(recording: Path, kept: Path, verdict: str, identity: dict[str, str] | None, armed: str | None) -> Path:
+    """Copy a recording with the record of a station."""
+    shutil.copytree(recording, kept, dirs_exist_ok=True)
+    record = {"id": "01m7z3abcd-123456", "started": "2026-03-01T08:00:00.125Z", "board_id": armed, "verdict": verdict}
+    (kept / "run.json").write_text(json.dumps(record | ({} if identity is None else {"identity": identity})))
+    return kept
+
+
+def test_a_run_whose_codes_are_still_to_be_read_is_refused(tmp_path: Path, recording: Path) -> None:
+    kept = recorded(recording, tmp_path / "kept", "ok", {"state": "pending"}, "S7")
+    archive = Archive.create(tmp_path / "archive")
+    with pytest.raises(InputError, match="the verdict is not final until the codes of the board are read"):
+        archive.add(kept)
+    assert list(archive.storage.entries("blobs")) == []
+    recorded(recording, kept, "ok", {"state": "agrees", "board_id": "S8"}, "S7")
+    assert archive.add(kept).serial == "S8", "the id on the board, not that with which the line was armed"
+
+
+def test_a_later_record_lowers_the_verdict_of_an_archived_run_and_never_raises_it(
+    tmp_path: Path, recording: Path
+) -> None:
+    archive, kept = Archive.create(tmp_path / "archive"), tmp_path / "kept"
+    archive.add(recorded(recording, kept, "ok", None, None))
+    assert (
+        archive.add(recorded(recording, kept, "ok", {"state": "not-compared", "board_id": "S7"}, None)).serial == "S7"
+    )
+    added = archive.add(recorded(recording, kept, "degraded", {"state": "differs", "board_id": "S9"}, None))
+    assert (added.verdict, added.serial, list(archive.runs())) == ("degraded", "S9", [added])
+    assert '"differs"' in (archive.extract(added, tmp_path / "back") / "run.json").read_text()
+    for verdict, board in (("ok", "S9"), ("degraded", "S7")):
+        recorded(recording, kept, verdict, {"state": "agrees", "board_id": board}, None)
+        with pytest.raises(InputError, match="has another run under the id"):
+            archive.add(kept)
+    assert (list(archive.runs()), archive.verify().faults) == ([added], 0)
 
 
 def test_another_run_under_the_same_id_is_refused(tmp_path: Path, recording: Path) -> None:

@@ -220,7 +220,7 @@ def test_run_whose_codes_were_being_read_when_the_station_ended_is_degraded() ->
     again = Station()
     again.saved = dict(station.saved)
     degraded: list[str] = []
-    again.identities.on_degraded = degraded.append
+    again.identities.on_changed = degraded.append
     again.identities.start()
     assert again.done.wait(20)
     again.identities.queue.stop()

@@ -12,12 +12,14 @@ import pytest
 
 from tests.runs.conftest import a_stitch
 from vaoi_station.config import KeepConfig
-from vaoi_station.errors import GoneError
+from vaoi_station.errors import DeviceError, GoneError
 from vaoi_station.files import open_recording, read_board_type, read_calibration, read_stitch
 from vaoi_station.files.atomic_directory import new_directory, remove_directory
-from vaoi_station.model import RecordingHead, Status, Verdict
+from vaoi_station.files.directory_walk import size_below
+from vaoi_station.model import Status, Verdict
 from vaoi_station.runs.archive import recordings as module
-from vaoi_station.runs.archive.recordings import Recordings, bytes_of_frames
+from vaoi_station.runs.archive.recordings import Recordings
+from vaoi_station.runs.states.made_with import Origin
 from vaoi_station.runs.states.schemas import RunDetail
 
 PATIENCE_S = 20.0
@@ -160,6 +162,32 @@ def test_frames_that_are_needed_for_a_later_board_are_given_up(rig: Any, tmp_pat
     assert list((tmp_path / "kept").glob("*")) == []
 
 
+def test_a_recording_is_offered_once_its_record_is_known_and_never_of_another_station(rig: Any, tmp_path: Path) -> None:
+    run = a_board(rig)
+    keeper = a_keeper(rig, tmp_path, rig.coordinator._frames)
+    faults, offered = iter([None, DeviceError("The database cannot be read.")]), list[str]()
+    keeper.on_kept = offered.append
+
+    def published(detail: RunDetail) -> RunDetail:
+        if fault := next(faults, None):
+            raise fault
+        return detail
+
+    keeper.published = published
+    keeper.start()
+    keeper.request(run.id)
+    rig.wait_for(lambda: keeper._outdated == {run.id}, "the record is unknown")
+    assert offered == []
+    keeper.tend()
+    rig.wait_for(lambda: offered == [run.id], "the record is known")
+    origin = Origin(station="other", exported="", imported="")
+    keeper.published = lambda detail: detail.model_copy(update={"origin": origin})
+    keeper.offer_all()
+    rig.wait_for(lambda: not keeper._updates, "the thread has taken it")
+    keeper.stop()
+    assert offered == [run.id]
+
+
 def test_more_runs_than_may_wait_are_counted_at_once(rig: Any, tmp_path: Path) -> None:
     run = a_board(rig)
     keeper = a_keeper(rig, tmp_path, Away(0))
@@ -226,28 +254,15 @@ def test_recordings_make_room_on_a_disk_that_is_nearly_full(
     monkeypatch.setattr(module, "DISK_RESERVE", 0)
     shutil.copytree(tmp_path / "kept" / run.id, tmp_path / "kept" / "failing")
     (tmp_path / "kept" / "failing" / module.HEAD_FILE).touch()
-    size_of = module._size_of
 
     def import_fails(path: Path) -> int:
         remove_directory(path)
-        return size_of(path)
+        return size_below(path)
 
     with monkeypatch.context() as patch:
-        patch.setattr(module, "_size_of", import_fails)
+        patch.setattr(module, "size_below", import_fails)
         keeper.tend()
     assert keeper.runs == 2
     monkeypatch.setattr(module, "DISK_RESERVE", 10**18)
     keeper.tend()
     assert [path.name for path in (tmp_path / "kept").iterdir()] == [run.id], "a pinned one stays"
-
-
-@pytest.mark.parametrize(("dtype", "shape"), [(np.uint8, (48, 64)), (np.uint16, (48, 64)), (np.uint8, (48, 64, 3))])
-def test_room_is_made_for_every_pixel_format(rig: Any, dtype: Any, shape: tuple[int, ...]) -> None:
-    run = a_board(rig)
-    cameras = [{"width": 64, "height": 48, "exposure_us": 100.0} for _ in range(2)]
-    head = RecordingHead.model_validate(
-        {"format": "vaoi-recording", "version": 1, "cameras": cameras, "rows": 3, "trigger_period_s": 0.1,
-         "conveyor_mm_s": [0, 100], "missing": [[0, 0]]}
-    )  # fmt: skip
-    expected = bytes_of_frames(run.frames, head, lambda _: np.zeros(shape, dtype))
-    assert expected == 2 * 3 * np.zeros(shape, dtype).nbytes

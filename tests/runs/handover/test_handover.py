@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -13,12 +14,13 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from tests.runs.conftest import a_stitch
+from tests.runs.conftest import a_board_type, a_stitch
 from vaoi_station.acquisition.process.messages import Grant
 from vaoi_station.backoff import BackoffPolicy
 from vaoi_station.config import ArchiveConfig
-from vaoi_station.files import open_recording
-from vaoi_station.model import Status
+from vaoi_station.files import open_recording, write_board_type
+from vaoi_station.identity.code_reader import Progress
+from vaoi_station.model import BoardCode, BoardIdentity, BoardReading, Status
 from vaoi_station.model.board_identity import IdentityDocument, IdentityReason
 from vaoi_station.plant.archive import Archive
 from vaoi_station.runs.archive.event_log import EventLog
@@ -26,6 +28,8 @@ from vaoi_station.runs.archive.recordings import Recordings
 from vaoi_station.runs.handover.adder import serve
 from vaoi_station.runs.handover.handover import SILENCE_S, Handover
 from vaoi_station.runs.states.schemas import RunDetail
+from vaoi_station.runs.workers.identity_job import IdentityJob, IdentitySlice
+from vaoi_station.runs.workers.jobs import Reply
 
 
 class Helper(threading.Thread):
@@ -75,11 +79,11 @@ class Line:
         with made.running(self.recordings):
             yield made
 
-    def board(self, verdict: Status) -> RunDetail:
+    def board(self, verdict: Status, **options: Any) -> RunDetail:
         """Film a board."""
         self.rig.workers.result = lambda head: a_stitch(head, verdict, ("weak",) if verdict is not Status.OK else ())
         # The line stays armed: the grant for the next board comes by itself.
-        grant = self.rig.peer.expect(Grant) if self.armed else self.rig.arm()
+        grant = self.rig.peer.expect(Grant) if self.armed else self.rig.arm(**options)
         self.armed = True
         self.rig.board(grant)
         detail: RunDetail = self.rig.result_of(grant.run)
@@ -121,9 +125,16 @@ def test_a_good_run_is_recorded_for_the_archive_only(line: Line) -> None:
     assert [one.run for one in archive.runs()] == [run.id]
 
 
-def again(recordings: Recordings) -> Recordings:
-    """Return the recordings of a station after a restart."""
-    return Recordings(recordings.directory, recordings._keep, recordings._archive, recordings._events, Mock())
+@contextmanager
+def restarted(line: Line) -> Iterator[None]:
+    """Give the line the recordings of a station after a restart."""
+    before = line.recordings
+    made = Recordings(before.directory, before._keep, before._archive, before._events, Mock())
+    made.published = before.published
+    line.recordings = made
+    made.start()
+    yield
+    made.stop()
 
 
 def test_a_restart_forgets_no_run_that_is_recorded_for_the_archive_only(line: Line) -> None:
@@ -133,8 +144,7 @@ def test_a_restart_forgets_no_run_that_is_recorded_for_the_archive_only(line: Li
     line.rig.coordinator.kept.pin(runs[0])
     line.wait(lambda: runs[0] not in line.recordings._for_archive, "the pinned one is kept beyond the archive")
     Archive.create(line.folder)
-    line.recordings = again(line.recordings)
-    with line.running(ok_every=1) as handover:
+    with restarted(line), line.running(ok_every=1) as handover:
         line.wait(lambda: handover.status().added == 2, "both are in the archive")
         line.wait(lambda: line.recordings.path_of(runs[1]) is None, "the recording of the other is deleted")
     assert line.recordings.all() == (runs[0],)
@@ -148,14 +158,54 @@ def test_a_run_that_is_degraded_after_its_end_is_recorded_for_the_archive(line: 
         run = line.board(Status.OK)
         assert line.recordings.path_of(run.id) is None
         identities = line.rig.coordinator.kept.identities
-        identities.on_degraded(run.id)
+        identities.on_changed(run.id)
         assert handover.status().waiting == 0, "nothing has degraded it"
         reason = IdentityReason(code="board-id-unread", message="No code was read.", action="Clean the code.")
         identities._remember(run.id, IdentityDocument(state="unread", required=True, reasons=(reason,)))
-        identities.on_degraded(run.id)
+        identities.on_changed(run.id)
         line.wait(lambda: handover.status().added == 1, "the run is in the archive")
         line.wait(lambda: line.recordings.path_of(run.id) is None, "its recording is deleted")
     assert [one.run for one in archive.runs()] == [run.id]
+
+
+def record_of(line: Line, run: str) -> dict[str, Any]:
+    """Return run.json of a recording."""
+    found: dict[str, Any] = json.loads((line.recordings.directory / run / "run.json").read_text())
+    return found
+
+
+def test_a_run_is_handed_over_with_the_verdict_that_its_identity_leaves(line: Line) -> None:
+    identity = BoardIdentity(pattern="b;{id}", required=True)
+    write_board_type(
+        line.rig.config.board_types / "small.json", a_board_type().model_copy(update={"identity": identity})
+    )
+    held: list[IdentityJob] = []
+    perform = line.rig.workers.perform
+    line.rig.workers.perform = lambda job: held.append(job) if isinstance(job, IdentityJob) else perform(job)
+    archive = Archive.create(line.folder)
+    with line.running(ok_every=1) as handover:
+        run = line.board(Status.OK, board_id="S1")
+        line.wait(lambda: line.recordings.path_of(run.id) is not None and bool(held), "the run is recorded")
+        pending = (line.recordings.directory / run.id / "run.json").read_bytes()
+        assert json.loads(pending)["identity"]["state"] == "pending"
+        assert handover.status().waiting == 0, "its verdict is not known yet"
+        code = BoardCode(
+            text="b;S2", symbology="qr", board_id="S2", center=(0, 0), corners=((0, 0),) * 4, module_mm=0.2,
+            error_correction_used=0.0,
+        )  # fmt: skip
+        read = IdentitySlice(Progress((), 1, True), BoardReading(codes=(code,)), 0.1)
+        line.rig.workers.answer(held[0], Reply(read, None, 0.1))
+        line.wait(lambda: handover.status().added == 1, "the run is in the archive")
+    [added] = archive.runs()
+    assert (added.verdict, added.serial) == ("degraded", "S2")
+    assert record_of(line, run.id)["verdict"] == "degraded"
+    # The station ended after the identity was decided, and before the recording had it.
+    (line.recordings.directory / run.id / "run.json").write_bytes(pending)
+    with restarted(line), line.running(ok_every=1) as handover:
+        line.wait(lambda: handover.status().added == 1, "the run is added again")
+    assert record_of(line, run.id)["verdict"] == "degraded"
+    assert list(archive.runs()) == [added]
+    assert line.codes == []
 
 
 def test_runs_wait_for_an_absent_archive_and_the_station_says_so(line: Line) -> None:

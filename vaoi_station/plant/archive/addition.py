@@ -48,6 +48,10 @@ REWRITE_S, LONGEST_S = 12 * 3600.0, 6 * 3600.0
 `pruning` keeps blobs that no run needs."""
 
 
+_RANK: dict[Status | None, int] = {Status.OK: 0, Status.DEGRADED: 1, Status.FAILED: 2, None: 3}
+"""Verdicts from the best to the worst."""
+
+
 class Documents(NamedTuple):
     """Files that are given apart from the recording."""
 
@@ -57,6 +61,13 @@ class Documents(NamedTuple):
     light_program: Path | None = None
 
 
+class _Identity(BaseModel):
+    """What an archive needs of the identity of a board."""
+
+    state: str
+    board_id: str | None = None
+
+
 class _RunRecord(BaseModel):
     """What an archive needs of run.json, the record of a station."""
 
@@ -64,6 +75,12 @@ class _RunRecord(BaseModel):
     started: str
     board_id: str | None = None
     verdict: Status | None = None
+    identity: _Identity | None = None
+
+    @property
+    def serial(self) -> str | None:
+        """Id of the board: that of its code, or that with which the line was armed."""
+        return (self.identity.board_id if self.identity else None) or self.board_id
 
 
 def add(storage: Storage, folder: Path, given: Documents, station: str, label: RunLabel) -> ArchivedRun:
@@ -74,7 +91,7 @@ def add(storage: Storage, folder: Path, given: Documents, station: str, label: R
     read_calibration(paths["calibration"])
     # Everything is read before anything is written: a document that is invalid leaves no blobs behind.
     verdict = read_stitch(paths["result"]).status if "result" in paths else None
-    record = parse(_RunRecord, read_json(paths["run"]), paths["run"]) if "run" in paths else None
+    record = _record(paths["run"]) if "run" in paths else None
     cameras = recording.head.cameras
     frames = [(i, j) for i in range(len(cameras)) for j in range(recording.head.rows)]
     known = label.run or (record.id if record else None)
@@ -85,7 +102,7 @@ def add(storage: Storage, folder: Path, given: Documents, station: str, label: R
         "board_type": board_type.name,
         "revision": board_type.revision,
         "verdict": record.verdict if record else verdict,
-        "serial": label.serial or (record.board_id if record else None),
+        "serial": label.serial or (record.serial if record else None),
         "pixels": sum(cameras[i].width * cameras[i].height for i, j in frames if (i, j) not in recording.head.missing),
         "documents": {},
         "frames": (),
@@ -125,6 +142,17 @@ def _paths(folder: Path, given: Documents) -> dict[DocumentKind, Path]:
                 f"{path}: there is no such file, and a run is not archived without it.", action=f"Give its {kind}."
             )
     return paths
+
+
+def _record(path: Path) -> _RunRecord:
+    """Read run.json; InputError if the codes of the board were still to be read, which may lower the verdict."""
+    record = parse(_RunRecord, read_json(path), path)
+    if record.identity is not None and record.identity.state == "pending":
+        raise InputError(
+            f"{path}: identity.state is 'pending': the verdict is not final until the codes of the board are read.",
+            action="Add the run when its station has read them; copy the recording again if this is a copy.",
+        )
+    return record
 
 
 def _store_document(storage: Storage, kind: DocumentKind, path: Path) -> DocumentBlob:
@@ -168,12 +196,30 @@ def _store_manifest(storage: Storage, run: ArchivedRun) -> ArchivedRun:
         # A damaged manifest is written again: the recording is what it was made from.
         storage.write(run.key, content)
         return run
-    if written != content and not _is_same(storage, before, run):
+    if written == content or _is_same(storage, before, run):
+        return before
+    if not _is_later(storage, before, run):
         raise InputError(
             f"{storage.url}: has another run under the id {run.run} of station {run.station!r}.",
             action="Give this one another id, or remove the other by `vaoi archive prune`.",
         )
-    return before
+    storage.write(run.key, content)
+    return run
+
+
+def _is_later(storage: Storage, before: ArchivedRun, run: ArchivedRun) -> bool:
+    """Return whether a run differs only by a later record of the station, which lowers the verdict or adds an id.
+
+    The identity of a board may be found after its run was archived. A better verdict is not taken: it could be that of
+    an older copy of the record.
+    """
+    if "run" not in run.documents:
+        return False
+    documents = before.documents | {"run": run.documents["run"]}
+    renewed = before.model_copy(update={"verdict": run.verdict, "serial": run.serial, "documents": documents})
+    lowered = _RANK[run.verdict] - _RANK[before.verdict]
+    later = lowered > 0 or (lowered == 0 and before.serial in (None, run.serial))
+    return later and _is_same(storage, renewed, run)
 
 
 def _is_same(storage: Storage, before: ArchivedRun, run: ArchivedRun) -> bool:

@@ -79,7 +79,8 @@ class KeptRuns:
         names = [camera.name for camera in config.cameras]
         self.trends = TrendHistory(archive.figures, names, config.keep.database_gb)
         archive.on_finished = self._finished
-        self.identities.on_degraded = self._identity_degrades
+        self.identities.on_changed = self._identity_changed
+        self.recordings.published = self.identities.published
 
     def start(self) -> None:
         """Start the threads that write recordings, and have codes read and heights measured."""
@@ -103,18 +104,22 @@ class KeptRuns:
     def _finished(self, detail: RunDetail) -> None:
         """Keep what is to be kept of a run that has just ended; it returns at once."""
         self.trends.finished(detail, lambda run: self._archive.get(run).stitch)
-        self.recordings.finished(detail)
+        # First, because a recording states whether the identity of its run is decided.
         self.identities.finished(detail)
+        self.recordings.finished(detail)
         if self._after_run:
             self.heights.finished(detail)
         self.mosaics.finished(detail)
 
-    def _identity_degrades(self, run: str) -> None:
-        """Keep the frames of a run that its identity degrades, as of others that are not ok; it returns at once."""
+    def _identity_changed(self, run: str) -> None:
+        """Keep a run that its identity degrades as others that are not ok, and renew its record; it returns at once."""
         with suppress(VaoiError):  # The run was forgotten.
             detail = self._archive.get(run).detail
             if detail.verdict is Status.OK and detail.frames_available:
-                self.recordings.finished(self.identities.shown((detail,))[0])
+                [shown] = self.identities.shown((detail,))
+                if shown.verdict is not Status.OK:
+                    self.recordings.finished(shown)
+        self.recordings.update(run)
 
     def pin(self, run: str) -> None:
         """Keep a run until it is unpinned: its record and result, and its frames if they are in memory.

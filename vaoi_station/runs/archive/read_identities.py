@@ -61,8 +61,8 @@ class ReadIdentities:
             events: the event log.
         """
         self._archive, self._render, self._bay_of, self._events = archive, render, bay_of, events
-        self.on_degraded: Callable[[str], None] = lambda _run: None
-        """Function that is called with a run that its identity degrades. It must return at once."""
+        self.on_changed: Callable[[str], None] = lambda _run: None
+        """Function that is called with a run whose identity was decided, or has changed. It must return at once."""
         self._known: OrderedDict[str, IdentityDocument | None] = OrderedDict()
         """Identities of the latest runs; None for a run that has none."""
         self._earlier: list[str] = []
@@ -136,6 +136,11 @@ class ReadIdentities:
             found = self._recalled(runs)  # The latest runs are shown even if the disk cannot be read.
         return tuple(_with_identity(d, found.get(d.id)) for d in documents)
 
+    def published(self, detail: RunDetail) -> RunDetail:
+        """Return the document of a finished run with its identity, as `shown`; DeviceError if it cannot be read."""
+        identity = self.document(detail.id)
+        return detail if identity.state == "not-expected" else _with_identity(detail, identity)
+
     def _stored(self, runs: Collection[str]) -> dict[str, IdentityDocument | None]:
         """Return the identities of runs from memory or the database, None for runs that have none."""
         found = self._recalled(runs)
@@ -173,8 +178,7 @@ class ReadIdentities:
         self._remember(run, document)
         saved = self._archive.identities.save(run, identity_row(document))
         saved.add_done_callback(lambda future: _log_failure(run, future))
-        if document.degrades:
-            self.on_degraded(run)
+        self.on_changed(run)
         first = document.reasons[0] if document.reasons else None
         message = "; ".join(reason.message for reason in document.reasons) or _sentence(document)
         self._events.add(

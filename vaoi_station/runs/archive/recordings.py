@@ -10,28 +10,30 @@ import logging
 import os
 import shutil
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from queue import SimpleQueue
 from typing import Any, Protocol
 
 from numpy.typing import NDArray
 
 from vaoi_station.config import KeepConfig
-from vaoi_station.errors import DeviceError, GoneError, StateError, VaoiError
+from vaoi_station.errors import DeviceError, GoneError, InputError, NotFoundError, StateError, VaoiError
 from vaoi_station.files import write_board_type, write_calibration, write_recording
 from vaoi_station.files.atomic_directory import new_directory, remove_directory
-from vaoi_station.files.directory_walk import files_below
-from vaoi_station.files.documents import write_bytes, write_json
+from vaoi_station.files.directory_walk import size_below
+from vaoi_station.files.documents import parse, read_json, write_bytes, write_json
 from vaoi_station.files.images import Image
 from vaoi_station.files.recordings import frame_file
-from vaoi_station.model import FrameRecord, Program, RecordingHead, Status
+from vaoi_station.model import Program, RecordingHead, Status
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive, FinishedRun
 from vaoi_station.runs.archive.housekeeping import LOWEST_PRIORITY, TASK_LIMIT_S
 from vaoi_station.runs.run.memory import Bay
+from vaoi_station.runs.states.recording_heads import bytes_of_frames, head_of
 from vaoi_station.runs.states.schemas import RunDetail
 from vaoi_station.supervised_thread import SupervisedThread
 
@@ -86,9 +88,19 @@ class Recordings:
         self.wanted_for_archive: Callable[[RunDetail], bool] = lambda _detail: False
         """Function that returns whether a run that is not kept otherwise is kept until an archive has it."""
         self.on_kept: Callable[[str], None] = lambda _run: None
-        """Function that is called when a run was kept, with its id. It must return at once."""
-        self._waiting: SimpleQueue[tuple[str, bool] | None] = SimpleQueue()
-        """Runs to be written, and whether they are kept for an archive only."""
+        """Function that is called with a run whose recording is complete: its frames are kept and the identity of its
+        board is decided. It is called again if its record changes. It must return at once."""
+        self.published: Callable[[RunDetail], RunDetail] = lambda detail: detail
+        """Function that returns the document of a run as callers see it, with its identity and what follows from it."""
+        self._wake = threading.Condition()
+        """Guards the tasks of the thread; never held while the disk is awaited."""
+        self._waiting: deque[tuple[str, bool]] = deque()
+        """Runs to be written, and whether they are kept for an archive only. They come first: their frames are in
+        memory for a short time."""
+        self._updates: dict[str, bool] = {}
+        """Recordings whose records are to be brought up to date, and whether they are offered unchanged as well."""
+        self._outdated: set[str] = set()
+        """Runs whose records could not be brought up to date; they are tried again."""
         self._stopping = threading.Event()
         self._lock = threading.Lock()
         self.thread = SupervisedThread(self._run, "recordings", TASK_LIMIT_S)
@@ -96,7 +108,7 @@ class Recordings:
         for draft in directory.glob(".*"):
             shutil.rmtree(draft, ignore_errors=True)
         archive.retention.pins()  # This is read now because `finished` must not wait for the disk.
-        self._sizes = {path.name: _size_of(path) for path in directory.glob("*")}
+        self._sizes = {path.name: size_below(path) for path in directory.glob("*")}
         self._for_archive = {run for run in self._sizes if (directory / run / FOR_ARCHIVE_FILE).exists()}
 
     def start(self) -> None:
@@ -106,8 +118,9 @@ class Recordings:
     def stop(self) -> None:
         """End the thread. A recording that is being written is given up, and its files are removed."""
         self.thread.expect_end()
-        self._stopping.set()
-        self._waiting.put(None)
+        with self._wake:
+            self._stopping.set()
+            self._wake.notify_all()
         if self.thread.is_alive():
             self.thread.join()
 
@@ -130,10 +143,31 @@ class Recordings:
         known = run in self._sizes and (for_archive or run not in self._for_archive)
         if not self._keep.recordings_gb or known or self._stopping.is_set():
             return
-        if self._waiting.qsize() >= MOST_WAITING:
+        with self._wake:
+            if has_room := len(self._waiting) < MOST_WAITING:
+                self._waiting.append((run, for_archive))
+                self._wake.notify_all()
+        if not has_room:
             self._late(run)
-            return
-        self._waiting.put((run, for_archive))
+
+    def update(self, run: str) -> None:
+        """Bring the record in the recording of a run up to date, if one is kept. Returns at once."""
+        # A run that is just being written is brought up to date in the end: it is in `_sizes` before that.
+        if run in self._sizes:
+            self._update_later(run, offer=False)
+
+    def offer_all(self) -> None:
+        """Bring the records of all recordings up to date, and offer these to `on_kept`. Returns at once.
+
+        The station may have ended after the identity of a run was decided, and before its recording had it.
+        """
+        self._update_later(*self.all(), offer=True)
+
+    def _update_later(self, *runs: str, offer: bool) -> None:
+        with self._wake:
+            for run in runs:
+                self._updates[run] = offer or self._updates.get(run, False)
+            self._wake.notify_all()
 
     def path_of(self, run: str) -> Path | None:
         """Return the recording of a run; None if none is kept."""
@@ -184,10 +218,11 @@ class Recordings:
         with self._lock:
             for path in self.directory.glob("[!.]*"):
                 if path.name not in self._sizes:
-                    size = _size_of(path)
+                    size = size_below(path)
                     # Asked afterwards: an import that failed meanwhile has removed its recording.
                     if (path / HEAD_FILE).is_file():
                         self._sizes[path.name] = size
+        self._update_later(*self._outdated.copy(), offer=True)
         self._trim()
 
     def _trim(self) -> None:
@@ -201,26 +236,36 @@ class Recordings:
 
     def _run(self) -> None:
         os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), LOWEST_PRIORITY)
-        while (order := self._next()) is not None and not self._stopping.is_set():
-            run, for_archive = order
-            try:
-                self._write(run, for_archive=for_archive)
-            except GoneError:
-                self._late(run)
-            except StateError:
-                continue  # The station is stopping.
-            except VaoiError as error:
-                self._refused(run, error.message)
-            except OSError as error:
-                self._refused(run, f"{self.directory}: cannot be written ({error.strerror}).")
-            except Exception as error:  # noqa: BLE001  the thread must go on: it keeps the frames of later runs
-                _log.warning("recording of run %s failed", run, exc_info=True)
-                self._refused(run, f"{type(error).__name__}: {error}.")
+        while (task := self._next()) is not None:
+            task()
 
-    def _next(self) -> tuple[str, bool] | None:
-        """Wait for the next run to be kept, and whether for an archive only; None is the request to end."""
-        with self.thread.waiting():
-            return self._waiting.get()
+    def _keep_run(self, run: str, *, for_archive: bool) -> None:
+        try:
+            self._write(run, for_archive=for_archive)
+        except GoneError:
+            self._late(run)
+        except StateError:
+            return  # The station is stopping.
+        except VaoiError as error:
+            self._refused(run, error.message)
+        except OSError as error:
+            self._refused(run, f"{self.directory}: cannot be written ({error.strerror}).")
+        except Exception as error:  # noqa: BLE001  the thread must go on: it keeps the frames of later runs
+            _log.warning("recording of run %s failed", run, exc_info=True)
+            self._refused(run, f"{type(error).__name__}: {error}.")
+
+    def _next(self) -> Callable[[], None] | None:
+        """Wait for the next task; None is the request to end."""
+        with self.thread.waiting(), self._wake:
+            while not (self._stopping.is_set() or self._waiting or self._updates):
+                self._wake.wait()
+            if self._stopping.is_set():
+                return None
+            if self._waiting:
+                run, for_archive = self._waiting.popleft()
+                return partial(self._keep_run, run, for_archive=for_archive)
+            run = next(iter(self._updates))
+            return partial(self._update, run, offer=self._updates.pop(run))
 
     def _write(self, run: str, *, for_archive: bool) -> None:
         if run in self._sizes:
@@ -231,7 +276,7 @@ class Recordings:
         finished = self._archive.get(run)
         if finished.head is None:
             return
-        head = _head_of(finished, finished.head)
+        head = head_of(finished.detail, finished.head)
         copy = self._frames.copier(self._frames.bay_of(run))
         self._make_room(bytes_of_frames(finished.detail.frames, head, copy))
         target = self.directory / run
@@ -240,7 +285,7 @@ class Recordings:
             write_recording(draft, head, self._copies(finished, head, copy), suffix=".tiff")
             write_calibration(draft / "calibration.json", self._archive.calibration_of(finished))
             write_board_type(draft / "board.json", finished.board_type)
-            write_bytes(draft / RUN_FILE, finished.detail.model_dump_json().encode())
+            write_bytes(draft / RUN_FILE, self.published(finished.detail).model_dump_json().encode())
             if finished.document is not None:
                 write_bytes(draft / RESULT_FILE, finished.document.encode())
             if program := finished.board_type.program or self.program:
@@ -249,12 +294,47 @@ class Recordings:
             if for_archive:
                 write_bytes(draft / FOR_ARCHIVE_FILE, b"")
         with self._lock:
-            self._sizes[run] = _size_of(target)
+            self._sizes[run] = size_below(target)
             if for_archive:
                 self._for_archive.add(run)
         self.counts.kept += 1
         self._events.add("recording", "The frames are kept as a recording.", run=run)
-        self.on_kept(run)
+        # The identity may have been decided before `update` knew of the recording.
+        self._update(run, offer=True)
+
+    def _update(self, run: str, *, offer: bool) -> None:
+        """Bring the record of a recording up to date, and offer the recording if it is complete and has changed."""
+        self._outdated.discard(run)
+        try:
+            record, changed = self._renewed(run)
+        except Exception as error:  # noqa: BLE001  the thread must go on: it keeps the frames of later runs
+            # Without its record the recording is offered to no archive.
+            _log.warning("record of the recording of run %s: %s; it is tried again", run, error)
+            self._outdated.add(run)
+            return
+        # An imported run is for its own station to hand over.
+        if record is not None and record.identity_decided and record.origin is None and (changed or offer):
+            self.on_kept(run)
+
+    def _renewed(self, run: str) -> tuple[RunDetail | None, bool]:
+        """Return the record in a recording, and whether it was written again; None if the recording was deleted.
+
+        The record changes after the end of the run with the identity of its board, which may lower the verdict.
+        """
+        path = self.directory / run / RUN_FILE
+        known: RunDetail | None = None
+        with suppress(NotFoundError, InputError):
+            known = parse(RunDetail, read_json(path), path)
+        record = known
+        with suppress(GoneError, NotFoundError):  # Of a run that was forgotten nothing changes the record any more.
+            record = self.published(self._archive.get(run).detail)
+        with self._lock:
+            if run not in self._sizes or record is None:
+                return None, False
+            if known is not None and _lasting(known) == _lasting(record):
+                return record, False
+            write_bytes(path, record.model_dump_json().encode())
+        return record, True
 
     def _copies(
         self, finished: FinishedRun, head: RecordingHead, copy: Callable[[int], NDArray[Any]]
@@ -314,31 +394,6 @@ class Recordings:
         )  # fmt: skip
 
 
-def _head_of(finished: FinishedRun, head: RecordingHead) -> RecordingHead:
-    """Return the head of the recording: frames that are not usable are missing, with causes under `x_verdicts`."""
-    frames = finished.detail.frames
-    there = {(f.camera, f.row) for f in frames if f.usable and f.slot is not None}
-    everything = {(i, j) for i in range(len(head.cameras)) for j in range(head.rows)}
-    bad = [
-        {"camera": f.camera, "row": f.row, "verdict": str(f.verdict), "cause": f.cause} for f in frames if not f.usable
-    ]
-    missing = tuple(sorted(everything - there | set(head.missing)))
-    return head.model_copy(update={"missing": missing, "x_run": finished.detail.id, "x_verdicts": bad})
-
-
-def bytes_of_frames(frames: Iterable[FrameRecord], head: RecordingHead, copy: Callable[[int], NDArray[Any]]) -> int:
-    """Return the size of the frames on disk, from one frame of every camera: its pixel format is nowhere else."""
-    absent, sizes = set(head.missing), dict[int, int]()
-    for frame in frames:
-        if frame.camera not in sizes and (frame.camera, frame.row) not in absent and frame.slot is not None:
-            sizes[frame.camera] = copy(frame.slot).nbytes
-    return sum(sizes.values()) * head.rows
-
-
-def _size_of(path: Path) -> int:
-    size = 0
-    for file in files_below(path):
-        # An import that fails removes its recording.
-        with suppress(FileNotFoundError):
-            size += file.stat().st_size
-    return size
+def _lasting(record: RunDetail) -> tuple[object, ...]:
+    """Return what an archive needs to know of a record; the rest says where the frames are, which changes."""
+    return record.verdict, record.reasons, record.identity

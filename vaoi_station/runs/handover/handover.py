@@ -83,8 +83,8 @@ class Handover:
         self._ended: Ending | None = None
         """The last adder that was ended. While it is blocked no other is started: each would be blocked as well."""
         self._changed = threading.Condition()
-        self._waiting: dict[str, None] = {}
-        """Runs that are to be added, in the order in which they were kept."""
+        self._waiting: dict[str, int] = {}
+        """Runs that are to be added, in the order in which they were kept, and how often each was offered."""
         self._present: str | None = None
         self._added = self._dropped = self._refused = 0
         self._problem: VaoiError | None = None
@@ -97,8 +97,7 @@ class Handover:
         self._recordings = recordings
         recordings.wanted_for_archive = self.wants
         recordings.on_kept = self.offer
-        for run in recordings.all():
-            self.offer(run)
+        recordings.offer_all()
         self.thread.start()
         try:
             yield
@@ -122,9 +121,9 @@ class Handover:
         return bool(every) and zlib.crc32(run.id.encode()) % every == 0
 
     def offer(self, run: str) -> None:
-        """Add the recording of a run when there is time for it. Returns at once."""
+        """Add the recording of a run when there is time for it; again if it has changed meanwhile. Returns at once."""
         with self._changed:
-            self._waiting[run] = None
+            self._waiting[run] = self._waiting.get(run, 0) + 1
             self._changed.notify_all()
 
     def status(self) -> ArchiveStatus:
@@ -186,17 +185,20 @@ class Handover:
         if folder is None:
             self._drop(run)
             return
+        with self._changed:
+            offers = self._waiting[run]
         outcome = self._outcome(Addition(self._config.url, folder, self._station))
         if isinstance(outcome, Added):
             _log.info("run %s is in the archive %s, %d bytes", run, self._config.url, outcome.bytes)
-            self._done(run)
-            self._added += 1
-            self._recordings.release(run)
+            if self._done(run, offers):
+                self._added += 1
+                self._recordings.release(run)
             self._reached()
         elif self._recordings.path_of(run) is None:
             self._drop(run)  # Its recording was deleted meanwhile, to make room for a later one.
         elif outcome.of_run:
-            self._refuse(run, outcome.error)
+            if self._done(run, offers):
+                self._refuse(run, outcome.error)
             self._reached()
         else:
             self._failed(outcome.error)
@@ -290,12 +292,17 @@ class Handover:
             [reason] = self.reasons()
             self._events.add("trouble", reason.message, code=reason.code, action=reason.action)
 
-    def _done(self, run: str) -> None:
+    def _done(self, run: str, offers: int) -> bool:
+        """Remove a run from those that wait, unless it was offered again since; return whether it was removed."""
         with self._changed:
-            self._waiting.pop(run, None)
+            if self._waiting[run] != offers:
+                return False
+            del self._waiting[run]
+            return True
 
     def _drop(self, run: str) -> None:
-        self._done(run)
+        with self._changed:
+            del self._waiting[run]
         self._dropped += 1
         self._events.add(
             "trouble",
@@ -304,7 +311,6 @@ class Handover:
         )  # fmt: skip
 
     def _refuse(self, run: str, error: VaoiError) -> None:
-        self._done(run)
         self._refused += 1
         message = f"The run was not archived: {error.message}"
         self._events.add("trouble", message, run=run, code="archive-refused", action=error.action)

@@ -297,6 +297,11 @@ class RunSummary(Schema):
     origin: Origin | None = None
     """The station that filmed an imported run; None for runs of this station."""
 
+    @property
+    def identity_decided(self) -> bool:
+        """Whether no code of the board is still to be read, so that the verdict is not lowered for one any more."""
+        return self.identity is None or self.identity.state != "pending"
+
 
 class Interruption(Schema):
     """One interruption of the light barrier; times are in seconds since row 0, by the controller's clock."""
