@@ -210,3 +210,33 @@ def test_a_sequencer_has_the_steps_of_one_turn(serial: StationConfig) -> None:
     assert [wanted.sequence for wanted in exposures_of(plan, config)] == [((200.0, 0.0), (50.0, 6.0)), ()]
     uneven = filming_plan(config, board(program=steps[:3]))
     assert len(exposures_of(uneven, config)[0].sequence) == 3
+
+
+def _steps(*exposures: tuple[float, float]) -> BoardType:
+    """Return a board type whose program has these exposures (µs) and gains (dB) for camera 0."""
+    keys = [{"exposure_us": [us, 200.0], "gain_db": [db, 0.0]} for us, db in exposures]
+    return board(program=[{"light": "left", **key} for key in keys])
+
+
+@pytest.mark.parametrize(
+    ("exposures", "words"),
+    [
+        (((100.0, 0.0), (139.9, 0.0)), r"program\.1\.exposure_us is 139\.9, but must be 100 as in program\.0, or at "
+         r"least 40 µs from it: by what the frames of camera c0 state"),
+        (((4000.0, 0.0), (9.0, 0.0), (4079.0, 0.0)), r"program\.2\.exposure_us is 4079\.0, .* or at least 80\.79 µs"),
+        (((100.0, 0.0), (300.0, 0.0), (100.0, 0.5)), r"program\.2\.gain_db is 0\.5, but must be 0 as in program\.0, or "
+         r"at least 0\.6 dB from it"),
+        (((100.0, 0.0), (110.0, 0.5)), r"program\.1\.exposure_us is 110\.0"),
+    ],
+)  # fmt: skip
+def test_steps_of_a_sequencer_that_frames_do_not_distinguish_are_refused(
+    serial: StationConfig, exposures: tuple[tuple[float, float], ...], words: str
+) -> None:
+    with pytest.raises(InputError, match=words):
+        filming_plan(_with_cameras(serial, exposure_by="sequencer"), _steps(*exposures))
+
+
+def test_steps_of_a_sequencer_differ_enough_in_exposure_or_in_gain(serial: StationConfig) -> None:
+    config = _with_cameras(serial, exposure_by="sequencer")
+    steps = ((100.0, 0.0), (140.0, 0.0), (110.0, 0.6), (100.0, 0.0))
+    assert exposures_of(filming_plan(config, _steps(*steps)), config)[0].sequence == steps

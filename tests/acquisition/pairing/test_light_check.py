@@ -60,13 +60,14 @@ def stating(row: int | None, exposure_us: float, gain_db: float | None = 0.0) ->
 
 
 def test_frames_state_the_exposure_and_gain_of_their_row() -> None:
-    """Sensors expose whole lines, but never so that another step would be as near."""
-    program = (ProgramRow("left", (9.0, 100.0), (0.0, 0.0)), ProgramRow("left", (9.0, 120.0), (0.0, 0.4)))
-    fitting = [stating(0, 92.0), stating(1, 111.0, 0.3), stating(2, 100.0, None), stating(None, 5.0)]
+    """Sensors expose whole lines: within its tolerance a frame fits, and it fits one step only."""
+    program = (ProgramRow("left", (9.0, 100.0), (0.0, 0.0)), ProgramRow("left", (9.0, 140.0), (0.0, 0.6)))
+    fitting = [stating(0, 81.0), stating(0, 119.9, 0.2), stating(1, 120.1, 0.4), stating(2, 100.0, None)]
+    fitting.append(stating(None, 5.0))
     assert contradicted_frames(1, [*fitting, ObservedFrame(3, 1, 0.0, 0.0, 0.0)], program) == {}
-    other = contradicted_frames(1, [stating(4, 111.0), stating(5, 120.0, 0.1)], program)
+    other = contradicted_frames(1, [stating(4, 120.0), stating(5, 140.0, 0.3)], program)
     assert {row: text.split(":")[0] for row, text in other.items()} == {
-        4: "its frame states an exposure of 111 µs, but the light program has 100 µs",
-        5: "its frame states a gain of 0.1 dB, but the light program has 0.4 dB",
+        4: "its frame states an exposure of 120 µs, but the light program has 100 µs",
+        5: "its frame states a gain of 0.3 dB, but the light program has 0.6 dB",
     }
     assert contradicted_frames(1, [stating(0, 5.0)], ()) == {}

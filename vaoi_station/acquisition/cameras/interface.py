@@ -29,6 +29,16 @@ class Slot:
     """Bytes behind the view that the camera may write to as well, for chunk data."""
 
 
+STATED_TOLERANCE_US, STATED_TOLERANCE_SHARE, STATED_TOLERANCE_DB = 20.0, 0.01, 0.3
+"""Tolerances of the exposure and the gain that a frame states: sensors expose whole lines, and gains have steps. Of the
+exposure the larger one of both counts."""
+
+
+def stated_tolerance_us(exposure_us: float) -> float:
+    """Return the difference, µs, from which on a stated exposure is not this one."""
+    return max(STATED_TOLERANCE_US, STATED_TOLERANCE_SHARE * exposure_us)
+
+
 @dataclass(frozen=True)
 class StatedExposure:
     """What a frame states in its chunk data: the exposure with which the camera took it."""

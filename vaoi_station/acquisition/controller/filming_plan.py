@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from vaoi_station.acquisition.cameras.interface import CameraExposure
+from vaoi_station.acquisition.cameras.interface import STATED_TOLERANCE_DB, CameraExposure, stated_tolerance_us
 from vaoi_station.acquisition.controller.interface import TriggerPlan
 from vaoi_station.config import CameraConfig, StationConfig
 from vaoi_station.errors import InputError
@@ -199,6 +199,7 @@ def _check_camera(
             )
             raise InputError.field(where, f"program.{n}.{key}", lit_us, limit, "Shorten it, or raise the gain.")
     _check_register(where, rows, camera, number)
+    _check_sequence(where, rows, camera, number)
 
 
 def _cameras_by_trigger(where: str, rows: Sequence[ProgramRow], config: StationConfig) -> tuple[int, ...]:
@@ -252,3 +253,27 @@ def _check_register(where: str, rows: Sequence[ProgramRow], camera: CameraConfig
                 "Let the on-time of the LEDs (on_us) make the difference between rows, or, with a camera that has one, "
                 'the sequencer (exposure_by = "sequencer").',
             )
+
+
+def _check_sequence(where: str, rows: Sequence[ProgramRow], camera: CameraConfig, number: int) -> None:
+    """Raise InputError if frames of two steps of a sequencer might state the same exposure and gain."""
+    if camera.backend != "aravis" or camera.exposure_by != "sequencer":
+        return
+    steps = [(row.exposures_us[number], row.gains_db[number]) for row in rows]
+    for n, (exposure_us, gain_db) in enumerate(steps):
+        for before, (other_us, other_db) in enumerate(steps[:n]):
+            apart_us = stated_tolerance_us(exposure_us) + stated_tolerance_us(other_us)
+            near = abs(exposure_us - other_us) < apart_us and abs(gain_db - other_db) < 2 * STATED_TOLERANCE_DB
+            if near and (exposure_us, gain_db) != (other_us, other_db):
+                key, value = "exposure_us", exposure_us
+                limit = f"{other_us:g} as in program.{before}, or at least {apart_us:g} µs from it"
+                if exposure_us == other_us:
+                    key, value = "gain_db", gain_db
+                    limit = f"{other_db:g} as in program.{before}, or at least {2 * STATED_TOLERANCE_DB:g} dB from it"
+                raise InputError.field(
+                    where,
+                    f"program.{n}.{key}",
+                    value,
+                    f"{limit}: by what the frames of {camera.label} state, the two steps could not be distinguished",
+                    "Or let the on-time of the LEDs (on_us) make the difference between these rows.",
+                )

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 
-from vaoi_station.acquisition.cameras.interface import StatedExposure
+from vaoi_station.acquisition.cameras.interface import STATED_TOLERANCE_DB, StatedExposure, stated_tolerance_us
 from vaoi_station.acquisition.pairing.run_record import ObservedFrame, ObservedPulse
 from vaoi_station.model import ProgramRow
 from vaoi_station.model.light_program import row_of
@@ -15,9 +15,6 @@ ON_TOLERANCE_US = 1.0
 """Accepted difference of an on-time or a width of the trigger, µs: the firmware rounds it to ticks of 0.5 µs."""
 SHARE_TOLERANCE = 0.01
 """Accepted relative difference of a reported exposure or gain."""
-STATED_TOLERANCE_US, STATED_TOLERANCE_DB = 20.0, 0.3
-"""Accepted difference of the exposure and the gain that a frame states: sensors expose whole lines, and gains have
-steps. Of the exposure `SHARE_TOLERANCE` is accepted if it is more."""
 
 
 def contradicted_rows(pulses: Mapping[int, ObservedPulse], program: Sequence[ProgramRow]) -> dict[int, str]:
@@ -69,22 +66,15 @@ def _stated_contradiction(stated: StatedExposure, camera: int, row: int, program
     """Return what a frame states if the program has something else for its row; an empty text otherwise."""
     expected = program[row % len(program)]
     must_us, must_db = expected.exposures_us[camera], expected.gains_db[camera]
-    others_us = [step.exposures_us[camera] for step in program]
-    limit_us = _limit(must_us, others_us, max(STATED_TOLERANCE_US, SHARE_TOLERANCE * must_us))
-    if abs(stated.exposure_us - must_us) > limit_us:
+    # Steps are at least two tolerances apart in one of the two (`filming_plan`): a frame fits one step at most.
+    if abs(stated.exposure_us - must_us) >= stated_tolerance_us(must_us):
         return (
             f"its frame states an exposure of {stated.exposure_us:g} µs, but the light program has {must_us:g} µs: the "
             "camera's sequencer is at another row"
         )
-    limit_db = _limit(must_db, [step.gains_db[camera] for step in program], STATED_TOLERANCE_DB)
-    if stated.gain_db is not None and abs(stated.gain_db - must_db) > limit_db:
+    if stated.gain_db is not None and abs(stated.gain_db - must_db) >= STATED_TOLERANCE_DB:
         return (
             f"its frame states a gain of {stated.gain_db:g} dB, but the light program has {must_db:g} dB: the camera's "
             "sequencer is at another row"
         )
     return ""
-
-
-def _limit(must: float, others: Iterable[float], tolerance: float) -> float:
-    """Return the accepted difference from a value: less than that from which another step is as near."""
-    return min([tolerance, *(abs(other - must) / 2 for other in others if other != must)])
