@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import signal
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,8 +13,17 @@ import pytest
 from vaoi_station.plant.archive import Archive, RunLabel, RunSelection, catalogue
 from vaoi_station.plant.archive.fault import ArchiveFault
 from vaoi_station.plant.archive.storage import Storage
+from vaoi_station.plant.archive.verification import verify
 
 AT_ONCE_S = -60.0
+_KILLED = """
+import os, signal, sys
+from pathlib import Path
+from vaoi_station.plant.archive.storage import LocalStorage
+os.fchmod = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
+LocalStorage(Path(sys.argv[1])).write("blobs/22/" + "2" * 64, b"half")
+"""
+"""A program that is killed while it writes a blob."""
 
 
 @pytest.fixture
@@ -50,9 +62,16 @@ def test_a_dry_call_removes_nothing(archive: Archive) -> None:
     assert [entry.key for entry in archive.storage.entries("")] == before
 
 
-def test_all_runs_and_their_blobs_go(archive: Archive) -> None:
-    archive.prune(RunSelection(), grace_s=AT_ONCE_S)
-    assert [entry.key for entry in archive.storage.entries("")] == ["archive.json"]
+def test_all_runs_and_their_blobs_go_and_what_killed_writers_left(archive: Archive) -> None:
+    killed = subprocess.run([sys.executable, "-c", _KILLED, archive.url], check=False)
+    assert killed.returncode == -signal.SIGKILL
+    faults: list[ArchiveFault] = []
+    verify(archive.storage, RunSelection(), faults.append, under_way_s=AT_ONCE_S)
+    assert "/blobs/22/.2222" in faults[0].what
+    assert "was left by a program that was killed while it wrote" in faults[0].what
+    assert (archive.verify().faults, archive.prune().leftovers) == (0, 0), "it may be under way"
+    assert archive.prune(RunSelection(), grace_s=AT_ONCE_S).leftovers == 1
+    assert [path.name for path in Path(archive.url).rglob("*") if path.is_file()] == ["archive.json"]
 
 
 def test_no_blob_goes_while_a_manifest_cannot_be_read(archive: Archive) -> None:

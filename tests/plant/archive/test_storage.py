@@ -47,10 +47,16 @@ def test_what_is_absent_is_said(storage: Storage) -> None:
         storage.read("runs/a")
 
 
-def test_drafts_are_not_listed(tmp_path: Path) -> None:
-    (tmp_path / ".archive.json.x1").touch()
-    assert LocalStorage(tmp_path).names("") == []
-    assert list(LocalStorage(tmp_path).entries("")) == []
+def test_unfinished_files_are_no_objects_and_files_of_other_programs_are_no_leftovers(tmp_path: Path) -> None:
+    storage = LocalStorage(tmp_path)
+    assert list(storage.leftovers()) == []
+    left = [".archive.json.k3_x9qza", f"blobs/ab/.{'ab' * 32}.abcdefgh", "runs/one/2026-03-01/.r.json.zzzzzzzz"]
+    for name in (*left, ".nfs000000000000001b", "runs/.DS_Store", ".snapshot/runs/.a.json.abcdefgh"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_bytes(b"half")
+    assert storage.names("") == ["blobs", "runs"]
+    assert list(storage.entries("")) == []
+    assert [(entry.key, entry.size) for entry in storage.leftovers()] == [(name, 4) for name in left]
 
 
 def test_a_directory_that_cannot_be_read_is_a_fault_of_the_disk(tmp_path: Path) -> None:

@@ -17,11 +17,12 @@ def test_every_access_waits_its_turn(tmp_path: Path) -> None:
     storage.write("a/b", b"four")
     assert (storage.read("a/b"), storage.names("a"), storage.url) == (b"four", ["b"], str(tmp_path))
     assert [entry.key for entry in storage.entries("a")] == ["a/b"]
+    assert list(storage.leftovers()) == []
     storage.delete("a/b")
     assert storage.entry("a/b") is None
     with pytest.raises(NotFoundError):
         storage.read("a/b")
-    assert sizes == [4, 0, 0, 0, 0, 0, 0]
+    assert sizes == [4, 0, 0, 0, 0, 0, 0, 0]
 
 
 def test_an_exception_ends_what_is_under_way(tmp_path: Path) -> None:

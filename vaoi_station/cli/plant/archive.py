@@ -172,8 +172,9 @@ def prune(
     )
     done = "removed" if confirm else "would be removed (--confirm removes)"
     typer.echo(
-        f"{pruned.runs} runs, {pruned.blobs} blobs with {pruned.bytes / 1e6:.1f} MB, {pruned.drafts} runs half written "
-        f"{done}. Blobs of runs that were just removed may stay for {grace_hours:g} hours."
+        f"{pruned.runs} runs, {pruned.blobs} blobs, {pruned.drafts} runs half written, {pruned.leftovers} unfinished "
+        f"files, {pruned.bytes / 1e6:.1f} MB {done}. "
+        f"Blobs of runs that were just removed may stay for {grace_hours:g} hours."
     )
     _exit(faults)
 

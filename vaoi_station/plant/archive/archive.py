@@ -138,7 +138,8 @@ class Archive:
     def verify(self, selection: RunSelection = ALL_RUNS, on_fault: OnFault = ignore_fault) -> Verified:
         """Compare every blob of the selected runs with its checksum, and report what is missing, damaged or left over.
 
-        Runs that were begun and have no manifest are reported if nothing happened to them for an hour.
+        Runs that were begun and have no manifest are reported if nothing happened to them for an hour, and unfinished
+        files that a killed program left.
         """
         return verification.verify(self.storage, selection, on_fault)
 
@@ -151,7 +152,7 @@ class Archive:
         dry: bool = False,
         on_fault: OnFault = ignore_fault,
     ) -> Pruned:
-        """Remove runs, then the blobs that no run needs and that were written more than `grace_s` ago.
+        """Remove runs, then blobs that no run needs and unfinished files that were written more than `grace_s` ago.
 
         Args:
             selection: which runs to remove; None: no run, unless `ids` names some.

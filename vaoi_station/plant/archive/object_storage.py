@@ -49,6 +49,10 @@ class FsspecStorage:
         for path in sorted(found):
             yield self._entry(found[path])
 
+    def leftovers(self) -> Iterator[Entry]:
+        """Yield nothing: an object is written by one request, and is there as a whole or not at all."""
+        return iter(())
+
     def delete(self, key: str) -> None:
         """Delete an object, if it is there."""
         with suppress(NotFoundError), self._explained(key, "deleted", "file-not-written"):

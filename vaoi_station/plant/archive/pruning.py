@@ -1,4 +1,4 @@
-"""Removes runs from an archive, and blobs that no run needs.
+"""Removes runs from an archive, blobs that no run needs, and unfinished files.
 
 Without locks a blob must not go while a station is about to refer to it. Therefore a blob is removed only if no
 manifest has it and if it was written longer ago than a grace period; and who adds a run writes a blob again that is
@@ -7,6 +7,7 @@ older than half of this period. An addition that takes longer than a quarter of 
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from fnmatch import fnmatchcase
@@ -17,7 +18,7 @@ from vaoi_station.plant.archive import catalogue
 from vaoi_station.plant.archive.fault import ArchiveFault, OnFault
 from vaoi_station.plant.archive.manifest import BLOBS, DRAFTS
 from vaoi_station.plant.archive.selection import RunSelection
-from vaoi_station.plant.archive.storage import Storage
+from vaoi_station.plant.archive.storage import Entry, Storage
 
 GRACE_S = 24 * 3600.0
 """Age below which blobs that no run needs are kept."""
@@ -41,6 +42,8 @@ class Pruned:
     bytes: int = 0
     drafts: int = 0
     """Number of runs that were begun and never ended."""
+    leftovers: int = 0
+    """Number of unfinished files of programs that were killed."""
     faults: int = 0
 
 
@@ -76,15 +79,22 @@ def prune(storage: Storage, request: Request, on_fault: OnFault) -> Pruned:
             )
         )
         return pruned
-    for prefix in (BLOBS, DRAFTS):
-        for entry in list(storage.entries(prefix)):
-            unused = prefix == DRAFTS or entry.key.rpartition("/")[2] not in needed
-            if unused and (now - entry.changed).total_seconds() > request.grace_s:
+
+    def remove_old(entries: Iterable[Entry]) -> int:
+        """Remove what is older than the grace period, and return the number."""
+        removed = 0
+        for entry in list(entries):
+            if (now - entry.changed).total_seconds() > request.grace_s:
                 if not request.dry:
                     storage.delete(entry.key)
-                pruned.drafts += prefix == DRAFTS
-                pruned.blobs += prefix == BLOBS
+                removed += 1
                 pruned.bytes += entry.size
+        return removed
+
+    # Unfinished files first: a folder goes with the last object in it.
+    pruned.leftovers = remove_old(storage.leftovers())
+    pruned.blobs = remove_old(entry for entry in storage.entries(BLOBS) if entry.key.rpartition("/")[2] not in needed)
+    pruned.drafts = remove_old(storage.entries(DRAFTS))
     return pruned
 
 

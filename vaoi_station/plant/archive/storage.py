@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from contextlib import suppress
 from datetime import UTC, datetime
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
 from vaoi_station.errors import DeviceError, InputError, NotFoundError
 from vaoi_station.files.directory_walk import files_below
 from vaoi_station.files.documents import write_bytes
+from vaoi_station.plant.archive.manifest import BLOBS, DRAFTS, RUNS
+
+_TEMPORARY = re.compile(r"\.([0-9a-f]{64}|.+\.json)\.[a-z0-9_]{8}$")
+"""Names of the temporary files that `write_bytes` makes of blobs and documents: `.NAME.` and what `mkstemp` appends."""
 
 
 class Entry(NamedTuple):
@@ -43,6 +49,9 @@ class Storage(Protocol):
 
     def entries(self, prefix: str) -> Iterator[Entry]:
         """Yield all objects below a prefix, sorted by key."""
+
+    def leftovers(self) -> Iterator[Entry]:
+        """Yield the unfinished files of writers: those under way, and those of writers that were killed."""
 
     def delete(self, key: str) -> None:
         """Delete an object, if it is there."""
@@ -123,9 +132,26 @@ class LocalStorage:
 
     def entries(self, prefix: str) -> Iterator[Entry]:
         """Yield all objects below a prefix."""
-        for path in files_below(self._directory / prefix, hidden=False):
+        for path in self._files(prefix, hidden=False):
             if (entry := self.entry(path.relative_to(self._directory).as_posix())) is not None:
                 yield entry
+
+    def leftovers(self) -> Iterator[Entry]:
+        """Yield the temporary files of `write`: those under way, and those of writers that were killed."""
+        # Other hidden files and folders are those of other programs, such as a trash or snapshots of the share.
+        for path in chain(self._directory.glob(".*"), *(self._files(prefix) for prefix in (BLOBS, DRAFTS, RUNS))):
+            *folders, name = path.relative_to(self._directory).parts
+            if _TEMPORARY.match(name) and not any(folder.startswith(".") for folder in folders):
+                entry = self.entry("/".join((*folders, name)))
+                if entry is not None:
+                    yield entry
+
+    def _files(self, prefix: str, *, hidden: bool = True) -> Iterator[Path]:
+        try:
+            yield from files_below(self._directory / prefix, hidden=hidden)
+        except OSError as error:
+            path = self._directory / prefix
+            raise DeviceError(f"{path}: cannot be read ({error.strerror}).", code="archive-absent") from error
 
     def delete(self, key: str) -> None:
         """Delete a file, if it is there, and the directory that it leaves empty."""

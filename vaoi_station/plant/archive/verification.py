@@ -55,13 +55,23 @@ def verify(storage: Storage, selection: RunSelection, on_fault: OnFault, under_w
             if blob.sha256 in documents:
                 sound.add(blob.sha256)
         found.damaged_runs += found.faults > before
+    now = datetime.now(UTC)
     for draft in storage.entries(DRAFTS):
-        if (datetime.now(UTC) - draft.changed).total_seconds() > under_way_s:
+        if (now - draft.changed).total_seconds() > under_way_s:
             report(
                 ArchiveFault(
                     f"{storage.url}: run {draft.key.removeprefix(f'{DRAFTS}/').removesuffix('.json')} is half written: "
                     f"its addition began at {draft.changed:%Y-%m-%d %H:%M} UTC and did not end.",
                     "Add it again, which goes on where it ended, or remove what is there by `vaoi archive prune`.",
+                )
+            )
+    for left in storage.leftovers():
+        if (now - left.changed).total_seconds() > under_way_s:
+            report(
+                ArchiveFault(
+                    f"{storage.url}/{left.key}: was left by a program that was killed while it wrote, "
+                    f"{left.changed:%Y-%m-%d %H:%M} UTC, {left.size} bytes. No run needs it.",
+                    "Remove it by `vaoi archive prune --confirm`.",
                 )
             )
     return found

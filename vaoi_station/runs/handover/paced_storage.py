@@ -48,6 +48,11 @@ class PacedStorage:
         self.pace(0)
         return self.storage.entries(prefix)
 
+    def leftovers(self) -> Iterator[Entry]:
+        """Yield the unfinished files of writers."""
+        self.pace(0)
+        return self.storage.leftovers()
+
     def delete(self, key: str) -> None:
         """Delete an object, if it is there."""
         self.pace(0)
