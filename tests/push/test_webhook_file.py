@@ -68,6 +68,19 @@ def test_a_damaged_file_is_kept_and_stated_without_its_content(
     assert secret not in file.fault.message
 
 
+def test_a_file_that_cannot_be_read_is_not_called_damaged(tmp_path: Path) -> None:
+    path = tmp_path / "webhooks.json"
+    path.mkdir()
+    file = WebhookFile(path)
+    assert file.fault is not None
+    assert file.fault.code == "webhooks-unreadable"
+    assert "cannot be read by the user with uid" in file.fault.message
+    assert "(Is a directory)" in file.fault.message
+    assert "backup" not in file.fault.action
+    with pytest.raises(StateError, match="cannot be read"):
+        file.put(webhook())
+
+
 def test_a_secret_is_not_shown() -> None:
     made = webhook()
     assert made.secrets[0].secret not in repr(made)

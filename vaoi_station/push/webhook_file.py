@@ -6,6 +6,7 @@ A signing secret cannot be stored as a hash, as a key of a caller is: the statio
 from __future__ import annotations
 
 import logging
+import os
 import threading
 import time
 from pathlib import Path
@@ -13,7 +14,7 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from vaoi_station.errors import StateError, VaoiError
+from vaoi_station.errors import NotFoundError, StateError, VaoiError
 from vaoi_station.files.documents import check_format, parse, read_json, write_json
 from vaoi_station.model.receivers import WebhookName, WebhookSettings
 from vaoi_station.push.signing import MOST_SECRETS, new_secret
@@ -67,22 +68,23 @@ class WebhookFile:
     """The file. Its methods may be called from any thread of the station."""
 
     def __init__(self, path: Path) -> None:
-        """Read the file, if there is one. A damaged one is not overwritten: `fault` states it, and the line goes on."""
+        """Read the file, if there is one.
+
+        One that is damaged or cannot be read is not overwritten: `fault` states it, and the line goes on.
+        """
         self._path, self._lock = path, threading.Lock()
         self._webhooks: dict[str, StoredWebhook] = {}
         self.fault: Reason | None = None
         """Why the webhooks of the file are not known; None if they are."""
         try:
-            if path.exists():
-                data = read_json(path)
-                check_format(data, path, FORMAT, VERSION)
-                self._webhooks = {w.name: w for w in parse(_Stored, data, path).webhooks}
+            data = read_json(path)
+            check_format(data, path, FORMAT, VERSION)
+            self._webhooks = {w.name: w for w in parse(_Stored, data, path).webhooks}
+        except NotFoundError:
+            return
         except VaoiError as error:
-            # What the file holds is secret, and a message about a wrong value shows the value.
-            message = f"{path}: is damaged; none of its webhooks is served."
-            action = "Restore it from a backup, or delete it and make the webhooks again; then restart the station."
-            self.fault = Reason(code="webhooks-damaged", message=message, action=action)
-            _log.error("%s (%s)", message, type(error).__name__)
+            self.fault = _fault(path, error)
+            _log.error("%s (%s)", self.fault.message, type(error).__name__)
 
     def all(self) -> tuple[StoredWebhook, ...]:
         """Return all webhooks, sorted by name."""
@@ -108,3 +110,22 @@ class WebhookFile:
         content = _Stored(webhooks=tuple(sorted(webhooks.values(), key=lambda w: w.name)))
         write_json(self._path, content.model_dump(mode="json"), mode=0o600)
         self._webhooks = webhooks
+
+
+def _fault(path: Path, error: VaoiError) -> Reason:
+    """Return why the webhooks of a file are not known."""
+    refused = error.__cause__
+    if isinstance(refused, OSError):
+        return Reason(
+            code="webhooks-unreadable",
+            message=f"{path}: cannot be read by the user with uid {os.geteuid()} ({refused.strerror}); none of its "
+            "webhooks is served.",
+            action="Give it to the user of the service (chown, mode 0600) and restart the station; run vaoi doctor as "
+            "this user or as root. It need not be restored.",
+        )
+    # What the file holds is secret, and a message about a wrong value shows the value.
+    return Reason(
+        code="webhooks-damaged",
+        message=f"{path}: is damaged; none of its webhooks is served.",
+        action="Restore it from a backup, or delete it and make the webhooks again; then restart the station.",
+    )

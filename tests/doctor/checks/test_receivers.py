@@ -7,14 +7,17 @@ from pathlib import Path
 
 import pytest
 
-from tests.doctor.conftest import assert_problem, only, with_config
+from tests.doctor.conftest import assert_problem, only, with_config, without_privileges
 from tests.peers.certificates import make_authority, make_certificate
 from vaoi_station.doctor.check_context import CheckContext
 from vaoi_station.doctor.checks.receivers import receivers
 from vaoi_station.doctor.finding import Level
-from vaoi_station.model.receivers import MqttConfig, PushConfig, WebhookConfig
+from vaoi_station.model.receivers import MqttConfig, PushConfig, WebhookConfig, WebhookSettings
 from vaoi_station.push.push_service import FOLDER, WEBHOOKS
 from vaoi_station.push.signing import new_secret
+from vaoi_station.push.webhook_file import Secret, StoredWebhook, WebhookFile
+
+SETTINGS = WebhookSettings(url="https://mes.example/vaoi", events=("run",))
 
 
 def with_push(context: CheckContext, **fields: object) -> CheckContext:
@@ -92,3 +95,17 @@ def test_damaged_webhooks_of_rest_are_named(context: CheckContext) -> None:
     path.parent.mkdir(parents=True)
     path.write_text('{"format": "vaoi-webhooks", "version": 1, "webhooks": [{"name": "a"}]}')
     assert_problem(only(receivers(context)), Level.WARNING, "webhooks.json", "is damaged")
+
+
+def test_webhooks_of_rest_that_this_user_may_not_read_are_not_called_damaged(context: CheckContext) -> None:
+    path = context.config.data / FOLDER / WEBHOOKS
+    WebhookFile(path).put(StoredWebhook(name="mes", settings=SETTINGS, secrets=(Secret(secret=new_secret()),)))
+    assert "1 webhooks" in only(receivers(context)).message
+    # First the file, then its folder, which hides even whether there is a file.
+    for refused in (path, path.parent):
+        refused.chmod(0o000)
+        with without_privileges():
+            found = only(receivers(context))
+        assert_problem(found, Level.WARNING, "webhooks.json: cannot be read by the user", "Permission denied")
+        assert "as this user or as root" in found.action
+    path.parent.chmod(0o700)

@@ -26,20 +26,20 @@ _OTHERS = 0o007
 def receivers(context: CheckContext) -> Iterator[Finding]:
     """Check webhooks and broker of station.toml, and the webhooks that were made over REST."""
     push, stored = context.config.push, context.config.data / FOLDER / WEBHOOKS
-    made = WebhookFile(stored) if stored.exists() else None
-    if not push.webhooks and push.mqtt is None and made is None:
+    made = WebhookFile(stored)
+    if not push.webhooks and push.mqtt is None and made.fault is None and not made.all():
         yield not_applicable("no receivers of events are configured")
         return
     found = [finding for webhook in push.webhooks for finding in _webhook(webhook)]
     if push.ca is not None:
         found += _authorities(push.ca, "push.ca")
-    if made is not None and made.fault is not None:
+    if made.fault is not None:
         found.append(warning(made.fault.message, made.fault.action, subject=stored.name))
     if push.mqtt is not None:
         found += _broker(push.mqtt)
     yield from found
     if not found:
-        webhooks = len(push.webhooks) + (0 if made is None else len(made.all()))
+        webhooks = len(push.webhooks) + len(made.all())
         broker = "no broker" if push.mqtt is None else f"the broker {push.mqtt.host}"
         yield ok(f"{webhooks} webhooks and {broker} can be used", figures={"webhooks": webhooks})
 
