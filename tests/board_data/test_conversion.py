@@ -41,6 +41,17 @@ def test_repeated_designators_are_left_out_and_named() -> None:
     assert any("occur more than once were left out: G***" in note for note in notes)
 
 
+def test_copies_of_a_board_that_no_position_tells_apart_are_named_or_refused() -> None:
+    copies = (part("R1"), part("R1"), part("C1"), part("C1"))
+    with pytest.raises(InputError, match=r"2 of 2 designators of the top occur more than once.* by --repeat and --pit"):
+        to_board_type(design(*copies), "top")
+    board, notes = to_board_type(design(*copies, part("J1")), "top")
+    assert [c.ref for c in board.components] == ["J1"]
+    assert any(
+        "2 of 3 designators of the top occur more than once: the file seems to be of a panel" in n for n in notes
+    )
+
+
 def test_fiducials_by_file_by_name_and_explicit_ones() -> None:
     by_file = design(part("H1", is_mark=True, mark_diameter=0.75), part("FID9"))
     assert [(f.name, f.diameter) for f in to_board_type(by_file, "top")[0].fiducials] == [("H1", 0.75)]

@@ -24,7 +24,7 @@ from tests.api.held_station import HeldStation
 from vaoi_station.acquisition.controller.protocol.framing import PAYLOAD_LONGEST, FrameReader, Message, encode
 from vaoi_station.acquisition.controller.protocol.link import Link
 from vaoi_station.api import create_app
-from vaoi_station.board_data import read_design, to_board_type
+from vaoi_station.board_data import Options, read_design, to_board_type
 from vaoi_station.config import read_config
 from vaoi_station.errors import VaoiError
 from vaoi_station.files import read_board_type, read_calibration
@@ -56,17 +56,23 @@ def controller(data: bytes, folder: Path) -> None:
 
 
 def board_data(data: bytes, folder: Path) -> None:
-    """Read the bytes as board data of a CAD system: as they are, and as the component layer of an ODB++ design."""
-    path = folder / "b.txt"
-    path.write_bytes(data)
-    layer = folder / "job" / "steps" / "s" / "layers" / "comp_+_top" / "components"
-    for name, content in ((folder / "job" / "matrix" / "matrix", b""), (layer, data)):
-        name.parent.mkdir(parents=True)
+    """Read the bytes as board data of a CAD system: as they are, and as two files of an ODB++ design.
+
+    These are the component layer of a board, and the header of a panel of such boards.
+    """
+    path, job, panel = folder / "b.txt", folder / "job", folder / "panel"
+    layer = Path("steps", "s", "layers", "comp_+_top", "components")
+    members = {path: data, job / "matrix" / "matrix": b"", job / layer: data, panel / "matrix" / "matrix": b""}
+    members |= {panel / layer: b"UNITS=MM\nCMP 0 1 1 0 N R1 10k;\n", panel / "steps" / "panel" / "stephdr": data}
+    for name, content in members.items():
+        name.parent.mkdir(parents=True, exist_ok=True)
         name.write_bytes(content)
     errors = []
-    for file in (path, folder / "job"):
+    files: list[tuple[Path, str | None]] = [(path, None), (job, None)]
+    files += [(file, "panel") for file, mark in ((path, b"<StepRepeat"), (panel, b"STEP-REPEAT")) if mark in data]
+    for file, step in files:
         try:
-            to_board_type(read_design(file), "top")
+            to_board_type(read_design(file, Options(step=step)), "top")
         except VaoiError as error:
             errors.append(error)
     if errors:

@@ -24,6 +24,8 @@ def test_a_board_type_is_made_of_one_file_or_two(board: Path, tmp_path: Path) ->
     assert bottom.picture.startswith("<svg")
     places = tmp_path / "p.csv"
     places.write_text("Ref,X(mm),Y(mm),Rot\nR1,110,10,0\nJ1,130,20,90\nFID1,105,5,0\n")
+    panel = vaoi.import_board_data(board, repeat="2x1", pitch="60x0")
+    assert [c.address for c in panel.board_type.components][:4] == ["1/R1", "1/J1", "1/FID1", "2/R1"]
     assert any("shifted by (100.000, 0.000)" in line for line in vaoi.import_board_data(places, join=board).check)
 
 

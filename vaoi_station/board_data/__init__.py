@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from vaoi_station.board_data.conversion import to_board_type
 from vaoi_station.board_data.design import Design
-from vaoi_station.board_data.joining import join_designs
+from vaoi_station.board_data.panels import Grid
 from vaoi_station.board_data.reading import FORMATS, Options, is_exported_run, read_design
 
-__all__ = ["FORMATS", "Design", "Options", "is_exported_run", "join_designs", "read_design", "to_board_type"]
+__all__ = ["FORMATS", "Design", "Grid", "Options", "is_exported_run", "read_design", "to_board_type"]

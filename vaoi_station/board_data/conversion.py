@@ -15,7 +15,7 @@ from vaoi_station.board_data.package_sizes import GUESS_MM
 from vaoi_station.errors import InputError
 from vaoi_station.geometry.polygon import encloses, find_crossing_edges
 from vaoi_station.model import BoardType
-from vaoi_station.model.board_marks import Fiducial, OtherMark
+from vaoi_station.model.board_marks import Fiducial, OtherMark, fiducials_by_board
 from vaoi_station.model.board_type import MOST_CUT_OUT_CORNERS, Component
 
 SAME_PLACE_MM = 1e-3
@@ -57,13 +57,22 @@ def _converted(design: Design, side: Side, name: str | None) -> tuple[BoardType,
         raise InputError(
             f"design {design.name!r} has no part on the {side}; parts: {found}. Choose the side by --side."
         )
-    counts = Counter(part.ref for part in chosen)
-    repeated = sorted(ref for ref, count in counts.items() if count > 1)
-    parts = [part for part in chosen if counts[part.ref] == 1 and part.box is not None]
+    counts = Counter(part.address for part in chosen)
+    repeated = sorted(address for address, count in counts.items() if count > 1)
+    parts = [part for part in chosen if counts[part.address] == 1 and part.box is not None]
     notes = list(design.notes)
     if repeated:
         notes.append(f"designators that occur more than once were left out: {_some(repeated)}.")
-    if guessed := [part.ref for part in parts if part.size_from == "guess"]:
+    if 2 * len(repeated) > len(counts):
+        panel = (
+            f"{len(repeated)} of {len(counts)} designators of the {side} occur more than once: the file seems to be of "
+            "a panel that does not state which part is of which board."
+        )
+        action = "Import the file of one board, and state its panel by --repeat and --pitch."
+        if not parts:
+            raise InputError(f"design {design.name!r}: {panel}", action=action)
+        notes.append(f"{panel} {action}")
+    if guessed := [part.address for part in parts if part.size_from == "guess"]:
         width, height = GUESS_MM
         notes.append(
             f"{len(guessed)} parts have no size in the file, and their package is in no table: {width:g} × {height:g} "
@@ -92,6 +101,7 @@ def _component(part: Part) -> Component:
     width, height = part.box.size
     return Component(
         ref=part.ref,
+        panel=part.panel,
         center=_rounded(part.center),
         width=round(max(width, 0.05), 4),
         height=round(max(height, 0.05), 4),
@@ -125,11 +135,34 @@ def _marks_of(
         name = mark.name if counts[mark.name] == 1 else f"{mark.name}-{counts[mark.name]}"
         (x, y), diameter = _rounded(mark.at), round(_stated_mm(mark) or USUAL_MARK_MM, 4)
         if mark.kind in ("panel", "bad-board"):
-            others.append(OtherMark(name=name, x=x, y=y, diameter=diameter, kind=mark.kind, found_by=mark.found_by))
+            others.append(
+                OtherMark(
+                    name=name,
+                    x=x,
+                    y=y,
+                    diameter=diameter,
+                    kind=mark.kind,
+                    found_by=mark.found_by,
+                    panel=mark.panel,
+                )
+            )
             continue
-        found_by, components = mark.found_by, mark.components or None
         fiducials.append(
-            Fiducial(name=name, x=x, y=y, diameter=diameter, kind=mark.kind, found_by=found_by, components=components)
+            Fiducial(
+                name=name,
+                x=x,
+                y=y,
+                diameter=diameter,
+                kind=mark.kind,
+                found_by=mark.found_by,
+                components=mark.components or None,
+                panel=mark.panel,
+            )
+        )
+    if alone := [position for position, numbers in fiducials_by_board(fiducials).items() if len(numbers) == 1]:
+        notes.append(
+            f"one fiducial alone places {len(alone)} boards of the panel, so that runs are degraded: positions "
+            f"{_some(alone)}. Give each a second one, or remove the `panel` of their fiducials."
         )
     return fiducials, others
 
@@ -188,7 +221,7 @@ def _outline(
     if not inside:
         notes.append("fiducials lie outside the outline; it was left out. Check that both are of the same board.")
         return None
-    stray = [p.ref for p in parts if not (min(xs) <= p.center[0] <= max(xs) and min(ys) <= p.center[1] <= max(ys))]
+    stray = [p.address for p in parts if not (min(xs) <= p.center[0] <= max(xs) and min(ys) <= p.center[1] <= max(ys))]
     if stray:
         notes.append(f"{len(stray)} parts lie outside the outline: {_some(stray)}.")
     if len(corners) > MOST_OUTLINE_POINTS or len(corners) < 3 or find_crossing_edges(corners):

@@ -90,6 +90,13 @@ class Part:
     """Whether the file itself says that the part is a fiducial."""
     mark_kind: MarkKind | None = None
     """The kind that an attribute of the file states; None: names decide."""
+    panel: str | None = None
+    """Position on the panel of the board that the part is on."""
+
+    @property
+    def address(self) -> str:
+        """Designator, on a panel behind the position of its board, as in board types."""
+        return self.ref if self.panel is None else f"{self.panel}/{self.ref}"
 
     @property
     def center(self) -> XY:
@@ -113,7 +120,33 @@ class Mark:
     kind: MarkKind = "global"
     found_by: FoundBy = "element"
     components: tuple[str, ...] = ()
-    """Designators of the parts that a local fiducial belongs to."""
+    """Designators of the parts that a local fiducial belongs to; on a panel their addresses."""
+    panel: str | None = None
+    """Position on the panel of the board that the mark belongs to."""
+
+
+@dataclass(frozen=True)
+class Placement:
+    """The way from one frame to another: mirror x, rotate, shift."""
+
+    mirrored: bool
+    degrees: float
+    shift: XY
+
+    def apply(self, point: XY) -> XY:
+        """Return a point of the first frame in the second."""
+        x, y = rotated((-point[0] if self.mirrored else point[0], point[1]), self.degrees)
+        return x + self.shift[0], y + self.shift[1]
+
+    def undo(self, point: XY) -> XY:
+        """Return a point of the second frame in the first."""
+        x, y = rotated((point[0] - self.shift[0], point[1] - self.shift[1]), -self.degrees)
+        return (-x if self.mirrored else x), y
+
+    def within(self, outer: Placement) -> Placement:
+        """Return the way through both: this one first, then the outer one."""
+        turn = -self.degrees if outer.mirrored else self.degrees
+        return Placement(self.mirrored != outer.mirrored, turn + outer.degrees, outer.apply(self.shift))
 
 
 @dataclass(frozen=True)
@@ -131,6 +164,18 @@ class TableReading:
 
 
 @dataclass(frozen=True)
+class PlacedBoard:
+    """A board on a panel, or what belongs to a part of the panel; mirrored, it lies upside down."""
+
+    name: str
+    """What names of its marks begin with; of a board its position."""
+    position: str | None
+    """Position on the panel; None for what belongs to no board."""
+    design: Design
+    at: Placement
+
+
+@dataclass(frozen=True)
 class Design:
     """The parts and the outline of a board, from one file."""
 
@@ -144,6 +189,12 @@ class Design:
     """Fiducials that are no parts."""
     table: TableReading | None = None
     """Of a centroid file."""
+    boards: tuple[PlacedBoard, ...] = ()
+    """Of a panel: its boards. Parts, outline and marks are then the panel's."""
+    step: str | None = None
+    """Of ODB++ and IPC-2581: the step that was read."""
+    steps: tuple[str, ...] = ()
+    """All steps of the file that can be read."""
     notes: tuple[str, ...] = ()
     """What the user must know about this import, a sentence each."""
 

@@ -15,8 +15,8 @@ from pydantic import Field
 
 from vaoi_station.board_data.conversion import to_board_type
 from vaoi_station.board_data.design import Side
-from vaoi_station.board_data.joining import join_designs
 from vaoi_station.board_data.overview import ImportOverview, overview
+from vaoi_station.board_data.panels import Grid
 from vaoi_station.board_data.picture import board_picture
 from vaoi_station.board_data.readers.placement_table import TableOptions
 from vaoi_station.board_data.reading import Options, read_design
@@ -42,6 +42,10 @@ class ImportTask(Strict):
     columns: str | None = None
     delimiter: str | None = None
     step: str | None = None
+    repeat: str | None = None
+    pitch: str | None = None
+    rotate: str | None = None
+    border: str | None = None
     sizes: Path | None = None
     join: Path | None = None
     """File with the bodies."""
@@ -71,10 +75,9 @@ def run_import(task: ImportTask) -> ImportReply:
     """Import a file; a refusal is part of the reply."""
     try:
         table = TableOptions.parse(task.units, task.columns, task.delimiter)
-        design = read_design(task.file, Options(task.format, table, task.step, task.sizes))
-        if task.join is not None:
-            bodies = read_design(task.join, Options(step=task.step, sizes=task.sizes))
-            design = join_designs(design, bodies, task.side)
+        grid = Grid.parse(task.repeat, task.pitch, task.rotate, task.border)
+        options = Options(task.format, table, task.step, task.sizes, grid)
+        design = read_design(task.file, options, task.join, task.side)
         board, notes = to_board_type(design, task.side, task.name)
         document = board.model_dump_json(exclude_none=True)
         return ImportReply(overview=overview(design, board, notes), board_type=document, picture=board_picture(board))

@@ -9,11 +9,11 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import product
 from statistics import median
 
-from vaoi_station.board_data.design import XY, Box, Design, Part, Side, normalised, rotated
+from vaoi_station.board_data.design import XY, Box, Design, Part, Placement, Side, normalised, rotated
 from vaoi_station.board_data.marks import find_marks
 from vaoi_station.errors import InputError
 
@@ -26,26 +26,18 @@ SAME_ANGLE_DEG = 0.05
 _QUARTER_DEG = (0.0, 90.0, 180.0, 270.0)
 
 
-@dataclass(frozen=True)
-class Placement:
-    """The way from the frame of one file to that of the other: mirror x, rotate, shift."""
-
-    mirrored: bool
-    degrees: float
-    shift: XY
-
-    def apply(self, point: XY) -> XY:
-        """Return a point of the file with the bodies in the frame of the file with the places."""
-        x, y = rotated((-point[0] if self.mirrored else point[0], point[1]), self.degrees)
-        return x + self.shift[0], y + self.shift[1]
-
-
 def join_designs(places: Design, bodies: Design, side: Side) -> Design:
     """Return the parts of one side, placed as in `places`, with the bodies, heights, outline and marks of `bodies`.
 
     Raises:
         InputError: the files have too few parts in common, or do not fit each other.
     """
+    for design in (places, bodies):
+        if design.boards:
+            raise InputError(
+                f"{design.name!r} is a panel of {len(design.boards)} boards; only files of one board can be joined.",
+                action="Choose the step of the board by --step, and repeat the joined board by --repeat.",
+            )
     placed, drawn = _by_ref(places, side), _by_ref(bodies, side)
     common = sorted(placed.keys() & drawn.keys())
     if len(common) < LEAST_COMMON:
@@ -90,6 +82,8 @@ def join_designs(places: Design, bodies: Design, side: Side) -> Design:
             for m in find_marks(bodies, [p for p in bodies.parts if p.side == side], side)
         ),
         table=places.table,
+        step=bodies.step,
+        steps=bodies.steps,
         notes=(*places.notes, *bodies.notes, *notes),
     )
 

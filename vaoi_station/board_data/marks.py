@@ -40,8 +40,11 @@ _SIZE = re.compile(r"(\d+(?:\.\d+)?)\s*mm", re.IGNORECASE)
 def find_marks(design: Design, parts: Sequence[Part], side: Side) -> list[Mark]:
     """Return the marks of a side, at most one at every place: elements of the file first, names last.
 
-    A mark outside the outline belongs to the panel if enough others lie inside.
+    A mark outside the outline belongs to the panel if enough others lie inside. On a panel whose boards are laid out
+    all marks are known.
     """
+    if design.boards:
+        return [mark for mark in design.marks if mark.side == side]
     explicit = [mark for mark in design.marks if mark.side in (side, None)]
     marked = [_of_part(part, "package") for part in parts if part.is_mark]
     named = [_of_part(p, "name") for p in parts if _NAME.match(p.ref) or _PACKAGE.search(p.package)]

@@ -51,6 +51,9 @@ class ImportOverview(Strict):
     fiducials: int
     other_marks: int
     cut_outs: int
+    boards: int = Field(description="Of a panel: number of its boards; otherwise 0.")
+    step: str | None = Field(default=None, description="Of ODB++ and IPC-2581: the step that was read.")
+    steps: list[str] = Field(default=[], description="Steps that can be read: boards, and panels that repeat them.")
     size_mm: tuple[float, float] = Field(description="Extent along CAD x and y.")
     sizes_from: dict[str, int] = Field(description="Number of components whose size is from file, table or guess.")
     heights: int = Field(description="Number of components with a height.")
@@ -74,6 +77,9 @@ def overview(design: Design, board: BoardType, notes: tuple[str, ...]) -> Import
         fiducials=len(board.fiducials),
         other_marks=len(board.other_marks or ()),
         cut_outs=len(board.cut_outs or ()),
+        boards=sum(placed.position is not None for placed in design.boards),
+        step=design.step,
+        steps=list(design.steps),
         size_mm=(round(float(high[0] - low[0]), 3), round(float(high[1] - low[1]), 3)),
         sizes_from=dict(Counter(str(c.size_from) for c in board.components)),
         heights=sum(c.body_height is not None for c in board.components),

@@ -75,8 +75,13 @@ def _row(path: Path, n: int, row: Any) -> tuple[re.Pattern[str], Size]:
 
 
 def with_sizes(design: Design, table: Table) -> Design:
-    """Give every part without a body one from the table, or a guess, and mark it as such."""
-    return replace(design, parts=tuple(part if part.box is not None else _sized(part, table) for part in design.parts))
+    """Give every part without a body one from the table, or a guess, and mark it as such; on a panel of all boards."""
+    parts = tuple(part if part.box is not None else _sized(part, table) for part in design.parts)
+    # A panel has many boards of few designs, and the same design must stay one object.
+    sized = {id(board.design): board.design for board in design.boards}
+    sized = {key: with_sizes(child, table) for key, child in sized.items()}
+    boards = tuple(replace(board, design=sized[id(board.design)]) for board in design.boards)
+    return replace(design, parts=parts, boards=boards)
 
 
 def _sized(part: Part, table: Table) -> Part:

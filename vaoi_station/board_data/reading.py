@@ -7,7 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from vaoi_station.board_data import package_sizes
-from vaoi_station.board_data.design import Design
+from vaoi_station.board_data.design import Design, Side
+from vaoi_station.board_data.joining import join_designs
+from vaoi_station.board_data.panels import Grid, laid_out, repeated
 from vaoi_station.board_data.readers.eagle import is_eagle, read_eagle
 from vaoi_station.board_data.readers.gencad import is_gencad, read_gencad
 from vaoi_station.board_data.readers.html_bom import is_html_bom, read_html_bom
@@ -30,7 +32,6 @@ _BY_HEAD: tuple[tuple[str, Callable[[bytes], bool]], ...] = (
 _READERS: dict[str, Callable[[bytes, Path], Design]] = {
     "kicad": read_kicad,
     "gencad": read_gencad,
-    "ipc2581": read_ipc2581,
     "eagle": read_eagle,
     "html-bom": read_html_bom,
 }
@@ -43,9 +44,11 @@ class Options:
     format: str | None = None
     table: TableOptions = field(default_factory=TableOptions)
     step: str | None = None
-    """Step of an ODB++ design."""
+    """Step of an ODB++ design or an IPC-2581 file: a board, or a panel that repeats it."""
     sizes: Path | None = None
     """Table of body sizes that comes before the shipped one."""
+    grid: Grid | None = None
+    """How the board is repeated on a panel of which the file has no data."""
 
 
 def is_exported_run(path: Path) -> bool:
@@ -53,13 +56,30 @@ def is_exported_run(path: Path) -> bool:
     return path.is_file() and _head(path)[:2] == b"\x1f\x8b" and not is_odb(path)
 
 
-def read_design(path: Path, options: Options | None = None) -> Design:
-    """Read a file or folder with board data; bodies that it does not state get sizes from a table."""
+def read_design(path: Path, options: Options | None = None, join: Path | None = None, side: Side = "top") -> Design:
+    """Read a file or folder with board data; bodies that it does not state get sizes from a table.
+
+    Args:
+        path: the file or folder.
+        options: what the user says about it.
+        join: a second file, with the bodies of the parts.
+        side: the side for which both files are joined.
+
+    Returns:
+        The design; of a panel with the parts and marks of all boards.
+
+    Raises:
+        InputError: a file cannot be understood, exceeds a limit, or both do not fit each other.
+    """
     options = options or Options()
     if options.format is not None and options.format not in FORMATS:
         raise InputError.field("--format", "the format", options.format, f"one of {', '.join(FORMATS)}")
     table = (*(package_sizes.read_table(options.sizes) if options.sizes else ()), *package_sizes.shipped_table())
-    return package_sizes.with_sizes(_read(path, options), table)
+    design = package_sizes.with_sizes(_read(path, options), table)
+    if join is not None:
+        bodies = package_sizes.with_sizes(_read(join, Options(step=options.step)), table)
+        design = join_designs(design, bodies, side)
+    return laid_out(repeated(design, options.grid) if options.grid is not None else design)
 
 
 def _read(path: Path, options: Options) -> Design:
@@ -69,6 +89,8 @@ def _read(path: Path, options: Options) -> Design:
         raise InputError(f"{path}: is a folder without matrix/matrix. Of folders, only ODB++ designs can be read.")
     data = read_bytes(path)
     chosen = options.format or next((name for name, is_it in _BY_HEAD if is_it(data[:_HEAD_BYTES])), "centroid")
+    if chosen == "ipc2581":
+        return read_ipc2581(data, path, options.step)
     if chosen in _READERS:
         return _READERS[chosen](data, path)
     return read_placement_table(data, path, options.table)

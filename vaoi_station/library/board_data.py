@@ -26,6 +26,10 @@ class ImportChoices(TypedDict, total=False):
     columns: str
     delimiter: str
     step: str
+    repeat: str
+    pitch: str
+    rotate: str
+    border: str
 
 
 @dataclass(frozen=True)
@@ -52,7 +56,9 @@ def import_board_data(
         side: the side that is up in the line.
         join: a second file, from which bodies, heights, outline and marks are taken.
         **choices: `name` of the board type; `format`; `units` ("mm", "inch", "mil"), `columns` ("ref=1,x=3,y=4") and
-            `delimiter` of a centroid file; `step` of an ODB++ design.
+            `delimiter` of a centroid file; `step` of an ODB++ design or IPC-2581 file, a board or its panel; of the
+            panel of a file of one board `repeat` ("3x2", boards along x and y), `pitch` ("30x28.5", mm), `rotate`
+            ("0,180", degrees in turn), `border` ("0x5", mm).
 
     Raises:
         InputError: the file cannot be understood; the message says what to do.

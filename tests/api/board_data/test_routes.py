@@ -66,6 +66,13 @@ def test_options_are_corrected_and_files_joined(client: Any) -> None:
     assert answer.json()["found"]["format"] == "centroid + kicad"
     assert answer.json()["found"]["cut_outs"] == 1
     assert client.put(f"{PREVIEWS}/{places['id']}", json={"units": "cm"}).status_code == 422
+    panel = {"repeat": "2x2", "pitch": "60x50", "rotate": "0,180", "border": "5x5"}
+    found = client.put(f"{PREVIEWS}/{bodies['id']}", json=panel).json()["found"]
+    assert (found["boards"], found["components"], found["size_mm"]) == (4, 12, [120.0, 105.0])
+    address = f"{PREVIEWS}/{bodies['id']}/board-type"
+    assert {c["panel"] for c in client.get(address).json()["components"]} == {"1", "2", "3", "4"}
+    refused = client.put(f"{PREVIEWS}/{bodies['id']}", json={"repeat": "2x2"}).json()["refusal"]
+    assert "--pitch: the value is None" in refused
 
 
 def test_an_unreadable_file_is_kept_with_its_refusal(client: Any) -> None:

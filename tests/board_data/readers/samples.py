@@ -157,3 +157,36 @@ def odb_zip(members: dict[str, str] | None = None) -> bytes:
         for name, text in (ODB if members is None else members).items():
             zipped.writestr(name, text)
     return buffer.getvalue()
+
+
+# The board four times on a panel of 120 × 100 mm: two side by side, one turned by 90° counter-clockwise, one upside
+# down. The datum of the board is at (2, 1).
+ODB_PANEL = {
+    "job/matrix/matrix": "STEP {\n NAME=PCB\n}\nSTEP {\n NAME=PANEL\n}\nLAYER {\n ROW=1\n TYPE=SIGNAL\n NAME=TOP\n}\n",
+    "job/steps/pcb/stephdr": "UNITS=MM\nX_DATUM=2\nY_DATUM=1\nX_ORIGIN=0\nY_ORIGIN=0\n",
+    "job/steps/panel/stephdr": (
+        "UNITS=INCH\nX_DATUM=0\nY_DATUM=0\nSTEP-REPEAT {\n  NAME=PCB\n  X=0.27559055\n  Y=0.23622047\n  DX=2.16535433\n"
+        "  DY=0\n  NX=2\n  NY=1\n  ANGLE=0\n  MIRROR=NO\n}\nSTEP-REPEAT {\n  NAME=PCB\n  X=1.92913386\n  Y=2.04724409\n"
+        "  NX=1\n  NY=1\n  ANGLE=270\n  FLIP=NO\n  MIRROR=NO\n}\nSTEP-REPEAT {\n  NAME=PCB\n  X=4.21259843\n  Y=1.96850394\n"
+        "  NX=1\n  NY=1\n  ANGLE=0\n  FLIP=YES\n  MIRROR=NO\n}\nTOP_ACTIVE=0\n"
+    ),
+    "job/steps/panel/profile": "UNITS=MM\nS P 0\nOB 0 0 I\nOS 120 0\nOS 120 100\nOS 0 100\nOE\nSE\n",
+    "job/steps/panel/layers/top/features": (
+        "UNITS=MM\n$0 r1000\n@0 .pad_usage\n@1 .fiducial_name\n&0 BADBOARD\nP 3 3 0 P 0 0;0=2\nP 117 97 0 P 0 0;0=2\n"
+        "P 118 3 0 P 0 0;1=0\nP 80 20 0 P 0 0;1=0\n"
+    ),
+}
+
+_PANEL_STEP = """<Step name="panel"><Datum x="0" y="0"/>
+   <Profile><Polygon><PolyBegin x="0" y="0"/><PolyStepSegment x="4.72440945" y="0"/><PolyStepSegment x="4.72440945" y="3.93700787"/>
+    <PolyStepSegment x="0" y="3.93700787"/></Polygon></Profile>
+   <StepRepeat stepRef="sample" x="0.27559055" y="0.23622047" nx="2" ny="1" dx="2.16535433" dy="0" angle="0.00" mirror="false"/>
+   <StepRepeat stepRef="sample" x="1.92913386" y="2.04724409" nx="1" ny="1" dx="0" dy="0" angle="90.00" mirror="false"/>
+   <StepRepeat stepRef="sample" x="4.21259843" y="1.96850394" nx="1" ny="1" dx="0" dy="0" angle="0" mirror="true"/>
+   <LayerFeature layerRef="TOP"><Set><GlobalFiducial><Location x="0.11811024" y="0.11811024"/></GlobalFiducial>
+    <GoodPanelMark><Location x="4.60629921" y="3.81889764"/></GoodPanelMark>
+    <BadBoardMark><Location x="3.1496063" y="0.78740157"/></BadBoardMark></Set></LayerFeature>
+  </Step>"""
+IPC2581_PANEL = IPC2581.replace(
+    '<Step name="sample">', _PANEL_STEP + '<Step name="sample"><Datum x="0.07874016" y="0.03937008"/>'
+)

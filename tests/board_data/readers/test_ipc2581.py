@@ -58,7 +58,7 @@ def test_a_file_without_components_and_one_of_several_steps() -> None:
     component = '<Component refDes="Z" packageRef="Q" layerRef="TOP"><Location x="0" y="0"/></Component>'
     second = f'<Step name="other">{component}</Step>'
     design = read_ipc2581(samples.IPC2581.replace("</CadData>", second + "</CadData>").encode(), PATH)
-    assert design.notes == ("the file has 2 steps with components (sample, other); sample was read.",)
+    assert design.notes == ("the file has 2 steps with components (sample, other); sample was read. Choose by --step.",)
 
 
 def test_kinds_of_marks_and_the_component_of_a_local_fiducial() -> None:

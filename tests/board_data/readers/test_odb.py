@@ -50,7 +50,7 @@ def test_the_step_with_most_components_or_the_chosen_one(tmp_path: Path) -> None
     assert read_odb(path).name == "pcb"
     assert any("panel; pcb was read. Choose by --step" in note for note in read_odb(path).notes)
     assert [p.ref for p in read_odb(path, "PANEL").parts] == ["P1"]
-    with pytest.raises(InputError, match="--step is 'x', but must be a step with components: panel, pcb"):
+    with pytest.raises(InputError, match="--step is 'x', but must be a step with components or repeats: panel, pcb"):
         read_odb(path, "x")
 
 

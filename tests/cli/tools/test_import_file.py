@@ -39,6 +39,7 @@ def test_a_board_type_is_written_and_what_to_check_is_printed(vaoi: Vaoi, board:
         (["--side", "left"], "the side is 'left', but must be top or bottom"),
         (["--units", "cm"], "the unit is 'cm'"),
         (["--format", "odb"], "is no readable folder, zip or tar file"),
+        (["--repeat", "2x2"], "--pitch: the value is None, but must be two lengths in mm such as 30x28.5"),
     ],
 )
 def test_wrong_options_are_refused(vaoi: Vaoi, board: Path, tmp_path: Path, options: list[str], message: str) -> None:
@@ -61,3 +62,15 @@ def test_places_and_bodies_of_two_files_are_joined(vaoi: Vaoi, board: Path, tmp_
     document = json.loads(out.read_text())
     assert {c["ref"]: c["width"] for c in document["components"]} == {"R1": 2.0, "J1": 7.5, "FID1": 1.2}
     assert min(x for x, _ in document["outline"]) == 100
+
+
+def test_panels_of_the_file_or_of_the_user(vaoi: Vaoi, board: Path, tmp_path: Path) -> None:
+    (tmp_path / "b.zip").write_bytes(samples.odb_zip(samples.ODB | samples.ODB_PANEL))
+    done = vaoi("import", str(tmp_path / "b.zip"), "--step", "panel", "--out", str(tmp_path / "a.json"))
+    assert "check: step panel is a panel of 4 boards: 4 of step pcb; their positions count from 1." in done.out
+    grid = ("--repeat", "2x1", "--pitch", "60x0", "--rotate", "0,180", "--border", "5x5")
+    done = vaoi("import", str(board), *grid, "--out", str(tmp_path / "b.json"))
+    assert (done.code, "6 components" in done.out) == (0, True), done.err
+    for name, refs in (("a", {"1/R1", "4/C1"}), ("b", {"1/R1", "2/J1"})):
+        document = json.loads((tmp_path / f"{name}.json").read_text())
+        assert {f"{c['panel']}/{c['ref']}" for c in document["components"]} >= refs

@@ -26,7 +26,23 @@ class ImportOptions(Strict):
     delimiter: str | None = Field(
         default=None, max_length=10, description="Of a centroid file: one character or its name."
     )
-    step: str | None = Field(default=None, max_length=200, description="Step of an ODB++ design.")
+    step: str | None = Field(
+        default=None, max_length=200, description="Step of an ODB++ design or IPC-2581 file: a board, or its panel."
+    )
+    repeat: str | None = Field(
+        default=None, max_length=40, description="Of a file of one board: boards of the panel along x and y, as `3x2`."
+    )
+    pitch: str | None = Field(
+        default=None, max_length=40, description="With `repeat`: distance from board to board, mm, as `30x28.5`."
+    )
+    rotate: str | None = Field(
+        default=None, max_length=500, description="With `repeat`: rotations of the boards in turn, degrees, as `0,180`."
+    )
+    border: str | None = Field(
+        default=None,
+        max_length=40,
+        description="With `repeat`: from the outermost boards to the edges of the panel, mm, as `0x5`.",
+    )
     join: str | None = Field(
         default=None, pattern=PREVIEW_ID, description="Id of another preview, whose file has bodies and outline."
     )

@@ -7,8 +7,9 @@ the pads in the file show it (`_bottom_rule`). Source: IPC-2581C and its schema.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -26,6 +27,7 @@ from vaoi_station.board_data.design import (
     normalised,
     rotated,
 )
+from vaoi_station.board_data.panels import Repeat, Step, note_on_panels, panel_of
 from vaoi_station.board_data.source_text import parse_xml
 from vaoi_station.errors import InputError
 
@@ -54,8 +56,11 @@ def is_ipc2581(head: bytes) -> bool:
     return b"<IPC-2581" in head
 
 
-def read_ipc2581(data: bytes, path: Path) -> Design:
-    """Read an IPC-2581 file."""
+def read_ipc2581(data: bytes, path: Path, step: str | None = None) -> Design:
+    """Read one step of an IPC-2581 file; by default the one with most components, the first of equals.
+
+    A panel has its boards, which are not laid out yet.
+    """
     root = parse_xml(data, path)
     if root.tag != "IPC-2581":
         raise InputError(f"{path}: its first element is <{root.tag}>, that of an IPC-2581 file is <IPC-2581>.")
@@ -63,11 +68,41 @@ def read_ipc2581(data: bytes, path: Path) -> Design:
     unit = "" if header is None else header.get("units", "")
     if unit not in _UNITS:
         raise InputError.field(path, "CadHeader units", unit, ", ".join(_UNITS))
-    steps = [step for step in root.iter("Step") if step.find("Component") is not None]
-    if not steps:
+    steps = {_step_name(element): element for element in reversed(list(root.iter("Step")))}
+    placed = [name for name, element in steps.items() if element.find("Component") is not None][::-1]
+    panels = [name for name, element in steps.items() if element.find("StepRepeat") is not None][::-1]
+    known = tuple(name for name in reversed(steps) if name in placed or name in panels)
+    if step is not None and step not in known:
+        limit = f"a step with components or repeats: {', '.join(known) or 'there is none'}"
+        raise InputError.field(path, "--step", step, limit)
+    if not placed:
         raise InputError(f"{path}: no step has a component; the file is no assembly data. Export it with components.")
     reader = _Reader(path, root, _UNITS[unit])
-    return reader.design(steps[0], [step.get("name", "") for step in steps])
+    notes = []
+    if step is None:
+        best = max(placed, key=lambda name: len(steps[name].findall("Component")))
+        design = reader.step(steps[best], best).design
+        if len(placed) > 1:
+            notes.append(
+                f"the file has {len(placed)} steps with components ({', '.join(placed)}); {best} was read. "
+                "Choose by --step."
+            )
+        notes += note_on_panels([name for name in panels if name != best])
+    else:
+
+        def read(name: str) -> Step:
+            if name not in steps:
+                raise InputError(f"{path}: a panel repeats step {name!r}, which the file does not have.")
+            return reader.step(steps[name], name)
+
+        design = panel_of(step, read, str(path))
+    design = design.with_notes(*notes)
+    return replace(design, name=design.name or path.stem, step=design.name, steps=known)
+
+
+def _step_name(element: Element) -> str:
+    """Return the name of a step without the prefix of its kind."""
+    return element.get("name", "").rpartition(":")[2]
 
 
 @dataclass
@@ -86,12 +121,33 @@ class _Reader:
         self._path, self._root, self._mm = path, root, mm
         self._sides, self._primitives, self._not_fitted = _sides(root), _primitives(root), _not_fitted(root)
 
-    def design(self, step: Element, names: list[str]) -> Design:
+    def step(self, step: Element, name: str) -> Step:
+        """Return a step with what it repeats."""
+        datum, repeats = step.find("Datum"), [self._repeat(element) for element in step.findall("StepRepeat")]
+        return Step(self._design(step, name), (0.0, 0.0) if datum is None else self._place(datum), tuple(repeats))
+
+    def _repeat(self, element: Element) -> Repeat:
+        """Return a block of step-and-repeat: the datum of the step at x, y, mirrored in x first, then turned."""
+        mm = self._mm
+        return Repeat(
+            step=element.get("stepRef", "").rpartition(":")[2],
+            first=(self._number(element, "x", 0.0) * mm, self._number(element, "y", 0.0) * mm),
+            pitch=(self._number(element, "dx", 0.0) * mm, self._number(element, "dy", 0.0) * mm),
+            counts=(self._count(element, "nx"), self._count(element, "ny")),
+            degrees=self._number(element, "angle", 0.0),
+            mirrored=element.get("mirror", "false").lower() in ("true", "1"),
+        )
+
+    def _count(self, element: Element, key: str) -> int:
+        text = element.get(key, "1")
+        if not re.fullmatch(r"\d{1,9}", text):
+            raise InputError.field(self._path, f"{element.tag} {key}", text, "a whole number from 1")
+        return int(text)
+
+    def _design(self, step: Element, name: str) -> Design:
         packages = {p.get("name", ""): self._package(p) for p in step.iter("Package")}
         rule = self._bottom_rule(step, packages)
         notes = []
-        if len(names) > 1:
-            notes.append(f"the file has {len(names)} steps with components ({', '.join(names)}); {names[0]} was read.")
         parts, absent = [], set()
         for component in step.findall("Component"):
             package = packages.get(component.get("packageRef", ""))
@@ -104,7 +160,6 @@ class _Reader:
         outline = self._polygon(profile.find("Polygon")) if profile is not None else []
         cut_outs = [self._polygon(c) for c in profile.iter("Cutout")] if profile is not None else []
         marks = tuple(self._marks(step))
-        name = names[0].rpartition(":")[2] or self._path.stem
         return Design(
             name, "ipc2581", tuple(parts), tuple(outline), tuple(map(tuple, cut_outs)), marks=marks, notes=tuple(notes)
         )

@@ -11,12 +11,14 @@ import gzip
 import re
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from vaoi_station.board_data.contours import arc_points, circle_points
 from vaoi_station.board_data.design import XY, Design, Mark, Part, Side, box_around, normalised
+from vaoi_station.board_data.panels import Step, note_on_panels, panel_of
 from vaoi_station.board_data.readers.odb_features import outer_layers, pad_marks
+from vaoi_station.board_data.readers.odb_repeats import has_repeats, step_of
 from vaoi_station.board_data.source_text import MOST_BYTES, Archive, decode, open_archive
 from vaoi_station.errors import InputError
 
@@ -35,7 +37,10 @@ def is_odb(path: Path) -> bool:
 
 
 def read_odb(path: Path, step: str | None = None) -> Design:
-    """Read one step of an ODB++ design; by default the only one, or the one with most components."""
+    """Read one step of an ODB++ design; by default the only one, or the one with most components.
+
+    A panel has its boards, which are not laid out yet.
+    """
     with open_archive(path) as archive:
         root = _root(archive, path)
         steps = sorted({m[1] for n in archive.names() if (m := re.match(re.escape(root) + r"steps/([^/]+)/", n))})
@@ -44,21 +49,44 @@ def read_odb(path: Path, step: str | None = None) -> Design:
             for s in steps
             if any(_found(archive, f"{root}steps/{s}/layers/{layer}/components") for _, layer in _LAYERS)
         ]
-        if step is not None and step.lower() not in placed:
+        panels = [s for s in steps if _repeats_steps(archive, f"{root}steps/{s}/stephdr")]
+        known = tuple(s for s in steps if s in placed or s in panels)
+        if step is not None and step.lower() not in known:
             raise InputError.field(
-                path, "--step", step, f"a step with components: {', '.join(placed) or 'there is none'}"
+                path, "--step", step, f"a step with components or repeats: {', '.join(known) or 'there is none'}"
             )
         if not placed:
             raise InputError(
                 f"{path}: no step has components (steps: {', '.join(steps) or 'none'}). "
                 "Export the design with component layers comp_+_top and comp_+_bot."
             )
-        # A panel repeats the board and has few parts of its own, or none.
-        designs = [_step(archive, root, path, name) for name in ([step.lower()] if step else placed)]
-        best = max(designs, key=lambda d: len(d.parts))
-        others = [d.name for d in designs if d is not best]
-        note = f"further steps have components: {', '.join(others)}; {best.name} was read. Choose by --step."
-        return best.with_notes(note) if others else best
+        notes = []
+        if step is None:
+            # A panel repeats the board and has few parts of its own, or none.
+            designs = [_step(archive, root, path, name).design for name in placed]
+            best = max(designs, key=lambda d: len(d.parts))
+            if others := [d.name for d in designs if d is not best]:
+                notes.append(
+                    f"further steps have components: {', '.join(others)}; {best.name} was read. Choose by --step."
+                )
+            notes += note_on_panels([name for name in panels if name != best.name])
+        else:
+            best = panel_of(step.lower(), lambda name: _named_step(archive, root, path, name), str(path))
+        return replace(best.with_notes(*notes), step=best.name, steps=known)
+
+
+def _named_step(archive: Archive, root: str, path: Path, name: str) -> Step:
+    if not any(member.startswith(f"{root}steps/{name}/") for member in archive.names()):
+        raise InputError(f"{path}: a panel repeats step {name!r}, which the design does not have.")
+    return _step(archive, root, path, name)
+
+
+def _repeats_steps(archive: Archive, name: str) -> bool:
+    """Return whether a step's header has repeats; one that cannot be read is refused when its step is chosen."""
+    try:
+        return has_repeats(_lines(archive, name) or ())
+    except InputError:
+        return True
 
 
 def _root(archive: Archive, path: Path) -> str:
@@ -127,7 +155,7 @@ class _File:
         return found
 
 
-def _step(archive: Archive, root: str, path: Path, name: str) -> Design:
+def _step(archive: Archive, root: str, path: Path, name: str) -> Step:
     folder = f"{root}steps/{name}"
     info = _lines(archive, f"{root}misc/info") or []
     default = next(
@@ -146,7 +174,9 @@ def _step(archive: Archive, root: str, path: Path, name: str) -> Design:
     profile = _file(archive, path, f"{folder}/profile", default)
     contours = list(_contours(profile)) if profile else []
     outline = contours[0] if contours else []
-    return Design(name, "odb", tuple(parts), tuple(outline), tuple(map(tuple, contours[1:])), marks=tuple(marks))
+    design = Design(name, "odb", tuple(parts), tuple(outline), tuple(map(tuple, contours[1:])), marks=tuple(marks))
+    header = _file(archive, path, f"{folder}/stephdr", default)
+    return step_of(design, header.where, header.lines, header.mm) if header is not None else Step(design)
 
 
 def _file(archive: Archive, path: Path, name: str, default: float | None) -> _File | None:

@@ -35,7 +35,20 @@ def import_file(
         typer.Option(help="Centroid file: columns by number or header, as ref=1,x=3,y=4,rotation=5,side=Layer."),
     ] = None,
     delimiter: Annotated[str | None, typer.Option(help="Centroid file: one character; by default recognised.")] = None,
-    step: Annotated[str | None, typer.Option(help="ODB++: the step; by default that with most components.")] = None,
+    step: Annotated[
+        str | None,
+        typer.Option(help="ODB++, IPC-2581: the step, a board or a panel; by default the board with most components."),
+    ] = None,
+    repeat: Annotated[
+        str | None, typer.Option(help="Panel of a file of one board: number of boards along x and y, as 3x2.")
+    ] = None,
+    pitch: Annotated[str | None, typer.Option(help="Panel: distance from board to board, mm, as 30x28.5.")] = None,
+    rotate: Annotated[
+        str | None, typer.Option(help="Panel: rotations of the boards in turn, degrees, as 0,180 [all 0].")
+    ] = None,
+    border: Annotated[
+        str | None, typer.Option(help="Panel: from the outermost boards to its edges, mm, as 0x5 [no outline].")
+    ] = None,
     join: Annotated[
         Path | None,
         typer.Option(help="Centroid file: take bodies, heights, outline and marks from this file, by designator."),
@@ -46,7 +59,7 @@ def import_file(
 
     Board data: KiCad, GenCAD, IPC-2581, ODB++, EAGLE, InteractiveHtmlBom, centroid files of any program.
     """
-    from vaoi_station.board_data import Options, is_exported_run
+    from vaoi_station.board_data import Grid, Options, is_exported_run
     from vaoi_station.board_data.readers.placement_table import TableOptions
     from vaoi_station.cli.station.export import import_exported_run
     from vaoi_station.errors import InputError
@@ -59,23 +72,22 @@ def import_file(
     if out is None:
         raise InputError("a board type needs a file to be written to.", action="Give it by --out board.json.")
     table = TableOptions.parse(units, columns, delimiter)
-    _import_board_data(file, join, Options(format, table, step, sizes), side, out, name)
+    grid = Grid.parse(repeat, pitch, rotate, border)
+    _import_board_data(file, join, Options(format, table, step, sizes, grid), side, out, name)
 
 
 def _import_board_data(file: Path, join: Path | None, options: object, side: str, out: Path, name: str | None) -> None:
     """Write a board type, and print what was recognised and what to check."""
     from collections import Counter
 
-    from vaoi_station.board_data import Options, join_designs, read_design, to_board_type
+    from vaoi_station.board_data import Options, read_design, to_board_type
     from vaoi_station.files.atomic_directory import refuse_existing
     from vaoi_station.files.board_types import write_board_type
 
     assert isinstance(options, Options)
     refuse_existing(out)
     up: Literal["top", "bottom"] = "bottom" if side == "bottom" else "top"
-    design = read_design(file, options)
-    if join is not None:
-        design = join_designs(design, read_design(join, Options(step=options.step, sizes=options.sizes)), up)
+    design = read_design(file, options, join, up)
     board, notes = to_board_type(design, up, name)
     write_board_type(out, board)
     sizes = Counter(c.size_from for c in board.components)

@@ -8,6 +8,7 @@ import * as requests from "./requests.js";
 import { typeAddress } from "./types.js";
 
 const COLUMNS = ["ref", "x", "y", "rotation", "side", "package", "value"];
+const PANEL = ["repeat", "pitch", "rotate", "border"];
 
 export async function open(root, id) {
   const page = new Preview(root, await requests.preview(id));
@@ -45,6 +46,7 @@ class Preview {
     return section(t.found, facts([
       [t.format, found.format], [t.size, t.millimetres(found.size_mm.map((v) => number(v, 2)).join(" × "))],
       [t.componentsOf, t.partsOf(found.components, found.parts_top, found.parts_bottom)], [t.fiducialCount, String(found.fiducials)],
+      [t.boards, found.boards ? String(found.boards) : ""],
       [t.heights, t.ofAll(found.heights, found.components)], [t.cutOuts, found.cut_outs ? String(found.cut_outs) : ""],
       [t.notFitted, found.not_fitted ? String(found.not_fitted) : ""],
       [t.unit, found.table ? `${found.table.unit} (${found.table.unit_from})` : ""],
@@ -52,7 +54,8 @@ class Preview {
     found.check.length ? make("details", {}, make("summary", { textContent: t.toCheck(found.check.length) }), make("ul", {}, ...found.check.map((textContent) => make("li", { textContent })))) : "");
   }
 
-  // Side, name, and for a centroid file its unit and columns. Every change is imported anew by the station.
+  // Side, name, for a centroid file its unit and columns, and which panel the board is of. Every change is imported anew
+  // by the station.
   #options(found) {
     const [t, options] = [texts.setup, this.#preview.options];
     const side = choice("side", t.sides, options.side);
@@ -72,10 +75,22 @@ class Preview {
         fields.push(labelled(t.columnNames[column], columns.get(column)));
       }
     }
-    const step = input("step", options.step ?? "", { maxLength: 200 });
-    if (/odb/.test(found?.format ?? "")) fields.push(labelled(t.step, step));
+    const steps = found?.steps ?? [options.step].filter(Boolean);
+    const step = choice("step", { "": t.recognised, ...Object.fromEntries(steps.map((name) => [name, name])) }, options.step ?? "");
+    if (steps.length) fields.push(labelled(t.step, step));
+    const panel = PANEL.map((key) => input(key, options[key] ?? "", { maxLength: 40, placeholder: t.panelExamples[key] }));
     const form = make("form", { className: "fields", id: "options" }, ...fields);
-    form.addEventListener("change", ({ target }) => attempt(null, () => this.#again(optionOf(target, columns)), this.#answer));
+    // A panel that the file itself describes is not repeated.
+    if (!found?.boards || options.repeat) {
+      const rest = PANEL.map((key, n) => labelled(t.panelFields[key], panel[n]));
+      form.append(make("details", { id: "panel", open: Boolean(options.repeat) }, make("summary", { textContent: t.panel }), make("div", { className: "fields" }, ...rest)));
+    }
+    form.addEventListener("change", ({ target }) => attempt(null, () => {
+      if (!panel.includes(target)) return this.#again(optionOf(target, columns));
+      const [repeat, pitch] = panel.map((field) => field.value.trim());
+      if (repeat && !pitch) return panel[1].focus();
+      return this.#again(Object.fromEntries(panel.map((field) => [field.name, repeat && field.value.trim()])));
+    }, this.#answer));
     form.addEventListener("submit", (event) => event.preventDefault());
     return section(t.options, form);
   }
