@@ -161,7 +161,18 @@ class Station:
             supervisor = Supervisor(notify_watchdog, lambda faults: self._report(events, faults))
             coordinator = StationCoordinator(
                 Parts(
-                    config, ring, grants, workers, archive, events, run_ids, watch, standing, resumed, outlets.reasons
+                    config,
+                    ring,
+                    grants,
+                    workers,
+                    archive,
+                    events,
+                    run_ids,
+                    watch,
+                    standing,
+                    resumed,
+                    outlets.reasons,
+                    tuple(camera.px_per_mm for camera in cameras),
                 ),
                 ring,
                 board_types,

@@ -129,6 +129,7 @@ def test_answers_may_get_fields_and_requests_may_not(document: dict[str, Any]) -
         "IdentityReport",
         "ImportOptions",
         "MethodRequest",
+        "ProgramRequest",
         "StateRequest",
         "TeachRequest",
         "TrialRequest",

@@ -10,6 +10,7 @@ from vaoi_station.acquisition.clocks import ClockReading
 from vaoi_station.acquisition.controller.interface import (
     BarrierBlocked,
     BarrierClear,
+    ControllerLimits,
     EventQueue,
     LineOutput,
     Permit,
@@ -50,6 +51,9 @@ class ScriptedController:
 
     def line_output(self) -> LineOutput | None:
         return None
+
+    def limits(self) -> ControllerLimits:
+        return ControllerLimits()
 
     def is_watching(self) -> bool:
         return True

@@ -20,6 +20,7 @@ from vaoi_station.api.cameras import routes as cameras
 from vaoi_station.api.event_hub import EventHub
 from vaoi_station.api.hosts import allowed_names
 from vaoi_station.api.inspection import routes as inspection
+from vaoi_station.api.lighting import routes as lighting
 from vaoi_station.api.parameters import refuse_unknown_parameters
 from vaoi_station.api.receivers import routes as webhooks
 from vaoi_station.api.request_guard import RequestGuard
@@ -99,7 +100,8 @@ def create_app(
     app.state.hub = services.hub
     problems.install(app)
     pictures = (frames, components, batch_routes, merged, mosaics)
-    for module in (station, calibration, board_types, stitching, runs, trends, check_routes, *pictures, events):
+    of_types = (board_types, stitching, lighting)
+    for module in (station, calibration, *of_types, runs, trends, check_routes, *pictures, events):
         app.include_router(module.router(services), prefix=PREFIX)
     app.include_router(inspection.router(services), prefix=PREFIX)
     app.include_router(cameras.router(services, config), prefix=PREFIX)

@@ -42,6 +42,9 @@ class Bench:
     def accept(self, plan: TriggerPlan) -> TriggerPlan:
         return plan
 
+    def lights(self) -> tuple[str, ...]:
+        return ("ring",)
+
     def counts_at(self, time_s: float) -> int:
         raise InternalError("this line has no encoder")
 

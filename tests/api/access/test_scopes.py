@@ -43,6 +43,7 @@ EXPECTED = {
     },
     "teach": {
         "POST /board-types/{name}/correct",
+        "POST /board-types/{name}/program/check",
         "POST /board-data/previews",
         "PUT /board-data/previews/{preview}",
         "DELETE /board-data/previews/{preview}",

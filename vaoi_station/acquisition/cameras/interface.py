@@ -84,6 +84,24 @@ class CameraExposure:
     camera uses no sequencer."""
 
 
+EXPOSURE_TOLERANCE, EXPOSURE_TOLERANCE_US = 0.01, 20.0
+"""Accepted difference of the exposure, relative and in µs; the larger limit counts. Some sensors round the exposure to
+the time of a line of pixels.
+"""
+GAIN_TOLERANCE_DB = 0.3
+"""Accepted difference of the gain. Cameras have coarse steps of gain."""
+
+
+@dataclass(frozen=True)
+class CameraLimits:
+    """The exposures and gains that a camera can take, as lowest and highest value; None: it does not state them."""
+
+    exposure_us: tuple[float, float] | None = None
+    gain_db: tuple[float, float] | None = None
+    sets: int | None = None
+    """Number of sets of its sequencer; None without one."""
+
+
 @dataclass(frozen=True)
 class CameraHealth:
     """The state of one camera, for `GET station`, the page and `vaoi doctor`."""
@@ -101,6 +119,8 @@ class CameraHealth:
     """time.monotonic() of the next attempt to open a camera that is not connected; None during an attempt."""
     action: str = ""
     """What the operator should do if the camera is not connected; empty if that is not known."""
+    limits: CameraLimits | None = None
+    """None for a camera without limits of its own, or one that is not connected."""
 
 
 def is_silent(health: CameraHealth) -> bool:

@@ -6,11 +6,12 @@ cameras have further limits, which they state when the line is armed.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from vaoi_station.acquisition.cameras.interface import STATED_TOLERANCE_DB, CameraExposure, stated_tolerance_us
 from vaoi_station.acquisition.controller.interface import TriggerPlan
+from vaoi_station.acquisition.controller.program_faults import ProgramFault, require_none
 from vaoi_station.config import CameraConfig, StationConfig
 from vaoi_station.errors import InputError
 from vaoi_station.line_config import Line
@@ -32,17 +33,31 @@ def filming_plan(
     Raises:
         InputError: the program does not fit the station.
     """
+    line = config.line if board_type is None else line_of_board(config, board_type)
+    plan, faults = checked_plan(config, line, board_type, px_per_mm)
+    require_none(faults)
+    return plan
+
+
+def checked_plan(
+    config: StationConfig, line: Line, board_type: BoardType | None = None, px_per_mm: Sequence[float] = ()
+) -> tuple[TriggerPlan, list[ProgramFault]]:
+    """Return the plan of `filming_plan` on a line, and every fault that its light program has.
+
+    A plan with faults must not be armed; the lists of values that do not fit the cameras are those of station.toml in
+    it.
+    """
     where, steps = "station.toml", config.program
     if board_type is not None and board_type.program:
         where, steps = _named(board_type), board_type.program
-    line = config.line if board_type is None else line_of_board(config, board_type)
-    rows = tuple(_row(where, n, step, config) for n, step in enumerate(steps))
+    faults: list[ProgramFault] = []
+    rows = tuple(_row(where, n, step, config, faults) for n, step in enumerate(steps))
     for camera in range(len(config.cameras)):
-        _check_camera(where, rows, config, line, camera, px_per_mm)
-    by_trigger = _cameras_by_trigger(where, rows, config)
+        faults += _camera_faults(where, rows, config, line, camera, px_per_mm)
+    by_trigger = _cameras_by_trigger(where, rows, config, faults)
     if by_trigger:
         rows = tuple(replace(row, trigger_us=row.exposures_us[by_trigger[0]]) for row in rows)
-    return replace(TriggerPlan.of(line, program=rows), by_trigger=by_trigger)
+    return replace(TriggerPlan.of(line, program=rows), by_trigger=by_trigger), faults
 
 
 def line_of_board(config: StationConfig, board_type: BoardType) -> Line:
@@ -151,38 +166,47 @@ def require_time(plan: TriggerPlan, config: StationConfig) -> None:
             raise InputError.field("trigger plan", "period_s", plan.shortest_period_s, limit)
 
 
-def _row(where: str, number: int, step: ProgramStep, config: StationConfig) -> ProgramRow:
-    """Return a step with all its values; what it does not state is taken from station.toml."""
+def longest_lit_us(config: StationConfig, line: Line, camera: int, px_per_mm: Sequence[float]) -> float | None:
+    """Return the longest time for which light may fall on a camera's sensor; None if its resolution is not known."""
+    resolution = _resolution(config, camera, px_per_mm)
+    return None if resolution is None else longest_exposure_us(line.max_blur_px, line.fastest_mm_s, resolution)
+
+
+def _resolution(config: StationConfig, camera: int, px_per_mm: Sequence[float]) -> float | None:
+    return px_per_mm[camera] if px_per_mm else config.cameras[camera].nominal_px_per_mm
+
+
+def _row(where: str, number: int, step: ProgramStep, config: StationConfig, faults: list[ProgramFault]) -> ProgramRow:
+    """Return a step with all its values; what it does not state is taken from station.toml. Faults are added."""
     light = config.controller.lights.get(step.light)
     if config.controller.backend == "serial" and light is None:
         known = ", ".join(map(repr, config.controller.lights)) or "none"
         limit = f"a light of [controller.lights] in station.toml, which has {known}"
-        raise InputError.field(where, f"program.{number}.light", step.light, limit)
+        error = InputError.field(where, f"program.{number}.light", step.light, limit)
+        faults.append(ProgramFault(error, number, "light"))
     cameras = config.cameras
-    exposures_us = _per_camera(where, number, "exposure_us", step.exposure_us, [c.exposure_us for c in cameras])
-    gains_db = _per_camera(where, number, "gain_db", step.gain_db, [c.gain_db for c in cameras])
+    values = {"exposure_us": [c.exposure_us for c in cameras], "gain_db": [c.gain_db for c in cameras]}
+    for key, default in values.items():
+        given = getattr(step, key)
+        if given is not None and len(given) not in (1, len(default)):
+            limit = f"one for all cameras, or {len(default)}, one per camera"
+            error = InputError.field(where, f"number of entries of program.{number}.{key}", len(given), limit)
+            faults.append(ProgramFault(error, number, key))
+        elif given is not None:
+            values[key] = [*given] * len(default) if len(given) == 1 else [*given]
     on_us = step.on_us if step.on_us is not None else light.on_us if light is not None else None
-    return ProgramRow(light=step.light, exposures_us=exposures_us, gains_db=gains_db, on_us=on_us)
+    return ProgramRow(
+        light=step.light, exposures_us=tuple(values["exposure_us"]), gains_db=tuple(values["gain_db"]), on_us=on_us
+    )
 
 
-def _per_camera(
-    where: str, number: int, key: str, given: tuple[float, ...] | None, default: Sequence[float]
-) -> tuple[float, ...]:
-    if given is None:
-        return tuple(default)
-    if len(given) not in (1, len(default)):
-        limit = f"one for all cameras, or {len(default)}, one per camera"
-        raise InputError.field(where, f"number of entries of program.{number}.{key}", len(given), limit)
-    return given * len(default) if len(given) == 1 else given
-
-
-def _check_camera(
+def _camera_faults(
     where: str, rows: Sequence[ProgramRow], config: StationConfig, line: Line, number: int, px_per_mm: Sequence[float]
-) -> None:
-    """Raise InputError if a camera cannot follow the program, or if its pictures would be blurred by the motion."""
+) -> Iterator[ProgramFault]:
+    """Yield why a camera cannot follow the program, and where its pictures would be blurred by the motion."""
     camera = config.cameras[number]
-    resolution = px_per_mm[number] if px_per_mm else camera.nominal_px_per_mm
-    longest_us = None if resolution is None else longest_exposure_us(line.max_blur_px, line.fastest_mm_s, resolution)
+    resolution = _resolution(config, number, px_per_mm)
+    longest_us = longest_lit_us(config, line, number, px_per_mm)
     for n, row in enumerate(rows):
         exposure_us, lit_us = row.exposures_us[number], row.lit_us[number]
         if spare_time_us(line.shortest_period_s * 1e6, exposure_us, camera.readout_us) < 0:
@@ -190,23 +214,26 @@ def _check_camera(
             most_us = line.shortest_period_s * 1e6 - camera.readout_us
             limit = f"at most {most_us:g} for {camera.label}: pulses follow every {line.shortest_period_s:g} s{readout}"
             limit += f" at {line.fastest_mm_s:g} mm/s, the fastest of the encoder" if line.by_encoder else ""
-            raise InputError.field(where, f"program.{n}.exposure_us", exposure_us, limit)
+            error = InputError.field(where, f"program.{n}.exposure_us", exposure_us, limit)
+            yield ProgramFault(error, n, "exposure_us", number)
         if longest_us is not None and lit_us > longest_us * (1 + 1e-9):
             key = "exposure_us" if lit_us == exposure_us else "on_us"
             limit = (
                 f"at most {longest_us:.1f} for {camera.label}: at {line.fastest_mm_s:g} mm/s and {resolution:.4g} px/mm"
                 f" the picture moves {line.max_blur_px:g} px in that time (line.max_blur_px)"
             )
-            raise InputError.field(where, f"program.{n}.{key}", lit_us, limit, "Shorten it, or raise the gain.")
-    _check_register(where, rows, camera, number)
-    _check_sequence(where, rows, camera, number)
+            error = InputError.field(where, f"program.{n}.{key}", lit_us, limit, "Shorten it, or raise the gain.")
+            yield ProgramFault(error, n, key, number)
+    yield from _register_faults(where, rows, camera, number)
+    yield from _sequence_faults(where, rows, camera, number)
 
 
-def _cameras_by_trigger(where: str, rows: Sequence[ProgramRow], config: StationConfig) -> tuple[int, ...]:
+def _cameras_by_trigger(
+    where: str, rows: Sequence[ProgramRow], config: StationConfig, faults: list[ProgramFault]
+) -> tuple[int, ...]:
     """Return the cameras whose exposure the width of the trigger sets.
 
-    Raises:
-        InputError: they have different exposures in one row, although one trigger line fires all of them.
+    A fault is added for different exposures of theirs in one row, because one trigger line fires all of them.
     """
     cameras = tuple(
         n
@@ -218,13 +245,14 @@ def _cameras_by_trigger(where: str, rows: Sequence[ProgramRow], config: StationC
             first, exposure_us = row.exposures_us[cameras[0]], row.exposures_us[other]
             if exposure_us != first:
                 label, limit = config.cameras[other].label, f"{first:g} µs as for {config.cameras[cameras[0]].label}"
-                raise InputError.field(
+                error = InputError.field(
                     where,
                     f"program.{n}.exposure_us",
                     exposure_us,
                     f"{limit}: the width of one trigger is the exposure of both",
                     f'Or give {label} one exposure for all rows, with exposure_by = "register".',
                 )
+                faults.append(ProgramFault(error, n, "exposure_us", other))
     return cameras
 
 
@@ -234,8 +262,10 @@ def _is_by_trigger(camera: CameraConfig, exposures_us: Sequence[float]) -> bool:
     return camera.exposure_by == "trigger-width"
 
 
-def _check_register(where: str, rows: Sequence[ProgramRow], camera: CameraConfig, number: int) -> None:
-    """Raise InputError if a real camera would have to change a register from row to row."""
+def _register_faults(
+    where: str, rows: Sequence[ProgramRow], camera: CameraConfig, number: int
+) -> Iterator[ProgramFault]:
+    """Yield a fault if a real camera would have to change a register from row to row."""
     if camera.backend != "aravis" or camera.exposure_by == "sequencer":
         return
     # A value that is written to the camera between two rows may take effect before or after the next pulse.
@@ -245,7 +275,7 @@ def _check_register(where: str, rows: Sequence[ProgramRow], camera: CameraConfig
     for key, unit, values in registers:
         other = next((n for n, value in enumerate(values) if value != values[0]), None)
         if other is not None:
-            raise InputError.field(
+            error = InputError.field(
                 where,
                 f"program.{other}.{key}",
                 values[other],
@@ -253,10 +283,13 @@ def _check_register(where: str, rows: Sequence[ProgramRow], camera: CameraConfig
                 "Let the on-time of the LEDs (on_us) make the difference between rows, or, with a camera that has one, "
                 'the sequencer (exposure_by = "sequencer").',
             )
+            yield ProgramFault(error, other, key, number)
 
 
-def _check_sequence(where: str, rows: Sequence[ProgramRow], camera: CameraConfig, number: int) -> None:
-    """Raise InputError if frames of two steps of a sequencer might state the same exposure and gain."""
+def _sequence_faults(
+    where: str, rows: Sequence[ProgramRow], camera: CameraConfig, number: int
+) -> Iterator[ProgramFault]:
+    """Yield the steps of a sequencer if frames of two of them might state the same exposure and gain."""
     if camera.backend != "aravis" or camera.exposure_by != "sequencer":
         return
     steps = [(row.exposures_us[number], row.gains_db[number]) for row in rows]
@@ -270,10 +303,11 @@ def _check_sequence(where: str, rows: Sequence[ProgramRow], camera: CameraConfig
                 if exposure_us == other_us:
                     key, value = "gain_db", gain_db
                     limit = f"{other_db:g} as in program.{before}, or at least {2 * STATED_TOLERANCE_DB:g} dB from it"
-                raise InputError.field(
+                error = InputError.field(
                     where,
                     f"program.{n}.{key}",
                     value,
                     f"{limit}: by what the frames of {camera.label} state, the two steps could not be distinguished",
                     "Or let the on-time of the LEDs (on_us) make the difference between these rows.",
                 )
+                yield ProgramFault(error, n, key, number)

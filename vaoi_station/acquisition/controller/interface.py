@@ -118,6 +118,35 @@ class TriggerPlan:
 
 
 @dataclass(frozen=True)
+class FirmwareLimits:
+    """The limits of a controller's firmware for a light program, µs."""
+
+    version: str
+    steps: int
+    """Largest number of steps."""
+    channels: int
+    """Number of LED channels."""
+    shortest_us: float
+    """Shortest on-time of LEDs."""
+    longest_us: tuple[float, ...]
+    """Longest on-time of each LED channel."""
+    share: int
+    """LEDs are on for at most the period divided by this number."""
+    widest_us: float
+    """Longest width of the trigger that a row may have; 0: all rows have the same width."""
+
+
+@dataclass(frozen=True)
+class ControllerLimits:
+    """What a controller can do with a light program."""
+
+    lights: tuple[str, ...] | None = None
+    """Names of the lights that it has; None: those of station.toml."""
+    firmware: FirmwareLimits | None = None
+    """None for a controller without firmware."""
+
+
+@dataclass(frozen=True)
 class Permit:
     """The station's permission for one board to come, for the output "line ready". A board that comes uses it up."""
 
@@ -264,6 +293,9 @@ class Controller(Protocol):
 
     def is_watching(self) -> bool:
         """Return whether the controller replies, and fires for boards when armed. Does not wait for the device."""
+
+    def limits(self) -> ControllerLimits:
+        """Return what the controller can do with a light program, without waiting for the device."""
 
     def health(self) -> str:
         """Return a sentence that describes the controller's state, without waiting for the device."""

@@ -18,6 +18,7 @@ from vaoi_station.acquisition.clocks import ClockReading
 from vaoi_station.acquisition.controller.interface import (
     BarrierBlocked,
     ControllerEvent,
+    ControllerLimits,
     EventQueue,
     LineOutput,
     Permit,
@@ -117,6 +118,10 @@ class ReplayController:
     def line_output(self) -> LineOutput | None:
         """Return None: a replay has no outputs."""
         return None
+
+    def limits(self) -> ControllerLimits:
+        """Return no limits: a replay plays what the recording holds, and takes no other program."""
+        return ControllerLimits()
 
     def is_watching(self) -> bool:
         """Return True: this controller is part of the process."""

@@ -12,6 +12,7 @@ from vaoi_station.acquisition.clocks import ClockReading
 from vaoi_station.acquisition.controller.interface import (
     BarrierBlocked,
     ControllerEvent,
+    ControllerLimits,
     EventQueue,
     LineOutput,
     Permit,
@@ -33,6 +34,9 @@ class DrivenLine(Protocol):
 
     def accept(self, plan: TriggerPlan) -> TriggerPlan:
         """Return the plan with the line's lights filled in. Raise InputError if the line cannot follow the plan."""
+
+    def lights(self) -> tuple[str, ...]:
+        """Return the names of the lights that the line has."""
 
     def counts_at(self, time_s: float) -> int:
         """Return the counts of the belt's encoder up to a time of the controller's clock."""
@@ -127,6 +131,10 @@ class SimulatedController:
     def line_output(self) -> LineOutput | None:
         """Return whether the simulated conveyor may let a board in; None if it does not obey the interlock."""
         return self._line.line_output()
+
+    def limits(self) -> ControllerLimits:
+        """Return the lights of the simulated line; it has no other limits."""
+        return ControllerLimits(lights=self._line.lights())
 
     def is_watching(self) -> bool:
         """Return True: this controller is part of the process."""

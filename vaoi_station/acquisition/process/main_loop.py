@@ -326,6 +326,7 @@ class _MainLoop:
             line_output=controller.line_output(),
             passing=self._passage.passing,
             belt_stopped=self._passage.belt_stopped(now_s),
+            limits=controller.limits(),
         )
 
     def _receive_commands(self, woken: Connection) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from vaoi_station.acquisition.cameras.interface import CameraHealth
-from vaoi_station.acquisition.controller.interface import LineOutput, Permit, TriggerPlan
+from vaoi_station.acquisition.controller.interface import ControllerLimits, LineOutput, Permit, TriggerPlan
 from vaoi_station.acquisition.pairing.proof import TriggerProof
 from vaoi_station.acquisition.pairing.run_record import Interruption
 from vaoi_station.model import FrameRecord, Pulse, RecordingHead
@@ -169,6 +169,8 @@ class Health:
     """Whether a run is under way at the controller, also before its first pulse, or a board is in the barrier."""
     belt_stopped: bool = False
     """Whether the belt that spaces the rows has stopped during a run."""
+    limits: ControllerLimits | None = None
+    """What the controller can do with a light program."""
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from vaoi_station.acquisition.cameras.interface import DeviceFault
 from vaoi_station.acquisition.cameras.simulated import SimulatedCamera
 from vaoi_station.acquisition.controller.interface import EventQueue, LineOutput, Permit, PulseFired, TriggerPlan
+from vaoi_station.acquisition.controller.program_faults import require_none, unknown_lights
 from vaoi_station.acquisition.controller.simulated import SimulatedController
 from vaoi_station.acquisition.device_clock import DeviceClock
 from vaoi_station.acquisition.simulated.board import SimulatedBoard, to_bytes
@@ -51,10 +52,7 @@ def accept_plan(asked: TriggerPlan, expected: TriggerPlan, lights: Collection[st
         raise InputError.field(
             "trigger plan", "belt", asked.belt, f"{expected.belt}, as in the scenario", "Adapt [line]."
         )
-    for n, row in enumerate(asked.program):
-        if row.light not in lights:
-            limit = f"a light of the scenario, which has {', '.join(map(repr, lights))}"
-            raise InputError.field("trigger plan", f"program.{n}.light", row.light, limit)
+    require_none(unknown_lights(asked.program, lights))
     if asked.program:
         return asked
     if asked.lights and tuple(asked.lights) != tuple(expected.lights):
@@ -122,6 +120,10 @@ class SimulatedLine:
                 self._change.notify()
             self._plan = accepted
         return accepted
+
+    def lights(self) -> tuple[str, ...]:
+        """Return the names of the lights of the scenario."""
+        return tuple(self._twin.scenario.lights)
 
     def counts_at(self, time_s: float) -> int:
         """Return the counts of the belt's encoder up to a time of the controller's clock; it rests between boards."""

@@ -53,6 +53,8 @@ class Parts:
     """The order that was in force when the station ended."""
     receiver_warnings: Callable[[], tuple[Reason, ...]] = tuple
     """Returns, at once, a warning for each receiver that does not accept the station's events."""
+    px_per_mm: tuple[float, ...] = ()
+    """Resolution of every camera by its calibration; empty: the nominal ones of station.toml count."""
 
 
 class Core:
@@ -160,6 +162,10 @@ class Core:
         self.machine.advance(StationStep.STOP)
         self._stopping.append(completion)
         self._complete_stop_if_drained()
+
+    def devices(self) -> messages.Health | None:
+        """Return the latest report of the devices; None while there is none."""
+        return self.health
 
     def tick(self) -> None:
         """Remove expired leases and troubles, and try to grant memory again. The inbox calls this every tick."""

@@ -10,9 +10,8 @@ from vaoi_station.config import MethodName
 from vaoi_station.errors import DeviceError, InputError, NotFoundError, StateError, VaoiError
 from vaoi_station.files.images import Image
 from vaoi_station.model import BoardType, Calibration, Status, Stitch
-from vaoi_station.runs.archive.event_log import EventLog
-from vaoi_station.runs.archive.finished_runs import Archive, FinishedRun
-from vaoi_station.runs.control.core import Core
+from vaoi_station.runs.archive.finished_runs import FinishedRun
+from vaoi_station.runs.control.core import Core, Parts
 from vaoi_station.runs.control.inbox import Inbox
 from vaoi_station.runs.control.pictures import FrameAccess
 from vaoi_station.runs.run.reference_store import ReferenceStore
@@ -157,14 +156,13 @@ class BoardTypeService:
         self,
         directory: BoardTypeDirectory,
         references: ReferenceTeaching,
-        archive: Archive,
-        events: EventLog,
+        parts: Parts,
         core: Core,
         inbox: Inbox,
         frames: FrameAccess,
     ) -> None:
         self._directory, self._references = directory, references
-        self._archive, self._events = archive, events
+        self._archive, self._events = parts.archive, parts.events
         self._core, self._inbox, self._frames = core, inbox, frames
         self._changing = threading.Lock()
         self._summaries: dict[Path, tuple[tuple[int, ...], BoardTypeSummary]] = {}

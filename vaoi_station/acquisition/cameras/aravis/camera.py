@@ -183,6 +183,7 @@ class AravisCamera:
             last_frame_s=counts.last_frame_s,
             counters=tuple(sorted({**counters, "n_losses": counts.losses}.items())),
             next_try_s=self._backoff.due_s,
+            limits=connection.limits if connection is not None else None,
         )
 
     def threads(self) -> tuple[SupervisedThread, ...]:

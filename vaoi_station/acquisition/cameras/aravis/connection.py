@@ -22,6 +22,7 @@ from vaoi_station.acquisition.cameras.aravis.library import aravis, glib_error, 
 from vaoi_station.acquisition.cameras.aravis.sequencing import chunks, sequencer
 from vaoi_station.acquisition.cameras.aravis.settings import Setting
 from vaoi_station.acquisition.cameras.aravis.stream import SlotResult, SlotStream
+from vaoi_station.acquisition.cameras.interface import CameraLimits
 from vaoi_station.acquisition.clocks import ClockReading
 from vaoi_station.config import CameraConfig
 from vaoi_station.errors import DeviceError
@@ -88,9 +89,9 @@ class Connection:
         self._lock = threading.Lock()
         self._stream: SlotStream | None = None
         self.is_gige = bool(self._camera.is_gv_device())
-        self.packet_bytes = 0
-        self._chunk_bytes = 0
+        self.packet_bytes = self._chunk_bytes = 0
         self._route_trouble = network.route_trouble(where) if self.is_gige else ""
+        self.limits = CameraLimits()
         self.granted_bytes = 0
         """Size of the receive buffer that the kernel granted for the camera's packets."""
         with self._device_access("does not report its identity"):
@@ -116,6 +117,7 @@ class Connection:
                 sequencer.program(self._camera, self.config, self.sequence)
             if self.is_gige:
                 self._configure_packets(share)
+            self.limits = settings.limits_of(self._camera)
             payload = self._camera.get_payload()
         self._chunk_bytes = payload - self.config.frame_bytes
         if self.config.chunk_room_bytes and not 0 < self._chunk_bytes <= self.config.chunk_room_bytes:

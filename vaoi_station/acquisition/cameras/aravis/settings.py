@@ -6,6 +6,7 @@ another exposure or region would be worse than no frames. A camera may round num
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -13,15 +14,15 @@ from typing import Any
 
 from vaoi_station.acquisition.cameras.aravis.library import aravis, glib_error
 from vaoi_station.acquisition.cameras.aravis.trigger import FRAME_TRIGGERS, recipe_for
+from vaoi_station.acquisition.cameras.interface import (
+    EXPOSURE_TOLERANCE,
+    EXPOSURE_TOLERANCE_US,
+    GAIN_TOLERANCE_DB,
+    CameraLimits,
+)
 from vaoi_station.config import CameraConfig
 from vaoi_station.errors import DeviceError
 
-EXPOSURE_TOLERANCE, EXPOSURE_TOLERANCE_US = 0.01, 20.0
-"""Accepted difference of the exposure, relative and in µs; the larger limit counts. Some sensors round the exposure to
-the time of a line of pixels.
-"""
-GAIN_TOLERANCE_DB = 0.3
-"""Accepted difference of the gain. Cameras have coarse steps of gain."""
 TRIGGER_WIDTH = "TriggerWidth"
 """The ExposureMode in which a camera exposes for as long as the trigger is high (SFNC)."""
 FEATURE_TOLERANCE = 0.01
@@ -251,6 +252,28 @@ def _trigger(camera: Any, config: CameraConfig) -> Iterator[Setting]:
         if device.is_feature_available(feature) and device.is_enumeration_entry_available(feature, value):
             yield feature_setting(device, feature, value)
     yield feature_setting(device, "TriggerMode", "On")
+
+
+def limits_of(camera: Any) -> CameraLimits:
+    """Return the limits that a camera states for exposure and gain, and how many sets its sequencer has."""
+    device, sets = camera.get_device(), "SequencerSetSelector"
+    exposure, gain, numbers = None, None, None
+    # A camera that does not state a limit refuses a value beyond it when the line is armed.
+    with contextlib.suppress(glib_error()):
+        exposure = _bounds(camera.get_exposure_time_bounds())
+    with contextlib.suppress(glib_error()):
+        gain = _bounds(camera.get_gain_bounds()) if camera.is_gain_available() else (0.0, 0.0)
+    with contextlib.suppress(glib_error()):
+        if device.is_feature_available(sets):
+            low, high = camera.get_integer_bounds(sets)
+            numbers = high - low + 1
+    return CameraLimits(exposure, gain, numbers)
+
+
+def _bounds(found: Sequence[float]) -> tuple[float, float] | None:
+    """Return a lowest and a highest value; None if they are none, as of a feature without limits."""
+    low, high = found
+    return (float(low), float(high)) if math.isfinite(low) and math.isfinite(high) and low < high else None
 
 
 def feature_setting(device: Any, feature: str, value: Value) -> Setting:

@@ -9,8 +9,9 @@ from queue import Empty, SimpleQueue
 from typing import Any, TypeVar
 
 from vaoi_station.acquisition.clocks import ClockReading
-from vaoi_station.acquisition.controller.interface import EventQueue, LineOutput, Permit, TriggerPlan
+from vaoi_station.acquisition.controller.interface import ControllerLimits, EventQueue, LineOutput, Permit, TriggerPlan
 from vaoi_station.acquisition.controller.protocol.messages import Hold, Ident
+from vaoi_station.acquisition.controller.serial.device_program import firmware_limits
 from vaoi_station.acquisition.controller.serial.exchange import RefusalError, ResetError
 from vaoi_station.acquisition.controller.serial.port import Waker
 from vaoi_station.acquisition.controller.serial.supervisor import Supervisor
@@ -111,6 +112,10 @@ class SerialController:
     def is_watching(self) -> bool:
         """Return whether the controller replies, and its guard has not switched it off."""
         return self._supervisor.unavailable is None and not self._supervisor.guard_tripped
+
+    def limits(self) -> ControllerLimits:
+        """Return the limits of the firmware, as the controller stated them when it was opened last."""
+        return ControllerLimits(firmware=firmware_limits(self.ident))
 
     def health(self) -> str:
         """Return state, firmware, clock and quality of the connection in one sentence."""

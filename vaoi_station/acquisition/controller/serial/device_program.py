@@ -6,10 +6,11 @@ is translated back into these units.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import astuple, dataclass
 
-from vaoi_station.acquisition.controller.interface import TriggerPlan
+from vaoi_station.acquisition.controller.interface import FirmwareLimits, TriggerPlan
+from vaoi_station.acquisition.controller.program_faults import ProgramFault, require_none
 from vaoi_station.acquisition.controller.protocol.messages import (
     TICK_S,
     Ident,
@@ -90,23 +91,30 @@ class DeviceProgram:
         return f"LED channels {numbers}" if found is None else found
 
 
+def firmware_limits(ident: Ident) -> FirmwareLimits:
+    """Return the limits that the firmware states for a light program."""
+    longest = (ident.led_longest_0, ident.led_longest_1, ident.led_longest_2, ident.led_longest_3)
+    return FirmwareLimits(
+        version=f"{ident.firmware_major}.{ident.firmware_minor}.{ident.firmware_patch}",
+        steps=ident.program_steps,
+        channels=ident.channels,
+        shortest_us=_us(ident.led_shortest),
+        longest_us=tuple(_us(ticks) for ticks in longest),
+        share=1 << ident.led_duty_shift,
+        widest_us=_us(ident.trigger_longest),
+    )
+
+
 def make_program(plan: TriggerPlan, config: ControllerConfig, ident: Ident) -> DeviceProgram:
     """Translate a plan.
 
     Raises:
         InputError: a light is unknown, or a value is beyond the firmware's limits.
     """
+    limits = firmware_limits(ident)
+    require_none(program_faults(plan, config, limits))
     lights = tuple(plan.lights) or config.light_sequence
-    if len(lights) > ident.program_steps:
-        if plan.program:
-            limit = f"at most {ident.program_steps}, the steps that the controller's firmware holds"
-            raise InputError.field(_PLAN, "number of steps of the light program", len(lights), limit)
-        limit = f"at most {ident.program_steps} lights, the steps of the firmware's program"
-        raise InputError.field(_WHERE, "controller.order", lights, limit)
-    steps = tuple(
-        light_step(name, config, ident, plan.shortest_period_s, plan.program[n].on_us if plan.program else None)
-        for n, name in enumerate(lights)
-    ) or (DARK,)
+    steps = tuple(_step(plan, config, limits, n, name) for n, name in enumerate(lights)) or (DARK,)
     belt = plan.belt
     values = (
         Pacing.TIME if belt is None else Pacing.DISTANCE,
@@ -123,41 +131,93 @@ def make_program(plan: TriggerPlan, config: ControllerConfig, ident: Ident) -> D
     # Values that do not fit are sent as the largest number. The firmware then refuses them with its own limit.
     timing = Timing(*(min(v, _LARGEST.get(k, 0xFFFFFFFF)) for k, v in enumerate(values)))
     known = tuple((name, _mask(light.channels)) for name, light in config.lights.items())
-    return DeviceProgram(timing, steps, lights, _widths(plan, ident), known)
+    widths = tuple(_ticks(row.trigger_us * 1e-6) for row in plan.program if row.trigger_us is not None)
+    return DeviceProgram(timing, steps, lights, widths if plan.by_trigger else (), known)
 
 
-def _widths(plan: TriggerPlan, ident: Ident) -> tuple[int, ...]:
-    """Return the width of the trigger of each step, in ticks; empty if no camera exposes for it.
+def program_faults(plan: TriggerPlan, config: ControllerConfig, limits: FirmwareLimits) -> list[ProgramFault]:
+    """Return every fault of a plan's lights that `make_program` would refuse."""
+    lights = tuple(plan.lights) or config.light_sequence
+    faults = []
+    if len(lights) > limits.steps:
+        if plan.program:
+            limit = f"at most {limits.steps}, the steps that the controller's firmware holds"
+            error = InputError.field(_PLAN, "number of steps of the light program", len(lights), limit)
+        else:
+            limit = f"at most {limits.steps} lights, the steps of the firmware's program"
+            error = InputError.field(_WHERE, "controller.order", lights, limit)
+        faults.append(ProgramFault(error))
+    for n, name in enumerate(lights):
+        try:
+            _step(plan, config, limits, n, name)
+        except InputError as error:
+            key = "on_us" if name in config.lights else "light"
+            faults.append(ProgramFault(error, n if plan.program else None, key if plan.program else ""))
+    return [*faults, *_width_faults(plan, limits)]
 
-    Raises:
-        InputError: the firmware cannot make a width.
-    """
+
+def _step(plan: TriggerPlan, config: ControllerConfig, limits: FirmwareLimits, number: int, light: str) -> Step:
+    on_us = plan.program[number].on_us if plan.program else None
+    return light_step(light, config, limits, plan.shortest_period_s, on_us)
+
+
+def _width_faults(plan: TriggerPlan, limits: FirmwareLimits) -> Iterator[ProgramFault]:
+    """Yield the widths of the trigger that the firmware cannot make."""
     if not plan.by_trigger:
-        return ()
-    if not ident.trigger_longest:
-        firmware = f"{ident.firmware_major}.{ident.firmware_minor}.{ident.firmware_patch}"
+        return
+    if not limits.widest_us:
         exposures = ", ".join(f"{row.trigger_us:g}" for row in plan.program)
-        limit = f"one for all rows: firmware {firmware} has one width of the trigger, from 1.3.0 on one per row"
-        raise InputError.field(_PLAN, "exposures by the width of the trigger", f"{exposures} µs", limit)
+        limit = f"one for all rows: firmware {limits.version} has one width of the trigger, from 1.3.0 on one per row"
+        yield ProgramFault(
+            InputError.field(_PLAN, "exposures by the width of the trigger", f"{exposures} µs", limit),
+            key="exposure_us",
+        )
+        return
     # The trigger must have fallen before the next row is prepared.
     spare = _ticks(plan.shortest_period_s) - _CLEARANCE
-    limits = {
-        ident.trigger_longest: "the longest trigger of its firmware",
+    bounds = {
+        _ticks(limits.widest_us * 1e-6): "the longest trigger of its firmware",
         spare: f"the period of {plan.shortest_period_s:g} s less 3 ms",
     }
-    most, widths = min(limits), []
+    most = min(bounds)
     for n, row in enumerate(plan.program):
         assert row.trigger_us is not None
-        widths.append(_ticks(row.trigger_us * 1e-6))
-        if not _NARROWEST <= widths[-1] <= most:
-            why = limits[most] if widths[-1] > most else "the shortest trigger of its firmware"
-            limit = f"{_NARROWEST * TICK_S * 1e6:g} … {most * TICK_S * 1e6:g} where the trigger's width sets it ({why})"
-            raise InputError.field(_PLAN, f"program.{n}.exposure_us", row.trigger_us, limit)
-    return tuple(widths)
+        width = _ticks(row.trigger_us * 1e-6)
+        if not _NARROWEST <= width <= most:
+            why = bounds[most] if width > most else "the shortest trigger of its firmware"
+            limit = f"{_us(_NARROWEST):g} … {_us(most):g} where the trigger's width sets it ({why})"
+            error = InputError.field(_PLAN, f"program.{n}.exposure_us", row.trigger_us, limit)
+            yield ProgramFault(error, n, "exposure_us")
+
+
+def on_limits_us(
+    name: str, config: ControllerConfig, limits: FirmwareLimits, period_s: float | None = None
+) -> tuple[float, float, str]:
+    """Return the shortest and the longest on-time of a light, µs, and which limit the longest one is.
+
+    The limit of the duty cycle counts only if `period_s` is given.
+
+    Raises:
+        InputError: a channel of the light does not exist.
+    """
+    light = config.lights[name]
+    if beyond := [c for c in light.channels if c >= limits.channels]:
+        limit = f"below {limits.channels}, the number of LED channels"
+        raise InputError.field(_WHERE, f"controller.lights.{name}.channels", beyond[0], limit)
+    channel = min(light.channels, key=lambda c: limits.longest_us[c])
+    bounds = {limits.longest_us[channel]: f"the longest pulse of channel {channel} in its firmware"}
+    if period_s is not None:
+        bounds[_us(_ticks(period_s) // limits.share)] = f"1/{limits.share} of the period of {period_s} s"
+    longest_us = min(bounds)
+    return limits.shortest_us, longest_us, bounds[longest_us]
 
 
 def light_step(
-    name: str, config: ControllerConfig, ident: Ident, period_s: float | None = None, on_us: float | None = None
+    name: str,
+    config: ControllerConfig,
+    limits: FirmwareLimits,
+    period_s: float | None = None,
+    on_us: float | None = None,
 ) -> Step:
     """Translate a light into a step of the firmware.
 
@@ -169,25 +229,16 @@ def light_step(
     if name not in config.lights:
         raise InputError.field(_PLAN, "lights", name, f"one of {list(config.lights)}, the lights of station.toml")
     light = config.lights[name]
-    key = f"controller.lights.{name}"
-    if beyond := [c for c in light.channels if c >= ident.channels]:
-        limit = f"below {ident.channels}, the number of LED channels"
-        raise InputError.field(_WHERE, f"{key}.channels", beyond[0], limit)
-    longest = _longest(ident)
-    channel = min(light.channels, key=lambda c: longest[c])
-    limits = {longest[channel]: f"the longest pulse of channel {channel} in its firmware"}
-    if period_s is not None:
-        share = 1 << ident.led_duty_shift
-        limits[_ticks(period_s) >> ident.led_duty_shift] = f"1/{share} of the period of {period_s} s"
+    least_us, most_us, most = on_limits_us(name, config, limits, period_s)
     # The firmware checks this too, but its refusal names only a limit in ticks, not the channel or the period.
     asked_us = light.on_us if on_us is None else on_us
-    width, most = _ticks(asked_us * 1e-6), min(limits)
-    if not ident.led_shortest <= width <= most:
-        why = limits[most] if width > most else "the shortest pulse of its firmware"
-        low, high = ident.led_shortest * TICK_S * 1e6, most * TICK_S * 1e6
+    width = _ticks(asked_us * 1e-6)
+    if not _ticks(least_us * 1e-6) <= width <= _ticks(most_us * 1e-6):
+        why = most if width > _ticks(most_us * 1e-6) else "the shortest pulse of its firmware"
         # A step that does not state an on-time has that of its light, so a different one is the step's own.
-        where, wrong = (_WHERE, f"{key}.on_us") if asked_us == light.on_us else (_PLAN, f"on_us of light {name!r}")
-        raise InputError.field(where, wrong, asked_us, f"{low:g} … {high:g} ({why})")
+        key = f"controller.lights.{name}.on_us"
+        where, wrong = (_WHERE, key) if asked_us == light.on_us else (_PLAN, f"on_us of light {name!r}")
+        raise InputError.field(where, wrong, asked_us, f"{least_us:g} … {most_us:g} ({why})")
     return Step(_mask(light.channels), width)
 
 
@@ -211,13 +262,13 @@ def explain_refusal(nak: Nak, program: DeviceProgram) -> InputError | None:
     return None
 
 
-def _longest(ident: Ident) -> Sequence[int]:
-    return (ident.led_longest_0, ident.led_longest_1, ident.led_longest_2, ident.led_longest_3)
-
-
 def _mask(channels: Sequence[int]) -> int:
     return sum({1 << channel for channel in channels})
 
 
 def _ticks(time_s: float) -> int:
     return min(round(time_s / TICK_S), 0xFFFFFFFF)
+
+
+def _us(ticks: int) -> float:
+    return ticks * TICK_S * 1e6

@@ -34,6 +34,7 @@ from vaoi_station.acquisition.controller.serial.device_program import (
     DARK,
     DeviceProgram,
     explain_refusal,
+    firmware_limits,
     light_step,
     make_program,
 )
@@ -238,7 +239,7 @@ class Supervisor:
         if self.arming is not None:
             raise StateError("the controller is armed: its pulses belong to boards.", action="Disarm, then fire.")
         name = next(iter(self._config.light_sequence), "")
-        step = light_step(name, self._config, self.ident) if name else DARK
+        step = light_step(name, self._config, firmware_limits(self.ident)) if name else DARK
         self.translator.set_lights(lambda _row, _channels: "", name)
         self._number = (self._number + 1) % 0x10000
         width = self._single_width or min(round(self._config.trigger_us * 2), 0xFFFF)

@@ -10,6 +10,8 @@ export const boardType = (name) => request("GET", `${types}/${part(name)}`);
 export const storeType = (document, condition = {}) => call("PUT", `${types}/${part(document.name)}`, document, condition);
 export const ifNew = { "If-None-Match": "*" };
 export const ifStill = (tag) => ({ "If-Match": tag });
+// `program`: the steps to be checked; without any, those in force.
+export const checkProgram = (name, program) => call("POST", `${types}/${part(name)}/program/check`, program ? { program } : {});
 export const deleteType = (name) => call("DELETE", `${types}/${part(name)}`);
 export const setState = (name, state, revision) => call("PUT", `${types}/${part(name)}/state`, stated({ state, revision }));
 export const versions = async (name) => (await call("GET", `${types}/${part(name)}/revisions`)).revisions;

@@ -7,6 +7,7 @@ import { rightsFor } from "./rights.js";
 // Name in the address, the file that has the page, the scope that it needs.
 const PAGES = {
   types: ["./types.js", "teach"],
+  programs: ["./lights/programs.js", "teach"],
   calibration: ["./calibration.js", "admin"],
   optics: ["./optics/optics.js", "read"],
   keys: ["./keys.js", "admin"],

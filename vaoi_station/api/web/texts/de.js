@@ -1,6 +1,7 @@
 // Alle Texte der Seiten auf Deutsch, mit denselben Schlüsseln wie en.js.
 import { board } from "./board_de.js";
 import { cameras } from "./cameras_de.js";
+import { lights } from "./lights_de.js";
 import { optics } from "./optics_de.js";
 import { setup } from "./setup_de.js";
 import { trends } from "./trends_de.js";
@@ -8,6 +9,7 @@ import { trends } from "./trends_de.js";
 export const texts = {
   board,
   cameras,
+  lights,
   optics,
   setup,
   trends,

@@ -1,6 +1,7 @@
 // All texts of the pages in English. Another language is another file with the same keys.
 import { board } from "./board_en.js";
 import { cameras } from "./cameras_en.js";
+import { lights } from "./lights_en.js";
 import { optics } from "./optics_en.js";
 import { setup } from "./setup_en.js";
 import { trends } from "./trends_en.js";
@@ -8,6 +9,7 @@ import { trends } from "./trends_en.js";
 export const texts = {
   board,
   cameras,
+  lights,
   optics,
   setup,
   trends,

@@ -1,0 +1,85 @@
+"""Light programs in a real browser: rows are edited by the keyboard, checked with every change, and stored."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from tests.api.web.test_views import examine
+
+pytestmark = pytest.mark.browser
+PICTURES = os.environ.get("VAOI_PICTURES")
+PROGRAM = ({"light": "even", "exposure_us": (400.0,)}, {"light": "left", "on_us": 60.0, "exposure_us": (100.0,)})
+
+
+def test_a_program_is_edited_checked_and_stored(page: Page, engineer: Any, fits: Any) -> None:
+    station = engineer.station
+    page.goto(f"{engineer.url}/#/setup/programs")
+    expect(page.locator("#steps tbody tr")).to_have_count(2)
+    expect(page.get_by_text("There is no program: the lights of the station in turn")).to_be_visible()
+    expect(page.get_by_label("Exposure, µs, row 1")).to_have_attribute("placeholder", "250")
+    page.get_by_label("Exposure, µs, row 0").fill("400")
+    page.get_by_label("Exposure, µs, row 1").fill("9000")
+    page.get_by_label("On-time, µs, row 1").fill("8000")
+    expect(page.get_by_text("The station refuses this program for 4 reasons:")).to_be_visible()
+    expect(page.locator(".finding")).to_contain_text("on_us is 8000.0, but must be at most 3750.0 for camera cam2")
+    expect(page.locator(".finding")).to_contain_text(
+        "must be 50 … 500 (the longest pulse of channel 2 in its firmware)"
+    )
+    expect(page.get_by_label("On-time, µs, row 1")).to_have_attribute("aria-invalid", "true")
+    expect(page.locator(".program-timeline .wrong")).to_have_count(1)
+    expect(page.locator(".program-timeline .limit")).not_to_have_count(0)
+    assert examine(page) == []
+    if PICTURES:
+        page.set_viewport_size({"width": 1280, "height": 1500})
+        page.screenshot(path=Path(PICTURES) / "lights" / "program.png")
+    page.get_by_role("button", name="Store the program").click()
+    assert station.types["demo-board"].program is None, "what arming would refuse is not stored"
+    page.get_by_label("On-time, µs, row 1").fill("many")
+    expect(page.get_by_text("“many” is not a number.")).to_be_visible()
+    page.get_by_label("On-time, µs, row 1").fill("60")
+    page.get_by_label("Exposure, µs, row 1").fill("100")
+    expect(page.get_by_text("The station can film with this program.")).to_be_visible()
+    expect(page.locator(".program-timeline .wrong")).to_have_count(0)
+    page.get_by_role("button", name="Store the program").press("Enter")
+    expect(page.locator(".answer.done").last).to_have_text("Stored. It applies from the next arming on.")
+    stored = station.board_type("demo-board").program
+    assert stored is not None
+    assert tuple(step.model_dump(exclude_none=True) for step in stored) == PROGRAM
+    fits("programs", ".program-timeline")
+
+
+def test_rows_are_moved_by_the_keyboard_and_cameras_have_values_of_their_own(page: Page, engineer: Any) -> None:
+    station = engineer.station
+    known = station.types["demo-board"]
+    station.types["demo-board"] = known.model_validate({**known.model_dump(), "program": PROGRAM})
+    page.goto(f"{engineer.url}/#/setup/programs/demo-board?light=left&on_us=70&exposure_us=90,90,90")
+    expect(page.get_by_text("The settings of the camera are added as the last row.")).to_be_visible()
+    expect(page.locator("#steps tbody tr")).to_have_count(3)
+    page.get_by_role("button", name="Move row 2 up").press("Enter")
+    expect(page.get_by_label("Light, row 1")).to_be_focused()
+    expect(page.get_by_label("On-time, µs, row 1")).to_have_value("70")
+    page.get_by_role("button", name="Delete row 0").press("Enter")
+    page.get_by_role("button", name="Copy row 1").press("Enter")
+    page.get_by_label("Each camera by itself").press("Space")
+    page.get_by_label("Exposure, µs, row 2, cam1").fill("120")
+    expect(page.locator(".finding")).to_contain_text("must be 100 µs as for camera cam0: the width of one trigger")
+    expect(page.get_by_label("Exposure, µs, row 2, cam1")).to_have_attribute("aria-invalid", "true")
+    expect(page.get_by_label("Exposure, µs, row 2, cam0")).not_to_have_attribute("aria-invalid", "true")
+    page.get_by_label("Exposure, µs, row 2, cam1").fill("100")
+    expect(page.get_by_text("The station can film with this program.")).to_be_visible()
+    station.put_board_type(known)  # by someone else, meanwhile
+    page.get_by_role("button", name="Store the program").click()
+    expect(page.locator(".answer.refused")).to_contain_text("changed")
+    assert station.types["demo-board"] == known
+    page.reload()
+    page.goto(f"{engineer.url}/#/setup/programs/demo-board")
+    page.get_by_role("button", name="Store the program").click()
+    expect(page.locator(".answer.done").last).to_contain_text("Stored.")
+    page.get_by_role("button", name="Without a program of its own").click()
+    expect(page.get_by_text("This board type has no program of its own any more.")).to_be_visible()
+    assert station.types["demo-board"] == known

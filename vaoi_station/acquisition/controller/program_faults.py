@@ -1,0 +1,81 @@
+"""What is wrong with a light program: every fault at once, with step, key and camera for a form that shows it."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass
+
+from vaoi_station.acquisition.cameras.interface import (
+    EXPOSURE_TOLERANCE,
+    EXPOSURE_TOLERANCE_US,
+    GAIN_TOLERANCE_DB,
+    CameraExposure,
+    CameraLimits,
+)
+from vaoi_station.errors import InputError
+from vaoi_station.model import ProgramRow
+
+MOST_SHOWN = 5
+"""Largest number of faults that the message of one error names."""
+
+
+@dataclass(frozen=True)
+class ProgramFault:
+    """One fault of a light program, or of the line on which it would run."""
+
+    error: InputError
+    step: int | None = None
+    """Index of the step; None if the fault concerns the whole program or the line."""
+    key: str = ""
+    """The key of the step that is wrong; empty if it is none of them."""
+    camera: int | None = None
+
+
+def require_none(faults: Sequence[ProgramFault]) -> None:
+    """Raise one InputError that names all faults, at most `MOST_SHOWN` of them; return if there are none."""
+    if len(faults) == 1:
+        raise faults[0].error
+    if faults:
+        # Several cameras often have the same fault with different numbers; a person corrects the first ones first.
+        messages = list(dict.fromkeys(fault.error.message for fault in faults))
+        more = len(messages) - MOST_SHOWN
+        shown = " ".join(messages[:MOST_SHOWN]) + (f" And {more} more." if more > 0 else "")
+        raise InputError(shown, action=next((f.error.action for f in faults if f.error.action), ""))
+
+
+def unknown_lights(program: Sequence[ProgramRow], lights: Collection[str]) -> list[ProgramFault]:
+    """Return a fault for each step with a light that a simulated line does not have."""
+    limit = f"a light of the scenario, which has {', '.join(map(repr, lights))}"
+    return [
+        ProgramFault(InputError.field("trigger plan", f"program.{n}.light", row.light, limit), n, "light")
+        for n, row in enumerate(program)
+        if row.light not in lights
+    ]
+
+
+def beyond_camera(
+    wanted: CameraExposure, gains_db: Sequence[float], limits: CameraLimits, camera: int, label: str
+) -> Iterator[ProgramFault]:
+    """Yield what a camera refuses of its exposures and gains when the line is armed, with the limits it has stated.
+
+    Args:
+        wanted: how the camera is to expose the rows.
+        gains_db: its gain in each step.
+        limits: what the camera has stated.
+        camera: its number.
+        label: its name in messages.
+    """
+    if wanted.sequence and limits.sets is not None and len(wanted.sequence) > limits.sets:
+        limit = f"at most {limits.sets}, the sets of the sequencer of {label}"
+        error = InputError.field("trigger plan", "number of different steps", len(wanted.sequence), limit)
+        yield ProgramFault(error, camera=camera)
+    # The sets of a sequencer are compared exactly; a register is read back, and a camera may have rounded it.
+    exact = bool(wanted.sequence)
+    values = [("exposure_us", "µs", wanted.exposures_us, limits.exposure_us, exact)] if not wanted.by_trigger else []
+    for key, unit, steps, bounds, exactly in (*values, ("gain_db", "dB", tuple(gains_db), limits.gain_db, exact)):
+        for n, value in enumerate(steps):
+            near = max(EXPOSURE_TOLERANCE_US, EXPOSURE_TOLERANCE * value) if unit == "µs" else GAIN_TOLERANCE_DB
+            spare = 0.0 if exactly else near
+            if bounds is not None and not bounds[0] - spare <= value <= bounds[1] + spare:
+                limit = f"{bounds[0]:g} … {bounds[1]:g} {unit}, the limits that {label} states"
+                yield ProgramFault(InputError.field("trigger plan", f"program.{n}.{key}", value, limit), n, key, camera)

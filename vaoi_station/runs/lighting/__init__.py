@@ -1,0 +1,1 @@
+"""Light programs: checked before the line is armed."""
