@@ -19,6 +19,7 @@ from vaoi_station.heights.part_grids import Frames, PartGrid, Places
 from vaoi_station.heights.pictures import Pictures, collect_pictures, picture_stack, sweep_stack
 from vaoi_station.heights.refinement import normal_equations
 from vaoi_station.heights.sweep import sweep
+from vaoi_station.heights.tile_weights import tile_weights
 from vaoi_station.model import BoardType, Component, Stitch
 
 HIGHEST_MM = 12.0
@@ -53,12 +54,6 @@ _EDGE_PX = 0.08
 
 Next to an edge they see a wall or the board as well, which move less than the top."""
 _ROUNDS, _CONVERGED_PX = 5, 0.005
-_INFORMED = 0.1
-"""Least share of the squared gradients that is texture; with less, it is noise."""
-_TIGHT = 4.0
-"""Tiles whose height differs by more than this many standard deviations are left out."""
-_UNEVEN_MM = 0.02
-"""Standard deviation of the heights of places on a body, beside noise."""
 
 
 @dataclass(frozen=True)
@@ -282,20 +277,13 @@ def _in_one_line(tiles: NDArray[np.int_], grid: PartGrid) -> bool:
 
 def _united(h: float, matrix: Floats, vector: Floats, noisy: Floats) -> BodyEquations | None:
     """Add up the equations of all tiles, with less weight for tiles that differ; None without texture."""
-    each = np.maximum(matrix[:, 0, 0], 1e-3 * noisy + 1e-12)
-    mm, spread = vector[:, 0] / each, np.hypot(np.sqrt(noisy) / each, _UNEVEN_MM)
-    # A few tiles may show a lead, a fillet of solder or a neighbour, most often lower than the body.
-    centre = _weighted_median(mm, 1 / spread**2)
+    weight = tile_weights(matrix, vector, noisy)
+    if not weight.any():
+        return None
     prior = np.diag([1e-9] + [1 / 0.05**2] * (matrix.shape[1] - 1))
-    for _ in range(4):
-        weight = np.maximum(1 - ((mm - centre) / (_TIGHT * spread)) ** 2, 0) ** 2
-        texture = float(weight @ matrix[:, 0, 0])
-        if texture <= _INFORMED * (weight @ noisy) or texture <= 0:
-            return None
-        centre = float(weight @ vector[:, 0]) / texture
     n, b = np.tensordot(weight, matrix, 1), weight @ vector
     theta = np.linalg.solve(n + prior, b)
-    off = (vector - matrix @ theta)[:, 0]
+    off = vector[:, 0] - matrix[:, 0] @ theta
     scatter = float(weight @ (off**2 / (noisy + 1e-12))) / max(float(weight.sum()) - 1, 1)
     inflation = float(weight @ noisy / n[0, 0]) * max(1.0, scatter)
     # The sum of the tiles' own deviations is the variance of the sum, however unlike the tiles are (sandwich).
@@ -310,12 +298,6 @@ def _low_tenth(values: Floats) -> float:
     at = 0.1 * (len(values) - 1)
     low, high = np.partition(values, [int(at), math.ceil(at)])[[int(at), math.ceil(at)]].tolist()
     return float(low + (at - int(at)) * (high - low))
-
-
-def _weighted_median(values: Floats, weights: Floats) -> float:
-    order = np.argsort(values)
-    share = np.cumsum(weights[order])
-    return float(values[order[int(np.searchsorted(share, share[-1] / 2))]])
 
 
 def _tiles(grid: PartGrid) -> NDArray[np.int_]:

@@ -112,43 +112,40 @@ def _read(
     x0, y0, w, h = tile[0], tile[1], tile[2], tile[3]
     step = 1 / (1 - share)
     bx, by = (x0 - share * foot[0]) * step + margin, (y0 - share * foot[1]) * step + margin
-    total, n = np.float32(0), 0
+    half_x, half_y = np.float32((w - 1) / 2), np.float32((h - 1) / 2)
+    # Vignetting and uneven lamps add a slope, which differs between frames and would look like a displacement.
+    total = slope_x = slope_y = np.float32(0)
+    n = np.uint64(0)
     for r in range(h):
         v = by + r * step
         top = int(v)
         ty = np.float32(v - top)
         upper, lower = picture[top], picture[top + 1]
+        row = along = np.float32(0)
         for c in range(w):
             u = bx + c * step
-            left = int(u)
-            tx = np.float32(u - left)
-            a = upper[left] + tx * (upper[left + 1] - upper[left])
-            b = lower[left] + tx * (lower[left + 1] - lower[left])
+            # Unsigned: indexes that cannot be negative (`_covers`) are read without a test.
+            left, right = np.uint64(int(u)), np.uint64(int(u) + 1)
+            tx = np.float32(u - int(u))
+            a = upper[left] + tx * (upper[right] - upper[left])
+            b = lower[left] + tx * (lower[right] - lower[left])
             value = a + ty * (b - a)
-            out[n] = value
-            total += value
-            n += 1
-    mean = total / np.float32(n)
-    # Vignetting and uneven lamps add a slope, which differs between frames and would look like a displacement.
-    slope_x = slope_y = square_x = square_y = np.float32(0)
-    n = 0
+            out[n + np.uint64(c)] = value
+            row += value
+            along += value * (np.float32(c) - half_x)
+        total += row
+        slope_x += along
+        slope_y += row * (np.float32(r) - half_y)
+        n += np.uint64(w)
+    mean = total / np.float32(w * h)
+    slope_x /= np.float32(h * w * (w * w - 1) / 12 + 1e-9)
+    slope_y /= np.float32(w * h * (h * h - 1) / 12 + 1e-9)
+    n = np.uint64(0)
     for r in range(h):
-        dy = np.float32(r - (h - 1) / 2)
+        base = mean + (np.float32(r) - half_y) * slope_y - half_x * slope_x
         for c in range(w):
-            dx = np.float32(c - (w - 1) / 2)
-            slope_x += out[n] * dx
-            slope_y += out[n] * dy
-            square_x += dx * dx
-            square_y += dy * dy
-            n += 1
-    slope_x /= square_x + np.float32(1e-9)
-    slope_y /= square_y + np.float32(1e-9)
-    n = 0
-    for r in range(h):
-        base = mean + np.float32(r - (h - 1) / 2) * slope_y
-        for c in range(w):
-            out[n] -= base + np.float32(c - (w - 1) / 2) * slope_x
-            n += 1
+            out[n + np.uint64(c)] -= base + np.float32(c) * slope_x
+        n += np.uint64(w)
 
 
 @inlined
