@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
-from tests.mosaic.conftest import Filmed
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.mosaic.conftest import BOARD_MM, Filmed
 from tests.mosaic.test_plan import plan_of
+from vaoi_station.mosaic.plan import MosaicPlan, RaisedBody
 from vaoi_station.mosaic.tile_specs import TileRenderer
 
 
@@ -32,3 +38,35 @@ def test_parts_are_high_where_one_has_the_whole_width(board: Filmed) -> None:
     """The board of 520 × 400 px is one part, but not with HDR, where a part has at most 1024 × 256 px."""
     assert TileRenderer(plan_of(board), board.projector, board.base).block_px[1] >= 400
     assert TileRenderer(plan_of(board, hdr=True), board.projector, board.base).block_px[1] <= 512
+
+
+def crowded(board: Filmed, height_mm: float) -> MosaicPlan:
+    """Plan the board with 3,100 bodies of 0.6 × 0.3 mm; of each hundred the last is twice as high."""
+    at = np.random.default_rng(1).uniform((1, 1), np.array(BOARD_MM) - 1, (3100, 2))
+    box = np.array([(-0.3, -0.15), (0.3, -0.15), (0.3, 0.15), (-0.3, 0.15)])
+    bodies = [RaisedBody(box + p, height_mm * (2 if n % 100 == 99 else 1)) for n, p in enumerate(at)]
+    return replace(plan_of(board, hdr=True), bodies=tuple(sorted(bodies, key=lambda body: body.height_mm)))
+
+
+def test_an_overview_shows_only_bodies_that_their_heights_displace(board: Filmed) -> None:
+    """The cameras are 300 mm above the board and see it up to 20 mm off their feet: 0.33 mm lean by 0.022 mm."""
+    lean = board.projector.largest_lean(0)
+    assert lean == pytest.approx(np.hypot(16, 12) / 300, rel=0.05)
+    plan, base = crowded(board, 0.1 / lean / 10.0), board.base
+    counts = {}
+    for factor in (1, 2, 4, 8):
+        grid = base.reduced(factor)
+        box = (0, 0, min(grid.width, 256), min(grid.height, 256))
+        spec = TileRenderer(plan, board.projector, grid).spec(box)
+        counts[factor] = len(spec.bodies)
+        assert len(spec.bodies) <= box[2] * box[3] / 256
+    # At full resolution all are displaced enough, and the highest of the tile are taken; at half, the higher ones.
+    assert counts == {1: 256, 2: 31, 4: 0, 8: 0}
+
+
+def test_bodies_of_less_than_a_pixel_are_part_of_the_ground(board: Filmed) -> None:
+    plan = crowded(board, 50.0)
+    sizes = [
+        len(TileRenderer(plan, board.projector, board.base.reduced(f)).spec((0, 0, 32, 25)).bodies) for f in (1, 16)
+    ]
+    assert sizes == [3, 0]

@@ -146,3 +146,19 @@ def test_the_top_of_a_body_is_where_it_is_in_all_layers(film: Film, reduced: int
         body = ratio[20:-20, 20:]
         errors.append(np.abs(body / np.median(ratio) - 1).max())
     assert errors[1] < 0.02 < errors[0] / 2
+
+
+def test_an_overview_shows_a_low_body_with_the_ground(film: Film) -> None:
+    """Its top is displaced by less than a tenth of a pixel."""
+    board = raised(film(exposures=(250.0, 150.0), step_mm=6.0), 1.0)
+    plan, grid = plan_of(board, hdr=True, fields=FlatFields.none(dark=DARK)), board.base.reduced(8)
+    (x0, y0), (x1, y1) = (
+        apply(grid.mosaic_from_cad, np.array(at)).round().astype(int) for at in ((11.5, 11.5), (18.5, 16.5))
+    )
+    spec = TileRenderer(plan, board.projector, grid).spec((0, 0, grid.width, grid.height))
+    picture = render_tile(spec, board.read)
+    assert picture is not None
+    assert len(plan.bodies) == 1
+    assert not spec.bodies
+    ratio = picture * 250 / expected(grid)
+    assert np.abs(ratio[y0:y1, x0:x1] / np.nanmedian(ratio) - 1).max() < 0.02

@@ -56,6 +56,18 @@ class FrameProjector:
         offset = apply(self._row_from_cad[row], cad) - self.cameras[camera].foot_mm
         return np.asarray(np.hypot(offset[..., 0], offset[..., 1]))
 
+    def largest_lean(self, camera: int) -> float:
+        """Return by how many mm a body 1 mm high appears displaced at most, somewhere in the frames of a camera.
+
+        It is 0 if the working distance is unknown: heights then displace nothing.
+        """
+        eye = self.cameras[camera]
+        if eye.working_distance_mm is None:
+            return 0.0
+        w, h = eye.width_px - 1.0, eye.height_px - 1.0
+        corners = eye.ground(np.array([(0.0, 0.0), (w, 0.0), (w, h), (0.0, h)]))
+        return float(np.hypot(*(corners - eye.foot_mm).T).max()) / eye.working_distance_mm
+
     def raw_from_mosaic(
         self, camera: int, row: int, grid: MosaicGrid, box: tuple[int, int, int, int], above_mm: float = 0.0
     ) -> Floats:

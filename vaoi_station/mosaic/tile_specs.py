@@ -29,6 +29,10 @@ _WIDEST_PX, _WIDEST_HDR_PX, _NARROW_PX = 4096, 1024, 256
 """Largest width of a part of a large picture, the same with HDR, and its smallest sides: those of a tile."""
 _STRAIGHT_PX = 0.03
 """Largest deviation, px, of a matrix from lens and surface in parts that are wider than 256 px."""
+_STILL_PX = 0.1
+"""A body whose top is displaced by less in all frames is shown in the plane of the board: the picture is the same."""
+_PX_PER_BODY = 256
+"""Area of a part of the picture, px², for each body that is shown in the plane of its top; the highest ones are."""
 _BORDER_PX = 3
 """Pixels around the part of a frame that is read, so that interpolation has its neighbours."""
 
@@ -92,7 +96,7 @@ class TileRenderer:
         base_from_grid = plan.base.mosaic_from_cad @ grid.cad_from_mosaic
         self._cells_from_grid = between(base_from_grid, CELL_PX, 1)
         per_base_px = float(base_from_grid[0, 0])
-        self._bodies = [(apply(grid.mosaic_from_cad, body.corners), body.height_mm) for body in plan.bodies]
+        self._bodies = _displaced(plan, projector, grid)
         self._reduction = 2 ** max(int(np.floor(np.log2(max(per_base_px, 1.0)) + 0.01)), 0)
 
     @cached_property
@@ -139,14 +143,15 @@ class TileRenderer:
         return replace(self._spec(box, 0.0), bodies=tuple(self._body_parts(box)))
 
     def _body_parts(self, box: Box) -> Iterator[BodyPart]:
-        """Yield the bodies that a tile shows, in the planes of their tops."""
-        for corners, height_mm in self._bodies:
-            low = np.maximum(np.floor(corners.min(0) + 0.5).astype(int), box[:2])
-            high = np.minimum(np.ceil(corners.max(0) + 0.5).astype(int), box[2:])
-            if (low < high).all():
-                x0, y0, x1, y1 = (int(v) for v in (*low, *high))
-                spec = self._spec((x0, y0, x1, y1), height_mm)
-                yield BodyPart((x0 - box[0], y0 - box[1]), corners - low, spec)
+        """Yield the bodies that a tile shows, in the planes of their tops, the highest last."""
+        bodies = self._bodies
+        low = np.maximum(np.floor(bodies.corners.min(1) + 0.5).astype(int), box[:2])
+        high = np.minimum(np.ceil(bodies.corners.max(1) + 0.5).astype(int), box[2:])
+        most = max((box[2] - box[0]) * (box[3] - box[1]) // _PX_PER_BODY, 1)
+        for n in np.flatnonzero((low < high).all(1))[-most:].tolist():
+            x0, y0, x1, y1 = (int(v) for v in (*low[n], *high[n]))
+            spec = self._spec((x0, y0, x1, y1), float(bodies.height_mm[n]))
+            yield BodyPart((x0 - box[0], y0 - box[1]), bodies.corners[n] - low[n], spec)
 
     def _spec(self, box: Box, above_mm: float) -> TileSpec:
         """Prepare a part of the picture in the plane so far above the board."""
@@ -220,6 +225,27 @@ class TileRenderer:
             taken.gain,
             photometry.noise,
         )
+
+
+class _Bodies(NamedTuple):
+    """The n bodies of a plan that are shown in the planes of their tops on one grid, the highest last."""
+
+    corners: Floats
+    """(n, 4, 2) corners of their footprints, pixels of the grid."""
+    height_mm: Floats
+    """(n,)"""
+
+
+def _displaced(plan: MosaicPlan, projector: FrameProjector, grid: MosaicGrid) -> _Bodies:
+    """Return the bodies of a plan that are larger than a pixel of the grid, and displaced in it by their heights."""
+    corners = np.array([body.corners for body in plan.bodies], np.float64).reshape(-1, 4, 2)
+    height_mm = np.array([body.height_mm for body in plan.bodies], np.float64)
+    corners = apply(grid.mosaic_from_cad, corners)
+    (ax, ay), (bx, by) = (corners[:, 1] - corners[:, 0]).T, (corners[:, 3] - corners[:, 0]).T
+    area = np.abs(ax * by - ay * bx)
+    lean = max((projector.largest_lean(camera) for camera in plan.cameras), default=0.0)
+    shown = (area >= 1) & (height_mm * lean * grid.px_per_mm >= _STILL_PX)
+    return _Bodies(corners[shown], height_mm[shown])
 
 
 def _window(mine: NDArray[np.uint8] | None, tile_from_cells: Floats, size: tuple[int, int]) -> Box:
