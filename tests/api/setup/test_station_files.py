@@ -19,3 +19,12 @@ def test_a_copy_of_the_file_before_is_kept(tmp_path: Path, monkeypatch: pytest.M
     kept = sorted(tmp_path.glob("calibration.before-*.json"))
     assert [file.name for file in kept] == names[1:]
     assert [file.read_bytes() for file in kept] == [b"1", b"2"]
+
+
+def test_an_old_copy_that_cannot_be_deleted_is_no_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(station_files, "_MOST_BACKUPS", 1)
+    path = tmp_path / "calibration.json"
+    path.write_bytes(b"0")
+    (tmp_path / "calibration.before-2000.json").mkdir()
+    assert replace_with_backup(path, b"1") is not None
+    assert path.read_bytes() == b"1"

@@ -93,7 +93,8 @@ def router(services: Services, files: StationFiles) -> APIRouter:
     async def accept_calibration_trial(response: Response) -> CalibrationTrial:
         """Replace the calibration file of the station by that of the trial; a copy of the one before is kept.
 
-        It is in force from the next start of the station on. 409 `no-trial`: no trial has ended well.
+        It is in force from the next start of the station on. 409 `no-trial`: no trial has ended well; 409
+        `trial-running`: one is being made, or accepted by another caller.
         """
         response.headers["Cache-Control"] = LIVE
         return await ask(trials.accept)

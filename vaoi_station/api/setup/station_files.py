@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -38,5 +39,7 @@ def replace_with_backup(path: Path, content: bytes) -> str | None:
         write_bytes(backup, path.read_bytes(), mode=path.stat().st_mode & 0o777)
     write_bytes(path, content, mode=path.stat().st_mode & 0o777 if backup else 0o644)
     for old in sorted(path.parent.glob(f"{path.stem}.before-*{path.suffix}"))[:-_MOST_BACKUPS]:
-        old.unlink(missing_ok=True)
+        # The file is replaced already: an old copy that cannot be deleted must not look like a failure.
+        with suppress(OSError):
+            old.unlink()
     return None if backup is None else backup.name

@@ -39,6 +39,8 @@ class Trials:
         self._lock = threading.Lock()
         self._trial = CalibrationTrial(state="none")
         self._made: Calibration | None = None
+        self._accepting = False
+        """Whether the file of the station is being replaced, during which no other trial begins or is accepted."""
         self._pictures: dict[str, bytes] = {}
 
     def status(self) -> CalibrationTrial:
@@ -60,8 +62,7 @@ class Trials:
         if wanted.row >= run.rows:
             raise InputError.field("body", "row", wanted.row, f"below {run.rows}, the rows of run {run.id}")
         with self._lock:
-            if self._trial.state in _RUNNING:
-                raise StateError("A trial is being made.", action="Wait until it ends.", code="trial-running")
+            self._require_rest()
             self._made, self._pictures = None, {}
             self._trial = CalibrationTrial(
                 state="reading", run=wanted.run, row=wanted.row, begun=utc(), frames=len(self._files.config.cameras)
@@ -81,17 +82,29 @@ class Trials:
     def accept(self) -> CalibrationTrial:
         """Write the calibration of the trial to the file of the station, which keeps a copy of the one before.
 
-        It is in force from the next start of the station on.
+        It is in force from the next start of the station on. If the file cannot be written, nothing is changed, and
+        the trial can be accepted again.
         """
         with self._lock:
+            self._require_rest()
             if self._made is None or self._trial.state != "judged":
                 raise StateError("There is no trial to accept.", action="Make one.", code="no-trial")
-            made = self._made
-        path = self._files.config.calibration
-        text = json.dumps(made.model_dump(mode="json", exclude_none=True), indent=1, allow_nan=False) + "\n"
-        backup = replace_with_backup(path, text.encode())
-        _log.info("the calibration from run %s was accepted as %s", self._trial.run, path)
-        return self._change(state="accepted", accepted_as=path.name, backup=backup)
+            made, run = self._made, self._trial.run
+            self._accepting = True
+        # The disk may take long: meanwhile the lock is free, so that the status is returned.
+        accepted: dict[str, Any] = {}
+        try:
+            path = self._files.config.calibration
+            text = json.dumps(made.model_dump(mode="json", exclude_none=True), indent=1, allow_nan=False) + "\n"
+            backup = replace_with_backup(path, text.encode())
+            accepted = {"state": "accepted", "accepted_as": path.name, "backup": backup}
+            _log.info("the calibration from run %s was accepted as %s", run, path)
+        finally:
+            # One step, so that no caller finds a trial that is neither being accepted nor accepted.
+            with self._lock:
+                self._accepting = False
+                self._trial = trial = self._trial.model_copy(update=accepted)
+        return trial
 
     def document(self) -> bytes:
         """Return the calibration of the trial as a file."""
@@ -106,6 +119,12 @@ class Trials:
             if name not in self._pictures:
                 raise NotFoundError(f"The trial has no picture {name!r}.", code="no-trial")
             return self._pictures[name]
+
+    def _require_rest(self) -> None:
+        """Raise StateError while a trial is made or accepted; the caller holds the lock."""
+        if self._accepting or self._trial.state in _RUNNING:
+            doing = "accepted" if self._accepting else "made"
+            raise StateError(f"A trial is being {doing}.", action="Wait until it ends.", code="trial-running")
 
     def _perform(self, wanted: TrialRequest) -> None:
         heads = [camera.head for camera in self._files.config.cameras]
