@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+import math
+import tracemalloc
+from collections import Counter
 from typing import Any
 
 import cv2
@@ -60,6 +63,64 @@ def test_flicker_of_single_rows_is_found(small_board: StitchedBoard) -> None:
     found = after / before
     np.testing.assert_allclose(found / found.mean(), factor / factor.mean(), atol=0.006)
     assert np.log(after).mean() == pytest.approx(0, abs=1e-9)
+
+
+def test_no_more_pixels_are_read_than_permitted(small_board: StitchedBoard) -> None:
+    b, fields, asked = small_board, even_fields(small_board), list[tuple[int, int]]()
+    factor = 1 + 0.04 * np.cos(2.1 * np.arange(b.recording.head.rows))
+
+    def levels(most_pixels: float, flicker: float = 1.0) -> NDArray[np.float64]:
+        def frame(camera: int, row: int) -> NDArray[Any] | None:
+            asked.append((camera, row))
+            pixels = b.recording.frame(camera, row)
+            return None if pixels is None else np.asarray(np.round(pixels * 0.7 * factor[row] ** flicker), np.uint8)
+
+        asked.clear()
+        return row_levels(taken_of(b), b.board_type, b.stitch, b.cameras, fields, frame, most_pixels)
+
+    levels(math.inf)
+    frames = Counter(camera for camera, _ in asked)
+    size = b.cameras[0].width_px * b.cameras[0].height_px
+    assert len(frames) == len(b.cameras) > 1
+    for count in range(len(frames)):
+        most = sum(n for _, n in frames.most_common(count)) * size + size - 1
+        found = levels(most)
+        assert len({camera for camera, _ in asked}) == count
+        assert len(asked) * size <= most
+        if asked:  # without shade in the flat fields, only the difference to steady rows is known
+            found /= levels(most, 0.0)
+            np.testing.assert_allclose(found / found.mean(), factor / factor.mean(), atol=0.01)
+        else:
+            np.testing.assert_array_equal(found, 1.0)
+
+
+def test_a_light_of_too_many_rows_is_left_as_it_is(small_board: StitchedBoard, monkeypatch: pytest.MonkeyPatch) -> None:
+    def unread(camera: int, row: int) -> NDArray[Any] | None:
+        raise AssertionError((camera, row))
+
+    b = small_board
+    lights = Counter(b.recording.head.light(row) for row in range(b.recording.head.rows))
+    monkeypatch.setattr(module, "MOST_ROWS", min(lights.values()) - 1)
+    levels = row_levels(taken_of(b), b.board_type, b.stitch, b.cameras, even_fields(b), unread)
+    np.testing.assert_array_equal(levels, 1.0)
+
+
+def test_many_rows_are_solved_in_little_memory() -> None:
+    """A chain of rows, each of which shares points with those beside it; their levels are known."""
+    rows, shared = 230, 400
+    rng = np.random.default_rng(4)
+    true = rng.normal(0, 0.02, rows)
+    points = (np.arange(rows)[:, None] * 16 + np.arange(shared)) % module._POINTS**2
+    number = np.repeat(np.arange(rows), shared)
+    ground = rng.normal(3, 0.5, module._POINTS**2)
+    samples = module._Samples(points.reshape(-1), number, ground[points].reshape(-1) + true[number])
+    tracemalloc.start()
+    found = module._solve(samples, np.arange(rows))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    np.testing.assert_allclose(found, true - true.mean(), atol=1e-4)
+    # Equations with a line of 230 numbers for each pair of rows took twice that.
+    assert peak < 22e6
 
 
 def test_without_flat_fields_or_mapping_all_rows_are_equal(small_board: StitchedBoard) -> None:

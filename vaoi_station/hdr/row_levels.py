@@ -6,6 +6,8 @@ row; their mean is 1 for each light. Only with flat fields: without them, the co
 
 from __future__ import annotations
 
+import math
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -30,6 +32,8 @@ _MOST_LEVEL = 0.4
 """Largest deviation of a level, as a logarithm, that is believed."""
 _RIDGE = 1e-3
 """Weight that keeps rows without neighbours at 1."""
+MOST_ROWS = 1000
+"""Largest number of rows of one light that are compared: memory grows with its square, time with its cube."""
 
 
 class _Samples(NamedTuple):
@@ -40,6 +44,15 @@ class _Samples(NamedTuple):
     log: Floats
 
 
+class _Sight(NamedTuple):
+    """The points that a frame shows: their numbers (k,), and their pixels x and y, each (k,)."""
+
+    row: int
+    point: NDArray[np.int_]
+    x: NDArray[np.int_]
+    y: NDArray[np.int_]
+
+
 def row_levels(
     taken: Mapping[tuple[int, int], Taken],
     board_type: BoardType,
@@ -47,8 +60,12 @@ def row_levels(
     cameras: Sequence[Camera],
     fields: FlatFields,
     frame: Callable[[int, int], NDArray[Any] | None],
+    most_pixels: float = math.inf,
 ) -> Floats:
     """Estimate the brightness (m,) of the rows of a run; 1 for all without flat fields or a CAD mapping.
+
+    It is 1 as well for all rows of a light with more than `MOST_ROWS` rows, and for all rows of the run if the frames
+    of one camera have more than `most_pixels`.
 
     Args:
         taken: what the frames (camera, row) were taken with; frames that are not named are not used.
@@ -57,13 +74,17 @@ def row_levels(
         cameras: cameras with which it was stitched.
         fields: flat fields of the cameras.
         frame: returns the pixels of a camera and row, or None for a missing frame.
+        most_pixels: largest number of pixels of all frames that are asked for. The cameras that show most of the board
+            are used, as many as the number permits: one camera sees every row.
     """
     levels = np.ones(len(stitch.row_motion))
     if not fields or stitch.cad_matrix is None:
         return levels
-    samples = _samples(taken, board_type, stitch, stitch.cameras(cameras), fields, frame)
     lights = {row: of.light for (_, row), of in sorted(taken.items())}
-    for light in dict.fromkeys(lights.values()):
+    counts = Counter(lights.values())
+    used = {key: of for key, of in taken.items() if counts[lights[key[1]]] <= MOST_ROWS}
+    samples = _samples(used, board_type, stitch, stitch.cameras(cameras), fields, frame, most_pixels)
+    for light in (light for light, count in counts.items() if count <= MOST_ROWS):
         rows = np.array([row for row in sorted(lights) if lights[row] == light])
         levels[rows] = np.exp(_solve(samples, rows))
     return levels
@@ -81,25 +102,26 @@ def _samples(
     cameras: Sequence[Camera],
     fields: FlatFields,
     frame: Callable[[int, int], NDArray[Any] | None],
+    most_pixels: float,
 ) -> _Samples:
     low, high = board_type.extent()
     t = (np.arange(_POINTS) + 0.5) / _POINTS
     cad = np.stack(np.meshgrid(*(lo + (hi - lo) * t for lo, hi in zip(low, high, strict=True))), -1).reshape(-1, 2)
     height = stitch.surface.height_mm(cad) if stitch.surface is not None else np.zeros(len(cad))
-    found: list[tuple[NDArray[np.int_], NDArray[np.int_], Floats]] = []
-    for row in range(len(stitch.row_motion)):
+    sights: dict[int, list[_Sight]] = {i: [] for i in range(len(cameras))}
+    for i, row in sorted(taken):
         place = apply(np.asarray(stitch.row_motion[row]) @ np.asarray(stitch.cad_matrix), cad)
-        for i, camera in enumerate(cameras):
-            of = taken.get((i, row))
-            if of is None:
-                continue
-            at = camera.project(place, height)
-            seen = np.flatnonzero(camera.sees(at, _SIDE_PX))
-            pixels = frame(i, row) if len(seen) else None
+        at = cameras[i].project(place, height)
+        seen = np.flatnonzero(cameras[i].sees(at, _SIDE_PX))
+        if len(seen):
+            sights[i].append(_Sight(row, seen, *at[seen].round().astype(int).T))
+    found: list[tuple[NDArray[np.int_], NDArray[np.int_], Floats]] = []
+    for i in _chosen(sights, cameras, most_pixels):
+        for row, seen, x, y in sights[i]:
+            of, pixels = taken[i, row], frame(i, row)
             if pixels is None:
                 continue
             maps = fields.maps(i, of.light)
-            x, y = at[seen].round().astype(int).T
             signal, full = _windows(pixels, x, y)
             signal = signal - (maps.dark if isinstance(maps.dark, float) else maps.dark[y, x])
             flat = maps.flat[y, x] if maps.flat is not None else np.ones(len(x))
@@ -109,6 +131,17 @@ def _samples(
     if not found:
         return _Samples(np.zeros(0, np.int_), np.zeros(0, np.int_), np.zeros(0))
     return _Samples(*(np.concatenate(column) for column in zip(*found, strict=True)))
+
+
+def _chosen(sights: Mapping[int, Sequence[_Sight]], cameras: Sequence[Camera], most_pixels: float) -> list[int]:
+    """Return the cameras that show most of the board, as many as have no more pixels in their frames than the limit."""
+    chosen, pixels = [], 0
+    for i in sorted(sights, key=lambda i: -sum(len(sight.point) for sight in sights[i])):
+        pixels += len(sights[i]) * cameras[i].width_px * cameras[i].height_px
+        if pixels > most_pixels:
+            break
+        chosen.append(i)
+    return chosen
 
 
 def _windows(pixels: NDArray[Any], x: NDArray[np.int_], y: NDArray[np.int_]) -> tuple[Floats, NDArray[np.bool_]]:
@@ -136,20 +169,18 @@ def _solve(samples: _Samples, rows: NDArray[np.int_]) -> Floats:
         count = np.bincount(samples.point[mine], minlength=_POINTS**2)
         total = np.bincount(samples.point[mine], samples.log[mine], minlength=_POINTS**2)
         tables[n] = np.where(count > 0, total / np.maximum(count, 1), np.nan)
-    equations, values = [], []
-    for a in range(len(rows)):
-        for b in range(a + 1, len(rows)):
-            both = np.isfinite(tables[a]) & np.isfinite(tables[b])
-            if both.sum() < _LEAST_PAIRS:
-                continue
-            line = np.zeros(len(rows))
-            line[[a, b]] = 1, -1
-            weight = np.sqrt(both.sum() / _LEAST_PAIRS)
-            equations.append(line * weight)
-            # The median: bodies that stand above the board show other places in the two rows.
-            values.append(float(np.median(tables[a, both] - tables[b, both])) * weight)
-    ridge = np.eye(len(rows)) * _RIDGE
-    system = np.concatenate([np.array(equations).reshape(-1, len(rows)), ridge])
-    found = np.linalg.lstsq(system, np.concatenate([values, np.zeros(len(rows))]), rcond=None)[0]
+    known = np.isfinite(tables)
+    shared = known.astype(np.float32) @ known.astype(np.float32).T
+    # Normal equations: one line for each pair would be a matrix that grows with the cube of the rows.
+    system, right = np.eye(len(rows)) * _RIDGE**2, np.zeros(len(rows))
+    for a, b in np.argwhere(np.triu(shared >= _LEAST_PAIRS, 1)):
+        weight = shared[a, b] / _LEAST_PAIRS
+        # The median: bodies that stand above the board show other places in the two rows.
+        both = known[a] & known[b]
+        ratio = float(np.median(tables[a, both] - tables[b, both])) * weight
+        system[[a, b], [a, b]] += weight
+        system[[a, b], [b, a]] -= weight
+        right[[a, b]] += ratio, -ratio
+    found = np.linalg.solve(system, right)
     found -= found.mean()
     return np.asarray(np.where(np.abs(found) < _MOST_LEVEL, found, 0.0))

@@ -15,6 +15,7 @@ from vaoi_station.files.images import write_image
 from vaoi_station.model import BoardType
 from vaoi_station.photometry import Taken
 from vaoi_station.runs.merging.row_brightness import level_frames
+from vaoi_station.runs.workers import merge_job
 from vaoi_station.runs.workers.merge_job import MergedFrame, MergeJob, RowLevelsJob, merge
 
 
@@ -46,7 +47,7 @@ def test_absent_flat_fields_are_named(tmp_path: Path) -> None:
         merge(job(flat_fields=tmp_path / "none"), lambda _: np.zeros(FRAME[::-1], np.uint8))
 
 
-def test_levels_follow_from_the_ring_and_from_files(tmp_path: Path) -> None:
+def test_levels_follow_from_the_ring_and_from_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The lamp's level of each row, up to one factor per light, since their mean is 1."""
     station = HeldStation()
     fields = even_fields(tmp_path / "fields", station.cameras)
@@ -64,4 +65,7 @@ def test_levels_follow_from_the_ring_and_from_files(tmp_path: Path) -> None:
     filed = tuple(f._replace(file=tmp_path / f"{f.camera * rows + f.row}.png") for f in frames)
     recorded = RowLevelsJob("r1", 0, 0, filed, board_type, finished.stitch, station.cameras, fields, recorded=True)
     np.testing.assert_array_equal(recorded.perform(lambda _: np.zeros(0)), found)
+    monkeypatch.setattr(merge_job, "MOST_DECODED", 1000)
+    np.testing.assert_array_equal(recorded.perform(lambda _: np.zeros(0)), 1.0)
+    np.testing.assert_array_equal(job.perform(made.pixels.__getitem__), found)
     assert str(job) == "the brightness of the rows of run r1"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import lru_cache, partial
@@ -21,6 +22,10 @@ from vaoi_station.model import BoardType, Stitch
 from vaoi_station.photometry import FlatFields, Taken
 from vaoi_station.rendering import View
 from vaoi_station.runs.workers.jobs import FramesJob, RenderJob
+
+MOST_DECODED = 500_000_000
+"""Largest number of pixels that a comparison of rows decodes from files: more would take a worker longer than it may.
+Frames in memory are not decoded, and only the windows that are compared are read."""
 
 
 class MergedFrame(NamedTuple):
@@ -127,7 +132,8 @@ class RowLevelsJob(FramesJob):
 
         taken = {key: f.taken for key, f in frames.items()}
         fields = opened_fields(self.flat_fields)
-        return row_levels(taken, self.board_type, self.stitch, self.cameras, fields, pixels)
+        most = MOST_DECODED if self.recorded else math.inf
+        return row_levels(taken, self.board_type, self.stitch, self.cameras, fields, pixels, most)
 
     def __str__(self) -> str:
         return f"the brightness of the rows of run {self.run}"
