@@ -9,6 +9,7 @@ import pytest
 from playwright.sync_api import Page, Route, expect
 
 from tests.api.board_data.test_check_routes import proposing
+from tests.api.web.contrast import contrast
 from tests.board_data.readers import samples
 
 pytestmark = pytest.mark.browser
@@ -74,7 +75,10 @@ def test_a_file_becomes_an_approved_board_type(page: Page, engineer: Any, fits: 
     assert engineer.station.types["product-7"].revision == "B"
     page.get_by_label("Revision of the data").fill("")
     page.get_by_role("button", name="Keep").click()
-    expect(page.locator(".answer.done")).to_have_text("Kept.")
+    done = page.locator(".answer.done")
+    expect(done).to_have_text("Kept.")
+    assert done.evaluate("e => getComputedStyle(e).backgroundColor") != "rgba(0, 0, 0, 0)", "success has a box, too"
+    assert contrast(done) >= 4.5
     assert engineer.station.types["product-7"].revision is None
     assert engineer.station.types["product-7"].state == "retired"
     page.get_by_role("button", name="Approve").click()
@@ -116,7 +120,7 @@ def test_what_the_station_refuses_is_shown(page: Page, engineer: Any) -> None:
     page.get_by_label("Name of the board type").fill("demo-board")
     page.keyboard.press("Tab")
     page.get_by_role("button", name="Store as demo-board").click()
-    expect(page.locator(".answer.done")).to_contain_text("There is a board type demo-board already")
+    expect(page.locator(".answer.refused")).to_contain_text("There is a board type demo-board already")
     assert engineer.station.types["demo-board"] == before
     page.get_by_role("button", name="Replace demo-board now").click()
     expect(page.get_by_role("heading", name="demo-board", exact=True)).to_be_visible()

@@ -2,7 +2,7 @@
 import { make } from "../parts/elements.js";
 import { number, texts } from "../texts/texts.js";
 import { boardDrawing } from "./drawing.js";
-import { answerLine, attempt, button, choice, facts, input, labelled, section } from "./fields.js";
+import { answerLine, attempt, button, choice, facts, input, labelled, section, Wrong } from "./fields.js";
 import { fiducialChoice } from "./fiducials.js";
 import * as requests from "./requests.js";
 import { typeAddress } from "./types.js";
@@ -144,7 +144,7 @@ class Preview {
         if (sure || error.code !== "changed") throw error;
         store.classList.add("sure");
         store.textContent = t.replaceSure(type.name);
-        return t.exists(type.name);
+        throw new Wrong(t.exists(type.name));
       }
       // It may be gone already: deleted by another person, or because others are newer.
       await requests.discard(this.#preview.id).catch((error) => {
