@@ -68,6 +68,10 @@ class Client:
         """Send a command with `fields` as its JSON body; return the reply, None if it has no body."""
         return self._act("POST", path, fields)
 
+    def post_under(self, path: str, conditions: dict[str, str]) -> Any:
+        """Send a command that acts only under conditions, which are headers; return the reply."""
+        return self._act("POST", path, {}, conditions)
+
     def put(self, path: str, **query: Any) -> Any:
         """Send a PUT request without a body; `query` holds all parameters. Return the reply, None without a body."""
         return self._act("PUT", _with_query(path, query))

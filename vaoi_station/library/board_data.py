@@ -12,6 +12,7 @@ from vaoi_station.demo.client import Client
 from vaoi_station.errors import InputError
 from vaoi_station.library.arguments import require_path
 from vaoi_station.library.replies import checked
+from vaoi_station.library.station.station_board_types import conditions
 from vaoi_station.model import BoardType
 
 PREVIEWS = "/board-data/previews"
@@ -103,10 +104,15 @@ class StationImport:
         reply = self._client.put_document(self._address, options)
         return StationImport(dict(reply), self._client)
 
-    def confirm(self) -> BoardType:
-        """Store the board type on the station, so that it can be armed."""
+    def confirm(self, *, tag: str | None = None, new: bool = False) -> BoardType:
+        """Store the board type on the station, so that it can be armed.
+
+        Args:
+            tag: replace only the version with this tag (`StationBoardTypes.get_tagged`).
+            new: replace none: refuse with the code `changed` if there is a board type of this name.
+        """
         path = f"{self._address}/confirm"
-        return checked(BoardType, self._client.post(path), self._client.url(path))
+        return checked(BoardType, self._client.post_under(path, conditions(tag, new=new)), self._client.url(path))
 
     def board_type(self) -> BoardType:
         """Return the board type that `confirm` would store."""

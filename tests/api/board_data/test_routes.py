@@ -58,6 +58,20 @@ def test_from_upload_to_board_type(client: Any, held: HeldStation) -> None:
     assert client.get(f"{PREVIEWS}/{listed['id']}").status_code == 404
 
 
+def test_a_board_type_is_replaced_under_the_condition_of_its_caller(client: Any, held: HeldStation) -> None:
+    first = client.post(f"{PREVIEWS}/{upload(client, name='twice')['id']}/confirm", headers={"If-None-Match": "*"})
+    assert (first.status_code, first.headers["etag"]) == (201, client.get("/api/v1/board-types/twice").headers["etag"])
+    kept, other = held.types["twice"], upload(client, TABLE.replace("R1", "R2"), name="twice")
+    for headers in ({"If-None-Match": "*"}, {"If-Match": '"0"'}):
+        refused = client.post(f"{PREVIEWS}/{other['id']}/confirm", headers=headers)
+        assert (refused.status_code, refused.json()["code"]) == (412, "changed")
+        assert held.types["twice"] == kept
+    stored = client.post(f"{PREVIEWS}/{other['id']}/confirm", headers={"If-Match": first.headers["etag"]})
+    assert (stored.status_code, held.types["twice"].components[0].ref) == (200, "R2")
+    last = client.post(f"{PREVIEWS}/{upload(client, name='twice')['id']}/confirm")
+    assert (last.status_code, last.content) == (200, first.content)
+
+
 def test_options_are_corrected_and_files_joined(client: Any) -> None:
     bodies = upload(client, samples.KICAD, "b.kicad_pcb")
     places = upload(client, TABLE.replace("(mm)", ""))

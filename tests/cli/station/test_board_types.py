@@ -17,6 +17,7 @@ from tests.cli.conftest import Result
 from vaoi_station.api.access.access_control import AccessControl
 from vaoi_station.api.access.audit import AuditLog
 from vaoi_station.api.board_data import previews
+from vaoi_station.errors import VaoiError
 from vaoi_station.files.access_keys import KeyFile
 
 
@@ -70,13 +71,24 @@ def test_board_data_is_imported_shown_and_confirmed(
     stored = vaoi("board-types", "import", file, "--name", "p", "--confirm", "--key-file", secret)
     assert stored.out.endswith("p: stored; it can be armed.\n")
     assert len(station.types["p"].components) == 3
+    again = ("board-types", "import", file, "--name", "p", "--side", "bottom", "--confirm", "--key-file", secret)
+    assert "There is a board type 'p'; nothing was stored." in vaoi(*again).err
+    sides = [station.types["p"].side]
+    assert vaoi(*again, "--replace").code == 0
+    assert [*sides, station.types["p"].side] == ["top", "bottom"]
     file.write_text("nonsense")
     assert "b.kicad_pcb: has no header" in vaoi("board-types", "import", file, "--key-file", secret).err
     connected = api.connect(os.environ["VAOI_STATION"], key_file=secret)
     file.write_text(samples.KICAD)
     corrected = connected.upload_board_data(file, name="q").correct(side="bottom", name="q")
     assert corrected.picture.startswith(b"<svg")
-    assert corrected.confirm().side == "bottom"
+    assert corrected.confirm(new=True).side == "bottom"
+    _, tag = connected.board_types.get_tagged("q")
+    assert connected.upload_board_data(file, name="q").confirm(tag=tag).side == "top"
+    for conditions in ({"tag": tag}, {"new": True}):
+        with pytest.raises(VaoiError, match="nothing was changed") as refusal:
+            connected.upload_board_data(file, name="q").confirm(**conditions)
+        assert refusal.value.code == "changed"
 
 
 def test_a_wrong_address_is_refused(vaoi: Callable[..., Result]) -> None:

@@ -20,8 +20,9 @@ from vaoi_station.api.board_data.previews import Previews
 from vaoi_station.api.callers.caller import caller_in
 from vaoi_station.api.callers.seats import Seats
 from vaoi_station.api.event_hub import ThreadLimit
-from vaoi_station.api.http_caching import LIVE
-from vaoi_station.api.parameters import BOARD_TYPE_NAME
+from vaoi_station.api.http_caching import LIVE, REVALIDATE, conditional_response, require_unchanged
+from vaoi_station.api.parameters import BOARD_TYPE_NAME, IfMatch, IfNoneMatch
+from vaoi_station.api.routes.board_types import document_of, present_document
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import InputError, NotFoundError
 from vaoi_station.model import BoardType
@@ -115,21 +116,39 @@ def router(services: Services, previews: Previews) -> APIRouter:
         response_model=BoardType,
         responses={201: {"model": BoardType, "description": "New."}},
     )
-    async def confirm_import(request: Request, preview: PreviewId) -> Response:
-        """Store the board type of a preview, as `PUT board-types/{name}` does, and delete the preview."""
+    async def confirm_import(
+        request: Request, preview: PreviewId, _: IfMatch = None, __: IfNoneMatch = None
+    ) -> Response:
+        """Store the board type of a preview, as `PUT board-types/{name}` does, and delete the preview.
+
+        With `If-None-Match: *` it replaces no board type, with `If-Match: ETAG` only the version that the caller has
+        read: else 412 `changed`, and the preview stays. Without, one of the same name is replaced, as before.
+        """
         reply = await quick.ask(previews.reply, preview)
         board_type = await checking.ask(BoardType.model_validate_json, reply.board_type)
-        if not re.fullmatch(BOARD_TYPE_NAME, board_type.name):
-            raise InputError.field(
-                "preview", "name", board_type.name, "1 to 80 characters without slashes and leading dot",
-                action="Set `name` by PUT of the preview.",
-            )  # fmt: skip
-        async with services.changing:
-            new = await quick.ask(services.coordinator.put_board_type, board_type)
+        content = await checking.ask(document_of, board_type)
+        new = await _store(services, request, board_type)
         with suppress(NotFoundError):  # deleted meanwhile: by another caller, or because others are newer
             await quick.ask(previews.drop, preview)
-        prefix = request.url.path.partition("/board-data")[0]
-        headers = {"Location": f"{prefix}/board-types/{quote(board_type.name)}"} if new else {}
-        return Response(reply.board_type, 201 if new else 200, headers, "application/json")
+        answer = conditional_response(request, content, "application/json", cache=REVALIDATE)
+        if new:
+            answer.status_code = 201
+            answer.headers["Location"] = (
+                f"{request.url.path.partition('/board-data')[0]}/board-types/{quote(board_type.name)}"
+            )
+        return answer
 
     return routes
+
+
+async def _store(services: Services, request: Request, board_type: BoardType) -> bool:
+    """Store a board type under the conditions of a request; return whether it is new."""
+    name = board_type.name
+    if not re.fullmatch(BOARD_TYPE_NAME, name):
+        raise InputError.field(
+            "preview", "name", name, "1 to 80 characters without slashes and leading dot",
+            action="Set `name` by PUT of the preview.",
+        )  # fmt: skip
+    async with services.changing:
+        require_unchanged(request, await present_document(services, request, name), f"Board type {name!r}")
+        return await services.commands.ask(services.coordinator.put_board_type, board_type)

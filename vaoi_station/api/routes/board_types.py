@@ -45,7 +45,7 @@ def router(services: Services) -> APIRouter:
     @routes.get("/{name}", response_model=BoardType)
     async def get_board_type(request: Request, name: BoardTypeName) -> Response:
         """Return the stored document of one board type."""
-        content = _document(await ask(coordinator.board_type, name))
+        content = document_of(await ask(coordinator.board_type, name))
         return conditional_response(request, content, "application/json", cache=REVALIDATE)
 
     @routes.put(
@@ -68,9 +68,9 @@ def router(services: Services) -> APIRouter:
         board_type = await parsing.ask(_parsed, await request.body())
         if board_type.name != name:
             raise InputError.field("body", "name", board_type.name, f"{name!r}, as in the address")
-        content = _document(board_type)
+        content = document_of(board_type)
         async with changing:
-            require_unchanged(request, await _present(services, request, name), f"Board type {name!r}")
+            require_unchanged(request, await present_document(services, request, name), f"Board type {name!r}")
             new = await ask(coordinator.put_board_type, board_type)
         answer = conditional_response(request, content, "application/json", cache=REVALIDATE)
         if new:
@@ -85,7 +85,7 @@ def router(services: Services) -> APIRouter:
         With `If-Match: ETAG` only the version that the caller has read: else 412 `changed`.
         """
         async with changing:
-            require_unchanged(request, await _present(services, request, name), f"Board type {name!r}")
+            require_unchanged(request, await present_document(services, request, name), f"Board type {name!r}")
             await ask(coordinator.delete_board_type, name)
 
     @routes.put("/{name}/state", response_model=BoardType)
@@ -96,7 +96,7 @@ def router(services: Services) -> APIRouter:
         """
         async with changing:
             board_type = await ask(coordinator.board_type_history.set_state, name, body.state, body.revision)
-        return Response(_document(board_type), media_type="application/json", headers={"Cache-Control": LIVE})
+        return Response(document_of(board_type), media_type="application/json", headers={"Cache-Control": LIVE})
 
     @routes.get("/{name}/revisions")
     async def list_revisions(response: Response, name: BoardTypeName) -> BoardTypeVersions:
@@ -107,7 +107,7 @@ def router(services: Services) -> APIRouter:
     @routes.get("/{name}/revisions/{revision}", response_model=BoardType)
     async def get_revision(name: BoardTypeName, revision: Revision) -> Response:
         """Return the document of one version."""
-        content = _document(await ask(coordinator.board_type_history.get, name, revision))
+        content = document_of(await ask(coordinator.board_type_history.get, name, revision))
         return Response(content, media_type="application/json", headers={"Cache-Control": LIVE})
 
     @routes.post("/{name}/revisions/{revision}/restore", response_model=BoardType)
@@ -119,8 +119,8 @@ def router(services: Services) -> APIRouter:
         The reference and the method of a board type that was deleted have to be set again.
         """
         async with changing:
-            require_unchanged(request, await _present(services, request, name), f"Board type {name!r}")
-            content = _document(await ask(coordinator.board_type_history.restore, name, revision))
+            require_unchanged(request, await present_document(services, request, name), f"Board type {name!r}")
+            content = document_of(await ask(coordinator.board_type_history.restore, name, revision))
         return Response(content, media_type="application/json", headers={"Cache-Control": LIVE})
 
     return routes
@@ -140,19 +140,20 @@ def _parsed(body: bytes) -> BoardType:
         raise RequestValidationError([{**f, "loc": ("body", *f.get("loc", ()))} for f in faults]) from error
 
 
-async def _present(services: Services, request: Request, name: str) -> bytes | None:
+async def present_document(services: Services, request: Request, name: str) -> bytes | None:
     """Return the document of a board type as it is now; None if there is none, or the request has no condition."""
     if not {"if-match", "if-none-match"} & set(request.headers.keys()):
         return None
     try:
-        return await services.commands.ask(lambda: _document(services.coordinator.board_type(name)))
+        return await services.commands.ask(lambda: document_of(services.coordinator.board_type(name)))
     except NotFoundError:
         return None
     except VaoiError:
         return b""  # there is a file, which cannot be used: no caller has read it
 
 
-def _document(board_type: BoardType) -> bytes:
+def document_of(board_type: BoardType) -> bytes:
+    """Return the document of a board type, of which its ETag is made."""
     try:
         return json.dumps(board_type.model_dump(exclude_none=True), allow_nan=False).encode()
     except ValueError as error:

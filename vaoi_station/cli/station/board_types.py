@@ -72,12 +72,15 @@ def import_board_data(
     side: Annotated[str, typer.Option(help="The side that is up in the line, top or bottom.")] = "top",
     name: Annotated[str | None, typer.Option(help="Name of the board type; by default the design's.")] = None,
     confirm: Annotated[bool, typer.Option("--confirm", help="Store the board type; else only show it.")] = False,
+    replace: Annotated[
+        bool, typer.Option("--replace", help="Replace a board type of the same name; its version is kept.")
+    ] = False,
     station: STATION = DEFAULT_STATION,
     key_file: KEY_FILE = None,
     ca: CA = None,
 ) -> None:
     """Make a board type of board data on a running station."""
-    from vaoi_station.errors import InputError
+    from vaoi_station.errors import InputError, StateError, VaoiError
     from vaoi_station.library.board_data import StationImport
 
     options = {"side": side, "name": name}
@@ -92,7 +95,17 @@ def import_board_data(
     for line in found["check"]:
         typer.echo(f"check: {line}")
     if confirm:
-        typer.echo(f"{preview.confirm().name}: stored; it can be armed.")
+        try:
+            stored = preview.confirm(new=not replace)
+        except VaoiError as error:
+            if error.code != "changed":
+                raise
+            raise StateError(
+                f"There is a board type {found['name']!r}; nothing was stored.",
+                action="Give another --name, or --replace.",
+                code="changed",
+            ) from error
+        typer.echo(f"{stored.name}: stored; it can be armed.")
     else:
         typer.echo(f"picture: {station.rstrip('/')}{preview.document['picture']}")
         typer.echo("Nothing is stored yet: repeat with --confirm.")

@@ -56,14 +56,14 @@ class StationBoardTypes:
         """
         require_instance("put", "board_type", board_type, BoardType)
         path = _path("put", board_type.name)
-        headers = _match(tag) | ({"If-None-Match": "*"} if new else {})
+        headers = conditions(tag, new=new)
         document = board_type.model_dump(mode="json", exclude_none=True)
         reply = self._client.put_document(path, document, headers)
         return checked(BoardType, reply, self._client.url(path))
 
     def delete(self, name: str, *, tag: str | None = None) -> None:
         """Delete a board type, of which a version is kept; refused while the line is armed with it."""
-        self._client.delete(_path("delete", name), _match(tag))
+        self._client.delete(_path("delete", name), conditions(tag))
 
     def set_state(self, name: str, state: BoardTypeState, revision: str | None = None) -> BoardType:
         """Set the state `draft`, `approved` or `retired`, and the revision of the data if it is given."""
@@ -141,5 +141,7 @@ def _path(function: str, name: object, rest: str = "") -> str:
     return f"/board-types/{quote(require_text(function, 'name', name), safe='')}{rest}"
 
 
-def _match(tag: str | None) -> dict[str, str]:
-    return {} if tag is None else {"If-Match": require_text("board types", "tag", tag)}
+def conditions(tag: str | None, *, new: bool = False) -> dict[str, str]:
+    """Return the headers by which a change replaces only the version with a tag, or none."""
+    match = {} if tag is None else {"If-Match": require_text("board types", "tag", tag)}
+    return match | ({"If-None-Match": "*"} if new else {})
