@@ -10,8 +10,11 @@ import pytest
 from vaoi_station.model import BoardType, ReasonCode, Status
 from vaoi_station.simulation import Scenario, Twin, read_scenario, scenario_path
 from vaoi_station.stitching.adjustment.motion import Motion
+from vaoi_station.stitching.adjustment.observations import to_observations
+from vaoi_station.stitching.adjustment.problem import Problem
 from vaoi_station.stitching.board.board_plane import BoardPlane
-from vaoi_station.stitching.board.own_texture import beside, outline_confirmed
+from vaoi_station.stitching.board.own_texture import beside, outline_confirmed, without_seams_beside
+from vaoi_station.stitching.matching.evidence import Links, Task
 from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
 from vaoi_station.stitching.matching.scene import Scene
 from vaoi_station.stitching.work import StitchSetup, TaskRunner, all_tasks
@@ -93,6 +96,21 @@ def test_points_beside_any_outline_are_known() -> None:
     # an L: the corner that is cut out lies beside the board
     ell = plane_of([[0, 0], [20, 0], [20, 4], [8, 4], [8, 10], [0, 10]])
     assert beside(ell, C, np.array([[9.0, 8.0], [20.0, 8.0]])).tolist() == [False, True]
+
+
+def test_links_between_cameras_beside_the_board_are_left_out(workshop: Any) -> None:
+    """They lie on a bed at another height, which bends the estimated surface; those between rows show the motion."""
+    cameras = (workshop.camera(), workshop.camera())
+    places = np.array([[10.0, 5.0], [10.0, 15.0], [15.0, 10.5], [30.0, 5.0]])
+    px = cameras[0].project(places)
+    tasks = Task("neighbours", (0, 0), (1, 0)), Task("rows", (0, 0), (0, 1))
+    found = [Links(task, px, px, np.tile(np.eye(2), (4, 1, 1)), np.ones(4)) for task in tasks]
+    velocity, times = np.array([0.0, 50.0]), np.array([0.0, 0.1])
+    problem = Problem(times, velocity, to_observations(found, cameras), np.full(8, -1))
+    motion = Motion(np.zeros(2), np.zeros((2, 2)), np.zeros(2))
+    kept = without_seams_beside(plane_of([[0, 0], [20, 10]]), problem, motion, C)
+    np.testing.assert_allclose(kept.links.a_mm, [*places[[0, 2]], *places], atol=1e-9)
+    assert len(kept.component) == 6
 
 
 def test_nothing_is_beside_a_board_without_an_outline() -> None:

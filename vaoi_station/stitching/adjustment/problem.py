@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,6 +90,10 @@ class Problem:
     """The cameras whose displacements are estimated; none if the calibration is taken as exact."""
     light: Ints = field(default_factory=lambda: np.zeros(0, np.int_))
     """(m,) number of the light of each row; empty if all rows have one light."""
+
+    def select(self, at: Ints) -> Problem:
+        """Return the problem with the links of these indices only, for a problem whose components are not placed."""
+        return replace(self, links=self.links.select(at), component=self.component[at])
 
     @property
     def of_two_lights(self) -> NDArray[np.bool_]:

@@ -142,8 +142,7 @@ def solve_subsampled(problem: Problem, start: Motion) -> Motion | None:
         return None
     # Every n-th link of each pair of frames is taken, not every n-th of all links, so that each pair keeps some links.
     some = np.flatnonzero(index_in_group(problem.links.group) % every == 0)
-    sample = replace(problem, links=problem.links.select(some), component=problem.component[some])
-    solver = _Solver(sample, start, None)
+    solver = _Solver(problem.select(some), start, None)
     solver.run(_SAMPLE_CONVERGED_MM)
     return solver.motion
 

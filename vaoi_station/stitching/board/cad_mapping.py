@@ -17,7 +17,6 @@ from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import ReasonCode
 from vaoi_station.stitching.adjustment.camera_equations import comparable_cameras
 from vaoi_station.stitching.adjustment.motion import Motion
-from vaoi_station.stitching.adjustment.observations import Observations
 from vaoi_station.stitching.adjustment.problem import AdjustmentResult, FiducialPoints, Problem, SurfaceBasis
 from vaoi_station.stitching.adjustment.row_motion import board_texture, motion_from_links
 from vaoi_station.stitching.adjustment.solver import adjust
@@ -40,11 +39,17 @@ from vaoi_station.stitching.board.orientation import (
     measure_outline_contrast,
 )
 from vaoi_station.stitching.board.outline import OutlineShift, measure_outline_shift
-from vaoi_station.stitching.board.own_texture import MOST_BESIDE, links_on_board, outline_confirmed, shares_beside
+from vaoi_station.stitching.board.own_texture import (
+    MOST_BESIDE,
+    LeftOut,
+    links_on_board,
+    outline_confirmed,
+    shares_beside,
+    without_seams_beside,
+)
 from vaoi_station.stitching.board.reference import Reference, cad_points, disagreeing_reference, initial_similarity
 from vaoi_station.stitching.board.reference_orientation import ReferenceScene, Rivals, compare_with_reference
 from vaoi_station.stitching.matching.evidence import Detections, Links
-from vaoi_station.stitching.matching.patch_tables import WINDOW_PX
 from vaoi_station.stitching.matching.scene import Scene
 from vaoi_station.stitching.method import Method
 
@@ -52,6 +57,8 @@ _LEAST_REFERRED = 12
 """Least number of points linked to a reference that can place a board without fiducials."""
 _LEAST_OWN_LINKS = 24
 """Least number of links on the board; with fewer, links beside the board are not left out."""
+_SELECTIONS = 4
+"""Largest number of times that links on the board are selected, each time with the motion and C of the last ones."""
 _CERTAIN_FIDUCIALS = 3
 """Number of fiducials from which on a board is placed although its outline is not confirmed.
 
@@ -60,17 +67,6 @@ In addition, all fiducials of the board type must be found."""
 
 class Turned(Failure):
     """The failure that the board lies turned by 180°, as the pictures show. No other evidence overrides it."""
-
-
-class LeftOut(NamedTuple):
-    """The links that were left out because they lie beside the board."""
-
-    share: float
-    """Share of these links in all links between rows."""
-    confirmed: bool
-    """Whether the pictures show the edges of the board at its outline."""
-    links: Observations
-    """These links."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,6 +128,8 @@ def map_cad(
     guess, detections, outline = first
     if isinstance(guess, Failure):
         return guess
+    if apart is None:
+        problem = without_seams_beside(plane, problem, moved.motion, guess.c)
     places = apply(plane.matrix(guess.c), plane.cad(plane.fiducials))
     if plane.board_type.board_fiducials:
         found = merge_detections(detections, scene.cameras, moved.motion)
@@ -198,8 +196,7 @@ def _apart_from_surroundings(
     found = [one for one in tried if one is not None]
     confirmed = [one for one in found if one.left_out.confirmed]
     if not confirmed and isinstance(guess, Hypothesis):
-        # Links beside the board that occur only between cameras lie on the conveyor; they do not make the position
-        # doubtful.
+        # Links beside the board that occur only between cameras do not make the position doubtful.
         return tried[0] if of_rows > MOST_BESIDE else None
     if not confirmed:
         every = len(plane.fiducials)
@@ -232,18 +229,27 @@ def _fits(one: _OwnTexture) -> int:
 def _without_surroundings(
     plane: BoardPlane, scene: Scene, problem: Problem, moved: AdjustmentResult, known: MappingInputs, c: Floats
 ) -> _OwnTexture | None:
-    """Estimate the motion from the links on a board at position `c`, and find C with it; None if no C is found."""
+    """Estimate the motion from the links on a board at position `c`, and find C with it; None if no C is found.
+
+    Both are repeated until they agree with the links that were selected: with the motion of a belt, a position in a
+    later row is taken for that in the first one, and links beside the board for its own.
+    """
     coarsest = min(camera.px_per_mm for camera in scene.cameras)
-    on_board = links_on_board(plane, c, problem.links, moved.motion, coarsest)
-    if len(on_board) < _LEAST_OWN_LINKS:
-        return None
     share = shares_beside(plane, c, problem.links, moved.motion)[0]
-    own = replace(problem, links=problem.links.select(on_board), component=problem.component[on_board])
-    motion = motion_from_links(own, moved.motion)
-    guess = _c_from_detections(plane, scene, motion, replace(known, texture_mm=board_texture(own.links, motion)))
+    motion, on_board = moved, np.zeros(0, np.int_)
+    for _ in range(_SELECTIONS):
+        chosen = links_on_board(plane, c, problem.links, motion.motion, coarsest)
+        if len(chosen) < _LEAST_OWN_LINKS:
+            return None
+        if np.array_equal(chosen, on_board):
+            break
+        own, on_board = problem.select(chosen), chosen
+        motion = motion_from_links(own, motion.motion)
+        found = _c_from_detections(plane, scene, motion, replace(known, texture_mm=board_texture(own.links, motion)))
+        if isinstance(found, Failure):
+            return None
+        guess, c = found, found.c
     outline = _measured_outline(plane, scene, motion.motion, guess)
-    if isinstance(guess, Failure):
-        return None
     confirmed = (
         outline is not None
         and outline.visible
@@ -380,14 +386,9 @@ def _with_board(
     return replace(
         problem,
         component=component_at(plane, c, on_board),
-        near=near_component(plane, c, on_board, _half_patch_mm(scene)),
+        near=near_component(plane, c, on_board, scene),
         fiducials=points,
         nominal_scale=plane.board_type.mm_per_unit,
         surface=SurfaceBasis(at_links, at_marks, SIGMA_MM) if knows_height else None,
         cameras=comparable_cameras(scene.cameras),
     )
-
-
-def _half_patch_mm(scene: Scene) -> float:
-    """Return half the width of a link's patch on the board, mm."""
-    return WINDOW_PX / 2 / float(np.mean([camera.px_per_mm for camera in scene.cameras]))

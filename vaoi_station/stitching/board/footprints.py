@@ -17,6 +17,8 @@ from vaoi_station.stitching.adjustment.motion import points_in_box
 from vaoi_station.stitching.adjustment.observations import Ints
 from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.matching.evidence import FrameKey
+from vaoi_station.stitching.matching.patch_tables import WINDOW_PX
+from vaoi_station.stitching.matching.scene import Scene
 
 _BEYOND_PX = 3.0
 """A footprint's centre up to this far outside a frame still counts as a view."""
@@ -33,9 +35,10 @@ def component_at(plane: BoardPlane, c: Floats, board_mm: Floats) -> Ints:
     return plane.components.find(np.asarray(np.linalg.inv(plane.matrix(c)), np.float64), board_mm)
 
 
-def near_component(plane: BoardPlane, c: Floats, board_mm: Floats, reach_mm: float) -> NDArray[np.bool_]:
-    """Return for each board point (k, 2), mm, whether a component that stands out is nearer than `reach_mm`."""
-    wider = plane.components.widened(reach_mm)
+def near_component(plane: BoardPlane, c: Floats, board_mm: Floats, scene: Scene) -> NDArray[np.bool_]:
+    """Return for each board point (k, 2), mm, whether a link's patch there reaches a component that stands out."""
+    half_patch_mm = WINDOW_PX / 2 / float(np.mean([camera.px_per_mm for camera in scene.cameras]))
+    wider = plane.components.widened(half_patch_mm)
     return wider.find(np.asarray(np.linalg.inv(plane.matrix(c)), np.float64), board_mm) >= 0
 
 

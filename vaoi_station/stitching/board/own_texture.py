@@ -8,6 +8,8 @@ by.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,6 +17,7 @@ from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.adjustment.observations import Observations
+from vaoi_station.stitching.adjustment.problem import Problem
 from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.orientation import outline_polygons, straight_pieces, subsample_pieces
 from vaoi_station.stitching.board.outline import edge_profiles
@@ -40,6 +43,17 @@ _STANDS_OUT = 1.15
 The other steps are those more than twice `_EDGE_NEAR_MM` away from the expected edge."""
 _LEAST_PIECES = 2
 """Least number of pieces of a side in view; with fewer, the side is not checked."""
+
+
+class LeftOut(NamedTuple):
+    """The links that were left out because they lie beside the board."""
+
+    share: float
+    """Share of these links in all links between rows."""
+    confirmed: bool
+    """Whether the pictures show the edges of the board at its outline."""
+    links: Observations
+    """These links."""
 
 
 def beside(plane: BoardPlane, c: Floats, board_mm: Floats, margin_mm: float = _MARGIN_MM) -> NDArray[np.bool_]:
@@ -79,6 +93,17 @@ def links_on_board(
     """Return the indices of the links whose patches lie wholly on the board."""
     half = _HALF_PATCH_PX / px_per_mm
     return np.flatnonzero(~beside(plane, c, motion.board(links.p, links.a_mm), -half))
+
+
+def without_seams_beside(plane: BoardPlane, problem: Problem, motion: Motion, c: Floats) -> Problem:
+    """Return a problem without the links between cameras that lie beside a board at position `c`.
+
+    Carrier, belt or bed lie at another height than the board. Their links would bend its estimated surface, or show a
+    displaced camera. They say nothing about the motion of the rows, so that they need not be confirmed by an edge.
+    """
+    links = problem.links
+    off = (links.p == links.q) & beside(plane, c, motion.board(links.p, links.a_mm))
+    return problem.select(np.flatnonzero(~off)) if off.any() else problem
 
 
 def outline_confirmed(board_type: BoardType, cad_matrix: Floats, scene: Scene, motion: Motion) -> bool:
