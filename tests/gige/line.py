@@ -55,6 +55,9 @@ class ScriptedController:
     def limits(self) -> ControllerLimits:
         return ControllerLimits()
 
+    def barrier_blocked(self) -> None:
+        """Return None: no board is there before its edge is reported."""
+
     def is_watching(self) -> bool:
         return True
 

@@ -119,6 +119,23 @@ def test_every_edge_of_boards_that_follow_too_closely_is_reported(host: Host) ->
     assert len(host.run()) == 6
 
 
+def test_a_board_that_is_in_the_barrier_when_the_line_is_armed_is_known_before_it_leaves(host: Host) -> None:
+    host.chip.do("pin PB0 1")
+    host.chip.rest(20)
+    host.controller.arm(PLAN)
+    assert host.controller.barrier_blocked() is True
+    host.seen.clear()
+    host.chip.do("pin PB0 0")
+    host.next(BarrierClearAfterRun)
+    assert [type(event) for event in host.seen if isinstance(event, ControllerEvent)] == [BarrierClearAfterRun]
+    waited_ms = 0
+    while host.controller.barrier_blocked():
+        assert waited_ms < 2000, "each heartbeat reads the level"
+        host.chip.rest(20)
+        waited_ms += 20
+    assert len(host.run()) == 6, "the next board is filmed"
+
+
 def test_single_pulses(host: Host) -> None:
     for _ in range(3):
         host.controller.fire_one()

@@ -142,6 +142,21 @@ def test_clocks_that_stay_unknown_are_reported_after_the_timeout(
     assert bench.of(Armed) == []
 
 
+def test_a_board_in_the_barrier_is_reported_with_the_arming(start: Start, make_config: Make) -> None:
+    """Otherwise the line would count as ready until the next heartbeat."""
+
+    def standing(config: StationConfig) -> Devices:
+        devices = open_devices(config)
+        devices.controller.barrier_blocked = lambda: True  # type: ignore[method-assign]  # the twin knows no such board
+        return devices
+
+    bench = start(make_config(), open_backend=standing)
+    bench.until(Health)
+    assert not bench.of(Health)[-1].standing, "nothing is filmed anyway"
+    bench.arm()
+    assert bench.until(Health).standing
+
+
 def test_a_board_that_is_passing_is_filmed_before_the_line_is_disarmed(start: Start, make_config: Make) -> None:
     bench = start(make_config())
     bench.grant("one", 0)

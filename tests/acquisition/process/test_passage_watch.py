@@ -16,7 +16,7 @@ from vaoi_station.acquisition.controller.interface import (
     RunEnded,
     TriggerPlan,
 )
-from vaoi_station.acquisition.process.passage_watch import STILL_S, PassageWatch
+from vaoi_station.acquisition.process.passage_watch import STILL_S, UNREPORTED_S, PassageWatch
 
 BY_TIME = TriggerPlan(start_delay_s=0.2, period_s=0.1, tail_s=0.2, max_rows=9, debounce_s=0.005)
 BY_BELT = replace(BY_TIME, belt=BeltPacing(20.0, 400, 200, 400, 0.08))
@@ -25,7 +25,7 @@ BY_BELT = replace(BY_TIME, belt=BeltPacing(20.0, 400, 200, 400, 0.08))
 @pytest.fixture
 def watch() -> PassageWatch:
     armed = PassageWatch()
-    armed.arm(BY_BELT)
+    armed.arm(BY_BELT, False)
     return armed
 
 
@@ -64,9 +64,9 @@ def test_a_belt_that_spaces_the_rows_has_stopped_if_none_comes(watch: PassageWat
     assert watch.belt_stopped(1.1 + STILL_S)
     watch.add(PulseFired(1, 6.2, 0), 6.2)
     assert not watch.belt_stopped(6.3)
-    watch.arm(replace(BY_BELT, start_delay_s=2.0))
+    watch.arm(replace(BY_BELT, start_delay_s=2.0), None)
     assert not watch.belt_stopped(6.2 + 8.0), "a slow belt needs 8 s to the first row"
-    watch.arm(BY_TIME)
+    watch.arm(BY_TIME, None)
     assert not watch.belt_stopped(99.0)
 
 
@@ -75,3 +75,49 @@ def test_while_disarmed_nothing_passes(watch: PassageWatch) -> None:
     watch.disarm()
     assert not watch.passing
     assert not watch.add(PulseFired(1, 2.0, 0), 2.0), "a single pulse is no board"
+
+
+def shown(watch: PassageWatch) -> tuple[bool, bool]:
+    """Return whether a board stands in the barrier, and whether one passes."""
+    return watch.standing, watch.passing
+
+
+def test_a_board_that_is_in_the_barrier_when_the_line_is_armed_stands_until_it_left(watch: PassageWatch) -> None:
+    watch.arm(BY_TIME, True)
+    assert shown(watch) == (True, False)
+    watch.check_level(True, 1.0)
+    assert shown(watch)[0]
+    assert watch.add(BarrierClearAfterRun(0, 2.0), 2.0)
+    assert not shown(watch)[0]
+    watch.arm(BY_TIME, True)
+    watch.check_level(False, 3.0)
+    assert not shown(watch)[0], "no edge is reported of a level that did not last for the debounce"
+    watch.arm(BY_TIME, True)
+    assert watch.add(BarrierBlocked(1, 4.0), 4.0)
+    assert shown(watch) == (False, True), "it came just when the line was armed"
+    watch.arm(BY_TIME, True)
+    assert not shown(watch)[0], "the same plan again while it passes"
+    watch.disarm()
+    watch.check_level(True, 9.0)
+    assert not shown(watch)[0]
+
+
+def test_a_board_whose_edge_is_not_reported_stands_once_it_is_clear_that_none_will_come(watch: PassageWatch) -> None:
+    """The controller was reset and armed again while the board was in the barrier."""
+    watch.check_level(True, 10.0)
+    watch.check_level(True, 10.0 + UNREPORTED_S)
+    assert not shown(watch)[0], "the report of its edge may be under way"
+    watch.check_level(True, 10.1 + UNREPORTED_S)
+    assert shown(watch)[0]
+    watch.check_level(None, 12.0)
+    assert watch.standing, "the controller does not reply"
+    watch.check_level(False, 13.0)
+    assert not shown(watch)[0]
+
+
+def test_a_board_whose_run_was_cut_short_is_in_the_barrier_until_that_is_clear(watch: PassageWatch) -> None:
+    watch.add(BarrierBlocked(0, 1.0), 1.0)
+    watch.add(RunEnded(1, 1.5, 3, "the controller was reset"), 1.5)
+    assert (watch.passing, watch.standing) == (True, False)
+    watch.check_level(False, 1.9)
+    assert not shown(watch)[1]

@@ -102,6 +102,11 @@ def test_devices_that_have_not_reported_count_as_not_ready() -> None:
 
 def test_a_board_in_the_barrier_holds_the_next_one_back_before_its_first_pulse_too() -> None:
     assert codes(health=replace(health(True, True), passing=True)) == ["line-filming"]
+    standing = replace(health(True, True), standing=True)
+    assert codes(health=standing) == ["board-in-barrier"]
+    (reason,) = readiness.held_back(replace(READY, health=standing), CAMERAS)
+    assert "it is not filmed" in reason.message
+    assert "Take it out" in reason.action
     stopped = replace(health(True, True), passing=True, belt_stopped=True)
     for state in (StationState.ARMED, StationState.FILMING):
         (reason,) = readiness.held_back(replace(READY, state=state, health=stopped), CAMERAS)

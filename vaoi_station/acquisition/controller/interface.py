@@ -291,6 +291,9 @@ class Controller(Protocol):
     def line_output(self) -> LineOutput | None:
         """Return the state of the output "line ready"; None if there is none. Does not wait for the device."""
 
+    def barrier_blocked(self) -> bool | None:
+        """Return whether the barrier is interrupted; None if that is not known. Does not wait for the device."""
+
     def is_watching(self) -> bool:
         """Return whether the controller replies, and fires for boards when armed. Does not wait for the device."""
 

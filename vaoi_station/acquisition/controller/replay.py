@@ -123,6 +123,9 @@ class ReplayController:
         """Return no limits: a replay plays what the recording holds, and takes no other program."""
         return ControllerLimits()
 
+    def barrier_blocked(self) -> None:
+        """Return None: the boards of a replay have come already."""
+
     def is_watching(self) -> bool:
         """Return True: this controller is part of the process."""
         return True

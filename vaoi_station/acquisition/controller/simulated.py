@@ -136,6 +136,9 @@ class SimulatedController:
         """Return the lights of the simulated line; it has no other limits."""
         return ControllerLimits(lights=self._line.lights())
 
+    def barrier_blocked(self) -> None:
+        """Return None: boards come only while the line is armed."""
+
     def is_watching(self) -> bool:
         """Return True: this controller is part of the process."""
         return True

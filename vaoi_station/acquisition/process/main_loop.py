@@ -304,7 +304,8 @@ class _MainLoop:
         try:
             if isinstance(waiting.command, Arm):
                 self._session.arm(waiting.command.plan)
-                self._passage.arm(waiting.command.plan)
+                self._passage.arm(waiting.command.plan, self._devices.controller.barrier_blocked())
+                self._health_is_due = True
             else:
                 self._session.fire_one(now_s)
         except ClockError:
@@ -318,6 +319,7 @@ class _MainLoop:
     def _health(self, now_s: float) -> Health:
         cameras = tuple(camera.health() for camera in self._devices.cameras)
         controller = self._devices.controller
+        self._passage.check_level(controller.barrier_blocked(), now_s)
         return Health(
             cameras,
             controller.health(),
@@ -327,6 +329,7 @@ class _MainLoop:
             passing=self._passage.passing,
             belt_stopped=self._passage.belt_stopped(now_s),
             limits=controller.limits(),
+            standing=self._passage.standing,
         )
 
     def _receive_commands(self, woken: Connection) -> None:

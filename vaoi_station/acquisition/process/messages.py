@@ -171,6 +171,8 @@ class Health:
     """Whether the belt that spaces the rows has stopped during a run."""
     limits: ControllerLimits | None = None
     """What the controller can do with a light program."""
+    standing: bool = False
+    """Whether a board is in the barrier that is not filmed, because it came while the line was not armed."""
 
 
 @dataclass(frozen=True)

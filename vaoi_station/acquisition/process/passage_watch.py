@@ -10,6 +10,7 @@ from vaoi_station.acquisition.controller.interface import (
     SLOWEST,
     BarrierBlocked,
     BarrierBlockedAgain,
+    BarrierBounce,
     BarrierClear,
     BarrierClearAfterRun,
     BoardTooSoon,
@@ -22,6 +23,9 @@ from vaoi_station.acquisition.controller.interface import (
 
 STILL_S = 5.0
 """Shortest time without a row after which a belt that spaces the rows counts as stopped."""
+UNREPORTED_S = 1.0
+"""Time, s, in addition to the debounce, after which an interrupted barrier without a report of its edge belongs to a
+board whose edge will not be reported."""
 
 
 class PassageWatch:
@@ -33,6 +37,14 @@ class PassageWatch:
         self._row_s: float | None = None
         """Host time of the run's latest row, or of its latest interruption of the barrier; None without a run."""
         self._blocked = False
+        self._standing = False
+        self._unreported_s: float | None = None
+        """Host time since which the barrier has been interrupted without a report; None if it is not."""
+
+    @property
+    def standing(self) -> bool:
+        """Whether a board is in the barrier that is not filmed, because it came while the line was not armed."""
+        return self._standing
 
     @property
     def passing(self) -> bool:
@@ -46,23 +58,44 @@ class PassageWatch:
         slow_s = SLOWEST * max(self._plan.start_delay_s, self._plan.period_s)
         return now_s - self._row_s > max(STILL_S, slow_s)
 
-    def arm(self, plan: TriggerPlan) -> None:
-        """Follow events from now on. The events of an arming before this one end with those of its run."""
+    def arm(self, plan: TriggerPlan, blocked: bool | None) -> None:
+        """Follow events from now on. The events of an arming before this one end with those of its run.
+
+        `blocked`: the level of the barrier after the controller was armed; None if it is not known.
+        """
         self._plan = plan
+        self._standing = bool(blocked) and not self.passing
 
     def disarm(self) -> None:
         """Ignore events until the controller is armed again."""
         self._plan, self._row_s, self._blocked = None, None, False
+        self._standing, self._unreported_s = False, None
+
+    def check_level(self, blocked: bool | None, now_s: float) -> None:
+        """Compare the level of the barrier with what was reported. Reports may be lost, and a controller may restart.
+
+        `blocked`: the level, at most a heartbeat old; None if it is not known.
+        """
+        if self._plan is None or self._row_s is not None or blocked is None:
+            self._unreported_s = None
+        elif not blocked:
+            self._blocked, self._standing, self._unreported_s = False, False, None
+        elif not self.passing:
+            # A level is often known sooner than the edge is reported, which waits for the debounce.
+            self._unreported_s = now_s if self._unreported_s is None else self._unreported_s
+            self._standing |= now_s - self._unreported_s > UNREPORTED_S + self._plan.debounce_s
 
     def forget_barrier(self) -> None:
         """Take the barrier as clear outside a run, because the report that it became clear may be lost."""
         self._blocked = self._blocked and self._row_s is not None
 
     def add(self, event: ControllerEvent, now_s: float) -> bool:
-        """Evaluate an event; return whether it changed `passing`."""
-        before = self.passing
+        """Evaluate an event; return whether it changed `passing` or `standing`."""
+        before = self.passing, self.standing
         if self._plan is None:
             return False
+        if not isinstance(event, RunEnded | BarrierBounce):
+            self._standing, self._unreported_s = False, None
         if isinstance(event, BarrierBlocked | BarrierBlockedAgain):
             self._row_s, self._blocked = now_s, True
         elif isinstance(event, PulseFired | PulseSkipped):
@@ -72,6 +105,6 @@ class PassageWatch:
         elif isinstance(event, BarrierClear | BarrierClearAfterRun):
             self._blocked = False
         elif isinstance(event, RunEnded):
-            # Only this end leaves a board in the barrier. A replay never reports that its barrier is clear.
-            self._row_s, self._blocked = None, self._blocked and event.reason == "max-rows"
-        return self.passing != before
+            # Any other end may leave the board in the barrier. A replay never reports that its barrier is clear.
+            self._row_s, self._blocked = None, self._blocked and event.reason != "clear"
+        return (self.passing, self.standing) != before

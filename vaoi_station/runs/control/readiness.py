@@ -55,6 +55,11 @@ _STOPPED = Reason(
     message="A board is in the barrier or under the cameras, and the belt does not move.",
     action="Start the belt. If it runs, check its encoder and the cable (vaoi doctor); disarm to end the run.",
 )
+_STANDING = Reason(
+    code="board-in-barrier",
+    message="A board has been in the light barrier since before the line was armed: it is not filmed.",
+    action="Take it out and let it in again. If there is none, clean and align the barrier (vaoi doctor).",
+)
 EXPECTED = frozenset({"line-not-armed", "line-filming"})
 """Codes with which a board must wait although nothing is wrong."""
 
@@ -81,6 +86,8 @@ def held_back(facts: LineFacts, cameras: Sequence[CameraConfig]) -> tuple[Reason
     elif not facts.health.controller_ready:
         message = "The controller does not reply, or has switched its outputs off."
         found.append(Reason(code="controller-not-ready", message=message, action="Check its power and its cable."))
+    elif facts.health.standing:
+        found.append(_STANDING)
     elif facts.health.passing:
         # The station's state is FILMING only from the first pulse on, and no longer after a run was given up.
         found.append(_STOPPED if stopped else _PASSING)

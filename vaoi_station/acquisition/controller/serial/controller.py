@@ -109,6 +109,11 @@ class SerialController:
         hold = Hold.HOST if status is None else status.hold
         return LineOutput(high, "" if high else _WHY_LOW.get(hold, "the controller holds boards back"))
 
+    def barrier_blocked(self) -> bool | None:
+        """Return the level of the barrier in the newest status; None while the controller cannot be reached."""
+        status = self._supervisor.link.status
+        return None if status is None or self._supervisor.unavailable is not None else bool(status.blocked)
+
     def is_watching(self) -> bool:
         """Return whether the controller replies, and its guard has not switched it off."""
         return self._supervisor.unavailable is None and not self._supervisor.guard_tripped

@@ -7,6 +7,7 @@ const GROUPS = {
   camera: ["camera-lost", "camera-absent"],
   controller: ["controller-silent", "controller-not-ready", "controller-reset", "foreign-device"],
   wait: ["acquisition-lost", "workers-starting", "devices-silent", "thread-lost", "worker-lost", "line-filming"],
+  board: ["board-in-barrier"],
   none: ["ring-full", "memory-short", "line-not-armed"],
 };
 const DISK = /^(storage|database|store$)/;

@@ -72,6 +72,7 @@ export const texts = {
     wait: "Warten.",
     engineer: "Techniker rufen.",
     identify: "Mit ihrer Nummer neu aktivieren.",
+    board: "Platine aus der Lichtschranke nehmen.",
   },
   boardOrders: {
     again: "Herausnehmen, neu aufnehmen.",

@@ -75,6 +75,7 @@ export const texts = {
     wait: "Wait.",
     engineer: "Call the engineer.",
     identify: "Arm again with its id.",
+    board: "Take the board out of the barrier.",
   },
   // What to do about a board whose pictures are not good, by the group of a reason's cause.
   boardOrders: {
