@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 import json
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
@@ -73,7 +78,19 @@ def stored(board: RecordedRun, tmp_path_factory: pytest.TempPathFactory) -> Arch
 
 
 def add_runs(archive: Archive, recording: Path, runs: int) -> None:
-    """Add a recording under several ids: run r0 of board B0 on day 1 at line 0, r1 of B1 on day 2 at line 1, …"""
+    """Add boards with equal frames: run r0 of board B0 on day 1 at line 0, r1 of B1 on day 2 at line 1, …"""
     for n in range(runs):
         label = RunLabel(run=f"r{n}", time=f"2026-11-{n % 28 + 1:02d}T10:00:00Z", serial=f"B{n}")
-        archive.add(recording, station=f"line {n % 2}", label=label)
+        with filmed_again(recording, f"r{n}") as folder:
+            archive.add(folder, station=f"line {n % 2}", label=label)
+
+
+@contextmanager
+def filmed_again(recording: Path, run: str) -> Iterator[Path]:
+    """Yield a recording with the same frames, as a station that replays them writes it: with the id of its run."""
+    with TemporaryDirectory(dir=recording.parent) as scratch:
+        folder = Path(shutil.copytree(recording, Path(scratch) / "run", copy_function=os.link))
+        head = json.loads((folder / "recording.json").read_text(encoding="utf-8"))
+        (folder / "recording.json").unlink()  # It is a link to that of the recording.
+        (folder / "recording.json").write_text(json.dumps(head | {"x_run": run}), encoding="utf-8")
+        yield folder

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.plant.conftest import filmed_again
 from vaoi_station.plant.archive import Archive, RunLabel, RunSelection
 from vaoi_station.plant.selected_runs import select_runs
 
@@ -14,7 +15,8 @@ from vaoi_station.plant.selected_runs import select_runs
 def test_runs_are_found_once_and_in_order(recording: Path, tmp_path: Path) -> None:
     first = Archive.create(tmp_path / "a")
     for station, run in (("b", "r1"), ("a", "r2")):
-        first.add(recording, station=station, label=RunLabel(run=run, time="2026-11-01T10:00:00Z"))
+        with filmed_again(recording, run) as folder:
+            first.add(folder, station=station, label=RunLabel(run=run, time="2026-11-01T10:00:00Z"))
     second = Archive.open(shutil.copytree(tmp_path / "a", tmp_path / "b"))
     found = select_runs([first.url, second.url, first.url], RunSelection(), pytest.fail)
     assert [(url, key.rpartition("/")[2]) for url, key in found] == [(first.url, "r2.json"), (first.url, "r1.json")]
@@ -27,3 +29,15 @@ def test_different_runs_with_one_id_are_named(recording: Path, tmp_path: Path) -
     reported: list[str] = []
     assert select_runs([a.url for a in archives], RunSelection(), reported.append) == []
     assert "r1.json: two runs have this id, and differ" in reported[0]
+
+
+def test_one_recording_in_several_places_counts_once_and_is_named(recording: Path, tmp_path: Path) -> None:
+    archives = [Archive.create(tmp_path / name) for name in "abc"]
+    for archive, (station, run) in zip(archives, (("x", "r1"), ("w", "r1"), ("y", "r2")), strict=True):
+        archive.add(recording, station=station, label=RunLabel(run=run, time="2026-11-01T10:00:00Z"))
+    first, same_id, other_id = (archive.url for archive in archives)
+    reported: list[str] = []
+    assert select_runs([first, other_id], RunSelection(), reported.append) == [(first, "runs/x/2026-11-01/r1.json")]
+    assert f"r2.json: is the same recording as {first}/runs/x/2026-11-01/r1.json" in reported[0]
+    assert select_runs([first, same_id], RunSelection(), reported.append) == []
+    assert f"two runs have this id, and differ: {first}/runs/x/2026-11-01/r1.json, {same_id}/runs/w" in reported[1]

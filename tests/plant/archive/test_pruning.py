@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.plant.conftest import filmed_again
 from vaoi_station.plant.archive import Archive, RunLabel, RunSelection, catalogue
 from vaoi_station.plant.archive.fault import ArchiveFault
 from vaoi_station.plant.archive.storage import Storage
@@ -31,7 +32,8 @@ def archive(tmp_path: Path, recording: Path) -> Archive:
     """Return an archive with two runs of the same frames, and a blob that no run needs."""
     made = Archive.create(tmp_path / "archive")
     for run, day in (("a", "01"), ("b", "02")):
-        made.add(recording, station="one", label=RunLabel(run=run, time=f"2026-03-{day}T08:00:00Z"))
+        with filmed_again(recording, run) as folder:
+            made.add(folder, station="one", label=RunLabel(run=run, time=f"2026-03-{day}T08:00:00Z"))
     made.storage.write("blobs/00/" + "0" * 64, b"left over")
     return made
 
@@ -48,10 +50,10 @@ def test_young_blobs_stay(archive: Archive) -> None:
 
 
 def test_blobs_that_another_run_needs_stay(archive: Archive) -> None:
-    before = blobs_of(archive)
+    before, head = blobs_of(archive), archive.run("a").documents["head"].bytes
     pruned = archive.prune(RunSelection(until="2026-03-01"), grace_s=AT_ONCE_S)
-    assert (pruned.runs, pruned.blobs, pruned.bytes, pruned.faults) == (1, 1, 9, 0)
-    assert blobs_of(archive) == before - 1
+    assert (pruned.runs, pruned.blobs, pruned.bytes, pruned.faults) == (1, 2, 9 + head, 0)
+    assert blobs_of(archive) == before - 2
     assert [run.run for run in archive.runs()] == ["b"]
     assert archive.verify().faults == 0
 

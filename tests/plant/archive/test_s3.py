@@ -11,6 +11,7 @@ from urllib.request import Request, urlopen
 import numpy as np
 import pytest
 
+from tests.plant.conftest import filmed_again
 from vaoi_station.errors import DeviceError, InputError
 from vaoi_station.files import open_recording
 from vaoi_station.plant.archive import Archive, RunLabel
@@ -51,7 +52,8 @@ def test_two_stations_write_at_the_same_time(bucket: str, recording: Path, tmp_p
     def add(station: str, runs: str) -> None:
         archive = Archive.open(bucket)
         for run in runs:
-            archive.add(recording, station=station, label=RunLabel(run, "2026-03-01T08:00:00Z"))
+            with filmed_again(recording, run) as folder:
+                archive.add(folder, station=station, label=RunLabel(run, "2026-03-01T08:00:00Z"))
 
     with ThreadPoolExecutor() as pool:
         list(pool.map(add, ("one", "line 2/top"), ("ab", "cd")))
@@ -59,7 +61,7 @@ def test_two_stations_write_at_the_same_time(bucket: str, recording: Path, tmp_p
     assert [run.run for run in archive.runs()] == ["c", "d", "a", "b"]
     found = archive.verify()
     assert (found.runs, found.faults) == (4, 0)
-    assert len(list(archive.storage.entries("blobs"))) == 6
+    assert len(list(archive.storage.entries("blobs"))) == 2 + 3 + 4
     back = open_recording(archive.extract("b", tmp_path / "back"))
     assert np.array_equal(back.frame(0, 1), open_recording(recording).frame(0, 1))  # type: ignore[arg-type]
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.plant.conftest import filmed_again
 from vaoi_station.plant.archive import Archive, RunLabel, RunSelection, addition
 from vaoi_station.plant.archive.fault import ArchiveFault, ignore_fault
 from vaoi_station.plant.archive.verification import verify
@@ -13,18 +14,32 @@ from vaoi_station.plant.archive.verification import verify
 
 @pytest.fixture
 def archive(tmp_path: Path, recording: Path) -> Archive:
-    """Return an archive with two runs, which share every blob but that of their frames."""
+    """Return an archive with two runs, which share every blob but that of their heads."""
     made = Archive.create(tmp_path / "archive")
     for run in ("a", "b"):
-        made.add(recording, label=RunLabel(run=run, time="2026-03-01T08:00:00Z"))
+        with filmed_again(recording, run) as folder:
+            made.add(folder, label=RunLabel(run=run, time="2026-03-01T08:00:00Z"))
     return made
 
 
 def test_a_sound_archive_has_no_faults(archive: Archive) -> None:
     found = archive.verify()
     assert (found.runs, found.damaged_runs, found.faults) == (2, 0, 0)
-    assert found.blobs == 3 + 2 * 3
+    assert found.blobs == 2 + 2 * (1 + 3)
     assert archive.verify(RunSelection(until="2026-02-28")).runs == 0
+
+
+def test_one_recording_under_several_ids_days_or_stations_is_named(archive: Archive, recording: Path) -> None:
+    with filmed_again(recording, "a") as folder:
+        archive.add(folder, station="one", label=RunLabel(run="c", time="2026-03-02T08:00:00Z"))
+        archive.add(folder, station="one", label=RunLabel(run="b", time="2026-03-02T08:00:00Z"))
+    faults: list[ArchiveFault] = []
+    found = archive.verify(on_fault=faults.append)
+    assert (found.runs, found.damaged_runs) == (2, 0)
+    assert "2 runs have the id b" in faults[0].what
+    assert f"runs/unnamed/2026-03-01/a.json: is the same recording as {archive.url}/runs/one/2026-03-02/c.json" in (
+        faults[1].what
+    )
 
 
 def test_missing_and_damaged_blobs_are_named_for_every_run(archive: Archive) -> None:

@@ -10,6 +10,7 @@ from vaoi_station.plant.archive import catalogue
 from vaoi_station.plant.archive.extraction import read_blob
 from vaoi_station.plant.archive.fault import ArchiveFault, OnFault
 from vaoi_station.plant.archive.manifest import DRAFTS
+from vaoi_station.plant.archive.same_recordings import SameRecordings, frames_of
 from vaoi_station.plant.archive.selection import RunSelection
 from vaoi_station.plant.archive.storage import Storage
 
@@ -39,8 +40,16 @@ def verify(storage: Storage, selection: RunSelection, on_fault: OnFault, under_w
 
     # Shared documents are read once; frames are hardly ever shared, and their digests would take memory.
     sound: set[str] = set()
+    recordings = SameRecordings()
     for run in catalogue.runs(storage, selection, report):
         found.runs += 1
+        if (other := recordings.earlier(storage, run.key, frames_of(run))) is not None:
+            report(
+                ArchiveFault(
+                    f"{storage.url}/{run.key}: is the same recording as {other}, with equal frames and head.",
+                    "Remove the one that is wrong by `vaoi archive prune --run ID --station NAME`.",
+                )
+            )
         before = found.faults
         documents = {blob.sha256 for blob in run.documents.values()}
         for blob in run.blobs:
