@@ -29,6 +29,34 @@ def test_a_second_end_extends_the_interruption_because_its_beginning_was_lost() 
     assert log.interruptions == [(2.0, 5.0)]
 
 
+def test_the_way_of_the_belt_at_the_edges_is_that_of_the_encoder() -> None:
+    log = BarrierLog()
+    for blocked, clear in (((10.0, 2**32 - 100), (40.0, 900)), ((41.0, 920), None)):
+        assert log.ways_mm(20.0) == (None if not log.interruptions else ((0.0, 50.0),))
+        log.blocked(*blocked)
+        if clear is not None:
+            log.clear(*clear)
+    assert log.ways_mm(20.0) == ((0.0, 50.0), (51.0, None)), "the counter wraps"
+    log.clear(42.0)
+    assert log.ways_mm(20.0) is None, "one edge came without a position"
+
+
+def test_an_encoder_that_does_not_count_forwards_measures_no_way() -> None:
+    for counts in (0, -40):
+        log = BarrierLog()
+        log.blocked(1.0, 1000)
+        log.clear(2.0, 1000 + counts)
+        assert log.ways_mm(20.0) is None
+    log.blocked(3.0, 1600)
+    log.clear(4.0, 1600 - 1)
+    assert log.ways_mm(20.0) is None, "it counted backwards before"
+    log = BarrierLog()
+    log.blocked(1.0, 1000)
+    log.clear(2.0, 1600)
+    log.blocked(3.0, 1598)
+    assert log.ways_mm(20.0) == ((0.0, 30.0), (29.9, None)), "a belt at rest shakes"
+
+
 def test_an_interruption_after_the_end_of_the_run_begins_another_passage() -> None:
     log = BarrierLog()
     log.blocked(1.0)

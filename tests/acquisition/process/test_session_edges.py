@@ -20,6 +20,7 @@ from vaoi_station.acquisition.controller.interface import (
 )
 from vaoi_station.acquisition.process.messages import BoardMissed, Grant, MissedPassage, RunFinished
 from vaoi_station.config import StationConfig
+from vaoi_station.line_config import Encoder
 
 
 @pytest.fixture
@@ -63,6 +64,23 @@ def test_a_missed_passage_reports_every_interruption(bench: SessionBench) -> Non
     (passage,) = bench.of(MissedPassage)
     assert passage.host_time_s == pytest.approx(9.7)
     assert [round(blocked, 6) for blocked, _ in passage.interruptions] == [0.0, 0.5]
+
+
+def test_a_missed_passage_has_the_way_of_the_belt_if_there_is_an_encoder(
+    make_config: Callable[..., StationConfig],
+) -> None:
+    """The rows need not follow the encoder."""
+    config = make_config()
+    line = config.line.model_copy(update={"encoder": Encoder(counts_per_mm=20.0)})
+    for fitted in (line, config.line):
+        with session_bench(config.model_copy(update={"line": fitted})) as bench:
+            bench.session.arm(bench.plan)
+            bench.session.handle_event(BarrierBlocked(0, 9.7, 500), 9.7)
+            bench.pulse(10.0, 0)
+            bench.session.handle_event(BarrierClear(1, 40.0, 1500), 40.0)
+            bench.session.handle_event(RunEnded(2, 40.1, 1, "clear"), 40.1)
+            (passage,) = bench.of(MissedPassage)
+            assert passage.ways_mm == (((0.0, 50.0),) if fitted.encoder else None)
 
 
 def test_a_board_that_stood_in_the_barrier_when_the_line_was_armed_is_missed(bench: SessionBench) -> None:

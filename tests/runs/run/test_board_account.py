@@ -134,6 +134,17 @@ def test_boards_that_follow_a_missed_board_too_closely_are_counted_as_well(books
     assert books.published[0][1]["message"].startswith("1 board followed a missed board too closely")
 
 
+def test_a_missed_board_on_a_belt_that_stood_is_one_board_by_the_encoder(books: Books) -> None:
+    """By the nominal speed it would be many boards long."""
+    stood = ((0.0, 30.0),)
+    books.account.passage_missed(MissedPassage(49.0, stood, ((0.0, 30.0),)), 79.9)
+    assert books.account.missed == 0
+    books.account.passage_missed(MissedPassage(49.0, ((0.0, 0.1), (0.2, 0.3)), ((0.0, 30.0), (60.0, 90.0))), 49.9)
+    assert books.account.missed == 1, "the belt was fast"
+    books.account.passage_missed(MissedPassage(49.0, stood), 79.9)
+    assert books.account.missed > 2
+
+
 def test_while_the_barrier_is_not_watched_ids_become_uncertain(books: Books) -> None:
     books.account.unwatched(45.0, "the controller did not report all boards for a time")
     books.finish(((0.0, 0.3),))

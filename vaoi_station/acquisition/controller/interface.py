@@ -173,22 +173,30 @@ class ControllerEvent:
 
 
 @dataclass(frozen=True)
-class BarrierBlocked(ControllerEvent):
+class BarrierEdge(ControllerEvent):
+    """A confirmed edge of the barrier."""
+
+    counts: int | None = None
+    """Position of the encoder at the edge, modulo 2³²; None if the backend does not report it."""
+
+
+@dataclass(frozen=True)
+class BarrierBlocked(BarrierEdge):
     """A board that reached the barrier; a run begins."""
 
 
 @dataclass(frozen=True)
-class BarrierClear(ControllerEvent):
+class BarrierClear(BarrierEdge):
     """A board that has left the barrier. The controller fires on until the tail time has passed."""
 
 
 @dataclass(frozen=True)
-class BarrierBlockedAgain(ControllerEvent):
+class BarrierBlockedAgain(BarrierEdge):
     """An interruption within the tail of a run, by a cut-out of the board or by another board. The run continues."""
 
 
 @dataclass(frozen=True)
-class BarrierClearAfterRun(ControllerEvent):
+class BarrierClearAfterRun(BarrierEdge):
     """The end of an interruption outside a run.
 
     It is the end of a board that was refused, that stood in the barrier when the controller was armed, or whose run had

@@ -144,20 +144,21 @@ class TriggerRule:
         """Accept the new level of the barrier, which has now lasted for the debounce time."""
         assert self._pending_s is not None
         edge_s, self._pending_s, self._blocked = self._pending_s, None, self._raw
+        counts = None if self._belt is None else self._belt.counts_at(edge_s)
         if self._blocked:
             if self._passage is not None:
                 # A cut-out of the same board, or another one: cancel the tail.
                 self._passage.clear_s = None
-                return [BarrierBlockedAgain(next(self._numbers), edge_s)]
+                return [BarrierBlockedAgain(next(self._numbers), edge_s, counts)]
             self._passage = _Passage(edge_s + self.plan.start_delay_s, confirmed_s=edge_s + self.plan.debounce_s)
-            if self._belt is not None and self.plan.belt is not None:
-                self._passage.place = self._belt.counts_at(edge_s) + self.plan.belt.start
-            return [BarrierBlocked(next(self._numbers), edge_s)]
+            if counts is not None and self.plan.belt is not None:
+                self._passage.place = counts + self.plan.belt.start
+            return [BarrierBlocked(next(self._numbers), edge_s, counts)]
         if self._passage is None:
-            return [BarrierClearAfterRun(next(self._numbers), edge_s)]
+            return [BarrierClearAfterRun(next(self._numbers), edge_s, counts)]
         self._passage.clear_s = edge_s
         # The debounce time has passed since the edge. The run cannot end before the edge is confirmed.
-        return [BarrierClear(next(self._numbers), edge_s), *self._end_if_over(edge_s + self.plan.debounce_s)]
+        return [BarrierClear(next(self._numbers), edge_s, counts), *self._end_if_over(edge_s + self.plan.debounce_s)]
 
     def _fire(self, time_s: float) -> list[ControllerEvent]:
         assert self._passage is not None

@@ -152,6 +152,8 @@ class MissedPassage:
 
     host_time_s: float
     interruptions: tuple[Interruption, ...]
+    ways_mm: tuple[Interruption, ...] | None = None
+    """Way of the belt at the edges of each interruption since the first edge, mm, by the encoder; None without one."""
 
 
 @dataclass(frozen=True)

@@ -50,17 +50,17 @@ class PassageLog:
         if isinstance(event, BarrierBlocked):
             self.edge_s = self._host_s(event, now_s)
             self.forget()
-            self.barrier.blocked(event.time_s)
+            self.barrier.blocked(event.time_s, event.counts)
         elif isinstance(event, BarrierBlockedAgain):
-            self.barrier.blocked(event.time_s)
+            self.barrier.blocked(event.time_s, event.counts)
         elif isinstance(event, BarrierClear):
-            self.barrier.clear(event.time_s)
+            self.barrier.clear(event.time_s, event.counts)
         elif isinstance(event, BarrierClearAfterRun):
             # What stays in the barrier after its run belongs to that run. Anything else was in the barrier before its
             # edge counted.
             if not self.barrier.is_open:
                 return BoardMissed(self._host_s(event, now_s), "it stood in the barrier when the line was armed")
-            self.barrier.clear(event.time_s)
+            self.barrier.clear(event.time_s, event.counts)
         elif isinstance(event, BoardTooSoon):
             self.forget()
             self.barrier.blocked(event.time_s)

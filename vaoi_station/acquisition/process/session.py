@@ -324,10 +324,13 @@ class Session:
         # From here on, the log belongs to what is still in the barrier. The run keeps the interruptions known at its
         # end.
         barrier = self._passages.barrier
-        barrier.over = barrier.over or record.interruptions is barrier.interruptions
+        own_log = record.interruptions is barrier.interruptions
+        barrier.over = barrier.over or own_log
         record.interruptions = list(record.interruptions)
         if record.run is None:
-            self._send(MissedPassage(self._passages.edge_s, since_first(record.interruptions)))
+            encoder = self._config.line.encoder
+            ways_mm = barrier.ways_mm(encoder.counts_per_mm) if encoder is not None and own_log else None
+            self._send(MissedPassage(self._passages.edge_s, since_first(record.interruptions), ways_mm))
         self._apply(self._recorder.end_pulses(record, pulses, reason, now_s), now_s)
         self._load_next()
 

@@ -13,7 +13,7 @@ from typing import Any
 from vaoi_station.acquisition.process.messages import BoardMissed, MissedPassage, RunFinished
 from vaoi_station.line_config import Line
 from vaoi_station.runs.run.order import Order, Orders
-from vaoi_station.runs.run.passage import Passage, limit_of, measure_passage, way_by_encoder, way_of
+from vaoi_station.runs.run.passage import Passage, limit_of, measure_passage, way_by_encoder, way_of, way_of_edges
 from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.states.schemas import Reason
 
@@ -55,7 +55,8 @@ class BoardAccount:
         line = order.line or self._line
         limit_mm = limit_of(order.board_type, line, None)
         end_s = max(c if c is not None else b for b, c in report.interruptions)
-        passage = measure_passage(report.interruptions, end_s, lambda s: line.speed_mm_s * s, limit_mm)
+        way = way_of_edges(line, report.interruptions, report.ways_mm)
+        passage = measure_passage(report.interruptions, end_s, way, limit_mm)
         if passage.boards > 1:
             message = f"{_boards(passage.boards - 1)} followed a missed board too closely and passed as well."
             edge_s = report.host_time_s + passage.leading_s[-1]

@@ -137,6 +137,24 @@ def way_by_encoder(line: Line, head: RecordingHead, edge_s: float) -> PositionMm
     return way
 
 
+def way_of_edges(
+    line: Line, interruptions: tuple[Interruption, ...], ways_mm: tuple[Interruption, ...] | None
+) -> PositionMm:
+    """Return the belt's distance over time by the encoder at each edge; without an encoder, at the nominal speed.
+
+    Args:
+        line: nominal velocity.
+        interruptions: interruptions of the barrier.
+        ways_mm: the belt's way at the edges of each of them.
+    """
+    if ways_mm is None:
+        return lambda time_s: line.speed_mm_s * time_s
+    edges = zip(itertools.chain(*interruptions), itertools.chain(*ways_mm), strict=True)
+    known = [(time_s, way_mm) for time_s, way_mm in edges if time_s is not None and way_mm is not None]
+    times_s, places_mm = zip(*known, strict=True)
+    return lambda time_s: float(np.interp(time_s, times_s, places_mm))
+
+
 def _direction(line: Line) -> Floats:
     velocity = np.array(line.conveyor_mm_s)
     return np.asarray(velocity / np.hypot(*velocity))

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from vaoi_station.acquisition.cameras.interface import DeviceFault
 from vaoi_station.acquisition.controller.interface import (
     BarrierBlocked,
+    BarrierEdge,
     ControllerEvent,
     PulseFired,
     PulseSkipped,
@@ -65,6 +66,12 @@ def test_a_single_pulse_is_a_run_of_its_own() -> None:
 
 def test_a_run_whose_begin_was_lost_does_not_end() -> None:
     assert Recorder().receive((Kind.RUN_END, RunEnd.CLEAR, 5, 0)) == []
+
+
+def test_every_edge_has_the_position_of_the_encoder() -> None:
+    edges = ((Kind.BARRIER, 1), (Kind.BARRIER, 0), (Kind.EDGE, 1), (Kind.EDGE, 0))
+    events = Recorder().receive(*((kind, detail, 7, 2**32 - 3 + n) for n, (kind, detail) in enumerate(edges)))
+    assert [e.counts for e in events if isinstance(e, BarrierEdge)] == [2**32 - 3 + n for n in range(4)]
 
 
 def test_boards_too_close_and_faults_are_reported() -> None:

@@ -121,18 +121,18 @@ class EventTranslator:
             # If a run is still under way here, its end event was overwritten in the firmware's ring of events.
             self.end("the controller's report of its end was lost")
             self._running, self._rows = True, 0
-            self._emit(BarrierBlocked(next(self._numbers), time_s))
+            self._emit(BarrierBlocked(next(self._numbers), time_s, event.value))
         elif self._running:
-            self._emit(BarrierClear(next(self._numbers), time_s))
+            self._emit(BarrierClear(next(self._numbers), time_s, event.value))
 
     def _edge(self, event: Event, time_s: float) -> None:
         if event.detail:
             # If the barrier event of a run was lost, an interruption within the run begins it.
             if not self._running:
                 self._running, self._rows = True, 0
-            self._emit(BarrierBlockedAgain(next(self._numbers), time_s))
+            self._emit(BarrierBlockedAgain(next(self._numbers), time_s, event.value))
         else:
-            self._emit(BarrierClearAfterRun(next(self._numbers), time_s))
+            self._emit(BarrierClearAfterRun(next(self._numbers), time_s, event.value))
 
     def _pulse(self, event: Event, time_s: float) -> None:
         if event.index == ROW_NONE:
