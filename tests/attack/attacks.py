@@ -201,6 +201,26 @@ def guessed_keys(target: Target, stop: threading.Event) -> None:
     ask(target, stop, requests)
 
 
+def unread_trends(target: Target, stop: threading.Event) -> None:
+    """Ask for the figures of ten years with as many times as permitted, and read nothing."""
+    hold(target, stop, get("/api/v1/trends?points=2000&since=2017-01-01T00:00:00Z"), 80)
+
+
+def examinations(target: Target, stop: threading.Event) -> None:
+    """Ask for the findings of the doctor on many connections."""
+    hold(target, stop, get("/api/v1/doctor"), 256)
+
+
+def camera_frames(target: Target, stop: threading.Event) -> None:
+    """Ask for the figures of a camera's newest frame on many connections."""
+    hold(target, stop, get("/api/v1/cameras/0/frame"), 80)
+
+
+def kept_pictures(target: Target, stop: threading.Event) -> None:
+    """Ask for the kept picture of a board on many connections, and read nothing."""
+    hold(target, stop, get(f"/api/v1/runs/{target.run}/mosaics/kept.jpg"), 80)
+
+
 ATTACKS: dict[str, Attack] = {
     attack.__name__: attack
     for attack in (
@@ -218,5 +238,9 @@ ATTACKS: dict[str, Attack] = {
         planned_boards,
         pictures_without_a_key,
         guessed_keys,
+        unread_trends,
+        examinations,
+        camera_frames,
+        kept_pictures,
     )
 }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections import defaultdict
 
 import cv2
 import numpy as np
@@ -29,6 +30,8 @@ class NewestFrames:
         self._coordinator = coordinator
         self._measured: dict[int, CameraFrame] = {}
         self._lock = threading.Lock()
+        self._measuring: defaultdict[int, threading.Lock] = defaultdict(threading.Lock)
+        """A lock for each camera: callers who ask for the same new frame wait until one of them has measured it."""
 
     def frame(self, camera: int) -> CameraFrame:
         """Return the figures of a camera's newest frame in memory.
@@ -41,6 +44,13 @@ class NewestFrames:
             raise NotFoundError(
                 f"There is no camera {camera}; the station has {len(names)}.", action="See cameras of GET station."
             )
+        with self._lock:
+            measuring = self._measuring[camera]
+        with measuring:
+            return self._newest(camera, names[camera])
+
+    def _newest(self, camera: int, name: str) -> CameraFrame:
+        """Return the figures of a camera's newest frame; the caller holds the lock of the camera."""
         candidates = self._candidates(camera)
         runs = {run.id for run, _ in candidates}
         for run, record in candidates:
@@ -60,9 +70,7 @@ class NewestFrames:
             with self._lock:
                 self._measured[camera] = found
             return found
-        raise NotFoundError(
-            f"No frame of camera {names[camera]} is in memory.", action="Let a board pass.", code="no-frame-yet"
-        )
+        raise NotFoundError(f"No frame of camera {name} is in memory.", action="Let a board pass.", code="no-frame-yet")
 
     def picture(self, camera: int, run: str | None, row: int | None) -> bytes:
         """Return a frame as JPEG of 8 bits, at most `LARGEST_PX` long: without a run and a row, the newest."""

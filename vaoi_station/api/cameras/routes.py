@@ -29,7 +29,12 @@ def router(services: Services, config: Path | None = None) -> APIRouter:
     frames, examinations = NewestFrames(services.coordinator), Examinations(config, services.hub.closing)
     seats = Seats("requests for an examination that wait", EXAMINATIONS, EXAMINATIONS_OF_CALLER)
 
-    @routes.get("/cameras/{camera}/frame", response_model_exclude_none=True)
+    # Measuring a frame takes a thread of pictures, so that it takes a seat for pictures as well.
+    @routes.get(
+        "/cameras/{camera}/frame",
+        response_model_exclude_none=True,
+        dependencies=[Depends(services.picture_seats.hold)],
+    )
     async def get_camera_frame(response: Response, camera: Camera) -> CameraFrame:
         """Return the figures of a camera's newest frame in memory: sharpness over the field, histogram, exposure.
 

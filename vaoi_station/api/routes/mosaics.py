@@ -135,7 +135,12 @@ def router(services: Services) -> APIRouter:
         # The small picture is made later, and deleted before the run.
         return conditional_response(request, body, "application/json", cache=REVALIDATE)
 
-    @routes.get("/kept.jpg", response_class=Response, responses=KEPT)
+    @routes.get(
+        "/kept.jpg",
+        response_class=Response,
+        responses=KEPT,
+        dependencies=[Depends(services.picture_seats.hold)],
+    )
     async def get_kept_mosaic(request: Request, run: RunId) -> Response:
         """Return the small picture of the whole board that is kept when the frames are gone, at most 2 megapixels.
 
