@@ -37,6 +37,8 @@ ENCODER: dict[str, Any] = {**VALID, "pacing": "encoder", "encoder": {"counts_per
 def test_the_encoder_counts_the_distances_of_the_nominal_speed() -> None:
     line = Line(**ENCODER)
     assert [line.counts(s) for s in (line.start_delay_s, line.trigger_period_s, line.tail_s)] == [200, 200, 400]
+    assert line.encoder_places == (198, 200, 398), "a row is fired 1 ms, 2 counts at the nominal speed, after its count"
+    assert line.model_copy(update={"start_delay_s": 0.0, "tail_s": 5e-4}).encoder_places == (0, 200, 0)
     assert line.fastest_mm_s == 125.0
     assert line.shortest_period_s == pytest.approx(0.08)
     assert line.row_ways_mm(3) == (0.0, 10.0, 20.0)

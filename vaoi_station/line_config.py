@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, NamedTuple, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -59,6 +59,17 @@ class Encoder(Section):
     """Distance of the belt between two rows; it may replace `trigger_period_s` of the line."""
     fastest_mm_s: Positive | None = None
     """Fastest speed of the belt that cameras and LEDs must be able to follow; None: 1.25 times the nominal speed."""
+
+
+class EncoderPlaces(NamedTuple):
+    """Distances of a run in counts of the encoder."""
+
+    start: int
+    """From the edge of the barrier to row 0."""
+    row: int
+    """Between two rows."""
+    tail: int
+    """From the end of the board to the last place at which a row is fired."""
 
 
 class Line(Section):
@@ -157,6 +168,15 @@ class Line(Section):
         assert self.encoder is not None
         return round(nominal_s * self.speed_mm_s * self.encoder.counts_per_mm)
 
+    @property
+    def encoder_places(self) -> EncoderPlaces:
+        """The distances of the rows in counts of the encoder, as the controller gets them."""
+        # A row is fired ENCODER_LATENCY_S after its count. At the nominal speed it then lies at its place; at another
+        # speed v it lies (v − nominal) · ENCODER_LATENCY_S beyond it.
+        lead = self.counts(ENCODER_LATENCY_S)
+        start, row, tail = (self.counts(s) for s in (self.start_delay_s, self.trigger_period_s, self.tail_s))
+        return EncoderPlaces(max(0, start - lead), row, max(0, tail - lead))
+
     def row_ways_mm(self, rows: int) -> tuple[float, ...] | None:
         """Return the belt's way at each row since row 0 by the encoder; None if the clock spaces the rows."""
         if not self.by_encoder or self.encoder is None:
@@ -196,7 +216,7 @@ class Line(Section):
         """Number of pulses for the longest board, from start delay to end of tail (the paper's m)."""
         if self.by_encoder and self.encoder is not None:
             # The controller gets whole counts, so that its rows lie closer than the period says, or further apart.
-            start, row, tail = (self.counts(s) for s in (self.start_delay_s, self.trigger_period_s, self.tail_s))
+            start, row, tail = self.encoder_places
             board = math.ceil(round(self.longest_board_mm * self.encoder.counts_per_mm, 6))
             return 1 + max(0, math.ceil((board + tail - start) / row))
         return 1 + math.ceil((self.passing_s - self.start_delay_s) / self.trigger_period_s)

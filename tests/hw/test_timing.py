@@ -13,6 +13,7 @@ from tests.hw.emulated.line import STEPS, TIMING, Line, ms, us
 from tests.hw.emulated.load import full_line
 from tests.hw.emulated.timing import film
 from tests.hw.emulated.timing_picture import draw
+from vaoi_station.acquisition.controller.interface import BeltPacing
 from vaoi_station.acquisition.controller.protocol.messages import (
     Fault,
     Kind,
@@ -24,6 +25,8 @@ from vaoi_station.acquisition.controller.protocol.messages import (
     config_crc,
     configuration,
 )
+from vaoi_station.line_config import ENCODER_LATENCY_S
+from vaoi_station.line_config import Line as LineConfig
 
 CYCLES_PER_TICK = 8
 
@@ -187,6 +190,37 @@ def test_an_encoder_paces_rows_by_distance(chip: Chip) -> None:
     triggers = chip.rises("PB1")
     assert len(triggers) == len(places)
     assert all(abs(cycle - at - latency) <= 20 * CYCLES_PER_US for cycle, at in zip(triggers, due, strict=True))
+
+
+@pytest.mark.parametrize("share", [1.0, 0.5])
+def test_rows_lie_at_their_places_at_the_nominal_speed(chip: Chip, share: float) -> None:
+    """At another speed they lie beyond them by what it differs in 1 ms: at half the speed 0.05 mm before them."""
+    line_mm_s, start_mm, row_mm, per_mm = 100.0, 6.0, 4.0, 20.0
+    config = LineConfig(
+        conveyor_mm_s=(0.0, line_mm_s), barrier_mm=0.0, start_delay_s=start_mm / line_mm_s,
+        trigger_period_s=row_mm / line_mm_s, tail_s=0.02, longest_board_mm=18.0, pacing="encoder",
+        encoder={"counts_per_mm": per_mm},
+    )  # fmt: skip
+    belt = BeltPacing.of(config)
+    assert belt is not None
+    line = Line(chip)
+    line.arm(
+        replace(
+            TIMING, pacing=Pacing.DISTANCE, steps=1, start_delay=belt.start, period=belt.row, tail=belt.tail,
+            min_period=ms(5),
+        ),
+        [Step(1, us(200))],
+    )  # fmt: skip
+    per_count = round(1e6 * CYCLES_PER_US / (line_mm_s * share * per_mm))
+    edge = line.barrier(True)
+    chip.do(f"encoder 500 {per_count}")
+    line.run(round(18.0 / (line_mm_s * share) * 1000))
+    line.barrier(False)
+    line.run(round(7.0 / (line_mm_s * share) * 1000))
+    ways_mm = [(cycle - edge) / per_count / per_mm for cycle in chip.rises("PB1")]
+    beyond_mm = (share - 1) * line_mm_s * ENCODER_LATENCY_S
+    wanted = [start_mm + row * row_mm + beyond_mm for row in range(4)]
+    assert ways_mm == pytest.approx(wanted, abs=0.005)
 
 
 def test_two_boards_on_a_belt_that_stops_and_goes(chip: Chip) -> None:

@@ -27,7 +27,7 @@ class BeltPacing:
 
     counts_per_mm: float
     start: int
-    """From the edge of the barrier to row 0."""
+    """From the edge of the barrier to the count of row 0, which is fired `ENCODER_LATENCY_S` after it."""
     row: int
     tail: int
     shortest_s: float
@@ -38,13 +38,7 @@ class BeltPacing:
         """Return the distances of a line; None if the controller's clock spaces its rows."""
         if not line.by_encoder or line.encoder is None:
             return None
-        return cls(
-            counts_per_mm=line.encoder.counts_per_mm,
-            start=line.counts(line.start_delay_s),
-            row=line.counts(line.trigger_period_s),
-            tail=line.counts(line.tail_s),
-            shortest_s=line.shortest_period_s,
-        )
+        return cls(line.encoder.counts_per_mm, *line.encoder_places, line.shortest_period_s)
 
     @property
     def row_mm(self) -> float:

@@ -101,9 +101,9 @@ def _pulses(scenario: Scenario, blocked_s: float, clear_s: float, encoder: Encod
     line, of_line = scenario.line, line_of(scenario)
     most = of_line.rows_of_longest_board
     if encoder is not None:
-        first, row = (of_line.counts(s) for s in (line.start_delay_s, line.period_s))
-        first += encoder.counts_at(blocked_s)
-        last = math.inf if math.isinf(clear_s) else encoder.counts_at(clear_s) + of_line.counts(line.tail_s)
+        start, row, tail = of_line.encoder_places
+        first = start + encoder.counts_at(blocked_s)
+        last = math.inf if math.isinf(clear_s) else encoder.counts_at(clear_s) + tail
         places = (first + k * row for k in range(most))
         return tuple(encoder.time_of(place) + ENCODER_LATENCY_S for place in places if place <= last)
     times = (blocked_s + line.start_delay_s + k * line.period_s for k in range(most))
