@@ -39,13 +39,19 @@ class CameraConfig(Section):
     """One camera of the array. The order of the cameras is that of the calibration."""
 
     name: str
+    """Name in messages, in REST and on the page; each camera has another."""
     backend: Literal["simulated", "replay", "aravis"] = "simulated"
+    """What takes its place: the twin, recordings, or none: it is a real camera (`aravis`)."""
     width: Annotated[Whole, Field(ge=16, le=65536)]
+    """Columns of a frame, px."""
     height: Annotated[Whole, Field(ge=16, le=65536)]
+    """Lines of a frame, px."""
     exposure_us: Positive
+    """Exposure, unless a light program states another; shorter than the time between two pulses."""
     readout_us: NotNegative = 0.0
     """Time from the end of an exposure to the earliest next one; 0 for sensors that expose while they read out."""
     pixel_format: PixelFormatName = "Mono8"
+    """Pixels of a frame by GenICam's names; cameras that are simulated or replayed send Mono8 or Mono16."""
     latency_us: NotNegative | None = None
     """Time from a pulse to the time stamp of its frame; None: it is learnt from the frames."""
     latency_gate_us: Positive = 10_000.0
@@ -57,6 +63,7 @@ class CameraConfig(Section):
     offset_px: tuple[Pixels, Pixels] = (0, 0)
     """Column and row of the sensor's pixel at which the frame begins."""
     gain_db: Finite = 0.0
+    """Gain, unless a light program states another."""
     exposure_by: Literal["auto", "register", "trigger-width", "sequencer"] = "auto"
     """What sets the exposure of a real camera under a light program: its register, the same for all rows, or row by
     row the width of the trigger, or the camera's sequencer, with the gain too. `auto`: the register unless the program
@@ -72,6 +79,7 @@ class CameraConfig(Section):
     nominal_center_mm: tuple[Finite, Finite] | None = None
     """Nominal centre of the camera's view, in tester coordinates, mm; calibration needs it to within a few mm."""
     nominal_px_per_mm: Positive | None = None
+    """Nominal resolution on the belt; calibration needs it."""
     nominal_roll_deg: Annotated[Finite, Field(ge=-360, le=360)] | None = None
     """Rotation of the mounted camera, from image x towards image y; 180 is upside down. None: upright."""
 
@@ -121,16 +129,20 @@ class LightConfig(Section):
     """A light pattern: LED channels that are lit together, and their on-time."""
 
     channels: Annotated[tuple[Annotated[Whole, Field(ge=0, le=7)], ...], Field(min_length=1)]
+    """LED channels of the controller, 0 … 7."""
     on_us: Positive
+    """Time for which they are lit, from the pulse on."""
 
 
 class ControllerConfig(Section):
     """The microcontroller that fires cameras and LEDs."""
 
     backend: Literal["simulated", "replay", "serial"] = "simulated"
+    """What takes its place: the twin, recordings, or none: it is the real one (`serial`), for cameras with `aravis`."""
     port: Word = "/dev/vaoi-trigger"
     """Serial port by a name that does not change; deploy/71-vaoi-controller.rules creates this one."""
     baud: Annotated[Whole, Field(ge=9600, le=2_000_000)] = 250_000
+    """Rate of the serial port, bit/s."""
     trigger_us: Annotated[Positive, Field(ge=50, le=2000)] = 100.0
     """Width of the camera trigger, within the limits of hw/protocol.md."""
     min_gap_s: Annotated[NotNegative, Field(le=LONGEST_GAP_S)] = 0.0
@@ -138,6 +150,7 @@ class ControllerConfig(Section):
     interlock: Literal["off", "on"] = "off"
     """Whether the output "line ready" lets the conveyor hold boards back while they would not be filmed well."""
     lights: dict[str, LightConfig] = Field(default={})
+    """Light patterns by name."""
     order: tuple[str, ...] = ()
     """Lights of consecutive rows; empty for all in the order of the file. Without lights only cameras are triggered."""
 
@@ -163,6 +176,7 @@ class SimulationConfig(Section):
     """The digital twin that simulates line, cameras and controller."""
 
     scenario: Path
+    """Scenario of the twin."""
     boards: Annotated[Whole, Field(ge=0)] = 0
     """Number of boards that pass; 0 for no end."""
     interval_s: Positive = 5.0
@@ -173,6 +187,7 @@ class ReplayConfig(Section):
     """Recordings that are replayed instead of line, cameras and controller."""
 
     recordings: Annotated[tuple[Path, ...], Field(min_length=1)]
+    """Recordings, which are replayed in turn."""
     runs: Annotated[Whole, Field(ge=0)] = 0
     """Number of runs that are replayed, in a cycle over the recordings; 0 for no end."""
     pace: Literal["original", "fast"] = "original"
@@ -185,6 +200,7 @@ class RingConfig(Section):
     """The ring, the shared memory for frames."""
 
     directory: Path = Path("/dev/shm")  # noqa: S108  (the ring is made exclusively, mode 0640)
+    """Directory of the ring, in a file system that is memory."""
     runs: Annotated[Whole, Field(ge=2, le=64)] = 3
     """Number of runs that the ring holds at once; one is filmed while the others are used."""
     spare_rows: Annotated[Whole, Field(ge=0, le=64)] = 2
@@ -239,7 +255,9 @@ class ApiConfig(Section):
     """The address at which the REST service listens."""
 
     host: str = "127.0.0.1"
+    """Address of REST and the page; 0.0.0.0 for all interfaces."""
     port: Annotated[Whole, Field(ge=0, le=65535)] = 8350
+    """Port of REST and the page."""
     names: tuple[str, ...] = ()
     """Further host names by which callers may address the station, besides its own name and addresses."""
     open_loopback: bool = True
@@ -260,7 +278,9 @@ class StationConfig(Section):
     """The whole configuration of a station."""
 
     name: str = "vaoi"
+    """Name of the station."""
     calibration: Path
+    """calibration.json of the array."""
     flat_fields: Path | None = None
     """Directory of the flat fields of the cameras (`vaoi flatfield`); None: merged pictures are made without them."""
     board_types: Path
@@ -268,6 +288,7 @@ class StationConfig(Section):
     data: Path
     """Directory for the database, results and kept recordings."""
     workers: Annotated[Whole, Field(ge=1, le=64)] = 2
+    """Number of worker processes."""
     method: MethodName = "auto"
     """Method for board types without a method of their own; `auto` uses a reference if there is one."""
     heights: Literal["after-run", "on-request"] = "after-run"

@@ -41,7 +41,9 @@ class ExpectedBoard(Section):
     rotation_deg: Literal[0, 90, 180, 270] = 0
     """Rotation of the board on the belt, counter-clockwise from CAD-upright as the camera sees it."""
     tolerance_mm: Positive = 4.0
+    """Largest distance of the board from its expected place."""
     rotation_tolerance_deg: Annotated[Positive, Field(le=30)] = 3.0
+    """Largest rotation of the board against the expected one."""
 
     @model_validator(mode="after")
     def _one_guide(self) -> Self:
@@ -82,9 +84,11 @@ class Line(Section):
     start_delay_s: NotNegative
     """Time from the interruption of the barrier to the first pulse."""
     trigger_period_s: Positive
+    """Time between two pulses; longer than every exposure."""
     tail_s: NotNegative
     """Time for which pulses continue after the board has left the barrier."""
     longest_board_mm: Positive
+    """Longest board, along the motion; it determines the size of the ring."""
     carrier_mm: Positive | None = None
     """Length along the motion of the carrier in which boards ride; None if the barrier sees the boards themselves."""
     debounce_s: NotNegative = 0.005

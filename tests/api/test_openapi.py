@@ -130,6 +130,8 @@ def test_answers_may_get_fields_and_requests_may_not(document: dict[str, Any]) -
         "ImportOptions",
         "MethodRequest",
         "ProgramRequest",
+        "SettingChange",
+        "SettingsChange",
         "StateRequest",
         "TeachRequest",
         "TrialRequest",

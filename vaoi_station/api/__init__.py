@@ -40,7 +40,7 @@ from vaoi_station.api.routes import (
     stitching,
 )
 from vaoi_station.api.routes.services import Services
-from vaoi_station.api.setup import calibration_routes, optics_routes
+from vaoi_station.api.setup import calibration_routes, optics_routes, settings_routes
 from vaoi_station.api.setup.station_files import StationFiles
 from vaoi_station.api.trends import routes as trends
 from vaoi_station.push.push_service import PushService
@@ -111,7 +111,7 @@ def create_app(
     if access is not None:
         app.include_router(keys.router(services, access), prefix=PREFIX)
     if files is not None:
-        for setup in (calibration_routes, optics_routes):
+        for setup in (calibration_routes, optics_routes, settings_routes):
             app.include_router(setup.router(services, files), prefix=PREFIX)
     _add_health(app, services)
     app.include_router(metrics.router(services))

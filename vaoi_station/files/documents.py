@@ -47,13 +47,18 @@ def read_json(path: Path) -> Any:
 
 def read_toml(path: Path) -> dict[str, Any]:
     """Parse a TOML file."""
+    return parse_toml(_text(path), path)
+
+
+def parse_toml(text: str, where: str | Path) -> dict[str, Any]:
+    """Parse a TOML text, which messages name `where`."""
     try:
-        return tomllib.loads(_text(path))
+        return tomllib.loads(text)
     except RecursionError as error:
-        raise InputError(f"{path}: is nested too deeply for a document of this station.") from error
+        raise InputError(f"{where}: is nested too deeply for a document of this station.") from error
     # Besides its own error tomllib raises that of `int`, for numbers of thousands of digits.
     except ValueError as error:
-        raise InputError(f"{path}: not valid TOML: {error}.") from error
+        raise InputError(f"{where}: not valid TOML: {error}.") from error
 
 
 def parse(model: type[M], data: Any, where: str | Path, action: str = "") -> M:

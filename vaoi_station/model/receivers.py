@@ -48,6 +48,7 @@ class WebhookSettings(Strict):
     """Where the events go, which events, and when a failed delivery is tried again."""
 
     url: Url
+    """Address of the receiver; no more than its host is shown again."""
     events: Annotated[tuple[EventType, ...], Field(max_length=50)] = ()
     """Types of events: a kind (`run`) or kind and state (`run.ready`); empty for all."""
     retry_after_s: Annotated[tuple[Pause, ...], Field(min_length=1, max_length=20)] = RETRY_AFTER_S
@@ -58,6 +59,7 @@ class WebhookConfig(WebhookSettings):
     """One webhook of the file."""
 
     name: WebhookName
+    """Name by which the webhook is addressed over REST."""
     secret_file: Path
     """File with the signing secrets, `whsec_…`, one in each line; each of them signs."""
 
@@ -66,6 +68,7 @@ class MqttConfig(Strict):
     """An MQTT broker to which the events are published."""
 
     host: Annotated[str, Field(pattern=r"^[A-Za-z0-9._:-]{1,253}$")]
+    """Name or address of the broker."""
     port: Annotated[Whole, Field(ge=1, le=65535)] | None = None
     """None: 8883 with TLS, 1883 without."""
     prefix: Annotated[str, Field(pattern=r"^[^+#/\x00-\x1f]+(/[^+#/\x00-\x1f]+)*$", max_length=200)] | None = None
@@ -73,13 +76,17 @@ class MqttConfig(Strict):
     events: Annotated[tuple[EventType, ...], Field(max_length=50)] = ()
     """Types of events; empty for all."""
     user: Annotated[str, Field(min_length=1, max_length=200)] | None = None
+    """Name with which the station logs in."""
     password_file: Path | None = None
+    """File with the password."""
     tls: bool = False
+    """Whether the connection is encrypted by TLS."""
     ca: Path | None = None
     """PEM file with the authorities that are trusted; None: those of the system."""
     certificate: Path | None = None
     """Certificate by which the broker knows the station (PEM)."""
     private_key: Path | None = None
+    """Private key of the certificate (PEM)."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

@@ -17,6 +17,8 @@ from vaoi_station.files.access_keys import KeyFile
 EXPECTED = {
     "admin": {
         "POST /keys",
+        "POST /settings/check",
+        "PUT /settings",
         "POST /calibration/trial",
         "POST /calibration/trial/accept",
         "PUT /webhooks/{name}",
@@ -89,6 +91,8 @@ def test_every_command_has_its_scope(station: Any, push: Any, tmp_path: Path) ->
         ("GET", "/api/v1/audit", "admin"),
         ("GET", "/api/v1/calibration", "read"),
         ("GET", "/api/v1/calibration/trial", "admin"),
+        ("GET", "/api/v1/settings", "admin"),
+        ("GET", "/api/v1/optics/plan", "read"),
         ("GET", "/api/v1/webhooks", "admin"),
         ("GET", "/api/v1/webhooks/mes/dead-letters", "admin"),
         ("POST", "/api/v1/unknown", "admin"),

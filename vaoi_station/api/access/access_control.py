@@ -36,6 +36,10 @@ _FORWARDED = ("forwarded", "x-forwarded-for", "x-real-ip", "via", "webhook-id")
 """Headers of a request that its sender made for another: by a proxy, or by a station as a webhook."""
 _REFUSALS_PER_MINUTE = 60
 _STILL_KNOWN = "still-known"
+CHANGED = "changed"
+"""Entry of a request's state: names of what a command has changed, for the audit log. Values are never written."""
+_CHANGE_NOTHING = frozenset({"/api/v1/settings/check"})
+"""Addresses that compute although they take a body."""
 
 
 class AccessControl:
@@ -87,7 +91,7 @@ class AccessControl:
             self._minute, self._refused = minute, self._refused + 1 if minute == self._minute else 1
             if self._refused > _REFUSALS_PER_MINUTE:
                 return
-        elif scope["method"] in ("GET", "HEAD", "OPTIONS"):
+        elif scope["method"] in ("GET", "HEAD", "OPTIONS") or scope["path"] in _CHANGE_NOTHING:
             return
         caller: Caller = scope["state"]["caller"]
         entry: dict[str, Any] = {
@@ -99,6 +103,8 @@ class AccessControl:
             "status": status,
             "ms": round((time.monotonic() - begun) * 1000),
         }
+        if (changed := scope["state"].get(CHANGED)) is not None:
+            entry["changed"] = changed
         self.audit.add(**entry)
 
     def _caller(self, scope: Scope, headers: Headers) -> tuple[Caller | None, bool]:

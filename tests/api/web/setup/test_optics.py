@@ -64,7 +64,7 @@ def test_the_example_of_the_paper_violates_two_constraints_and_remedies_mend_the
     page.emulate_media(color_scheme="light")
     if PICTURES:
         page.set_viewport_size({"width": 1280, "height": 1000})
-        page.screenshot(path=Path(PICTURES) / "setup-optics.png")
+        page.screenshot(path=Path(PICTURES) / "set-up" / "optics.png")
     page.get_by_role("button", name="Number of cameras: 13").focus()
     page.keyboard.press("Enter")
     expect(page.locator(".verdict")).to_have_text("1 constraint is violated.")

@@ -43,6 +43,10 @@ export const frame = (run, camera, row) => `/api/v1/runs/${part(run)}/frames/${c
 export const opticsRequirements = (of) => call("GET", `/optics/requirements?of=${of}`);
 export const opticsPlan = (values) => call("GET", `/optics/plan?${new URLSearchParams(values)}`);
 
+export const settings = () => request("GET", "/settings");
+export const checkSettings = (changes) => call("POST", "/settings/check", { changes });
+export const saveSettings = (changes, tag) => call("PUT", "/settings", { changes }, ifStill(tag));
+
 export const keys = async () => (await call("GET", "/keys")).keys;
 export const createKey = (name, scopes) => call("POST", "/keys", { name, scopes });
 export const rotateKey = (name) => call("POST", `/keys/${part(name)}/rotate`);

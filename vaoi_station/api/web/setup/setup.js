@@ -10,6 +10,7 @@ const PAGES = {
   programs: ["./lights/programs.js", "teach"],
   calibration: ["./calibration.js", "admin"],
   optics: ["./optics/optics.js", "read"],
+  settings: ["./settings/settings.js", "admin"],
   keys: ["./keys.js", "admin"],
 };
 

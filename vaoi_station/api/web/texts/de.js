@@ -2,7 +2,8 @@
 import { board } from "./board_de.js";
 import { cameras } from "./cameras_de.js";
 import { lights } from "./lights_de.js";
-import { optics } from "./optics_de.js";
+import { optics } from "./setup/optics_de.js";
+import { settings } from "./setup/settings_de.js";
 import { setup } from "./setup_de.js";
 import { trends } from "./trends_de.js";
 
@@ -11,6 +12,7 @@ export const texts = {
   cameras,
   lights,
   optics,
+  settings,
   setup,
   trends,
   line: "Linie",

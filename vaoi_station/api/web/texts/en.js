@@ -2,7 +2,8 @@
 import { board } from "./board_en.js";
 import { cameras } from "./cameras_en.js";
 import { lights } from "./lights_en.js";
-import { optics } from "./optics_en.js";
+import { optics } from "./setup/optics_en.js";
+import { settings } from "./setup/settings_en.js";
 import { setup } from "./setup_en.js";
 import { trends } from "./trends_en.js";
 
@@ -11,6 +12,7 @@ export const texts = {
   cameras,
   lights,
   optics,
+  settings,
   setup,
   trends,
   // frame of all pages

@@ -1,7 +1,7 @@
 // Texte der Seiten unter „Einrichten“ auf Deutsch.
 export const setup = {
   title: "Einrichten",
-  pages: { types: "Baugruppentypen", programs: "Lichtprogramme", calibration: "Kalibrierung", optics: "Optik", keys: "Schlüssel" },
+  pages: { types: "Baugruppentypen", programs: "Lichtprogramme", calibration: "Kalibrierung", optics: "Optik", settings: "Einstellungen", keys: "Schlüssel" },
   working: "In Arbeit …",
   zoomIn: "Vergrößern",
   zoomOut: "Verkleinern",

@@ -1,7 +1,7 @@
 // Texts of the pages under "Set up" in English.
 export const setup = {
   title: "Set up",
-  pages: { types: "Board types", programs: "Light programs", calibration: "Calibration", optics: "Optics", keys: "Keys" },
+  pages: { types: "Board types", programs: "Light programs", calibration: "Calibration", optics: "Optics", settings: "Settings", keys: "Keys" },
   working: "Working …",
   zoomIn: "Zoom in",
   zoomOut: "Zoom out",

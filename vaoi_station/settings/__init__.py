@@ -1,0 +1,1 @@
+"""station.toml as data: its keys with documentation and limits, all its faults, edits that keep the rest."""
