@@ -41,7 +41,7 @@ def read_html_bom(data: bytes, path: Path) -> Design:
         contours, _ = join(_edges(board.get("edges", [])))
         title = str((board.get("metadata") or {}).get("title") or path.stem)
         hidden = {int(n) for n in (board.get("bom") or {}).get("skipped", [])}
-    except (KeyError, TypeError, ValueError, IndexError) as error:
+    except (AttributeError, KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
         raise InputError(f"{path}: pcbdata lacks or has a wrong value at {error}.") from error
     fitted = tuple(p if n not in hidden else _unfitted(p) for n, p in enumerate(parts))
     outline, *cut_outs = contours or [[]]
@@ -56,7 +56,7 @@ def _board(text: str, path: Path) -> dict[str, Any]:
         start = plain.end() if plain else 0
     try:
         board, _ = json.JSONDecoder().raw_decode(text, start)
-    except (json.JSONDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # also of a number with more digits than Python converts
         raise InputError(f"{path}: has no readable pcbdata of InteractiveHtmlBom: {error}.") from error
     if not isinstance(board, dict):
         raise InputError(f"{path}: pcbdata is a {type(board).__name__}, must be an object.")
