@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vaoi_station.board_data.design import Box, Part, body_of, box_around, normalised, rotated
+from vaoi_station.board_data.design import Box, Part, Placement, body_of, box_around, normalised, rotated
 
 
 def test_the_centre_of_a_turned_part_follows_its_body() -> None:
@@ -37,3 +37,10 @@ def test_angles_are_normalised(angle: float) -> None:
     found = normalised(angle)
     assert 0 <= found < 360
     assert rotated((1.0, 0.0), found) == pytest.approx(rotated((1.0, 0.0), angle), abs=1e-6)
+
+
+def test_placements_follow_one_another_and_can_be_undone() -> None:
+    inner, outer = Placement(True, 30.0, (1.0, 2.0)), Placement(True, 50.0, (4.0, -3.0))
+    for point in ((1.0, 2.0), (-3.0, 0.5)):
+        assert inner.within(outer).apply(point) == pytest.approx(outer.apply(inner.apply(point)))
+        assert inner.undo(inner.apply(point)) == pytest.approx(point)

@@ -203,6 +203,12 @@ class Design:
         return replace(self, notes=(*self.notes, *notes))
 
 
+def extent(points: Iterable[XY]) -> tuple[XY, XY]:
+    """Return the lowest and the highest corner of the rectangle around points."""
+    xs, ys = zip(*points, strict=True)
+    return (min(xs), min(ys)), (max(xs), max(ys))
+
+
 def rotated(point: XY, degrees: float) -> XY:
     """Return a point rotated counter-clockwise about the origin."""
     a = math.radians(degrees)

@@ -9,7 +9,7 @@ from pathlib import Path
 from vaoi_station.board_data import package_sizes
 from vaoi_station.board_data.design import Design, Side
 from vaoi_station.board_data.joining import join_designs
-from vaoi_station.board_data.panels import Grid, laid_out, repeated
+from vaoi_station.board_data.panels import Grid, laid_out, repeated, with_copies
 from vaoi_station.board_data.readers.eagle import is_eagle, read_eagle
 from vaoi_station.board_data.readers.gencad import is_gencad, read_gencad
 from vaoi_station.board_data.readers.html_bom import is_html_bom, read_html_bom
@@ -75,9 +75,9 @@ def read_design(path: Path, options: Options | None = None, join: Path | None = 
     if options.format is not None and options.format not in FORMATS:
         raise InputError.field("--format", "the format", options.format, f"one of {', '.join(FORMATS)}")
     table = (*(package_sizes.read_table(options.sizes) if options.sizes else ()), *package_sizes.shipped_table())
-    design = package_sizes.with_sizes(_read(path, options), table)
+    design = with_copies(package_sizes.with_sizes(_read(path, options), table))
     if join is not None:
-        bodies = package_sizes.with_sizes(_read(join, Options(step=options.step)), table)
+        bodies = with_copies(package_sizes.with_sizes(_read(join, Options(step=options.step)), table))
         design = join_designs(design, bodies, side)
     return laid_out(repeated(design, options.grid) if options.grid is not None else design)
 

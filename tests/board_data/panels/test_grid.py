@@ -6,9 +6,8 @@ import pytest
 
 from tests.board_data.readers import samples
 from vaoi_station.board_data import Grid, Options, read_design, to_board_type
-from vaoi_station.board_data.design import Box, Design, Part, Placement
-from vaoi_station.board_data.marks import find_marks
-from vaoi_station.board_data.panels import laid_out, repeated
+from vaoi_station.board_data.design import Design
+from vaoi_station.board_data.panels import repeated
 from vaoi_station.errors import InputError
 
 CSV = "ref,x,y,rotation,side,package\nR1,0mm,0mm,0,top,R0805\nJ1,20mm,10mm,90,top,X\nC9,5mm,15mm,0,top,C0402\n"
@@ -23,13 +22,6 @@ def board(tmp_path: Path) -> Path:
     """A board of 50 × 45 mm, its corner at the origin."""
     (tmp_path / "b.kicad_pcb").write_text(samples.KICAD)
     return tmp_path / "b.kicad_pcb"
-
-
-def test_placements_follow_one_another_and_can_be_undone() -> None:
-    inner, outer = Placement(True, 30.0, (1.0, 2.0)), Placement(True, 50.0, (4.0, -3.0))
-    for point in ((1.0, 2.0), (-3.0, 0.5)):
-        assert inner.within(outer).apply(point) == pytest.approx(outer.apply(inner.apply(point)))
-        assert inner.undo(inner.apply(point)) == pytest.approx(point)
 
 
 def test_a_board_is_repeated_about_the_middle_of_its_outline(board: Path) -> None:
@@ -116,19 +108,3 @@ def test_sizes_of_the_table_hold_for_all_boards_and_an_empty_design_stays(tmp_pa
     assert next(c.center for c in made.components if c.address == "1/R1") == pytest.approx((17.5, -2.5))
     empty = Design("d", "kicad", ())
     assert repeated(empty, Grid((2, 2), (9.0, 9.0))) is empty
-
-
-def test_designators_that_stand_twice_on_one_board_are_left_out_of_all(tmp_path: Path) -> None:
-    (tmp_path / "p.csv").write_text(CSV + "R1,9mm,9mm,0,top,R0805\n")
-    made, notes = to_board_type(read_design(tmp_path / "p.csv", grid("2x1", "50x50")), "top")
-    assert [c.address for c in made.components] == ["1/J1", "1/C9", "2/J1", "2/C9"]
-    assert any("occur more than once were left out: 1/R1, 2/R1" in note for note in notes)
-
-
-def test_local_fiducials_belong_to_the_components_of_their_board() -> None:
-    body = Box((-3.0, -3.0), (3.0, 3.0))
-    parts = (Part("U1", "top", (10, 10), 0.0, box=body), Part("FID_U1", "top", (14, 14), 0.0, is_mark=True))
-    panel = laid_out(repeated(Design("d", "kicad", parts), Grid((2, 1), (30.0, 0.0))))
-    found = {mark.name: (mark.at, mark.components, mark.panel) for mark in find_marks(panel, panel.parts, "top")}
-    assert found == {"1/FID_U1": ((14.0, 14.0), ("1/U1",), "1"), "2/FID_U1": ((44.0, 14.0), ("2/U1",), "2")}
-    assert find_marks(panel, panel.parts, "bottom") == []

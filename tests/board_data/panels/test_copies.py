@@ -1,0 +1,110 @@
+"""Panels whose boards have the same designators, as KiKit and KiCad itself write them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from tests.board_data.readers import samples
+from vaoi_station.board_data import Options, read_design, to_board_type
+from vaoi_station.board_data.design import Design, Mark, Part
+from vaoi_station.board_data.panels import Grid, laid_out, repeated, with_copies
+from vaoi_station.errors import InputError
+
+PLACES = {
+    "U1": (5.0, 4.0, 0.0),
+    "R1": (25.0, 2.0, 90.0),
+    "R2": (2.0, 16.0, 270.0),
+    "C1": (24.0, 17.0, 45.0),
+    "J1": (14.0, 9.0, 0.0),
+}
+BOARD = Design(
+    "d",
+    "kicad",
+    tuple(Part(ref, "bottom" if ref == "C1" else "top", (x, y), turn) for ref, (x, y, turn) in PLACES.items()),
+    ((0.0, 0.0), (28.0, 0.0), (28.0, 20.0), (0.0, 20.0)),
+    marks=(Mark("FID1", "top", (1.0, 1.0)), Mark("FID2", "top", (27.0, 19.0))),
+)
+RAIL = tuple(Mark("REF**", "top", at) for at in ((-3.0, -3.0), (120.0, -3.0), (-3.0, 90.0), (120.0, 90.0)))
+
+
+def copied(grid: Grid, *more: Part) -> tuple[Design, Design]:
+    """Return a panel, and the same as a file has it that does not state the positions."""
+    panel = laid_out(repeated(BOARD, grid))
+    parts = tuple(replace(part, panel=None) for part in (*panel.parts, *more))
+    marks = tuple(replace(mark, panel=None, name=mark.name.rpartition("/")[2]) for mark in panel.marks)
+    return panel, Design("d", "kicad", parts[::-1], marks=(*marks[::-1], *RAIL))
+
+
+@pytest.mark.parametrize(
+    "grid",
+    [
+        Grid((2, 2), (30.0, 22.0)),
+        Grid((3, 2), (32.0, 25.0), (0.0, 180.0)),
+        Grid((3, 1), (30.0, 0.0), (0.0, 180.0)),
+        Grid((2, 2), (29.0, 29.0), (0.0, 90.0, 180.0, 270.0)),
+    ],
+)
+def test_copies_of_a_board_are_recognised_and_numbered(grid: Grid) -> None:
+    panel, file = copied(grid)
+    found = laid_out(with_copies(file))
+    expected = {part.address: part.origin for part in panel.parts}
+    assert {part.address: part.origin for part in found.parts} == expected
+    places = {mark.name: mark.at for mark in panel.marks}
+    assert {mark.name: mark.at for mark in found.marks if mark.panel} == places
+    assert {mark.at for mark in found.marks if mark.panel is None} == {mark.at for mark in RAIL}
+    number = grid.counts[0] * grid.counts[1]
+    assert f"the file was read as a panel of {number} boards" in found.notes[0]
+
+
+def test_places_that_are_rounded_and_footprints_without_a_number_do_no_harm() -> None:
+    holes = tuple(Part("REF**", "top", (7.0 * n, 50.0), 0.0) for n in range(40))
+    _, file = copied(Grid((3, 1), (30.0, 0.0), (0.0, 180.0)), *holes, Part("X1", "top", (1.0, 60.0), 0.0))
+    rounded = tuple(replace(p, origin=(round(p.origin[0], 2), round(p.origin[1] + 0.01, 2))) for p in file.parts)
+    found = with_copies(replace(file, parts=rounded))
+    assert [len(board.design.parts) for board in found.boards] == [5, 5, 5]
+    assert {part.ref for part in found.parts} == {"REF**", "X1"}
+
+
+def changed(file: Design, ref: str, **change: object) -> Design:
+    """Return the design with one part changed."""
+    n = next(n for n, part in enumerate(file.parts) if part.ref == ref)
+    return replace(file, parts=(*file.parts[:n], replace(file.parts[n], **change), *file.parts[n + 1 :]))  # type: ignore[arg-type]
+
+
+def test_parts_that_are_no_copies_are_not_divided_into_boards() -> None:
+    _, file = copied(Grid((2, 2), (30.0, 22.0)))
+    assert with_copies(file).boards
+    for ref, change in (("R1", {"origin": (90.0, 0.0)}), ("R1", {"rotation": 91.0}), ("U1", {"side": "bottom"})):
+        assert not with_copies(changed(file, ref, **change)).boards, (ref, change)
+    assert with_copies(BOARD) is BOARD
+    logos = replace(BOARD, parts=(*BOARD.parts, BOARD.parts[0]))
+    assert with_copies(logos) is logos
+
+
+@pytest.mark.parametrize("degrees", [(0.0, 180.0), (0.0, 90.0, 270.0, 180.0)])
+def test_boards_that_are_turned_in_pairs_cannot_be_told_apart(degrees: tuple[float, ...]) -> None:
+    """Turned by 180° about the middle between both, the parts of one board lie where those of the other were."""
+    _, file = copied(Grid((2, len(degrees) // 2), (40.0, 40.0), degrees))
+    assert with_copies(file) is file
+    with pytest.raises(InputError, match="designators of the top occur more than once"):
+        to_board_type(file, "top")
+
+
+def test_a_kicad_file_of_a_panel_is_read_as_one(tmp_path: Path) -> None:
+    start = samples.KICAD.index("(footprint")
+    copy = samples.KICAD[start : samples.KICAD.index("(gr_line")]
+    for before, after in (("(at 10 -10)", 70), ("(at 30 -20 90)", 90), ("(at 15 -25 270)", 75), ("(at 5 -5)", 65)):
+        rest = before.removeprefix("(at ").partition(" ")[2]
+        assert before in copy
+        copy = copy.replace(before, f"(at {after} {rest}")
+    path = tmp_path / "panel.kicad_pcb"
+    path.write_text(samples.KICAD[:start] + copy + samples.KICAD[start:])
+    board, notes = to_board_type(read_design(path), "top")
+    assert {c.address: c.center for c in board.components if c.ref == "J1"} == {"1/J1": (30, 24), "2/J1": (90, 24)}
+    assert {f.name: f.panel for f in board.fiducials} == {"1/FID1": "1", "2/FID1": "2"}
+    assert any("read as a panel of 2 boards" in note for note in notes)
+    with pytest.raises(InputError, match="is a panel of 2 boards; --repeat is for one board"):
+        read_design(path, Options(grid=Grid((2, 1), (200.0, 0.0))))

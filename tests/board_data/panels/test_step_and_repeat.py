@@ -1,0 +1,72 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from vaoi_station.board_data.design import Design, Mark, Part
+from vaoi_station.board_data.panels import Repeat, Step, note_on_panels, panel_of
+from vaoi_station.errors import InputError
+
+BOARD = Step(Design("pcb", "odb", (Part("R1", "top", (3.0, 2.0), 0.0),)), (1.0, 1.0))
+
+
+def grid(step: str, x: float = 0.0, nx: int = 1, ny: int = 1) -> Repeat:
+    return Repeat(step, (x, 0.0), (10.0, 20.0), (nx, ny))
+
+
+def panel(**steps: Step) -> Design:
+    """Return the panel of a step `top`, among the steps given and that of the board."""
+    return panel_of("top", (steps | {"pcb": BOARD}).__getitem__, "file")
+
+
+def step(*repeats: Repeat, marks: tuple[Mark, ...] = ()) -> Step:
+    return Step(Design("panel", "odb", (), marks=marks), repeats=repeats)
+
+
+def test_positions_count_along_x_first_and_datums_lie_at_the_places() -> None:
+    turned, over = replace(grid("pcb", 50.0), degrees=90.0), replace(grid("pcb", 80.0), mirrored=True)
+    made = panel(top=step(grid("pcb", 5.0, 2, 2), turned, over))
+    at = {board.position: board.at.apply((3.0, 2.0)) for board in made.boards}
+    assert at.pop("5") == pytest.approx((49.0, 2.0))
+    assert at == {"1": (7, 1), "2": (17, 1), "3": (7, 21), "4": (17, 21), "6": (78, 1)}
+    assert made.notes == (
+        "step top is a panel of 6 boards: 6 of step pcb; their positions count from 1.",
+        "1 boards lie upside down, so that their other side is up: positions 6.",
+    )
+
+
+def test_panels_within_a_panel_belong_to_no_position() -> None:
+    array = step(grid("pcb", 0.0, 2), marks=(Mark("FID1", "top", (0.0, 0.0)),))
+    made = panel(top=step(grid("array", 0.0, 1, 2), grid("coupon")), array=array, coupon=step())
+    assert [board.name for board in made.boards] == ["array-1", "1", "2", "array-2", "3", "4"]
+    assert [board.position for board in made.boards] == [None, "1", "2", None, "3", "4"]
+    assert made.notes[-1] == "repeated steps without components were left out: coupon."
+
+
+def test_a_step_without_repeats_is_the_board() -> None:
+    assert panel_of("pcb", {"pcb": BOARD}.__getitem__, "file") is BOARD.design
+    assert note_on_panels([]) == []
+    assert "repeat boards: a, b." in note_on_panels(["a", "b"])[0]
+
+
+@pytest.mark.parametrize(
+    ("steps", "message"),
+    [
+        ({"top": step(grid("a")), "a": step(grid("top"))}, "file: steps contain one another: top > a > top"),
+        ({"top": step(grid("pcb", 0.0, 1001))}, "places of step 'pcb' is '1001 × 1', but must be at most 1000"),
+        (
+            {"top": step(grid("a", 0.0, 40)), "a": step(grid("pcb", 0.0, 26))},
+            "is '1001 or more', but must be at most 1000",
+        ),
+        ({"top": step(grid("a", 0.0, 40)), "a": step(grid("b", 0.0, 26)), "b": step()}, "is '1001 or more'"),
+        ({"top": step(grid("a")), "a": step()}, r"step 'top' repeats no step with components \(a\)"),
+        (
+            {"top": step(Repeat("pcb", (0, 0), (0, 5), (2, 2)))},
+            "the pitch of step 'pcb' along x is 0, but must be above 0",
+        ),
+    ],
+)
+def test_wrong_and_too_large_panels_are_refused(steps: dict[str, Step], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        panel(**steps)
