@@ -86,14 +86,14 @@ def _rank(image: Image, levels: NDArray[np.uint16]) -> Image:
     return ranks[image]
 
 
-def _planes(image: Image) -> list[NDArray[np.uint16]]:
+def _planes(image: Image) -> list[Image]:
     """Return the planes of a frame: green, and how far blue and red lie above it, about the middle of the scale."""
     if image.ndim == 2:
-        return [image.astype(np.uint16)]
+        return [image]
     blue, green, red = (image[..., k] for k in range(3))
     half = image.dtype.type(1 << (8 * image.itemsize - 1))
     # The differences wrap around within the type, and so do the sums that undo them.
-    return [plane.astype(np.uint16) for plane in (green, blue - green + half, red - green + half)]
+    return [green, blue - green + half, red - green + half]
 
 
 def _joined(planes: list[NDArray[np.uint16]], kind: type[np.uint8] | type[np.uint16]) -> Image:
@@ -106,7 +106,7 @@ def _joined(planes: list[NDArray[np.uint16]], kind: type[np.uint8] | type[np.uin
     return np.stack([blue + green - half, green, red + green - half], -1)
 
 
-def _step(plane: NDArray[np.uint16]) -> int:
+def _step(plane: Image) -> int:
     """Return the distance of the neighbours that are most alike: 2 for frames with a Bayer filter."""
     rows = plane[::_SAMPLED].astype(np.int32)
     unlike = [int(np.abs(rows[:, step:] - rows[:, :-step]).sum()) / max(rows[:, step:].size, 1) for step in (1, 2)]

@@ -59,22 +59,29 @@ def code_lengths(counts: NDArray[np.int64]) -> NDArray[np.uint8]:
                 weight[k] = max(counts[k], least)
 
 
+@compiled
 def codes_of(lengths: NDArray[np.uint8]) -> NDArray[np.uint32]:
     """Return the canonical code of each symbol, first bit lowest."""
     codes = np.zeros(len(lengths), np.uint32)
     code = 0
     for length in range(1, LONGEST + 1):
-        for symbol in np.flatnonzero(lengths == length):
-            codes[symbol] = int(f"{code:0{length}b}"[::-1], 2)
-            code += 1
+        for symbol in range(len(lengths)):
+            if lengths[symbol] == length:
+                for bit in range(length):
+                    codes[symbol] |= np.uint32(((code >> bit) & 1) << (length - 1 - bit))
+                code += 1
         code <<= 1
     return codes
 
 
+@compiled
 def decoding_table(lengths: NDArray[np.uint8]) -> NDArray[np.uint16]:
     """Return symbol · 16 + length for each LONGEST bits of a stream; length 0 where no code begins so."""
     table = np.zeros(1 << LONGEST, np.uint16)
-    for symbol, code in enumerate(codes_of(lengths)):
-        if length := int(lengths[symbol]):
-            table[int(code) :: 1 << length] = symbol << 4 | length
+    codes = codes_of(lengths)
+    for symbol in range(len(lengths)):
+        length = np.int64(lengths[symbol])
+        if length > 0:
+            for at in range(np.int64(codes[symbol]), 1 << LONGEST, 1 << length):
+                table[at] = symbol << 4 | length
     return table

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.compiled import compiled
+from vaoi_station.files.images import Image
 
 KINDS = 8
 """Number of kinds of neighbourhoods, from flat to rough."""
@@ -51,7 +52,7 @@ def padded_shape(shape: tuple[int, int], step: int) -> tuple[int, int]:
     return -(-height // (2 * step)) * 2 * step, width + (MARGIN + 1) * step
 
 
-def padded(plane: NDArray[np.uint16], step: int) -> NDArray[np.uint16]:
+def padded(plane: Image, step: int) -> NDArray[np.uint16]:
     """Return a plane of two equal strips with the margins that neighbours are read from.
 
     Left of a row are the first pixels of the row above, right of it its own last pixels. The first rows of a strip have
@@ -114,17 +115,18 @@ def _normal_equations(
 ) -> NDArray[np.int64]:
     """Sum the products of neighbours, constant and pixel by kind (KINDS, WEIGHTS + 1, WEIGHTS + 1), lower halves."""
     sums = np.zeros((KINDS, WEIGHTS + 1, WEIGHTS + 1), np.int64)
-    v = np.ones(WEIGHTS + 1, np.int64)
     for y in rows:
         for x in range(2 * step, out.shape[1] - step):
-            v[0], v[1], v[2] = out[y, x - step], out[y - step, x], out[y - step, x - step]
-            v[3], v[5] = out[y - step, x + step], out[y, x]
+            w, n, nw = np.int64(out[y, x - step]), np.int64(out[y - step, x]), np.int64(out[y - step, x - step])
+            ne, here = np.int64(out[y - step, x + step]), np.int64(out[y, x])
             ww, nn = np.int64(out[y, x - 2 * step]), np.int64(out[y - 2 * step, x])
-            rough = abs(v[1] - v[2]) + abs(v[1] - v[3]) + abs(ww - v[2]) + abs(nn - v[1])
-            one = sums[kinds[min(rough >> shift, ACTIVITIES - 1)]]
+            rough = abs(n - nw) + abs(n - ne) + abs(ww - nw) + abs(nn - n)
+            kind = kinds[min(rough >> shift, np.int64(ACTIVITIES - 1))]
+            # A tuple and no array: the compiler unrolls the loops and keeps the numbers in registers.
+            v = (w, n, nw, ne, np.int64(1), here)
             for a in range(WEIGHTS + 1):
                 for b in range(a + 1):
-                    one[a, b] += v[a] * v[b]
+                    sums[kind, a, b] += v[a] * v[b]
     for kind in range(KINDS):
         for a in range(WEIGHTS + 1):
             for b in range(a):
