@@ -26,7 +26,7 @@ from vaoi_station.stitching.adjustment.link_equations import (
     compute_residuals,
     compute_weights,
 )
-from vaoi_station.stitching.adjustment.observations import CameraPairs, LinkArrays
+from vaoi_station.stitching.adjustment.observations import CameraPairs, LinkArrays, cells_of
 
 Array = NDArray[np.float64]
 ROWS, LINKS, BASIS, PARTS, CAMERAS = 4, 60, 3, 5, 3
@@ -35,6 +35,7 @@ SIZE = AT_CAMERAS + 3 * CAMERAS
 TOTAL = SIZE + PARTS
 NONE_RAISED = np.zeros(LINKS, np.bool_)
 FLAT = np.zeros(LINKS)
+BARE = np.full(LINKS, -1)
 
 
 @dataclass
@@ -186,7 +187,10 @@ def test_weights_follow_from_noise_noise_floor_and_length(scene: Scene) -> None:
     kind = (scene.links.p == scene.links.q).astype(np.int_)
     floor, shared = np.array([0.3, 0.6]), np.array([0.1, 0.2])
     compute_weights(
-        scene.links, NoiseModel(kind, floor, shared, 2.0, 6.0, NONE_RAISED, FLAT), int(group.max()) + 1, state
+        scene.links,
+        NoiseModel(kind, floor, shared, 2.0, 6.0, NONE_RAISED, FLAT, BARE, 0.0),
+        int(group.max()) + 1,
+        state,
     )
     information = 1 / (np.array([1e-4, 4e-4]) + ((floor[kind] / px) ** 2)[:, None])
     chi = np.sqrt((state.residual**2 * information).sum(1) / 2)
@@ -202,17 +206,28 @@ def test_weights_follow_from_noise_noise_floor_and_length(scene: Scene) -> None:
 def test_links_of_one_pair_never_weigh_more_than_their_common_error_allows(scene: Scene) -> None:
     state, group = LinkState.zeros(LINKS), scene.links.group
     shared_px = 0.4
-    noise = NoiseModel(np.zeros(LINKS, np.int_), np.array([0.01]), np.array([shared_px]), 2.0, 6.0, NONE_RAISED, FLAT)
+    noise = NoiseModel(
+        np.zeros(LINKS, np.int_), np.array([0.01]), np.array([shared_px]), 2.0, 6.0, NONE_RAISED, FLAT, BARE, 0.0
+    )
     compute_weights(scene.links, noise, int(group.max()) + 1, state)
     limit = 2 / (shared_px / 20.0) ** 2
     assert (np.bincount(group, state.weight[:, 0] + state.weight[:, 2]) <= limit * (1 + 1e-12)).all()
 
 
-def weights_of(scene: Scene, raised: NDArray[np.bool_], residual: Array, scatter_mm: Array = FLAT) -> LinkState:
+def weights_of(
+    scene: Scene,
+    raised: NDArray[np.bool_],
+    residual: Array,
+    scatter_mm: Array = FLAT,
+    cell: NDArray[np.int_] = BARE,
+    common_mm: float = 0.2,
+) -> LinkState:
     """Compute the weights of links whose residual changes by 0.1 mm in x per mm of height."""
     state = LinkState.zeros(LINKS)
     state.residual[:], state.lean[:] = residual, (0.1, 0.0)
-    noise = NoiseModel(np.zeros(LINKS, np.int_), np.array([0.01]), np.array([0.0]), 2.0, 6.0, raised, scatter_mm)
+    noise = NoiseModel(
+        np.zeros(LINKS, np.int_), np.array([0.01]), np.array([0.0]), 2.0, 6.0, raised, scatter_mm, cell, common_mm
+    )
     compute_weights(scene.links, noise, int(scene.links.group.max()) + 1, state)
     return state
 
@@ -236,6 +251,21 @@ def test_the_scatter_of_heights_on_a_component_is_noise_along_the_lean(scene: Sc
     plain, body = weights_of(scene, NONE_RAISED, still), weights_of(scene, NONE_RAISED, still, np.full(LINKS, 0.3))
     assert 1 / body.weight[:, 0] == pytest.approx(1 / plain.weight[:, 0] + 0.03**2)
     assert body.weight[:, 1:] == pytest.approx(plain.weight[:, 1:])
+
+
+def test_links_on_one_component_never_weigh_more_along_the_lean_than_their_common_height_allows(scene: Scene) -> None:
+    still, body, cell = np.zeros(2), np.full(LINKS, 0.3), np.arange(LINKS) % 2 - 1
+    plain, tied = weights_of(scene, NONE_RAISED, still, body), weights_of(scene, NONE_RAISED, still, body, cell, 0.2)
+    on = cell >= 0
+    assert tied.weight[on, 0].sum() == pytest.approx(1 / (1 / plain.weight[on, 0].sum() + 0.02**2))
+    assert tied.weight[~on] == pytest.approx(plain.weight[~on])
+    assert tied.weight[:, 1:] == pytest.approx(plain.weight[:, 1:])
+
+
+def test_a_cell_is_one_component_in_one_pair_of_frames() -> None:
+    cell = cells_of(np.array([4, -1, 4, 2, 4, 2, -1]), np.array([0, 0, 0, 0, 3, 3, 3]))
+    assert cell.tolist() == [1, -1, 1, 0, 3, 2, -1]
+    assert cells_of(np.full(2, -1), np.zeros(2, np.int_)).tolist() == [-1, -1]
 
 
 def test_a_point_beside_a_component_scatters_and_may_be_raised_besides(scene: Scene) -> None:

@@ -80,6 +80,10 @@ class NoiseModel(NamedTuple):
     """(k,) whether each link may lie above the modelled height: on a component or on its leads."""
     scatter_mm: Floats
     """(k,) standard deviation of the height of each link's point about the modelled height; 0 on the bare board."""
+    cell: Ints
+    """(k,) number of the cell of each link (`observations.cells_of`); −1 on the bare board."""
+    common_mm: float
+    """Standard deviation of the height of a cell's points about the modelled height, which its links have in common."""
 
 
 @compiled
@@ -111,7 +115,8 @@ def compute_weights(links: LinkArrays, noise: NoiseModel, groups: int, state: Li
     below the modelled height, the link keeps its weight, since components stand above the board.
 
     The points of one component have different heights: body, leads, solder, board in between. Two cameras see different
-    sides of it. The scatter of heights (`noise.scatter_mm`) is noise along the lean.
+    sides of it. The scatter of heights (`noise.scatter_mm`) is noise along the lean. The mean height of the few corners
+    that a pair of frames shows has an error in common (`noise.common_mm`), which limits the sum of their weights.
 
     The links of one pair of frames have an error in common. The sum of their weights is therefore limited to the
     inverse variance of this error.
@@ -125,7 +130,7 @@ def compute_weights(links: LinkArrays, noise: NoiseModel, groups: int, state: Li
     px_per_mm, group, noise_mm2, kind = links.px_per_mm, links.group, links.noise_mm2, noise.kind
     floor_px, shared_px, knee, cut = noise.floor_px, noise.shared_px, noise.knee, noise.cut
     residual, sigma, robust, weight = state.residual, state.sigma, state.robust, state.weight
-    of_group = np.zeros(groups)
+    of_group, of_cell = np.zeros(groups), np.zeros(noise.cell.max() + 1 if len(noise.cell) else 0)
     for n in range(len(residual)):
         floor = (floor_px[kind[n]] / px_per_mm[n]) ** 2
         a, b, d = noise_mm2[n, 0, 0] + floor, noise_mm2[n, 0, 1], noise_mm2[n, 1, 1] + floor
@@ -150,8 +155,18 @@ def compute_weights(links: LinkArrays, noise: NoiseModel, groups: int, state: Li
         sigma[n] = math.sqrt(max(xx * x * x + 2 * xy * x * y + yy * y * y, 0.0) / 2)
         robust[n] = 1.0 if sigma[n] <= knee else knee / sigma[n] if sigma[n] <= cut else 0.0
         weight[n, 0], weight[n, 1], weight[n, 2] = robust[n] * xx, robust[n] * xy, robust[n] * yy
-        of_group[group[n]] += (weight[n, 0] + weight[n, 2]) / 2
+        if noise.cell[n] >= 0:
+            of_cell[noise.cell[n]] += weight[n, 0] * lx * lx + 2 * weight[n, 1] * lx * ly + weight[n, 2] * ly * ly
     # n equal weights w with a common variance s² sum to n·w / (1 + n·w·s²), which stays below 1 / s²
+    for n in range(len(residual)):
+        lx, ly = state.lean[n, 0], state.lean[n, 1]
+        wx, wy = weight[n, 0] * lx + weight[n, 1] * ly, weight[n, 1] * lx + weight[n, 2] * ly
+        information = lx * wx + ly * wy
+        if noise.cell[n] >= 0 and information > 0:
+            k = (1 - 1 / (1 + of_cell[noise.cell[n]] * noise.common_mm**2)) / information
+            weight[n, 0], weight[n, 1] = weight[n, 0] - k * wx * wx, weight[n, 1] - k * wx * wy
+            weight[n, 2] -= k * wy * wy
+        of_group[group[n]] += (weight[n, 0] + weight[n, 2]) / 2
     for n in range(len(residual)):
         share = 1 / (1 + of_group[group[n]] * (shared_px[kind[n]] / px_per_mm[n]) ** 2)
         for i in range(3):

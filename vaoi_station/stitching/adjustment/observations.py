@@ -270,6 +270,14 @@ def group_begins(group: Ints) -> Ints:
     return np.flatnonzero(np.diff(group, prepend=-1))
 
 
+def cells_of(component: Ints, group: Ints) -> Ints:
+    """Return the number (k,) of the cell of each link: its component in its pair of frames; −1 on the bare board."""
+    cell, on = np.full(len(component), -1), component >= 0
+    parts = int(component.max(initial=-1)) + 1
+    cell[on] = np.unique(group[on] * parts + component[on], return_inverse=True)[1]
+    return cell
+
+
 def median_noise_px(links: Observations, at: Ints) -> float:
     """Return the median standard deviation per axis, px, that image noise causes in the links `at`; 0 without links."""
     sigma_mm = np.sqrt(np.trace(links.noise_mm2[at], axis1=1, axis2=2) / 2)

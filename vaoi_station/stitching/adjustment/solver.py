@@ -60,6 +60,7 @@ from vaoi_station.stitching.adjustment.motion import (
 from vaoi_station.stitching.adjustment.noise_floor import noise_floor
 from vaoi_station.stitching.adjustment.observations import (
     Ints,
+    cells_of,
     index_in_group,
     linked_steps,
     median_noise_px,
@@ -107,6 +108,8 @@ _BODY_SCATTER_MM = 0.3
 
 Without it, links on components counted like those on the bare board, and estimated a bow of up to 0.8 mm that was not
 there (docs/measured/hostile.md)."""
+_COMMON_MM = 0.2
+"""The same of the mean height of those points of a component that one pair of frames links."""
 _SIDE_SCATTER_MM = 0.1
 """The same for links between two cameras beside a component: each camera sees another side of it, or its shadow."""
 _FREE_STEPS = 3
@@ -198,6 +201,8 @@ class _Solver:
         of_sides = np.where(self.raised & (between > 0), _SIDE_SCATTER_MM, 0.0)
         self.scatter_mm = np.where(problem.component >= 0, _BODY_SCATTER_MM, of_sides)
         """(k,) standard deviation of the height of each link's point about the modelled height."""
+        self.cell = cells_of(component, links.group)
+        """(k,) number of the component in one pair of frames on which each link lies, −1 on the bare board."""
         bare = [self._bare(self.kind == kind) for kind in range(len(self.floor_px))]
         # Contiguous copies: for slices with a step, Numba would compile another variant while a board waits.
         self.floor_samples = [np.ascontiguousarray(at[:: max(len(at) // _FLOOR_SAMPLE, 1)]) for at in bare]
@@ -273,7 +278,9 @@ class _Solver:
         common_px[0], common_px[-1] = _PAIR_SIGMA_PX[0], _LIGHTS_SIGMA_PX
         shared_px = np.maximum(common_px, _PAIR_SHARE * self.floor_px)
         raised = self.raised if self.steps > _FREE_STEPS else np.zeros_like(self.raised)
-        noise = NoiseModel(self.kind, self.floor_px, shared_px, _KNEE, _CUT, raised, self.scatter_mm)
+        noise = NoiseModel(
+            self.kind, self.floor_px, shared_px, _KNEE, _CUT, raised, self.scatter_mm, self.cell, _COMMON_MM
+        )
         compute_weights(links.arrays, noise, len(links.groups), self.state)
 
     def _update_noise_floor(self) -> None:
