@@ -13,7 +13,7 @@ from vaoi_station.model import BoardType, Status, Stitch, Surface
 from vaoi_station.stitching.adjustment.motion import Motion, nominal_motion
 from vaoi_station.stitching.adjustment.problem import REFERENCE, FiducialPoints
 from vaoi_station.stitching.board.board_plane import BoardPlane
-from vaoi_station.stitching.board.reference import Reference, cad_points, initial_similarity
+from vaoi_station.stitching.board.reference import Reference, cad_points, initial_similarity, inliers
 from vaoi_station.stitching.matching.evidence import Links, Task
 
 PLANE = BoardPlane(BoardType.model_validate({"name": "b", "outline": [[0, 0], [30, 20]]}), mirrored=True)
@@ -54,6 +54,25 @@ def test_linked_points_have_the_cad_places_of_the_reference(workshop: Any) -> No
     np.testing.assert_allclose(points.cad, np.tile(PLANE.flat(cad), (2, 1)), atol=1e-9)
     np.testing.assert_allclose(points.ground_mm[:20], board + (0.3, 0.0), atol=1e-9)
     assert points.px_per_mm == pytest.approx(10.0)
+
+
+def test_many_links_on_one_part_know_its_place_no_better_than_it_is_placed(workshop: Any) -> None:
+    """Parts lie elsewhere on every board: 200 links on one would outweigh all fiducials."""
+    part = {"ref": "U1", "center": [10.0, 8.0], "width": 6.0, "height": 4.0, "rotation": 0.0}
+    plane = BoardPlane(BoardType.model_validate(PLANE.board_type.model_dump() | {"components": [part]}), mirrored=True)
+    camera, g = workshop.camera(), np.random.default_rng(0)
+    cad = np.concatenate([g.uniform((8, 7), (12, 9), (200, 2)), g.uniform((14, 3), (18, 12), (5, 2))])
+    found = []
+    for row in (0, 1):
+        px = camera.project(apply(D[row], apply(plane.matrix(C), cad)))
+        found.append(links(Task("reference", (0, row), (0, row)), px, px))
+    points = cad_points(found, (camera,), plane, reference())
+    on = (np.arange(410) % 205) < 200
+    assert 0.04 < 1 / np.sqrt((points.sigma_mm[on] ** -2.0).sum()) < 0.041
+    assert points.sigma_mm[~on].max() < 0.02
+    # one of these points is an outlier as any other: no part lies half a millimetre from its place
+    off = np.where(on, 5.0, 0.1)[:, None] * (1, 0)
+    np.testing.assert_array_equal(inliers(points, off), ~on)
 
 
 def test_the_height_of_the_board_of_the_reference_moves_no_place(workshop: Any) -> None:

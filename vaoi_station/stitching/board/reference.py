@@ -30,6 +30,10 @@ _LEAST_AGREEING = 0.5
 """Least share of the points linked to a reference that must agree on one position of the board."""
 _SHARED_PX = 0.006
 """Error that all links of one frame have in common, px. It does not average out."""
+_FARTHEST_MM = 0.2
+"""Residual, mm, above which a point has no weight in any case: no part lies further from its place."""
+_PLACED_MM = 0.04
+"""Standard deviation of a part's place on one board against that on another, mm: the links on it have it in common."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +62,7 @@ def cad_points(
 
     The reference run gives the CAD coordinates of each linked point.
     """
-    rows, ground, lean, cad, sigma, resolution, seen_by = [], [], [], [], [], [], []
+    rows, ground, lean, cad, places, sigma, resolution, seen_by = [], [], [], [], [], [], [], []
     c = reference.stitch.cad_matrix
     assert c is not None
     for e in links:
@@ -74,17 +78,24 @@ def cad_points(
         seen_by.append(np.full(len(here), e.task.a[0]))
         ground.append(here)
         lean.append(camera.parallax(here))
+        places.append(there)
         cad.append(plane.flat(there))
         sigma.append(single / camera.px_per_mm)
         resolution.append(np.full(len(here), camera.px_per_mm))
     if not rows:
         return FiducialPoints.empty()
+    sigma_mm = np.concatenate(sigma)
+    # Parts are placed anew on every board. Each of n links on a part carries a share of the error of its place, in all
+    # frames together: the mean of them has the variance σ²/n + placed².
+    part = plane.components.find(np.eye(3), np.concatenate(places))
+    on, count = part >= 0, np.bincount(part[part >= 0])
+    sigma_mm[on] = np.hypot(sigma_mm[on], _PLACED_MM * np.sqrt(count[part[on]]))
     return FiducialPoints(
         np.concatenate(rows),
         np.concatenate(ground),
         np.concatenate(lean),
         np.concatenate(cad),
-        np.concatenate(sigma),
+        sigma_mm,
         np.concatenate(resolution),
         np.full(sum(map(len, rows)), REFERENCE),
         np.concatenate(seen_by),
@@ -106,7 +117,10 @@ def _on_board(ground_mm: Floats, camera: Camera, stitch: Stitch, row: int, c: Fl
 
 def inliers(points: FiducialPoints, residual_px: Floats) -> NDArray[np.bool_]:
     """Return for each of k points with known CAD coordinates whether its residual (k, 2), px, is small enough."""
-    return np.asarray(np.hypot(*residual_px.T) <= _OUTLIER * points.sigma_mm * points.px_per_mm)
+    limit_mm = _OUTLIER * points.sigma_mm
+    # σ of a point of the reference contains the share of an error that many points have in common.
+    limit_mm = np.where(points.which == REFERENCE, np.minimum(limit_mm, _FARTHEST_MM), limit_mm)
+    return np.asarray(np.hypot(*residual_px.T) <= limit_mm * points.px_per_mm)
 
 
 def initial_similarity(plane: BoardPlane, reference: Reference, points: FiducialPoints, motion: Motion) -> Floats:
