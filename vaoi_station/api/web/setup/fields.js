@@ -21,7 +21,8 @@ export function labelled(text, field, { unit = "", help = "" } = {}) {
   return box;
 }
 
-export const input = (name, value = "", fields = {}) => make("input", { name, value, autocomplete: "off", spellcheck: false, ...fields });
+// The value is also the one that a changed field is compared with.
+export const input = (name, value = "", fields = {}) => make("input", { name, defaultValue: value, autocomplete: "off", spellcheck: false, ...fields });
 
 export function choice(name, options, value = "") {
   const list = Array.isArray(options) ? options.map((o) => [o, o]) : Object.entries(options);

@@ -27,7 +27,8 @@ class Preview {
     [this.#root, this.#preview] = [root, preview];
   }
 
-  async show() {
+  // `changed` are the options that were changed since the page was drawn.
+  async show(changed = {}) {
     const { filename, found, refusal, id } = this.#preview;
     const type = found ? await requests.previewed(id) : null;
     this.#chosen = null;
@@ -37,7 +38,9 @@ class Preview {
     if (found) side.append(this.#foundOf(found), this.#fiducials(type), this.#confirm(type));
     else side.append(this.#discard());
     parts.push(this.#answer, make("div", { className: "two" }, type ? boardDrawing(type) : make("div"), side));
+    const entered = new Entered(this.#root, changed);
     this.#root.replaceChildren(...parts);
+    entered.restore(this.#root);
   }
 
   #foundOf(found) {
@@ -99,9 +102,7 @@ class Preview {
   #again(changed) {
     const change = async () => {
       this.#preview = await requests.change(this.#preview.id, { ...this.#preview.options, ...changed });
-      const typing = Typing.of(this.#root);
-      await this.show();
-      typing.goesOn(this.#root);
+      await this.show(changed);
     };
     this.#changes = this.#changes.then(change, change);
     return this.#changes;
@@ -163,23 +164,29 @@ function optionOf(field, columns) {
   return given.length ? { columns: given.join(",") } : {};
 }
 
-// The field in which a person is, with what is typed but not yet changed: both are there again when the page is drawn anew.
-class Typing {
+// What a person has entered but not yet changed, the field in which the person is, and what is unfolded: they are there again when the page is
+// drawn anew.
+class Entered {
+  #values;
   #field;
+  #open;
 
-  static of(root) {
-    const typing = new Typing();
-    if (root.contains(document.activeElement)) typing.#field = document.activeElement;
-    return typing;
+  constructor(root, changed) {
+    const fields = [...root.querySelectorAll("input[name]:not([type=file])")];
+    const entered = fields.filter((field) => field.value !== field.defaultValue && field.value.trim() !== changed[field.name]);
+    this.#values = new Map(entered.map(({ name, value }) => [name, value]));
+    this.#field = root.contains(document.activeElement) ? document.activeElement.name : "";
+    this.#open = [...root.querySelectorAll("details[id][open]")].map(({ id }) => id);
   }
 
-  goesOn(root) {
-    const typed = this.#field;
-    const now = typed?.name && root.querySelector(`[name="${CSS.escape(typed.name)}"]`);
+  restore(root) {
+    for (const id of this.#open) root.querySelector(`#${CSS.escape(id)}`)?.setAttribute("open", "");
+    const named = (name) => root.querySelector(`[name="${CSS.escape(name)}"]`);
+    for (const [name, value] of this.#values) if (named(name)) named(name).value = value;
+    const now = this.#field && named(this.#field);
     if (!now) return;
     now.focus();
-    if (now.tagName !== "INPUT" || now.value === typed.value) return;
-    now.value = typed.value;
+    if (!this.#values.has(this.#field)) return;
     // The browser sees no change if the person goes on to the next field without typing more.
     const untilChanged = new AbortController();
     now.addEventListener("change", () => untilChanged.abort(), untilChanged);
