@@ -7,9 +7,11 @@ interpreter's lock for as long as others use the processor, and the station woul
 from __future__ import annotations
 
 import os
-from multiprocessing import get_context
+import subprocess
+import sys
+from contextlib import suppress
+from multiprocessing import Pipe, current_process
 from multiprocessing.connection import Connection
-from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -46,14 +48,44 @@ class Failed(NamedTuple):
     """Whether the run is at fault, and not the archive."""
 
 
-def launch_adder() -> tuple[Connection[Any, Any], BaseProcess]:
+class AdderProcess:
+    """The process of the adder.
+
+    It is none of `multiprocessing`, which waits at the end of a program for each of its processes: one that a share
+    blocks ends only when the share answers, and would keep the station from ending.
+    """
+
+    def __init__(self, connection: int) -> None:
+        """Start it with its end of the pipe, a file descriptor."""
+        command = [sys.executable, "-P", "-c", f"from {__name__} import main; main({connection})"]
+        self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, pass_fds=(connection,))
+
+    def kill(self) -> None:
+        """End it at once, unless it is blocked."""
+        self._process.kill()
+
+    def join(self, timeout: float | None = None) -> None:
+        """Wait for its end, at most `timeout` s."""
+        with suppress(subprocess.TimeoutExpired):
+            self._process.wait(timeout)
+
+    def is_alive(self) -> bool:
+        """Return whether it has not ended."""
+        return self._process.poll() is None
+
+
+def launch_adder() -> tuple[Connection[Any, Any], AdderProcess]:
     """Start the process, and return the pipe to it."""
-    context = get_context("spawn")
-    ours, its = context.Pipe()
-    process = context.Process(target=run_adder, args=(its,), name="vaoi-archive", daemon=True)
-    process.start()
+    ours, its = Pipe()
+    process = AdderProcess(its.fileno())
     its.close()
     return ours, process
+
+
+def main(connection: int) -> None:
+    """Run the process with its end of the pipe, a file descriptor."""
+    current_process().name = "vaoi-archive"
+    run_adder(Connection(connection))
 
 
 def run_adder(connection: Connection[Any, Any]) -> None:
