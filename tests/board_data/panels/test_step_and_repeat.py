@@ -30,6 +30,7 @@ def test_positions_count_along_x_first_and_datums_lie_at_the_places() -> None:
     at = {board.position: board.at.apply((3.0, 2.0)) for board in made.boards}
     assert at.pop("5") == pytest.approx((49.0, 2.0))
     assert at == {"1": (7, 1), "2": (17, 1), "3": (7, 21), "4": (17, 21), "6": (78, 1)}
+    assert panel(top=step(replace(over, degrees=90.0))).notes[-1].endswith("the boards lie within the panel: 1.")
     assert made.notes == (
         "step top is a panel of 6 boards: 6 of step pcb; their positions count from 1.",
         "1 boards lie upside down, so that their other side is up: positions 6.",

@@ -148,6 +148,13 @@ def panel_of(name: str, read: Callable[[str], Step], where: str) -> Design:
     notes = [f"step {name} is a panel of {layout.steps.total()} boards: {shown}; their positions count from 1."]
     if over := [board.name for board in layout.boards if board.position and board.at.mirrored]:
         notes.append(f"{len(over)} boards lie upside down, so that their other side is up: positions {_some(over)}.")
+    # By 0° and 180° both orders of mirroring and turning are the same.
+    turned = [board.name for board in layout.boards if board.at.mirrored and board.at.degrees % 180]
+    if turned:
+        notes.append(
+            f"boards lie upside down and turned, for which programs differ in what they do first: check in the picture "
+            f"that the boards lie within the panel: {_some(turned)}."
+        )
     if layout.bare:
         notes.append(f"repeated steps without components were left out: {', '.join(sorted(layout.bare))}.")
     return replace(top.design, boards=tuple(layout.boards), notes=(*top.design.notes, *notes))
