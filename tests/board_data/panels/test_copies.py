@@ -80,6 +80,8 @@ def test_parts_that_are_no_copies_are_not_divided_into_boards() -> None:
     for ref, change in (("R1", {"origin": (90.0, 0.0)}), ("R1", {"rotation": 91.0}), ("U1", {"side": "bottom"})):
         assert not with_copies(changed(file, ref, **change)).boards, (ref, change)
     assert with_copies(BOARD) is BOARD
+    piled = tuple(replace(part, origin=(0.0, 0.0), rotation=5.0 * n) for part in BOARD.parts for n in range(4))
+    assert not with_copies(replace(BOARD, parts=piled)).boards
     logos = replace(BOARD, parts=(*BOARD.parts, BOARD.parts[0]))
     assert with_copies(logos) is logos
 

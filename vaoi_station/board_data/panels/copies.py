@@ -83,6 +83,9 @@ def _placed(anchor: Sequence[Part | Mark], group: Sequence[Part | Mark]) -> tupl
     cells: defaultdict[tuple[int, int], list[Part | Mark]] = defaultdict(list)
     for member in group:
         cells[_cell(_place(member))].append(member)
+    # Boards do not lie on one another; a search among many parts at one place would take long.
+    if max(map(len, cells.values())) > 1:
+        return ()
     first = anchor[0]
     found = []
     for start in group:
