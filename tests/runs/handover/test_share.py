@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from tests.needs import lacking
 from tests.peers.share import Share
 from tests.runs.handover.test_handover import Line
 from vaoi_station.model import Status
@@ -50,7 +51,7 @@ def share(tmp_path: Path) -> Iterator[Share]:
     try:
         made = Share(tmp_path / "share")
     except OSError as error:
-        pytest.skip(f"{error.strerror}")
+        lacking(f"{error.strerror} (CAP_SYS_ADMIN and /dev/fuse)")
     (made.seen_from_here / "archive.json").write_text('{"format": "vaoi-archive", "version": 1}')
     yield made
     made.close()
