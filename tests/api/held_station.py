@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from tests.api.held.chosen_images import chosen_images
 from tests.api.held.history import HeldHistory, HeldTypes
 from tests.api.held.inspection import held_components, held_quality, held_timeline
+from tests.api.held.lighting import HeldLighting
 from tests.api.held.merged import HeldMerged
 from tests.api.held.mosaics import HeldKeptMosaics, HeldMosaics
 from tests.api.held.pins import HeldPins, HeldStorage
-from tests.api.held.programs import held_programs
 from vaoi_station.api.encoders import ImageFormat, encode_image
 from vaoi_station.config import MethodName
 from vaoi_station.errors import DeviceError, GoneError, InternalError, NotFoundError, StateError
@@ -87,7 +87,7 @@ class HeldStation(StationCoordinator):
         self.kept, self.storage = HeldPins(self), HeldStorage(self)  # type: ignore[assignment]
         self.broken = self.closed = False
         self.lights: tuple[str, ...] = ()
-        self.light_programs = held_programs(CAMERAS, PX_PER_MM)
+        self.lighting = HeldLighting(self)  # type: ignore[assignment]
         self.merged, self.mosaics = HeldMerged(self), HeldMosaics(self)  # type: ignore[assignment]
         self.kept.mosaics = HeldKeptMosaics(self)  # type: ignore[assignment]
         matrix = np.array([[PX_PER_MM, 0, 0], [0, -PX_PER_MM, 320], [0, 0, 1]])

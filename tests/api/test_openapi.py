@@ -124,6 +124,7 @@ def test_answers_may_get_fields_and_requests_may_not(document: dict[str, Any]) -
     closed = {n for n, s in document["components"]["schemas"].items() if s.get("additionalProperties") is False}
     assert closed == {
         "ArmRequest",
+        "CameraTrialRequest",
         "CorrectionRequest",
         "DecisionRequest",
         "IdentityReport",
@@ -153,6 +154,7 @@ def test_replies_match_their_schemas(
     examined = Examination(created="now", worst="ok", findings=())
     monkeypatch.setattr(Examinations, "examine", AsyncMock(return_value=examined))
     uploaded = client.post("/api/v1/board-data/previews?filename=b.kicad_pcb", content=samples.KICAD.encode())
+    client.post("/api/v1/cameras/0/trial", json={})
     client.post("/api/v1/station/arm?board_type=demo-board&board_id=B1")
     values = {"run": station.film(board_id="B1"), "camera": 0, "row": 0, "ref": "U1", "k": 0, "name": "demo-board"}
     values |= {"picture": "board", "level": 9, "column": 0, "suffix": "jpg", "region": "full", "size": "240,160"}

@@ -39,7 +39,7 @@ class ScriptedController:
     def disarm(self) -> None:
         """Do nothing: no board is under way when a test disarms."""
 
-    def fire_one(self) -> None:
+    def fire_one(self, light: str = "", on_us: float | None = None) -> None:
         """Raise StateError: the only pulses are those of a board."""
         raise StateError("this line fires only while a board passes.")
 

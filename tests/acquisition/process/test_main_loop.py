@@ -12,13 +12,25 @@ from typing import Any
 
 import pytest
 
-from vaoi_station.acquisition.cameras.interface import CameraBack, CameraLost
+from vaoi_station.acquisition.cameras.interface import CameraBack, CameraExposure, CameraLost
 from vaoi_station.acquisition.clocks import ClockReading
 from vaoi_station.acquisition.controller.interface import TriggerPlan
 from vaoi_station.acquisition.devices import Devices
 from vaoi_station.acquisition.process import main_loop
 from vaoi_station.acquisition.process.backends import open_devices
-from vaoi_station.acquisition.process.messages import Arm, Armed, FireOne, Health, PulseReported, RunFinished, Trouble
+from vaoi_station.acquisition.process.messages import (
+    Arm,
+    Armed,
+    Disarm,
+    FireOne,
+    FireTrial,
+    Grant,
+    Health,
+    PulseReported,
+    RunFinished,
+    TrialFailed,
+    Trouble,
+)
 from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import DeviceError
@@ -127,6 +139,33 @@ def test_a_single_pulse_waits_until_the_clocks_are_known(start: Start, make_conf
     bench.send(FireOne())
     assert bench.until(RunFinished).head.missing == ()
     assert bench.of(Trouble) == []
+
+
+def test_a_line_that_is_armed_during_a_trial_is_armed_after_its_last_frame(start: Start, make_config: Make) -> None:
+    """The first board finds the cameras with its memory and with the exposures of its plan."""
+    bench = start(make_config())
+    exposures = tuple(CameraExposure((2 * c.exposure_us,), 0.0) for c in bench.config.cameras)
+    bench.generations[1] = bench.ring.claim(1)
+    bench.send(FireTrial(Grant("trial-1", 1), exposures))
+    bench.arm(runs=1)
+    kinds = [type(report) for report in bench.reports]
+    assert kinds.index(RunFinished) < kinds.index(Armed)
+    [trial] = bench.of(RunFinished)
+    assert (trial.run, trial.bay, trial.reason, trial.head.missing) == ("trial-1", 1, "single", ())
+    board = bench.until(RunFinished)
+    assert (board.run, board.head.missing) == ("run 0", ())
+    bench.send(FireTrial(Grant("trial-2", 1), exposures))
+    failed = bench.until(TrialFailed)
+    assert (failed.run, failed.why.code) == ("trial-2", "wrong-state")
+    assert bench.of(Trouble) == []
+
+
+def test_a_trial_that_waits_when_the_line_is_armed_gives_its_memory_back(start: Start, make_config: Make) -> None:
+    bench = start(make_config(), open_backend=busy(10**6))
+    own = tuple(CameraExposure((c.exposure_us,), c.gain_db) for c in bench.config.cameras)
+    bench.send(FireTrial(Grant("trial-1", 1), own))
+    bench.send(Disarm())
+    assert bench.until(TrialFailed).run == "trial-1"
 
 
 def test_clocks_that_stay_unknown_are_reported_after_the_timeout(

@@ -8,7 +8,7 @@ from typing import Any, get_args
 
 import pytest
 
-from vaoi_station.acquisition.cameras.interface import CameraHealth
+from vaoi_station.acquisition.cameras.interface import CameraExposure, CameraHealth
 from vaoi_station.acquisition.controller.interface import Permit, TriggerPlan
 from vaoi_station.acquisition.process import messages
 from vaoi_station.model import CameraHead, FrameRecord, Pulse, RecordingHead, Verdict
@@ -28,6 +28,8 @@ EXAMPLES: list[Any] = [
     messages.Disarm(),
     messages.PermitBoard(Permit(1, 20.0)),
     messages.FireOne(),
+    messages.FireTrial(messages.Grant("trial-1", 0), (CameraExposure((200.0,), 6.0),), "ring", 80.0),
+    messages.EndTrial(),
     messages.Shutdown(),
     messages.Ready(2),
     messages.Armed(),
@@ -40,6 +42,7 @@ EXAMPLES: list[Any] = [
     messages.MissedPassage(19.0, ((0.0, 0.5), (0.9, None))),
     messages.Health((CameraHealth(True),), "idle", 20.0),
     messages.Trouble("camera-lost", "camera c0: is lost.", "Check its cable."),
+    messages.TrialFailed("trial-1", messages.Trouble("device", "the port is gone.", "Plug it in.")),
 ]
 
 

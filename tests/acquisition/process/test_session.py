@@ -67,7 +67,7 @@ class ScriptedDevice:
     def disarm(self) -> None:
         self.plans.append(None)
 
-    def fire_one(self) -> None:
+    def fire_one(self, light: str = "", on_us: float | None = None) -> None:
         if self.refuses:
             raise DeviceError("the port is gone.", action="Plug it in.")
         self.fired += 1

@@ -44,6 +44,8 @@ EXPECTED = {
         "PUT /runs/{run}/identity/next-machine",
     },
     "teach": {
+        "POST /cameras/{camera}/trial",
+        "DELETE /cameras/{camera}/trial",
         "POST /board-types/{name}/correct",
         "POST /board-types/{name}/program/check",
         "POST /board-data/previews",

@@ -11,6 +11,7 @@ from unittest.mock import AsyncMock
 import pytest
 from playwright.sync_api import Page, expect
 
+from tests.api.web.test_views import SIZES, WIDE, examine
 from vaoi_station.api.cameras.examination import Examinations
 from vaoi_station.api.cameras.models import Examination
 
@@ -54,3 +55,50 @@ def test_each_camera_has_a_card_that_follows_its_frames(
     expect(cards.nth(2).locator(".camera-remarks")).to_contain_text("12 packets lost. Change the cable.")
     if PICTURES:
         page.screenshot(path=Path(PICTURES) / "page-cameras.png")
+
+
+def test_settings_are_tried_while_the_line_is_disarmed(page: Page, served: Any) -> None:
+    station = served.station
+    page.goto(f"{served.url}/#/cameras")
+    page.locator("#trial summary").press("Enter")
+    page.get_by_label("Camera", exact=True).select_option("cam1")
+    page.get_by_label("Exposure, µs").fill("400")
+    page.get_by_role("button", name="Start the pulses").press("Enter")
+    expect(page.locator("#trial-focus b")).to_have_text("100")
+    expect(page.locator("#trial .histogram rect")).to_have_count(64)
+    assert page.locator("#trial-focus b").evaluate("e => parseFloat(getComputedStyle(e).fontSize)") >= 190
+    page.get_by_label("Exposure, µs").fill("90")
+    expect(page.locator("#trial-answer")).to_have_text("even, 200 µs; exposure 90 µs, gain 0.0 dB")
+    assert {camera for camera, _ in station.lighting.tried} == {1}
+    for language, scheme in (("en", "light"), ("de", "dark")):
+        page.evaluate("language => localStorage.setItem('vaoi-language', language)", language)
+        page.emulate_media(color_scheme=scheme)  # type: ignore[arg-type]
+        page.reload()
+        begin(page)
+        for width, height in SIZES:
+            page.set_viewport_size({"width": width, "height": height})
+            assert page.evaluate(WIDE) == [], (language, width)
+        assert examine(page) == []
+        if PICTURES and language == "en":
+            page.set_viewport_size({"width": 1280, "height": 900})
+            page.screenshot(path=Path(PICTURES) / "lights" / "trial.png")
+    page.evaluate("localStorage.setItem('vaoi-language', 'en')")
+    page.reload()
+    ended = station.lighting.ended
+    begin(page)
+    page.locator("#trial-copy").click()
+    expect(page.get_by_role("heading", name="Light programs")).to_be_visible()
+    expect(page.get_by_label("Light, row 0")).to_be_visible()
+    assert station.lighting.ended == ended + 1, "leaving the page ends the trial"
+    page.goto(f"{served.url}/#/cameras")
+    begin(page)
+    station.arm("demo-board")
+    expect(page.locator("#trial-answer")).to_contain_text("Ended: the line was armed.")
+    expect(page.locator("#trial-start")).to_be_disabled()
+
+
+def begin(page: Page) -> None:
+    """Open the form and begin the pulses; the first frame is there."""
+    page.locator("#trial summary").click()
+    page.locator("#trial-start").click()
+    expect(page.locator("#trial img")).to_have_count(1)

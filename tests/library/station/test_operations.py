@@ -32,7 +32,18 @@ LEFT_OUT = {
     **dict.fromkeys(("get_dzi", "get_dzi_tile", "get_iiif", "get_iiif_tile"), _PAGE),
     **dict.fromkeys(("log_in", "log_out", "get_session"), _PAGE),
     **dict.fromkeys(("get_overlay", "get_trends", "compare_trends", "get_kept_mosaic"), _DRAWN),
-    **dict.fromkeys(("get_camera_picture", "get_camera_frame", "check_light_program"), _DRAWN),
+    **dict.fromkeys(
+        (
+            "get_camera_picture",
+            "get_camera_frame",
+            "check_light_program",
+            "get_camera_trial_picture",
+            "try_camera_settings",
+            "end_camera_trial",
+        ),
+        _DRAWN,
+    ),
+    **dict.fromkeys(("try_camera_settings", "end_camera_trial", "get_camera_trial_picture"), _DRAWN),
     **dict.fromkeys(("list_import_previews", "get_import_preview"), "a StationImport holds its document"),
     **dict.fromkeys(
         ("plan_optics", "get_optics_requirements"), "the arithmetic of `vaoi plan`, which needs no station"

@@ -7,9 +7,11 @@ import random
 import numpy as np
 from numpy.typing import NDArray
 
+from vaoi_station.acquisition.cameras.interface import CameraExposure
 from vaoi_station.acquisition.cameras.virtual import Exposure, VirtualCamera
 from vaoi_station.acquisition.causes import MAX_FRAME_ID
 from vaoi_station.acquisition.device_clock import DeviceClock
+from vaoi_station.model.light_program import linear_gain
 
 READOUT_S = 0.008
 TRANSFER_S = 0.012
@@ -28,8 +30,21 @@ class SimulatedCamera(VirtualCamera):
         super().__init__(number, clock.read)
         self._clock = clock
         self._exposure_s = exposure_us * 1e-6
+        self._wanted: CameraExposure | None = None
         self._random = random.Random(number)
         self._id = FIRST_ID
+
+    def set_exposure(self, wanted: CameraExposure) -> None:
+        """Remember the exposure for single pulses: the frames of boards are rendered with that of their program."""
+        self._wanted = wanted
+
+    def brightness(self, on_us: float | None) -> float:
+        """Return how many times as bright a single pulse is as one with the exposure of station.toml."""
+        if self._wanted is None:
+            return 1.0
+        exposure_us = self._wanted.exposures_us[0]
+        lit_us = exposure_us if on_us is None else min(exposure_us, on_us)
+        return lit_us * 1e-6 / self._exposure_s * linear_gain(self._wanted.gain_db)
 
     def trigger(
         self,

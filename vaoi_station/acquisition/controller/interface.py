@@ -270,14 +270,17 @@ class Controller(Protocol):
         When this returns, all events up to then have been reported, including RunEnded.
         """
 
-    def fire_one(self) -> None:
+    def fire_one(self, light: str = "", on_us: float | None = None) -> None:
         """Trigger all cameras and LEDs once, now, whether or not a board is at the barrier: a run of one pulse.
+
+        The light is the one of this name, lit for `on_us`; without them the first one of station.toml, as it states.
 
         Its PulseFired (index 0) and its RunEnded ("single") are reported like those of a board. The firmware reports
         `FIRE_ONE` as one pulse without a row; the serial backend turns it into these two events.
 
         Raises:
             StateError: the controller is armed, or this backend fires only when a board passes.
+            InputError: the light is unknown, or its on-time is beyond the limits of the firmware.
         """
 
     def read_clock(self) -> ClockReading:

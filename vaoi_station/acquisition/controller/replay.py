@@ -105,7 +105,7 @@ class ReplayController:
                 self._end_run(self._clock.now_s(), "disarmed")
             self._wake()
 
-    def fire_one(self) -> None:
+    def fire_one(self, light: str = "", on_us: float | None = None) -> None:  # noqa: ARG002
         """Raise StateError: a recording has no frames except those of its pulses."""
         raise StateError(
             "a replay plays recorded boards; it cannot fire a pulse of its own.",

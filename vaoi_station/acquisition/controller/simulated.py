@@ -104,12 +104,12 @@ class SimulatedController:
         self._line.set_armed(False)
         self._line.end_run()
 
-    def fire_one(self) -> None:
+    def fire_one(self, light: str = "", on_us: float | None = None) -> None:
         """Fire one pulse now."""
         with self._changed:
             if self._rule is not None:
                 raise StateError("the controller is armed: its pulses belong to boards.", action="Disarm, then fire.")
-            pulse = PulseFired(next(self._numbers), self.clock.now_s(), 0)
+            pulse = PulseFired(next(self._numbers), self.clock.now_s(), 0, light, on_us=on_us)
             self._line.fire_single(pulse)
             self._events.put(pulse)
             self._events.put(RunEnded(next(self._numbers), pulse.time_s, 1, "single"))

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from vaoi_station.acquisition.pairing.clock_fit import median
+from vaoi_station.config import CameraConfig
 
 GATE_S = 0.010
 """Largest accepted difference between a frame's latency and that of its camera, if the configuration gives none, s."""
@@ -31,6 +32,13 @@ class LatencySettings:
     """The configured latency, s; None if it is learnt from the frames."""
     gate_s: float = GATE_S
     """Largest accepted difference between a frame's latency and that of its camera, s."""
+
+    @classmethod
+    def of(cls, camera: CameraConfig) -> LatencySettings:
+        """Return the settings of a camera of station.toml."""
+        # The time stamps of a replayed recording are the times of its pulses.
+        given_us = 0.0 if camera.latency_us is None and camera.backend == "replay" else camera.latency_us
+        return cls(None if given_us is None else given_us * 1e-6, camera.latency_gate_us * 1e-6)
 
 
 @dataclass(frozen=True)

@@ -30,13 +30,16 @@ from vaoi_station.acquisition.process.backends import open_devices
 from vaoi_station.acquisition.process.messages import (
     Arm,
     Disarm,
+    EndTrial,
     FireOne,
+    FireTrial,
     Grant,
     Health,
     PermitBoard,
     Ready,
     Report,
     Shutdown,
+    TrialFailed,
 )
 from vaoi_station.acquisition.process.passage_watch import PassageWatch
 from vaoi_station.acquisition.process.run_reports import clock_jump_error, trouble_report
@@ -53,9 +56,7 @@ HEALTH_PERIOD_S = 0.5
 CLOCKS_LIMIT_S = 30.0
 """Longest time for the reading of one clock. After it, the thread that reads the clocks counts as hung, s."""
 BOARD_GRACE_S = 8.0
-"""Longest time, s, for which a board that is passing is still filmed after a Disarm.
-
-A board that takes longer has stopped."""
+"""Longest time for which a board is still filmed after a Disarm, s. A board that takes longer has stopped."""
 END_S = 3.0
 """Longest wait for a thread to end, s."""
 FIRST_READINGS = 8
@@ -63,9 +64,8 @@ FIRST_READINGS = 8
 URGENT_READING_PERIOD_S = 0.05
 """Shortest time between two readings of all clocks, while a command or the end of a run waits for them, s."""
 CLOCK_TIMEOUT_S = 10.0
-"""Longest time, s, for which arming or a single pulse waits until the clocks are known accurately enough.
-
-On a busy computer most round trips are long, but a single short one is enough."""
+"""Longest time for which arming or a single pulse waits until the clocks are known accurately enough, s."""
+# On a busy computer most round trips are long, but a single short one is enough.
 
 
 def run_acquisition(
@@ -115,7 +115,7 @@ class _ControllerDisarmed:
 class _WaitingCommand:
     """A command that waits until the models of all clocks are accurate enough."""
 
-    command: Arm | FireOne
+    command: Arm | FireOne | FireTrial
     until_s: float
 
 
@@ -232,7 +232,7 @@ class _MainLoop:
         elif isinstance(item, ControllerEvent):
             self._health_is_due |= self._passage.add(item, now_s)
             self._session.handle_event(item, now_s)
-        elif isinstance(item, Grant | Arm | FireOne | Disarm | PermitBoard):
+        elif isinstance(item, Grant | Arm | FireOne | FireTrial | EndTrial | Disarm | PermitBoard):
             self._obey(item, now_s)
         elif isinstance(item, _ControllerDisarmed):
             self._passage.disarm()
@@ -261,17 +261,26 @@ class _MainLoop:
         else:
             raise InternalError(f"the acquisition process has no handler for {item!r}.")
 
-    def _obey(self, command: Grant | Arm | FireOne | Disarm | PermitBoard, now_s: float) -> None:
+    def _obey(self, command: Grant | Arm | FireOne | FireTrial | EndTrial | Disarm | PermitBoard, now_s: float) -> None:
         """Carry out a command of the station, or note that it is due."""
         if isinstance(command, Grant):
             self._session.grant(command)
         elif isinstance(command, PermitBoard):
             self._devices.controller.permit_board(command.permit)
+        elif isinstance(command, EndTrial):
+            self._session.trial.restore()
         elif isinstance(command, Disarm):
-            self._waiting = None
+            self._replace_waiting(None)
             self._disarm_by_s = min(self._disarm_by_s, now_s + BOARD_GRACE_S)
-        else:
-            self._waiting = _WaitingCommand(command, now_s + CLOCK_TIMEOUT_S)
+        elif not isinstance(command, Shutdown):
+            self._replace_waiting(_WaitingCommand(command, now_s + CLOCK_TIMEOUT_S))
+
+    def _replace_waiting(self, waiting: _WaitingCommand | None) -> None:
+        """Let another command wait, or none. A trial that waited is refused."""
+        if self._waiting is not None and isinstance(self._waiting.command, FireTrial):
+            why = trouble_report(StateError("the line is being armed.", action="Disarm it."))
+            self._send(TrialFailed(self._waiting.command.grant.run, why))
+        self._waiting = waiting
 
     def _add_polled(self, polled: _PolledClock) -> None:
         """Add a reading to the model of its clock; if the attempt to read failed, report the error."""
@@ -298,20 +307,27 @@ class _MainLoop:
 
     def _retry_waiting(self, now_s: float) -> None:
         """Carry out the waiting command if the clocks are accurate enough. Raise ClockError after its longest wait."""
-        waiting, self._waiting = self._waiting, None
-        if waiting is None:
+        if (waiting := self._waiting) is None:
             return
+        command, self._waiting = waiting.command, None
         try:
-            if isinstance(waiting.command, Arm):
-                self._session.arm(waiting.command.plan)
-                self._passage.arm(waiting.command.plan, self._devices.controller.barrier_blocked())
-                self._health_is_due = True
-            else:
+            if isinstance(command, FireTrial):
+                self._session.fire_trial(command, now_s)
+            elif isinstance(command, FireOne):
                 self._session.fire_one(now_s)
-        except ClockError:
-            if now_s >= waiting.until_s:
+            elif self._session.trial.is_under_way:
+                self._waiting = waiting  # until its frames have come: the first board needs the cameras
+            else:
+                self._session.arm(command.plan)
+                self._passage.arm(command.plan, self._devices.controller.barrier_blocked())
+                self._health_is_due = True
+        except VaoiError as error:
+            if isinstance(error, ClockError) and now_s < waiting.until_s:
+                self._waiting = waiting
+            elif isinstance(command, FireTrial):
+                self._send(TrialFailed(command.grant.run, trouble_report(error)))
+            else:
                 raise
-            self._waiting = waiting
 
     def _send(self, report: Report) -> None:
         self._connection.send(report)

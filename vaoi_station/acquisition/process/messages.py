@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from vaoi_station.acquisition.cameras.interface import CameraHealth
+from vaoi_station.acquisition.cameras.interface import CameraExposure, CameraHealth
 from vaoi_station.acquisition.controller.interface import ControllerLimits, LineOutput, Permit, TriggerPlan
 from vaoi_station.acquisition.pairing.proof import TriggerProof
 from vaoi_station.acquisition.pairing.run_record import Interruption
@@ -54,11 +54,32 @@ class FireOne:
 
 
 @dataclass(frozen=True)
+class FireTrial:
+    """Fire one pulse now with settings on trial, independent of the barrier: a run of one row. Refused if armed.
+
+    The command brings its memory, so that no board can get it. What is refused is reported by `TrialFailed`.
+    """
+
+    grant: Grant
+    exposures: tuple[CameraExposure, ...]
+    """How each camera exposes, until the line is armed or `EndTrial` comes."""
+    light: str = ""
+    """Name of the light; empty: the first one of station.toml."""
+    on_us: float | None = None
+    """On-time of its LEDs, µs; None: that of station.toml."""
+
+
+@dataclass(frozen=True)
+class EndTrial:
+    """Set the exposures and gains of station.toml again. It does nothing while the station is armed."""
+
+
+@dataclass(frozen=True)
 class Shutdown:
     """Close cameras and controller, and end the process."""
 
 
-Command = Grant | Arm | Disarm | PermitBoard | FireOne | Shutdown
+Command = Grant | Arm | Disarm | PermitBoard | FireOne | FireTrial | EndTrial | Shutdown
 
 
 @dataclass(frozen=True)
@@ -186,6 +207,14 @@ class Trouble:
     action: str
 
 
+@dataclass(frozen=True)
+class TrialFailed:
+    """The report that a trial was not filmed; its memory is not used."""
+
+    run: str
+    why: Trouble
+
+
 Report = (
     Ready
     | Armed
@@ -198,4 +227,5 @@ Report = (
     | MissedPassage
     | Health
     | Trouble
+    | TrialFailed
 )

@@ -30,6 +30,7 @@ from vaoi_station.acquisition.process.messages import (
     Armed,
     BoardMissed,
     Disarmed,
+    FireTrial,
     FrameSettled,
     Grant,
     MissedPassage,
@@ -41,9 +42,10 @@ from vaoi_station.acquisition.process.passage_log import PassageLog
 from vaoi_station.acquisition.process.run_reports import finished_report, trouble_report
 from vaoi_station.acquisition.process.sequence_start import SequenceStart
 from vaoi_station.acquisition.process.slot_queue import SlotQueue
+from vaoi_station.acquisition.process.trial_pulse import TrialPulse
 from vaoi_station.acquisition.ring.ring import Ring
 from vaoi_station.acquisition.ring.ring_layout import INCOMPLETE, OK
-from vaoi_station.config import CameraConfig, StationConfig
+from vaoi_station.config import StationConfig
 from vaoi_station.errors import DeviceError, InputError, StateError, VaoiError
 from vaoi_station.model import Verdict
 from vaoi_station.model.light_program import linear_gain
@@ -90,7 +92,7 @@ class Session:
             camera_clocks,
             move_to_bay=self._slot_queue.move_to_bay,
             exposures_us=exposures_us,
-            latencies=[_latency_settings(camera) for camera in config.cameras],
+            latencies=[LatencySettings.of(camera) for camera in config.cameras],
             gains=[linear_gain(camera.gain_db) for camera in config.cameras],
         )
         self._grants: deque[Grant] = deque()
@@ -106,6 +108,7 @@ class Session:
         """Whether a run was closed before its end was reported; later events of it are ignored."""
         self._passages = PassageLog(controller_clock)
         self._disarming = False
+        self.trial = TrialPulse(config.cameras, devices, self._slot_queue, lambda: self._plan is not None)
 
     @property
     def filming(self) -> bool:
@@ -114,19 +117,19 @@ class Session:
 
     def deadline_s(self, after_s: float) -> float:
         """Return the first time after `after_s` at which `tick` has something to do; infinite if there is none."""
-        times = (self._recorder.next_deadline_s(after_s), self._silent_s)
+        times = (self._recorder.next_deadline_s(after_s), self._silent_s, self.trial.until_s)
         return min(t for t in times if t is not None)
 
     def tick(self, now_s: float) -> None:
         """Carry out all actions whose time has come."""
         if self._run is not None and now_s >= self._silent_s:
-            error = DeviceError(
-                f"the controller has not reported the end of run {self._run.run}.",
-                action="Check its cable and power, then arm again.",
-            )
-            self._send(trouble_report(error))
+            what = f"the controller has not reported the end of run {self._run.run}."
+            self._send(trouble_report(DeviceError(what, action="Check its cable and power, then arm again.")))
             self._end_run(self._run.rows, "the controller stopped reporting", now_s)
             self._given_up = True
+        if (failed := self.trial.overdue(now_s)) is not None:
+            self._given_up = True
+            self._send(failed)
         self._apply(self._recorder.settle(now_s), now_s)
 
     def rewind_sequences(self, now_s: float) -> None:
@@ -134,7 +137,8 @@ class Session:
 
         Frames that are awaited are not put at risk, unless the next board is in the barrier already.
         """
-        if self._sequences.is_due(now_s) and (self._sequences.board_comes or not self._awaits_frames):
+        awaited = (run.awaits_frames(len(self._devices.cameras)) for run in self._recorder.open_runs)
+        if self._sequences.is_due(now_s) and (self._sequences.board_comes or not any(awaited)):
             self._sequences.rewind(now_s)
 
     def grant(self, grant: Grant) -> None:
@@ -203,6 +207,12 @@ class Session:
         self._sequences.rewind(now_s)
         self._passages.begin_single(now_s)
         self._devices.controller.fire_one()
+
+    def fire_trial(self, trial: FireTrial, now_s: float) -> None:
+        """Fire one pulse with the settings of a trial, into the memory that it brings; raises as `TrialPulse.fire`."""
+        self._require_clocks(CLOCK_LIMIT_S)
+        self._passages.begin_single(now_s)
+        self.trial.fire(trial, now_s)
 
     def finish_disarming(self, now_s: float) -> None:
         """End the run under way, then give back the memory that was not used.
@@ -279,11 +289,6 @@ class Session:
         return self._recorder.outages
 
     @property
-    def _awaits_frames(self) -> bool:
-        """Whether a frame of any run may still arrive."""
-        return any(run.awaits_frames(len(self._devices.cameras)) for run in self._recorder.open_runs)
-
-    @property
     def awaits_clocks(self) -> bool:
         """Whether a run waits for its end, so that all clocks should be read at once."""
         return self._recorder.awaits_clocks
@@ -300,7 +305,7 @@ class Session:
         plan = self._plan
         period_s = plan.period_s if plan else self._config.line.trigger_period_s
         rows = plan.max_rows if plan else self._ring.layout.slots_per_camera
-        grant, self._next = self._next, None
+        grant, self._next = self.trial.take() or self._next, None
         self._silent_s = now_s + rows * (plan.longest_period_s if plan else period_s) + SILENCE_S
         if grant is None:
             self._run = self._recorder.begin_run(None, None, period_s)
@@ -355,6 +360,7 @@ class Session:
 
     def _finish(self, finished: Finished, now_s: float) -> None:
         """Report the end of a run, and close its bay."""
+        self.trial.finish(finished.record.run)
         bay = finished.record.bay
         assert bay is not None
         # The slots are taken back first: after the report the station may give the bay to another board.
@@ -391,9 +397,3 @@ class Session:
         self._next = None
         self._grants.clear()
         self._send(Disarmed(tuple(unused)))
-
-
-def _latency_settings(camera: CameraConfig) -> LatencySettings:
-    # The time stamps of a replayed recording are the times of its pulses.
-    given_us = 0.0 if camera.latency_us is None and camera.backend == "replay" else camera.latency_us
-    return LatencySettings(None if given_us is None else given_us * 1e-6, camera.latency_gate_us * 1e-6)

@@ -183,7 +183,15 @@ class SimulatedLine:
             self._still = [to_bytes(image) for _, _, image in calibration_board.frames(self._twin)]
         host_s = self._clock.host_s(event.time_s)
         for camera, pixels in zip(self._cameras, self._still, strict=True):
-            camera.trigger(host_s, pixels)
+            camera.trigger(host_s, self._exposed(pixels, camera.brightness(event.on_us)))
+
+    def _exposed(self, pixels: NDArray[np.uint8], brightness: float) -> NDArray[np.uint8]:
+        """Return the flat bytes of a frame as bright as exposure and gain make it, clipped at the full scale."""
+        if brightness == 1.0:
+            return pixels
+        bits = self._twin.scenario.array.bits
+        grey = pixels if bits == 8 else pixels.view(np.uint16)
+        return to_bytes(np.clip(grey * brightness, 0, (1 << bits) - 1).astype(grey.dtype))
 
     def _expose(self, board: SimulatedBoard, n: int, row: int, host_s: float) -> None:
         """Expose one camera for a row, with the faults of the scenario."""

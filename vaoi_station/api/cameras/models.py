@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
+
+from vaoi_station.model import Strict
 
 
 class Answer(BaseModel):
@@ -22,17 +24,11 @@ class SharpnessTile(Answer):
     """Standard deviation of the blur across edges, px; absent if the part has too few edges."""
 
 
-class CameraFrame(Answer):
-    """The newest frame of a camera that is in memory, and its figures. Grey levels are shares of the full scale."""
+class FrameFigures(Answer):
+    """The figures of one frame. Grey levels are shares of the full scale."""
 
-    camera: int
-    run: str
-    row: int
     width: int
     height: int
-    light: str
-    exposure_us: float | None = None
-    gain: float | None = None
     focus: float
     """Figure of focus: a higher value is sharper. Comparable only between frames of the same scene."""
     blur_px: float | None = None
@@ -49,8 +45,42 @@ class CameraFrame(Answer):
     """Share of the pixels at full scale."""
     histogram: tuple[float, ...]
     """Share of the pixels in each of 64 equal steps of grey, from dark to bright."""
+
+
+class CameraFrame(FrameFigures):
+    """The newest frame of a camera that is in memory, and its figures."""
+
+    camera: int
+    run: str
+    row: int
+    light: str
+    exposure_us: float | None = None
+    gain: float | None = None
     link_mbit_s: float | None = None
     """Mean data rate of the camera while the run was filmed, Mbit/s; absent while it is."""
+
+
+class CameraTrialRequest(Strict):
+    """Settings that one camera is to try with one pulse; what is absent is as in station.toml."""
+
+    light: str | None = Field(default=None, min_length=1, max_length=100, description="Name of a light.")
+    on_us: float | None = Field(default=None, gt=0, le=1e6, allow_inf_nan=False, description="On-time of its LEDs.")
+    exposure_us: float | None = Field(default=None, gt=0, le=1e6, allow_inf_nan=False)
+    gain_db: float | None = Field(default=None, ge=-60, le=60, allow_inf_nan=False)
+
+
+class CameraTrialFrame(FrameFigures):
+    """A frame that was taken with settings on trial, and its figures."""
+
+    camera: int
+    number: int
+    """Number of the trial, for its picture."""
+    light: str
+    on_us: float | None = None
+    exposure_us: float
+    gain_db: float
+    expires_in_s: float
+    """Time until the settings of station.toml are set again, without another trial."""
 
 
 class ExaminationFinding(Answer):

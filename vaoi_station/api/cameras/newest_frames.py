@@ -8,7 +8,7 @@ from collections import defaultdict
 import cv2
 import numpy as np
 
-from vaoi_station.api.cameras.models import CameraFrame, SharpnessTile
+from vaoi_station.api.cameras.models import CameraFrame, FrameFigures, SharpnessTile
 from vaoi_station.errors import NotFoundError, VaoiError
 from vaoi_station.files.images import Image, encode_jpeg
 from vaoi_station.model import FrameRecord
@@ -77,13 +77,7 @@ class NewestFrames:
         if run is None or row is None:
             newest = self.frame(camera)
             run, row = newest.run, newest.row
-        pixels, _ = self._coordinator.frame(run, camera, row)
-        scale = LARGEST_PX / max(pixels.shape[:2])
-        if scale < 1:
-            pixels = cv2.resize(pixels, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-        if pixels.dtype != np.uint8:
-            pixels = cv2.convertScaleAbs(pixels, alpha=255 / full_scale(pixels))
-        return encode_jpeg(pixels, _QUALITY)
+        return for_display(self._coordinator.frame(run, camera, row)[0])
 
     def _candidates(self, camera: int) -> list[tuple[RunDetail, FrameRecord]]:
         """Return for each of the newest runs the last good frame of a camera, newest run first."""
@@ -101,19 +95,37 @@ class NewestFrames:
         return found
 
 
+def for_display(pixels: Image) -> bytes:
+    """Return a frame as JPEG of 8 bits, at most `LARGEST_PX` long."""
+    scale = LARGEST_PX / max(pixels.shape[:2])
+    if scale < 1:
+        pixels = cv2.resize(pixels, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    if pixels.dtype != np.uint8:
+        pixels = cv2.convertScaleAbs(pixels, alpha=255 / full_scale(pixels))
+    return encode_jpeg(pixels, _QUALITY)
+
+
 def _measured(run: RunDetail, record: FrameRecord, pixels: Image) -> CameraFrame:
-    quality = measure_quality(pixels)
     filming_s = run.timings.filming_s if run.timings else 0.0
     good = sum(frame.camera == record.camera and frame.usable for frame in run.frames)
     return CameraFrame(
         camera=record.camera,
         run=run.id,
         row=record.row,
-        width=pixels.shape[1],
-        height=pixels.shape[0],
         light=record.light,
         exposure_us=record.exposure_us,
         gain=record.gain,
+        link_mbit_s=round(good * pixels.nbytes * 8e-6 / filming_s, 1) if filming_s > 0 else None,
+        **figures_of(pixels).model_dump(),
+    )
+
+
+def figures_of(pixels: Image) -> FrameFigures:
+    """Measure sharpness and grey levels of a frame."""
+    quality = measure_quality(pixels)
+    return FrameFigures(
+        width=pixels.shape[1],
+        height=pixels.shape[0],
         focus=float(f"{quality.focus:.5g}"),
         blur_px=_rounded(quality.blur_px),
         mtf50=_rounded(quality.mtf50),
@@ -127,7 +139,6 @@ def _measured(run: RunDetail, record: FrameRecord, pixels: Image) -> CameraFrame
         high=round(quality.high, 4),
         saturated=round(quality.saturated, 6),
         histogram=histogram(pixels),
-        link_mbit_s=round(good * pixels.nbytes * 8e-6 / filming_s, 1) if filming_s > 0 else None,
     )
 
 

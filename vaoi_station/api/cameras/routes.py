@@ -10,8 +10,10 @@ from fastapi import APIRouter, Depends, Query, Request, Response
 from vaoi_station.api.callers.caller import caller_of
 from vaoi_station.api.callers.seats import Seats
 from vaoi_station.api.cameras.examination import Examinations
-from vaoi_station.api.cameras.models import CameraFrame, Examination
+from vaoi_station.api.cameras.models import CameraFrame, CameraTrialFrame, CameraTrialRequest, Examination
 from vaoi_station.api.cameras.newest_frames import NewestFrames
+from vaoi_station.api.cameras.trials import CameraTrials
+from vaoi_station.api.event_hub import ThreadLimit
 from vaoi_station.api.http_caching import LIVE
 from vaoi_station.api.parameters import Camera
 from vaoi_station.api.routes.services import Services
@@ -27,6 +29,8 @@ def router(services: Services, config: Path | None = None) -> APIRouter:
     """Create the routes for cameras; `config` is the station.toml that the doctor examines."""
     routes = APIRouter(tags=["station"])
     frames, examinations = NewestFrames(services.coordinator), Examinations(config, services.hub.closing)
+    # One pulse at a time; a caller that comes meanwhile waits for a moment.
+    trials, shooting = CameraTrials(services.coordinator), ThreadLimit(1)
     seats = Seats("requests for an examination that wait", EXAMINATIONS, EXAMINATIONS_OF_CALLER)
 
     # Measuring a frame takes a thread of pictures, so that it takes a seat for pictures as well.
@@ -59,6 +63,35 @@ def router(services: Services, config: Path | None = None) -> APIRouter:
         Without loss, and in full size: `runs/{run}/frames/{camera}/{row}`.
         """
         content = await services.pictures.ask(frames.picture, camera, run, row)
+        return Response(content, media_type="image/jpeg", headers={"Cache-Control": LIVE})
+
+    @routes.post("/cameras/{camera}/trial", response_model_exclude_none=True)
+    async def try_camera_settings(response: Response, camera: Camera, body: CameraTrialRequest) -> CameraTrialFrame:
+        """Fire one pulse with settings on trial while the line is disarmed; return the figures of the camera's frame.
+
+        Nothing is changed for good: arming ends the trial, and 10 s after the last pulse the settings of station.toml
+        are set again. 409 `line-armed`: the line is armed; 409 `trial-running`: another pulse is under way.
+        """
+        response.headers["Cache-Control"] = LIVE
+        return await shooting.ask(trials.shoot, camera, body)
+
+    @routes.delete("/cameras/{camera}/trial", status_code=204)
+    async def end_camera_trial(camera: Camera) -> None:  # noqa: ARG001  a trial has one camera at a time
+        """Set the settings of station.toml again, now."""
+        await services.commands.ask(trials.end)
+
+    @routes.get(
+        "/cameras/{camera}/trial/picture",
+        response_class=Response,
+        responses=dict(JPEG),  # type: ignore[arg-type]
+        dependencies=[Depends(services.picture_seats.hold)],
+    )
+    async def get_camera_trial_picture(
+        camera: Camera,
+        number: Annotated[int | None, Query(description="Number of the trial [the newest].", ge=1, le=10**9)] = None,
+    ) -> Response:
+        """Return the newest frame of a trial as JPEG of at most 960 px. 404 `no-trial-frame`: there is none."""
+        content = await services.pictures.ask(trials.picture, camera, number)
         return Response(content, media_type="image/jpeg", headers={"Cache-Control": LIVE})
 
     @routes.get("/doctor", response_model_exclude_none=True)

@@ -24,6 +24,6 @@ def router(services: Services) -> APIRouter:
         """
         response.headers["Cache-Control"] = LIVE
         board_type = await ask(coordinator.board_type, name)
-        return await ask(coordinator.light_programs.check, board_type, body.program)
+        return await ask(coordinator.lighting.programs.check, board_type, body.program)
 
     return routes

@@ -31,7 +31,7 @@ from vaoi_station.runs.control.station_events import StationEvents
 from vaoi_station.runs.control.status import renew_permit, snapshot_of, status_line
 from vaoi_station.runs.control.teaching import BoardTypeService, ReferenceTeaching
 from vaoi_station.runs.host.gc_policy import GcPolicy
-from vaoi_station.runs.lighting.program_check import LightPrograms
+from vaoi_station.runs.lighting.lighting import Lighting
 from vaoi_station.runs.mosaics.mosaics import Mosaics
 from vaoi_station.runs.run.leases import OWN
 from vaoi_station.runs.run.order import Order, Passing
@@ -111,7 +111,7 @@ class StationCoordinator:
         self.batches = access.batches(self.merged)
         teaching = ReferenceTeaching(references, parts.config.method)
         self._board_types = BoardTypeService(board_types, teaching, parts, self._core, self._inbox, access)
-        self.light_programs = LightPrograms(parts.config, parts.px_per_mm, lambda: self._inbox.ask(self._core.devices))
+        self.lighting = Lighting(parts.config, parts.px_per_mm, ring, self._inbox, self._core)
         self.board_type_history = BoardTypeHistory(board_types, self._board_types.put)
         self.process_events: StationEvents = InboxEvents(self._inbox, self._core, requests)
         """Receiver of the reports of the acquisition process and the workers."""

@@ -19,6 +19,7 @@ from vaoi_station.runs.control.calibration_watch import CalibrationWatch
 from vaoi_station.runs.control.line_control import Acquisition, LineControl
 from vaoi_station.runs.control.reasons import sentence
 from vaoi_station.runs.control.station_state import StationStateMachine
+from vaoi_station.runs.lighting.camera_trial import CameraTrial
 from vaoi_station.runs.run.board_account import UNWATCHED, BoardAccount
 from vaoi_station.runs.run.leases import Leases
 from vaoi_station.runs.run.line_permit import LinePermit
@@ -92,6 +93,7 @@ class Core:
         interlocked = parts.config.controller.interlock == "on"
         self.permit = LinePermit(parts.acquisition.send if interlocked else None, parts.events.add)
         self._stopping: list[Completion] = []
+        self.trial = CameraTrial(parts.acquisition, lambda: self.machine.state, self.memory, self.line.evicted)
 
     # --- requests of callers
 
@@ -178,6 +180,7 @@ class Core:
             self._events.add("trouble", "The run ended by a fault; its memory is free again.", run=run, code="store")
         self.line.keep_memory_granted()
         self._archive.tick()
+        self.trial.tick()
 
     # --- reports of the workers
 
@@ -203,8 +206,10 @@ class Core:
 
     # --- reports of the acquisition process
 
-    def acquisition_message(self, message: messages.Report) -> None:
+    def acquisition_message(self, message: messages.Report) -> None:  # noqa: PLR0912  one case for each message
         """Act on a message of the acquisition process, by its type."""
+        if self.trial.takes(message):
+            return
         # The most frequent kinds are tested first: a station of 8 cameras sends hundreds of frames per second.
         match message:
             case messages.FrameSettled():
@@ -230,6 +235,8 @@ class Core:
                 self.line.on_disarmed(message, self.health)
             case messages.Ready():
                 self.line.on_ready()
+            case messages.TrialFailed():
+                pass  # its caller is gone: the acquisition process was restarted meanwhile
             case _:
                 assert_never(message)
 
@@ -243,6 +250,7 @@ class Core:
         for progress in self.runs.filming:
             self._salvage(progress)
         self.health = None
+        self.trial.acquisition_ended(description)
         self.boards.unwatched(time.monotonic(), f"{description}, and boards may have passed unnoticed")
         self.line.on_acquisition_ended(description)
 

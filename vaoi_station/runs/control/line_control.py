@@ -334,12 +334,15 @@ class LineControl:
             return
         granted = self._memory.grant(self._run_ids.next())
         if granted.evicted is not None:
-            self._archive.mark(granted.evicted, RunStep.MEMORY_TAKEN)
-            message = "Frames evicted to make room for the next board."
-            self._events.add("run", message, state=RunState.GONE, run=granted.evicted)
+            self.evicted(granted.evicted)
         assert granted.bay.run is not None
         self._granted[granted.bay.run] = granted.bay.number
         self._acquisition.send(messages.Grant(granted.bay.run, granted.bay.number))
+
+    def evicted(self, run: str) -> None:
+        """Record that the frames of a finished run were given up for the next board."""
+        self._archive.mark(run, RunStep.MEMORY_TAKEN)
+        self._events.add("run", "Frames evicted to make room for the next board.", state=RunState.GONE, run=run)
 
     def _rearm(self) -> None:
         try:

@@ -53,7 +53,7 @@ class BayGrants:
     def send(self, command: messages.Command) -> None:
         """Send a command, behind those before it. Returns at once."""
         with self._changed:
-            if self._waiting or isinstance(command, messages.Grant):
+            if self._waiting or _bay(command) is not None:
                 self._waiting.append(command)
                 self._changed.notify_all()
             else:
@@ -76,8 +76,8 @@ class BayGrants:
 
     def _run(self) -> None:
         while (command := self._next()) is not None:
-            if isinstance(command, messages.Grant):
-                self._ring.blacken(command.bay)
+            if (bay := _bay(command)) is not None:
+                self._ring.blacken(bay)
             with self._changed:
                 # It was given up meanwhile if it is not the first one any more.
                 if self._waiting and self._waiting[0] is command:
@@ -91,3 +91,10 @@ class BayGrants:
                 self._changed.wait(_CHECK_S)
             self.thread.beat()
             return self._waiting[0] if self._waiting and not self._ended else None
+
+
+def _bay(command: messages.Command) -> int | None:
+    """Return the bay that a command grants; None if it grants none."""
+    if isinstance(command, messages.FireTrial):
+        return command.grant.bay
+    return command.bay if isinstance(command, messages.Grant) else None

@@ -78,6 +78,11 @@ class Memory:
             self._leases.end_all(evicted)
         return GrantedBay(granted, evicted)
 
+    def available(self) -> int:
+        """Return the count of bays that could be granted: free ones, and those whose runs may be evicted."""
+        free = sum(bay.use == "free" for bay in self._bays)
+        return free + len(self._evictable())
+
     def use(self, run: str, use: Use) -> Bay:
         """Change the use of a run's bay, and return the bay. Raise GoneError if the run has no bay."""
         bay = self.bay(run)
@@ -178,17 +183,21 @@ class Memory:
         free = [bay for bay in self._bays if bay.use == "free"]
         if free:
             return free[0]
+        idle = self._evictable()
+        return min(idle, key=lambda found: found[:2])[2] if idle else None
+
+    def _evictable(self) -> list[tuple[bool, int, Bay]]:
+        """Return the bays of runs that may be evicted, as (whether a picture is being made, rank, bay)."""
         # The order in which runs finished counts, not the order in which they began: a run that waited for late frames
         # has the newer result.
         now_s = self._clock()
         # Readers notice by the generation that pixels are gone. So a picture that is being made need not keep a board
         # waiting: a caller that may only read could otherwise stop the line with pictures of every run.
-        idle = [
+        return [
             (bool(self._leases.of(b.run)), b.finished, b)
             for b in self._bays
             if b.use == "finished" and b.run and b.kept_until_s <= now_s and not self._leases.of_callers(b.run)
         ]
-        return min(idle, key=lambda found: found[:2])[2] if idle else None
 
 
 _IN_WORDS = {

@@ -57,20 +57,25 @@ def test_rows_are_moved_by_the_keyboard_and_cameras_have_values_of_their_own(pag
     station = engineer.station
     known = station.types["demo-board"]
     station.types["demo-board"] = known.model_validate({**known.model_dump(), "program": PROGRAM})
-    page.goto(f"{engineer.url}/#/setup/programs/demo-board?light=left&on_us=70&exposure_us=90,90,90")
+    page.goto(f"{engineer.url}/#/setup/programs/demo-board?light=left&on_us=70&camera=1&exposure_us=90&gain_db=0")
     expect(page.get_by_text("The settings of the camera are added as the last row.")).to_be_visible()
     expect(page.locator("#steps tbody tr")).to_have_count(3)
     page.get_by_role("button", name="Move row 2 up").press("Enter")
     expect(page.get_by_label("Light, row 1")).to_be_focused()
     expect(page.get_by_label("On-time, µs, row 1")).to_have_value("70")
+    own = [page.get_by_label(f"Exposure, µs, row 1, cam{n}") for n in range(3)]
+    expect(own[0]).to_have_value("250")  # what the other cameras have
+    expect(own[1]).to_have_value("90")
+    page.get_by_role("button", name="Delete row 1").press("Enter")
     page.get_by_role("button", name="Delete row 0").press("Enter")
-    page.get_by_role("button", name="Copy row 1").press("Enter")
-    page.get_by_label("Each camera by itself").press("Space")
-    page.get_by_label("Exposure, µs, row 2, cam1").fill("120")
-    expect(page.locator(".finding")).to_contain_text("must be 100 µs as for camera cam0: the width of one trigger")
-    expect(page.get_by_label("Exposure, µs, row 2, cam1")).to_have_attribute("aria-invalid", "true")
-    expect(page.get_by_label("Exposure, µs, row 2, cam0")).not_to_have_attribute("aria-invalid", "true")
-    page.get_by_label("Exposure, µs, row 2, cam1").fill("100")
+    page.get_by_role("button", name="Copy row 0").press("Enter")
+    own[0].fill("110")
+    own[1].fill("120")
+    expect(page.locator(".finding")).to_contain_text("must be 110 µs as for camera cam0: the width of one trigger")
+    expect(own[1]).to_have_attribute("aria-invalid", "true")
+    expect(own[0]).not_to_have_attribute("aria-invalid", "true")
+    own[0].fill("100")
+    own[1].fill("100")
     expect(page.get_by_text("The station can film with this program.")).to_be_visible()
     station.put_board_type(known)  # by someone else, meanwhile
     page.get_by_role("button", name="Store the program").click()

@@ -85,9 +85,9 @@ class SerialController:
             with supervisor.lock:
                 supervisor.drop_arming()
 
-    def fire_one(self) -> None:
+    def fire_one(self, light: str = "", on_us: float | None = None) -> None:
         """Trigger all cameras and LEDs once, independent of the barrier."""
-        self._do(self._supervisor.fire_one)
+        self._do(lambda: self._supervisor.fire_one(light, on_us))
 
     def read_clock(self) -> ClockReading:
         """Compare the controller's clock with the host's."""

@@ -234,12 +234,12 @@ class Supervisor:
             self.drop_arming()
         self.link.heartbeat = False
 
-    def fire_one(self) -> None:
+    def fire_one(self, light: str = "", on_us: float | None = None) -> None:
         """Fire one pulse; see `Controller.fire_one`."""
         if self.arming is not None:
             raise StateError("the controller is armed: its pulses belong to boards.", action="Disarm, then fire.")
-        name = next(iter(self._config.light_sequence), "")
-        step = light_step(name, self._config, firmware_limits(self.ident)) if name else DARK
+        name = light or next(iter(self._config.light_sequence), "")
+        step = light_step(name, self._config, firmware_limits(self.ident), on_us=on_us) if name else DARK
         self.translator.set_lights(lambda _row, _channels: "", name)
         self._number = (self._number + 1) % 0x10000
         width = self._single_width or min(round(self._config.trigger_us * 2), 0xFFFF)

@@ -3,6 +3,7 @@ import { histogram, sharpnessMap, BLUR_LIMIT_PX, DARK_LIMIT, SATURATED_LIMIT } f
 import { make, setText } from "../parts/elements.js";
 import * as rest from "../parts/rest.js";
 import { moment, number, texts } from "../texts/texts.js";
+import { Trial } from "./trial.js";
 
 const AGAIN_MS = 2000;
 const LOST = /lost|missing|resent|resend|underrun|fail|error|discard|drop/i; // names of drivers' counters of trouble
@@ -11,6 +12,7 @@ const PART = `
   <p id="camera-answer" role="status"></p>
   <button type="button" id="examine" data-text="cameras.examine"></button>
 </div>
+<div id="trial-place"></div>
 <div id="camera-cards"></div>
 <section id="doctor" aria-labelledby="doctor-title">
   <h2 id="doctor-title" data-text="cameras.doctor"></h2>
@@ -105,6 +107,7 @@ export class CamerasView {
   #findings = [];
   #due = 0;
   #closed = false;
+  #trial = null;
 
   constructor(station) {
     this.#station = station;
@@ -120,9 +123,12 @@ export class CamerasView {
   close() {
     this.#closed = true;
     clearTimeout(this.#due);
+    this.#trial?.stop();
   }
 
-  async show() {}
+  async show({ state }) {
+    this.#trial?.show(state);
+  }
 
   // The cards follow the frames while the view is open and visible.
   async #follow() {
@@ -137,6 +143,9 @@ export class CamerasView {
     if (this.#cards.length !== cameras.length) {
       this.#cards = cameras.map((camera) => new Card(camera));
       this.root.querySelector("#camera-cards").replaceChildren(...this.#cards.map((card) => card.root));
+      this.#trial = new Trial(cameras);
+      this.root.querySelector("#trial-place").replaceChildren(this.#trial.root);
+      this.#trial.show(this.#station.now.state);
     }
     const ready = cameras.filter((camera) => camera.connected).length;
     setText(this.root.querySelector("#camera-answer"), texts.cameras.ready(ready, cameras.length));

@@ -49,6 +49,9 @@ export const trendComparison = (query) => call("GET", `/trends/comparison?${new 
 export const calibration = () => call("GET", "/calibration");
 export const cameraFrame = (camera) => call("GET", `/cameras/${camera}/frame`);
 export const cameraPicture = (frame) => `${api}/cameras/${frame.camera}/picture?${new URLSearchParams({ run: frame.run, row: frame.row })}`;
+export const tryCamera = (camera, settings) => call("POST", `/cameras/${camera}/trial`, settings);
+export const endTrial = (camera) => call("DELETE", `/cameras/${camera}/trial`);
+export const trialPicture = (frame) => `${api}/cameras/${frame.camera}/trial/picture?number=${frame.number}`;
 export const examination = () => call("GET", "/doctor");
 export const counts = () => call("GET", "/runs/counts");
 export const decide = (id, decision) => call("PUT", `/runs/${encodeURIComponent(id)}/decision`, decision);

@@ -83,11 +83,15 @@ class Programs {
 
   // The settings of the page "Cameras", which led here, become one more row.
   #takeTrial(query) {
-    const given = Object.fromEntries(["light", "on_us", "exposure_us", "gain_db"].filter((key) => query?.get(key)).map((key) => [key, query.get(key)]));
+    const given = Object.fromEntries(["light", "on_us", "exposure_us", "gain_db", "camera"].filter((key) => query?.get(key)).map((key) => [key, query.get(key)]));
     if (!given.light) return;
-    const list = (text) => text?.split(",").map(Number);
-    const step = { light: given.light, on_us: given.on_us && Number(given.on_us), exposure_us: list(given.exposure_us), gain_db: list(given.gain_db) };
-    for (const key of Object.keys(step)) if (step[key] === undefined) delete step[key];
+    const step = { light: given.light };
+    if (given.on_us) step.on_us = Number(given.on_us);
+    for (const key of ["exposure_us", "gain_db"]) {
+      // The other cameras keep their values; with all alike, one value is enough.
+      const values = this.#steps.cameras.map((camera) => (camera.camera === Number(given.camera ?? 0) ? Number(given[key]) : camera[key]));
+      if (given[key] && values.some((value, n) => value !== this.#steps.cameras[n][key])) step[key] = values;
+    }
     const before = this.#type.program ?? [];
     this.#steps.show([...before, step]);
     setText(this.#answer, texts.lights.fromTrial);
