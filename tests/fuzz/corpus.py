@@ -9,4 +9,4 @@ CORPUS = Path(__file__).with_name("corpus")
 
 def inputs(name: str) -> dict[str, bytes]:
     """Return the inputs of a target by the names of their files."""
-    return {path.name: path.read_bytes() for path in sorted((CORPUS / name).iterdir())}
+    return {path.name: path.read_bytes() for path in sorted((CORPUS / name).rglob("*")) if path.is_file()}

@@ -5,9 +5,11 @@ A target ends in order or raises a `VaoiError`. Any other exception is a find.
 
 from __future__ import annotations
 
+import atexit
 import gzip
 import io
 import json
+import shutil
 import tarfile
 import tempfile
 from collections.abc import Callable
@@ -20,6 +22,7 @@ from urllib.parse import quote
 import numpy as np
 from fastapi.testclient import TestClient
 
+from tests.api.held.setup_files import setup_files
 from tests.api.held_station import HeldStation
 from vaoi_station.acquisition.controller.protocol.framing import PAYLOAD_LONGEST, FrameReader, Message, encode
 from vaoi_station.acquisition.controller.protocol.link import Link
@@ -126,7 +129,10 @@ def package(data: bytes, folder: Path) -> None:
 def _client() -> TestClient:
     station = HeldStation()
     station.film()
-    return TestClient(create_app(station, ["testserver"]), raise_server_exceptions=False)
+    folder = tempfile.mkdtemp(prefix="vaoi-fuzz-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    app = create_app(station, ["testserver"], files=setup_files(Path(folder)))
+    return TestClient(app, raise_server_exceptions=False)
 
 
 @cache
@@ -137,14 +143,27 @@ def operations() -> tuple[tuple[str, str], ...]:
     return tuple(sorted(found))
 
 
+def operation_of(data: bytes) -> tuple[str, str, bytes]:
+    """Return method, path and body of an input: its first line names them, or its first byte chooses."""
+    # Names stay right when operations are added; a fuzzer reaches others by damaging them.
+    line, _, body = data.partition(b"\n")
+    named = tuple(line.decode("latin-1").split(" "))
+    if named in operations():
+        return named[0], named[1], body
+    method, path = operations()[data[0] % len(operations())]
+    return method, path, data[1:]
+
+
 def rest(data: bytes, folder: Path) -> None:
-    """Send a body to an operation, which the first byte chooses; the name in its path is `small`."""
+    """Send a body to an operation; the name in its path is `small`."""
     if not data:
         return
-    method, path = operations()[data[0] % len(operations())]
+    method, path, body = operation_of(data)
     for name in ("{name}", "{run}", "{ref}", "{board_type}"):
         path = path.replace(name, "small")
-    answer = _client().request(method, path, content=data[1:])
+    # The settings ask for a condition; what they write is in the folder of the client.
+    headers = {"Content-Type": "application/json", "If-Match": "*"} if path.endswith("/settings") else {}
+    answer = _client().request(method, path, content=body, headers=headers)
     if answer.status_code == 500:
         raise AssertionError(f"{method} {path}: {answer.text}")
 
