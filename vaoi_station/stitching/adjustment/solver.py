@@ -109,7 +109,7 @@ _BODY_SCATTER_MM = 0.3
 Without it, links on components counted like those on the bare board, and estimated a bow of up to 0.8 mm that was not
 there (docs/measured/hostile.md)."""
 _COMMON_MM = 0.2
-"""The same of the mean height of those points of a component that one pair of frames links."""
+"""The same of the mean height of those points of a component, or on sides at a seam, that one pair of frames links."""
 _SIDE_SCATTER_MM = 0.1
 """The same for links between two cameras beside a component: each camera sees another side of it, or its shadow."""
 _FREE_STEPS = 3
@@ -198,11 +198,12 @@ class _Solver:
         self.linked_steps = linked_steps(links, self.rows)
         self.raised = (problem.component < 0) & problem.near if len(problem.near) else np.zeros(len(links), np.bool_)
         """(k,) whether each link may lie above the board although no component is under it."""
-        of_sides = np.where(self.raised & (between > 0), _SIDE_SCATTER_MM, 0.0)
+        sides = self.raised & (between > 0)
+        of_sides = np.where(sides, _SIDE_SCATTER_MM, 0.0)
         self.scatter_mm = np.where(problem.component >= 0, _BODY_SCATTER_MM, of_sides)
         """(k,) standard deviation of the height of each link's point about the modelled height."""
-        self.cell = cells_of(component, links.group)
-        """(k,) number of the component in one pair of frames on which each link lies, −1 on the bare board."""
+        self.cell = cells_of(np.where(sides, 2 * self.n_parts, component), links.group)
+        """(k,) in each pair of frames one number for the links on a component, one for those on sides; else −1."""
         bare = [self._bare(self.kind == kind) for kind in range(len(self.floor_px))]
         # Contiguous copies: for slices with a step, Numba would compile another variant while a board waits.
         self.floor_samples = [np.ascontiguousarray(at[:: max(len(at) // _FLOOR_SAMPLE, 1)]) for at in bare]
