@@ -8,7 +8,7 @@ from vaoi_station.board_data.design import Design, Mark, Part
 from vaoi_station.board_data.panels import Repeat, Step, note_on_panels, panel_of
 from vaoi_station.errors import InputError
 
-BOARD = Step(Design("pcb", "odb", (Part("R1", "top", (3.0, 2.0), 0.0),)), (1.0, 1.0))
+BOARD = Step(Design("pcb", "odb", (Part("R1", "top", (3.0, 2.0), 0.0),)), lambda: (1.0, 1.0))
 
 
 def grid(step: str, x: float = 0.0, nx: int = 1, ny: int = 1) -> Repeat:

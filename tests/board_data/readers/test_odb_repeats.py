@@ -124,6 +124,48 @@ def test_wrong_repeats_are_refused(before: str, after: str, message: str, tmp_pa
     assert read_odb(path).name == "pcb", "the board can still be read"
 
 
+BOARD_HEADER = "job/steps/pcb/stephdr"
+BLOCK = "UNITS=MM\nSTEP-REPEAT {\nNAME=coupon\nANGLE=\n}\n"
+
+
+@pytest.mark.parametrize(
+    ("header", "panel_step", "message"),
+    [
+        ("UNITS=MM\nX_DATUM=\n", "panel", "pcb/stephdr: X_DATUM is '', but must be a number"),
+        ("UNITS=MILS\n", "panel", "pcb/stephdr: UNITS is 'MILS', but must be MM or INCH"),
+        (BLOCK, "pcb", "pcb/stephdr, STEP-REPEAT in line 2: ANGLE is '', but must be a number"),
+    ],
+)
+def test_a_wrong_header_of_odb_is_refused_only_for_a_panel(
+    header: str, panel_step: str, message: str, tmp_path: Path
+) -> None:
+    right, path = read_odb(odb(tmp_path)), odb(tmp_path, **{BOARD_HEADER: header})
+    assert read_odb(path) == right, "the board alone needs neither its datum nor what it repeats"
+    if panel_step != "pcb":
+        assert read_odb(path, "pcb").parts == right.parts
+    with pytest.raises(InputError, match=message):
+        read_odb(path, panel_step)
+
+
+@pytest.mark.parametrize(
+    ("inserted", "panel_step", "message"),
+    [
+        ('<Datum x="" y="0"/>', "panel", "Datum x is '', but must be a number"),
+        ('<StepRepeat stepRef="coupon" angle=""/>', "sample", "StepRepeat angle is '', but must be a number"),
+    ],
+)
+def test_a_wrong_placing_in_ipc2581_is_refused_only_for_a_panel(inserted: str, panel_step: str, message: str) -> None:
+    step, path = '<Step name="sample">', Path("b.xml")
+    right = read_ipc2581(samples.IPC2581_PANEL.encode(), path)
+    head, _, tail = samples.IPC2581_PANEL.partition(step)
+    data = f"{head}{step}{inserted}{tail}".encode()
+    assert read_ipc2581(data, path) == right, "the board alone needs neither its datum nor what it repeats"
+    if panel_step != "sample":
+        assert read_ipc2581(data, path, "sample").parts == right.parts
+    with pytest.raises(InputError, match=message):
+        read_ipc2581(data, path, panel_step)
+
+
 def test_a_panel_of_too_many_boards_or_parts_is_refused(tmp_path: Path) -> None:
     block = "STEP-REPEAT {{\nNAME={}\nDX=60\nDY=50\nNX={}\nNY={}\n}}\n"
     nested = {

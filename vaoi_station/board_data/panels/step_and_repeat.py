@@ -38,7 +38,8 @@ class Step:
     """One step of a file: a board, or a panel with what it repeats."""
 
     design: Design
-    datum: XY = (0.0, 0.0)
+    datum: Callable[[], XY] = lambda: (0.0, 0.0)
+    """Returns the datum. It is read only when a panel places the step: no board alone needs it."""
     repeats: tuple[Repeat, ...] = ()
 
 
@@ -72,7 +73,7 @@ class _Layout:
                     self.where, "the depth of its steps", ">".join((*above, repeat.step)), f"at most {MOST_LEVELS}"
                 )
             step = self.step(repeat.step)
-            for place in _places(repeat, step.datum, self.where):
+            for place in _places(repeat, step.datum(), self.where):
                 self._add_one(repeat.step, step, place.within(at), above)
 
     def _add_one(self, name: str, step: Step, at: Placement, above: tuple[str, ...]) -> None:

@@ -81,7 +81,7 @@ def read_ipc2581(data: bytes, path: Path, step: str | None = None) -> Design:
     notes = []
     if step is None:
         best = max(placed, key=lambda name: len(steps[name].findall("Component")))
-        design = reader.step(steps[best], best).design
+        design = reader.design(steps[best], best)
         if len(placed) > 1:
             notes.append(
                 f"the file has {len(placed)} steps with components ({', '.join(placed)}); {best} was read. "
@@ -123,8 +123,13 @@ class _Reader:
 
     def step(self, step: Element, name: str) -> Step:
         """Return a step with what it repeats."""
-        datum, repeats = step.find("Datum"), [self._repeat(element) for element in step.findall("StepRepeat")]
-        return Step(self._design(step, name), (0.0, 0.0) if datum is None else self._place(datum), tuple(repeats))
+
+        def datum() -> XY:
+            element = step.find("Datum")
+            return (0.0, 0.0) if element is None else self._place(element)
+
+        repeats = tuple(self._repeat(element) for element in step.findall("StepRepeat"))
+        return Step(self.design(step, name), datum, repeats)
 
     def _repeat(self, element: Element) -> Repeat:
         """Return a block of step-and-repeat: the datum of the step at x, y, mirrored in x first, then turned."""
@@ -144,7 +149,8 @@ class _Reader:
             raise InputError.field(self._path, f"{element.tag} {key}", text, "a whole number from 1")
         return int(text)
 
-    def _design(self, step: Element, name: str) -> Design:
+    def design(self, step: Element, name: str) -> Design:
+        """Return a step without what it repeats. Wrong values of its datum and repeats change no board."""
         packages = {p.get("name", ""): self._package(p) for p in step.iter("Package")}
         rule = self._bottom_rule(step, packages)
         notes = []

@@ -12,13 +12,14 @@ import re
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 from vaoi_station.board_data.contours import arc_points, circle_points
 from vaoi_station.board_data.design import XY, Design, Mark, Part, Side, box_around, normalised
 from vaoi_station.board_data.panels import Step, note_on_panels, panel_of
 from vaoi_station.board_data.readers.odb_features import outer_layers, pad_marks
-from vaoi_station.board_data.readers.odb_repeats import has_repeats, step_of
+from vaoi_station.board_data.readers.odb_repeats import datum_of, has_repeats, repeats_of
 from vaoi_station.board_data.source_text import MOST_BYTES, Archive, decode, open_archive
 from vaoi_station.errors import InputError
 
@@ -63,7 +64,7 @@ def read_odb(path: Path, step: str | None = None) -> Design:
         notes = []
         if step is None:
             # A panel repeats the board and has few parts of its own, or none.
-            designs = [_step(archive, root, path, name).design for name in placed]
+            designs = [_design(archive, root, path, name) for name in placed]
             best = max(designs, key=lambda d: len(d.parts))
             if others := [d.name for d in designs if d is not best]:
                 notes.append(
@@ -78,7 +79,20 @@ def read_odb(path: Path, step: str | None = None) -> Design:
 def _named_step(archive: Archive, root: str, path: Path, name: str) -> Step:
     if not any(member.startswith(f"{root}steps/{name}/") for member in archive.names()):
         raise InputError(f"{path}: a panel repeats step {name!r}, which the design does not have.")
-    return _step(archive, root, path, name)
+    design, header = _design(archive, root, path, name), f"{root}steps/{name}/stephdr"
+
+    def header_file() -> _File:
+        return _File(f"{path}: {header}", _lines(archive, header) or [], _default_mm(archive, root))
+
+    @cache
+    def datum() -> XY:
+        file = header_file()
+        return datum_of(file.where, file.lines, file.mm)
+
+    if not has_repeats(_lines(archive, header) or ()):
+        return Step(design, datum)
+    file = header_file()
+    return Step(design, datum, repeats_of(file.where, file.lines, file.mm))
 
 
 def _repeats_steps(archive: Archive, name: str) -> bool:
@@ -155,12 +169,15 @@ class _File:
         return found
 
 
-def _step(archive: Archive, root: str, path: Path, name: str) -> Step:
-    folder = f"{root}steps/{name}"
+def _default_mm(archive: Archive, root: str) -> float | None:
+    """Return the unit, mm, of files that state none; None if the design does not state it."""
     info = _lines(archive, f"{root}misc/info") or []
-    default = next(
-        (_UNITS.get(line.partition("=")[2].strip().upper()) for line in info if line.startswith("UNITS")), None
-    )
+    return next((_UNITS.get(line.partition("=")[2].strip().upper()) for line in info if line.startswith("UNITS")), None)
+
+
+def _design(archive: Archive, root: str, path: Path, name: str) -> Design:
+    """Return a step without what it repeats. Its header is not read: a wrong value there changes no board."""
+    folder, default = f"{root}steps/{name}", _default_mm(archive, root)
     packages = _packages(_file(archive, path, f"{folder}/eda/data", default))
     parts: list[Part] = []
     for side, layer in _LAYERS:
@@ -174,9 +191,7 @@ def _step(archive: Archive, root: str, path: Path, name: str) -> Step:
     profile = _file(archive, path, f"{folder}/profile", default)
     contours = list(_contours(profile)) if profile else []
     outline = contours[0] if contours else []
-    design = Design(name, "odb", tuple(parts), tuple(outline), tuple(map(tuple, contours[1:])), marks=tuple(marks))
-    header = _file(archive, path, f"{folder}/stephdr", default)
-    return step_of(design, header.where, header.lines, header.mm) if header is not None else Step(design)
+    return Design(name, "odb", tuple(parts), tuple(outline), tuple(map(tuple, contours[1:])), marks=tuple(marks))
 
 
 def _file(archive: Archive, path: Path, name: str, default: float | None) -> _File | None:

@@ -11,8 +11,8 @@ import math
 import re
 from collections.abc import Iterator, Sequence
 
-from vaoi_station.board_data.design import Design
-from vaoi_station.board_data.panels import Repeat, Step
+from vaoi_station.board_data.design import XY
+from vaoi_station.board_data.panels import Repeat
 from vaoi_station.errors import InputError
 
 _BLOCK = re.compile(r"\s*STEP-REPEAT\s*\{?\s*$", re.IGNORECASE)
@@ -26,15 +26,26 @@ def has_repeats(lines: Sequence[str]) -> bool:
     return any(_BLOCK.match(line) for line in lines)
 
 
-def step_of(design: Design, where: str, lines: Sequence[str], mm: float) -> Step:
-    """Return a step with its datum and repeats, from the lines of its header in units of `mm`.
+def datum_of(where: str, lines: Sequence[str], mm: float) -> XY:
+    """Return the datum of a step, from the lines of its header in units of `mm`.
 
     Raises:
-        InputError: a block has no name, or a value is no number.
+        InputError: a value is no number, or a block has no end.
     """
     header: dict[str, str] = {}
+    for _ in _blocks(where, lines, header):
+        pass
+    return _number(where, header, "X_DATUM") * mm, _number(where, header, "Y_DATUM") * mm
+
+
+def repeats_of(where: str, lines: Sequence[str], mm: float) -> tuple[Repeat, ...]:
+    """Return the repeats of a step, from the lines of its header in units of `mm`.
+
+    Raises:
+        InputError: a block has no name or no end, or a value is no number.
+    """
     repeats = []
-    for number, block in _blocks(where, lines, header):
+    for number, block in _blocks(where, lines, {}):
         at = f"{where}, STEP-REPEAT in line {number}"
         if not block.get("NAME"):
             raise InputError(f"{at}: has no NAME of a step.")
@@ -48,9 +59,7 @@ def step_of(design: Design, where: str, lines: Sequence[str], mm: float) -> Step
                 mirrored="YES" in (block.get("MIRROR", "").upper(), block.get("FLIP", "").upper()),
             )
         )
-    return Step(
-        design, (_number(where, header, "X_DATUM") * mm, _number(where, header, "Y_DATUM") * mm), tuple(repeats)
-    )
+    return tuple(repeats)
 
 
 def _blocks(where: str, lines: Sequence[str], header: dict[str, str]) -> Iterator[_Block]:
