@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.plant.conftest import filmed_again
+from tests.plant.conftest import add_runs, filmed_again
 from vaoi_station.plant.archive import Archive, RunLabel, RunSelection
+from vaoi_station.plant.archive.storage import LocalStorage
 from vaoi_station.plant.selected_runs import select_runs
 
 
@@ -41,3 +42,19 @@ def test_one_recording_in_several_places_counts_once_and_is_named(recording: Pat
     assert f"r2.json: is the same recording as {first}/runs/x/2026-11-01/r1.json" in reported[0]
     assert select_runs([first, same_id], RunSelection(), reported.append) == []
     assert f"two runs have this id, and differ: {first}/runs/x/2026-11-01/r1.json, {same_id}/runs/w" in reported[1]
+
+
+def test_each_run_of_a_station_that_replays_a_recording_is_read_once(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    archive, reads, read = Archive.create(tmp_path / "archive"), list[str](), LocalStorage.read
+    add_runs(archive, recording, 8)
+
+    def counted(storage: LocalStorage, key: str) -> bytes:
+        reads.append(key)
+        return read(storage, key)
+
+    monkeypatch.setattr(LocalStorage, "read", counted)
+    found = select_runs([archive.url], RunSelection(), pytest.fail)
+    assert sorted(key for key in reads if key != "archive.json") == sorted(key for _, key in found)
+    assert len(found) == 8

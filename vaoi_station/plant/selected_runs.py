@@ -7,7 +7,7 @@ from hashlib import sha256
 from typing import NamedTuple
 
 from vaoi_station.plant.archive import Archive, RunSelection
-from vaoi_station.plant.archive.same_recordings import SameRecordings, frames_of
+from vaoi_station.plant.archive.same_recordings import SameRecordings, recording_of
 
 
 class _Found(NamedTuple):
@@ -17,8 +17,13 @@ class _Found(NamedTuple):
     key: str
     digest: bytes
     """Digest of its manifest."""
-    frames: str
-    """Digest of its frames."""
+    recording: str
+    """Digest of its recording."""
+
+    @property
+    def address(self) -> str:
+        """Address of its manifest."""
+        return f"{self.archive.url}/{self.key}"
 
 
 def select_runs(
@@ -39,19 +44,19 @@ def select_runs(
         archive = Archive.open(url)
         for run in archive.runs(selection, lambda fault: leave_out(str(fault))):
             digest = sha256(run.text().encode()).digest()
-            found.setdefault(run.run, []).append(_Found(archive, run.key, digest, frames_of(run)))
+            found.setdefault(run.run, []).append(_Found(archive, run.key, digest, recording_of(run)))
     recordings, chosen = SameRecordings(), list[tuple[str, str]]()
     for same in sorted(found.values(), key=lambda same: same[0].key):
         first = same[0]
         if len({(run.key, run.digest) for run in same}) > 1:
-            places = ", ".join(f"{run.archive.url}/{run.key}" for run in same)
+            places = ", ".join(run.address for run in same)
             leave_out(
                 f"{first.key}: two runs have this id, and differ: {places}. Remove one from its archive, or give one "
                 "archive."
             )
-        elif (other := recordings.earlier(first.archive.storage, first.key, first.frames)) is not None:
+        elif (other := recordings.earlier(first.address, first.recording)) is not None:
             leave_out(
-                f"{first.archive.url}/{first.key}: is the same recording as {other}, which is taken. Remove the one "
+                f"{first.address}: is the same recording as {other}, which is taken. Remove the one "
                 "that is wrong from its archive."
             )
         else:

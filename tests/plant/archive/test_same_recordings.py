@@ -6,7 +6,7 @@ from pathlib import Path
 
 from tests.plant.conftest import filmed_again
 from vaoi_station.plant.archive import Archive, RunLabel
-from vaoi_station.plant.archive.same_recordings import SameRecordings, frames_of
+from vaoi_station.plant.archive.same_recordings import SameRecordings, recording_of
 
 
 def test_equal_frames_and_heads_are_one_recording(recording: Path, tmp_path: Path) -> None:
@@ -17,21 +17,16 @@ def test_equal_frames_and_heads_are_one_recording(recording: Path, tmp_path: Pat
     )
     with filmed_again(recording, "r3") as folder:
         replayed = archives[0].add(folder, label=RunLabel(run="r3", time="2026-03-01T08:00:00Z"))
-    assert frames_of(first) == frames_of(copy) == frames_of(replayed)
+    assert first.frames == replayed.frames
     known = SameRecordings()
-    assert known.earlier(archives[0].storage, first.key, frames_of(first)) is None
-    assert known.earlier(archives[0].storage, replayed.key, frames_of(replayed)) is None
-    found = known.earlier(archives[1].storage, copy.key, frames_of(copy))
-    assert found == f"{archives[0].url}/{first.key}"
+    assert known.earlier("a/first", recording_of(first)) is None
+    assert known.earlier("a/replayed", recording_of(replayed)) is None
+    assert known.earlier("b/copy", recording_of(copy)) == "a/first"
 
 
-def test_nothing_is_concluded_from_a_head_that_cannot_be_read_or_from_no_frames(
-    recording: Path, tmp_path: Path
-) -> None:
-    archive = Archive.create(tmp_path / "archive")
-    runs = [archive.add(recording, label=RunLabel(run=run)) for run in ("r1", "r2")]
-    archive.storage.delete(runs[0].documents["head"].key)
+def test_nothing_is_concluded_from_no_frames_or_no_head(recording: Path, tmp_path: Path) -> None:
+    run = Archive.create(tmp_path / "archive").add(recording)
+    for bare in (run.model_copy(update={"frames": ()}), run.model_copy(update={"documents": {}})):
+        assert recording_of(bare) == ""
     known = SameRecordings()
-    assert [known.earlier(archive.storage, run.key, frames_of(run)) for run in runs] == [None, None]
-    assert frames_of(runs[0].model_copy(update={"frames": ()})) == ""
-    assert [known.earlier(archive.storage, run.key, "") for run in runs] == [None, None]
+    assert [known.earlier(address, "") for address in ("r1", "r2")] == [None, None]

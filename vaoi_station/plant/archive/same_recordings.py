@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-from vaoi_station.errors import VaoiError
-from vaoi_station.plant.archive.catalogue import read_manifest
-from vaoi_station.plant.archive.extraction import read_document
-from vaoi_station.plant.archive.manifest import ArchivedRun, frames_digest
-from vaoi_station.plant.archive.storage import Storage
+from vaoi_station.plant.archive.manifest import ArchivedRun, digest_of, frames_digest
 
 
 class SameRecordings:
@@ -17,36 +13,27 @@ class SameRecordings:
     """
 
     def __init__(self) -> None:
-        self._known: dict[str, list[tuple[Storage, str]]] = {}
-        """By the digest of their frames: storages and keys. Manifests of a plant's runs would not fit into memory."""
+        self._known: dict[str, str] = {}
+        """Addresses by the digest of the recording. Manifests of a plant's runs would not fit into memory."""
 
-    def earlier(self, storage: Storage, key: str, frames: str) -> str | None:
+    def earlier(self, address: str, recording: str) -> str | None:
         """Return the address of an earlier run that is the same recording; None if there is none.
 
         Args:
-            storage: storage of the run.
-            key: place of its manifest.
-            frames: `frames_of` the run.
+            address: address of the manifest of the run.
+            recording: `recording_of` the run.
         """
-        alike = self._known.setdefault(frames, [])
-        # Heads are read only of runs with equal frames, which are hardly ever there.
-        head = _head(storage, key) if frames and alike else None
-        for other, other_key in alike:
-            if head is not None and head == _head(other, other_key):
-                return f"{other.url}/{other_key}"
-        alike.append((storage, key))
-        return None
+        first = self._known.setdefault(recording, address) if recording else address
+        return None if first == address else first
 
 
-def frames_of(run: ArchivedRun) -> str:
-    """Return a digest of the frames of a run; empty if it has none."""
-    return frames_digest(run.frames) if run.frames else ""
+def recording_of(run: ArchivedRun) -> str:
+    """Return a digest of the frames and the head of a run, of what its manifest states; empty if either is absent.
 
-
-def _head(storage: Storage, key: str) -> bytes | None:
-    """Return the head of a recording; None if it cannot be read, which is reported where the run is used."""
-    try:
-        run = read_manifest(storage, key)
-        return read_document(storage, run, run.documents["head"])
-    except (VaoiError, KeyError):
-        return None
+    Heads count as they are stored: equal ones that two releases of zlib compressed differently have two digests. To
+    compare their content, each head of a station that replays a recording would have to be read.
+    """
+    head = run.documents.get("head")
+    if head is None or not run.frames:
+        return ""
+    return digest_of(f"{frames_digest(run.frames)} {head.sha256}".encode())

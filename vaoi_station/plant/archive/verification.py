@@ -10,7 +10,7 @@ from vaoi_station.plant.archive import catalogue
 from vaoi_station.plant.archive.extraction import read_blob
 from vaoi_station.plant.archive.fault import ArchiveFault, OnFault
 from vaoi_station.plant.archive.manifest import DRAFTS
-from vaoi_station.plant.archive.same_recordings import SameRecordings, frames_of
+from vaoi_station.plant.archive.same_recordings import SameRecordings, recording_of
 from vaoi_station.plant.archive.selection import RunSelection
 from vaoi_station.plant.archive.storage import Storage
 
@@ -43,10 +43,11 @@ def verify(storage: Storage, selection: RunSelection, on_fault: OnFault, under_w
     recordings = SameRecordings()
     for run in catalogue.runs(storage, selection, report):
         found.runs += 1
-        if (other := recordings.earlier(storage, run.key, frames_of(run))) is not None:
+        address = f"{storage.url}/{run.key}"
+        if (other := recordings.earlier(address, recording_of(run))) is not None:
             report(
                 ArchiveFault(
-                    f"{storage.url}/{run.key}: is the same recording as {other}, with equal frames and head.",
+                    f"{address}: is the same recording as {other}, with equal frames and head.",
                     "Remove the one that is wrong by `vaoi archive prune --run ID --station NAME`.",
                 )
             )
