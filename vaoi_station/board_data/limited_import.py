@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import logging
-import os
 import subprocess
 import sys
 
 from vaoi_station.board_data.import_process import ImportLimits, ImportReply, ImportTask
+from vaoi_station.child_environment import child_environment
 from vaoi_station.errors import InputError
 
 _log = logging.getLogger(__name__)
@@ -21,7 +21,7 @@ def import_limited(task: ImportTask, limits: ImportLimits | None = None) -> Impo
     """
     limits = limits or ImportLimits()
     # One thread of BLAS: each reserves address space, of which the process has little.
-    environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+    environment = child_environment(OPENBLAS_NUM_THREADS="1", OMP_NUM_THREADS="1")
     command = [sys.executable, "-P", "-m", "vaoi_station.board_data.import_process"]
     text = f"{limits.model_dump_json()}\n{task.model_dump_json()}\n"
     with subprocess.Popen(

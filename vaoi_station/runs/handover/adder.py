@@ -15,6 +15,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from vaoi_station.child_environment import child_environment
 from vaoi_station.errors import DeviceError, InputError, StateError, VaoiError
 from vaoi_station.runs.archive.housekeeping import LOWEST_PRIORITY
 from vaoi_station.runs.host.process_setup import set_up_process
@@ -58,7 +59,9 @@ class AdderProcess:
     def __init__(self, connection: int) -> None:
         """Start it with its end of the pipe, a file descriptor."""
         command = [sys.executable, "-P", "-c", f"from {__name__} import main; main({connection})"]
-        self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, pass_fds=(connection,))
+        self._process = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, pass_fds=(connection,), env=child_environment()
+        )
 
     def kill(self) -> None:
         """End it at once, unless it is blocked."""
