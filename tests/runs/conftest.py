@@ -76,10 +76,12 @@ def a_calibration(cameras: int = 2) -> Calibration:
     )
 
 
-def a_config(directory: Path, runs: int = 3, cameras: int = 2, keep_s: float = 0.0, lock: str = "off") -> StationConfig:
+def a_config(
+    directory: Path, runs: int = 3, cameras: int = 2, keep_s: float = 0.0, lock: str = "off", name: str = "test"
+) -> StationConfig:
     (directory / "ring").mkdir(exist_ok=True)
     config = StationConfig(
-        name="test",
+        name=name,
         calibration=directory / "calibration.json",
         board_types=directory / "board-types",
         data=directory / "data",

@@ -19,6 +19,7 @@ from vaoi_station.files.directory_walk import size_below
 from vaoi_station.model import Status, Verdict
 from vaoi_station.runs.archive import recordings as module
 from vaoi_station.runs.archive.recordings import Recordings
+from vaoi_station.runs.states.identity_schemas import IdentitySummary
 from vaoi_station.runs.states.made_with import Origin
 from vaoi_station.runs.states.schemas import RunDetail
 
@@ -49,6 +50,19 @@ def rig(make_rig: Callable[..., Any]) -> Any:
     made = make_rig()
     made.ready()
     return made
+
+
+def test_a_start_compares_the_records_of_recordings_with_the_database(rig: Any, make_rig: Callable[..., Any]) -> None:
+    run = a_board(rig, Status.DEGRADED)
+    wait_event(rig, run.id, "recording")
+    path = rig.coordinator.kept.recordings.path_of(run.id) / "run.json"
+    # The station ended after the identity of the board was decided, and before its recording had it.
+    pending = run.model_copy(update={"verdict": Status.OK, "identity": IdentitySummary(state="pending")})
+    path.write_text(pending.model_dump_json())
+    make_rig(name="started-again")
+    rig.wait_for(lambda: '"pending"' not in path.read_text(), "the record is brought up to date")
+    record = RunDetail.model_validate_json(path.read_text())
+    assert (record.verdict, record.identity) == (Status.DEGRADED, None)
 
 
 def pixels(rig: Any, run: RunDetail, camera: int, row: int) -> Any:

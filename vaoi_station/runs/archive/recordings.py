@@ -112,7 +112,11 @@ class Recordings:
         self._for_archive = {run for run in self._sizes if (directory / run / FOR_ARCHIVE_FILE).exists()}
 
     def start(self) -> None:
-        """Start the thread that writes recordings."""
+        """Start the thread that writes recordings; first it brings the records of those of earlier runs up to date.
+
+        The station may have ended after the identity of a run was decided, and before its recording had it.
+        """
+        self._update_later(*self.all(), offer=False)
         self.thread.start()
 
     def stop(self) -> None:
@@ -157,10 +161,7 @@ class Recordings:
             self._update_later(run, offer=False)
 
     def offer_all(self) -> None:
-        """Bring the records of all recordings up to date, and offer these to `on_kept`. Returns at once.
-
-        The station may have ended after the identity of a run was decided, and before its recording had it.
-        """
+        """Bring the records of all recordings up to date, and offer these to `on_kept`. Returns at once."""
         self._update_later(*self.all(), offer=True)
 
     def _update_later(self, *runs: str, offer: bool) -> None:
