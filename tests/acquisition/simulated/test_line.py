@@ -32,6 +32,9 @@ class ScriptedCamera:
 
     exposures: list[tuple[float, Any, dict[str, Any]]] = field(default_factory=list)
 
+    def brightness(self, _on_us: float | None) -> float:
+        return 1.0
+
     def trigger(self, host_s: float, pixels: Any, **faults: Any) -> None:
         self.exposures.append((host_s, pixels, faults))
 

@@ -22,6 +22,7 @@ from vaoi_station.acquisition.cameras.interface import (
     CameraBack,
     CameraEvent,
     CameraExposure,
+    CameraLimits,
     CameraLost,
     Slot,
 )
@@ -62,7 +63,7 @@ class StandInConnection:
 
     def __init__(self, config: CameraConfig, where: str, sequence: tuple[tuple[float, float], ...] = ()) -> None:
         self.config, self.where, self.sequence = config, where, sequence
-        self.rewound = 0
+        self.rewound, self.limits = 0, CameraLimits()
         self.identity = Identity("Acme", "Model 1", self.serial, where, "")
         self.is_gige = False
         self.stream = StandInStream()
