@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
@@ -34,7 +35,9 @@ def run_continuously(scenario: Path, port: int | None, report: Callable[[str], N
         with Service(config, port) as service:
             client = Client(service.address)
             report(f"The station's page: {service.address}/  (REST: {service.address}/docs). Ctrl-C ends it.")
-            wait_until_idle(client)
+            given = shlex.quote(str(config))
+            report(f"A key for the pages under Set up: vaoi keys create me --scope admin --config {given}")
+            wait_until_idle(client, report)
             client.post("/station/arm", board_type=twin.board_type.name, job_id="demo")
             number, after = 0, None
             while True:

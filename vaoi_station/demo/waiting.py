@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from typing import Any
 
 from vaoi_station.demo.client import Client
@@ -10,27 +11,40 @@ from vaoi_station.errors import DeviceError, NotFoundError
 
 POLL_S = 10.0
 START_S = 180.0
-"""Longest time until the station is ready: workers may have to compile first, and the twin draws its board."""
+"""Longest time without progress until the station is ready: workers may have to compile first."""
+REPORT_S = 10.0
+"""Time, s, between two reports of what a start waits for; a start that is faster is not reported."""
 BOARD_S = 180.0
 """Longest time until a board has passed: the twin renders the frames of the board first."""
 
 
-def wait_until_idle(client: Client) -> None:
-    """Wait on the event stream until the station can be armed.
+def wait_until_idle(client: Client, report: Callable[[str], None] = lambda _: None) -> None:
+    """Wait on the event stream until the station can be armed, as long as its start makes progress.
+
+    Args:
+        client: of the station.
+        report: is called every `REPORT_S` with what the station waits for.
 
     Raises:
-        DeviceError: the station is faulted, or is not ready in time.
+        DeviceError: the station is faulted, or its start has made no progress for `START_S`.
     """
-    deadline = time.monotonic() + START_S
+    deadline, waits_for, next_report = time.monotonic() + START_S, "", time.monotonic() + REPORT_S
     # Every event wakes the loop, heartbeats too, so no timer is needed.
     for _ in client.messages():
         station = client.get("/station")
         _refuse_fault(station)
         if station["state"] != "starting":
             return
+        words = " ".join(f"{w['message']} {w.get('action', '')}".strip() for w in station.get("warnings", ()))
+        if words != waits_for:
+            # On a slow or busy machine the workers compile for minutes; each inner loop that is compiled is progress.
+            deadline, waits_for = time.monotonic() + START_S, words
+        if words and time.monotonic() >= next_report:
+            next_report = time.monotonic() + REPORT_S
+            report(f"The station is starting. {words}")
         if time.monotonic() > deadline:
             break
-    raise DeviceError(f"the station is not ready after {START_S:.0f} s.")
+    raise DeviceError(f"the station is not ready, without progress for {START_S:.0f} s. {waits_for}".strip())
 
 
 def wait_for_run(client: Client, after: str | None) -> dict[str, Any]:

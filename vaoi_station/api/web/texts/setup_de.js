@@ -11,7 +11,7 @@ export const setup = {
   millimetres: (value) => `${value} mm`,
   ofAll: (n, all) => `${n} von ${all}`,
   needsScope: (scope) => `Dafür ist ein Schlüssel mit dem Recht ${scope} nötig`,
-  needsScopeHelp: (scope) => `Am Rechner der Station: vaoi keys create NAME --scope ${scope}. Die Anmeldung gilt 12 Stunden, nur in diesem Browser.`,
+  needsScopeHelp: (scope) => `Am Rechner der Station: vaoi keys create NAME --scope ${scope} --config DATEI; DATEI ist die station.toml, mit der die Station gestartet wurde. Die Anmeldung gilt 12 Stunden, nur in diesem Browser.`,
   keyLacks: (name, scope) => `Der Schlüssel ${name} hat das Recht ${scope} nicht.`,
 
   newType: "Neuer Baugruppentyp",

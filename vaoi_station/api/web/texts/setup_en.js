@@ -11,7 +11,7 @@ export const setup = {
   millimetres: (value) => `${value} mm`,
   ofAll: (n, all) => `${n} of ${all}`,
   needsScope: (scope) => `This needs a key with the scope ${scope}`,
-  needsScopeHelp: (scope) => `Make one on the station's computer: vaoi keys create NAME --scope ${scope}. The login lasts 12 hours, in this browser only.`,
+  needsScopeHelp: (scope) => `Make one on the station's computer: vaoi keys create NAME --scope ${scope} --config FILE, where FILE is the station.toml with which the station was started. The login lasts 12 hours, in this browser only.`,
   keyLacks: (name, scope) => `The key ${name} has not the scope ${scope}.`,
 
   // board types
