@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from playwright.sync_api import Browser, Page, expect
+from playwright.sync_api import Browser, Locator, Page, expect
 
 from vaoi_station.model import Status
 from vaoi_station.runs.states.schemas import Reason
@@ -55,6 +55,14 @@ def keep(page: Page, name: str) -> None:
         page.screenshot(path=Path(WHERE) / f"{name}.png")
 
 
+def inside(part: Locator, frame: Locator) -> bool:
+    """Return whether an element lies wholly in the frame that would clip it."""
+    inner, outer = part.bounding_box(), frame.bounding_box()
+    assert inner is not None
+    assert outer is not None
+    return outer["y"] <= inner["y"] and inner["y"] + inner["height"] <= outer["y"] + outer["height"]
+
+
 @pytest.mark.browser
 def test_every_state_shows_the_order_of_the_guide(page: Page, served: Any) -> None:
     assert {s for s, *_ in STATES} >= {s.value for s in StationState}
@@ -84,14 +92,21 @@ def test_every_group_of_reasons_shows_the_order_of_the_guide(page: Page, served:
         keep(page, f"board-{cause}")
         served.station.film(board_id="SN-47")
         expect(page.locator("#state-word")).to_have_text("Ready")
+    # Frames that did not come explain what was not found in the rest.
+    run = served.station.film(finish=False, board_id="SN-47")
+    missing = Reason(code="frames-missing", message="The camera was lost.")
+    not_found = Reason(code="stitch-failed", message="No fiducials.", cause="fiducials-not-found")
+    served.station.finish(run, Status.FAILED, (not_found, missing))
+    expect(page.locator("#order")).to_have_text("Board SN-47: no pictures. Take it out and film it again.")
 
 
 @pytest.mark.browser
 def test_both_languages_have_the_same_texts(page: Page, served: Any) -> None:
+    """The meanings of settings are of the configuration model, which has them in English."""
     page.goto(served.url)
     english, german = page.evaluate("""async () => {
         const keys = (object, path) => Object.entries(object).flatMap(([key, value]) =>
-            typeof value === "object" ? keys(value, `${path}${key}.`) : [`${path}${key}: ${typeof value}`]);
+            key === "meanings" ? [] : typeof value === "object" ? keys(value, `${path}${key}.`) : [`${path}${key}: ${typeof value}`]);
         const modules = await Promise.all([import("/web/texts/en.js"), import("/web/texts/de.js")]);
         return modules.map((module) => keys(module.texts, "").sort());
     }""")
@@ -122,6 +137,18 @@ def test_word_and_order_are_large_and_nothing_is_clipped(
         box = page.locator("#arm").bounding_box()
         assert box is not None
         assert box["y"] + box["height"] <= height
+    # A board without pictures keeps its place, with its buttons, while later boards are good; then its form.
+    served.station.film()
+    expect(page.locator("#last")).to_have_class("other-board")
+    assert page.evaluate(CLIPPED) == []
+    buttons = page.locator("#decisions button")
+    for n in range(2):
+        assert inside(buttons.nth(n), page.locator("#last"))
+    assert inside(page.locator("#open-board"), page.locator("#last"))
+    buttons.first.click()
+    assert page.evaluate(CLIPPED) == []
+    for button in buttons.all():
+        assert inside(button, page.locator("#last"))
     size = "e => 0.7 * parseFloat(getComputedStyle(e).fontSize)"  # the height of capitals
     order, word = (page.locator(name).evaluate(size) for name in ("#order", "#state-word"))
     assert order >= letters

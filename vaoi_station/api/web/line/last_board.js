@@ -2,6 +2,7 @@
 import { boardPicture } from "../parts/board_picture.js";
 import { make, setText } from "../parts/elements.js";
 import { Decisions } from "../parts/decisions.js";
+import { short } from "../parts/orders.js";
 import * as rest from "../parts/rest.js";
 import { draw } from "../parts/signs.js";
 import { clock, texts } from "../texts/texts.js";
@@ -49,7 +50,8 @@ export class LastBoard {
   async show(summary, open, now_ms) {
     if (!summary) return;
     const other = open && open.id !== summary.id;
-    this.#decisions.show(open ?? summary, other ? (open.board_id ?? clock(open.started)) : "");
+    this.#root.classList.toggle("other-board", Boolean(other));
+    this.#decisions.show(open ?? summary, other ? (short(open.board_id) ?? clock(open.started)) : "");
     const seen = `${summary.id} ${summary.frames_available} ${summary.decision?.decided}`;
     if (seen === this.#seen) return;
     const run = await rest.run(summary.id);

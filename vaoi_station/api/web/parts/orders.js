@@ -70,12 +70,16 @@ export function openBoard(runs, now_ms) {
   return null;
 }
 
-function short(id) {
+export function short(id) {
   return id && id.length > 14 ? `…${id.slice(-12)}` : id;
 }
 
+// Without pictures because frames did not come: what was not found in the rest says nothing about type, direction or fiducials.
+const LOST_FRAMES = ["frames-missing", "frames-incomplete"];
+
 export function boardOrder(run, last = true) {
-  const group = run.reasons.length ? boardGroup(run.reasons[0]) : "again";
+  const lost = run.verdict !== "degraded" && run.reasons.some((reason) => LOST_FRAMES.includes(reason.code));
+  const group = run.reasons.length && !lost ? boardGroup(run.reasons[0]) : "again";
   const say = run.verdict === "degraded" ? texts.doubtfulPicturesOf : texts.noPicturesOf;
   return say(texts.boardOf(short(run.board_id), last ? "" : clock(run.started)), texts.boardOrders[group]);
 }
