@@ -99,6 +99,24 @@ def test_the_station_filters_the_list_and_a_file_has_it(page: Page, served: Any,
     text = (tmp_path / "boards.csv").read_text(encoding="utf-8-sig")
     assert text.splitlines()[0].startswith('"started","board_id"')
     assert '"\'=SUM(1)"' in text
+    page.get_by_label("Span").select_option("yesterday")
+    expect(page.locator("#list-answer")).to_have_text("No boards match.")
+    length_h = page.evaluate("""() => {
+        const field = (name) => new Date(document.querySelector(`[name=${name}]`).value);
+        return (field("until") - field("since")) / 3600000;
+    }""")
+    assert length_h in (23, 24, 25), "a day, also when summer time begins or ends"
+    page.reload()
+    expect(page.get_by_label("Span")).to_have_value("yesterday")
+    page.get_by_label("Span").select_option("today")
+    expect(page.locator("#list tbody tr")).to_have_count(2)
+    expect(page.get_by_label("From", exact=True)).to_be_hidden()
+    page.get_by_label("Span").select_option("other")
+    page.set_viewport_size({"width": 800, "height": 480})
+    edges = page.evaluate("[...document.querySelectorAll('#filters label')].map((e) => [e.scrollWidth, e.clientWidth])")
+    assert all(wide <= room for wide, room in edges), "dates are not clipped"
+    page.get_by_label("From", exact=True).fill("2026-01-01T00:00")
+    expect(page.get_by_label("Span")).to_have_value("other")
     page.get_by_label("Verdict").select_option("failed")
     page.get_by_role("button", name="Show").click()
     expect(page.locator("#list tbody tr")).to_have_count(1)

@@ -49,6 +49,7 @@ def test_each_camera_has_a_card_that_follows_its_frames(
     expect(cards.nth(1).locator("dl")).to_contain_text("moved by 9.40 px")
     served.station.lose(2)
     expect(cards.nth(2).locator(".camera-state")).to_have_text("not connected")
+    expect(page.locator("#doctor-answer")).to_contain_text("Not examined yet.")
     page.get_by_role("button", name="Examine the station").press("Enter")
     expect(page.locator("#doctor-answer")).to_contain_text("1 of 2 findings need attention.")
     expect(page.locator("#doctor-findings li")).to_have_text(re.compile("Warning: cameras, cam2.*Change the cable."))

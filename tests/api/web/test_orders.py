@@ -106,7 +106,8 @@ def test_both_languages_have_the_same_texts(page: Page, served: Any) -> None:
     page.goto(served.url)
     english, german = page.evaluate("""async () => {
         const keys = (object, path) => Object.entries(object).flatMap(([key, value]) =>
-            key === "meanings" ? [] : typeof value === "object" ? keys(value, `${path}${key}.`) : [`${path}${key}: ${typeof value}`]);
+            key === "meanings" ? [] :
+                typeof value === "object" ? keys(value, `${path}${key}.`) : [`${path}${key}: ${typeof value}`]);
         const modules = await Promise.all([import("/web/texts/en.js"), import("/web/texts/de.js")]);
         return modules.map((module) => keys(module.texts, "").sort());
     }""")

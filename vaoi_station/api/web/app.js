@@ -86,7 +86,7 @@ async function route() {
   view?.close?.();
   view = null;
   // Nor must a verdict stay in sight that nothing renews any more.
-  if (!unloaded) $("view").replaceChildren();
+  if (!unloaded) $("view").replaceChildren(make("p", { className: "view-loading", textContent: texts.loading }));
   let made;
   try {
     made = await loading;

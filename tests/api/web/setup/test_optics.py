@@ -25,6 +25,10 @@ def test_a_line_is_planned_from_what_the_station_knows(page: Page, engineer: Any
     expect(page.locator(".answer.missing")).to_have_text(
         "Still to be entered: Width of the sensor, Largest distance of the cameras."
     )
+    expect(page.locator(".wanted label")).to_have_text(
+        ["Width of the sensor, mm", "Largest distance of the cameras, mm"]
+    )
+    expect(page.locator("#optics-sensor_width_mm-help")).to_have_text("required")
     expect(page.get_by_label("Number of cameras")).to_have_value(str(CAMERAS))
     expect(page.locator("#optics-speed_mm_s-help")).to_have_text("from line.conveyor_mm_s")
     page.get_by_label("Width of the sensor").fill("many")
@@ -35,6 +39,7 @@ def test_a_line_is_planned_from_what_the_station_knows(page: Page, engineer: Any
     page.get_by_label("Largest distance of the cameras").fill("500")
     page.keyboard.press("Tab")
     expect(page.locator(".verdict")).to_have_text("All constraints that can be checked are met.")
+    expect(page.locator(".wanted")).to_have_count(0)
     expect(page.locator(".constraint.open").first).to_have_text("open: Smallest distance of the cameras not given")
     # To scale: three fields of 40 × 30 mm, which overlap by 4 mm and end where the board ends.
     fields = page.evaluate(FIELDS)

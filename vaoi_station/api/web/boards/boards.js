@@ -8,9 +8,12 @@ import { moment, number, texts } from "../texts/texts.js";
 
 const PAGE_RUNS = 100;
 const MOST_SAVED = 5000; // boards in one file
+// First and last midnight of each span, in days from today's; null: open.
+const SPANS = { any: [null, null], today: [0, null], yesterday: [-1, 0], week: [-6, null] };
 const FILTERS = ["since", "until", "board_type", "verdict", "board_id", "reason"];
 const PART = `
 <form id="filters">
+  <label><span data-text="span"></span><select id="span"></select></label>
   <label><span data-text="from"></span><input type="datetime-local" name="since"></label>
   <label><span data-text="to"></span><input type="datetime-local" name="until"></label>
   <label><span data-text="boardType"></span><select name="board_type"></select></label>
@@ -57,6 +60,9 @@ export class BoardsView {
     const verdicts = { "": texts.any, ok: texts.verdicts.ok, degraded: texts.verdicts.degraded, failed: texts.verdicts.failed, none: texts.noVerdict };
     this.#field("verdict").append(...Object.entries(verdicts).map(([value, textContent]) => make("option", { value, textContent })));
     this.#field("board_type").append(make("option", { value: "", textContent: texts.any }));
+    this.#span().append(...Object.entries(texts.spans).map(([value, textContent]) => make("option", { value, textContent })));
+    this.#span().addEventListener("change", () => this.#fillSpan());
+    for (const name of ["since", "until"]) this.#field(name).addEventListener("input", () => (this.#span().value = "other"));
     this.root.querySelector("thead").append(make("tr", {}, ...Object.values(texts.columns).map((textContent) => make("th", { scope: "col", textContent }))));
     this.root.querySelector("#filters").addEventListener("submit", (event) => {
       event.preventDefault();
@@ -72,6 +78,23 @@ export class BoardsView {
     return this.root.querySelector(`[name="${name}"]`);
   }
 
+  #span() {
+    return this.root.querySelector("#span");
+  }
+
+  // A span of days fills in its times, and its boards are shown at once. A day begins at midnight of this browser.
+  #fillSpan() {
+    const span = this.#span().value;
+    if (span === "other") {
+      this.#field("since").focus();
+      return;
+    }
+    const [since, until] = SPANS[span];
+    this.#field("since").value = since === null ? "" : local(midnight(since));
+    this.#field("until").value = until === null ? "" : local(midnight(until));
+    this.root.querySelector("#filters").requestSubmit();
+  }
+
   // The filters of the form; times become UTC.
   #stated() {
     const query = new URLSearchParams();
@@ -83,14 +106,19 @@ export class BoardsView {
   }
 
   async open() {
-    const types = await rest.boardTypes().catch(() => []);
     const chosen = this.#query.get("board_type");
-    const names = [...new Set([...types.map((type) => type.name), ...(chosen ? [chosen] : [])])];
-    this.#field("board_type").append(...names.map((name) => make("option", { value: name, textContent: name })));
+    const option = (name) => make("option", { value: name, textContent: name });
+    if (chosen) this.#field("board_type").append(option(chosen));
     for (const name of FILTERS) {
       const value = this.#query.get(name) ?? "";
       this.#field(name).value = value && (name === "since" || name === "until") ? local(value) : value;
     }
+    const [since, until] = [this.#field("since").value, this.#field("until").value];
+    const stated = (days) => (days === null ? "" : local(midnight(days)));
+    this.#span().value = Object.keys(SPANS).find((name) => stated(SPANS[name][0]) === since && stated(SPANS[name][1]) === until) ?? "other";
+    // Only then the types are asked for: what a person chooses meanwhile stays.
+    const types = await rest.boardTypes().catch(() => []);
+    this.#field("board_type").append(...types.map((type) => type.name).filter((name) => name !== chosen).map(option));
     await this.#load();
   }
 
@@ -154,6 +182,12 @@ export class BoardsView {
   }
 
   async show() {}
+}
+
+// Midnight of today plus `days` days, also where a day of summer time has not 24 hours.
+function midnight(days) {
+  const now = new Date();
+  return new Date(now.getFullYear(), now.getMonth(), now.getDate() + days);
 }
 
 // The value of a field for local time.

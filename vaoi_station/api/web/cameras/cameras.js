@@ -16,7 +16,7 @@ const PART = `
 <div id="camera-cards"></div>
 <section id="doctor" aria-labelledby="doctor-title">
   <h2 id="doctor-title" data-text="cameras.doctor"></h2>
-  <p id="doctor-answer" role="status"></p>
+  <p id="doctor-answer" role="status" data-text="cameras.notExamined"></p>
   <ul id="doctor-findings"></ul>
 </section>`;
 

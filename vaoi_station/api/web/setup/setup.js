@@ -31,7 +31,7 @@ export class SetupView {
     });
     const nav = make("nav", { className: "wizards" }, make("ul", {}, ...list));
     nav.setAttribute("aria-label", texts.setup.title);
-    this.body = make("div", { className: "wizard" });
+    this.body = make("div", { className: "wizard" }, make("p", { className: "help", textContent: texts.loading }));
     this.root.append(nav, this.body);
   }
 

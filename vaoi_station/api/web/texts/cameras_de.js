@@ -20,6 +20,7 @@ export const cameras = {
   states: { steady: "wie kalibriert", drifted: "bewegt", unseen: "in den letzten Baugruppen nicht gesehen", unknown: "noch nicht geprüft" },
   doctor: "Befunde der Untersuchung",
   examine: "Station untersuchen",
+  notExamined: "Noch nicht untersucht. „Station untersuchen“ prüft Rechner, Dateien und Geräte und nennt zu jedem Problem eine Abhilfe; es ändert nichts.",
   examining: "Rechner, Dateien und Geräte werden untersucht …",
   found: (n, all) => (n ? `${n} von ${all} Befunden brauchen Aufmerksamkeit.` : `${all} Befunde, keiner braucht Aufmerksamkeit.`),
   levels: { warning: "Warnung", fault: "Störung" },

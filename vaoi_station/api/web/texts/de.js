@@ -33,6 +33,7 @@ export const texts = {
   unloaded: "Diese Ansicht wurde nicht geladen: Die Station hat ihre Dateien nicht gesendet. Sobald die Station antwortet, wird es erneut versucht.",
   loadAgain: "Neu laden",
   old: "Was diese Seite zeigt, ist veraltet.",
+  loading: "Wird geladen …",
   why: "Warum?",
   close: "Schließen",
   technical: "Einzelheiten für den Techniker (englisch)",
@@ -139,6 +140,8 @@ export const texts = {
   strip: "Letzte Baugruppen",
   missedBoard: "Eine Baugruppe wurde nicht aufgenommen",
 
+  span: "Zeitraum",
+  spans: { any: "beliebig", today: "heute", yesterday: "gestern", week: "letzte 7 Tage", other: "von … bis …" },
   from: "Von",
   to: "Bis",
   verdict: "Urteil",

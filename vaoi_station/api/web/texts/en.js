@@ -34,6 +34,7 @@ export const texts = {
   unloaded: "This view could not be loaded: the station did not send its files. It is tried again as soon as the station responds.",
   loadAgain: "Load again",
   old: "What this page shows is out of date.",
+  loading: "Loading …",
   why: "Why?",
   close: "Close",
   technical: "Details for the engineer",
@@ -147,6 +148,8 @@ export const texts = {
   missedBoard: "A board passed without pictures",
 
   // list of boards
+  span: "Span",
+  spans: { any: "any", today: "today", yesterday: "yesterday", week: "last 7 days", other: "from … to …" },
   from: "From",
   to: "To",
   verdict: "Verdict",

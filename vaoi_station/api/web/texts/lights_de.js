@@ -34,6 +34,7 @@ export const lights = {
   copy: (row) => `Zeile ${row} kopieren`,
   remove: (row) => `Zeile ${row} löschen`,
   usable: "Die Station kann mit diesem Programm aufnehmen.",
+  usableSoFar: "Gegen dieses Programm wurde nichts gefunden, aber nicht alles konnte geprüft werden.",
   faults: (n) => (n === 1 ? "Die Station lehnt dieses Programm ab:" : `Die Station lehnt dieses Programm aus ${n} Gründen ab:`),
   where: (row, camera) => [row === null ? "" : `Zeile ${row}`, camera ?? ""].filter(Boolean).join(", "),
   unchecked: "Noch nicht geprüft:",

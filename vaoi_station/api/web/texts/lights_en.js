@@ -34,6 +34,7 @@ export const lights = {
   copy: (row) => `Copy row ${row}`,
   remove: (row) => `Delete row ${row}`,
   usable: "The station can film with this program.",
+  usableSoFar: "Nothing was found against this program, but not everything could be checked.",
   faults: (n) => (n === 1 ? "The station refuses this program:" : `The station refuses this program for ${n} reasons:`),
   where: (row, camera) => [row === null ? "" : `row ${row}`, camera ?? ""].filter(Boolean).join(", "),
   unchecked: "Not checked yet:",

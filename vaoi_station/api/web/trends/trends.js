@@ -110,6 +110,9 @@ export class TrendsView {
     if (asked !== this.#asked) return; // overtaken by a later choice
     found.series.forEach((series) => spread(series, found.times.length));
     this.#say(found);
+    // Without boards nothing is known of what changed, and there are no charts to move in.
+    this.marks.hidden = !found.boards && !found.marks.length;
+    this.root.querySelector("#trend-help").hidden = !found.boards;
     this.#showMarks(found.marks);
     await Promise.all([this.#showCharts(found), this.comparison.show(found.marks, type)]);
     this.root.dataset.shown = asked;

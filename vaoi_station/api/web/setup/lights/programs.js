@@ -139,7 +139,7 @@ class Programs {
       const where = t.where(fault.step ?? null, fault.camera === undefined ? undefined : check.cameras[fault.camera].name);
       return make("li", {}, where ? make("strong", { textContent: `${where}: ` }) : "", `${fault.message} ${fault.action ?? ""}`.trim());
     });
-    const head = check.usable ? make("p", { className: "answer done", textContent: t.usable }) : make("p", { className: "answer refused", textContent: t.faults(found.length) });
+    const head = check.usable ? make("p", check.unchecked.length ? { className: "answer", textContent: t.usableSoFar } : { className: "answer done", textContent: t.usable }) : make("p", { className: "answer refused", textContent: t.faults(found.length) });
     const unchecked = check.unchecked.length ? [make("p", { textContent: t.unchecked }), list(check.unchecked)] : [];
     this.#finding.replaceChildren(head, found.length ? make("ul", { className: "warnings" }, ...found) : "", ...unchecked);
     this.#finding.dataset.usable = check.usable;

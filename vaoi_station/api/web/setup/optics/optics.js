@@ -74,14 +74,21 @@ class Optics {
 
   #field(name) {
     const t = texts.optics;
-    return labelled(t.names[name], this.#fields[name], { unit: UNITS[name] ?? "", help: CHOSEN.includes(name) ? t.chosen : OPEN.includes(name) ? t.open : " " });
+    return labelled(t.names[name], this.#fields[name], { unit: UNITS[name] ?? "", help: this.#otherwise(name) || " " });
+  }
+
+  // What holds while a field is empty.
+  #otherwise(name) {
+    const t = texts.optics;
+    if (CHOSEN.includes(name)) return t.chosen;
+    if (OPEN.includes(name)) return t.open;
+    return REQUIRED.includes(name) ? t.required : "";
   }
 
   // Says below a field where its value comes from, as long as no person has changed it.
   #source(name, source) {
     const t = texts.optics;
-    const otherwise = CHOSEN.includes(name) ? t.chosen : OPEN.includes(name) ? t.open : "";
-    this.#fields[name].nextElementSibling.textContent = source ? t.from(source) : otherwise;
+    this.#fields[name].nextElementSibling.textContent = source ? t.from(source) : this.#otherwise(name);
   }
 
   async #begin(of) {
@@ -133,6 +140,7 @@ class Optics {
       if (plan) this.#showPlan(plan);
       else for (const place of [this.#drawn, this.#found, this.#mended]) place.replaceChildren();
     }, this.#answer);
+    if (turn === this.#turn) for (const name of REQUIRED) this.#fields[name].parentElement.classList.toggle("wanted", fine && missing.includes(name));
     if (fine && missing.length) say(this.#answer, texts.optics.fillIn(missing.map((name) => texts.optics.names[name])), "missing");
   }
 

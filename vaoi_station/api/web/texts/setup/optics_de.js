@@ -13,6 +13,7 @@ export const optics = {
   },
   from: (source) => (source === "paper" ? "aus dem Aufsatz" : `aus ${source}`),
   chosen: "leer: wählt der Plan",
+  required: "erforderlich",
   open: "leer: bleibt offen",
   fillIn: (names) => `Noch anzugeben: ${names.join(", ")}.`,
   drawing: "Maßstäblich",

@@ -13,6 +13,7 @@ export const optics = {
   },
   from: (source) => (source === "paper" ? "of the paper" : `from ${source}`),
   chosen: "chosen by the plan if empty",
+  required: "required",
   open: "open if empty",
   fillIn: (names) => `Still to be entered: ${names.join(", ")}.`,
   drawing: "To scale",
