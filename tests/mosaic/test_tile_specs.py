@@ -27,6 +27,22 @@ def test_parts_are_the_frames_of_the_cells_of_a_tile(board: Filmed) -> None:
         assert y1 > y0
 
 
+@pytest.mark.parametrize("factor", [1, 8])
+def test_parts_hold_only_the_cells_of_their_frames(board: Filmed, factor: int) -> None:
+    """All cells of a board in every part of its overview took 2 GB for 400 frames."""
+    plan, grid = plan_of(board), board.base.reduced(factor)
+    spec = TileRenderer(plan, board.projector, grid).spec((0, 0, grid.width, grid.height))
+    numbers = {frame.taken[:2]: n for n, frame in enumerate(plan.frames)}
+    found = np.full(spec.cell_shape, -1)
+    for part in spec.parts:
+        x0, y0, x1, y1 = part.cells
+        assert part.mine is not None
+        assert part.factor.shape == part.mine.shape == (y1 - y0, x1 - x0)
+        found[y0:y1, x0:x1][part.mine > 0] = numbers[part.camera, part.row]
+    np.testing.assert_array_equal(found, plan.layers[0])
+    assert sum(part.factor.size for part in spec.parts) < 2 * found.size
+
+
 def test_parts_of_a_large_picture_are_whole_tiles(board: Filmed) -> None:
     renderer = TileRenderer(plan_of(board), board.projector, board.base)
     assert renderer.block_px[0] in (256, 512, 1024, 2048, 4096)

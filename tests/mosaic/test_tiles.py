@@ -43,6 +43,19 @@ def test_whole_board_has_no_step(film: Film, reduced: int) -> None:
     assert steps.max() < 0.05
 
 
+@pytest.mark.parametrize(("reduced", "hdr", "most"), [(32, False, 0.25), (64, False, 0.5), (64, True, 0.5)])
+def test_an_overview_has_no_hole_where_frames_end(film: Film, reduced: int, hdr: bool, most: float) -> None:
+    """Cameras overlap by 70 px, and 32 or 64 px are a pixel of the overview; its texture has a period of 160 px."""
+    board = film(exposures=(250.0, 150.0), step_mm=6.0) if hdr else film()
+    picture, _ = picture_of(board, hdr=hdr, reduced=reduced)
+    # The last pixels may overlap the end of the board.
+    h, w = board.base.height // reduced, board.base.width // reduced
+    means = expected(board.base)[: h * reduced, : w * reduced].reshape(h, reduced, w, reduced).mean((1, 3))
+    ratio = picture[:h, :w] / means
+    assert np.isfinite(ratio).all()
+    assert np.abs(ratio / np.median(ratio) - 1).max() < most
+
+
 def test_tiles_join_without_a_gap(board: Filmed) -> None:
     whole, _ = picture_of(board)
     part, _ = picture_of(board, box=(100, 130, 356, 386))

@@ -83,7 +83,7 @@ def _measure(board: BenchmarkBoard, repetitions: int, stitch: Stitch | None) -> 
     for box in _boxes(grid, (min(renderer.block_px[0], _WARP_PX), TILE_PX)):
         spec = renderer.spec(box)
         # The frame that shows most of the tile: all warps of a tile cost the same.
-        part = max(spec.parts, key=lambda p: 1.0 if p.mine is None else float(p.mine.mean()), default=None)
+        part = max(spec.parts, key=lambda p: p.factor.size if p.mine is None else int(p.mine.sum()), default=None)
         if part is not None:
             warps.append((board.frames[part.camera, part.row], part.raw_from_tile, (spec.width, spec.height)))
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from vaoi_station.compiled import compiled
 from vaoi_station.geometry import apply
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import BoardType, Stitch
@@ -54,6 +55,30 @@ class Sight:
 def cell_shape(grid: MosaicGrid) -> tuple[int, int]:
     """Return the numbers of rows and columns of cells."""
     return -(-grid.height // CELL_PX), -(-grid.width // CELL_PX)
+
+
+@compiled
+def label_boxes(labels: NDArray[np.int16], count: int) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    """Find the box (count, 4) x0, y0, x1, y1 that holds the cells of each frame, ends excluded, and their number.
+
+    Args:
+        labels: (h, w) number of the frame of each cell, less than `count`; negative for none.
+        count: number of frames.
+    """
+    boxes, counts = np.zeros((count, 4), np.int32), np.zeros(count, np.int64)
+    for y in range(labels.shape[0]):
+        for x in range(labels.shape[1]):
+            n = labels[y, x]
+            if n >= 0:
+                if counts[n] == 0:
+                    boxes[n, 0], boxes[n, 1], boxes[n, 2], boxes[n, 3] = x, y, x + 1, y + 1
+                elif x < boxes[n, 0]:
+                    boxes[n, 0] = x
+                elif x >= boxes[n, 2]:
+                    boxes[n, 2] = x + 1
+                boxes[n, 3] = y + 1
+                counts[n] += 1
+    return boxes, counts
 
 
 def sight_of(frame: TakenFrame, projector: FrameProjector, grid: MosaicGrid) -> Sight:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from vaoi_station.geometry import apply
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.mosaic.cells import CELL_PX
+from vaoi_station.mosaic.cells import CELL_PX, label_boxes
 from vaoi_station.mosaic.frames import TakenFrame
 from vaoi_station.mosaic.grid import MosaicGrid
 from vaoi_station.mosaic.plan import FIELD_PX, MosaicPlan, PlannedFrame
@@ -47,15 +47,19 @@ class FramePart(NamedTuple):
     """(3, 3) matrix from pixels of the tile to raw pixels of the frame, for the part in which the frame has a weight.
     """
     crop: Box
-    """Part of the frame that this part shows; its sides are multiples of `reduction`."""
+    """Part of the frame that this part shows. Its sides are multiples of `reduction`, except where the frame ends."""
     wholly: bool
     """Whether the frame shows all of this part."""
     reduction: int
     """By how much the frame is reduced before it is resampled: pixels of the tile are larger."""
+    cells: Box
+    """Part of the tile's cells that holds those of this frame, with one more on each side that the tile has."""
     factor: Floats32
-    """(h, w) of the cells of the tile: what corrected grey levels are multiplied by."""
+    """(h, w) of `cells`: what corrected grey levels are multiplied by."""
     mine: NDArray[np.uint8] | None
-    """(h, w) of the cells of the tile: 1 for cells of this frame; None if all are."""
+    """(h, w) of `cells`: 1 for cells of this frame; None if all cells of the tile are."""
+    window: Box
+    """Part of the tile in which the frame has a weight."""
     limits: Floats
     """(4,) least x and y, largest x and y of raw pixels that may be used: the outermost are left out."""
     dark: float
@@ -73,6 +77,8 @@ class TileSpec:
     layers: int
     cells_from_tile: Floats
     """(2, 3) matrix from pixels of the tile to cells."""
+    cell_shape: tuple[int, int]
+    """Numbers of rows and columns of cells around the tile's pixels."""
     parts: tuple[FramePart, ...]
     bodies: tuple[BodyPart, ...] = ()
     """Bodies that the tile shows, the highest last."""
@@ -168,17 +174,22 @@ class TileRenderer:
         tile_from_cells = np.asarray(np.linalg.inv(cells_from_tile), np.float64)
         parts = []
         for number, layer in enumerate(plan.layers):
-            labels = layer[cells]
-            for n in np.unique(labels):
-                if n >= 0:
-                    mine = None if (labels == n).all() else (labels == n).astype(np.uint8)
-                    window = _window(mine, tile_from_cells, (x1 - x0, y1 - y0))
-                    if window[2] > window[0] and window[3] > window[1]:
-                        frame = plan.frames[int(n)]
-                        place = box[0] + window[0], box[1] + window[1], box[0] + window[2], box[1] + window[3]
-                        matrix = self._matrix(frame.taken, place, box, above_mm)
-                        parts.append(self._part(number, frame, matrix, window, tile_from_cells, mine, labels.shape))
-        return TileSpec(x1 - x0, y1 - y0, plan.hdr, len(plan.layers), cells_from_tile[:2], tuple(parts))
+            labels = np.ascontiguousarray(layer[cells])
+            boxes, counts = label_boxes(labels, len(plan.frames))
+            for n in np.flatnonzero(counts).tolist():
+                owned: Box = tuple(boxes[n].tolist())
+                window = _window(owned, labels.shape, tile_from_cells, (x1 - x0, y1 - y0))
+                if window[2] > window[0] and window[3] > window[1]:
+                    frame = plan.frames[n]
+                    place = box[0] + window[0], box[1] + window[1], box[0] + window[2], box[1] + window[3]
+                    matrix = self._matrix(frame.taken, place, box, above_mm)
+                    around = _around(owned, labels.shape)
+                    mine = None
+                    if counts[n] < labels.size:
+                        mine = (labels[around[1] : around[3], around[0] : around[2]] == n).astype(np.uint8)
+                    parts.append(self._part(number, frame, matrix, window, tile_from_cells, around, mine))
+        size = int(high[1] - low[1]), int(high[0] - low[0])
+        return TileSpec(x1 - x0, y1 - y0, plan.hdr, len(plan.layers), cells_from_tile[:2], size, tuple(parts))
 
     def _matrix(self, taken: TakenFrame, place: Box, box: Box, above_mm: float) -> Floats:
         """Return the matrix from pixels of the tile `box` to raw pixels of a frame, which is right in `place`."""
@@ -193,8 +204,8 @@ class TileRenderer:
         matrix: Floats,
         window: Box,
         tile_from_cells: Floats,
+        cells: Box,
         mine: NDArray[np.uint8] | None,
-        cells: tuple[int, ...],
     ) -> FramePart:
         plan, (taken, log_gain) = self._plan, frame
         photometry = plan.cameras[taken.camera]
@@ -202,8 +213,10 @@ class TileRenderer:
         x0, y0, x1, y1 = window
         # Between the cells of one tile the lens matters less to the field than one of its pixels.
         field_from_cells = between(matrix @ tile_from_cells, FIELD_PX, 1)
+        field_from_cells[:, 2] += cells[0] * field_from_cells[:, 0] + cells[1] * field_from_cells[:, 1]
+        size = cells[2] - cells[0], cells[3] - cells[1]
         field = cv2.warpPerspective(
-            photometry.field, field_from_cells, cells[::-1], flags=_LINEAR, borderMode=cv2.BORDER_REPLICATE
+            photometry.field, field_from_cells, size, flags=_LINEAR, borderMode=cv2.BORDER_REPLICATE
         )
         scale = math.exp(-log_gain) * (1.0 if plan.hdr else plan.reference_us) / taken.sensitivity
         corners = apply(matrix, np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)]) - 0.5)
@@ -218,8 +231,10 @@ class TileRenderer:
             _crop(low, high, (eye.width_px, eye.height_px), self._reduction),
             inside,
             self._reduction,
+            cells,
             np.asarray(np.float32(scale) / field, np.float32),
             mine,
+            window,
             np.array(limits),
             photometry.dark,
             taken.gain,
@@ -248,26 +263,48 @@ def _displaced(plan: MosaicPlan, projector: FrameProjector, grid: MosaicGrid) ->
     return _Bodies(corners[shown], height_mm[shown])
 
 
-def _window(mine: NDArray[np.uint8] | None, tile_from_cells: Floats, size: tuple[int, int]) -> Box:
-    """Return the part of a tile of this width and height in which a frame's cells have a weight; may be empty."""
-    if mine is None:
-        return 0, 0, *size
+def _around(owned: Box, shape: tuple[int, ...]) -> Box:
+    """Return a box of cells with one more cell on each side, as far as there are (rows and columns of all cells).
+
+    Where the frame still has a weight, factors and weights are interpolated between its cells and their neighbours.
+    """
+    return (
+        max(owned[0] - 1, 0),
+        max(owned[1] - 1, 0),
+        min(owned[2] + 1, shape[1]),
+        min(owned[3] + 1, shape[0]),
+    )
+
+
+def _window(owned: Box, shape: tuple[int, ...], tile_from_cells: Floats, size: tuple[int, int]) -> Box:
+    """Return the part of a tile of this width and height in which cells have a weight; may be empty.
+
+    Args:
+        owned: the box of these cells.
+        shape: numbers of rows and columns of all cells of the tile. Those at its borders continue beyond it.
+        tile_from_cells: (3, 3) matrix from cells to pixels of the tile; scale and shift only.
+        size: width and height of the tile.
+    """
     ends = []
-    for axis, shown in enumerate((mine.any(0), mine.any(1))):
-        at = np.flatnonzero(shown)
+    for axis in range(2):
         # The weight of a cell is 0 at the centres of its neighbours and beyond.
         scale, shift = float(tile_from_cells[axis, axis]), float(tile_from_cells[axis, 2])
-        first, last = math.floor(scale * (at[0] - 1) + shift) + 1, math.ceil(scale * (at[-1] + 1) + shift)
-        ends.append((max(first, 0), min(last, size[axis])))
+        first, last = math.floor(scale * (owned[axis] - 1) + shift) + 1, math.ceil(scale * owned[axis + 2] + shift)
+        ends.append(
+            (
+                max(first, 0) if owned[axis] > 0 else 0,
+                min(last, size[axis]) if owned[axis + 2] < shape[1 - axis] else size[axis],
+            )
+        )
     return ends[0][0], ends[1][0], ends[0][1], ends[1][1]
 
 
 def _crop(low: Sequence[float], high: Sequence[float], size: tuple[int, int], reduction: int) -> Box:
-    """Return the part of a frame around raw positions from `low` to `high`; its sides are multiples of `reduction`."""
+    """Return the part of a frame around raw positions from `low` to `high`, to be averaged over blocks of pixels."""
     # Plain numbers: numpy takes ten times as long for vectors of two, and there are several parts in each tile.
     border, ends = _BORDER_PX * reduction, []
     for a, b, most in zip(low, high, size, strict=True):
         first = max(math.floor(min(max(0.0, a), most)) - border, 0) // reduction * reduction
-        last = min(math.ceil(min(max(0.0, b), most)) + border, most)
-        ends.append((first, first + (last - first) // reduction * reduction))
+        last = math.ceil(min(max(0.0, b), most)) + border
+        ends.append((first, min(first + -(-(last - first) // reduction) * reduction, most)))
     return ends[0][0], ends[1][0], ends[0][1], ends[1][1]

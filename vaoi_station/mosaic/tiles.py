@@ -19,7 +19,8 @@ from vaoi_station.geometry.polygon import pixels_inside
 from vaoi_station.geometry.shifting import shift
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.mosaic.blending import Cells, Nodes, Pictures, blend, nodes_along
-from vaoi_station.mosaic.projection import between, shrunk
+from vaoi_station.mosaic.projection import between
+from vaoi_station.mosaic.reduction import BORDER_PX, reduced
 from vaoi_station.mosaic.survey import Floats32, ReadFrame
 from vaoi_station.mosaic.tile_specs import Box, FramePart, TileSpec
 from vaoi_station.photometry import Radiance, merge
@@ -63,17 +64,17 @@ def render_tile(spec: TileSpec, read: ReadFrame, scratch: Scratch | None = None)
     memory = Scratch() if scratch is None else scratch
     if spec.hdr:
         return _with_bodies(_render_hdr(spec, read), spec, read)
-    found = [(part, *source) for part in spec.parts if (source := _source(part, read)) is not None]
+    found = [(part, *source) for part in spec.parts if (source := _source(part, read, whole=True)) is not None]
     if not found:
         return None
     first = found[0][1]
     _refuse_different_formats([frame for _, frame, _ in found])
     channels = 1 if first.ndim == 2 else first.shape[2]
-    cells = _cells([part for part, _, _ in found])
+    cells = _cells([part for part, _, _ in found], spec.cell_shape)
     m = spec.cells_from_tile
     x = nodes_along(m[0, 2], m[0, 0], spec.width, cells.part.shape[1])
     y = nodes_along(m[1, 2], m[1, 1], spec.height, cells.part.shape[0])
-    pictures = _resampled(found, x, y, memory)
+    pictures = _resampled(found, spec.cell_shape, x, y, memory)
     out = memory.array("tile", (spec.height, spec.width * channels), first.dtype)
     every = x if channels == 1 else Nodes(np.repeat(x.cell, channels), np.repeat(x.share, channels))
     blend(pictures, cells, every, y, channels, 255.0 if first.dtype == np.uint8 else 65535.0, out)
@@ -93,30 +94,44 @@ def _refuse_different_formats(frames: Sequence[NDArray[Any]]) -> None:
         )
 
 
-def _cells(parts: Sequence[FramePart]) -> Cells:
-    """Return which of these parts each cell of a tile shows, and its factor."""
-    number, factor = np.full(parts[0].factor.shape, -1, np.int32), np.ones_like(parts[0].factor)
+def _cells(parts: Sequence[FramePart], shape: tuple[int, int]) -> Cells:
+    """Return which of these parts each cell of a tile (rows and columns) shows, and its factor."""
+    number, factor = np.full(shape, -1, np.int32), np.ones(shape, np.float32)
     for n, part in enumerate(parts):
         mine = True if part.mine is None else part.mine.view(bool)
-        np.copyto(number, n, where=mine)
-        np.copyto(factor, part.factor, where=mine)
+        x0, y0, x1, y1 = part.cells
+        np.copyto(number[y0:y1, x0:x1], n, where=mine)
+        np.copyto(factor[y0:y1, x0:x1], part.factor, where=mine)
     return Cells(number, factor)
 
 
 def _resampled(
-    found: Sequence[tuple[FramePart, NDArray[Any], Floats]], x: Nodes, y: Nodes, memory: Scratch
+    found: Sequence[tuple[FramePart, NDArray[Any], Floats]],
+    shape: tuple[int, int],
+    x: Nodes,
+    y: Nodes,
+    memory: Scratch,
 ) -> Pictures:
-    """Resample the frames of a tile where they have a weight; `x` and `y` are the places of its pixels among cells.
+    """Resample the frames of a tile where they have a weight.
 
-    `found` are the parts with their sources (`_source`).
+    Args:
+        found: the parts with their sources (`_source`).
+        shape: numbers of rows and columns of cells of the tile.
+        x: places of the pixels of a line among the cells.
+        y: places of the lines.
+        memory: memory for the pixels.
     """
-    rows, columns = found[0][0].factor.shape
+    rows, columns = shape
     # Where the pixels begin that lie after the centre of a cell, from the one before the first to the one after the
     # last.
     lefts = np.searchsorted(x.cell, np.arange(-1, columns + 1)).tolist()
     tops = np.searchsorted(y.cell, np.arange(rows + 1)).tolist()
     # A part may have its cells beside the tile, and no pixel between their centres.
-    windows = [_windows(part.mine, lefts, tops) or [(0, 0, 0, 0)] for part, _, _ in found]
+    windows = [
+        _windows(part.mine, lefts[part.cells[0] : part.cells[2] + 2], tops[part.cells[1] : part.cells[3] + 1])
+        or [(0, 0, 0, 0)]
+        for part, _, _ in found
+    ]
     place, size = np.zeros((len(found), 4), np.int64), 0
     channels = found[0][1].shape[2:]
     depth = int(np.prod(channels, dtype=int))
@@ -158,8 +173,8 @@ def _windows(mine: NDArray[np.uint8] | None, lefts: Sequence[int], tops: Sequenc
     that costs less than a call.
 
     Args:
-        mine: (h, w) 1 for cells of the frame; None if all are.
-        lefts: (w + 2,) the first pixel after the centre of each column of cells, from the column before the first.
+        mine: (h, w) 1 for cells of the frame, of the part of the tile's cells that holds them; None if all are.
+        lefts: (w + 2,) the first pixel after the centre of each column of this part, from the column before the first.
         tops: (h + 1,) the first pixel after the centre of each row of cells.
     """
     if mine is None:
@@ -196,26 +211,25 @@ def _with_bodies(ground: Floats32 | None, spec: TileSpec, read: ReadFrame) -> Fl
 def _render_hdr(spec: TileSpec, read: ReadFrame) -> Floats32 | None:
     """Render radiance: blend the frames of each layer, then merge the layers by their noise."""
     shape = spec.height, spec.width
-    totals: dict[int, list[Floats32]] = {}
+    totals: dict[int, NDArray[np.float32]] = {}
     for part in spec.parts:
-        pixels = _cut(part, read)
-        if pixels is None:
+        source = _source(part, read, whole=False)
+        if source is None:
             continue
-        size = (spec.width, spec.height)
-        grey = _grey_levels(pixels)
-        warped = cv2.warpPerspective(grey, _matrix(part), size, flags=_LINEAR)
-        factor = _spread(part.factor, spec)
-        signal = warped - np.float32(part.dark)
+        pixels, matrix = source
+        # One more pixel on each side: the noise is that of the mean of 3 × 3 px.
+        x0, y0, x1, y1 = box = _grown(part.window, spec)
+        size = x1 - x0, y1 - y0
+        matrix = _moved(matrix, box)
+        signal = cv2.warpPerspective(_grey_levels(pixels), matrix, size, flags=_LINEAR) - np.float32(part.dark)
+        factor = _spread(part.factor, part, spec, box)
         sigma = np.sqrt(part.noise.variance(cv2.blur(signal, (3, 3)), part.gain)) * factor
-        weight = _weight(part, spec)
-        weight = np.ones(shape, np.float32) if weight is None else weight
+        weight = _weight(part, spec, box)
         saturated = is_saturated(pixels).astype(np.uint8)
         if saturated.any():
-            weight = weight * (cv2.warpPerspective(saturated, _matrix(part), size, flags=_NEAREST) == 0)
-        value, noise, weights = totals.setdefault(part.layer, [np.zeros(shape, np.float32) for _ in range(3)])
-        value += weight * signal * factor
-        noise += weight * sigma
-        weights += weight
+            weight = weight * (cv2.warpPerspective(saturated, matrix, size, flags=_NEAREST) == 0)
+        total = totals.setdefault(part.layer, np.zeros((3, *shape), np.float32))[:, y0:y1, x0:x1]
+        total += (weight * signal * factor, weight * sigma, weight)
     if not totals:
         return None
     stack = []
@@ -227,58 +241,69 @@ def _render_hdr(spec: TileSpec, read: ReadFrame) -> Floats32 | None:
     return merge(stack).value
 
 
-def _source(part: FramePart, read: ReadFrame) -> tuple[NDArray[Any], Floats] | None:
+def _source(part: FramePart, read: ReadFrame, *, whole: bool) -> tuple[NDArray[Any], Floats] | None:
     """Return the pixels that a tile is resampled from, C-contiguous, and the matrix from its pixels to them.
 
-    None if the frame is missing or the part is empty.
+    They are those of the part of the frame that the tile shows, reduced; with `whole`, a frame that is not reduced is
+    not copied. None if the frame is missing or the part is empty.
     """
-    if part.crop[2] <= part.crop[0] or part.crop[3] <= part.crop[1]:
-        return None
-    frame = read(part.camera, part.row)
-    if frame is None:
-        return None
-    if part.reduction == 1 and frame.flags.c_contiguous:
-        return frame, part.raw_from_tile
-    x0, y0, x1, y1 = part.crop
-    return np.ascontiguousarray(shrunk(frame[y0:y1, x0:x1], part.reduction)), _matrix(part)
-
-
-def _cut(part: FramePart, read: ReadFrame) -> NDArray[Any] | None:
-    """Return the part of a frame that a tile shows, reduced; None if the frame is missing or the part is empty."""
     x0, y0, x1, y1 = part.crop
     if x1 <= x0 or y1 <= y0:
         return None
     frame = read(part.camera, part.row)
-    return None if frame is None else shrunk(frame[y0:y1, x0:x1], part.reduction)
-
-
-def _matrix(part: FramePart) -> Floats:
-    """Return the matrix from pixels of the tile to pixels of the reduced part of the frame."""
+    if frame is None:
+        return None
+    if whole and part.reduction == 1 and frame.flags.c_contiguous:
+        return frame, part.raw_from_tile
     matrix = part.raw_from_tile.copy()
-    matrix[:2] -= np.array([part.crop[:2]]).T * matrix[2]
-    return between(matrix, part.reduction, 1)
+    matrix[:2] -= np.array([(x0, y0)]).T * matrix[2]
+    if part.reduction == 1:
+        return np.ascontiguousarray(frame[y0:y1, x0:x1]), matrix
+    matrix = between(matrix, part.reduction, 1)
+    matrix[:2] += BORDER_PX * matrix[2]
+    return reduced(frame[y0:y1, x0:x1], part.reduction), matrix
 
 
-def _spread(values: NDArray[Any], spec: TileSpec) -> Floats32:
-    """Interpolate values (h, w) of cells over the pixels of a tile."""
-    size = (spec.width, spec.height)
+def _grown(box: Box, spec: TileSpec) -> Box:
+    """Return a part of a tile with one more pixel on each side, as far as the tile reaches."""
+    x0, y0, x1, y1 = box
+    return max(x0 - 1, 0), max(y0 - 1, 0), min(x1 + 1, spec.width), min(y1 + 1, spec.height)
+
+
+def _moved(matrix: Floats, box: Box) -> Floats:
+    """Return the matrix (2 or 3, 3) from pixels of a part of a tile for one from pixels of the tile."""
+    moved = matrix.copy()
+    moved[:, 2] += box[0] * matrix[:, 0] + box[1] * matrix[:, 1]
+    return moved
+
+
+def _spread(values: NDArray[Any], part: FramePart, spec: TileSpec, box: Box) -> Floats32:
+    """Interpolate values (h, w) of the cells of a part over the pixels of a box of the tile."""
+    cells_from_box = _moved(spec.cells_from_tile, box)
+    cells_from_box[:, 2] -= part.cells[:2]
+    size = (box[2] - box[0], box[3] - box[1])
     return np.asarray(
-        cv2.warpAffine(values, spec.cells_from_tile, size, flags=_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.float32
+        cv2.warpAffine(values, cells_from_box, size, flags=_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.float32
     )
 
 
-def _weight(part: FramePart, spec: TileSpec) -> Floats32 | None:
-    """Return the weight of a frame at each pixel of a tile; None if it is 1 everywhere."""
-    weight = None if part.mine is None else _spread(part.mine.astype(np.float32), spec)
+def _weight(part: FramePart, spec: TileSpec, box: Box) -> Floats32:
+    """Return the weight of a frame at each pixel of a box of the tile."""
+    width, height = box[2] - box[0], box[3] - box[1]
+    if part.mine is None:
+        weight = np.ones((height, width), np.float32)
+    else:
+        weight = _spread(part.mine.astype(np.float32), part, spec, box)
     if part.wholly:
         return weight
-    x0, y0, x1, y1 = part.crop
-    h, w = (y1 - y0) // part.reduction, (x1 - x0) // part.reduction
-    seen = np.ones((h, w), np.uint8)
-    # The outermost pixels are left out: half of their interpolation would come from beside the frame.
-    seen[[0, -1]] = seen[:, [0, -1]] = 0
-    inside = cv2.warpPerspective(seen, _matrix(part), (spec.width, spec.height), flags=_NEAREST)
-    return np.asarray(inside, np.float32) if weight is None else np.asarray(weight * inside, np.float32)
+    m = _moved(part.raw_from_tile, box)
+    x, y = np.arange(width), np.arange(height)[:, None]
+    for border, limit in enumerate(part.limits.tolist()):
+        axis, sign = border % 2, 1.0 if border < 2 else -1.0
+        # A pixel is inside if the nearest one of the frame is.
+        a, b, c = sign * (m[axis] - (limit - 0.5 * sign) * m[2])
+        weight[a * x + b * y + c < 0] = 0
+    return weight
 
 
 def _grey_levels(pixels: NDArray[Any]) -> Floats32:
