@@ -198,28 +198,32 @@ def _store_manifest(storage: Storage, run: ArchivedRun) -> ArchivedRun:
         return run
     if written == content or _is_same(storage, before, run):
         return before
-    if not _is_later(storage, before, run):
+    if not _differs_by_record(storage, before, run):
         raise InputError(
             f"{storage.url}: has another run under the id {run.run} of station {run.station!r}.",
             action="Give this one another id, or remove the other by `vaoi archive prune`.",
         )
+    if _RANK[run.verdict] < _RANK[before.verdict]:
+        # The record may be an older copy, from before the verdict was lowered. It may as well be a newer one: the next
+        # machine corrected the id that it had reported. The worse verdict stays.
+        return before
     storage.write(run.key, content)
     return run
 
 
-def _is_later(storage: Storage, before: ArchivedRun, run: ArchivedRun) -> bool:
-    """Return whether a run differs only by a later record of the station, which lowers the verdict or adds an id.
+def _differs_by_record(storage: Storage, before: ArchivedRun, run: ArchivedRun) -> bool:
+    """Return whether a run differs only by its record, as that of one run does over time.
 
-    The identity of a board may be found after its run was archived. A better verdict is not taken: it could be that of
-    an older copy of the record.
+    The identity of a board may be found, and change, after its run was archived. It states another id only where it
+    lowers the verdict.
     """
     if "run" not in run.documents:
         return False
     documents = before.documents | {"run": run.documents["run"]}
     renewed = before.model_copy(update={"verdict": run.verdict, "serial": run.serial, "documents": documents})
     lowered = _RANK[run.verdict] - _RANK[before.verdict]
-    later = lowered > 0 or (lowered == 0 and before.serial in (None, run.serial))
-    return later and _is_same(storage, renewed, run)
+    same_board = lowered > 0 or before.serial in (None, run.serial)
+    return same_board and _is_same(storage, renewed, run)
 
 
 def _is_same(storage: Storage, before: ArchivedRun, run: ArchivedRun) -> bool:

@@ -79,7 +79,9 @@ class Archive:
         station: str = "unnamed",
         label: RunLabel = AS_RECORDED,
     ) -> ArchivedRun:
-        """Store a recording with its documents; what the archive has already is not written again.
+        """Store a recording with its documents, and return the run as the archive has it.
+
+        What the archive has already is not written again. Of a run that it has with a worse verdict nothing changes.
 
         Documents that are not given are `result.json`, `calibration.json`, `board.json` and `light_program.json` of the
         recording. Without calibration or board type the recording is refused; the others may be absent.
