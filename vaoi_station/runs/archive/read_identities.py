@@ -18,15 +18,13 @@ from pydantic import ValidationError
 
 from vaoi_station.errors import BusyError, DeviceError, GoneError, NotFoundError, StateError, VaoiError
 from vaoi_station.identity.comparison import compare
-from vaoi_station.model import BoardReading, Status
+from vaoi_station.model import BoardReading
 from vaoi_station.model.board_identity import IdentityDocument, IdentityState, ReportedId
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive, FinishedRun
-from vaoi_station.runs.archive.stored_documents import identity_row
+from vaoi_station.runs.archive.stored_documents import identity_row, with_identity
 from vaoi_station.runs.run.memory import Bay
-from vaoi_station.runs.states.identity_schemas import IdentitySummary
-from vaoi_station.runs.states.schemas import Reason, RunDetail, RunSummary
-from vaoi_station.runs.states.tables import RunState
+from vaoi_station.runs.states.schemas import RunDetail, RunSummary
 from vaoi_station.runs.workers.identity_job import IdentityJob, IdentitySlice
 from vaoi_station.runs.workers.jobs import PictureJob
 from vaoi_station.supervised_queue import SupervisedQueue
@@ -134,12 +132,12 @@ class ReadIdentities:
             found = self._stored(runs)
         except DeviceError:
             found = self._recalled(runs)  # The latest runs are shown even if the disk cannot be read.
-        return tuple(_with_identity(d, found.get(d.id)) for d in documents)
+        return tuple(with_identity(d, found.get(d.id)) for d in documents)
 
     def published(self, detail: RunDetail) -> RunDetail:
         """Return the document of a finished run with its identity, as `shown`; DeviceError if it cannot be read."""
         identity = self.document(detail.id)
-        return detail if identity.state == "not-expected" else _with_identity(detail, identity)
+        return detail if identity.state == "not-expected" else with_identity(detail, identity)
 
     def _stored(self, runs: Collection[str]) -> dict[str, IdentityDocument | None]:
         """Return the identities of runs from memory or the database, None for runs that have none."""
@@ -252,20 +250,6 @@ def _compared(
     """Compare the ids of a run's board; boards of a panel that are crossed out need no code."""
     detail = finished.detail
     return compare(finished.board_type.identity, reading, detail.board_id, reported, skipped=detail.skipped_boards)
-
-
-def _with_identity(document: R, identity: IdentityDocument | None) -> R:
-    if identity is None:
-        return document
-    update: dict[str, Any] = {"identity": IdentitySummary.of(identity)}
-    more = tuple(Reason(code=r.code, message=r.message, action=r.action) for r in identity.degrading)
-    if more:
-        update["reasons"] = (*document.reasons, *more)
-    if more and document.verdict is Status.OK:
-        update["verdict"] = Status.DEGRADED
-        if document.state is RunState.READY:
-            update["state"] = RunState.DEGRADED
-    return document.model_copy(update=update)
 
 
 def _log_failure(run: str, saved: Future[None]) -> None:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from vaoi_station.config import KeepConfig
 from vaoi_station.errors import DeviceError, GoneError, InputError, NotFoundError, StateError, VaoiError
-from vaoi_station.files import write_board_type, write_calibration, write_recording
+from vaoi_station.files import read_board_type, write_board_type, write_calibration, write_recording
 from vaoi_station.files.atomic_directory import new_directory, remove_directory
 from vaoi_station.files.directory_walk import size_below
 from vaoi_station.files.documents import parse, read_json, write_bytes, write_json
@@ -32,6 +32,7 @@ from vaoi_station.model import Program, RecordingHead, Status
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive, FinishedRun
 from vaoi_station.runs.archive.housekeeping import LOWEST_PRIORITY, TASK_LIMIT_S
+from vaoi_station.runs.archive.stored_documents import lasting, never_read
 from vaoi_station.runs.run.memory import Bay
 from vaoi_station.runs.states.recording_heads import bytes_of_frames, head_of
 from vaoi_station.runs.states.schemas import RunDetail
@@ -326,13 +327,14 @@ class Recordings:
         known: RunDetail | None = None
         with suppress(NotFoundError, InputError):
             known = parse(RunDetail, read_json(path), path)
-        record = known
-        with suppress(GoneError, NotFoundError):  # Of a run that was forgotten nothing changes the record any more.
-            record = self.published(self._archive.get(run).detail)
+        try:
+            record: RunDetail | None = self.published(self._archive.get(run).detail)
+        except (GoneError, NotFoundError):
+            record = known and never_read(known, read_board_type(path.parent / "board.json"))
         with self._lock:
             if run not in self._sizes or record is None:
                 return None, False
-            if known is not None and _lasting(known) == _lasting(record):
+            if known is not None and lasting(known) == lasting(record):
                 return record, False
             write_bytes(path, record.model_dump_json().encode())
         return record, True
@@ -393,8 +395,3 @@ class Recordings:
             f"The frames were not kept: {why}",
             run=run, code="recording-refused", action="Unpin runs, raise [keep] recordings_gb, or free disk space.",
         )  # fmt: skip
-
-
-def _lasting(record: RunDetail) -> tuple[object, ...]:
-    """Return what an archive needs to know of a record; the rest says where the frames are, which changes."""
-    return record.verdict, record.reasons, record.identity

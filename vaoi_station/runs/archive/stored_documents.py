@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
 from vaoi_station.errors import DeviceError, GoneError
 from vaoi_station.identity.comparison import compare
+from vaoi_station.model import BoardType, Status
 from vaoi_station.model.board_identity import IdentityDocument
 from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.run.run_views import summary_of
+from vaoi_station.runs.states.identity_schemas import IdentitySummary
 from vaoi_station.runs.states.schemas import Reason, RunDetail, RunSummary, VerdictCounts
 from vaoi_station.runs.states.tables import IN_MEMORY, RunState
 from vaoi_station.store import RunRow
 from vaoi_station.store.history.identities import IdentityRow
 
 R = TypeVar("R", RunSummary, RunDetail)
+D = TypeVar("D", bound=RunSummary)
 _LOST = Reason(code="station-restarted", message="The station ended before this run had a result.")
 _UNREADABLE = Reason(
     code="record-unreadable",
@@ -49,6 +52,39 @@ def identity_row(identity: IdentityDocument) -> IdentityRow:
         pending=identity.state == "pending",
         degrading=tuple(reason.code for reason in identity.degrading),
     )
+
+
+def with_identity(document: D, identity: IdentityDocument | None) -> D:
+    """Return the document of a finished run with its identity; where the board type demands it, the verdict is lowered.
+
+    A document that has the identity already, as an imported run may, gets no reason twice.
+    """
+    if identity is None:
+        return document
+    update: dict[str, Any] = {"identity": IdentitySummary.of(identity)}
+    more = tuple(Reason(code=r.code, message=r.message, action=r.action) for r in identity.degrading)
+    if more:
+        update["reasons"] = (*document.reasons, *(reason for reason in more if reason not in document.reasons))
+    if more and document.verdict is Status.OK:
+        update["verdict"] = Status.DEGRADED
+        if document.state is RunState.READY:
+            update["state"] = RunState.DEGRADED
+    return document.model_copy(update=update)
+
+
+def never_read(record: RunDetail, board_type: BoardType) -> RunDetail:
+    """Return the record of a run that the database has no more, once no code of its board can be read any more.
+
+    If the id was still to be read, it never will be: where the board type demands it, the run is degraded.
+    """
+    if record.identity_decided:
+        return record
+    return with_identity(record, compare(board_type.identity, None, record.board_id))
+
+
+def lasting(record: RunDetail) -> tuple[object, ...]:
+    """Return what an archive needs to know of a record; the rest says where the frames are, which changes."""
+    return record.verdict, record.reasons, record.identity
 
 
 def _unread(progress: Progress, detail: RunDetail) -> IdentityRow | None:
