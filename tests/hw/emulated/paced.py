@@ -8,6 +8,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
+from vaoi_station.rig.devices.processes import raise_priority
+
 T = TypeVar("T")
 
 HZ = 16_000_000
@@ -26,6 +28,8 @@ class PacedChip:
             stdout=subprocess.PIPE,
             text=True,
         )
+        # A chip does not wait for the computer's other work, and a late reply is to the station a missing one.
+        raise_priority(self.process.pid)
         self.edges: list[tuple[int, str, int]] = []
         """(cycle, pin, level) of all outputs."""
         self.resets: list[int] = []
