@@ -37,7 +37,8 @@ class FakeFirmware:
         self.lock = threading.RLock()
         self.state, self.run, self.crc, self.boots = State.IDLE, 0, 0, 1
         self.mute = False
-        """Whether requests are ignored."""
+        """Whether requests are ignored, until `reply_late`."""
+        self._ignored: list[Message] = []
         self.refuse: dict[Type, Nak] = {}
         """Requests that are refused, and how."""
         self.requests: list[Type] = []
@@ -72,14 +73,24 @@ class FakeFirmware:
                 self._tick += 2000
                 self.requests.append(Type(message.type))
                 if self.mute:
-                    continue
-                reply = self._reply(message)
-                kind = Type.NAK if isinstance(reply, Nak) else message.type | REPLY
-                payload = reply.pack() if isinstance(reply, Nak) else reply
-                os.write(self._terminal, encode(Message(kind, message.sequence, payload)))
+                    self._ignored.append(message)
+                else:
+                    self._send_reply(message)
+
+    def reply_late(self) -> None:
+        """Reply to the newest request that was ignored, and to all requests from now on."""
+        with self.lock:
+            self.mute = False
+            self._send_reply(self._ignored[-1])
 
     def in_state(self, state: State) -> bool:
         return self.state is state
+
+    def _send_reply(self, message: Message) -> None:
+        reply = self._reply(message)
+        kind = Type.NAK if isinstance(reply, Nak) else message.type | REPLY
+        payload = reply.pack() if isinstance(reply, Nak) else reply
+        os.write(self._terminal, encode(Message(kind, message.sequence, payload)))
 
     def _reply(self, message: Message) -> bytes | Nak:
         kind, payload = Type(message.type), message.payload

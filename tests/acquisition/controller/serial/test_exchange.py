@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
 
 import pytest
 
 from tests.acquisition.controller.serial.fake_firmware import FakeFirmware
-from vaoi_station.acquisition.controller.protocol.link import EventReceived, EventsLost, Link
+from vaoi_station.acquisition.controller.protocol.link import MAX_TRIES, RETRY_S, EventReceived, EventsLost, Link
 from vaoi_station.acquisition.controller.protocol.messages import (
     ClockReply,
     Kind,
@@ -70,6 +71,26 @@ def test_a_controller_that_does_not_reply(bench: Bench, device: Device) -> None:
     with pytest.raises(SilentError, match="does not answer"):
         bench.exchange.request(Request(Type.SAFE))
     assert device[1].requests == [Type.SAFE] * 10
+
+
+def test_a_reply_that_waits_in_the_port_is_not_missed(
+    bench: Bench, device: Device, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The reply to the last transmission arrives while the computer does not run this process."""
+    firmware = device[1]
+    firmware.mute = True
+    read = bench.port.read
+
+    def read_and_pause(wait_s: float) -> bytes:
+        data = read(wait_s)
+        if firmware.mute and len(firmware.requests) == MAX_TRIES:
+            firmware.reply_late()
+            time.sleep(1.5 * RETRY_S)
+        return data
+
+    monkeypatch.setattr(bench.port, "read", read_and_pause)
+    replied = bench.exchange.request(number_request(Type.CLOCK, 77))
+    assert ClockReply.unpack(replied.payload).nonce == 77
 
 
 def test_a_status_comes_after_all_events_before_it(bench: Bench, device: Device) -> None:

@@ -186,11 +186,18 @@ class Link:
         self._pending.tries += 1
         return encode(Message(self._pending.request.type, self._pending.sequence, self._pending.request.payload))
 
-    def receive(self, data: bytes, now_s: float) -> list[Notification]:
-        """Process received bytes. It is also called without bytes, so that missing replies are noticed."""
+    def receive(self, data: bytes, now_s: float, begun_s: float | None = None) -> list[Notification]:
+        """Process received bytes. It is also called without bytes, so that missing replies are noticed.
+
+        Args:
+            data: the bytes.
+            now_s: monotonic time after the bytes were read, s.
+            begun_s: monotonic time before they were read, s; `now_s` if not given. All that had arrived by then is in
+                `data` or was received before, so only this time can show that a reply is missing.
+        """
         news = [item for message in self._reader.feed(data) for item in self._on_message(message, now_s)]
-        pending = self._pending
-        if pending is not None and pending.tries >= MAX_TRIES and now_s - pending.last_s >= RETRY_S:
+        pending, listened_s = self._pending, now_s if begun_s is None else begun_s
+        if pending is not None and pending.tries >= MAX_TRIES and listened_s - pending.last_s >= RETRY_S:
             self._pending = None
             self._yielding = pending.internal
             news.append(Unanswered(pending.request))

@@ -113,8 +113,9 @@ class Exchange:
             ResetError: the controller was reset.
             PortLostError: the port has gone.
         """
+        begun_s = time.monotonic()
         try:
-            if data := self.link.outgoing(time.monotonic()):
+            if data := self.link.outgoing(begun_s):
                 self.port.write(data)
             data = self.port.read(POLL_S)
         except OSError as error:
@@ -125,7 +126,9 @@ class Exchange:
         # The time is taken after the wait, directly after the read: it limits when the reply arrived, for the clock
         # fit.
         messages, now_s = self.link.messages, time.monotonic()
-        news = self.link.receive(data, now_s)
+        # This process may have waited for the CPU after the read, while a reply arrived. So the time before the read
+        # decides whether a reply is missing.
+        news = self.link.receive(data, now_s, begun_s)
         if self.link.messages > messages:
             self._last_message_s = now_s
         for item in news:
