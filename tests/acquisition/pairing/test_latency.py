@@ -84,6 +84,16 @@ def test_several_frames_for_one_pulse_show_no_latency() -> None:
     assert learnt(free, 0.0) == (0.0, False)
 
 
+def test_jitter_at_the_edge_of_the_error_bound_is_not_several_frames_for_one_pulse() -> None:
+    """With clocks read on a busy computer the bound reaches the rest of the period; one frame came for every pulse."""
+    rest_s = 0.002
+    frames_s = [p + T - rest_s + e for p, e in zip(PULSES_S[:3], (0.0, 5e-6, -5e-6), strict=True)]
+    begun = Beginning(PULSES_S[:4], frames_s, T, rest_s, True)
+    assert learn(begun, 0.0, GATE_S) is None
+    complete = replace(begun, pulses_s=PULSES_S[:3], all_fired=True)
+    assert learnt(complete) == (pytest.approx(T - rest_s), True)
+
+
 @given(st.floats(0, 2.5 * T), st.integers(1, 5))
 def test_frames_in_order_give_their_latency(latency_s: float, count: int) -> None:
     frames_s = [p + latency_s for p in PULSES_S[:count]]

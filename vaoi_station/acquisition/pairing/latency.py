@@ -12,6 +12,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 from vaoi_station.acquisition.pairing.clock_fit import median
 from vaoi_station.config import CameraConfig
@@ -172,6 +173,13 @@ def _since_pulse_s(pulses_s: Sequence[float], at_s: float) -> float:
 
 def _several_per_pulse(begun: Beginning) -> bool:
     """Return whether two frames lie between consecutive pulses: the camera does not send one frame per pulse."""
-    latest = [bisect_right(begun.pulses_s, f + begun.bound_s) for f in begun.frames_s]
-    complete = [n for n in latest if n < len(begun.pulses_s)]
-    return len(set(complete)) < len(complete)
+    pulses_s, bound_s = begun.pulses_s, begun.bound_s
+    latest = [bisect_right(pulses_s, f + bound_s) for f in begun.frames_s]
+    for (n, before_s), (following, after_s) in pairwise(zip(latest, begun.frames_s, strict=True)):
+        if n == following < len(pulses_s):
+            # Frames of consecutive pulses may seem to lie between the same two pulses, by the errors of the clocks and
+            # of their time stamps. They are then no closer than these pulses, apart from these errors.
+            interval_s = pulses_s[n] - pulses_s[n - 1] if n else begun.period_s
+            if after_s - before_s < interval_s - 2 * bound_s:
+                return True
+    return False
