@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import pytest
 
@@ -91,3 +92,28 @@ def test_a_pulse_that_the_controller_does_not_report_is_given_up(bench: SessionB
     bench.pulse(4.0, 0)  # too late: it is no missed board
     bench.session.handle_event(RunEnded(0, 4.0, 1, "single"), 4.0)
     assert bench.of(BoardMissed) == bench.of(RunStarted) == []
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_the_trial_after_a_lost_report_works(bench: SessionBench, late: bool) -> None:
+    bench.session.fire_trial(TRIAL, 1.0)
+    bench.session.tick(1.0 + UNREPORTED_S)
+    bench.session.fire_trial(replace(TRIAL, grant=Grant("trial-2", 1)), 4.0)
+    if late:
+        bench.pulse(1.0, 0)
+        bench.session.handle_event(RunEnded(0, 1.0, 1, "single"), 4.0)
+    # The controller's clock may be wrong by its bound, so that the pulse seems to come before its command.
+    frames_of(bench, 4.0 - 0.001)
+    assert [failed.run for failed in bench.of(TrialFailed)] == ["trial-1"]
+    [finished] = bench.of(RunFinished)
+    assert (finished.run, [f.verdict for f in finished.frames]) == ("trial-2", [Verdict.OK, Verdict.OK])
+    assert bench.of(BoardMissed) == []
+
+
+def test_a_single_pulse_after_a_lost_report_works(bench: SessionBench) -> None:
+    bench.session.fire_trial(TRIAL, 1.0)
+    bench.session.tick(1.0 + UNREPORTED_S)
+    bench.session.grant(Grant("single", 1))
+    bench.session.fire_one(4.0)
+    frames_of(bench, 4.0)
+    assert [finished.run for finished in bench.of(RunFinished)] == ["single"]

@@ -38,6 +38,7 @@ from vaoi_station.acquisition.process.messages import (
     Report,
     RunStarted,
 )
+from vaoi_station.acquisition.process.outdated_events import OutdatedEvents
 from vaoi_station.acquisition.process.passage_log import PassageLog
 from vaoi_station.acquisition.process.run_reports import finished_report, trouble_report
 from vaoi_station.acquisition.process.sequence_start import SequenceStart
@@ -104,8 +105,7 @@ class Session:
         self._silent_s = float("inf")
         self._skipped: dict[int, PulseSkipped] = {}
         """Reports of the rows that were skipped before the first pulse of a board."""
-        self._given_up = False
-        """Whether a run was closed before its end was reported; later events of it are ignored."""
+        self._outdated = OutdatedEvents(controller_clock)
         self._passages = PassageLog(controller_clock)
         self._disarming = False
         self.trial = TrialPulse(config.cameras, devices, self._slot_queue, lambda: self._plan is not None)
@@ -126,9 +126,9 @@ class Session:
             what = f"the controller has not reported the end of run {self._run.run}."
             self._send(trouble_report(DeviceError(what, action="Check its cable and power, then arm again.")))
             self._end_run(self._run.rows, "the controller stopped reporting", now_s)
-            self._given_up = True
+            self._outdated.give_up()
         if (failed := self.trial.overdue(now_s)) is not None:
-            self._given_up = True
+            self._outdated.give_up()
             self._send(failed)
         self._apply(self._recorder.settle(now_s), now_s)
 
@@ -207,12 +207,14 @@ class Session:
         self._sequences.rewind(now_s)
         self._passages.begin_single(now_s)
         self._devices.controller.fire_one()
+        self._outdated.expect_pulse(now_s - CLOCK_LIMIT_S)
 
     def fire_trial(self, trial: FireTrial, now_s: float) -> None:
         """Fire one pulse with the settings of a trial, into the memory that it brings; raises as `TrialPulse.fire`."""
         self._require_clocks(CLOCK_LIMIT_S)
         self._passages.begin_single(now_s)
         self.trial.fire(trial, now_s)
+        self._outdated.expect_pulse(now_s - CLOCK_LIMIT_S)
 
     def finish_disarming(self, now_s: float) -> None:
         """End the run under way, then give back the memory that was not used.
@@ -225,7 +227,7 @@ class Session:
         self._sequences.end_pulses()
         # While disarmed, no edge is reported. So at the next arming it is not known what is in the barrier.
         self._passages.forget()
-        self._given_up = False
+        self._outdated.forget()
         self._disarming = True
         self._apply(self._recorder.settle(now_s), now_s)
 
@@ -233,7 +235,7 @@ class Session:
         """Record an event of the controller (barrier, pulse, end of a run) in the run to which it belongs."""
         self._recorder.note_controller_time(event.time_s)
         self._sequences.follow(event, self._plan)
-        if self._is_outdated(event):
+        if self._outdated.has(event):
             return
         if isinstance(event, PulseFired):
             # An index that does not grow belongs to the next board: the report of the previous run's end was lost.
@@ -271,12 +273,6 @@ class Session:
         for number, clock in enumerate(self._clocks):
             if not self.is_away(number):
                 clock.require(limit_s)
-
-    def _is_outdated(self, event: ControllerEvent) -> bool:
-        """Whether an event belongs to a run that was given up. The end of that run, or the next board, resets this."""
-        late = self._given_up and not isinstance(event, BarrierBlocked)
-        self._given_up = late and not isinstance(event, RunEnded)
-        return late
 
     def handle_arrival(self, arrival: Arrival, now_s: float) -> None:
         """Assign a frame, delivered by a camera in a slot, to its run and pulse."""
