@@ -114,6 +114,31 @@ def test_an_armed_line_has_ended_the_trial() -> None:
     assert len(bench.commands) == 1, "arming has set the exposures of its plan"
 
 
+def test_a_pulse_for_which_no_caller_waits_any_more_frees_its_memory_when_it_ends() -> None:
+    bench = Bench()
+    for run, ends_first in (("trial-1", False), ("trial-2", True)):
+        shot = bench.fire()
+        if ends_first:
+            bench.finish(run)
+        bench.trial.abandon(shot)
+        if not ends_first:
+            assert bench.memory.has(run), "the cameras may still fill it"
+            bench.finish(run)
+        assert bench.memory.available() == 3
+    bench.now_s += TRIAL_S
+    bench.trial.tick()
+    assert bench.commands[-1] == messages.EndTrial()
+    failed = bench.fire()
+    bench.trial.abandon(failed)
+    assert bench.trial.takes(messages.TrialFailed("trial-3", messages.Trouble("wrong-state", "no.", "")))
+    assert bench.memory.available() == 3
+    refused = bench.fire()
+    assert bench.trial.takes(messages.TrialFailed("trial-4", messages.Trouble("wrong-state", "no.", "")))
+    bench.fire()
+    bench.trial.abandon(refused)
+    assert bench.memory.has("trial-5"), "it belongs to another caller"
+
+
 def test_refusals_and_the_end_of_the_process_free_the_memory() -> None:
     bench = Bench()
     for code, kind in (("wrong-state", StateError), ("setting-refused", DeviceError)):

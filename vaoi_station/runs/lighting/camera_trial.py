@@ -57,7 +57,8 @@ class CameraTrial:
             acquisition: receives the commands.
             state: returns the state of the station.
             memory: gives each pulse a bay.
-            on_evicted: called with the run whose frames were given up for a pulse.
+            on_evicted: called with the run whose frames were given up for a pulse. A ring full of finished runs is
+                usual, so a trial takes the memory of the one that finished first, as a board does.
             clock: time.monotonic.
         """
         self._acquisition, self._state, self._memory = acquisition, state, memory
@@ -101,6 +102,8 @@ class CameraTrial:
         elif isinstance(report, messages.RunFinished) and self._completion is not None:
             completion, self._completion = self._completion, None
             completion.set_result(TrialShot(run, self._bay, report))
+        elif isinstance(report, messages.RunFinished):
+            self.release(run)
         return True
 
     def release(self, run: str) -> None:
@@ -108,6 +111,13 @@ class CameraTrial:
         if self._bay is not None and self._bay.run == run:
             self._bay = None
         self._memory.free(run)
+
+    def abandon(self, completion: Future[TrialShot]) -> None:
+        """Let no caller wait for a pulse any more: its memory is free with its end, which may have come meanwhile."""
+        if completion is self._completion:
+            self._completion = None
+        elif completion.done() and completion.exception() is None:
+            self.release(completion.result().run)
 
     def end(self) -> None:
         """Set the exposures of station.toml again. A pulse under way still ends by itself."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from vaoi_station.acquisition.cameras.interface import CameraExposure
 from vaoi_station.acquisition.process.messages import FireTrial, Grant, Health
 from vaoi_station.config import StationConfig
-from vaoi_station.errors import DeviceError, InputError, NotFoundError
+from vaoi_station.errors import DeviceError, InputError, NotFoundError, StateError
 from vaoi_station.runs.lighting.camera_trial import CameraTrial, TrialShot
 from vaoi_station.runs.lighting.program_check import LightPrograms
 
@@ -77,9 +77,11 @@ class Lighting:
         ring: Frames,
         inbox: Asking,
         core: Devices,
+        shot_s: float = SHOT_S,
     ) -> None:
-        """Connect the parts; `core` is used in the thread of `inbox`."""
+        """Connect the parts; `core` is used in the thread of `inbox`. A pulse is awaited for `shot_s`."""
         self._config, self._ring, self._inbox, self._trial = config, ring, inbox, core.trial
+        self._shot_s = shot_s
         self.programs = LightPrograms(config, px_per_mm, lambda: inbox.ask(core.devices))
 
     def try_settings(self, camera: int, wanted: TrialSettings) -> TrialPicture:
@@ -124,7 +126,12 @@ class Lighting:
         answer: Future[TrialShot] = Future()
         self._inbox.ask(self._trial.fire, wanted, answer)
         try:
-            shot: TrialShot = self._inbox.wait(answer, lambda: None, SHOT_S)
+            shot: TrialShot = self._inbox.wait(answer, lambda: None, self._shot_s)
         except TimeoutError:
-            raise DeviceError(f"The pulse gave no frames within {SHOT_S:.0f} s.", action="Try again.") from None
+            self._inbox.post(self._trial.abandon, answer)
+            raise DeviceError(f"The pulse gave no frames within {self._shot_s:g} s.", action="Try again.") from None
+        except StateError:
+            # The refusal of a pulse has freed its memory; a station that stops has not.
+            self._inbox.post(self._trial.abandon, answer)
+            raise
         return shot
