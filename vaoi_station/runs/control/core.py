@@ -93,7 +93,8 @@ class Core:
         interlocked = parts.config.controller.interlock == "on"
         self.permit = LinePermit(parts.acquisition.send if interlocked else None, parts.events.add)
         self._stopping: list[Completion] = []
-        self.trial = CameraTrial(parts.acquisition, lambda: self.machine.state, self.memory, self.line.evicted)
+        on_evicted = partial(self.line.evicted, room_for="a trial of a camera")
+        self.trial = CameraTrial(parts.acquisition, lambda: self.machine.state, self.memory, on_evicted)
 
     # --- requests of callers
 

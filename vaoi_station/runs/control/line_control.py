@@ -339,10 +339,10 @@ class LineControl:
         self._granted[granted.bay.run] = granted.bay.number
         self._acquisition.send(messages.Grant(granted.bay.run, granted.bay.number))
 
-    def evicted(self, run: str) -> None:
-        """Record that the frames of a finished run were given up for the next board."""
+    def evicted(self, run: str, room_for: str = "the next board") -> None:
+        """Record that the frames of a finished run were given up for the next board, or for something else."""
         self._archive.mark(run, RunStep.MEMORY_TAKEN)
-        self._events.add("run", "Frames evicted to make room for the next board.", state=RunState.GONE, run=run)
+        self._events.add("run", f"Frames evicted to make room for {room_for}.", state=RunState.GONE, run=run)
 
     def _rearm(self) -> None:
         try:
