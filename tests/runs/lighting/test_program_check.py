@@ -60,7 +60,10 @@ def test_all_faults_are_found_at_once_and_arming_names_them_too() -> None:
 
 def test_a_program_that_fits_has_all_its_values() -> None:
     checked = check([{"light": "left", "exposure_us": [90.0]}, {"light": "even", "on_us": 60.0}], healthy(CAMERAS))
-    assert (checked.usable, checked.faults, checked.unchecked, checked.origin) == (True, (), (), "request")
+    assert (checked.usable, checked.faults, checked.origin) == (True, (), "request")
+    assert checked.unchecked == (
+        "It shows when the line is armed whether camera cam0, camera cam1 can expose for the width of the trigger.",
+    )
     assert [(s.on_us, s.exposures_us, s.lit_us) for s in checked.steps] == [
         (120.0, (90.0, 90.0), (90.0, 90.0)),
         (60.0, (250.0, 250.0), (60.0, 60.0)),
@@ -103,6 +106,20 @@ def test_the_limits_that_cameras_state_count() -> None:
     two: list[dict[str, Any]] = [{"light": "left"}, {"light": "left", "gain_db": 3.0}]
     checked = check(two, replace(healthy(1), cameras=(sets,)), cameras=(sequencer,))
     assert "number of different steps is 2, but must be at most 1" in checked.faults[0].message
+    none = replace(healthy(1), cameras=(CameraHealth(True, limits=LIMITS),))
+    checked = check(two, none, cameras=(sequencer,))
+    assert [fault.camera for fault in checked.faults] == [0]
+    assert "must be 1: camera cam0 has no sequencer, though its exposure_by" in checked.faults[0].message
+    assert check(two[:1], none, cameras=(sequencer,)).usable, "one step needs no sequencer"
+    enough = replace(healthy(1), cameras=(CameraHealth(True, limits=replace(LIMITS, gain_db=None, sets=2)),))
+    checked = check(two, enough, cameras=(sequencer,))
+    assert (checked.usable, checked.unchecked) == (
+        True,
+        (
+            "camera cam0 states no limits of its gain.",
+            "It shows when the line is armed whether camera cam0 can advance its sequencer per frame.",
+        ),
+    )
 
 
 def test_what_no_device_has_stated_is_said() -> None:
@@ -129,5 +146,20 @@ def test_without_a_program_the_one_in_force_is_checked_on_the_line_of_the_board_
     station = check(None, healthy(CAMERAS), program=[{"light": "left"}])
     assert (station.origin, [step.light for step in station.steps]) == ("station", ["left"])
     assert check(None, healthy(CAMERAS)).origin == check([], healthy(CAMERAS)).origin == "cameras"
+    narrow = CameraHealth(True, limits=replace(LIMITS, exposure_us=(300.0, 400.0)))
+    checked = check(None, replace(healthy(CAMERAS), cameras=(narrow, narrow)))
+    assert [(fault.step, fault.camera) for fault in checked.faults] == [(None, 0), (None, 1)]
+    assert "station.toml: cameras.1.exposure_us is 250.0, but must be 300 … 400 µs" in checked.faults[1].message
     fast = check([{"light": "left"}], healthy(CAMERAS), line={"speed_mm_s": 300.0})
     assert "line.speed_mm_s is 300.0, but must be 100" in fast.faults[0].message
+
+
+@pytest.mark.parametrize("program", [None, [{"light": "left", "on_us": 60.0}]])
+def test_rows_that_follow_faster_than_a_camera_is_read_out_are_a_fault(program: list[dict[str, Any]] | None) -> None:
+    slow = [camera.model_copy(update={"readout_us": 20_000.0}) for camera in station_config(CAMERAS).cameras]
+    dense: dict[str, Any] = {"row_mm": 1.0, "longest_board_mm": 20.0, "tail_s": 0.2}
+    checked = check(program, healthy(CAMERAS), line=dense, cameras=slow)
+    assert [(fault.camera, fault.field) for fault in checked.faults] == [(n, program and "exposure_us") for n in (0, 1)]
+    station, board = station_config(CAMERAS, cameras=slow), BoardType.model_validate({"name": "b", "line": dense})
+    with pytest.raises(InputError, match=r"at least 0\.02025: camera 'cam0' exposes for 250 µs .* camera 'cam1'"):
+        filming_plan(station, board, PX_PER_MM)

@@ -57,7 +57,11 @@ def checked_plan(
     by_trigger = _cameras_by_trigger(where, rows, config, faults)
     if by_trigger:
         rows = tuple(replace(row, trigger_us=row.exposures_us[by_trigger[0]]) for row in rows)
-    return replace(TriggerPlan.of(line, program=rows), by_trigger=by_trigger), faults
+    plan = replace(TriggerPlan.of(line, program=rows), by_trigger=by_trigger)
+    # Exposures of steps that are too long are named with their steps already.
+    named = {fault.camera for fault in faults if fault.key == "exposure_us"}
+    faults += [fault for fault in _time_faults(plan, config) if fault.camera not in named]
+    return plan, faults
 
 
 def line_of_board(config: StationConfig, board_type: BoardType) -> Line:
@@ -153,6 +157,11 @@ def _sequence(plan: TriggerPlan, camera: int) -> tuple[tuple[float, float], ...]
 
 def require_time(plan: TriggerPlan, config: StationConfig) -> None:
     """Raise InputError if the period of a plan is too short for a camera's longest exposure and read-out."""
+    require_none(list(_time_faults(plan, config)))
+
+
+def _time_faults(plan: TriggerPlan, config: StationConfig) -> Iterator[ProgramFault]:
+    """Yield a fault for each camera whose longest exposure and read-out do not fit into the period of a plan."""
     for n, camera in enumerate(config.cameras):
         exposure_us = max((row.exposures_us[n] for row in plan.program), default=camera.exposure_us)
         if spare_time_us(plan.shortest_period_s * 1e6, exposure_us, camera.readout_us) < 0:
@@ -163,7 +172,7 @@ def require_time(plan: TriggerPlan, config: StationConfig) -> None:
             )
             if plan.belt is not None:
                 limit += f", and at its fastest the belt brings a row every {plan.shortest_period_s:g} s"
-            raise InputError.field("trigger plan", "period_s", plan.shortest_period_s, limit)
+            yield ProgramFault(InputError.field("trigger plan", "period_s", plan.shortest_period_s, limit), camera=n)
 
 
 def longest_lit_us(config: StationConfig, line: Line, camera: int, px_per_mm: Sequence[float]) -> float | None:

@@ -54,7 +54,12 @@ def unknown_lights(program: Sequence[ProgramRow], lights: Collection[str]) -> li
 
 
 def beyond_camera(
-    wanted: CameraExposure, gains_db: Sequence[float], limits: CameraLimits, camera: int, label: str
+    wanted: CameraExposure,
+    gains_db: Sequence[float],
+    limits: CameraLimits,
+    camera: int,
+    label: str,
+    by_program: bool = True,
 ) -> Iterator[ProgramFault]:
     """Yield what a camera refuses of its exposures and gains when the line is armed, with the limits it has stated.
 
@@ -64,10 +69,14 @@ def beyond_camera(
         limits: what the camera has stated.
         camera: its number.
         label: its name in messages.
+        by_program: whether the values are those of a program's steps; else they are those of station.toml.
     """
-    if wanted.sequence and limits.sets is not None and len(wanted.sequence) > limits.sets:
+    if len(wanted.sequence) > (limits.sets or 0):
         limit = f"at most {limits.sets}, the sets of the sequencer of {label}"
-        error = InputError.field("trigger plan", "number of different steps", len(wanted.sequence), limit)
+        if limits.sets is None:
+            limit = f'1: {label} has no sequencer, though its exposure_by in station.toml is "sequencer"'
+        action = "Let the on-time of the LEDs (on_us) make the difference between rows."
+        error = InputError.field("trigger plan", "number of different steps", len(wanted.sequence), limit, action)
         yield ProgramFault(error, camera=camera)
     # The sets of a sequencer are compared exactly; a register is read back, and a camera may have rounded it.
     exact = bool(wanted.sequence)
@@ -78,4 +87,9 @@ def beyond_camera(
             spare = 0.0 if exactly else near
             if bounds is not None and not bounds[0] - spare <= value <= bounds[1] + spare:
                 limit = f"{bounds[0]:g} … {bounds[1]:g} {unit}, the limits that {label} states"
-                yield ProgramFault(InputError.field("trigger plan", f"program.{n}.{key}", value, limit), n, key, camera)
+                if by_program:
+                    error = InputError.field("trigger plan", f"program.{n}.{key}", value, limit)
+                    yield ProgramFault(error, n, key, camera)
+                else:
+                    error = InputError.field("station.toml", f"cameras.{camera}.{key}", value, limit)
+                    yield ProgramFault(error, camera=camera)

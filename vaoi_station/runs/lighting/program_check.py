@@ -77,7 +77,7 @@ class LightPrograms:
             origin=origin,
             usable=not faults,
             faults=tuple(entries),
-            unchecked=self._unchecked(health),
+            unchecked=self._unchecked(plan, health),
             steps=tuple(_step(row) for row in plan.program or self._without_program()),
             most_steps=MOST_STEPS if firmware is None else firmware.steps,
             period_s=plan.shortest_period_s,
@@ -101,12 +101,14 @@ class LightPrograms:
             made = program_faults(plan, self._config.controller, health.limits.firmware)
             faults += [fault for fault in made if fault.key != "light" or fault.step not in known]
         for n, (wanted, camera) in enumerate(zip(exposures_of(plan, self._config), health.cameras, strict=False)):
-            if camera.limits is not None and plan.program:
+            if camera.limits is not None:
                 gains_db, label = [row.gains_db[n] for row in plan.program], self._config.cameras[n].label
-                faults += beyond_camera(wanted, gains_db, camera.limits, n, label)
+                faults += beyond_camera(
+                    wanted, gains_db or [wanted.gain_db], camera.limits, n, label, by_program=bool(plan.program)
+                )
         return faults
 
-    def _unchecked(self, health: Health | None) -> tuple[str, ...]:
+    def _unchecked(self, plan: TriggerPlan, health: Health | None) -> tuple[str, ...]:
         """Return in sentences what no device has stated. Simulated and replayed devices have no limits of their own."""
         if self._config.controller.backend != "serial" and health is not None:
             missing = []
@@ -118,7 +120,18 @@ class LightPrograms:
             state = health.cameras[n] if health is not None and n < len(health.cameras) else None
             if camera.backend == "aravis" and (state is None or state.limits is None):
                 missing.append(f"The limits of {camera.label} are not known: it is not connected.")
-        return tuple(missing)
+            elif camera.backend == "aravis" and state is not None and state.limits is not None:
+                silent = (("exposure", state.limits.exposure_us), ("gain", state.limits.gain_db))
+                missing += [f"{camera.label} states no limits of its {name}." for name, limits in silent if not limits]
+        # No camera states these before the line is armed. That frames state their exposure is known: a camera with
+        # exposure_by = "sequencer" is connected only if they can.
+        wanted = list(zip(self._config.cameras, exposures_of(plan, self._config), strict=True))
+        ways = {
+            "expose for the width of the trigger": [camera.label for camera, own in wanted if own.by_trigger],
+            "advance its sequencer per frame": [camera.label for camera, own in wanted if own.sequence],
+        }
+        armed = "It shows when the line is armed whether"
+        return (*missing, *(f"{armed} {', '.join(who)} can {way}." for way, who in ways.items() if who))
 
     def _without_program(self) -> list[ProgramRow]:
         """Return what rows are filmed with if there is no program: the lights in turn, each with the same exposures."""
