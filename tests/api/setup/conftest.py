@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import shutil
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,6 +15,8 @@ from tests.api.held.setup_files import setup_files
 from tests.api.held_station import HeldStation
 from vaoi_station.api import create_app
 from vaoi_station.api.setup.station_files import StationFiles
+
+NOBODY = 65534
 
 
 @pytest.fixture
@@ -24,3 +29,21 @@ def client(station: HeldStation, files: StationFiles) -> Iterator[TestClient]:
     app = create_app(station, ["testserver"], files=files)
     with TestClient(app, raise_server_exceptions=False) as client:
         yield client
+
+
+@pytest.fixture
+def protected(files: StationFiles) -> Iterator[StationFiles]:
+    """The files in a folder that this process may read and not write, as the unit protects /etc."""
+    folder = Path(tempfile.mkdtemp())
+    try:
+        path = folder / "station.toml"
+        path.write_bytes(files.path.read_bytes())
+        folder.chmod(0o555)
+        if os.geteuid() == 0:
+            os.seteuid(NOBODY)
+        yield StationFiles(path, files.config)
+    finally:
+        if os.getuid() == 0:
+            os.seteuid(0)
+        folder.chmod(0o755)
+        shutil.rmtree(folder)

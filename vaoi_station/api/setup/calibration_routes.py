@@ -94,7 +94,8 @@ def router(services: Services, files: StationFiles) -> APIRouter:
         """Replace the calibration file of the station by that of the trial; a copy of the one before is kept.
 
         It is in force from the next start of the station on. 409 `no-trial`: no trial has ended well; 409
-        `trial-running`: one is being made, or accepted by another caller.
+        `trial-running`: one is being made, or accepted by another caller; 409 `settings-read-only`: the service may
+        not write the file.
         """
         response.headers["Cache-Control"] = LIVE
         return await ask(trials.accept)

@@ -5,8 +5,6 @@ from __future__ import annotations
 import difflib
 import json
 import logging
-import os
-import shlex
 import threading
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
@@ -21,9 +19,15 @@ from vaoi_station.api.setup.settings_models import (
     SettingsProposal,
     SettingsSaved,
 )
-from vaoi_station.api.setup.station_files import StationFiles, replace_with_backup
+from vaoi_station.api.setup.station_files import (
+    StationFiles,
+    install_command,
+    is_writable,
+    replace_with_backup,
+    restart_command,
+)
 from vaoi_station.config import StationConfig
-from vaoi_station.errors import InputError, StateError
+from vaoi_station.errors import InputError
 from vaoi_station.files.documents import key_at, parse, parse_toml
 from vaoi_station.settings.edits import Edit, edit_toml, key_of, toml_value
 from vaoi_station.settings.faults import examine
@@ -33,7 +37,6 @@ from vaoi_station.settings.statements import Path as Place
 
 _log = logging.getLogger(__name__)
 
-RESTART = "sudo systemctl restart vaoi-station"
 _MADE_BY_THE_STATION = frozenset({"data", "ring.directory"})
 """Directories that a start makes."""
 
@@ -66,9 +69,9 @@ class SettingsFile:
             faults=[SettingFault(key=key_at(f.place) if f.place else "", message=f.text) for f in faults],
             hidden=[key_of(edit.path) for edit in hidden_edits(data)],
             pending=self._pending(data) if not faults else [],
-            writable=_is_writable(path),
-            install=f"sudo install -b -m 640 -o root -g vaoi station.toml {shlex.quote(str(path))}",
-            restart=RESTART,
+            writable=is_writable(path),
+            install=install_command(path),
+            restart=restart_command(path),
         )
 
     def propose(self, changes: Sequence[SettingChange], content: bytes) -> SettingsProposal:
@@ -110,16 +113,11 @@ class SettingsFile:
                 raise InputError("; ".join(f"{f.key}: {f.message}" for f in faults[:5]) + ".", code="not-editable")
             found = tomllib.loads(new)
             parse(StationConfig, found, self._files.path)
-            if not _is_writable(self._files.path):
-                raise StateError(
-                    f"{self._files.path}: the service may not write here; nothing was changed.",
-                    action="Take the new file from the page, and put it there as administrator.",
-                    code="settings-read-only",
-                )
             backup = replace_with_backup(self._files.path, new.encode())
         changed = _different(data, found)
         _log.info("%s was changed: %s", self._files.path, ", ".join(changed))
-        return SettingsSaved(path=str(self._files.path), backup=backup, changed=changed, restart=RESTART)
+        path = self._files.path
+        return SettingsSaved(path=str(path), backup=backup, changed=changed, restart=restart_command(path))
 
     def _parsed(self, content: bytes) -> tuple[str, dict[str, Any]]:
         try:
@@ -233,8 +231,3 @@ def _plain(config: StationConfig, base: Path) -> Any:
         return value
 
     return absolute(config.model_dump())
-
-
-def _is_writable(path: Path) -> bool:
-    # A file is replaced by renaming, so the folder decides; a protected file system refuses here too.
-    return os.access(path.parent, os.W_OK, effective_ids=os.access in os.supports_effective_ids)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import os
+import shlex
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
 from vaoi_station.config import StationConfig
+from vaoi_station.errors import StateError
 from vaoi_station.files.documents import write_bytes
 
 _MOST_BACKUPS = 50
@@ -24,13 +27,39 @@ class StationFiles:
     """As it was read at the start."""
 
 
+def is_writable(path: Path) -> bool:
+    """Return whether the service may replace a file."""
+    # A file is replaced by renaming, so its folder decides; a protected file system refuses here too.
+    folder = path.resolve().parent
+    return os.access(folder, os.W_OK, effective_ids=os.access in os.supports_effective_ids)
+
+
+def install_command(path: Path) -> str:
+    """Return the command by which an administrator puts a file of the same name there."""
+    return f"sudo install -b -m 640 -o root -g vaoi {shlex.quote(path.name)} {shlex.quote(str(path))}"
+
+
+def restart_command(config: Path) -> str:
+    """Return the command by which an administrator starts the station anew, if its configuration lets it start."""
+    # A start examines the files that station.toml names, such as a scenario; one that fails would stop the line.
+    return f"sudo vaoi check-config {shlex.quote(str(config))} && sudo systemctl restart vaoi-station"
+
+
 def replace_with_backup(path: Path, content: bytes) -> str | None:
     """Write a file, after a copy of what it was before; return the copy's name, or None if there was no file.
 
     Raises:
+        StateError: the service may not write there, as the unit of the package protects /etc.
         InputError: the file or its folder cannot be written to; the file is as it was.
         DeviceError: the disk is full or damaged; the file is as it was.
     """
+    if not is_writable(path):
+        # Otherwise the refusal would name the copy, and another place, which the caller cannot choose.
+        raise StateError(
+            f"{path}: the service may not write here; nothing was changed.",
+            action=f"Download the new file, and put it there as administrator: {install_command(path)}",
+            code="settings-read-only",
+        )
     path = path.resolve()
     backup = None
     if path.is_file():

@@ -57,7 +57,7 @@ def test_a_changed_setting_is_checked_shown_and_saved(
     )
     page.locator("#save-settings").focus()
     page.keyboard.press("Enter")
-    expect(page.locator(".answer.done")).to_contain_text("It is in force after a restart: sudo systemctl restart")
+    expect(page.locator(".answer.done")).to_contain_text("It is in force after a restart: sudo vaoi check-config")
     expect(page.locator(".warnings").first).to_contain_text("line.trigger_period_s, line.tail_s")
     assert read_config(path).line.tail_s == 0.5
     # Another person changes the file: nothing is overwritten, and the change can be made again.
