@@ -31,6 +31,7 @@ from vaoi_station.acquisition.process.messages import (
     TrialFailed,
     Trouble,
 )
+from vaoi_station.acquisition.process.sequence_start import SequenceStart
 from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import DeviceError
@@ -300,8 +301,17 @@ def test_disarming_cancels_the_waiting_command(start: Start, make_config: Make) 
     assert len(bench.of(Armed)) == 1
 
 
-def test_the_clock_of_a_lost_camera_is_not_reported_again(start: Start, make_config: Make) -> None:
+def test_the_clock_of_a_lost_camera_is_not_reported_again(
+    start: Start, make_config: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The loss was reported before, and any fault reported while the line is being armed ends the arming."""
+    forgotten, forget = list[int](), SequenceStart.forget
+
+    def noted_forget(of: SequenceStart, number: int) -> None:
+        forgotten.append(number)
+        forget(of, number)
+
+    monkeypatch.setattr(SequenceStart, "forget", noted_forget)
     computer, cameras = BusyComputer(math.inf), list[LooseCamera]()
 
     def open_devices_with_faults(config: StationConfig) -> Devices:
@@ -326,8 +336,10 @@ def test_the_clock_of_a_lost_camera_is_not_reported_again(start: Start, make_con
     computer.poor = 0
     bench.until(Armed)
     assert len(bench.of(Trouble)) == reported
+    assert not forgotten
     camera.report_back()
     assert bench.until(Trouble).message == "camera c1: its clock cannot be read."
+    assert forgotten == [1], "how long it took to begin its sequence anew may have changed"
 
 
 def test_the_clocks_are_read_at_the_end_of_a_run(

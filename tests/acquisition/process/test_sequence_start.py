@@ -160,13 +160,13 @@ def test_no_camera_is_stopped_while_a_frame_is_awaited_unless_the_next_board_com
 
 
 class Slow:
-    """A camera that needs 30 ms, by a clock that only it moves, to begin anew."""
+    """A camera that needs `took_s`, by a clock that only it moves, to begin anew."""
 
-    def __init__(self, clock: list[float]) -> None:
-        self._clock, self.rewound = clock, 0
+    def __init__(self, clock: list[float], took_s: float = 0.03) -> None:
+        self._clock, self.rewound, self.took_s = clock, 0, took_s
 
     def rewind(self) -> None:
-        self._clock[0] += 0.03
+        self._clock[0] += self.took_s
         self.rewound += 1
 
 
@@ -176,7 +176,8 @@ def test_a_rewind_that_would_not_end_before_the_first_pulse_is_left_out_and_logg
     clock = [0.0]
     monkeypatch.setattr("vaoi_station.acquisition.process.sequence_start.time.monotonic", lambda: clock[0])
     cameras = [Slow(clock), Slow(clock)]
-    start = SequenceStart(cameras, lambda s: s)  # type: ignore[arg-type]  # it uses no more of a camera
+    sent: list[Any] = []
+    start = SequenceStart(cameras, lambda s: s, sent.append)  # type: ignore[arg-type]  # it uses no more of a camera
     plan = replace(line.bench.plan, start_delay_s=0.1, period_s=0.1)
     start.rewind_all()
     start.follow(PulseFired(0, 1.0, 0), plan)
@@ -187,7 +188,57 @@ def test_a_rewind_that_would_not_end_before_the_first_pulse_is_left_out_and_logg
     with caplog.at_level(logging.WARNING):
         start.follow(PulseFired(0, 2.1, 0), plan)
     assert "before the sequence of exposures had begun anew in camera 1" in caplog.text
+    assert [trouble.code for trouble in sent] == ["sequence-late"]
     fast = replace(plan, belt=BeltPacing(20.0, 400, 200, 400, 0.07))
     start.follow(RunEnded(0, 2.2, 1, "clear"), fast)
     start.follow(BarrierBlocked(0, 3.0), fast)
     assert not start.is_due(3.071), "a fast belt brings the first row after 0.07 s"
+
+
+class Boards:
+    """Boards of one camera, whose rewinds are due only when the next board is in the barrier, by a scripted clock."""
+
+    def __init__(self, line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
+        clock = [0.0]
+        monkeypatch.setattr("vaoi_station.acquisition.process.sequence_start.time.monotonic", lambda: clock[0])
+        self.camera, self.sent = Slow(clock), list[Any]()
+        self._plan = replace(line.bench.plan, start_delay_s=START_S, period_s=PERIOD_S)
+        self.start = SequenceStart([self.camera], lambda s: s, self.sent.append)  # type: ignore[list-item]
+        self.start.follow(PulseFired(0, 1.0, 0), self._plan)
+        self._edge_s = 10.0
+
+    def rewound(self, took_s: float) -> bool:
+        """Let one board pass; return whether the sequence began anew for it."""
+        before, self._edge_s, self.camera.took_s = self.camera.rewound, self._edge_s + 10.0, took_s
+        self.start.follow(RunEnded(0, self._edge_s - 5, 1, "clear"), self._plan)
+        self.start.follow(BarrierBlocked(0, self._edge_s), self._plan)
+        self.start.rewind(self._edge_s + 0.01)
+        self.start.follow(PulseFired(0, self._edge_s + START_S, 0), self._plan)
+        return self.camera.rewound > before
+
+
+def test_one_slow_rewind_is_reported_and_tried_again_after_some_boards(
+    line: Line, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    boards = Boards(line, monkeypatch)
+    assert boards.rewound(3.0), "it is not known yet that it takes so long"
+    # 3 s, halved with each board until at most half of the start delay is expected.
+    assert [boards.rewound(0.03) for _ in range(8)] == [False] * 4 + [True] * 4
+    assert [trouble.code for trouble in boards.sent] == ["sequence-late"]
+    assert "took up to 3.00 s; the first pulse may come 0.30 s after" in boards.sent[0].message
+    boards.rewound(1.0)
+    assert len(boards.sent) == 2, "it was in time between"
+
+
+def test_a_camera_that_is_always_too_slow_is_seldom_tried(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
+    boards = Boards(line, monkeypatch)
+    assert sum(boards.rewound(3.0) for _ in range(20)) == 4
+    assert len(boards.sent) == 1
+
+
+def test_a_camera_that_was_opened_anew_is_tried_at_once(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
+    boards = Boards(line, monkeypatch)
+    boards.rewound(3.0)
+    assert not boards.rewound(0.03)
+    boards.start.forget(0)
+    assert boards.rewound(0.03)

@@ -242,10 +242,10 @@ class _MainLoop:
             self._send(trouble_report(item.error))
             self._health_is_due = True
         elif isinstance(item, CameraBack):
-            # The reading is added first: the clock may have restarted, and the reading is needed to date the next
-            # arrival.
+            # The reading is added first: it dates the next arrival, if the clock has restarted.
             self._clocks[1 + item.camera].add(item.reading)
             self._session.outages.end(item.camera, item.at_s)
+            self._session.sequences.forget(item.camera)
             self._health_is_due = True
         elif isinstance(item, DeviceFault):
             if item.error.code == "events-lost":

@@ -19,6 +19,9 @@ from vaoi_station.acquisition.controller.interface import (
     RunEnded,
     TriggerPlan,
 )
+from vaoi_station.acquisition.process.messages import Report
+from vaoi_station.acquisition.process.run_reports import trouble_report
+from vaoi_station.errors import DeviceError
 
 _log = logging.getLogger(__name__)
 
@@ -29,18 +32,25 @@ MARGIN_S = 0.005
 class SequenceStart:
     """Follows the events of the controller, and rewinds each camera once after the pulses of a board."""
 
-    def __init__(self, cameras: Sequence[CameraDevice], host_s: Callable[[float], float]) -> None:
+    def __init__(
+        self, cameras: Sequence[CameraDevice], host_s: Callable[[float], float], send: Callable[[Report], None]
+    ) -> None:
         """Begin with sequences that are at their first set.
 
         Args:
             cameras: the cameras; those without a sequencer ignore a rewind.
             host_s: maps the controller's times to the host's clock.
+            send: sends a report to the station.
         """
-        self._cameras, self._host_s = cameras, host_s
+        self._cameras, self._host_s, self._send = cameras, host_s, send
         self._advanced: set[int] = set()
         """Cameras whose sequencer is not at its first set, because pulses were fired."""
         self._took_s = [0.0] * len(cameras)
-        """Duration of the latest rewind of each camera."""
+        """Duration, s, that is expected of the next rewind of each camera: that of the latest one, or less."""
+        self._late: set[int] = set()
+        """Cameras that are reported as late, and have not begun their sequence anew in time since then."""
+        self._delay_s = 0.0
+        """Time, s, from the latest edge of a board to the first pulse that it may bring."""
         self._fires_from_s = math.inf
         """Host time from which on pulses may be fired; infinite while no board is in the barrier."""
 
@@ -52,12 +62,12 @@ class SequenceStart:
     def follow(self, event: ControllerEvent, plan: TriggerPlan | None) -> None:
         """Note what an event says of coming pulses. Events of a run that was given up are noted too."""
         if isinstance(event, BarrierBlocked):
-            delay_s = plan.shortest_start_s if plan is not None else 0.0
-            self._fires_from_s = self._host_s(event.time_s) + delay_s
+            self._delay_s = plan.shortest_start_s if plan is not None else 0.0
+            self._fires_from_s = self._host_s(event.time_s) + self._delay_s
         elif isinstance(event, PulseFired):
             if self._advanced and self._fires_from_s > -math.inf:
-                numbers = ", ".join(map(str, sorted(self._advanced)))
-                _log.warning("pulses came before the sequence of exposures had begun anew in camera %s", numbers)
+                self._report_late(self._advanced)
+                self._expect_less()
             self._fires_from_s = -math.inf
             self._advanced = set(range(len(self._cameras)))
         elif isinstance(event, RunEnded):
@@ -79,11 +89,45 @@ class SequenceStart:
             # A camera that does not answer delays this for seconds. Those after it would be stopped during a pulse.
             if at_s + self._took_s[number] + MARGIN_S < self._fires_from_s:
                 self._cameras[number].rewind()
-                self._took_s[number] = now_s + time.monotonic() - began_s - at_s
+                ended_s = now_s + time.monotonic() - began_s
+                self._took_s[number] = ended_s - at_s
                 self._advanced.discard(number)
+                if ended_s < self._fires_from_s:
+                    self._late.discard(number)
+                else:
+                    self._report_late({number})
 
     def rewind_all(self) -> None:
         """Rewind all cameras, while the controller is disarmed."""
         self._fires_from_s = math.inf
         self._advanced = set(range(len(self._cameras)))
         self.rewind(0.0)
+
+    def forget(self, camera: int) -> None:
+        """Expect nothing of the next rewind of a camera, because it was opened anew."""
+        self._took_s[camera] = 0.0
+
+    def _expect_less(self) -> None:
+        """Let cameras that were left out because they were slow be tried again after some boards.
+
+        One slow reply, of a busy network, would otherwise leave a camera out for ever: only a rewind is measured.
+        """
+        for number in self._advanced:
+            if self._took_s[number] > self._delay_s / 2:
+                self._took_s[number] /= 2
+
+    def _report_late(self, cameras: set[int]) -> None:
+        """Log that cameras begin a board with the wrong exposure; report it once until they are in time again."""
+        numbers = ", ".join(map(str, sorted(cameras)))
+        _log.warning("pulses came before the sequence of exposures had begun anew in camera %s", numbers)
+        if cameras <= self._late:
+            return
+        self._late |= cameras
+        longest_s = max(self._took_s[number] for number in cameras)
+        what = (
+            f"camera {numbers}: its sequence of exposures did not begin anew before the first pulse of a board, whose "
+            f"first frames may have the wrong exposure. Beginning anew took up to {longest_s:.2f} s; the first pulse "
+            f"may come {self._delay_s:.2f} s after the edge of a board."
+        )
+        action = "Check its cable and the load of its network; if it comes again, use a longer start delay."
+        self._send(trouble_report(DeviceError(what, action=action, code="sequence-late")))

@@ -86,7 +86,7 @@ class Session:
         self._config, self._ring, self._devices, self._send = config, ring, devices, send
         self._clocks = [controller_clock, *camera_clocks]
         self._slot_queue = SlotQueue(ring, devices.cameras)
-        self._sequences = SequenceStart(devices.cameras, controller_clock.host_s)
+        self.sequences = SequenceStart(devices.cameras, controller_clock.host_s, send)
         exposures_us = [camera.exposure_us for camera in config.cameras]
         self._recorder = Recorder(
             controller_clock,
@@ -138,8 +138,8 @@ class Session:
         Frames that are awaited are not put at risk, unless the next board is in the barrier already.
         """
         awaited = (run.awaits_frames(len(self._devices.cameras)) for run in self._recorder.open_runs)
-        if self._sequences.is_due(now_s) and (self._sequences.board_comes or not any(awaited)):
-            self._sequences.rewind(now_s)
+        if self.sequences.is_due(now_s) and (self.sequences.board_comes or not any(awaited)):
+            self.sequences.rewind(now_s)
 
     def grant(self, grant: Grant) -> None:
         """Accept the grant of a bay for one more run."""
@@ -175,7 +175,7 @@ class Session:
                 self._load_next()
                 for camera, wanted in zip(self._devices.cameras, exposures_of(plan, self._config), strict=True):
                     camera.set_exposure(wanted)
-                self._sequences.rewind_all()
+                self.sequences.rewind_all()
                 self._devices.controller.arm(plan)
             except BaseException as error:  # after any failure the station is not armed; raised again
                 # The controller has already given up its previous plan. If it stayed here, it would count as armed.
@@ -204,7 +204,7 @@ class Session:
             raise StateError(
                 "there is no memory for a pulse: all bays of the ring are in use.", action="Fire again in a moment."
             )
-        self._sequences.rewind(now_s)
+        self.sequences.rewind(now_s)
         self._passages.begin_single(now_s)
         self._devices.controller.fire_one()
         self._outdated.expect_pulse(now_s - CLOCK_LIMIT_S)
@@ -224,7 +224,7 @@ class Session:
         if self._run is not None:
             self._end_run(self._run.rows, "disarmed", now_s)
         self._plan = None
-        self._sequences.end_pulses()
+        self.sequences.end_pulses()
         # While disarmed, no edge is reported. So at the next arming it is not known what is in the barrier.
         self._passages.forget()
         self._outdated.forget()
@@ -234,7 +234,7 @@ class Session:
     def handle_event(self, event: ControllerEvent, now_s: float) -> None:
         """Record an event of the controller (barrier, pulse, end of a run) in the run to which it belongs."""
         self._recorder.note_controller_time(event.time_s)
-        self._sequences.follow(event, self._plan)
+        self.sequences.follow(event, self._plan)
         if self._outdated.has(event):
             return
         if isinstance(event, PulseFired):
