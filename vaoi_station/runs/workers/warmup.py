@@ -19,6 +19,7 @@ from vaoi_station.heights.estimates import measure_heights
 from vaoi_station.marks.subpixel_localisation import locate_mark
 from vaoi_station.model import BoardType, Stitch
 from vaoi_station.mosaic.blending import Cells, Pictures, blend, nodes_along
+from vaoi_station.mosaic.cells import label_boxes
 from vaoi_station.mosaic.seams import NO_FRAME, FrameCells, assign_cells
 from vaoi_station.stitching.matching.prepared_frame import resample
 from vaoi_station.stitching.work import StitchSetup, TaskRunner, all_tasks
@@ -60,6 +61,7 @@ def _locate_other_marks(picture: NDArray[np.uint8]) -> None:
 def _plan_and_blend() -> None:
     """Call the functions that are compiled for mosaics."""
     box, start, seed = np.array([(0, 0, 2, 2)], np.int32), np.zeros(1, np.int64), np.zeros((1, 2), np.int32)
+    label_boxes(np.zeros((2, 2), np.int16), 1)
     frames = FrameCells(box, start, np.ones(4, np.bool_), seed, np.zeros(1))
     assign_cells(frames, np.ones((2, 2), np.float32), np.full((2, 2), NO_FRAME, np.int32))
     nodes, pixels = nodes_along(0.0, 0.25, 4, 2), np.ones((4, 4), np.uint8)
