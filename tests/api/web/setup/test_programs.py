@@ -12,6 +12,7 @@ from playwright.sync_api import Page, expect
 
 from tests.api.web.test_views import examine
 
+FOUND_NOTHING = re.compile("The station can film with this program|Nothing was found against")
 pytestmark = pytest.mark.browser
 PICTURES = os.environ.get("VAOI_PICTURES")
 PROGRAM = ({"light": "even", "exposure_us": (400.0,)}, {"light": "left", "on_us": 60.0, "exposure_us": (100.0,)})
@@ -44,9 +45,7 @@ def test_a_program_is_edited_checked_and_stored(page: Page, engineer: Any, fits:
     expect(page.get_by_text("“many” is not a number.")).to_be_visible()
     page.get_by_label("On-time, µs, row 1").fill("60")
     page.get_by_label("Exposure, µs, row 1").fill("100")
-    expect(
-        page.get_by_text(re.compile("The station can film with this program|Nothing was found against"))
-    ).to_be_visible()
+    expect(page.get_by_text(FOUND_NOTHING)).to_be_visible()
     expect(page.locator(".program-timeline .wrong")).to_have_count(0)
     page.get_by_role("button", name="Store the program").press("Enter")
     expect(page.locator(".answer.done").last).to_have_text("Stored. It applies from the next arming on.")
@@ -79,9 +78,7 @@ def test_rows_are_moved_by_the_keyboard_and_cameras_have_values_of_their_own(pag
     expect(own[0]).not_to_have_attribute("aria-invalid", "true")
     own[0].fill("100")
     own[1].fill("100")
-    expect(
-        page.get_by_text(re.compile("The station can film with this program|Nothing was found against"))
-    ).to_be_visible()
+    expect(page.get_by_text(FOUND_NOTHING)).to_be_visible()
     station.put_board_type(known)  # by someone else, meanwhile
     page.get_by_role("button", name="Store the program").click()
     expect(page.locator(".answer.refused")).to_contain_text("changed")
