@@ -13,8 +13,8 @@ def child_environment(**more: str) -> dict[str, str]:
     With `-P`, which keeps modules in the current folder from being imported, a child would not find the package of a
     source checkout that was started by `python -m`, or would find another version that is installed.
     """
-    entries = [entry for entry in sys.path if entry]  # An empty one is the current folder.
     package = str(Path(__file__).parent.parent)
-    if package not in entries:
-        entries.insert(0, package)
+    # First, as this process has found it: an editable installation names its folder last, behind other versions.
+    # An empty entry is the current folder.
+    entries = [package, *(entry for entry in sys.path if entry not in ("", package))]
     return os.environ | {"PYTHONPATH": os.pathsep.join(entries)} | more

@@ -220,8 +220,8 @@ class Rig:
         """Wait for a state of the station; every change is an event."""
         self.wait_for(lambda: self.coordinator.snapshot().state == state, f"the station to be {state}")
 
-    def wait_for(self, true: Callable[[], bool], what: str) -> None:
-        deadline, seen = time.monotonic() + PATIENCE_S, 0
+    def wait_for(self, true: Callable[[], bool], what: str, patience_s: float = PATIENCE_S) -> None:
+        deadline, seen = time.monotonic() + patience_s, 0
         while not true():
             assert time.monotonic() < deadline, f"waited for {what}: {self.coordinator.snapshot()}"
             records = self.coordinator.events(seen, 0.2)

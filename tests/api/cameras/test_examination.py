@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -17,7 +18,7 @@ from vaoi_station.errors import DeviceError, NotFoundError
 
 FINDING = {"check": "disk", "subject": "", "level": "warning", "message": "nearly full", "action": "Make room."}
 REPORT = {"created": "2026-01-01T00:00:00+00:00", "worst": "warning", "findings": [FINDING | {"figures": {}}]}
-HANGS = "import time; time.sleep(600)"
+HANGS = "import signal; signal.pause()"
 
 
 class Line:
@@ -103,14 +104,15 @@ def test_a_doctor_that_hangs_ends_with_the_station_or_at_its_limit(
 def test_a_caller_that_has_gone_does_not_end_the_examination_of_others(tmp_path: Path) -> None:
     report, go_on = tmp_path / "report.json", tmp_path / "go-on"
     report.write_text(json.dumps(REPORT))
+    os.mkfifo(go_on)
 
     async def run() -> None:
-        waiting = f"import os, time\nwhile not os.path.exists({str(go_on)!r}): time.sleep(0.01)\n"
+        waiting = f"open({str(go_on)!r}).close()\n"  # until the other end is opened
         line = Line(tmp_path, waiting + reporting(report))
         gone, other = (asyncio.create_task(line.examinations.examine()) for _ in range(2))
         await line.started(other)
         gone.cancel()
-        go_on.touch()
+        await asyncio.to_thread(go_on.write_text, "")
         assert (await other).worst == "warning"
         assert len(line.starts()) == 1
 

@@ -16,7 +16,7 @@ from tests.api.held_station import HeldStation
 from vaoi_station.api import create_app
 from vaoi_station.api.setup.station_files import StationFiles
 
-NOBODY = 65534
+OTHER_USER = 65534
 
 
 @pytest.fixture
@@ -40,7 +40,7 @@ def protected(files: StationFiles) -> Iterator[StationFiles]:
         path.write_bytes(files.path.read_bytes())
         folder.chmod(0o555)
         if os.geteuid() == 0:
-            os.seteuid(NOBODY)
+            os.seteuid(OTHER_USER)
         yield StationFiles(path, files.config)
     finally:
         if os.getuid() == 0:

@@ -13,11 +13,13 @@ import pytest
 from tests.runs.conftest import a_stitch
 from vaoi_station.config import KeepConfig
 from vaoi_station.errors import DeviceError, GoneError
-from vaoi_station.files import open_recording, read_board_type, read_calibration, read_stitch
+from vaoi_station.files import open_recording, read_board_type, read_calibration, read_stitch, write_board_type
 from vaoi_station.files.atomic_directory import new_directory, remove_directory
 from vaoi_station.files.directory_walk import size_below
-from vaoi_station.model import Status, Verdict
+from vaoi_station.model import BoardIdentity, Status, Verdict
 from vaoi_station.runs.archive import recordings as module
+from vaoi_station.runs.archive.event_log import EventLog
+from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.archive.recordings import Recordings
 from vaoi_station.runs.states.identity_schemas import IdentitySummary
 from vaoi_station.runs.states.made_with import Origin
@@ -63,6 +65,29 @@ def test_a_start_compares_the_records_of_recordings_with_the_database(rig: Any, 
     rig.wait_for(lambda: '"pending"' not in path.read_text(), "the record is brought up to date")
     record = RunDetail.model_validate_json(path.read_text())
     assert (record.verdict, record.identity) == (Status.DEGRADED, None)
+
+
+def test_a_run_that_the_database_has_no_more_is_offered_with_the_verdict_of_a_board_that_was_not_read(rig: Any) -> None:
+    run = a_board(rig, Status.DEGRADED)
+    wait_event(rig, run.id, "recording")
+    path = rig.coordinator.kept.recordings.path_of(run.id)
+    rig.coordinator.kept.recordings.stop()  # It brings the record up to date after the event.
+    pending = run.model_copy(update={"verdict": Status.OK, "reasons": (), "identity": IdentitySummary(state="pending")})
+    (path / "run.json").write_text(pending.model_dump_json())
+    board = read_board_type(path / "board.json")
+    write_board_type(path / "board.json", board.model_copy(update={"identity": BoardIdentity(required=True)}))
+    rig.store.retention.forget_details([run.id]).result(10)
+    events = EventLog(rig.store)
+    frames: Any = Away(0)
+    keeper = Recordings(path.parent, KeepConfig(), Archive(rig.store, events), events, frames)
+    offered = list[str]()
+    keeper.on_kept = offered.append
+    keeper.offer_all()
+    keeper.start()
+    rig.wait_for(lambda: offered == [run.id], "the run is offered")
+    keeper.stop()
+    record = RunDetail.model_validate_json((path / "run.json").read_text())
+    assert (record.verdict, [reason.code for reason in record.reasons]) == (Status.DEGRADED, ["identity-not-read"])
 
 
 def pixels(rig: Any, run: RunDetail, camera: int, row: int) -> Any:

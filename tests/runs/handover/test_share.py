@@ -5,8 +5,8 @@ from __future__ import annotations
 import errno
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -35,14 +35,6 @@ if __name__ == "__main__":
 """
 PATIENCE_S = 120.0
 """Longest wait; a process starts, compiles and has the lowest priority."""
-
-
-def wait(true: Callable[[], bool], what: str) -> None:
-    """Wait until a condition holds."""
-    deadline_s = time.monotonic() + PATIENCE_S
-    while not true():
-        assert time.monotonic() < deadline_s, what
-        time.sleep(0.02)
 
 
 @pytest.fixture
@@ -76,6 +68,7 @@ def test_runs_wait_for_a_share_that_fails_or_hangs_and_boards_do_not(
     rig = make_rig()
     rig.ready()
     line, runs = Line(rig, share.directory), list[str]()
+    wait = partial(rig.wait_for, patience_s=PATIENCE_S)
     with line.running(launch=launch) as handover:
         for number in (errno.EIO, errno.ESTALE, errno.ENOSPC, errno.EROFS):
             # After the note that the run is being added, in the middle of the next write.

@@ -6,6 +6,7 @@ import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from types import SimpleNamespace
 
 import pytest
 
@@ -79,16 +80,19 @@ def test_a_reply_that_waits_in_the_port_is_not_missed(
     """The reply to the last transmission arrives while the computer does not run this process."""
     firmware = device[1]
     firmware.mute = True
-    read = bench.port.read
+    read, paused_s = bench.port.read, 0.0
+    clock = SimpleNamespace(monotonic=lambda: time.monotonic() + paused_s)
 
     def read_and_pause(wait_s: float) -> bytes:
+        nonlocal paused_s
         data = read(wait_s)
         if firmware.mute and len(firmware.requests) == MAX_TRIES:
             firmware.reply_late()
-            time.sleep(1.5 * RETRY_S)
+            paused_s = 1.5 * RETRY_S
         return data
 
     monkeypatch.setattr(bench.port, "read", read_and_pause)
+    monkeypatch.setattr(exchange_module, "time", clock)
     replied = bench.exchange.request(number_request(Type.CLOCK, 77))
     assert ClockReply.unpack(replied.payload).nonce == 77
 
