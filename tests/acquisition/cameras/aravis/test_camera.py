@@ -289,6 +289,25 @@ def test_exposure_is_set_now_or_when_the_camera_is_back(bench: Bench) -> None:
     assert bench.connection.config.exposure_by == "trigger-width"
 
 
+def test_an_exposure_that_is_set_while_the_camera_is_opened_comes_before_its_slots(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench.camera.set_exposure(CameraExposure((900.0,), 6.0))
+    bench.camera.start(bench.events)
+    exposed: list[float] = []
+
+    def arm_meanwhile(connection: StandInConnection, _share: PortShare) -> None:
+        bench.camera.set_exposure(CameraExposure((80.0,), 0.0))
+        bench.camera.queue(SLOTS[0])
+        connection.stream.queue = lambda _slot: exposed.append(connection.config.exposure_us)  # type: ignore[method-assign]
+
+    monkeypatch.setattr(StandInConnection, "configure", arm_meanwhile)
+    bench.lose()
+    bench.next(CameraBack)
+    bench.wait(lambda: bool(exposed))
+    assert exposed == [80.0]
+
+
 def test_the_supervisor_does_not_write_an_exposure_that_is_being_written(bench: Bench) -> None:
     checked = threading.Event()
 

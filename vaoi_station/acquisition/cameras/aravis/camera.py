@@ -236,7 +236,7 @@ class AravisCamera:
                 continue
             try:
                 self._check(self._connection)
-                # Exposure or gain may have been set while the camera was being opened with the values of before.
+                # A refusal leaves a part of the refused values in the camera.
                 with self._setting:
                     self._bring_up_to_date(self._connection)
                 if time.monotonic() >= temperature_due_s:
@@ -314,6 +314,21 @@ class AravisCamera:
         except VaoiError as error:
             self._fault = error
             return False
+        try:
+            # Exposure or gain may have been set while the camera was opened with the values of before. Slots follow
+            # them: no frame of a board may have those values.
+            with self._setting:
+                self._bring_up_to_date(connection)
+                self._take_over(connection, reading)
+        except DeviceError as error:
+            self._fault = error
+            connection.close()
+            return False
+        self._last_reply_s = self._last_controlled_s = time.monotonic()
+        return True
+
+    def _take_over(self, connection: Connection, reading: ClockReading) -> None:
+        """Report that the camera is back, and give it the slots that waited for it."""
         with self._lock:
             # The clock reading must be in the queue before the first frame: it begins an epoch with a new clock model.
             self._arrivals.put(CameraBack(self.number, time.monotonic(), reading))
@@ -321,8 +336,6 @@ class AravisCamera:
             for slot in waiting:
                 connection.stream.queue(slot)
             self._connection = connection
-        self._last_reply_s = self._last_controlled_s = time.monotonic()
-        return True
 
     def _connect(self) -> tuple[Connection, ClockReading]:
         # All objects are built anew: with the old ones `start_acquisition` raises nothing after a reconnection, and no
