@@ -44,9 +44,12 @@ class ScriptedDevice:
     refuses: bool = False
     fired: int = 0
     exposures: list[tuple[float, float]] = field(default_factory=list)
+    refused: list[tuple[float, float]] = field(default_factory=list)
 
     def set_exposure(self, wanted: CameraExposure) -> None:
-        self.exposures.append((wanted.exposures_us[0], wanted.gain_db))
+        if (value := (wanted.exposures_us[0], wanted.gain_db)) in self.refused:
+            raise DeviceError(f"the camera refuses {value[0]:g} µs.")
+        self.exposures.append(value)
 
     def rewind(self) -> None:
         """Do nothing: there is no sequencer."""
@@ -55,9 +58,8 @@ class ScriptedDevice:
         self.slots.append(slot)
 
     def take_back(self) -> list[int]:
-        numbers = [s.number for s in self.slots]
-        self.slots.clear()
-        return numbers
+        slots, self.slots = self.slots, []
+        return [s.number for s in slots]
 
     def arm(self, plan: TriggerPlan) -> None:
         if self.refuses:

@@ -9,7 +9,7 @@ import pytest
 
 from tests.acquisition.process.test_session import SessionBench, session_bench
 from vaoi_station.acquisition.cameras.interface import Arrival, CameraExposure
-from vaoi_station.acquisition.controller.interface import RunEnded
+from vaoi_station.acquisition.controller.interface import BarrierBlocked, RunEnded
 from vaoi_station.acquisition.process.messages import (
     BoardMissed,
     FireTrial,
@@ -80,6 +80,40 @@ def test_what_is_refused_leaves_the_memory_unused(bench: SessionBench) -> None:
     bench.session.fire_trial(TRIAL, 2.0)
     with pytest.raises(StateError, match="a pulse is under way"):
         bench.session.fire_trial(TRIAL, 2.1)
+
+
+def test_a_camera_that_refuses_leaves_no_camera_with_settings_on_trial(bench: SessionBench) -> None:
+    own = (250.0, 0.0)
+    bench.cameras[1].refused = [(900.0, 6.0)]
+    swapped = replace(TRIAL, exposures=(TRIAL.exposures[0], CameraExposure((900.0,), 6.0)))
+    with pytest.raises(DeviceError, match="the camera refuses 900"):
+        bench.session.fire_trial(swapped, 1.0)
+    assert (bench.controller.fired, bench.session.trial.is_under_way) == (0, False)
+    assert [camera.exposures[-1] for camera in bench.cameras] == [own, own]
+
+
+def test_a_camera_that_was_going_away_gets_the_settings_of_the_station_when_it_is_back(bench: SessionBench) -> None:
+    own = (250.0, 0.0)
+    bench.session.fire_trial(TRIAL, 1.0)
+    frames_of(bench, 1.0)
+    bench.cameras[0].refused = [own]
+    with pytest.raises(DeviceError, match="the camera refuses 250"):
+        bench.session.trial.restore()
+    assert [len(camera.exposures) for camera in bench.cameras] == [1, 2], "the other one has its own settings again"
+    bench.cameras[0].refused = []
+    bench.session.trial.camera_back()
+    bench.session.trial.camera_back()
+    assert [camera.exposures[1:] for camera in bench.cameras] == [[own], [own, own]], "once"
+
+
+def test_a_trial_that_comes_while_a_board_passes_leaves_its_passage_as_it_is(bench: SessionBench) -> None:
+    bench.session.grant(Grant("board", 1))
+    bench.session.arm(bench.plan)
+    bench.session.handle_event(BarrierBlocked(0, 9.0), 9.0)
+    with pytest.raises(StateError, match="the station is armed"):
+        bench.session.fire_trial(TRIAL, 9.5)
+    bench.pulse(10.0, 0)
+    assert [r.host_time_s for r in bench.of(RunStarted)] == [9.0]
 
 
 def test_a_pulse_that_the_controller_does_not_report_is_given_up(bench: SessionBench) -> None:

@@ -11,7 +11,7 @@ import pytest
 from tests.runs.conftest import a_head
 from vaoi_station.acquisition.cameras.interface import CameraExposure
 from vaoi_station.acquisition.process import messages
-from vaoi_station.errors import DeviceError, NotFoundError, StateError
+from vaoi_station.errors import DeviceError, InputError, NotFoundError, StateError
 from vaoi_station.model import FrameRecord, Verdict
 from vaoi_station.runs.lighting.lighting import Lighting, TrialSettings
 
@@ -63,6 +63,10 @@ def test_a_trial_gives_the_frame_of_its_camera_and_leaves_nothing_behind(make_ri
         assert rig.peer.expect(messages.EndTrial)
         with pytest.raises(NotFoundError, match="There is no camera 2"):
             lighting.try_settings(2, TrialSettings())
+        with pytest.raises(
+            InputError, match=r"exposure_us is 900000\.0, but must be at most 100000 µs, the trigger period of the line"
+        ):
+            lighting.try_settings(1, TrialSettings(exposure_us=900_000.0))
         rig.arm()
         with pytest.raises(StateError, match="The line is armed"):
             lighting.try_settings(1, TrialSettings())

@@ -247,6 +247,7 @@ class _MainLoop:
             self._session.outages.end(item.camera, item.at_s)
             self._session.sequences.forget(item.camera)
             self._health_is_due = True
+            self._session.trial.camera_back()
         elif isinstance(item, DeviceFault):
             if item.error.code == "events-lost":
                 self._passage.forget_barrier()

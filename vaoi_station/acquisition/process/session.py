@@ -212,8 +212,9 @@ class Session:
     def fire_trial(self, trial: FireTrial, now_s: float) -> None:
         """Fire one pulse with the settings of a trial, into the memory that it brings; raises as `TrialPulse.fire`."""
         self._require_clocks(CLOCK_LIMIT_S)
-        self._passages.begin_single(now_s)
         self.trial.fire(trial, now_s)
+        # Not before: a trial that is refused leaves the passage of a board as it is. Its pulse is not handled yet.
+        self._passages.begin_single(now_s)
         self._outdated.expect_pulse(now_s - CLOCK_LIMIT_S)
 
     def finish_disarming(self, now_s: float) -> None:

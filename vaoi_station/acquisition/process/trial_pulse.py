@@ -6,6 +6,7 @@ board finds the cameras with its own memory and its own exposures.
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable, Sequence
 
@@ -33,6 +34,8 @@ class TrialPulse:
         self._cameras, self._devices, self._slot_queue, self._is_armed = cameras, devices, slot_queue, is_armed
         self._grant: Grant | None = None
         self._unfired = False
+        self._unrestored = False
+        """Whether a camera may have the settings of a trial although those of station.toml were to be set."""
         self.until_s = math.inf
         """Time until which the controller must have reported the pulse; infinite if none is awaited."""
 
@@ -54,8 +57,14 @@ class TrialPulse:
         # The cameras fill slots in their order: those of another run must not come first.
         if self.is_under_way or self._slot_queue.loaded is not None:
             raise StateError("a pulse is under way.", action="Fire again in a moment.")
-        for camera, wanted in zip(self._devices.cameras, trial.exposures, strict=True):
-            camera.set_exposure(wanted)
+        try:
+            for camera, wanted in zip(self._devices.cameras, trial.exposures, strict=True):
+                camera.set_exposure(wanted)
+        except DeviceError:
+            with contextlib.suppress(DeviceError):  # the first error says what is wrong
+                self.restore()
+            raise
+        self._unrestored = False
         self._grant, self._unfired, self.until_s = trial.grant, True, now_s + UNREPORTED_S
         self._slot_queue.load(trial.grant.bay)
         try:
@@ -86,11 +95,28 @@ class TrialPulse:
         return TrialFailed(run, Trouble(DeviceError.code, why, "Check its cable and power."))
 
     def restore(self) -> None:
-        """Set the exposures and gains of station.toml, unless the station is armed: its plan has set others."""
+        """Set the exposures and gains of station.toml, unless the station is armed: its plan has set others.
+
+        Raises:
+            DeviceError: a camera did not take them. All others have them; it gets them when a camera is back.
+        """
+        self._unrestored = False
         if self._is_armed():
             return
+        refusals: list[DeviceError] = []
         for camera, own in zip(self._devices.cameras, self._cameras, strict=True):
-            camera.set_exposure(CameraExposure((own.exposure_us,), own.gain_db))
+            try:
+                camera.set_exposure(CameraExposure((own.exposure_us,), own.gain_db))
+            except DeviceError as error:
+                refusals.append(error)
+        if refusals:
+            self._unrestored = True
+            raise refusals[0]
+
+    def camera_back(self) -> None:
+        """Try `restore` again if a camera did not take its settings: one that was going away has those of the trial."""
+        if self._unrestored and not self.is_under_way:
+            self.restore()
 
     def _give_up(self) -> None:
         assert self._grant is not None

@@ -23,6 +23,9 @@ TRIAL_S = 10.0
 LEAST_BAYS = 2
 """Bays that must be available for a pulse: one for its frames, and one for the board of an order that comes at once."""
 
+_ARMED = frozenset({StationState.ARMED, StationState.FILMING, StationState.BLOCKED})
+"""States in which the cameras have the exposures of a plan."""
+
 
 @dataclass(frozen=True)
 class TrialShot:
@@ -99,11 +102,12 @@ class CameraTrial:
             return False
         if isinstance(report, messages.TrialFailed):
             self._fail(_error(report.why))
-        elif isinstance(report, messages.RunFinished) and self._completion is not None:
-            completion, self._completion = self._completion, None
-            completion.set_result(TrialShot(run, self._bay, report))
         elif isinstance(report, messages.RunFinished):
-            self.release(run)
+            completion, self._completion = self._completion, None
+            if completion is None:
+                self.release(run)  # the caller has given up
+            else:
+                completion.set_result(TrialShot(run, self._bay, report))
         return True
 
     def release(self, run: str) -> None:
@@ -126,10 +130,10 @@ class CameraTrial:
             self._acquisition.send(messages.EndTrial())
 
     def tick(self) -> None:
-        """End a trial whose time is over, or that an armed line has ended."""
-        if self._state() is not StationState.IDLE:
+        """End a trial whose time is over, or that an armed line has ended. Arming that was refused has ended none."""
+        if (state := self._state()) in _ARMED:
             self._until_s = math.inf
-        elif self._bay is None and self._clock() >= self._until_s:
+        elif state is StationState.IDLE and self._bay is None and self._clock() >= self._until_s:
             self.end()
 
     def acquisition_ended(self, description: str) -> None:

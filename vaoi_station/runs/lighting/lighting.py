@@ -103,6 +103,10 @@ class Lighting:
             raise InputError.field("trial", "light", wanted.light, limit)
         exposure_us = own.exposure_us if wanted.exposure_us is None else wanted.exposure_us
         gain_db = own.gain_db if wanted.gain_db is None else wanted.gain_db
+        # A longer exposure could still be under way when the line is armed, and its frame would not be awaited.
+        if exposure_us > (most_us := self._config.line.trigger_period_s * 1e6):
+            limit = f"at most {most_us:.0f} µs, the trigger period of the line"
+            raise InputError.field("trial", "exposure_us", exposure_us, limit)
         exposures = [CameraExposure((c.exposure_us,), c.gain_db) for c in cameras]
         exposures[camera] = CameraExposure((exposure_us,), gain_db)
         light = wanted.light or next(iter(self._config.controller.light_sequence), "")
