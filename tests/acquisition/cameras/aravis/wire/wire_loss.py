@@ -13,7 +13,7 @@ from tests.acquisition.cameras.aravis.wire.stage import Device, Stage, noise, th
 from vaoi_station.acquisition.cameras.aravis import camera as camera_module
 from vaoi_station.acquisition.cameras.aravis.camera import AravisCamera
 from vaoi_station.acquisition.cameras.aravis.connection import Connection
-from vaoi_station.acquisition.cameras.interface import Arrival, CameraBack, CameraLost
+from vaoi_station.acquisition.cameras.interface import Arrival, CameraBack, CameraExposure, CameraLost
 from vaoi_station.backoff import BackoffPolicy
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import DeviceError
@@ -32,6 +32,7 @@ def test_a_camera_that_is_killed_comes_back_and_the_others_lose_nothing(
     mortal.show(noise(2))
     stage = opened(station(steady, mortal, exposure_us=777.0))
     stage.load()
+    stage.cameras[1].set_exposure(CameraExposure((900.0,), 6.0))
     before_s = time.monotonic()
     mortal.unplug()
     sent: list[int] = []
@@ -69,6 +70,7 @@ def test_a_camera_that_is_killed_comes_back_and_the_others_lose_nothing(
     for _ in range(20):
         pulse()
 
+    stage.cameras[1].set_exposure(CameraExposure((777.0,), 0.0))
     mortal.plug()
     back_s = time.monotonic()
     while len(news) == 1:
