@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from tests.runs.conftest import a_head
-from vaoi_station.acquisition.cameras.interface import CameraExposure
+from vaoi_station.acquisition.cameras.interface import CameraExposure, CameraHealth, CameraLimits
 from vaoi_station.acquisition.process import messages
 from vaoi_station.errors import DeviceError, InputError, NotFoundError, StateError
 from vaoi_station.model import FrameRecord, Verdict
@@ -67,6 +67,16 @@ def test_a_trial_gives_the_frame_of_its_camera_and_leaves_nothing_behind(make_ri
             InputError, match=r"exposure_us is 900000\.0, but must be at most 100000 µs, the trigger period of the line"
         ):
             lighting.try_settings(1, TrialSettings(exposure_us=900_000.0))
+        limits = CameraLimits((10.0, 5000.0), (0.0, 0.0))
+        health = messages.Health((CameraHealth(True), CameraHealth(True, limits=limits)), "", 1.0)
+        rig.peer.report(health)
+        rig.wait_for(lambda: rig.coordinator.snapshot().cameras, "the limits of the cameras")
+        for settings, wrong in (
+            (TrialSettings(gain_db=6.0), "gain_db is 6.0"),
+            (TrialSettings(exposure_us=9000.0), "exposure_us is 9000.0"),
+        ):
+            with pytest.raises(InputError, match=f"trial: {wrong}, but must be .*, the limits that camera c1 states"):
+                lighting.try_settings(1, settings)
         rig.arm()
         with pytest.raises(StateError, match="The line is armed"):
             lighting.try_settings(1, TrialSettings())

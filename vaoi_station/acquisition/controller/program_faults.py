@@ -15,6 +15,9 @@ from vaoi_station.acquisition.cameras.interface import (
 from vaoi_station.errors import InputError
 from vaoi_station.model import ProgramRow
 
+OF_PROGRAM = ("trigger plan", "program.{step}.")
+"""What states the values of a light program, and what precedes the name of a field, in messages."""
+
 MOST_SHOWN = 5
 """Largest number of faults that the message of one error names."""
 
@@ -59,7 +62,7 @@ def beyond_camera(
     limits: CameraLimits,
     camera: int,
     label: str,
-    by_program: bool = True,
+    names: tuple[str, str] = OF_PROGRAM,
 ) -> Iterator[ProgramFault]:
     """Yield what a camera refuses of its exposures and gains when the line is armed, with the limits it has stated.
 
@@ -69,7 +72,8 @@ def beyond_camera(
         limits: what the camera has stated.
         camera: its number.
         label: its name in messages.
-        by_program: whether the values are those of a program's steps; else they are those of station.toml.
+        names: what states the values, and what precedes the name of a field, in messages; by default the steps of a
+            program.
     """
     if len(wanted.sequence) > (limits.sets or 0):
         limit = f"at most {limits.sets}, the sets of the sequencer of {label}"
@@ -87,9 +91,6 @@ def beyond_camera(
             spare = 0.0 if exactly else near
             if bounds is not None and not bounds[0] - spare <= value <= bounds[1] + spare:
                 limit = f"{bounds[0]:g} … {bounds[1]:g} {unit}, the limits that {label} states"
-                if by_program:
-                    error = InputError.field("trigger plan", f"program.{n}.{key}", value, limit)
-                    yield ProgramFault(error, n, key, camera)
-                else:
-                    error = InputError.field("station.toml", f"cameras.{camera}.{key}", value, limit)
-                    yield ProgramFault(error, camera=camera)
+                field = names[1].format(step=n) + key
+                error = InputError.field(names[0], field, value, limit)
+                yield ProgramFault(error, n, key, camera) if names == OF_PROGRAM else ProgramFault(error, camera=camera)

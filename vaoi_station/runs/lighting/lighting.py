@@ -9,6 +9,7 @@ from typing import Any, NamedTuple, Protocol
 from numpy.typing import NDArray
 
 from vaoi_station.acquisition.cameras.interface import CameraExposure
+from vaoi_station.acquisition.controller.program_faults import beyond_camera
 from vaoi_station.acquisition.process.messages import FireTrial, Grant, Health
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import DeviceError, InputError, NotFoundError, StateError
@@ -80,7 +81,7 @@ class Lighting:
         shot_s: float = SHOT_S,
     ) -> None:
         """Connect the parts; `core` is used in the thread of `inbox`. A pulse is awaited for `shot_s`."""
-        self._config, self._ring, self._inbox, self._trial = config, ring, inbox, core.trial
+        self._config, self._ring, self._inbox, self._core, self._trial = config, ring, inbox, core, core.trial
         self._shot_s = shot_s
         self.programs = LightPrograms(config, px_per_mm, lambda: inbox.ask(core.devices))
 
@@ -109,6 +110,7 @@ class Lighting:
             raise InputError.field("trial", "exposure_us", exposure_us, limit)
         exposures = [CameraExposure((c.exposure_us,), c.gain_db) for c in cameras]
         exposures[camera] = CameraExposure((exposure_us,), gain_db)
+        self._require_limits(camera, exposures[camera])
         light = wanted.light or next(iter(self._config.controller.light_sequence), "")
         on_us = wanted.on_us if wanted.on_us is not None or light not in known else known[light].on_us
         shot = self._fire(FireTrial(Grant("", 0), tuple(exposures), light, on_us))
@@ -121,6 +123,16 @@ class Lighting:
         finally:
             self._inbox.post(self._trial.release, shot.run)
         return TrialPicture(pixels, light, on_us, exposure_us, gain_db)
+
+    def _require_limits(self, camera: int, wanted: CameraExposure) -> None:
+        """Raise InputError if a value is beyond the limits that the camera has stated, as for a light program."""
+        # The camera may take such a value, and do something else.
+        health = self._inbox.ask(self._core.devices)
+        limits = health.cameras[camera].limits if health is not None else None
+        if limits is not None:
+            label = self._config.cameras[camera].label
+            for fault in beyond_camera(wanted, (wanted.gain_db,), limits, camera, label, ("trial", "")):
+                raise fault.error
 
     def end_trial(self) -> None:
         """Set the exposures of station.toml again."""

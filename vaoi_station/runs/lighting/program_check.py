@@ -12,7 +12,12 @@ from vaoi_station.acquisition.controller.filming_plan import (
     longest_lit_us,
 )
 from vaoi_station.acquisition.controller.interface import FirmwareLimits, TriggerPlan
-from vaoi_station.acquisition.controller.program_faults import ProgramFault, beyond_camera, unknown_lights
+from vaoi_station.acquisition.controller.program_faults import (
+    OF_PROGRAM,
+    ProgramFault,
+    beyond_camera,
+    unknown_lights,
+)
 from vaoi_station.acquisition.controller.serial.device_program import on_limits_us, program_faults
 from vaoi_station.acquisition.process.messages import Health
 from vaoi_station.config import CameraConfig, StationConfig
@@ -103,9 +108,8 @@ class LightPrograms:
         for n, (wanted, camera) in enumerate(zip(exposures_of(plan, self._config), health.cameras, strict=False)):
             if camera.limits is not None:
                 gains_db, label = [row.gains_db[n] for row in plan.program], self._config.cameras[n].label
-                faults += beyond_camera(
-                    wanted, gains_db or [wanted.gain_db], camera.limits, n, label, by_program=bool(plan.program)
-                )
+                names = OF_PROGRAM if plan.program else ("station.toml", f"cameras.{n}.")
+                faults += beyond_camera(wanted, gains_db or [wanted.gain_db], camera.limits, n, label, names)
         return faults
 
     def _unchecked(self, plan: TriggerPlan, health: Health | None) -> tuple[str, ...]:
