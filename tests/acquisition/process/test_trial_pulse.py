@@ -99,7 +99,7 @@ def test_a_camera_that_was_going_away_gets_the_settings_of_the_station_when_it_i
     bench.cameras[0].refused = [own]
     with pytest.raises(DeviceError, match="the camera refuses 250"):
         bench.session.trial.restore()
-    assert [len(camera.exposures) for camera in bench.cameras] == [1, 2], "the other one has its own settings again"
+    assert [len(camera.exposures) for camera in bench.cameras] == [1, 2], "the other one is set back"
     bench.cameras[0].refused = []
     bench.session.trial.camera_back()
     bench.session.trial.camera_back()

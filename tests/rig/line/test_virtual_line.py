@@ -21,11 +21,12 @@ from vaoi_station.rig.line.extra_frames import FrameRequest
 from vaoi_station.rig.line.feeder import BoardFeeder
 from vaoi_station.rig.line.rendered_boards import RenderedBoard
 from vaoi_station.rig.line.scenarios import lighting_of
-from vaoi_station.rig.line.virtual_line import LINE_READY, FrameFaults, VirtualLine, wall_clock_ns
+from vaoi_station.rig.line.virtual_line import LINE_READY, BoardPassage, FrameFaults, VirtualLine, wall_clock_ns
 from vaoi_station.simulation import Scenario
 
 RING_LIGHT = Step(0b0001, 500)
 """250 us in ticks: as long as the exposure."""
+PATIENCE_S = 10.0
 
 
 @dataclass
@@ -54,6 +55,16 @@ def line(small: Scenario, built: Path, tmp_path: Path) -> Iterator[Line]:
             yield Line(stage, chip, host, rows, views)
 
 
+def pass_by(line: Line, rendered: RenderedBoard) -> BoardPassage:
+    """Let a board pass, and wait for all its pulses: the chip's clock may lag behind on a loaded machine."""
+    passage = line.stage.start_passage(rendered)
+    line.host.wait(rendered.duration_s + 0.3)
+    deadline_s = time.monotonic() + PATIENCE_S
+    while len(passage.fired) < rendered.rows and time.monotonic() < deadline_s:
+        line.host.wait(0.1)
+    return passage
+
+
 def test_the_cameras_clock_is_read_without_a_gap_between_two_clocks() -> None:
     """Sixty times, whatever else this computer does: all within what a clock is corrected by meanwhile."""
     now_ns = time.monotonic_ns()
@@ -67,8 +78,7 @@ def test_every_pulse_comes_when_its_frames_were_rendered_for(
 ) -> None:
     line.host.arm(small, (RING_LIGHT,))
     for board, rendered in enumerate(boards):
-        passage = line.stage.start_passage(rendered)
-        line.host.wait(rendered.duration_s + 0.3)
+        passage = pass_by(line, rendered)
         assert [fired.row for fired in passage.fired] == list(range(rendered.rows))
         assert max(abs(fired.offset_us) for fired in passage.fired) < 1.0
         assert {fired.note for fired in passage.fired} == {""}
@@ -86,8 +96,7 @@ def test_every_pulse_comes_when_its_frames_were_rendered_for(
 def test_light_is_what_the_leds_did(line: Line, small: Scenario, boards: tuple[RenderedBoard, ...]) -> None:
     """Half as long, on another channel, and not at all."""
     line.host.arm(small, (Step(0b0001, 250), Step(0b0010, 500), Step(0, 0), RING_LIGHT))
-    passage = line.stage.start_passage(boards[0])
-    line.host.wait(boards[0].duration_s + 0.3)
+    passage = pass_by(line, boards[0])
     assert [fired.brightness[0] for fired in passage.fired[:4]] == [pytest.approx(0.5, abs=0.002), 0.0, 0.0, 1.0]
     assert [bool(fired.note) for fired in passage.fired[:4]] == [False, True, False, False]
     assert "LED channels (1,) were lit, not those of 'ring'" in passage.fired[1].note

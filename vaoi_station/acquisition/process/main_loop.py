@@ -242,12 +242,11 @@ class _MainLoop:
             self._send(trouble_report(item.error))
             self._health_is_due = True
         elif isinstance(item, CameraBack):
-            # The reading is added first: it dates the next arrival, if the clock has restarted.
-            self._clocks[1 + item.camera].add(item.reading)
+            self._clocks[1 + item.camera].add(item.reading)  # First: it dates the next arrival of a restarted clock.
             self._session.outages.end(item.camera, item.at_s)
             self._session.sequences.forget(item.camera)
-            self._health_is_due = True
             self._session.trial.camera_back()
+            self._health_is_due = True
         elif isinstance(item, DeviceFault):
             if item.error.code == "events-lost":
                 self._passage.forget_barrier()

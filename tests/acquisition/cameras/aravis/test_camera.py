@@ -299,7 +299,12 @@ def test_an_exposure_that_is_set_while_the_camera_is_opened_comes_before_its_slo
     def arm_meanwhile(connection: StandInConnection, _share: PortShare) -> None:
         bench.camera.set_exposure(CameraExposure((80.0,), 0.0))
         bench.camera.queue(SLOTS[0])
-        connection.stream.queue = lambda _slot: exposed.append(connection.config.exposure_us)  # type: ignore[method-assign]
+
+        def note(slot: Slot) -> None:
+            del slot
+            exposed.append(connection.config.exposure_us)
+
+        connection.stream.queue = note  # type: ignore[method-assign]
 
     monkeypatch.setattr(StandInConnection, "configure", arm_meanwhile)
     bench.lose()

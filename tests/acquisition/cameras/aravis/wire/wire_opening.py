@@ -165,4 +165,4 @@ def test_a_clock_that_can_be_latched_is_read(device: Plug, station: Make, opened
     offsets = [reading.device_s - reading.host_s for reading in readings]
     slack_s = 5e-3 + max(reading.bound_s for reading in readings)
     assert max(offsets) - min(offsets) < slack_s
-    assert min(reading.bound_s for reading in readings) > 1e-5, "it goes over the wire"
+    assert min(reading.bound_s for reading in readings) > 1e-6, "it goes over the wire"
