@@ -56,6 +56,29 @@ def test_linked_points_have_the_cad_places_of_the_reference(workshop: Any) -> No
     assert points.px_per_mm == pytest.approx(10.0)
 
 
+def test_points_beside_the_board_are_left_out(workshop: Any) -> None:
+    """A bed or a belt lies elsewhere under every board: its links would move the board."""
+    camera = workshop.camera()
+    cad = np.array([[5.0, 3.0], [18.0, 12.0], [0.5, 8.0], [-2.0, 8.0], [12.0, 23.0]])
+    px = camera.project(apply(PLANE.matrix(C), cad))
+    points = cad_points([links(Task("reference", (0, 0), (0, 0)), px, px)], (camera,), PLANE, reference())
+    # The patch of the third one, 12 px of 0.1 mm, reaches beyond the outline.
+    np.testing.assert_allclose(points.cad, PLANE.flat(cad[:2]), atol=1e-9)
+
+
+def test_the_reference_keeps_the_cameras_of_its_own_run(workshop: Any) -> None:
+    """A camera that was pushed since, with its old calibration: the reference's points lie where they lay."""
+    camera = workshop.camera()
+    then = np.array([[1.0, 0, 3.0], [0, 1, -2.0], [0, 0, 1]]) @ camera.image_from_row.matrix
+    earlier = reference()
+    earlier = replace(earlier, stitch=earlier.stitch.model_copy(update={"camera_matrices": (then,)}))
+    cad = np.array([[5.0, 3.0], [18.0, 12.0]])
+    ground = apply(PLANE.matrix(C), cad)
+    seen = links(Task("reference", (0, 0), (0, 0)), camera.project(ground), camera.project(ground) + (3.0, -2.0))
+    points = cad_points([seen], (camera,), PLANE, earlier)
+    np.testing.assert_allclose(points.cad, PLANE.flat(cad), atol=1e-9)
+
+
 def test_many_links_on_one_part_know_its_place_no_better_than_it_is_placed(workshop: Any) -> None:
     """Parts lie elsewhere on every board: 200 links on one would outweigh all fiducials."""
     part = {"ref": "U1", "center": [10.0, 8.0], "width": 6.0, "height": 4.0, "rotation": 0.0}

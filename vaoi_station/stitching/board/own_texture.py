@@ -27,7 +27,7 @@ MOST_BESIDE = 0.03
 """Largest share of links beside the board that need not be left out: the robust loss copes with them."""
 _MARGIN_MM = 1.0
 """Links outside the outline by more than this lie beside the board; errors of C and of cutting are smaller."""
-_HALF_PATCH_PX = 12.0
+HALF_PATCH_PX = 12.0
 """Links on the board that are nearer to the outline than this measure a mixture of board and surroundings."""
 _EDGE_NEAR_MM = 0.5
 """Largest distance between a side's edge in the pictures and its position by C, due to cutting and fiducials."""
@@ -61,11 +61,15 @@ def beside(plane: BoardPlane, c: Floats, board_mm: Floats, margin_mm: float = _M
 
     With a negative margin, points inside the outline and nearer to it than the margin count as outside too.
     """
-    polygons = outline_polygons(plane.board_type)
+    return beside_in_cad(plane.board_type, apply(np.linalg.inv(plane.matrix(c)), board_mm), margin_mm)
+
+
+def beside_in_cad(board_type: BoardType, cad: Floats, margin_mm: float) -> NDArray[np.bool_]:
+    """Return the same as `beside` for points (k, 2) in CAD coordinates."""
+    polygons = outline_polygons(board_type)
     # A board type with fixture marks describes its carrier: links there are meant to be used.
-    if not polygons or plane.board_type.fixture_marks:
-        return np.zeros(len(board_mm), np.bool_)
-    cad = apply(np.linalg.inv(plane.matrix(c)), board_mm)
+    if not polygons or board_type.fixture_marks:
+        return np.zeros(len(cad), np.bool_)
     ends = polygons[0]
     inside, near = np.zeros(len(cad), np.bool_), np.full(len(cad), np.inf)
     x, y = cad.T
@@ -76,7 +80,7 @@ def beside(plane: BoardPlane, c: Floats, board_mm: Floats, margin_mm: float = _M
         inside ^= crosses & (x < ax + (y - ay) * way[0] / (way[1] if way[1] else np.inf))
         along = np.clip(((x - ax) * way[0] + (y - ay) * way[1]) / max(float(way @ way), 1e-12), 0, 1)
         near = np.minimum(near, np.hypot(x - ax - along * way[0], y - ay - along * way[1]))
-    depth = np.where(inside, near, -near) * plane.board_type.mm_per_unit
+    depth = np.where(inside, near, -near) * board_type.mm_per_unit
     return np.asarray(depth < -margin_mm)
 
 
@@ -91,8 +95,7 @@ def links_on_board(
     plane: BoardPlane, c: Floats, links: Observations, motion: Motion, px_per_mm: float
 ) -> NDArray[np.int_]:
     """Return the indices of the links whose patches lie wholly on the board."""
-    half = _HALF_PATCH_PX / px_per_mm
-    return np.flatnonzero(~beside(plane, c, motion.board(links.p, links.a_mm), -half))
+    return np.flatnonzero(~beside(plane, c, motion.board(links.p, links.a_mm), -HALF_PATCH_PX / px_per_mm))
 
 
 def without_seams_beside(plane: BoardPlane, problem: Problem, motion: Motion, c: Floats) -> Problem:

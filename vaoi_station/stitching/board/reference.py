@@ -20,6 +20,7 @@ from vaoi_station.model import ReasonCode, Stitch
 from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.adjustment.problem import REFERENCE, FiducialPoints
 from vaoi_station.stitching.board.board_plane import BoardPlane
+from vaoi_station.stitching.board.own_texture import HALF_PATCH_PX, beside_in_cad
 from vaoi_station.stitching.matching.evidence import FrameKey, Links, Task
 
 _SCATTER_PX = 0.03
@@ -60,18 +61,19 @@ def cad_points(
 ) -> FiducialPoints:
     """Convert links to the reference into observations of points with CAD coordinates.
 
-    The reference run gives the CAD coordinates of each linked point.
+    The reference run gives the CAD coordinates of each linked point. Points beside the board are left out: a bed, a
+    belt or a carrier is not at the same place for every board.
     """
     rows, ground, lean, cad, places, sigma, resolution, seen_by = [], [], [], [], [], [], [], []
-    c = reference.stitch.cad_matrix
-    assert c is not None
     for e in links:
         if not len(e.a_px) or e.task.b is None:
             continue
         camera, row = cameras[e.task.a[0]], e.task.a[1]
         here = camera.ground(e.a_px)
-        there = _on_board(camera.ground(e.b_px), camera, reference.stitch, e.task.b[1], c)
-        px = np.sqrt(np.maximum(np.trace(np.linalg.inv(e.information), axis1=1, axis2=2) / 2, 0))
+        there = _on_board(e.b_px, camera, reference.stitch, e.task.b)
+        own = ~beside_in_cad(plane.board_type, there, -HALF_PATCH_PX / camera.px_per_mm)
+        here, there = here[own], there[own]
+        px = np.sqrt(np.maximum(np.trace(np.linalg.inv(e.information[own]), axis1=1, axis2=2) / 2, 0))
         # The mean of a frame's n links has the variance σ²/n + shared². Each link carries a part of the shared error.
         single = np.hypot(px, _SCATTER_PX) * np.sqrt(1 + len(px) * (_SHARED_PX / _SCATTER_PX) ** 2)
         rows.append(np.full(len(here), row))
@@ -102,12 +104,17 @@ def cad_points(
     )
 
 
-def _on_board(ground_mm: Floats, camera: Camera, stitch: Stitch, row: int, c: Floats) -> Floats:
-    """Return the CAD coordinates (k, 2) of ground points (k, 2) that a camera saw in a row of the reference.
+def _on_board(px: Floats, camera: Camera, stitch: Stitch, key: FrameKey) -> Floats:
+    """Return the CAD coordinates (k, 2) of pixels (k, 2) of a frame of the reference.
 
-    The reference's board was not exactly in the calibrated plane. Its surface is used to correct the parallax.
+    Its camera is taken with the N_i that it had in that run: since then it may have moved, or have been calibrated
+    again. The reference's board was not exactly in the calibrated plane. Its surface is used to correct the parallax.
     """
-    cad_from_row = np.linalg.inv(c) @ np.linalg.inv(stitch.row_motion[row])
+    assert stitch.cad_matrix is not None
+    ground_mm = camera.ground(px)
+    if stitch.camera_matrices is not None:
+        ground_mm = apply(np.linalg.inv(np.asarray(stitch.camera_matrices[key[0]])), camera.lens.undistort(px))
+    cad_from_row = np.linalg.inv(stitch.cad_matrix) @ np.linalg.inv(stitch.row_motion[key[1]])
     cad = apply(cad_from_row, ground_mm)
     if stitch.surface is None:
         return cad
