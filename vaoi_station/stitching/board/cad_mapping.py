@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats, apply
@@ -232,18 +233,23 @@ def _without_surroundings(
     """Estimate the motion from the links on a board at position `c`, and find C with it; None if no C is found.
 
     Both are repeated until they agree with the links that were selected: with the motion of a belt, a position in a
-    later row is taken for that in the first one, and links beside the board for its own.
+    later row is taken for that in the first one, and links beside the board for its own. If two selections lead to each
+    other, only the links that both contain are used: a row that is linked by its surroundings alone has no place.
     """
     coarsest = min(camera.px_per_mm for camera in scene.cameras)
     share = shares_beside(plane, c, problem.links, moved.motion)[0]
-    motion, on_board = moved, np.zeros(0, np.int_)
-    for _ in range(_SELECTIONS):
+    motion, agreed, earlier = moved, True, list[NDArray[np.int_]]()
+    while agreed:
         chosen = links_on_board(plane, c, problem.links, motion.motion, coarsest)
+        if earlier and np.array_equal(chosen, earlier[-1]):
+            break
+        agreed = len(earlier) + 1 < _SELECTIONS and not any(np.array_equal(chosen, other) for other in earlier)
+        if not agreed:
+            chosen = np.intersect1d(chosen, earlier[-1])
         if len(chosen) < _LEAST_OWN_LINKS:
             return None
-        if np.array_equal(chosen, on_board):
-            break
-        own, on_board = problem.select(chosen), chosen
+        own = problem.select(chosen)
+        earlier.append(chosen)
         motion = motion_from_links(own, motion.motion)
         found = _c_from_detections(plane, scene, motion, replace(known, texture_mm=board_texture(own.links, motion)))
         if isinstance(found, Failure):
@@ -255,7 +261,7 @@ def _without_surroundings(
         and outline.visible
         and outline_confirmed(plane.board_type, plane.matrix(guess.c), scene, motion.motion)
     )
-    others = problem.links.select(np.setdiff1d(np.arange(len(problem.links)), on_board))
+    others = problem.links.select(np.setdiff1d(np.arange(len(problem.links)), earlier[-1]))
     return _OwnTexture(own, motion, (guess, known.detections, outline), LeftOut(share, confirmed, others))
 
 
