@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.stitching.adjustment.camera_prior import attribute_motion
+from vaoi_station.stitching.adjustment.camera_prior import attribute_motion, prior_weights, spread_of_unseen_motion
 
 SIGMA_PX = 0.02
 
@@ -51,3 +51,35 @@ def test_a_motion_of_the_whole_array_is_not_attributed() -> None:
     found = attribute_motion(*between_neighbours(np.full((4, 3), 7.0)))
     assert found.moved == ()
     assert found.displacement_px == pytest.approx(np.zeros((4, 3)), abs=1e-6)
+
+
+STILL_PX = 0.006
+
+
+@pytest.mark.parametrize(("shown_px", "seen_at_px"), [(0.002, 0.0), (0.05, 0.0), (0.3, 0.1), (2.0, 0.0)])
+def test_the_spread_of_an_unseen_motion_is_that_of_the_whole_distribution(shown_px: float, seen_at_px: float) -> None:
+    """Compare with displacements drawn from the prior and weighted by the likelihood of what the run shows."""
+    information = np.eye(6) / shown_px**2
+    seen = np.array([seen_at_px, 0, 0, 0, 0, 0])
+    still, estimate = np.full(2, STILL_PX), np.zeros((2, 3))
+    spread = spread_of_unseen_motion(
+        information, information @ seen, estimate, prior_weights(estimate, STILL_PX), still
+    )
+    g = np.random.default_rng(0)
+    drawn = STILL_PX * g.normal(size=(400_000, 3)) / np.sqrt(g.chisquare(1, (400_000, 1)))
+    # The mixture ends at 128 times its scale, which a prior without variance needs.
+    drawn = drawn[np.hypot.reduce(drawn, axis=1) < 300 * STILL_PX]
+    likely = np.exp(-((drawn - seen[:3]) ** 2).sum(1) / (2 * shown_px**2))
+    whole = np.einsum("k,ki,kj->ij", likely, drawn, drawn) / likely.sum()
+    alone = 1 / (1 / shown_px**2 + prior_weights(estimate, STILL_PX)[0])
+    expected = np.maximum(np.diag(whole) - alone, 0)
+    assert np.diag(spread)[:3] == pytest.approx(expected, rel=0.5, abs=(0.1 * STILL_PX) ** 2)
+
+
+def test_a_camera_that_many_links_show_has_no_unseen_motion() -> None:
+    information, vector = between_neighbours(np.zeros((3, 3)))
+    estimate = np.zeros((3, 3))
+    spread = spread_of_unseen_motion(
+        information * 400, vector, estimate, prior_weights(estimate, STILL_PX), np.full(3, STILL_PX)
+    )
+    assert np.sqrt(np.diag(spread).max()) < STILL_PX / 2

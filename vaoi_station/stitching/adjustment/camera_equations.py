@@ -22,7 +22,13 @@ from vaoi_station.compiled import compiled, inlined
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.displacement import PARAMETERS, displace_camera
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.stitching.adjustment.camera_prior import MOVED_PX, most_likely, most_likely_motion, prior_weights
+from vaoi_station.stitching.adjustment.camera_prior import (
+    MOVED_PX,
+    most_likely,
+    most_likely_motion,
+    prior_weights,
+    spread_of_unseen_motion,
+)
 from vaoi_station.stitching.adjustment.envelope import Envelope, NormalEquations, solve_forward, trailing_lines
 from vaoi_station.stitching.adjustment.observations import CameraPairs, Ints, LinkArrays
 from vaoi_station.stitching.adjustment.problem import CameraEstimate, FiducialPoints, Problem
@@ -299,17 +305,22 @@ class MovingCameras:
     def widen(self, covariance: Floats, others: int) -> Floats:
         """Return the covariance widened by the spread of other good explanations of the displacements.
 
-        If two explanations fit equally well, positions are as uncertain as their difference. All other unknowns follow
-        the displacements linearly.
+        If two explanations fit equally well, positions are as uncertain as their difference. Where hardly a link shows
+        a camera, the tails of its prior count as well. All other unknowns follow the displacements linearly.
 
         Args:
             covariance: (m, v, v) for each row, covariance of its unknowns, the shared ones, and the displacements.
             others: number u of unknowns before the displacements.
         """
-        if self._spread is None:
+        # Before the first step there is no information.
+        if not self.unknowns or not self._information.any():
             return covariance
+        weight = prior_weights(self.displacement_px, self._final_px)
+        spread = spread_of_unseen_motion(self._information, self._vector, self.displacement_px, weight, self._final_px)
+        if self._spread is not None:
+            spread = spread + self._spread
         follow = covariance[:, :, others:] @ np.linalg.inv(covariance[0, others:, others:])
-        return np.asarray(covariance + follow @ self._spread @ follow.swapaxes(1, 2))
+        return np.asarray(covariance + follow @ spread @ follow.swapaxes(1, 2))
 
     def estimate(self, covariance: Floats, others: int) -> CameraEstimate | None:
         """Return the estimate of the displacements; None if the cameras are taken as exact.

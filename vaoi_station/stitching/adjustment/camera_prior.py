@@ -29,6 +29,11 @@ _CLOSE = 10.0
 
 Such explanations can name different cameras. Only keystone distortion could decide between them. A camera shows it
 after a turn, but not after a shift."""
+_WIDTHS = 2.0 ** np.arange(-2, 8)
+"""Widths in units of the scale of the t distribution, of the normal distributions of which it is a mixture here."""
+_SHARE_OF_WIDTH = np.exp(-0.5 / _WIDTHS**2) / _WIDTHS
+_SHARE_OF_WIDTH /= _SHARE_OF_WIDTH.sum()
+"""Share of each in the mixture, for one degree of freedom: 1/width² has the distribution χ² of one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,6 +113,49 @@ def _with_rivals(chosen: Attribution, good: list[tuple[float, Attribution]]) -> 
     apart = np.array([a.displacement_px.ravel() - chosen.displacement_px.ravel() for _, a in good])
     spread = np.asarray((apart * (odds / odds.sum())[:, None]).T @ apart, dtype=np.float64)
     return Attribution(chosen.displacement_px, chosen.covariance, tuple(sorted(others)), spread)
+
+
+def spread_of_unseen_motion(
+    information: Floats, vector: Floats, displacement_px: Floats, weight: Floats, still_px: Floats
+) -> Floats:
+    """Return by how much cameras may have moved that the run does not show, beyond the covariance of the estimate.
+
+    The estimate is the maximum of the probability, with the curvature there. For a camera that hardly any link
+    compares with its neighbours, this is the curvature of the prior of a camera that was not moved, although the heavy
+    tails of the prior allow a motion that no link would show. Here each camera's displacement has its whole
+    distribution, as a mixture of normal distributions, while those of the others keep theirs.
+
+    Args:
+        information: (3n, 3n) px⁻², normal matrix of the displacements, without their prior.
+        vector: (3n,) px⁻¹, its right-hand side.
+        displacement_px: (n, 3) the estimated displacements.
+        weight: (n,) px⁻², weights of the prior at these.
+        still_px: (n,) scale of the prior of each camera.
+
+    Returns:
+        (3n, 3n) px², to be added to the covariance of the displacements.
+    """
+    n = len(displacement_px)
+    spread = np.zeros_like(information)
+    whole = information + np.diag(np.repeat(weight, PARAMETERS))
+    unit = np.eye(PARAMETERS)
+    for i in range(n):
+        own = slice(PARAMETERS * i, PARAMETERS * (i + 1))
+        rest = np.delete(np.arange(PARAMETERS * n), np.arange(own.start, own.stop))
+        follow = information[own, rest] @ np.linalg.inv(whole[np.ix_(rest, rest)])
+        alone = information[own, own] - follow @ information[rest, own]
+        right = vector[own] - follow @ vector[rest]
+        width = (_WIDTHS * still_px[i]) ** 2
+        covariance = np.linalg.inv(alone + unit / width[:, None, None])
+        moved = covariance @ right
+        evidence = moved @ right - np.linalg.slogdet(unit + alone * width[:, None, None])[1]
+        share = _SHARE_OF_WIDTH * np.exp((evidence - evidence.max()) / 2)
+        share /= share.sum()
+        apart = moved - displacement_px[i]
+        mixed = np.einsum("k,kij->ij", share, covariance + apart[:, :, None] * apart[:, None, :])
+        size, axes = np.linalg.eigh(mixed - np.linalg.inv(alone + unit * weight[i]))
+        spread[own, own] = axes @ np.diag(np.maximum(size, 0.0)) @ axes.T
+    return spread
 
 
 def prior_weights(displacement_px: Floats, still_px: float | Floats) -> Floats:
