@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.similarity import apply_similarity
 from vaoi_station.model import BoardType
+from vaoi_station.stitching.adjustment import noise_floor as floors
 from vaoi_station.stitching.adjustment import solver as adjustment
 from vaoi_station.stitching.adjustment.initial_motion import chain_links
 from vaoi_station.stitching.adjustment.motion import Motion, nominal_motion
-from vaoi_station.stitching.adjustment.noise_floor import noise_floor
 from vaoi_station.stitching.adjustment.observations import to_observations
 from vaoi_station.stitching.adjustment.problem import AdjustmentResult, FiducialPoints, Problem, SurfaceBasis
 from vaoi_station.stitching.adjustment.solver import adjust, evaluate_at, solve_subsampled
@@ -172,9 +172,9 @@ def test_a_sample_of_many_links_needs_no_other_compiled_variant(bench: Any, monk
     truth = bench(1)
     problem = truth.problem()
     adjust(problem, started(problem))
-    code: Any = noise_floor
+    code: Any = floors.noise_floor
     before = set(code.signatures)
-    monkeypatch.setattr(adjustment, "_FLOOR_SAMPLE", 40)
+    monkeypatch.setattr(floors, "_SAMPLE", 40)
     adjust(problem, started(problem))
     assert set(code.signatures) == before
 

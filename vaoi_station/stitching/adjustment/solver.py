@@ -14,7 +14,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.adjustment.camera_equations import MovingCameras, row_changes
@@ -57,13 +56,11 @@ from vaoi_station.stitching.adjustment.motion import (
     belt_equations,
     let_irregular_steps_free,
 )
-from vaoi_station.stitching.adjustment.noise_floor import noise_floor
+from vaoi_station.stitching.adjustment.noise_floor import NoiseFloors
 from vaoi_station.stitching.adjustment.observations import (
-    Ints,
     cells_of,
     index_in_group,
     linked_steps,
-    median_noise_px,
 )
 from vaoi_station.stitching.adjustment.problem import AdjustmentResult, Problem
 
@@ -83,24 +80,9 @@ perspective of points slightly above the board, and at least the share `_NOISE_S
 links: noise draws matches towards certain fractions of a pixel, which are the same in all rows of two cameras."""
 _LIGHTS_SIGMA_PX = 0.3
 """The same error between rows of different lights: the bright edges of metal move with the lamp."""
-_FLOOR_PX, _FIRST_FLOOR_PX = (0.003, 5.0), 0.05
-"""Smallest and largest noise floor of links, px, and a usual value, used until the noise floor is estimated."""
-_AT_LIMIT, _DISPLACED_FLOOR_PX = 0.99, 60.0
-"""Two values for the noise floor between two cameras whose displacements are unknowns.
-The noise floor counts as limited if it exceeds this share of its upper limit. It is then estimated with the second
-value as upper limit. A turn of a camera by 0.1° causes a displacement of some 35 px, which is below this limit: with a
-lower one, all links of the camera would be rejected before its displacement is estimated."""
-_FLOOR_SAMPLE, _FLOOR_MIN_LINKS, _FLOOR_SEAM_LINKS = 4000, 20, 6
-"""The noise floor of a kind of link is estimated from about `_FLOOR_SAMPLE` links, which gives it to about 2 %.
-It needs at least `_FLOOR_MIN_LINKS` links; `_FLOOR_SEAM_LINKS` between two cameras can only raise it. Otherwise all
-links of a displaced camera would be rejected where the overlap shows few."""
 _FLOOR_STEPS = 6
-"""The noise floor is estimated in the first steps only, up to this number. Then it stays constant, so that steps
+"""The noise floors are estimated in the first steps only, up to this number. Then they stay constant, so that steps
 converge."""
-_SEAM_PX, _NARROWING = 0.04, 3.0
-"""Upper limit of the noise floor between two cameras if a surface is estimated.
-It is `_SEAM_PX`, or the scatter divided by `_NARROWING`, whichever is larger. So the surface follows those links that
-agree with one another. Links on tall components beside the seam become outliers."""
 _HEIGHT_SIGMA_MM, _SUNK_MM = 3.0, 0.1
 """Prior standard deviation of a component's height, and of a height below the board: components do not lie there."""
 _BODY_SCATTER_MM = 0.3
@@ -183,7 +165,6 @@ class _Solver:
         self.n_parts = int(problem.component.max(initial=-1)) + 1
         component = np.where(mixed | (problem.component < 0), -1, problem.component + self.n_parts * between)
         self.heights_mm = np.zeros(2 * self.n_parts)
-        self.floor_px = np.full(1 + self.seams + 1, _FIRST_FLOOR_PX)
         shared = (4 if problem.fiducials else 0) + self.n_surface
         self.shared = np.arange(3 * self.rows, 3 * self.rows + shared)
         """Columns of the unknowns of C and of the surface, which stand after the rows."""
@@ -204,20 +185,8 @@ class _Solver:
         """(k,) standard deviation of the height of each link's point about the modelled height."""
         self.cell = cells_of(np.where(sides, 2 * self.n_parts, component), links.group)
         """(k,) in each pair of frames one number for the links on a component, one for those on sides; else −1."""
-        bare = [self._bare(self.kind == kind) for kind in range(len(self.floor_px))]
-        # Contiguous copies: for slices with a step, Numba would compile another variant while a board waits.
-        self.floor_samples = [np.ascontiguousarray(at[:: max(len(at) // _FLOOR_SAMPLE, 1)]) for at in bare]
-        """Indices of sampled links on the bare board, by kind. The model explains these links: what is left is
-        noise."""
-        self.noise_px = np.array([median_noise_px(links, at) for at in self.floor_samples])
-        """(n,) median image noise of these links, by kind."""
+        self.floors = NoiseFloors(problem, self.kind, self.seams, self.raised)
         self.steps = 0
-
-    def _bare(self, of_kind: NDArray[np.bool_]) -> Ints:
-        """Return indices of the links of a kind on the bare board; near components only if the others are too few."""
-        bare = (self.problem.component < 0) & of_kind
-        surely = np.flatnonzero(bare & ~self.raised)
-        return surely if len(surely) >= _FLOOR_MIN_LINKS else np.flatnonzero(bare)
 
     def run(self, converged_mm: float) -> None:
         """Make steps until one moves no row by `converged_mm` or more, at most `_MAX_STEPS`."""
@@ -237,7 +206,8 @@ class _Solver:
             add_equations(*equations, normal)
         self._compute_residuals()
         # in this order: the noise floor depends on the residuals, and the weights depend on the noise floor
-        self._update_noise_floor()
+        if self.steps <= _FLOOR_STEPS:
+            self.floors.update(self.state.residual, displaceable=bool(self.cameras.unknowns))
         self._compute_weights()
         model = LinkModel(self.heights, self.coupling, self.problem.links.pairs, self.cameras.effects)
         add_links(self.cameras.links, self._motion_arrays(), model, self.state, heights, normal)
@@ -275,35 +245,14 @@ class _Solver:
     def _compute_weights(self) -> None:
         """Compute the robust weights of the links from their current residuals and the noise floor."""
         links = self.problem.links
-        common_px = np.maximum(_PAIR_SIGMA_PX[1], _NOISE_SHARE * self.noise_px)
+        common_px = np.maximum(_PAIR_SIGMA_PX[1], _NOISE_SHARE * self.floors.noise_px)
         common_px[0], common_px[-1] = _PAIR_SIGMA_PX[0], _LIGHTS_SIGMA_PX
-        shared_px = np.maximum(common_px, _PAIR_SHARE * self.floor_px)
+        shared_px = np.maximum(common_px, _PAIR_SHARE * self.floors.px)
         raised = self.raised if self.steps > _FREE_STEPS else np.zeros_like(self.raised)
         noise = NoiseModel(
-            self.kind, self.floor_px, shared_px, _KNEE, _CUT, raised, self.scatter_mm, self.cell, _COMMON_MM
+            self.kind, self.floors.px, shared_px, _KNEE, _CUT, raised, self.scatter_mm, self.cell, _COMMON_MM
         )
         compute_weights(links.arrays, noise, len(links.groups), self.state)
-
-    def _update_noise_floor(self) -> None:
-        """Estimate the noise floor of each kind of link from links on the bare board.
-
-        Each pair of neighbouring cameras is a kind of its own. A lifted board or a displaced camera at first causes a
-        large scatter, but only in the links between the cameras concerned. All other links keep their weight until the
-        surface and the displacements explain this scatter.
-        """
-        if self.steps > _FLOOR_STEPS:
-            return
-        links, (low, high) = self.problem.links, _FLOOR_PX
-        for kind, at in enumerate(self.floor_samples):
-            seam = 0 < kind <= self.seams
-            if len(at) >= (_FLOOR_SEAM_LINKS if seam else _FLOOR_MIN_LINKS):
-                scatter = noise_floor(self.state.residual, links.noise_mm2, links.px_per_mm, at, low, high)
-                if seam and self.cameras.unknowns and scatter > _AT_LIMIT * high:
-                    limits = high, _DISPLACED_FLOOR_PX
-                    scatter = noise_floor(self.state.residual, links.noise_mm2, links.px_per_mm, at, *limits)
-                if seam and self.problem.surface is not None:
-                    scatter = max(min(scatter, _SEAM_PX), scatter / _NARROWING)
-                self.floor_px[kind] = scatter if len(at) >= _FLOOR_MIN_LINKS else max(scatter, _FIRST_FLOOR_PX)
 
     def _belt(self) -> Equations:
         """Return the prior of the motion between consecutive rows: the belt moves at its measured mean velocity.
@@ -373,7 +322,7 @@ class _Solver:
             state.residual * links.px_per_mm[:, None],
             state.robust,
             fiducial_px,
-            float(self.floor_px[0]),
+            float(self.floors.px[0]),
             sigma0,
             self.cameras.displaced_problem(),
             self.cameras.estimate(covariance, u),
