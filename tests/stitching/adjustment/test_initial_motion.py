@@ -54,3 +54,13 @@ def test_links_of_one_row_move_nothing(workshop: Any) -> None:
 def test_connected_rows_form_groups(workshop: Any, pairs: list[tuple[int, int]], groups: list[list[int]]) -> None:
     seen = links(workshop.camera(), dict.fromkeys(pairs, 5.0))
     assert [g.tolist() for g in connected_rows(seen, 5, np.ones(len(seen), dtype=bool))] == groups
+
+
+def test_two_links_connect_no_rows(workshop: Any) -> None:
+    """Two links always fit some motion, whether they are right or not."""
+    seen = links(workshop.camera(), dict.fromkeys([(0, 1), (1, 2)], 5.0))
+    used = np.ones(len(seen), dtype=bool)
+    used[np.flatnonzero(seen.q == 2)[2:]] = False
+    assert [g.tolist() for g in connected_rows(seen, 3, used)] == [[0, 1], [2]]
+    used[np.flatnonzero(seen.q == 2)[2]] = True
+    assert [g.tolist() for g in connected_rows(seen, 3, used)] == [[0, 1, 2]]

@@ -9,6 +9,9 @@ import numpy as np
 from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.adjustment.observations import Observations
 
+_LEAST_LINKS = 3
+"""Least number of links that connect two rows."""
+
 
 def chain_links(nominal: Motion, links: Observations) -> Motion:
     """Estimate the shift of every row from the median of its links to the latest earlier row.
@@ -37,10 +40,12 @@ def chain_links(nominal: Motion, links: Observations) -> Motion:
 def connected_rows(links: Observations, rows: int, used: np.ndarray) -> list[np.ndarray]:
     """Return the groups of rows that are connected by links, as arrays of row indices. A complete run has one group.
 
-    `rows` is the number of rows; `used` selects the links that count.
+    `rows` is the number of rows; `used` selects the links that count. Of a pair of rows, at least `_LEAST_LINKS` count:
+    fewer always fit some motion, so that false ones would connect the rows.
     """
     label = np.arange(rows)
-    for pair in np.unique(links.p[used] * rows + links.q[used]):
+    pairs, count = np.unique(links.p[used] * rows + links.q[used], return_counts=True)
+    for pair in pairs[count >= _LEAST_LINKS]:
         a, b = label[pair // rows], label[pair % rows]
         label[label == max(a, b)] = min(a, b)
     return [np.flatnonzero(label == k) for k in np.unique(label)]

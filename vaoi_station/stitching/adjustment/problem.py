@@ -49,6 +49,10 @@ class FiducialPoints:
         """Number of fixture marks among the points, each counted once."""
         return len(np.unique(self.cad[self.which == FIXTURE], axis=0))
 
+    def place(self, rows: Ints) -> bool:
+        """Return whether at least two different points in these rows place the board there, without any links."""
+        return len(np.unique(self.cad[np.isin(self.row, rows)], axis=0)) >= 2
+
     @staticmethod
     def empty() -> FiducialPoints:
         """Return a set of observed points without any point."""

@@ -14,7 +14,7 @@ from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import VISIBILITY, Surface, Visibility
 from vaoi_station.stitching.adjustment.initial_motion import connected_rows
-from vaoi_station.stitching.adjustment.problem import AdjustmentResult, Problem
+from vaoi_station.stitching.adjustment.problem import AdjustmentResult, FiducialPoints, Problem
 from vaoi_station.stitching.adjustment.surface import to_surface
 from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.cad_mapping import CadMapping
@@ -238,25 +238,21 @@ class Findings:
     @cached_property
     def connected_groups(self) -> list[np.ndarray]:
         """Groups of rows that are connected by links or CAD points. Rows without texture belong to no group."""
-        o = self.problem.links
-        used = (self.adjusted.weight > _USED) & (o.p != o.q)
-        linked = set(np.flatnonzero(np.bincount(np.append(o.p[used], o.q[used]), minlength=self.rows)).tolist())
-        if self.problem.fiducials is not None:
-            linked |= set(self.problem.fiducials.row.tolist())
+        points = self.problem.fiducials or FiducialPoints.empty()
+        marked = set(points.row.tolist())
         # A row that shows only the belt, before or after the board, has no links. It must not count as a second group.
-        groups = [g for g in connected_rows(o, self.rows, used) if any(r in linked for r in g)]
-        fixed = [self._fixed_by_cad(g) for g in groups]
+        every = connected_rows(self.problem.links, self.rows, self._used_between_rows)
+        groups = [g for g in every if len(g) > 1 or g[0] in marked]
+        fixed = [points.place(g) for g in groups]
         # Groups that CAD points fix are connected to one another through C.
         together = [r for g, by_cad in zip(groups, fixed, strict=True) if by_cad for r in g.tolist()]
         apart = [g for g, by_cad in zip(groups, fixed, strict=True) if not by_cad]
         return sorted([np.array(sorted(together)), *apart] if together else apart, key=lambda g: int(g.min()))
 
-    def _fixed_by_cad(self, rows: np.ndarray) -> bool:
-        """Return whether at least two points with known CAD coordinates place these rows, without any links."""
-        points = self.problem.fiducials
-        if points is None:
-            return False
-        return len(np.unique(points.cad[np.isin(points.row, rows)], axis=0)) >= 2
+    @cached_property
+    def _used_between_rows(self) -> np.ndarray:
+        """Which links are between rows and have a weight in the adjustment, (k,)."""
+        return np.asarray((self.adjusted.weight > _USED) & (self.problem.links.p != self.problem.links.q))
 
     @cached_property
     def unknown_rows(self) -> tuple[int, ...]:
@@ -264,19 +260,21 @@ class Findings:
 
         Belts may stop, so that prediction is not relied on. These are the rows of each group that has no CAD point and
         that no link connects with rows placed by CAD points. Rows beside such a group are added if a position in them
-        has a standard deviation above `_PLACED_SIGMA_PX`.
+        has a standard deviation above `_PLACED_SIGMA_PX`, or if all that places them are too few links to connect them.
         """
         if self.mapping is None or not self.method.links:
             return ()
         main = self._rows_fixed_by_cad
-        points = self.problem.fiducials
-        with_points = set(points.row.tolist()) if points is not None else set()
+        with_points = set((self.problem.fiducials or FiducialPoints.empty()).row.tolist())
         unknown = {
             row
             for g in self.connected_groups
             if not main & set(g.tolist()) and not with_points & set(g.tolist())
             for row in g.tolist()
         }
+        o, used = self.problem.links, self._used_between_rows
+        loose = set(np.append(o.p[used], o.q[used]).tolist()) - with_points
+        unknown |= loose.difference(*(g.tolist() for g in self.connected_groups))
         vague = largest_sigma(self.sigma.covariance_px2) > _PLACED_SIGMA_PX
         unknown |= set(self.sigma.seen_in[vague, 1].tolist()) - main
         return tuple(sorted(unknown & {row for _, row in self.scene.present}))
@@ -290,7 +288,8 @@ class Findings:
     @cached_property
     def _rows_fixed_by_cad(self) -> set[int]:
         """The rows of those connected groups that have enough CAD points to be placed on the board by themselves."""
-        return {row for g in self.connected_groups if self._fixed_by_cad(g) for row in g.tolist()}
+        points = self.problem.fiducials or FiducialPoints.empty()
+        return {row for g in self.connected_groups if points.place(g) for row in g.tolist()}
 
     @cached_property
     def seam_of_link(self) -> np.ndarray:
