@@ -268,8 +268,9 @@ def _invisible_outline(b: _Placed) -> Iterator[Reason]:
 def _texture_off_the_board(b: _Placed) -> Iterator[Reason]:
     left_out = b.mapping.left_out
     if left_out is not None:
-        # The pictures show where the board ends, so texture outside the outline belongs to a carrier or to the belt.
-        if not left_out.confirmed:
+        # The pictures show where the board ends, so texture outside the outline belongs to a carrier or to the belt. So
+        # do three fiducials: if all of them fit, the outline lies where C puts it, although no edge stands out there.
+        if not left_out.confirmed and not _placed_by_fiducials(b):
             yield Reason(
                 ReasonCode.TEXTURE_OFF_BOARD,
                 f"{left_out.share:.0%} of the texture lies off the board (limit {_OUTSIDE_LIMIT:.0%}), and the board's "
@@ -285,6 +286,13 @@ def _texture_off_the_board(b: _Placed) -> Iterator[Reason]:
     if share > _OUTSIDE_LIMIT:
         off = f"{share:.0%} of the texture lies off the board (limit {_OUTSIDE_LIMIT:.0%}): another type, or turned?"
         yield Reason(ReasonCode.TEXTURE_OFF_BOARD, off)
+
+
+def _placed_by_fiducials(b: _Placed) -> bool:
+    """Return whether all fiducials of the board type were found, and leave no choice of position and orientation."""
+    every = len(b.plane.board_type.fiducials)
+    found = set() if b.points is None else set(b.points.which[b.points.which >= 0].tolist())
+    return every >= _ENOUGH_FIDUCIALS and len(found) == every and not b.mapping.ambiguous
 
 
 def _uncertain_positions(b: _Placed) -> Iterator[Reason]:
