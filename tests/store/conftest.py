@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import random
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -16,6 +18,20 @@ NOW = "2026-01-01T00:00:00Z"
 def noise(size: int) -> str:
     """Return a text that takes `size` bytes in the database; it cannot be packed."""
     return random.Random(0).randbytes(size).decode("latin-1")
+
+
+@contextmanager
+def unreachable(directory: Path) -> Iterator[None]:
+    """Let no file of a directory be found during a `with` block; files that are open stay usable."""
+    user, mode = os.geteuid(), directory.stat().st_mode
+    directory.chmod(0)
+    try:
+        if user == 0:
+            os.seteuid(65534)  # root may search every directory
+        yield
+    finally:
+        os.seteuid(user)
+        directory.chmod(mode)
 
 
 MakeRun = Callable[..., RunRow]

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from tests.store.conftest import unreachable
 from vaoi_station.errors import DeviceError, InputError, InternalError, NotFoundError, StateError
 from vaoi_station.store import Database
 from vaoi_station.store import database as module
@@ -253,6 +254,24 @@ def test_a_lost_directory_is_waited_for(path: Path) -> None:
     path.parent.unlink()
     assert pending.result(20) == 1
     database.close()
+
+
+def test_a_directory_that_cannot_be_searched_ends_neither_the_writing_thread_nor_the_history(path: Path) -> None:
+    """As on a disk whose directory cannot be read any more; files that are open can still be used."""
+    path.parent.mkdir()
+    path.write_bytes(b"no database" * 100)
+    database = Database(path)
+    try:
+        [notice] = database.notices
+        with unreachable(path.parent):
+            database._check_file()
+            database.write(lambda c: add_event(c, 1), patient=True).result(20)
+        assert (database.thread.fault(), database.notices) == (None, (notice,))
+        assert database.write(lambda c: add_event(c, 2)).result(20) == 2
+        assert [row["number"] for row in database.read("SELECT number FROM events")] == [1, 2]
+        assert not list(path.parent.glob("*.replaced-*"))
+    finally:
+        database.close()
 
 
 def test_a_write_that_does_not_end_is_trouble(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:

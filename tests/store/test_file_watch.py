@@ -5,6 +5,9 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
+import pytest
+
+from tests.store.conftest import unreachable
 from vaoi_station.store.database_file import open_database
 from vaoi_station.store.file_watch import FileWatch
 
@@ -40,6 +43,20 @@ def test_a_file_in_its_place_is_left_there(path: Path) -> None:
     saved, _ = open_database(kept)
     assert len(saved.execute("SELECT * FROM events").fetchall()) == 1
     saved.close()
+
+
+def test_a_directory_that_cannot_be_searched_proves_no_change(path: Path) -> None:
+    """Else the write-ahead log of a file that is still there would be deleted as that of another one."""
+    connection, _ = open_database(path)
+    connection.execute("INSERT INTO events VALUES (1, '{}')")
+    before = sorted(path.parent.iterdir())
+    watch = FileWatch(path)
+    with unreachable(path.parent):
+        assert not watch.changed
+        with pytest.raises(PermissionError):
+            watch.rescue(connection)
+    assert (sorted(path.parent.iterdir()), watch.changed) == (before, False)
+    connection.close()
 
 
 def test_the_space_that_is_left_is_measured(path: Path) -> None:

@@ -24,6 +24,7 @@ from vaoi_station.store.database_file import (
     acknowledged_files,
     connect,
     earlier_notices,
+    is_absent,
     is_empty,
     mark_acknowledged,
     open_database,
@@ -250,8 +251,7 @@ class Database:
         self._watch.measure()
         self._began_s = None
         # A person who has recovered or given up what was set aside moves it away.
-        if any(n.kept is not None and not n.kept.exists() for n in self.notices):
-            self.notices = tuple(n for n in self.notices if n.kept is None or n.kept.exists())
+        self.notices = tuple(n for n in self.notices if n.kept is None or not is_absent(n.kept))
         if self._trouble is not None or self._watch.changed:
             self._perform(_Job(_touch, Future(), patient=False, durable=True, size=0))
 

@@ -48,12 +48,20 @@ class Identity(NamedTuple):
 
 
 def identity_of(path: Path) -> Identity | None:
-    """Return the identity of the file at a path; None if there is none."""
+    """Return the identity of the file at a path; None if there is none. OSError: the disk does not say."""
     try:
         found = path.stat()
-    except OSError:
+    except (FileNotFoundError, NotADirectoryError):
         return None
     return Identity(found.st_dev, found.st_ino)
+
+
+def is_absent(path: Path) -> bool:
+    """Return whether there is certainly no file at a path: a directory that cannot be read proves nothing."""
+    try:
+        return identity_of(path) is None
+    except OSError:
+        return False
 
 
 def open_database(path: Path) -> tuple[sqlite3.Connection, StorageTrouble | None]:

@@ -17,18 +17,26 @@ class FileWatch:
     def __init__(self, path: Path) -> None:
         """Watch the file that is at the path now."""
         self._path = path
-        self._opened = identity_of(path)
+        self.forget()
         self.free_bytes: int | None = None
         self.measure()
 
     @property
     def changed(self) -> bool:
-        """Whether the file was deleted or replaced, so that a connection writes to a file that no longer has a name."""
-        return identity_of(self._path) != self._opened
+        """Whether the file was deleted or replaced, so that a connection writes to a file that no longer has a name.
+
+        A directory that cannot be read proves neither: the next write shows whether the file can still be used.
+        """
+        try:
+            return identity_of(self._path) != self._opened
+        except OSError:
+            return False
 
     def forget(self) -> None:
         """Take the file that is at the path now as the one to watch, whatever was watched before."""
-        self._opened = identity_of(self._path)
+        self._opened = None
+        with contextlib.suppress(OSError):
+            self._opened = identity_of(self._path)
 
     def measure(self) -> None:
         """Measure the space that the station may still use."""
@@ -41,7 +49,7 @@ class FileWatch:
         """Save everything that `connection`, whose file is no longer at the path, can still read.
 
         If the database was deleted, it is put back. If another file is in its place, that file is left there, and the
-        old content is saved beside it.
+        old content is saved beside it. OSError: the disk does not say which of both it is.
         """
         replaced = identity_of(self._path) is not None
         self._path.parent.mkdir(parents=True, exist_ok=True)
