@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from tests.soak.small_disk import SmallDisk
 from tests.test_supervised_thread import kill
 from vaoi_station.api.access import audit as module
 from vaoi_station.api.access.audit import FILES_KEPT, AuditLog
@@ -22,6 +25,14 @@ def fault_of(audit: AuditLog) -> ThreadFault | None:
     while (fault := audit.thread.fault()) is None and time.monotonic() < until_s:
         audit.thread.join(0.01)
     return fault
+
+
+def written(audit: AuditLog, count: int) -> list[dict[str, Any]]:
+    """Wait until a number of entries are in the file; return them, newest first."""
+    until_s = time.monotonic() + PATIENCE_S
+    while len(found := audit.newest(500)) < count and time.monotonic() < until_s:
+        audit.thread.join(0.05)
+    return found
 
 
 def test_entries_are_read_newest_first_and_survive_a_damaged_line(tmp_path: Path) -> None:
@@ -54,7 +65,7 @@ def test_a_disk_that_refuses_does_not_end_the_log(tmp_path: Path) -> None:
     assert audit.newest(1) == []
     path.rmdir()
     audit.add(path="/b")
-    assert audit.newest(1)[0]["path"] == "/b"
+    assert [entry["path"] for entry in written(audit, 2)] == ["/b", "/a"]
     audit.close()
 
 
@@ -87,3 +98,42 @@ def test_a_disk_that_hangs_is_a_fault_and_delays_neither_requests_nor_the_end(
     audit.close()
     assert audit.thread.is_alive()
     released.set()
+
+
+@pytest.fixture
+def disk(tmp_path: Path) -> Iterator[SmallDisk]:
+    made = SmallDisk(tmp_path / "disk")
+    yield made
+    made.close()
+
+
+def test_what_came_while_the_disk_was_full_is_written_when_there_is_room(disk: SmallDisk) -> None:
+    audit = AuditLog(disk.directory / "audit.jsonl")
+    audit.add(number=0)
+    assert len(audit.newest(5)) == 1
+    disk.fill()
+    for n in range(1, 200):  # more than the last page of the file has room for, so that a line is cut
+        audit.add(number=n)
+    assert len(audit.newest(500)) < 200
+    disk.make_room()
+    audit.add(number=200)
+    assert [entry["number"] for entry in written(audit, 201)] == list(range(200, -1, -1))
+    audit.close()
+
+
+def test_an_end_while_the_disk_is_full_waits_for_no_room(disk: SmallDisk) -> None:
+    audit = AuditLog(disk.directory / "audit.jsonl")
+    disk.fill()
+    for n in range(5):
+        audit.add(number=n)
+    audit.close()
+    assert not audit.thread.is_alive()
+
+
+def test_a_line_that_a_power_failure_has_cut_costs_no_later_entry(tmp_path: Path) -> None:
+    path = tmp_path / "audit.jsonl"
+    path.write_text('{"path": "/a"}\n{"path": "/b"')
+    audit = AuditLog(path)
+    audit.add(path="/c")
+    assert [entry["path"] for entry in audit.newest(5)] == ["/c", "/a"]
+    audit.close()

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import logging
+import os
 import queue
+import threading
 from collections import deque
 from contextlib import suppress
 from datetime import UTC, datetime
@@ -22,16 +24,24 @@ WRITE_LIMIT_S = 600.0
 """Longest time for the writing of one entry. After this time, the thread counts as hung."""
 READ_WAIT_S = 5.0
 """Longest wait of a reader for the entries that are not written yet."""
+RETRY_S = 1.0
+"""Pause before an entry that the disk has refused is written again, s."""
 _MOST_WAITING = 2000
+"""Largest number of entries that wait for the disk; of those beyond it, only the number is written."""
 
 
 class AuditLog:
-    """The audit log. A separate thread writes the entries, so that a slow disk delays no request."""
+    """The audit log. A separate thread writes the entries, so that a slow disk delays no request.
+
+    Entries that a full disk refuses wait in memory, and are written when there is room.
+    """
 
     def __init__(self, path: Path, most_bytes: int = MOST_BYTES) -> None:
         self.path, self._most_bytes = path, most_bytes
         self._waiting: queue.Queue[dict[str, Any] | None] = queue.Queue(_MOST_WAITING)
         self._dropped = 0
+        self._refused = False
+        self._closing = threading.Event()
         self.thread = SupervisedThread(self._run, "audit", WRITE_LIMIT_S)
         self.thread.start()
 
@@ -51,7 +61,9 @@ class AuditLog:
         """Return the newest entries of the present file and the one before, newest first."""
         # Not `join`: it would wait for ever for a disk that hangs.
         with self._waiting.all_tasks_done:
-            self._waiting.all_tasks_done.wait_for(lambda: not self._waiting.unfinished_tasks, READ_WAIT_S)
+            self._waiting.all_tasks_done.wait_for(
+                lambda: self._refused or not self._waiting.unfinished_tasks, READ_WAIT_S
+            )
         lines: deque[str] = deque(maxlen=count)
         for path in (self._old(1), self.path):
             if path.is_file():
@@ -61,29 +73,43 @@ class AuditLog:
         return [entry for line in reversed(lines) if (entry := _parsed(line)) is not None]
 
     def close(self) -> None:
-        """Write the waiting entries, and end the thread."""
+        """Write the waiting entries, and end the thread. What the disk refuses now is lost."""
         self.thread.expect_end()
+        self._closing.set()
         # If the disk hangs, the queue may be full, and an unlimited `put` would never return.
         with suppress(queue.Full):
             self._waiting.put(None, timeout=READ_WAIT_S)
         self.thread.join(READ_WAIT_S)
 
     def _run(self) -> None:
-        failed = False
         while True:
             with self.thread.waiting():
                 record = self._waiting.get()
-            try:
-                if record is None:
-                    return
-                self._write(record)
-                failed = False
-            except OSError as error:
-                if not failed:
-                    _log.error("the audit log cannot be written: %s", error)
-                failed = True
-            finally:
+            if record is None:
                 self._waiting.task_done()
+                return
+            while not self._is_written(record) and not self._closing.is_set():
+                with self.thread.waiting():
+                    self._closing.wait(RETRY_S)
+            self._waiting.task_done()
+
+    def _is_written(self, record: dict[str, Any]) -> bool:
+        """Write an entry; return False if the disk refuses it."""
+        try:
+            self._write(record)
+        except OSError as error:
+            if not self._refused:
+                _log.error("the audit log cannot be written: %s; it is tried again", error)
+            self._note_refusal(True)
+            return False
+        self._note_refusal(False)
+        return True
+
+    def _note_refusal(self, refused: bool) -> None:
+        """Record whether the disk refuses entries: no reader waits for what it refuses."""
+        with self._waiting.all_tasks_done:
+            self._refused = refused
+            self._waiting.all_tasks_done.notify_all()
 
     def _write(self, record: dict[str, Any]) -> None:
         self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -92,11 +118,27 @@ class AuditLog:
                 if self._old(n - 1).exists():
                     self._old(n - 1).replace(self._old(n))
             self.path.replace(self._old(1))
-        with self.path.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(record) + "\n")
+        _append(self.path, json.dumps(record).encode() + b"\n")
 
     def _old(self, n: int) -> Path:
         return self.path.with_name(f"{self.path.name}.{n}")
+
+
+def _append(path: Path, line: bytes) -> None:
+    """Append a line, completely or not at all."""
+    with path.open("a+b", buffering=0) as file:
+        size = file.seek(0, os.SEEK_END)
+        if size:
+            file.seek(size - 1)
+            if file.read(1) != b"\n":  # A power failure has cut the last line short.
+                line = b"\n" + line
+        try:
+            written = file.write(line)
+            while written < len(line):
+                written += file.write(line[written:])
+        except OSError:
+            file.truncate(size)
+            raise
 
 
 def _parsed(line: str) -> dict[str, Any] | None:
