@@ -10,10 +10,11 @@ from typing import Any
 import httpx2
 import pytest
 
+from vaoi_station.api import event_hub as module
 from vaoi_station.api.callers.picture_seats import PICTURES_OF_CALLER
 from vaoi_station.api.callers.seats import Seats
 from vaoi_station.api.event_hub import EventHub
-from vaoi_station.errors import StateError
+from vaoi_station.errors import DeviceError, StateError
 
 NEXT = "/api/v1/runs/next"
 
@@ -122,6 +123,33 @@ def test_an_unreadable_event_log_ends_all_waits(station: Any, monkeypatch: pytes
             return found
 
     assert asyncio.run(wait()) == ((), True)
+
+
+@pytest.mark.parametrize("fault", [RuntimeError("can't start new thread"), DeviceError("the disk does not answer")])
+def test_a_read_that_fails_ends_no_waits_for_good(
+    station: Any, monkeypatch: pytest.MonkeyPatch, fault: Exception
+) -> None:
+    """All long polls and streams depend on the one task that reads: it goes on after a fault that passes."""
+    read, faults = station.events, [fault]
+
+    def first_broken(*args: Any) -> Any:
+        if faults:
+            raise faults.pop()
+        return read(*args)
+
+    async def wait() -> tuple[Any, bool]:
+        hub = EventHub(station)
+        monkeypatch.setattr(station, "events", first_broken)
+        monkeypatch.setattr(module, "RETRY_S", 0.01)
+        async with hub.listening():
+            newest = hub.newest
+            waiting = asyncio.create_task(hub.events(newest, 10))
+            while faults:
+                await asyncio.to_thread(lambda: None)
+            station.publish("trouble", "something", code="cable")
+            return [record.message for record in await waiting], hub.closed
+
+    assert asyncio.run(wait()) == (["something"], False)
 
 
 def wait_for_callers(served: Any, count: int) -> None:

@@ -18,7 +18,7 @@ import anyio
 import anyio.to_thread
 
 from vaoi_station.api.callers.seats import Seats
-from vaoi_station.errors import VaoiError
+from vaoi_station.errors import StateError
 from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.runs.states.schemas import EventRecord
 from vaoi_station.runs.states.tables import StationState
@@ -31,6 +31,8 @@ MAX_WAITING = 128
 """Limit of simultaneous long polls, and of simultaneous event streams."""
 MAX_POLLS_OF_CALLER = 32
 MAX_STREAMS_OF_CALLER = 24
+RETRY_S = 1.0
+"""Pause after a read of events that has failed, s."""
 LISTEN_S = 1.0
 """Longest time the listener waits for an event. A stop that publishes no event takes effect within this time."""
 
@@ -123,10 +125,14 @@ class EventHub:
             asked = time.monotonic()
             try:
                 records = await self._listener.listen(self._coordinator.events, self._newest, LISTEN_S)
-            except VaoiError as error:
-                log.error("reading of events failed; streams are closed: %s", error)
-                self.close()
+            except StateError:
+                self.close()  # The log is closed, because the station stops.
                 return
+            except Exception as error:  # noqa: BLE001  all waits depend on this task: it goes on, as after a lack of threads
+                log.error("reading of events failed; it is tried again: %s", error)
+                with suppress(TimeoutError):
+                    await asyncio.wait_for(self.closing(), RETRY_S)
+                continue
             if records:
                 self._newest = records[-1].number
                 # Setting the old asyncio.Event wakes the tasks that wait now. Later tasks need one that is not set.
