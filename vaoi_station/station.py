@@ -18,7 +18,7 @@ from pathlib import Path
 from vaoi_station.acquisition.process.backends import row_lights
 from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import StationConfig
-from vaoi_station.errors import DeviceError, StateError
+from vaoi_station.errors import DeviceError, StateError, VaoiError
 from vaoi_station.files import read_calibration
 from vaoi_station.files.access_keys import KEY_FILE, KeyFile
 from vaoi_station.push.push_service import PushService
@@ -291,8 +291,7 @@ def serve(config: StationConfig, port: int | None = None, file: Path | None = No
         if station is None:
             return
         parts.callback(station.stop)
-        if not keys.entries() and not (api.open_loopback and api.host in ("127.0.0.1", "::1", "localhost")):
-            _log.warning("there is no key yet, so callers from outside are refused; make one with vaoi keys create")
+        _check_keys(keys, is_open=api.open_loopback and api.host in ("127.0.0.1", "::1", "localhost"))
         audit = AuditLog(config.data / AUDIT_FILE)
         parts.callback(audit.close)  # what was noted last is written before the process ends
         access = AccessControl(keys, audit, open_loopback=api.open_loopback)
@@ -310,6 +309,15 @@ def serve(config: StationConfig, port: int | None = None, file: Path | None = No
         web.stop()
         web.check()
     web.end_process_if_left()
+
+
+def _check_keys(keys: KeyFile, *, is_open: bool) -> None:
+    """Log that callers from outside are refused. A file that cannot be used keeps no board from being filmed."""
+    try:
+        if not keys.entries() and not is_open:
+            _log.warning("there is no key yet, so callers from outside are refused; make one with vaoi keys create")
+    except VaoiError as error:
+        _log.error("callers with a key are refused until the file can be used: %s", error)
 
 
 def _started(config: StationConfig, remount: RemountWatch) -> Station:

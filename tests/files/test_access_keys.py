@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from vaoi_station.errors import InputError, NotFoundError, StateError
+from tests.store.conftest import unreachable
+from vaoi_station.errors import DeviceError, InputError, NotFoundError, StateError
 from vaoi_station.files.access_keys import KeyFile
 
 
@@ -33,6 +34,13 @@ def test_another_secret_finds_no_key(keys: KeyFile, change: object) -> None:
     made = keys.create("tester", ["read"])
     assert callable(change)
     assert keys.find(change(made.secret)) is None
+
+
+def test_a_file_that_cannot_be_found_for_certain_is_named_and_counts_as_no_absence(keys: KeyFile) -> None:
+    made = keys.create("tester", ["read"])
+    with unreachable(keys.path.parent), pytest.raises(DeviceError, match=r"keys\.json: cannot be read \(Permission"):
+        keys.find(made.secret)
+    assert keys.find(made.secret) == made.key
 
 
 def test_another_process_makes_and_revokes_keys_without_a_restart(keys: KeyFile) -> None:

@@ -159,6 +159,27 @@ if __name__ == "__main__":
 """
 
 
+def test_a_damaged_file_of_keys_keeps_no_board_from_being_filmed(
+    replay_config: Callable[..., StationConfig], tmp_path: Path
+) -> None:
+    """An exit with code 2 would be the last: systemd does not start the service again after it."""
+    configured = replay_config().model_copy(update={"workers": 1})
+    config = tmp_path / "station.toml"
+    config.write_text(as_toml(configured))
+    configured.data.mkdir(exist_ok=True)
+    (configured.data / "keys.json").write_text('{"format": "vaoi-keys", "version": 1, "keys": [')
+    service = Service(config)
+    try:
+        service.until_idle()
+        assert service.client.get("/keys").status_code == 403
+        refused = service.client.get("/station", headers={"Authorization": f"Bearer vaoi_{'0' * 12}_x"})
+        assert refused.status_code >= 400
+        assert any("keys.json" in line and "callers with a key are refused" in line for line in service.log)
+        assert service.stop(signal.SIGTERM) == 0, "".join(service.log)
+    finally:
+        service.close()
+
+
 def test_station_that_is_not_stopped_ends_with_its_program(
     replay_config: Callable[..., StationConfig], tmp_path: Path
 ) -> None:

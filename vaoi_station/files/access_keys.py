@@ -19,7 +19,7 @@ from typing import Annotated, Literal, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from vaoi_station.errors import InputError, NotFoundError, StateError
+from vaoi_station.errors import DeviceError, InputError, NotFoundError, StateError
 from vaoi_station.files.documents import check_format, parse, read_json, write_json
 
 Scope = Literal["read", "operate", "teach", "admin"]
@@ -68,13 +68,18 @@ class KeyFile:
         self._keys: tuple[AccessKey, ...] = ()
 
     def entries(self) -> tuple[AccessKey, ...]:
-        """Return all keys, sorted by name. The file is read only if it has changed."""
+        """Return all keys, sorted by name. The file is read only if it has changed; `VaoiError`: it cannot be used."""
         with self._lock:
             try:
                 status = self.path.stat()
             except FileNotFoundError:
                 self._state, self._keys = None, ()
                 return ()
+            except OSError as error:
+                raise DeviceError(
+                    f"{self.path}: cannot be read ({error.strerror}).",
+                    action="Check disk, mount and permissions of the data directory.",
+                ) from error
             state = (status.st_mtime_ns, status.st_size, status.st_ino)
             if state != self._state:
                 data = read_json(self.path)
