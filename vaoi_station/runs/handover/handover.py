@@ -192,7 +192,7 @@ class Handover:
             _log.info("run %s is in the archive %s, %d bytes", run, self._config.url, outcome.bytes)
             if self._done(run, offers):
                 self._added += 1
-                self._recordings.release(run)
+                self._release(run)
             self._reached()
         elif self._recordings.path_of(run) is None:
             self._drop(run)  # Its recording was deleted meanwhile, to make room for a later one.
@@ -202,6 +202,13 @@ class Handover:
             self._reached()
         else:
             self._failed(outcome.error)
+
+    def _release(self, run: str) -> None:
+        """Delete the recording of a run that the archive has. One that stays is released after the next start."""
+        try:
+            self._recordings.release(run)
+        except (VaoiError, OSError) as error:
+            _log.warning("the recording of run %s, which the archive has, stays: %s", run, error)
 
     def _outcome(self, wanted: Addition) -> Added | Failed:
         """Have the adder add a run; StateError if the station stops meanwhile."""
