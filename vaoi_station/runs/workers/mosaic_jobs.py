@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import cv2
 import numpy as np
@@ -44,6 +44,9 @@ class PlanJob(FramesJob):
     """Directory of the flat fields; None: brightness follows from the overlaps of the frames alone."""
     request: int = 0
     priority: Priority = Priority.RENDER
+    # Of some hundred frames it takes seconds. Performed by two workers at once, it would leave none for the next board.
+    repeatable: ClassVar[bool] = False
+    longest_s: ClassVar[float | None] = 180.0
 
     def perform(self, frame: ReadSlot) -> MosaicPlan:
         """Survey the frames of the run, and return the plan."""
