@@ -25,6 +25,24 @@ def test_numbers_state_their_size() -> None:
     assert formats == {"size_bytes": "int64", "row": None, "x": "double", "number": "int64"}
 
 
+def test_signs_have_names_for_the_constants_of_a_client() -> None:
+    """Generators make names of letters alone, and gave ≤ and ≥ the same one."""
+    relation: dict[str, Any] = {"type": "string", "enum": ["≤", "≥"]}
+    simplify({"properties": {"relation": relation}})
+    assert relation["enum"] == ["≤", "≥"]
+    assert relation["x-enum-varnames"] == relation["x-enumNames"] == ["AtMost", "AtLeast"]
+    plain: dict[str, Any] = {"type": "string", "enum": ["up", "down"]}
+    simplify(plain)
+    assert plain == {"type": "string", "enum": ["up", "down"]}
+
+
+def test_a_fixed_number_is_a_number_with_equal_limits() -> None:
+    """The C++ client of openapi-generator does not compile with an enumeration of numbers."""
+    version = {"const": 1, "type": "integer", "title": "Version"}
+    simplify({"properties": {"version": version}})
+    assert version == {"minimum": 1, "maximum": 1, "type": "integer", "title": "Version"}
+
+
 def test_tuples_are_lists_of_fixed_length() -> None:
     same = {"prefixItems": [{"type": "integer"}] * 2, "minItems": 2, "maxItems": 2}
     mixed = {"prefixItems": [{"type": "integer"}, {"type": "number"}], "minItems": 2, "maxItems": 2}

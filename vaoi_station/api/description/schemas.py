@@ -7,12 +7,14 @@ from typing import Any
 NULL = {"type": "null"}
 _LARGE = ("number", "last_event", "after", "generation", "frame_id")
 """Names of whole numbers that may exceed 32 bits; so may those that end with `_bytes`."""
+_SIGNS = {"≤": "AtMost", "≥": "AtLeast"}
+"""Names of values of an enumeration that have no letter of which a generator could make a name."""
 _NOT_SENT = ("Accept", "Authorization", "Content-Type")
 """Headers that OpenAPI describes by other means; clients would otherwise set them twice."""
 
 
 def simplify(schema: Any, name: str = "") -> None:
-    """Change a schema in place: numbers state their size, and tuples of one type are lists of fixed length.
+    """Change a schema in place: numbers state their size, signs their names, and some rarer kinds become common ones.
 
     Args:
         schema: schema, or a part of one.
@@ -34,6 +36,13 @@ def simplify(schema: Any, name: str = "") -> None:
         schema.setdefault("format", "int64")
     if schema.get("type") == "number":
         schema.setdefault("format", "double")
+    if isinstance(schema.get("const"), int) and schema.get("type") == "integer":
+        # Generators make an enumeration of one text of it, which the C++ of openapi-generator cannot compile.
+        schema["minimum"] = schema["maximum"] = schema.pop("const")
+    if any(value in _SIGNS for value in schema.get("enum", ())):
+        # The first is read by openapi-generator, the second by NSwag, which otherwise names every sign `_`.
+        names = [_SIGNS.get(value, value) for value in schema["enum"]]
+        schema |= {"x-enum-varnames": names, "x-enumNames": list(names)}
     _plain_list(schema)
 
 
