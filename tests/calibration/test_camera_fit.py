@@ -153,7 +153,7 @@ def test_unusable_frames_are_refused_with_value_limit_and_remedy(
 def test_marks_of_the_opposite_brightness_suggest_the_wrong_polarity() -> None:
     result = solve([], detected=detections(np.zeros((0, 2)), opposite=20))
     assert result.refusal == "it shows 20 marks of the opposite brightness and 0 of the layout's polarity"
-    assert result.action == "Correct mark.polarity in layout.json."
+    assert result.action == "Correct mark.polarity in layout.json, on the page “Light marks on a dark board”."
 
 
 @pytest.mark.parametrize("size_px", [7.0, 200.0])

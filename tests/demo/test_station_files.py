@@ -18,6 +18,7 @@ def test_written_files_describe_a_complete_station(tmp_path: Path) -> None:
     assert config == station_files.station_config(twin, scenario_path("small"), tmp_path, 1)
     assert config.simulation is not None
     assert config.simulation.boards == 1
+    assert [c.head for c in config.cameras] == list(twin.heads), "the page calibrates with the nominal values"
     assert read_calibration(config.calibration, len(config.cameras)).working_distance_mm == 300
     assert read_board_type(config.board_types / "small.json") == twin.board_type
 

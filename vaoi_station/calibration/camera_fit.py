@@ -178,7 +178,7 @@ def _check_frame(
         return (
             f"it shows {detected.opposite} marks of the opposite brightness and {len(detected.px)} "
             "of the layout's polarity",
-            "Correct mark.polarity in layout.json.",
+            "Correct mark.polarity in layout.json, on the page “Light marks on a dark board”.",
         )
     if detected.blur_px > BLUR_LIMIT_PX and not len(detected.px):
         return (

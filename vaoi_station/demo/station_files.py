@@ -47,6 +47,9 @@ def station_config(twin: Twin, scenario: Path, folder: Path, boards: int) -> Sta
             height=array.frame_px(n)[1],
             exposure_us=array.exposure_us(n),
             pixel_format="Mono8" if array.bits == 8 else "Mono16",
+            nominal_center_mm=twin.heads[n].nominal_center_mm,
+            nominal_px_per_mm=twin.heads[n].nominal_px_per_mm,
+            nominal_roll_deg=twin.heads[n].nominal_roll_deg,
         )
         for n in range(array.cameras)
     )

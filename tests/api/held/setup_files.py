@@ -48,14 +48,18 @@ name = "cam{n}"
 width = {width}
 height = {height}
 exposure_us = 250.0
-nominal_center_mm = [{x}, 0.0]
+"""
+
+
+NOMINAL = """nominal_center_mm = [{x}, 0.0]
 nominal_px_per_mm = {px}
 """
 
 
-def setup_files(folder: Path) -> StationFiles:
-    """Write station.toml and the calibration in force, as designed."""
-    cameras = (CAMERA.format(n=n, width=WIDTH, height=HEIGHT, x=n * PITCH_MM, px=PX_PER_MM) for n in range(CAMERAS))
+def setup_files(folder: Path, nominal: bool = True) -> StationFiles:
+    """Write station.toml, with or without nominal views of the cameras, and the calibration in force, as designed."""
+    camera = CAMERA + (NOMINAL if nominal else "")
+    cameras = (camera.format(n=n, width=WIDTH, height=HEIGHT, x=n * PITCH_MM, px=PX_PER_MM) for n in range(CAMERAS))
     path = folder / "station.toml"
     path.write_text(CONFIG + "".join(cameras))
     config = read_config(path)

@@ -20,8 +20,9 @@ OTHER_USER = 65534
 
 
 @pytest.fixture
-def files(tmp_path: Path) -> StationFiles:
-    return setup_files(tmp_path)
+def files(request: pytest.FixtureRequest, tmp_path: Path) -> StationFiles:
+    """The files; the parameter: whether station.toml states the nominal views of the cameras."""
+    return setup_files(tmp_path, getattr(request, "param", True))
 
 
 @pytest.fixture

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from tests.api.held.setup_files import film_board
-from tests.api.held_station import HeldStation
+from tests.api.held.setup_files import PITCH_MM, film_board
+from tests.api.held_station import PX_PER_MM, HeldStation
 from vaoi_station.api.access.scopes import scope_needed
 from vaoi_station.api.setup.calibration_routes import design_of
 from vaoi_station.api.setup.models import ArtworkOptions
@@ -54,6 +54,34 @@ def test_a_trial_is_followed_to_its_end_and_accepted(
     assert client.get(f"{TRIAL}/calibration").json()["format"] == "vaoi-calibration"
     assert client.get(f"{TRIAL}/pictures/marks").headers["content-type"] == "image/jpeg"
     assert client.post(f"{TRIAL}/accept").json()["state"] == "accepted"
+
+
+def test_a_trial_is_discarded(client: Any, station: HeldStation, monkeypatch: pytest.MonkeyPatch) -> None:
+    ended, perform = threading.Event(), Trials.perform
+
+    def watched(trials: Trials, wanted: Any) -> None:
+        perform(trials, wanted)
+        ended.set()
+
+    monkeypatch.setattr(Trials, "perform", watched)
+    layout = client.get("/api/v1/calibration/layout", params=QUERY).json()
+    client.post(TRIAL, json={"run": film_board(station, Layout.model_validate(layout)), "row": 0, "layout": layout})
+    assert ended.wait(120)
+    assert client.get(TRIAL).json()["state"] == "judged"
+    assert client.delete(TRIAL).json()["state"] == "none"
+    assert client.get(TRIAL).json()["state"] == "none"
+    assert client.post(f"{TRIAL}/accept").json()["code"] == "no-trial"
+    assert client.get(f"{TRIAL}/pictures/marks").status_code == 404
+
+
+@pytest.mark.parametrize("files", [False], indirect=True)
+def test_a_trial_without_nominal_values_is_refused_before_it_begins(client: Any, station: HeldStation) -> None:
+    stated = {**QUERY, "pitch_mm": PITCH_MM, "px_per_mm": PX_PER_MM}
+    layout = client.get("/api/v1/calibration/layout", params=stated).json()
+    run = film_board(station, Layout.model_validate(layout))
+    refused = client.post(TRIAL, json={"run": run, "row": 0, "layout": layout})
+    assert (refused.status_code, refused.json()["code"]) == (422, "nominal-values-missing")
+    assert client.get(TRIAL).json()["state"] == "none"
 
 
 def test_missing_nominal_values_are_named(files: StationFiles) -> None:

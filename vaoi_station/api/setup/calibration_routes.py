@@ -10,12 +10,12 @@ from fastapi import APIRouter, Query, Response
 from vaoi_station.api.event_hub import ThreadLimit
 from vaoi_station.api.http_caching import LIVE
 from vaoi_station.api.routes.services import Services
+from vaoi_station.api.setup.design import nominal_values_missing
 from vaoi_station.api.setup.models import ArtworkOptions, CalibrationTrial, TrialRequest
 from vaoi_station.api.setup.station_files import StationFiles
 from vaoi_station.api.setup.trials import Trials
 from vaoi_station.calibration.artwork import ArrayDesign, Board, design_board
 from vaoi_station.calibration.artwork.artwork_files import RENDERERS, array_of, artwork_title
-from vaoi_station.errors import InputError
 from vaoi_station.files.layouts import Layout
 
 ArtworkFile = Literal[
@@ -89,6 +89,15 @@ def router(services: Services, files: StationFiles) -> APIRouter:
         task.add_done_callback(under_way.discard)
         return begun
 
+    @routes.delete("/trial", response_model_exclude_none=True)
+    async def discard_calibration_trial(response: Response) -> CalibrationTrial:
+        """Discard the latest trial, which cannot be accepted afterwards; what was accepted before stays.
+
+        409 `trial-running`: one is being made, or accepted by another caller.
+        """
+        response.headers["Cache-Control"] = LIVE
+        return await ask(trials.discard)
+
     @routes.post("/trial/accept", response_model_exclude_none=True)
     async def accept_calibration_trial(response: Response) -> CalibrationTrial:
         """Replace the calibration file of the station by that of the trial; a copy of the one before is kept.
@@ -118,12 +127,8 @@ def design_of(files: StationFiles, options: ArtworkOptions) -> ArrayDesign:
     heads = [camera.head for camera in files.config.cameras]
     pitch, field = array_of(heads, options.px_per_mm)
     pitch = options.pitch_mm or pitch or (1.0 if len(heads) == 1 else None)
-    missing = [name for name, value in (("pitch_mm", pitch), ("px_per_mm", field)) if value is None]
     if pitch is None or field is None:
-        raise InputError(
-            f"{' and '.join(missing)} must be given.",
-            action="Give them, or nominal_center_mm and nominal_px_per_mm of the cameras in station.toml.",
-        )
+        raise nominal_values_missing(pitch_mm=pitch, px_per_mm=field)
     return ArrayDesign(
         len(heads),
         pitch,

@@ -30,6 +30,12 @@ class TrialRequest(Strict):
     run: str = Field(min_length=1, max_length=64, description="Id of a run whose frames can still be read.")
     row: int = Field(ge=0, le=100_000, description="The row in which every camera sees its marks.")
     layout: Layout = Field(description="The marks of the calibration board: the `layout.json` of its artwork.")
+    pitch_mm: float | None = Field(
+        default=None, gt=0, le=10_000, description="Distance of neighbouring cameras, where station.toml states none."
+    )
+    px_per_mm: float | None = Field(
+        default=None, ge=0.1, le=1000, description="Resolution of the cameras, where station.toml states none."
+    )
     residual_limit_px: float = Field(
         default=0.2, gt=0, le=100, description="Largest accepted rms residual of a camera."
     )

@@ -14,6 +14,7 @@ from typing import Any
 
 import cv2
 
+from vaoi_station.api.setup.design import nominal_heads
 from vaoi_station.api.setup.models import CalibrationTrial, TrialCamera, TrialRequest
 from vaoi_station.api.setup.station_files import StationFiles, replace_with_backup
 from vaoi_station.calibration import Limits, Outcome, calibrate
@@ -23,7 +24,7 @@ from vaoi_station.calibration.pictures.difference_picture import draw_difference
 from vaoi_station.errors import InputError, InternalError, NotFoundError, StateError, VaoiError
 from vaoi_station.files import read_calibration
 from vaoi_station.files.images import Image
-from vaoi_station.model import Calibration
+from vaoi_station.model import Calibration, CameraHead
 from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.runs.states.run_ids import utc
 
@@ -58,6 +59,7 @@ class Trials:
                 "body: flatness_um is given without working_distance_mm, by which a height moves a picture.",
                 action="Give the distance of the cameras from the board.",
             )
+        self._heads(wanted)
         run = self._coordinator.run(wanted.run)
         if wanted.row >= run.rows:
             raise InputError.field("body", "row", wanted.row, f"below {run.rows}, the rows of run {run.id}")
@@ -106,6 +108,14 @@ class Trials:
                 self._trial = trial = self._trial.model_copy(update=accepted)
         return trial
 
+    def discard(self) -> CalibrationTrial:
+        """Forget the latest trial, with its calibration and its pictures."""
+        with self._lock:
+            self._require_rest()
+            self._made, self._pictures = None, {}
+            self._trial = CalibrationTrial(state="none")
+            return self._trial
+
     def document(self) -> bytes:
         """Return the calibration of the trial as a file."""
         with self._lock:
@@ -127,7 +137,7 @@ class Trials:
             raise StateError(f"A trial is being {doing}.", action="Wait until it ends.", code="trial-running")
 
     def _perform(self, wanted: TrialRequest) -> None:
-        heads = [camera.head for camera in self._files.config.cameras]
+        heads = self._heads(wanted)
         limits = Limits(
             wanted.residual_limit_px,
             wanted.working_distance_mm,
@@ -162,6 +172,10 @@ class Trials:
         with self._lock:
             self._made = made
         self._change(state="judged", cameras=self._cameras(outcome, difference), notes=list(outcome.notes), **found)
+
+    def _heads(self, wanted: TrialRequest) -> tuple[CameraHead, ...]:
+        """Return the cameras with nominal views; refuse a request for an array of which they are unknown."""
+        return nominal_heads([c.head for c in self._files.config.cameras], wanted.pitch_mm, wanted.px_per_mm)
 
     def _reader(self, wanted: TrialRequest, cameras: int) -> Callable[[int], Image | None]:
         def frame(camera: int) -> Image | None:
