@@ -14,6 +14,7 @@ from tests.api.board_data.test_previews import import_here
 from tests.api.conftest import Served
 from tests.api.held.setup_files import setup_files
 from tests.api.held_station import HeldStation
+from tests.api.web.test_views import examine
 from vaoi_station.api.access.access_control import AccessControl
 from vaoi_station.api.access.audit import AuditLog
 from vaoi_station.api.board_data import previews
@@ -27,7 +28,7 @@ CLIPPED = """() => [...document.querySelectorAll(".setup, .setup *")].filter((e)
     return e.checkVisibility() && !e.closest("svg, td, th") && style.display !== "inline"
         && !e.matches(".wizard, .wizards, .file, pre, input, select, option, textarea, img")
         && (e.scrollWidth > e.clientWidth + 1
-            || (style.overflowY !== "visible" && e.scrollHeight > e.clientHeight + 8));
+            || ((style.overflowY !== "visible" || e.matches(".answer")) && e.scrollHeight > e.clientHeight + 8));
 }).map((e) => `${e.tagName} ${e.id || e.className}: ${e.textContent.slice(0, 40)}`)
     .concat([...document.querySelectorAll("main, .wizard")].filter((e) => e.scrollWidth > e.clientWidth + 1)
         .map((e) => `wide: ${e.className}`))"""
@@ -42,12 +43,17 @@ def keys(tmp_path: Path) -> KeyFile:
 
 
 @pytest.fixture
-def engineer(tmp_path: Path, keys: KeyFile, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
-    """A station with keys, on whose own machine everything except the scope admin is permitted."""
+def engineer(
+    request: pytest.FixtureRequest, tmp_path: Path, keys: KeyFile, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[Served]:
+    """A station with keys, on whose own machine everything except the scope admin is permitted.
+
+    Its parameter: whether station.toml states the nominal views of the cameras.
+    """
     monkeypatch.setattr(previews, "import_limited", import_here)
     audit = AuditLog(tmp_path / "audit.jsonl")
     access = AccessControl(keys, audit)
-    served = Served(HeldStation(), access=access, files=setup_files(tmp_path))
+    served = Served(HeldStation(), access=access, files=setup_files(tmp_path, getattr(request, "param", True)))
     served.access = access  # type: ignore[attr-defined]
     yield served
     served.stop()
@@ -69,7 +75,10 @@ def admin(page: Page, engineer: Served, keys: KeyFile) -> str:
 
 @pytest.fixture
 def fits(page: Page) -> Fits:
-    """Return a function that asserts that nothing of the shown page is clipped, at all sizes and in both languages."""
+    """Return a function that asserts that nothing of the shown page is clipped, at all sizes and in both languages.
+
+    Axe examines the page too: light in English, dark in German.
+    """
 
     def check(name: str, ready: str, step: Callable[[], Any] = lambda: None) -> None:
         for language in ("en", "de"):
@@ -83,6 +92,7 @@ def fits(page: Page) -> Fits:
                 if WHERE:
                     page.screenshot(path=Path(WHERE) / f"{name}-{language}-{width}.png")
                 assert page.evaluate(CLIPPED) == [], (name, language, width)
+            assert examine(page) == [], (name, language)
         page.emulate_media(color_scheme="light")
         page.evaluate("localStorage.setItem('vaoi-language', 'en')")
         page.set_viewport_size({"width": 1280, "height": 800})

@@ -8,7 +8,8 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.api.held.setup_files import film_board
+from tests.api.held.setup_files import PITCH_MM, film_board
+from tests.api.held_station import PX_PER_MM
 from vaoi_station.api.setup.trials import Trials
 from vaoi_station.files.layouts import Layout
 
@@ -28,9 +29,11 @@ def test_a_calibration_is_filmed_followed_judged_and_accepted(
     page.goto(f"{admin}/#/setup/calibration")
     expect(page.get_by_text("No run has frames that can be read.")).to_be_visible()
     page.get_by_role("button", name="Calibrate").click()
+    expect(page.locator(".answer.refused")).to_be_in_viewport(ratio=1)
     page.get_by_label("Distance from the edge").fill("9")
     page.keyboard.press("Tab")
-    expect(page.locator(".answer.refused")).to_be_visible()
+    expect(page.locator(".answer.refused")).to_contain_text("Ask for")
+    fits("calibration-refused", ".answer.refused", lambda: page.evaluate(PICTURES))
     layout = page.evaluate("() => fetch('/api/v1/calibration/layout?tolerance_mm=1.5').then((r) => r.json())")
     run = film_board(engineer.station, Layout.model_validate(layout))
     page.reload()
@@ -48,8 +51,11 @@ def test_a_calibration_is_filmed_followed_judged_and_accepted(
     page.get_by_label("Largest residual").fill("0.2")
     page.locator("#calibrate").click()
     expect(page.locator("progress")).to_be_visible()
+    expect(page.locator("progress")).to_be_in_viewport()
     page.reload()  # the station goes on, and the page finds it again
     expect(page.locator("progress")).to_be_visible()
+    expect(page.get_by_label("Distance from the edge")).to_have_value("1,5")
+    expect(page.get_by_label("Row in which")).to_have_value("0")
     with page.expect_event("requestfailed", lambda request: request.url.endswith("/calibration/trial")):
         page.route("**/calibration/trial", lambda route: route.abort())
     page.unroute("**/calibration/trial")  # an answer that was lost ends nothing
@@ -59,6 +65,49 @@ def test_a_calibration_is_filmed_followed_judged_and_accepted(
     fits("calibration", "#accept", lambda: page.evaluate(PICTURES))
     page.locator("#accept").click()
     expect(page.locator(".answer.done")).to_contain_text("Written as calibration.json; the one before is kept as")
+    page.get_by_role("button", name="Discard it").click()
+    expect(page.locator(".pictures img")).to_have_count(0)
+    page.reload()
+    expect(page.locator(".frames img").first).to_be_visible()
+    expect(page.locator(".pictures img")).to_have_count(0)
+
+
+@pytest.mark.parametrize("engineer", [False], indirect=True)
+def test_an_array_without_nominal_values_is_calibrated_by_what_is_entered(
+    page: Page, engineer: Any, admin: str, fits: Any
+) -> None:
+    page.goto(f"{admin}/#/setup/calibration")
+    refused = page.locator(".answer.refused")
+    expect(refused).to_have_text(
+        "station.toml does not state where the cameras are: enter the distance of the cameras and their resolution."
+    )
+    fits("calibration-nominal", ".answer.refused")
+    run = film_board(engineer.station, Layout.model_validate(artwork(page, PITCH_MM, PX_PER_MM)))
+    page.reload()
+    page.get_by_label("Distance of cameras").fill(str(PITCH_MM))
+    page.get_by_label("Resolution").fill(str(PX_PER_MM))
+    page.get_by_label("Distance from the edge").fill("1.5")
+    page.keyboard.press("Tab")
+    expect(page.locator("img.artwork")).to_be_visible()
+    expect(page.get_by_label("Run")).to_have_value(run)
+    page.get_by_label("Row in which").fill("0")
+    page.locator("#calibrate").click()
+    expect(page.get_by_role("heading", name="4. Judge it")).to_be_visible()
+
+
+def test_the_layout_of_another_board_is_chosen_and_left_again(page: Page, admin: str) -> None:
+    page.goto(f"{admin}/#/setup/calibration")
+    page.set_input_files("#layout-file", {"name": "layout.json", "mimeType": "application/json", "buffer": b"{}"})
+    expect(page.locator("#layout-name")).to_have_text("layout.json")
+    page.get_by_role("button", name="Without this file").click()
+    expect(page.locator("#layout-name")).to_be_empty()
+    page.set_input_files("#layout-file", {"name": "notes.txt", "mimeType": "text/plain", "buffer": b"nonsense"})
+    expect(page.locator(".answer.refused")).to_contain_text("notes.txt is not JSON")
+
+
+def artwork(page: Page, pitch_mm: float, px_per_mm: float) -> Any:
+    query = f"tolerance_mm=1.5&pitch_mm={pitch_mm}&px_per_mm={px_per_mm}"
+    return page.evaluate("query => fetch(`/api/v1/calibration/layout?${query}`).then((r) => r.json())", query)
 
 
 PICTURES = "() => Promise.allSettled([...document.querySelectorAll('.wizard img')].map((image) => image.decode()))"

@@ -1,6 +1,7 @@
 // Calibration: print the board, film it, let the station measure its marks, judge, accept or try again.
 import { make } from "../parts/elements.js";
 import * as rest from "../parts/rest.js";
+import { keep, kept } from "../parts/settings.js";
 import { moment, number, texts } from "../texts/texts.js";
 import { answerLine, attempt, button, choice, facts, input, labelled, section, table, tick, Wrong } from "./fields.js";
 import * as requests from "./requests.js";
@@ -9,14 +10,27 @@ const POLL_MS = 500;
 const FILES = ["pdf", "svg", "gbr"];
 const UNDER_WAY = ["reading", "fitting"];
 
-export async function open(root) {
-  const page = new Calibration(root);
+// What is missing is named as the fields of this page are.
+const localised = (error) => (error.code === "nominal-values-missing" ? new Wrong(texts.setup.nominalMissing) : error);
+
+function readEntered() {
+  try {
+    return JSON.parse(kept("calibration", "{}"));
+  } catch {
+    return {};
+  }
+}
+
+export async function open(root, _, query) {
+  const page = new Calibration(root, query);
   await page.show();
   return page;
 }
 
 class Calibration {
   #root;
+  #query; // the run and the row that were chosen before the page was loaded anew
+  #entered = readEntered(); // what was entered in this browser: the board is printed on one day and filmed on another
   #answer = answerLine();
   #board = {}; // fields of the artwork
   #limits = {};
@@ -29,8 +43,8 @@ class Calibration {
   #shown = "";
   #closed = false;
 
-  constructor(root) {
-    this.#root = root;
+  constructor(root, query) {
+    [this.#root, this.#query] = [root, query];
   }
 
   close() {
@@ -45,7 +59,7 @@ class Calibration {
     this.#root.replaceChildren(make("h2", { textContent: t.pages.calibration }), this.#answer, this.#judged,
       make("div", { className: "two even" }, section(t.printBoard, make("p", { className: "help", textContent: t.printHelp }), this.#artwork(), this.#drawn),
         make("div", { className: "column" }, section(t.filmBoard, make("p", { className: "help", textContent: t.filmHelp }), this.#choice()),
-          section(t.calibrate, labelled(t.layoutFile, this.#layoutField(), { help: t.layoutHelp }), limits, make("div", { className: "buttons" }, button(t.calibrate, () => this.#begin(), this.#answer, { className: "primary", id: "calibrate" }))))));
+          section(t.calibrate, this.#layoutField(), limits, make("div", { className: "buttons" }, button(t.beginTrial, () => this.#begin(), this.#answer, { className: "primary", id: "calibrate" }))))));
     this.#draw();
     this.#showFrames();
     rest.unattended(this.#follow()); // not awaited: the page is open at once, and can be closed meanwhile
@@ -54,15 +68,26 @@ class Calibration {
   #artwork() {
     const t = texts.setup;
     const field = (name, text, value, unit = "") => {
-      this.#board[name] = input(name, value, { inputMode: "decimal" });
+      this.#board[name] = this.#remembered(input(name, value, { inputMode: "decimal" }));
       this.#board[name].addEventListener("change", () => this.#draw());
       return labelled(text, this.#board[name], { unit });
     };
     const light = tick("light_marks", t.lightMarks);
-    this.#board.light_marks = light.querySelector("input");
+    this.#board.light_marks = this.#remembered(light.querySelector("input"));
     this.#board.light_marks.addEventListener("change", () => this.#draw());
     return make("div", { className: "fields", id: "artwork" }, field("columns", t.marksAcross, "5"), field("rows", t.marksDown, "4"), field("mark_mm", t.markSize, "2", "mm"),
       field("tolerance_mm", t.edgeDistance, "3", "mm"), field("pitch_mm", t.pitch, "", "mm"), field("px_per_mm", t.resolution, "", "px/mm"), light);
+  }
+
+  // A field that has again what was entered, and keeps what is entered from now on.
+  #remembered(field) {
+    const value = field.type === "checkbox" ? "checked" : "value";
+    field[value] = this.#entered[field.name] ?? field[value];
+    field.addEventListener("change", () => {
+      this.#entered[field.name] = field[value];
+      keep("calibration", JSON.stringify(this.#entered));
+    });
+    return field;
   }
 
   #options() {
@@ -73,7 +98,10 @@ class Calibration {
   #draw() {
     const t = texts.setup;
     attempt(null, async () => {
-      const [options, { marks }] = [this.#options(), await requests.layout(this.#options())];
+      const options = this.#options();
+      const { marks } = await requests.layout(options).catch((error) => {
+        throw localised(error);
+      });
       const picture = make("img", { src: requests.artwork("calibration-board.svg", options), alt: t.artworkAlt(marks.length), className: "artwork" });
       const links = FILES.map((kind) => make("a", { className: "button", href: requests.artwork(`calibration-board.${kind}`, options), download: `calibration-board.${kind}`, textContent: t.artworkFiles[kind] }));
       this.#drawn.replaceChildren(picture, make("div", { className: "buttons" }, ...links,
@@ -93,7 +121,8 @@ class Calibration {
   #choice() {
     const t = texts.setup;
     if (!this.#runs.length) return make("p", { textContent: t.noFrames });
-    this.#run = choice("run", Object.fromEntries(this.#runs.map((run) => [run.id, t.runOf(run.board_id ?? run.id, moment(run.started))])), this.#runs[0].id);
+    const before = this.#runs.find((run) => run.id === this.#query.get("run"));
+    this.#run = choice("run", Object.fromEntries(this.#runs.map((run) => [run.id, t.runOf(run.board_id ?? run.id, moment(run.started))])), (before ?? this.#runs[0]).id);
     this.#run.addEventListener("change", () => this.#showFrames(true));
     this.#row.addEventListener("change", () => this.#showFrames());
     return make("div", {}, labelled(t.run, this.#run), labelled(t.row, this.#row), make("p", { id: "row-shown" }), make("div", { className: "frames" }));
@@ -103,7 +132,8 @@ class Calibration {
   #showFrames(other = !this.#shown) {
     const run = this.#runs.find((r) => r.id === this.#run?.value);
     if (!run) return;
-    if (other) Object.assign(this.#row, { max: run.rows - 1, value: Math.floor(run.rows / 2) });
+    if (other) Object.assign(this.#row, { max: run.rows - 1, value: this.#rowBefore(run) ?? Math.floor(run.rows / 2) });
+    if (this.#shown) history.replaceState(null, "", `#/setup/calibration?${new URLSearchParams({ run: run.id, row: this.#row.value })}`);
     this.#shown = run.id;
     this.#root.querySelector("#row-shown").textContent = texts.setup.rowOf(this.#row.value, run.rows);
     this.#root.querySelector(".frames").replaceChildren(...Array.from({ length: run.cameras }, (_, camera) => {
@@ -114,25 +144,39 @@ class Calibration {
     }));
   }
 
+  #rowBefore(run) {
+    const row = this.#query.get("row");
+    return run.id === this.#query.get("run") && Number(row) < run.rows ? row : null;
+  }
+
   #layoutField() {
-    const file = make("input", { type: "file", accept: ".json,application/json", id: "layout-file" });
-    file.addEventListener("change", () => attempt(file, async () => {
+    const t = texts.setup;
+    const file = make("input", { type: "file", accept: ".json,application/json", id: "layout-file", className: "file" });
+    const named = make("span", { id: "layout-name" });
+    const without = button(t.withoutLayout, () => {
       this.#layout = null;
+      [file.value, named.textContent, without.hidden] = ["", "", true];
+    }, this.#answer, { hidden: true });
+    file.addEventListener("change", () => attempt(file, async () => {
       if (!file.files.length) return "";
+      const { name } = file.files[0];
       try {
         this.#layout = JSON.parse(await file.files[0].text());
       } catch {
-        throw new Wrong(texts.setup.noLayout(file.files[0].name));
+        throw new Wrong(t.noLayout(name));
       }
+      [named.textContent, without.hidden] = [name, false];
       return "";
     }, this.#answer));
-    return file;
+    const field = labelled(t.layoutFile, file, { help: t.layoutHelp });
+    field.append(make("div", { className: "buttons" }, make("label", { htmlFor: file.id, className: "button", textContent: t.chooseFile }), without), named);
+    return field;
   }
 
   #limitFields() {
     const t = texts.setup;
     return [["working_distance_mm", "", "mm"], ["center_tolerance_mm", "2", "mm"], ["residual_limit_px", "0.2", "px"], ["mark_accuracy_um", "0", "µm"], ["flatness_um", "0", "µm"]].map(([name, value, unit]) => {
-      this.#limits[name] = input(name, value, { inputMode: "decimal" });
+      this.#limits[name] = this.#remembered(input(name, value, { inputMode: "decimal" }));
       return labelled(t.limitNames[name], this.#limits[name], { unit });
     });
   }
@@ -143,14 +187,21 @@ class Calibration {
     const values = Object.entries(this.#limits).map(([name, field]) => [name, field.value.trim().replace(",", ".")]).filter(([, value]) => value !== "");
     const wrong = values.find(([, value]) => !Number.isFinite(Number(value)));
     if (wrong) throw new Wrong(t.notNumber(t.limitNames[wrong[0]], wrong[1]));
-    const layout = this.#layout ?? (await requests.layout(this.#options()));
-    await requests.beginTrial({ run: this.#run.value, row: Number(this.#row.value), layout, ...Object.fromEntries(values.map(([name, value]) => [name, Number(value)])) });
-    await this.#follow();
+    const options = this.#options();
+    const design = Object.fromEntries(["pitch_mm", "px_per_mm"].filter((name) => options[name] !== "").map((name) => [name, Number(options[name])]));
+    try {
+      const layout = this.#layout ?? (await requests.layout(options));
+      await requests.beginTrial({ run: this.#run.value, row: Number(this.#row.value), layout, ...design, ...Object.fromEntries(values.map(([name, value]) => [name, Number(value)])) });
+    } catch (error) {
+      throw localised(error);
+    }
+    // The button is below what it shows.
+    await this.#follow(() => this.#judged.scrollIntoView({ block: "nearest" }));
     return "";
   }
 
   // Show the latest trial, again and again while it is made. The station keeps it, so that a page that is loaded anew goes on.
-  async #follow() {
+  async #follow(shown = () => {}) {
     for (;;) {
       // An answer that is lost on its way ends nothing: the station goes on.
       const trial = await requests.trial().catch((error) => {
@@ -159,6 +210,8 @@ class Calibration {
       });
       if (this.#closed) return;
       if (trial) this.#judged.replaceChildren(...this.#shownTrial(trial));
+      if (trial) shown();
+      shown = () => {}; // a person who scrolls on is not brought back
       if (trial && !UNDER_WAY.includes(trial.state)) return;
       await new Promise((done) => setTimeout(done, POLL_MS));
     }
@@ -184,11 +237,16 @@ class Calibration {
       const picture = make("img", { src: requests.trialPicture(name, trial.begun), alt: t.trialPictures[name] });
       return make("figure", {}, make("a", { href: picture.src, target: "_blank" }, picture), make("figcaption", { textContent: t.trialPictures[name] }));
     }) : [];
+    const discard = button(t.discardTrial, async () => {
+      await requests.discardTrial();
+      await this.#follow();
+      return "";
+    }, this.#answer, { id: "discard-trial" });
     const orders = trial.state === "judged" ? make("div", { className: "buttons" }, button(t.accept, async () => {
       await requests.acceptTrial();
       await this.#follow();
       return "";
-    }, this.#answer, { className: "primary", id: "accept" }), make("a", { className: "button", href: requests.trialCalibration, download: "calibration.json", textContent: t.download })) : "";
+    }, this.#answer, { className: "primary", id: "accept" }), make("a", { className: "button", href: requests.trialCalibration, download: "calibration.json", textContent: t.download }), discard) : make("div", { className: "buttons" }, discard);
     const written = trial.state === "accepted" ? make("p", { className: "answer done", textContent: t.acceptedAs(trial.accepted_as, trial.backup) }) : "";
     return [section(title, refused, written, figures, make("ul", { className: "warnings" }, ...trial.notes.map((textContent) => make("li", { textContent }))), against, orders, make("div", { className: "pictures" }, ...pictures))];
   }

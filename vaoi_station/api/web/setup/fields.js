@@ -50,15 +50,20 @@ export async function attempt(control, work, answer) {
   try {
     const said = await work();
     say(answer, said || "", said ? "done" : "");
+    if (said) reveal(answer);
     return true;
   } catch (error) {
     if (!(error instanceof Refusal) && !(error instanceof TypeError) && !(error instanceof Wrong)) throw error;
     say(answer, error instanceof TypeError ? texts.noAnswer : error.message, "refused");
+    reveal(answer);
     return false;
   } finally {
     if (control) control.disabled = before;
   }
 }
+
+// A button may be far below the place that says what came of it.
+const reveal = (answer) => answer.scrollIntoView({ block: "nearest" });
 
 export function say(answer, text, kind = "") {
   setText(answer, text);

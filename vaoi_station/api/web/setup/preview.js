@@ -8,7 +8,9 @@ import * as requests from "./requests.js";
 import { typeAddress } from "./types.js";
 
 const COLUMNS = ["ref", "x", "y", "rotation", "side", "package", "value"];
-const PANEL = ["repeat", "pitch", "rotate", "border"];
+// What a panel's fields must be, so that a refusal names the field and not the option of the command.
+const LENGTH = "-?\\d*\\.?\\d+";
+const PANEL = { repeat: /^[1-9]\d*x[1-9]\d*$/, pitch: new RegExp(`^${LENGTH}x${LENGTH}$`), rotate: /^-?\d+(\.\d+)?(,-?\d+(\.\d+)?)*$/, border: new RegExp(`^${LENGTH}x${LENGTH}$`) };
 
 export async function open(root, id) {
   const page = new Preview(root, await requests.preview(id));
@@ -45,7 +47,7 @@ class Preview {
 
   #foundOf(found) {
     const t = texts.setup;
-    const missing = found.missing.map((m) => make("li", { textContent: t.missing[m.what]?.(m.count) ?? m.message }));
+    const missing = found.missing.map((m) => make("li", { textContent: t.missing[m.what]?.(m.count, found.boards) ?? m.message }));
     return section(t.found, facts([
       [t.format, found.format], [t.size, t.millimetres(found.size_mm.map((v) => number(v, 2)).join(" × "))],
       [t.componentsOf, t.partsOf(found.components, found.parts_top, found.parts_bottom)], [t.fiducialCount, String(found.fiducials)],
@@ -81,18 +83,20 @@ class Preview {
     const steps = found?.steps ?? [options.step].filter(Boolean);
     const step = choice("step", { "": t.recognised, ...Object.fromEntries(steps.map((name) => [name, name])) }, options.step ?? "");
     if (steps.length) fields.push(labelled(t.step, step));
-    const panel = PANEL.map((key) => input(key, options[key] ?? "", { maxLength: 40, placeholder: t.panelExamples[key] }));
+    const panel = Object.keys(PANEL).map((key) => input(key, options[key] ?? "", { maxLength: 40, placeholder: t.panelExamples[key] }));
     const form = make("form", { className: "fields", id: "options" }, ...fields);
     // A panel that the file itself describes is not repeated.
     if (!found?.boards || options.repeat) {
-      const rest = PANEL.map((key, n) => labelled(t.panelFields[key], panel[n]));
+      const rest = Object.keys(PANEL).map((key, n) => labelled(t.panelFields[key], panel[n]));
       form.append(make("details", { id: "panel", open: Boolean(options.repeat) }, make("summary", { textContent: t.panel }), make("div", { className: "fields" }, ...rest)));
     }
-    form.addEventListener("change", ({ target }) => attempt(null, () => {
+    form.addEventListener("change", ({ target }) => attempt(null, async () => {
       if (!panel.includes(target)) return this.#again(optionOf(target, columns));
-      const [repeat, pitch] = panel.map((field) => field.value.trim());
+      const [repeat, pitch] = panel.map(panelValue);
       if (repeat && !pitch) return panel[1].focus();
-      return this.#again(Object.fromEntries(panel.map((field) => [field.name, repeat && field.value.trim()])));
+      const wrong = repeat && panel.find((field) => panelValue(field) && !PANEL[field.name].test(panelValue(field)));
+      if (wrong) throw new Wrong(t.panelWrong(t.panelFields[wrong.name], wrong.value, t.panelExamples[wrong.name]));
+      return this.#again(Object.fromEntries(panel.map((field) => [field.name, repeat && panelValue(field)])));
     }, this.#answer));
     form.addEventListener("submit", (event) => event.preventDefault());
     return section(t.options, form);
@@ -104,8 +108,13 @@ class Preview {
       this.#preview = await requests.change(this.#preview.id, { ...this.#preview.options, ...changed });
       await this.show(changed);
     };
-    this.#changes = this.#changes.then(change, change);
-    return this.#changes;
+    const now = (this.#changes = this.#changes.then(change, change));
+    // What is stored is what is shown: until it is drawn anew, that is the board type before the change.
+    const store = () => this.#root.querySelector("#confirm");
+    if (store()) store().disabled = true;
+    return now.finally(() => {
+      if (store()) store().disabled = this.#changes !== now;
+    });
   }
 
   #joined() {
@@ -155,6 +164,12 @@ class Preview {
     }, this.#answer, { className: "primary", id: "confirm" });
     return make("div", { className: "buttons" }, store, this.#discard());
   }
+}
+
+// Two numbers with any cross between them and any decimal sign; the comma of the rotations divides them.
+function panelValue(field) {
+  const value = field.value.replace(/\s/g, "").replace(/[×X*]/g, "x");
+  return field.name === "rotate" ? value : value.replaceAll(",", ".");
 }
 
 // What a field of the options says, as the station takes it. A column is stated with all others.

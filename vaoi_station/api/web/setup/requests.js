@@ -35,6 +35,7 @@ export const artwork = (file, options) => `/api/v1/calibration/artwork/${file}?$
 export const layout = (options) => call("GET", `/calibration/layout?${numbers(options)}`);
 export const trial = () => call("GET", "/calibration/trial");
 export const beginTrial = (wanted) => call("POST", "/calibration/trial", stated(wanted));
+export const discardTrial = () => call("DELETE", "/calibration/trial");
 export const acceptTrial = () => call("POST", "/calibration/trial/accept");
 export const trialCalibration = "/api/v1/calibration/trial/calibration";
 export const trialPicture = (name, begun) => `/api/v1/calibration/trial/pictures/${name}?_=${encodeURIComponent(begun)}`;
