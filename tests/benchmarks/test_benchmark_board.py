@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from vaoi_station.benchmarks.benchmark_board import BenchmarkBoard, board_from_r
 from vaoi_station.errors import NotFoundError
 from vaoi_station.simulation import Twin, read_scenario, scenario_path
 from vaoi_station.simulation.recording_writer import write_passage
+from vaoi_station.stitching.board.expectation import turned_by
 
 
 @pytest.fixture
@@ -32,6 +34,14 @@ def test_setup_holds_what_the_station_knows_before_the_first_frame(small_board: 
     assert len(setup.cameras) == 2
     assert setup.conveyor_mm_s == small_board.head.conveyor_mm_s
     assert setup.board_type is small_board.board_type
+
+
+def test_setup_knows_the_lights_and_the_rotation_of_a_recording(small_board: BenchmarkBoard) -> None:
+    """Without its lights, a recording under lamps in turn was off by 0.3 px in benchmarks only."""
+    head = small_board.head.model_copy(update={"lights": ("even", "left") * 3, "rotation_deg": 180})
+    setup = replace(small_board, head=head).setup
+    assert setup.lights == head.lights
+    assert setup.expectation == turned_by(180)
 
 
 def test_recording_gives_the_same_board_as_the_twin(recording: Path, small_board: BenchmarkBoard) -> None:

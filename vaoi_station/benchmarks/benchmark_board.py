@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from vaoi_station.files import open_recording, read_board_type, read_calibration
 from vaoi_station.model import BoardType, Calibration, RecordingHead
 from vaoi_station.simulation import Twin, read_scenario, scenario_path
+from vaoi_station.stitching.board.expectation import turned_by
 from vaoi_station.stitching.work import StitchSetup
 
 
@@ -36,12 +37,14 @@ class BenchmarkBoard:
 
     @property
     def setup(self) -> StitchSetup:
-        """The data that stitching has before the first frame: cameras, belt velocity, trigger period and board type."""
+        """The data that stitching has before the first frame: cameras, belt, trigger period, board type, lights."""
         return StitchSetup(
             self.calibration.cameras(self.head.cameras),
             self.head.conveyor_mm_s,
             self.head.trigger_period_s,
             self.board_type,
+            turned_by(self.head.rotation_deg),
+            lights=self.head.lights or (),
         )
 
 
