@@ -23,6 +23,7 @@ from vaoi_station.stitching.quality.agreement import (
     outline_reasons,
     reference_reasons,
     seam_offset_px,
+    seam_px,
     uncertain_detections,
 )
 
@@ -231,3 +232,18 @@ def test_links_beside_components_show_no_offset_of_a_seam_along_their_lean() -> 
     assert seam_offset_px(problem, across, every, least=13) == pytest.approx(0.4)
     flat = replace(problem, links=replace(links, b_lean=pairs))
     assert seam_offset_px(flat, of_sides, every, least=12) == pytest.approx(0.4)
+
+
+def test_a_seam_of_components_whose_links_were_rejected_shows_the_offset_across_their_lean() -> None:
+    """A camera tilted by 1.7 px beside components only: its links were outliers, and the run was ok and 1.1 px off."""
+    row, pairs, lean = np.zeros(13, dtype=np.int_), np.zeros((13, 2)), np.tile((0.1, 0.0), (13, 1))
+    links = Observations(row, row, pairs, pairs, pairs, lean, np.zeros((13, 2, 2)), np.full(13, 10.0), row, ())
+    problem, at = replace(NO_PROBLEM, links=links, component=np.full(13, 3)), np.arange(13)
+    apart = replace(adjusted(), link_px=np.tile((-1.1, -1.7), (13, 1)), weight=np.where(at < 2, 1.0, 0.0))
+    assert seam_px(problem, apart, at, 12) == pytest.approx(1.7)
+    assert seam_px(problem, replace(apart, weight=np.ones(13)), at, 12) is None, "links that fit"
+    assert seam_px(problem, apart, at[:5], 12) is None, "too few"
+    heights = replace(apart, link_px=np.tile((-1.1, 0.02), (13, 1)))
+    assert seam_px(problem, heights, at, 12) == pytest.approx(0.02), "tall components"
+    bare = replace(problem, component=np.full(13, -1))
+    assert seam_px(bare, apart, at, 12) == pytest.approx(np.hypot(1.1, 1.7))

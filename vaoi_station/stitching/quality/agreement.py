@@ -42,6 +42,8 @@ _PLAINLY = 4.0
 """A fiducial is named as wrong only if leaving out any other fiducial gives a χ² that is larger by at least this
 factor."""
 
+_LEAST_REJECTED, _USED, _MOSTLY = 6, 0.1, 0.5
+"""Least number of links of a seam from which most can be rejected, weight above which one is used, and their share."""
 _LEAST_REFERRED, _LEAST_AGREEING = 12, 0.5
 """Number of points of a reference from which on they are compared with the fiducials, and least share that agrees."""
 _REFERENCE_SIGMAS, _REFERENCE_LIMIT_PX = 4.0, 0.3
@@ -227,6 +229,27 @@ def seam_offset_px(problem: Problem, adjusted: AdjustmentResult, at: Ints, least
     along, across = off_px[:, 0] * x + off_px[:, 1] * y, off_px[:, 1] * x - off_px[:, 0] * y
     shown = float(np.median(along[surely])) if surely.sum() >= least else 0.0
     return float(np.hypot(shown, np.median(across)))
+
+
+def seam_px(problem: Problem, adjusted: AdjustmentResult, at: Ints, least: int) -> float | None:
+    """Return by how much two cameras disagree, px; None if their links do not show it.
+
+    Links on components are left out, since the height of a component is no error of the seam. If nearly all links lie
+    on components, and most links were rejected, the camera may have moved by pixels: without links on the bare board,
+    their noise floor is not widened. Then all of them count, across the lean, to which heights do not contribute.
+
+    Args:
+        problem: the problem of the adjustment.
+        adjusted: its solution.
+        at: indices of all links between the two cameras.
+        least: least number of links on the bare board.
+    """
+    bare = at[problem.component[at] < 0]
+    if len(bare) >= least:
+        return seam_offset_px(problem, adjusted, bare, least)
+    if len(at) < _LEAST_REJECTED or (adjusted.weight[at] > _USED).mean() > _MOSTLY:
+        return None
+    return seam_offset_px(problem, adjusted, at, len(at) + 1)
 
 
 FiducialPlaces = dict[int, tuple[Floats, float]]

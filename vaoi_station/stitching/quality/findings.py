@@ -34,7 +34,7 @@ from vaoi_station.stitching.quality.added_errors import (
     with_common_error,
     with_component_errors,
 )
-from vaoi_station.stitching.quality.agreement import seam_offset_px
+from vaoi_station.stitching.quality.agreement import seam_px
 from vaoi_station.stitching.quality.covariances import largest_sigma
 from vaoi_station.stitching.quality.heights import Height, component_heights
 from vaoi_station.stitching.quality.lens_errors import LensError, lens_errors
@@ -282,8 +282,9 @@ class Findings:
     @property
     def unplaceable(self) -> bool:
         """Whether no connected group of rows shows two CAD points: the position of the whole board is unknown."""
-        several = self.mapping is not None and self.method.links and len(self.connected_groups) > 1
-        return several and not self._rows_fixed_by_cad
+        if self.mapping is None or not self.method.links or len(self.connected_groups) < 2:
+            return False
+        return not self._rows_fixed_by_cad
 
     @cached_property
     def _rows_fixed_by_cad(self) -> set[int]:
@@ -300,17 +301,13 @@ class Findings:
 
     @cached_property
     def seams_px(self) -> dict[tuple[int, int], float]:
-        """For each pair of neighbouring cameras, the length of the median residual of links on the bare board, px.
+        """For each pair of neighbouring cameras, the length of the median residual of their links, px (`seam_px`).
 
         If it is large, a camera has moved, or the board has a shape that the surface model cannot express.
         """
-        # Links on components are left out, since the height of a component is no error of the seam.
-        bare, out = (self.seam_of_link >= 0) & (self.problem.component < 0), {}
-        for i in range(len(self.scene.cameras) - 1):
-            mine = np.flatnonzero(bare & (self.seam_of_link == i))
-            if len(mine) >= _SEAM_LINKS:
-                out[i, i + 1] = seam_offset_px(self.problem, self.adjusted, mine, _SEAM_LINKS)
-        return out
+        every = (np.flatnonzero(self.seam_of_link == i) for i in range(len(self.scene.cameras) - 1))
+        found = [seam_px(self.problem, self.adjusted, mine, _SEAM_LINKS) for mine in every]
+        return {(i, i + 1): px for i, px in enumerate(found) if px is not None}
 
     @cached_property
     def displaced_cameras(self) -> tuple[tuple[int, Floats, tuple[int, ...]], ...]:
