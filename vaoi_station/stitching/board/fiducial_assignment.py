@@ -43,8 +43,8 @@ _ROUGH_FACTOR, _MOST_PLACES = 4.0, 6
 The first is a factor on the limits of the scale of C and of the distance between a fiducial and its candidate. The
 second is the largest number of positions of the board that are tried."""
 _SLACK_MM = 0.15
-_MOST_PAIRS = 24
-"""Largest number of pairs of fiducials of a panel's boards that are tried."""
+_MOST_PAIRS, _MOST_OWN_PAIRS = 24, 200
+"""Largest number of pairs of fiducials that are tried: of a panel's boards, and of the board or panel itself."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,18 +157,19 @@ def find_board(
 
 
 def _pairs_to_try(plane: BoardPlane) -> list[tuple[int, int]]:
-    """List the pairs of fiducials that may locate the board: all, but of a panel's boards only those farthest apart.
+    """List the pairs of fiducials that may locate the board: if there are many, those farthest apart.
 
-    A panel of 20 boards has 780 pairs, and trying all would take seconds. Its boards are displaced: a long
-    pair shows scale and turn best.
+    A long pair shows scale and turn best. A panel of 20 boards has 780 pairs, and trying all would take seconds. Its
+    boards are displaced, so that pairs of them are the last resort. A grid of 60 fiducials has 1,770 pairs, each of
+    which fits it in dozens of places.
     """
     of_boards = {n for numbers in plane.board_type.board_fiducials.values() for n in numbers}
     every = list(combinations(range(len(plane.fiducials)), 2))
-    if not of_boards:
-        return every
+    if len(every) > _MOST_PAIRS:
+        every.sort(key=lambda pair: -math.dist(*plane.fiducials[list(pair)]))
     panel = [pair for pair in every if not of_boards.intersection(pair)]
-    far = sorted(set(every) - set(panel), key=lambda pair: -math.dist(*plane.fiducials[list(pair)]))
-    return panel + far[:_MOST_PAIRS]
+    others = [pair for pair in every if of_boards.intersection(pair)]
+    return panel[:_MOST_OWN_PAIRS] + others[:_MOST_PAIRS]
 
 
 def find_rough_places(
