@@ -205,7 +205,7 @@ export const setup = {
   hideSecret: "Ich habe ihn",
   knownKeys: "Schlüssel",
   noKeys: "Es gibt keinen: Aufrufer von anderen Rechnern werden abgewiesen.",
-  keyColumns: ["Name", "Rechte", "Angelegt", ""],
+  keyColumns: ["Name", "Rechte", "Angelegt", "Ändern"],
   rotate: "Ersetzen",
   revoke: "Widerrufen",
   revokeSure: (name) => `${name} jetzt widerrufen`,

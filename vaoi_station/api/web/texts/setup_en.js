@@ -211,7 +211,7 @@ export const setup = {
   hideSecret: "I have kept it",
   knownKeys: "Keys",
   noKeys: "There is none: callers from other machines are refused.",
-  keyColumns: ["Name", "Scopes", "Made", ""],
+  keyColumns: ["Name", "Scopes", "Made", "Change"],
   rotate: "Replace",
   revoke: "Revoke",
   revokeSure: (name) => `Revoke ${name} now`,
