@@ -42,8 +42,9 @@ _PLAINLY = 4.0
 """A fiducial is named as wrong only if leaving out any other fiducial gives a χ² that is larger by at least this
 factor."""
 
-_LEAST_REJECTED, _USED, _MOSTLY = 6, 0.1, 0.5
-"""Least number of links of a seam from which most can be rejected, weight above which one is used, and their share."""
+_LEAST_REJECTED, _USED, _MOSTLY, _REJECTED_PX = 6, 0.1, 0.5, 0.3
+"""Least number of links of a seam from which most can be rejected, weight above which one is used, their share, and the
+residual of rejected links, px, that shows that the cameras disagree; a smaller one shows nothing."""
 _LEAST_REFERRED, _LEAST_AGREEING = 12, 0.5
 """Number of points of a reference from which on they are compared with the fiducials, and least share that agrees."""
 _REFERENCE_SIGMAS, _REFERENCE_LIMIT_PX = 4.0, 0.3
@@ -249,7 +250,8 @@ def seam_px(problem: Problem, adjusted: AdjustmentResult, at: Ints, least: int) 
         return seam_offset_px(problem, adjusted, bare, least)
     if len(at) < _LEAST_REJECTED or (adjusted.weight[at] > _USED).mean() > _MOSTLY:
         return None
-    return seam_offset_px(problem, adjusted, at, len(at) + 1)
+    across_px = seam_offset_px(problem, adjusted, at, len(at) + 1)
+    return across_px if across_px > _REJECTED_PX else None
 
 
 FiducialPlaces = dict[int, tuple[Floats, float]]
