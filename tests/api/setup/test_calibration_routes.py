@@ -32,9 +32,9 @@ def test_the_artwork_has_the_cameras_of_the_station(client: Any) -> None:
     assert client.get("/api/v1/calibration/artwork/../station.toml").status_code == 404
 
 
-def test_a_trial_is_followed_to_its_end_and_accepted(
-    client: Any, station: HeldStation, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.fixture
+def ended(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
+    """Provide an event that is set when a trial has been performed."""
     ended, perform = threading.Event(), Trials.perform
 
     def watched(trials: Trials, wanted: Any) -> None:
@@ -42,6 +42,10 @@ def test_a_trial_is_followed_to_its_end_and_accepted(
         ended.set()
 
     monkeypatch.setattr(Trials, "perform", watched)
+    return ended
+
+
+def test_a_trial_is_followed_to_its_end_and_accepted(client: Any, station: HeldStation, ended: threading.Event) -> None:
     layout = client.get("/api/v1/calibration/layout", params=QUERY).json()
     run = film_board(station, Layout.model_validate(layout))
     assert client.get(TRIAL).json()["state"] == "none"
@@ -56,14 +60,7 @@ def test_a_trial_is_followed_to_its_end_and_accepted(
     assert client.post(f"{TRIAL}/accept").json()["state"] == "accepted"
 
 
-def test_a_trial_is_discarded(client: Any, station: HeldStation, monkeypatch: pytest.MonkeyPatch) -> None:
-    ended, perform = threading.Event(), Trials.perform
-
-    def watched(trials: Trials, wanted: Any) -> None:
-        perform(trials, wanted)
-        ended.set()
-
-    monkeypatch.setattr(Trials, "perform", watched)
+def test_a_trial_is_discarded(client: Any, station: HeldStation, ended: threading.Event) -> None:
     layout = client.get("/api/v1/calibration/layout", params=QUERY).json()
     client.post(TRIAL, json={"run": film_board(station, Layout.model_validate(layout)), "row": 0, "layout": layout})
     assert ended.wait(120)
