@@ -19,13 +19,23 @@ _EDGE_PX = 2.0
 """Distance outside a mark's edge at which its blur ends."""
 _RIM_PX, _RIM = 3.0, 0.25
 """Width of the rim that is compared, px, and the upper limit of this width as a share of the mark's radius."""
-_NORMAL_SHIFT, _NORMAL_SHIFT_NOISE = 0.01, 3.0
-"""Largest asymmetry of an undisturbed mark: as a share of its size, and in standard deviations of its centre."""
-_NORMAL_LIGHT, _NORMAL_LIGHT_NOISE = 0.03, 2.0
-"""Largest asymmetry of an undisturbed rim: as a share of the contrast, and the same per px of the centre's sigma."""
+_NORMAL_SHIFT, _NORMAL_SHIFT_NOISE = 0.006, 3.0
+"""Largest asymmetry of an undisturbed mark: as a share of its size, and in standard deviations of its centre.
+
+Without noise it is 0.003 in the films from photographs, and 0.004 in those of the twin."""
+_NORMAL_LIGHT, _NORMAL_LIGHT_NOISE = 0.015, 1.0
+"""Largest asymmetry of an undisturbed rim: as a share of the contrast, and the same per px of the centre's sigma.
+
+It is 0.008 in the films from photographs, and 0.011 in those of the twin, with their noise."""
 _SHIFT_PER_LIGHT = 0.2
 """Displacement of the centre, as a share of the radius, if the asymmetry of the rim equals the contrast. The value was
 measured with light spots beside marks."""
+_SIGMA_PER_NOISE = 1.5
+"""Standard deviation of a fitted centre for noise equal to the contrast, px, times the square root of the radius in px.
+
+It is 1.1 to 1.3 for sharp discs; more is allowed for blurred ones."""
+_LEAST_FLAT_PX = 40
+"""Least number of pixels away from the edge from which the noise is estimated."""
 _COMMON_FACTOR = 2.0
 """Factor on the standard deviation, which corrects for correlated errors.
 
@@ -46,18 +56,24 @@ def asymmetry_sigma_px(
         sigma_px: standard deviation of the centre by noise.
     """
     radius = size_px / 2
-    odd, light = measure_asymmetry(image, *px, radius, radius + _EDGE_PX + min(_RIM_PX, _RIM * radius), contrast)
-    # Only asymmetry beyond that of undisturbed marks counts, because `sigma_px` already contains the noise.
-    covered = max(odd - _NORMAL_SHIFT * size_px - _NORMAL_SHIFT_NOISE * sigma_px, 0.0)
-    glare = _SHIFT_PER_LIGHT * radius * max(light - _NORMAL_LIGHT - _NORMAL_LIGHT_NOISE * sigma_px, 0.0)
+    reach = radius + _EDGE_PX + min(_RIM_PX, _RIM * radius)
+    odd, light, noise = measure_asymmetry(image, *px, radius, reach, contrast)
+    # Only asymmetry beyond that of undisturbed marks counts, because `sigma_px` already contains the noise. A glint
+    # increases the residuals of the fit, and with them `sigma_px`. The noise between neighbouring pixels limits it.
+    by_noise_px = min(sigma_px, _SIGMA_PER_NOISE * noise / math.sqrt(radius))
+    covered = max(odd - _NORMAL_SHIFT * size_px - _NORMAL_SHIFT_NOISE * by_noise_px, 0.0)
+    glare = _SHIFT_PER_LIGHT * radius * max(light - _NORMAL_LIGHT - _NORMAL_LIGHT_NOISE * by_noise_px, 0.0)
     return _COMMON_FACTOR * math.hypot(covered, glare)
 
 
 @compiled
 def measure_asymmetry(
     image: NDArray[np.uint8], x: float, y: float, radius: float, reach: float, contrast: float
-) -> tuple[float, float]:
+) -> tuple[float, float, float]:
     """Measure the asymmetry of a mark, as a shift of its centre in px, and of its rim, as a share of the contrast.
+
+    The third value is the standard deviation of the noise as a share of the contrast; infinite if too few pixels are
+    away from the edge.
 
     In each sector, the excess of light over the opposite sector, divided by the contrast and the arc length, is a
     displacement of the edge. A shift t of the whole mark gives t·cos θ in a sector at angle θ, and t/√2 as the root
@@ -72,7 +88,7 @@ def measure_asymmetry(
         contrast: difference of mark and ground, grey levels.
     """
     excess, light, count = np.zeros(_SECTORS), np.zeros(_SECTORS), np.zeros(_SECTORS)
-    edge = radius + _EDGE_PX
+    edge, noise, flat = radius + _EDGE_PX, 0.0, 0
     for row in range(max(math.ceil(y - reach), 1), min(math.floor(y), image.shape[0] - 2) + 1):
         v = row - y
         # The opposite point (x − u, y − v) lies between pixels, so it is interpolated bilinearly.
@@ -95,6 +111,14 @@ def measure_asymmetry(
             else:
                 light[sector] += off
                 count[sector] += 1
+            if abs(r - radius) > _EDGE_PX + 1:
+                # The mixed difference of four neighbours does not depend on gradients of the light.
+                over = float(image[row - 1, column]) - image[row - 1, column - 1]
+                noise += abs(over - image[row, column] + image[row, column - 1]) / 2
+                flat += 1
     arc = math.pi * radius / _SECTORS
     odd = math.sqrt(2 * (excess**2).mean()) / (2 * abs(contrast) * arc)
-    return odd, math.sqrt(2 * ((light / np.maximum(count, 1.0)) ** 2).mean()) / (2 * abs(contrast))
+    bright = math.sqrt(2 * ((light / np.maximum(count, 1.0)) ** 2).mean()) / (2 * abs(contrast))
+    # For normally distributed values the mean absolute value is √(2/π) of the standard deviation.
+    known = flat >= _LEAST_FLAT_PX
+    return odd, bright, math.sqrt(math.pi / 2) * noise / flat / abs(contrast) if known else np.inf
