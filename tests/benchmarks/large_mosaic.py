@@ -20,6 +20,7 @@ from vaoi_station.model import BoardType, Stitch
 from vaoi_station.mosaic import MosaicGrid, TakenFrame, choose_frames, make_plan
 from vaoi_station.mosaic.projection import FrameProjector
 from vaoi_station.mosaic.whole_board import write_mosaic
+from vaoi_station.steps import completed
 
 SCALE, WIDTH, HEIGHT, BOARD = 40.0, 1392, 1040, (400.0, 410.0)
 PITCH, STEP, FILES = WIDTH / SCALE / 1.05, HEIGHT / SCALE / 2.1, 7
@@ -62,7 +63,8 @@ def main(px_per_mm: float = SCALE) -> None:
 
         projector, began = FrameProjector(stitch, cameras), time.monotonic()
         base = MosaicGrid.of_board(board, SCALE)
-        plan = make_plan(choose_frames(taken), read, projector=projector, board_type=board, stitch=stitch, base=base)
+        chosen = choose_frames(taken)
+        plan = completed(make_plan(chosen, read, projector=projector, board_type=board, stitch=stitch, base=base))
         planned = time.monotonic()
         layout = write_mosaic(Path(folder) / "large.tif", plan, projector, MosaicGrid.of_board(board, px_per_mm), read)
         done = time.monotonic()

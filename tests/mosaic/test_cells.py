@@ -21,6 +21,7 @@ from vaoi_station.mosaic.gains import Gains
 from vaoi_station.mosaic.seams import NO_FRAME
 from vaoi_station.mosaic.survey import FieldCache, survey
 from vaoi_station.photometry import FlatFields
+from vaoi_station.steps import completed
 
 
 def test_sight_of_a_frame(board: Filmed) -> None:
@@ -44,14 +45,14 @@ def test_fronts_start_where_frames_look_straight_down(board: Filmed) -> None:
 def test_rest_is_filled_with_frames_that_show_the_middle_of_a_cell(board: Filmed) -> None:
     sights = [sight_of(f, board.projector, board.base) for f in board.taken]
     labels = np.full(cell_shape(board.base), NO_FRAME, np.int32)
-    fill_rest(labels, sights)
+    completed(fill_rest(labels, sights))
     assert (labels != NO_FRAME).all()
 
 
 def test_body_is_taken_from_the_frame_that_sees_it_most_vertically(board: Filmed) -> None:
     sights = [sight_of(f, board.projector, board.base) for f in board.taken]
     cost = np.ones(cell_shape(board.base), np.float32)
-    labels = lock_bodies(board.board_type, board.stitch, sights, board.base, cost)
+    labels = completed(lock_bodies(board.board_type, board.stitch, sights, board.base, cost))
     x, y = (apply(board.base.mosaic_from_cad, (15, 14)) // CELL_PX).astype(int)
     patch = labels[y - 1 : y + 2, x - 1 : x + 2]
     assert len(np.unique(patch)) == 1
@@ -68,9 +69,9 @@ def test_a_body_that_does_not_follow_c_is_locked_where_it_lies(board: Filmed) ->
     (c,) = (m for m in (board.stitch.cad_matrix,) if m is not None)
     own = {part.address: right @ c for part in board.board_type.components}
     usual, moved = (np.ones(cell_shape(board.base), np.float32) for _ in range(2))
-    lock_bodies(board.board_type, board.stitch, sights, board.base, usual)
+    completed(lock_bodies(board.board_type, board.stitch, sights, board.base, usual))
     displaced = board.stitch.model_copy(update={"local_matrices": own})
-    labels = lock_bodies(board.board_type, displaced, sights, board.base, moved)
+    labels = completed(lock_bodies(board.board_type, displaced, sights, board.base, moved))
     np.testing.assert_array_equal(moved, np.roll(usual, 2, axis=1))
     assert (usual < 1).any()
     x, y = (apply(board.base.mosaic_from_cad, (15 + shift, 14)) // CELL_PX).astype(int)
@@ -81,7 +82,7 @@ def test_flat_bodies_are_not_locked(board: Filmed) -> None:
     sights = [sight_of(f, board.projector, board.base) for f in board.taken]
     stitch = board.stitch.model_copy(update={"quality": {"heights_mm": {"U1": 0.05, "U2": 0.1}}})
     cost = np.ones(cell_shape(board.base), np.float32)
-    assert (lock_bodies(board.board_type, stitch, sights, board.base, cost) == NO_FRAME).all()
+    assert (completed(lock_bodies(board.board_type, stitch, sights, board.base, cost)) == NO_FRAME).all()
     assert (cost == 1).all()
 
 
@@ -93,7 +94,7 @@ def test_disagreement_shows_what_one_frame_alone_sees(board: Filmed) -> None:
         survey(board.taken, lambda i, j: frames[i, j], board.projector, board.base, FieldCache(FlatFields.none()))
     )
     gains = Gains({}, {}, 0.0)
-    differ = disagreement(found, gains, board.projector, cell_shape(board.base))
+    differ = completed(disagreement(found, gains, board.projector, cell_shape(board.base)))
     cad = np.linalg.inv(board.stitch.image_matrices[0][2] @ board.stitch.cad_matrix)  # type: ignore[operator]
     x, y = (apply(board.base.mosaic_from_cad, apply(cad, (120.0, 120.0))) // CELL_PX).astype(int)
     assert differ[y, x] > 0.4

@@ -9,12 +9,13 @@ from tests.mosaic.conftest import DARK, SIZE, Film
 from vaoi_station.mosaic.gains import estimate_gains
 from vaoi_station.mosaic.survey import FieldCache, survey
 from vaoi_station.photometry import FlatFields
+from vaoi_station.steps import completed
 
 
 def test_flicker_field_and_dark_level_are_estimated(film: Film) -> None:
     board = film(flicker=0.03, step_mm=6.0, vignette=0.5)
     found = list(survey(board.taken, board.read, board.projector, board.base, FieldCache(FlatFields.none())))
-    gains = estimate_gains(found, board.cameras, calibrated=False)
+    gains = completed(estimate_gains(found, board.cameras, calibrated=False))
     assert gains.dark == pytest.approx(DARK, abs=1.5)
     lamps = np.random.default_rng(3)
     expected = []
@@ -33,7 +34,7 @@ def test_flicker_field_and_dark_level_are_estimated(film: Film) -> None:
 def test_without_overlaps_gains_stay_at_one(film: Film) -> None:
     board = film(step_mm=30.0)
     found = list(survey(board.taken[:1], board.read, board.projector, board.base, FieldCache(FlatFields.none())))
-    gains = estimate_gains(found, board.cameras, calibrated=False)
+    gains = completed(estimate_gains(found, board.cameras, calibrated=False))
     assert gains.frame == {(0, 0): 0.0}
     assert gains.dark == 0.0
     assert gains.log_field(1, board.cameras[1], np.zeros((3, 2))).tolist() == [0, 0, 0]

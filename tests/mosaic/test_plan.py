@@ -11,10 +11,11 @@ from tests.mosaic.conftest import DARK, Film, Filmed
 from vaoi_station.mosaic import MosaicPlan, choose_frames, make_plan
 from vaoi_station.mosaic.seams import NO_FRAME
 from vaoi_station.photometry import FlatFields
+from vaoi_station.steps import completed
 
 
 def plan_of(board: Filmed, *, hdr: bool = False, fields: FlatFields | None = None) -> MosaicPlan:
-    return make_plan(
+    steps = make_plan(
         choose_frames(board.taken, hdr=hdr),
         board.read,
         projector=board.projector,
@@ -23,6 +24,7 @@ def plan_of(board: Filmed, *, hdr: bool = False, fields: FlatFields | None = Non
         base=board.base,
         fields=fields,
     )
+    return completed(steps)
 
 
 def test_every_cell_has_a_frame(board: Filmed) -> None:

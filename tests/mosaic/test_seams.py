@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from vaoi_station.mosaic.seams import NO_FRAME, FrameCells, assign_cells
+from vaoi_station.steps import completed
 
 
 def two_frames(shape: tuple[int, int], width: int) -> FrameCells:
@@ -17,7 +18,9 @@ def two_frames(shape: tuple[int, int], width: int) -> FrameCells:
 
 
 def test_fronts_meet_half_way_on_even_ground() -> None:
-    labels = assign_cells(two_frames((9, 21), 15), np.ones((9, 21), np.float32), np.full((9, 21), NO_FRAME, np.int32))
+    labels = completed(
+        assign_cells(two_frames((9, 21), 15), np.ones((9, 21), np.float32), np.full((9, 21), NO_FRAME, np.int32))
+    )
     assert (labels[4, :10] == 0).all()
     assert (labels[4, 11:] == 1).all()
 
@@ -25,14 +28,14 @@ def test_fronts_meet_half_way_on_even_ground() -> None:
 def test_body_in_the_middle_belongs_to_one_frame() -> None:
     cost = np.ones((9, 21), np.float32)
     cost[2:7, 7:12] = 0.05
-    labels = assign_cells(two_frames((9, 21), 15), cost, np.full((9, 21), NO_FRAME, np.int32))
+    labels = completed(assign_cells(two_frames((9, 21), 15), cost, np.full((9, 21), NO_FRAME, np.int32)))
     assert len(np.unique(labels[3:6, 8:11])) == 1
 
 
 def test_locked_cells_keep_their_frame_and_cells_that_no_frame_shows_have_none() -> None:
     locked = np.full((9, 21), NO_FRAME, np.int32)
     locked[3:5, 8:10] = 1
-    labels = assign_cells(two_frames((9, 21), 8), np.ones((9, 21), np.float32), locked)
+    labels = completed(assign_cells(two_frames((9, 21), 8), np.ones((9, 21), np.float32), locked))
     assert (labels[3:5, 8:10] == 1).all()
     assert labels[0, 10] == NO_FRAME
 
@@ -40,5 +43,5 @@ def test_locked_cells_keep_their_frame_and_cells_that_no_frame_shows_have_none()
 def test_frame_that_shows_no_cell_takes_none() -> None:
     frames = two_frames((5, 10), 8)
     frames.seed[1] = -1
-    labels = assign_cells(frames, np.ones((5, 10), np.float32), np.full((5, 10), NO_FRAME, np.int32))
+    labels = completed(assign_cells(frames, np.ones((5, 10), np.float32), np.full((5, 10), NO_FRAME, np.int32)))
     assert set(np.unique(labels)) == {NO_FRAME, 0}

@@ -21,6 +21,7 @@ from vaoi_station.mosaic.frames import frames_of_head
 from vaoi_station.mosaic.projection import FrameProjector
 from vaoi_station.rendering import ViewCalculator
 from vaoi_station.simulation import Scenario, Twin, scenario_path
+from vaoi_station.steps import completed
 from vaoi_station.stitching.work import StitchSetup
 
 BOARDS = [
@@ -144,7 +145,7 @@ def test_pictures_of_the_board_show_bodies_where_their_boards_lie(panel: Filmed)
     region = region_component((*low, *high), board_type, 18.0)
     view = views_on_top(ViewCalculator(board_type, result, cameras), region, 0.0, px_per_mm=18.0)[0]
     in_region = [apply(np.linalg.inv(view.crop_matrix), body.corners) for body in bodies_in(view, board_type, result)]
-    plan = make_plan(
+    steps = make_plan(
         choose_frames(frames_of_head(panel.head), hdr=True),
         lambda _, __: None,
         projector=FrameProjector(result, cameras),
@@ -152,7 +153,7 @@ def test_pictures_of_the_board_show_bodies_where_their_boards_lie(panel: Filmed)
         stitch=result,
         base=MosaicGrid.of_board(board_type, 18.0),
     )
-    in_mosaic = [body.corners for body in plan.bodies]
+    in_mosaic = [body.corners for body in completed(steps).bodies]
     for found in (in_region, in_mosaic):
         assert len(found) == len(true) > 20
         for t, f in zip(true, found, strict=True):

@@ -20,6 +20,7 @@ from vaoi_station.mosaic.deep_zoom import TILE_PX, levels_of
 from vaoi_station.mosaic.frames import frames_of_head
 from vaoi_station.mosaic.projection import FrameProjector
 from vaoi_station.mosaic.tiles import Scratch
+from vaoi_station.steps import completed
 
 _WARP_PX = 1024
 """Largest width of a bare warp."""
@@ -73,7 +74,9 @@ def _measure(board: BenchmarkBoard, repetitions: int, stitch: Stitch | None) -> 
         return board.frames.get((camera, row))
 
     def planned() -> Any:
-        return make_plan(choice, read, projector=projector, board_type=board.board_type, stitch=found, base=grid)
+        return completed(
+            make_plan(choice, read, projector=projector, board_type=board.board_type, stitch=found, base=grid)
+        )
 
     plan = planned()
     renderer = TileRenderer(plan, projector, grid)

@@ -18,6 +18,7 @@ from vaoi_station.mosaic.grid import Region
 from vaoi_station.mosaic.projection import FrameProjector
 from vaoi_station.mosaic.whole_board import write_mosaic
 from vaoi_station.photometry import FlatFields
+from vaoi_station.steps import completed
 from vaoi_station.stitching.recordings.origin import check_origin
 
 _WHOLE = 0.9995
@@ -69,9 +70,10 @@ def write_board(order: MosaicOrder) -> Iterator[str]:
     resolution = projector.px_per_mm
     grid = MosaicGrid.of_board(board_type, order.px_per_mm or resolution, order.region)
     base = MosaicGrid.of_board(board_type, resolution, order.region, most_px=float("inf"))
-    plan = make_plan(
+    steps = make_plan(
         choice, recording.frame, projector=projector, board_type=board_type, stitch=stitch, base=base, fields=fields
     )
+    plan = completed(steps)
     layout = write_mosaic(order.out, plan, projector, grid, recording.frame)
     try:
         write_json(order.document, _document(order, plan, grid, layout))

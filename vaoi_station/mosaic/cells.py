@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -13,11 +14,12 @@ from vaoi_station.geometry import apply
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import BoardType, Stitch
 from vaoi_station.mosaic.frames import TakenFrame
-from vaoi_station.mosaic.gains import Gains
+from vaoi_station.mosaic.gains import Gains, log_field_at
 from vaoi_station.mosaic.grid import MosaicGrid
 from vaoi_station.mosaic.projection import FrameProjector
 from vaoi_station.mosaic.seams import NO_FRAME, FrameCells, Labels
 from vaoi_station.mosaic.survey import COARSE_PX, Floats32, SurveyedFrame
+from vaoi_station.steps import Steps
 
 CELL_PX = 16
 """Side of a cell in pixels of the mosaic at the resolution of the cameras; seams are blended over this width."""
@@ -110,7 +112,7 @@ def frame_cells(sights: Sequence[Sight], cell_mm: float) -> FrameCells:
     return FrameCells(box, start, shown, seed, delay)
 
 
-def fill_rest(labels: Labels, sights: Sequence[Sight]) -> None:
+def fill_rest(labels: Labels, sights: Sequence[Sight]) -> Steps[None]:
     """Assign cells that no frame shows wholly to the frame that shows most of them; in place."""
     best = np.full(labels.shape, np.inf, np.float32)
     chosen = np.full(labels.shape, NO_FRAME, np.int32)
@@ -119,33 +121,66 @@ def fill_rest(labels: Labels, sights: Sequence[Sight]) -> None:
         price = s.slant_mm + _OUTSIDE * np.maximum(-s.inside_px, 0)
         better = (s.inside_px >= -CELL_PX / 2) & (price < best[s.area])
         best[s.area][better], chosen[s.area][better] = price[better], n
+        yield
     rest = labels == NO_FRAME
     labels[rest] = chosen[rest]
 
 
 def disagreement(
     surveyed: Sequence[SurveyedFrame], gains: Gains, projector: FrameProjector, shape: tuple[int, int]
-) -> Floats32:
+) -> Steps[Floats32]:
     """Return how much frames differ in each cell (h, w), as a share of the brightness beyond what noise explains."""
     size = tuple(n * (CELL_PX // COARSE_PX) for n in shape)
     low, high = np.full(size, np.inf, np.float32), np.full(size, -np.inf, np.float32)
     for s in surveyed:
-        h, w = s.values.shape
-        v, u = np.mgrid[:h, :w]
-        raw = apply(s.raw_from_coarse, np.stack([u + s.x0, v + s.y0], -1))
-        key = s.taken.camera, s.taken.row
-        log = gains.log_field(key[0], projector.cameras[key[0]], raw) + gains.frame.get(key, 0.0)
-        corrected = (s.values - gains.dark / s.taken.sensitivity) * np.exp(-log).astype(np.float32)
-        area = np.s_[s.y0 : min(s.y0 + h, size[0]), s.x0 : min(s.x0 + w, size[1])]
-        corrected = corrected[: area[0].stop - s.y0, : area[1].stop - s.x0]
-        low[area] = np.fmin(low[area], corrected)
-        high[area] = np.fmax(high[area], corrected)
+        camera, row = s.taken.camera, s.taken.row
+        eye = projector.cameras[camera]
+        shift = np.array([[1, 0, s.x0], [0, 1, s.y0], [0, 0, 1]], np.float64)
+        scale = np.array([[2 / (eye.width_px - 1), 0, -1], [0, 2 / (eye.height_px - 1), -1], [0, 0, 1]])
+        frame_from_copy = scale @ s.raw_from_coarse @ shift
+        dark, log_gain = gains.dark / s.taken.sensitivity, gains.frame.get((camera, row), 0.0)
+        area = np.s_[s.y0 : s.y0 + s.values.shape[0], s.x0 : s.x0 + s.values.shape[1]]
+        _widen(s.values, frame_from_copy, gains.coefficients(camera), log_gain, dark, low[area], high[area])
+        yield
     with np.errstate(invalid="ignore", divide="ignore"):
         differ = (high - low) / np.maximum(high + low, 1e-9) - np.float32(_NOISE)
     differ = np.nan_to_num(np.clip(differ, 0, 1), nan=0.0)
     ch, cw = shape
     step = CELL_PX // COARSE_PX
     return np.asarray(differ.reshape(ch, step, cw, step).max((1, 3)), np.float32)
+
+
+@compiled
+def _widen(
+    values: Floats32,
+    frame_from_copy: Floats,
+    coefficients: Floats,
+    log_gain: float,
+    dark: float,
+    low: Floats32,
+    high: Floats32,
+) -> None:
+    """Widen the range `low` … `high` (h, w) of the radiance at each place by that of one frame.
+
+    Args:
+        values: radiance in the copy of the frame, at least (h, w); NaN is left out.
+        frame_from_copy: (3, 3) matrix from pixels of the copy to places in the frame, whose borders are at −1 and 1.
+        coefficients: those of the camera's field.
+        log_gain: logarithm of the frame's gain.
+        dark: radiance that the dark level pretends.
+        low: changed in place.
+        high: changed in place.
+    """
+    m = frame_from_copy
+    for y in range(low.shape[0]):
+        for x in range(low.shape[1]):
+            value = values[y, x]
+            if math.isnan(value):
+                continue
+            w = m[2, 0] * x + m[2, 1] * y + m[2, 2]
+            u, v = (m[0, 0] * x + m[0, 1] * y + m[0, 2]) / w, (m[1, 0] * x + m[1, 1] * y + m[1, 2]) / w
+            corrected = np.float32((value - dark) * math.exp(-log_field_at(u, v, coefficients) - log_gain))
+            low[y, x], high[y, x] = min(low[y, x], corrected), max(high[y, x], corrected)
 
 
 def crossing_cost(differ: Floats32) -> Floats32:
@@ -155,7 +190,7 @@ def crossing_cost(differ: Floats32) -> Floats32:
 
 def lock_bodies(
     board_type: BoardType, stitch: Stitch, sights: Sequence[Sight], grid: MosaicGrid, cost: Floats32
-) -> Labels:
+) -> Steps[Labels]:
     """Assign the cells of each body to the frame that shows all of it most vertically: (h, w) labels.
 
     A body that no frame shows wholly is not assigned; fronts cross it quickly, so that seams avoid it (`cost`, changed
@@ -174,51 +209,56 @@ def lock_bodies(
             height = float(measured)
         if height is not None and height < _FLAT_MM:
             continue
+        yield
         corners = apply(grid.mosaic_from_cad, footprint)
-        patch = _patch(corners, _AROUND_MM * grid.px_per_mm, cost.shape)
-        if patch is None:
+        around_px = _AROUND_MM * grid.px_per_mm
+        low = np.clip(np.floor((corners.min(0) - around_px) / CELL_PX), 0, cost.shape[::-1]).astype(int)
+        high = np.clip(np.ceil((corners.max(0) + around_px) / CELL_PX), 0, cost.shape[::-1]).astype(int)
+        (x0, y0), (x1, y1) = low.tolist(), high.tolist()
+        if x1 <= x0 or y1 <= y0:
             continue
-        (x0, y0), mask = patch
-        area = np.s_[y0 : y0 + mask.shape[0], x0 : x0 + mask.shape[1]]
+        distance = _distances(corners, x0, y0, np.empty((y1 - y0, x1 - x0), np.float32))
+        mask = distance <= around_px + CELL_PX / 2
+        if not mask.any():
+            continue
+        area = np.s_[y0:y1, x0:x1]
         cost[area][mask] = _BODY_COST
-        end = x0 + mask.shape[1], y0 + mask.shape[0]
-        around = np.flatnonzero((boxes[:, :2] <= (x0, y0)).all(1) & (boxes[:, 2:] >= end).all(1))
+        around = np.flatnonzero((boxes[:, :2] <= low).all(1) & (boxes[:, 2:] >= high).all(1))
         best = _best_frame(sights, around.tolist(), (x0, y0), mask)
         if best is not None:
             # Where bodies are close together, the ground between them goes to the nearer one.
-            distance = _distance(corners, (x0, y0), mask.shape)
             mine = mask & (distance < near[area])
             labels[area][mine] = best
             near[area][mine] = distance[mine]
     return labels
 
 
-def _patch(
-    corners: Floats, around_px: float, shape: tuple[int, int]
-) -> tuple[tuple[int, int], NDArray[np.bool_]] | None:
-    """Return the cells of a footprint with the ground around it: first column and row, and a mask (h, w)."""
-    low = np.floor((corners.min(0) - around_px) / CELL_PX).astype(int)
-    high = np.ceil((corners.max(0) + around_px) / CELL_PX).astype(int)
-    x0, y0 = np.clip(low, 0, shape[::-1])
-    x1, y1 = np.clip(high, 0, shape[::-1])
-    if x1 <= x0 or y1 <= y0:
-        return None
-    distance = _distance(corners, (int(x0), int(y0)), (int(y1 - y0), int(x1 - x0)))
-    mask = distance <= around_px + CELL_PX / 2
-    return ((int(x0), int(y0)), mask) if mask.any() else None
+@compiled
+def _distances(corners: Floats, x0: int, y0: int, out: Floats32) -> Floats32:
+    """Compute the distances (h, w) of the centres of cells from a convex footprint in px; 0 and below inside.
 
-
-def _distance(corners: Floats, first: tuple[int, int], shape: tuple[int, ...]) -> Floats32:
-    """Return the distances (h, w) of cell centres from a convex footprint in px; 0 and below inside."""
-    y, x = np.mgrid[: shape[0], : shape[1]]
-    at = np.stack([x + first[0], y + first[1]], -1) * float(CELL_PX) + (CELL_PX - 1) / 2
-    a, b = corners, np.roll(corners, -1, 0)
-    along = b - a
-    length = np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-9)
-    normal = np.stack([along[:, 1], -along[:, 0]], -1) / length[:, None]
-    outward = np.sign(((a - corners.mean(0)) * normal).sum(-1))
-    beyond = ((at[:, :, None] - a) * normal * outward[:, None]).sum(-1).max(-1)
-    return np.asarray(beyond, np.float32)
+    Args:
+        corners: (k, 2) of the footprint, in pixels of the mosaic.
+        x0: column of the first cell.
+        y0: row of the first cell.
+        out: (h, w) is filled and returned.
+    """
+    count = len(corners)
+    middle_x, middle_y = corners[:, 0].mean(), corners[:, 1].mean()
+    out[:] = -np.inf
+    for k in range(count):
+        ax, ay = corners[k, 0], corners[k, 1]
+        along_x, along_y = corners[(k + 1) % count, 0] - ax, corners[(k + 1) % count, 1] - ay
+        length = max(math.hypot(along_x, along_y), 1e-9)
+        nx, ny = along_y / length, -along_x / length
+        inward = (ax - middle_x) * nx + (ay - middle_y) * ny
+        if inward < 0:
+            nx, ny = -nx, -ny
+        for y in range(out.shape[0]):
+            for x in range(out.shape[1]):
+                at_x, at_y = (x + x0) * CELL_PX + (CELL_PX - 1) / 2, (y + y0) * CELL_PX + (CELL_PX - 1) / 2
+                out[y, x] = max(out[y, x], (at_x - ax) * nx + (at_y - ay) * ny)
+    return out
 
 
 def _best_frame(

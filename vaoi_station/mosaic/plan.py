@@ -34,6 +34,7 @@ from vaoi_station.mosaic.projection import FrameProjector
 from vaoi_station.mosaic.seams import NO_FRAME, assign_cells
 from vaoi_station.mosaic.survey import FieldCache, Floats32, ReadFrame, SurveyedFrame, survey
 from vaoi_station.photometry import FlatFields, NoiseModel
+from vaoi_station.steps import Steps
 
 FIELD_PX = 16
 """Side of a pixel of a camera's field, in pixels of its frames."""
@@ -107,8 +108,8 @@ def make_plan(
     stitch: Stitch,
     base: MosaicGrid,
     fields: FlatFields | None = None,
-) -> MosaicPlan:
-    """Survey the frames of a run and plan its mosaic.
+) -> Steps[MosaicPlan]:
+    """Survey the frames of a run and plan its mosaic, in steps of some milliseconds.
 
     Args:
         choice: the frames to use, in layers.
@@ -122,15 +123,21 @@ def make_plan(
     known = fields if fields is not None else FlatFields.none()
     cache = FieldCache(known)
     placed = [f for f in choice.frames if projector.places(f.camera, f.row)]
-    surveyed = list(survey(placed, read, projector, base, cache))
-    gains = estimate_gains(surveyed, projector.cameras, calibrated=bool(known))
+    surveyed: list[SurveyedFrame] = []
+    for frame in survey(placed, read, projector, base, cache):
+        surveyed.append(frame)
+        yield
+    gains = yield from estimate_gains(surveyed, projector.cameras, calibrated=bool(known))
     index = {(s.taken.camera, s.taken.row): n for n, s in enumerate(surveyed)}
-    differ = disagreement(surveyed, gains, projector, cell_shape(base))
+    differ = yield from disagreement(surveyed, gains, projector, cell_shape(base))
     layers = []
     for layer in choice.layers:
-        numbers = [index[f.camera, f.row] for f in layer if (f.camera, f.row) in index]
-        sights = [sight_of(surveyed[n].taken, projector, base) for n in numbers]
-        layers.append(_labels(numbers, sights, differ.copy(), board_type, stitch, base))
+        numbers, sights = [index[f.camera, f.row] for f in layer if (f.camera, f.row) in index], []
+        for n in numbers:
+            sights.append(sight_of(surveyed[n].taken, projector, base))
+            yield
+        labels = yield from _labels(numbers, sights, differ.copy(), board_type, stitch, base)
+        layers.append(labels)
     cameras = {
         camera: _photometry(camera, choice.light, projector, cache, known, gains)
         for camera in sorted({f.camera for f in placed})
@@ -158,14 +165,14 @@ def _labels(
     board_type: BoardType,
     stitch: Stitch,
     base: MosaicGrid,
-) -> NDArray[np.int16]:
+) -> Steps[NDArray[np.int16]]:
     """Assign each cell of one layer to a frame; `numbers` are the numbers of the layer's frames in the plan."""
     if not sights:
         return np.full(differ.shape, NO_FRAME, np.int16)
     cost = crossing_cost(differ)
-    locked = lock_bodies(board_type, stitch, sights, base, cost)
-    labels = assign_cells(frame_cells(sights, CELL_PX / base.px_per_mm), cost, locked)
-    fill_rest(labels, sights)
+    locked = yield from lock_bodies(board_type, stitch, sights, base, cost)
+    labels = yield from assign_cells(frame_cells(sights, CELL_PX / base.px_per_mm), cost, locked)
+    yield from fill_rest(labels, sights)
     known = np.array([*numbers, NO_FRAME], np.int16)
     return known[labels]
 

@@ -14,10 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.compiled import compiled, inlined
+from vaoi_station.steps import Steps
 
 Labels = NDArray[np.int32]
 NO_FRAME = -1
 """Label of a cell that no frame shows."""
+_ENTRIES_PER_STEP = 10_000
+"""Number of entries of the heap that are processed in one step, a few milliseconds."""
 
 
 class FrameCells(NamedTuple):
@@ -43,7 +46,7 @@ class _Heap(NamedTuple):
     label: NDArray[np.int32]
 
 
-def assign_cells(frames: FrameCells, cost: NDArray[np.float32], locked: Labels) -> Labels:
+def assign_cells(frames: FrameCells, cost: NDArray[np.float32], locked: Labels) -> Steps[Labels]:
     """Assign cells to frames: (h, w) numbers of frames, `NO_FRAME` where no frame shows the cell wholly.
 
     Args:
@@ -52,24 +55,48 @@ def assign_cells(frames: FrameCells, cost: NDArray[np.float32], locked: Labels) 
         locked: (h, w) frames of cells that were assigned beforehand, or `NO_FRAME`.
     """
     labels = np.full(cost.shape, NO_FRAME, np.int32)
+    earliest = np.full(cost.shape, np.inf)
     # A cell enters the heap at most once from each of its eight neighbours, and once for each frame that starts there.
     room = 8 * cost.size + len(frames.start) + 1
     heap = _Heap(np.empty(room, np.float64), np.empty(room, np.int32), np.empty(room, np.int32))
-    _grow(frames, cost, locked, labels, heap)
+    count = _plant(frames, cost.shape[1], heap)
+    while count:
+        count = _grow(frames, cost, locked, labels, earliest, heap, count)
+        yield
     left = (labels == NO_FRAME) & (locked != NO_FRAME)
     labels[left] = locked[left]
     return labels
 
 
 @compiled
-def _grow(frames: FrameCells, cost: NDArray[np.float32], locked: Labels, labels: Labels, heap: _Heap) -> None:
-    width = cost.shape[1]
+def _plant(frames: FrameCells, width: int, heap: _Heap) -> int:
+    """Enter the cell where the front of each frame starts, and return the number of entries in the heap."""
     count = 0
     for f in range(len(frames.start)):
         x, y = frames.seed[f, 0], frames.seed[f, 1]
         if x >= 0:
             count = _push(heap, count, frames.delay[f], y * width + x, f)
-    while count:
+    return count
+
+
+@compiled
+def _grow(
+    frames: FrameCells,
+    cost: NDArray[np.float32],
+    locked: Labels,
+    labels: Labels,
+    earliest: NDArray[np.float64],
+    heap: _Heap,
+    count: int,
+) -> int:
+    """Let fronts grow over some cells, and return the number of entries that are left in the heap.
+
+    `earliest` (h, w) is the earliest time at which a front is known to reach each cell.
+    """
+    width = cost.shape[1]
+    for _ in range(_ENTRIES_PER_STEP):
+        if count == 0:
+            break
         time, cell, f = heap.time[0], heap.cell[0], heap.label[0]
         count = _pop(heap, count)
         y, x = cell // width, cell % width
@@ -88,7 +115,12 @@ def _grow(frames: FrameCells, cost: NDArray[np.float32], locked: Labels, labels:
                 if locked[v, u] >= 0 and locked[v, u] != f:
                     continue
                 step = 1.4142135 if dx != 0 and dy != 0 else 1.0
-                count = _push(heap, count, time + step * 0.5 * (cost[y, x] + cost[v, u]), v * width + u, f)
+                arrival = time + step * 0.5 * (cost[y, x] + cost[v, u])
+                # An entry that comes later than another one of the same cell would be dropped in the end.
+                if arrival < earliest[v, u]:
+                    earliest[v, u] = arrival
+                    count = _push(heap, count, arrival, v * width + u, f)
+    return count
 
 
 @inlined

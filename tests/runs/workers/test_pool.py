@@ -5,7 +5,8 @@ from __future__ import annotations
 import dataclasses
 import os
 import signal
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -13,11 +14,13 @@ from typing import Any
 import pytest
 
 from tests.runs.workers.conftest import RingBoard
-from tests.runs.workers.plant import BoardPlant, Plant, conclusion, numbers
+from tests.runs.workers.plant import BoardPlant, Pending, Plant, conclusion, numbers
 from vaoi_station.drift.checks import RunCheck
 from vaoi_station.errors import GoneError, InternalError, StateError
 from vaoi_station.runs.workers import pool as module
-from vaoi_station.runs.workers.jobs import CheckJob, ConcludeJob, LinkJob
+from vaoi_station.runs.workers import worker as worker_module
+from vaoi_station.runs.workers.jobs import CheckJob, ConcludeJob, FramesJob, LinkJob, Priority, SteppedJob
+from vaoi_station.steps import Steps
 from vaoi_station.stitching.matching.evidence import Links
 
 
@@ -216,3 +219,68 @@ def test_stopping_reports_every_job_and_leaves_no_process(tmp_path: Path) -> Non
     assert not any(Path(f"/proc/{pid}").exists() for pid in pids)
     assert isinstance(plant.submit(plant.link()).get().error, StateError)
     plant.close()
+
+
+@dataclasses.dataclass(frozen=True)
+class Walk(SteppedJob):
+    """A job whose steps end when the first pixel of slot 0 is 1; the reply's value is its process."""
+
+    run: str
+    bay: int
+    generation: int
+    request: int = 1
+
+    def steps(self, frame: Callable[[int], Any]) -> Steps[int]:
+        while frame(0)[0, 0] != 1:
+            time.sleep(0.001)
+            yield
+        return os.getpid()
+
+
+@dataclasses.dataclass(frozen=True)
+class Glance(FramesJob):
+    """A picture job whose reply's value is its process."""
+
+    run: str
+    bay: int
+    generation: int
+    request: int = 2
+
+    def perform(self, frame: Callable[[int], Any]) -> int:
+        return os.getpid()
+
+
+@pytest.fixture
+def walk(plant: Plant, monkeypatch: pytest.MonkeyPatch) -> Iterator[Pending]:
+    """A job under way in the first worker: the other one, which concludes, takes no pictures while a run is open."""
+    # Before its first step the worker imports this module, which may take seconds.
+    monkeypatch.setitem(worker_module.OVERDUE_S, Priority.RENDER, 60.0)  # type: ignore[arg-type]
+    plant.all_idle()
+    plant.ring.frame(0)[0, 0] = 0
+    pending = plant.submit(Walk("r1", 0, plant.generation))
+    plant.until(lambda: "Walk" in plant.pool.status()[0].doing)
+    yield pending
+    plant.ring.frame(0)[0, 0] = 1
+    pending.get()
+
+
+def test_a_worker_makes_pictures_between_the_steps_of_a_long_job(plant: Plant, walk: Pending) -> None:
+    glances = [plant.submit(Glance("r1", 0, plant.generation)).get() for _ in range(3)]
+    assert {glance.value for glance in glances} == {plant.pid(0)}
+    assert not walk.answers
+    plant.ring.frame(0)[0, 0] = 1
+    assert walk.get().value == plant.pid(0)
+
+
+def test_a_paused_job_begins_anew_when_its_worker_dies(plant: Plant, walk: Pending) -> None:
+    victim = plant.pid(0)
+    assert plant.submit(Glance("r1", 0, plant.generation)).get().value == victim, "the job has been paused"
+    os.kill(victim, signal.SIGKILL)
+    plant.until(lambda: len(plant.lost) == 1)
+    plant.ring.frame(0)[0, 0] = 1
+    assert walk.get().value != victim
+
+
+def test_a_paused_job_ends_when_its_frames_are_overwritten(plant: Plant, walk: Pending) -> None:
+    plant.next_context()
+    assert isinstance(walk.get().error, GoneError)

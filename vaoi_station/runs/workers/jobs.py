@@ -16,6 +16,7 @@ from vaoi_station.errors import VaoiError
 from vaoi_station.model import RecordingHead, Status, Stitch
 from vaoi_station.rendering import View
 from vaoi_station.runs.states.schemas import ImageFormat
+from vaoi_station.steps import Steps, completed
 from vaoi_station.stitching.matching.evidence import Evidence, FrameKey, Task
 from vaoi_station.stitching.work import StitchSetup
 
@@ -168,6 +169,34 @@ class FramesJob(PictureJob, ABC):
         """Return the reply's value. `frame` returns the pixels of a slot, which may change until this returns."""
 
 
+class SteppedJob(FramesJob):
+    """A job of seconds in steps of milliseconds: its worker performs more urgent jobs in between (`Paused`)."""
+
+    # Another worker would have to begin anew, and none would be left for the next board.
+    repeatable: ClassVar[bool] = False
+
+    @abstractmethod
+    def steps(self, frame: Callable[[int], NDArray[Any]]) -> Steps[Any]:
+        """Return the steps, which return the reply's value. `frame` is that of `perform`."""
+
+    def perform(self, frame: Callable[[int], NDArray[Any]]) -> Any:
+        """Perform all steps at once, and return the reply's value."""
+        return completed(self.steps(frame))
+
+
+@dataclass(frozen=True)
+class Paused:
+    """The value of a reply to a stepped job that is not finished; the worker goes on when it gets `Continue`."""
+
+
+@dataclass(frozen=True)
+class Continue:
+    """Go on with a paused job. It names the job, which may be large, by its run and the number of its request."""
+
+    run: str
+    request: int
+
+
 @dataclass(frozen=True)
 class RenderJob(PictureJob):
     """Render one temporary image; the reply's value is the encoded file.
@@ -301,6 +330,11 @@ class Reply:
     error: VaoiError | None
     worker_s: float
     """Time that the worker took for the job."""
+
+    @classmethod
+    def refused(cls, error: VaoiError) -> Reply:
+        """Return the reply to a job that no worker performed."""
+        return cls(None, error, 0.0)
 
 
 def check_after(job: Job, reply: Reply) -> CheckJob | None:

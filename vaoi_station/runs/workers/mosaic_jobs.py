@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import cv2
 import numpy as np
@@ -18,8 +18,9 @@ from vaoi_station.mosaic import FrameChoice, MosaicGrid, MosaicPlan, make_plan
 from vaoi_station.mosaic.projection import FrameProjector
 from vaoi_station.mosaic.tile_specs import TileSpec
 from vaoi_station.mosaic.tiles import render_tile
-from vaoi_station.runs.workers.jobs import FramesJob, Priority
+from vaoi_station.runs.workers.jobs import FramesJob, Priority, SteppedJob
 from vaoi_station.runs.workers.merge_job import opened_fields
+from vaoi_station.steps import Steps
 
 Slots = Mapping[tuple[int, int], int]
 """Slots of frames (camera, row)."""
@@ -27,8 +28,8 @@ ReadSlot = Callable[[int], NDArray[Any]]
 
 
 @dataclass(frozen=True)
-class PlanJob(FramesJob):
-    """Plan the mosaic of a run; the reply's value is a `MosaicPlan`."""
+class PlanJob(SteppedJob):
+    """Plan the mosaic of a run; the reply's value is a `MosaicPlan`. Of some hundred frames it takes seconds."""
 
     run: str
     bay: int
@@ -44,11 +45,8 @@ class PlanJob(FramesJob):
     """Directory of the flat fields; None: brightness follows from the overlaps of the frames alone."""
     request: int = 0
     priority: Priority = Priority.RENDER
-    # Of some hundred frames it takes seconds. Performed by two workers at once, it would leave none for the next board.
-    repeatable: ClassVar[bool] = False
-    longest_s: ClassVar[float | None] = 180.0
 
-    def perform(self, frame: ReadSlot) -> MosaicPlan:
+    def steps(self, frame: ReadSlot) -> Steps[MosaicPlan]:
         """Survey the frames of the run, and return the plan."""
         return make_plan(
             self.choice,

@@ -30,6 +30,7 @@ from vaoi_station.runs.workers.jobs import (
     Job,
     LinkJob,
     OpenRun,
+    Paused,
     PictureJob,
     Ping,
     Priority,
@@ -107,7 +108,7 @@ class WorkerPool:
             if refusal is None and self._queues.add(Queued(job)):
                 self._dispatch()
                 return
-        self._report(job, _refused(refusal or StateError(f"{job} comes after the run was closed.")))
+        self._report(job, Reply.refused(refusal or StateError(f"{job} comes after the run was closed.")))
 
     def _refusal(self, job: Job) -> VaoiError | None:
         if self._stopping:
@@ -164,7 +165,7 @@ class WorkerPool:
                 worker.process.join(max(0.0, deadline - time.monotonic()))
                 worker.end()
         for queued in self._abandoned():
-            self._report(queued.job, _refused(StateError("The station was stopped before this was done.")))
+            self._report(queued.job, Reply.refused(StateError("The station was stopped before this was done.")))
         os.close(self._wake)
 
     def _run(self) -> None:
@@ -227,6 +228,10 @@ class WorkerPool:
         with self._lock:
             if isinstance(message, Reply) and worker.jobs:
                 queued, worker.since_s = worker.jobs.popleft(), time.monotonic()
+                if isinstance(message.value, Paused):
+                    self._queues.pause(queued, worker)
+                    self._dispatch()
+                    return
                 # A job that was repeated has two replies. The first one counts.
                 first, queued.done = not queued.done, True
                 if first:
@@ -287,6 +292,7 @@ class WorkerPool:
         assert worker.process is not None
         code = worker.process.exitcode
         with self._lock:
+            self._queues.restart(worker)
             queued = worker.job
             waiting = [*worker.jobs][1:]
             worker.jobs.clear()
@@ -308,7 +314,7 @@ class WorkerPool:
         self._report_end(f"Worker {worker.index} ended with code {code}{repeated}; it is restarted.")
         if queued is not None and given_up:
             fault = f"{queued.job} was given up after {queued.deaths} attempt(s); its worker ended with code {code}."
-            self._report(queued.job, _refused(InternalError(fault, code="worker-lost")))
+            self._report(queued.job, Reply.refused(InternalError(fault, code="worker-lost")))
 
     def _report_end(self, sentence: str) -> None:
         _log.warning(sentence)
@@ -319,7 +325,7 @@ class WorkerPool:
         """Put the job of a dead worker at the front of its queue. Return False if the job must be given up."""
         if queued.done:
             return True
-        queued.deaths += 1
+        queued.deaths, queued.began = queued.deaths + 1, None
         if self._is_under_way(queued):
             return True
         # A check cannot be repeated: its evidence was lost with the worker. The next run is checked again.
@@ -342,8 +348,8 @@ class WorkerPool:
                 queued = self._queues.choose(worker) or self._overdue_job(worker)
                 if queued is not None:
                     self._give(worker, queued)
-            if worker.ready and len(worker.jobs) == 1 and (queued := self._queues.next_link(worker)) is not None:
-                self._give(worker, queued)
+            if worker.ready and len(worker.jobs) == 1 and (following := self._queues.next_link(worker)) is not None:
+                self._give(worker, following)
 
     def _overdue_job(self, idle: Worker) -> Queued | None:
         """Return a job of an overdue worker that no other worker has, for an idle one; None if there is none."""
@@ -376,7 +382,7 @@ class WorkerPool:
                 self._queues.drop(Priority.GATHER, job.run)
                 job = job.without(there)
         worker.jobs.append(queued)
-        self._send(worker, job)
+        self._send(worker, job if queued.began is None else queued.continuation)
 
     def _send(self, worker: Worker, message: object) -> None:
         """Send a message to a worker that runs; the pool's thread sends what the pipe has no room for."""
@@ -393,7 +399,3 @@ class WorkerPool:
             for worker in self._workers:
                 worker.jobs.clear()
             return left
-
-
-def _refused(error: VaoiError) -> Reply:
-    return Reply(None, error, 0.0)

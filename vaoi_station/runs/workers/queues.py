@@ -12,7 +12,16 @@ import itertools
 from collections import defaultdict, deque
 from collections.abc import Iterator, Sequence
 
-from vaoi_station.runs.workers.jobs import ConcludeJob, GatherJob, Job, LinkJob, OpenRun, Priority, Reply
+from vaoi_station.runs.workers.jobs import (
+    ConcludeJob,
+    GatherJob,
+    Job,
+    LinkJob,
+    OpenRun,
+    Priority,
+    Reply,
+    SteppedJob,
+)
 from vaoi_station.runs.workers.worker import Queued, Worker
 
 MAX_PICTURES = 64
@@ -50,6 +59,17 @@ class JobQueues:
         # The job of a closed run is not needed, and the set-up that a worker needs for it is no longer there.
         if not self._is_closed(queued.job):
             self._queue_of(queued).appendleft(queued)
+
+    def pause(self, queued: Queued, worker: Worker) -> None:
+        """Queue a stepped job that is to go on in its worker: before younger ones like it, after what waits already."""
+        queued.began, queued.number = worker.index, next(self._numbers)
+        self._queue_of(queued).appendleft(queued)
+
+    def restart(self, worker: Worker) -> None:
+        """Let the paused jobs of a worker that has died begin anew."""
+        for homes in self._queues.values():
+            for queued in homes.get(worker.index, ()):
+                queued.began = None
 
     def forget(self, run: str) -> None:
         """Drop the waiting jobs of a closed run, except its pictures."""
@@ -142,7 +162,8 @@ class JobQueues:
         return isinstance(job, LinkJob | GatherJob | ConcludeJob) and job.run not in self.runs
 
     def _queue_of(self, queued: Queued) -> deque[Queued]:
-        return self._queues[queued.job.priority][self._home(queued.job)]
+        home = self._home(queued.job) if queued.began is None else queued.began
+        return self._queues[queued.job.priority][home]
 
     def _home(self, job: Job) -> int | None:
         """Return the index of the worker to which a job is assigned; None if any worker may perform it.
@@ -153,6 +174,9 @@ class JobQueues:
         opening = self.runs.get(job.run)
         if isinstance(job, GatherJob | ConcludeJob):
             return self.concluder
+        if isinstance(job, SteppedJob):
+            # It goes on between the jobs of the next board, of which the concluding worker takes no pictures.
+            return max(self.concluder - 1, 0)
         if job.affinity is None or opening is None:
             return None
         return job.affinity * len(self._workers) // len(opening.setup.cameras)
@@ -172,6 +196,8 @@ class JobQueues:
             return away or (own.job is not None and own.job.job.priority > Priority.SMALL_RENDER)
         if isinstance(job, GatherJob):
             return False
+        if isinstance(job, SteppedJob):
+            return not own.ready
         # A single waiting job is left to the assigned worker, which may have its frames prepared already. If more jobs
         # wait, the wait would be too long. Pictures that are not small, checks and heights take longer than a link job,
         # up to seconds: no frame of the next board waits for them, least of all its last one.

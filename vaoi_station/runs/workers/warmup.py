@@ -18,9 +18,11 @@ from vaoi_station.hdr.kernels import Source, accumulate, add_shifted, linearise,
 from vaoi_station.heights.estimates import measure_heights
 from vaoi_station.marks.subpixel_localisation import locate_mark
 from vaoi_station.model import BoardType, Stitch
+from vaoi_station.mosaic import MosaicGrid, TakenFrame, choose_frames, make_plan
 from vaoi_station.mosaic.blending import Cells, Pictures, blend, nodes_along
 from vaoi_station.mosaic.cells import label_boxes
-from vaoi_station.mosaic.seams import NO_FRAME, FrameCells, assign_cells
+from vaoi_station.mosaic.projection import FrameProjector
+from vaoi_station.steps import completed
 from vaoi_station.stitching.matching.prepared_frame import resample
 from vaoi_station.stitching.work import StitchSetup, TaskRunner, all_tasks
 
@@ -41,7 +43,7 @@ def warm_up() -> Stitch:
     # Only frames of cameras that differ are resampled, and the cameras of the synthetic board do not differ.
     resample(picture, np.eye(2, 3), (_RESAMPLED_PX, _RESAMPLED_PX), 1.0)
     _locate_other_marks(picture)
-    _plan_and_blend()
+    _blend()
     _merge()
     lens = setup.cameras[0].lens
     lens.undistort(lens.distort(np.zeros((1, 2))))
@@ -49,6 +51,7 @@ def warm_up() -> Stitch:
     tasks = all_tasks(present, dict(enumerate(times_s)), setup)
     stitch = runner.conclude(times_s, present, [runner.perform(task) for task in tasks])
     assert setup.board_type is not None, "the synthetic board has a board type"
+    _plan(setup, setup.board_type, stitch, picture)
     measure_heights(setup.board_type, stitch, setup.cameras, partial(_frame, picture))
     return stitch
 
@@ -58,12 +61,24 @@ def _locate_other_marks(picture: NDArray[np.uint8]) -> None:
     locate_mark(picture, np.array(picture.shape[::-1]) / 2.0, "square", _MARK_MM * _PX_PER_MM)
 
 
-def _plan_and_blend() -> None:
-    """Call the functions that are compiled for mosaics."""
-    box, start, seed = np.array([(0, 0, 2, 2)], np.int32), np.zeros(1, np.int64), np.zeros((1, 2), np.int32)
+def _plan(setup: StitchSetup, board_type: BoardType, stitch: Stitch, picture: NDArray[np.uint8]) -> None:
+    """Call the functions that are compiled for the plan of a mosaic."""
+    taken = [TakenFrame(camera, row, 1.0) for camera in range(_CAMERAS) for row in range(_ROWS)]
+    completed(
+        make_plan(
+            choose_frames(taken),
+            partial(_frame, picture),
+            projector=FrameProjector(stitch, setup.cameras),
+            board_type=board_type,
+            stitch=stitch,
+            base=MosaicGrid.of_board(board_type, _PX_PER_MM),
+        )
+    )
+
+
+def _blend() -> None:
+    """Call the functions that are compiled for tiles of mosaics."""
     label_boxes(np.zeros((2, 2), np.int16), 1)
-    frames = FrameCells(box, start, np.ones(4, np.bool_), seed, np.zeros(1))
-    assign_cells(frames, np.ones((2, 2), np.float32), np.full((2, 2), NO_FRAME, np.int32))
     nodes, pixels = nodes_along(0.0, 0.25, 4, 2), np.ones((4, 4), np.uint8)
     place, limits = np.array([[0, 0, 0, 4]]), np.array([[0.0, 0.0, 9.0, 9.0]])
     pictures = Pictures(pixels.ravel(), place, np.ones(1, np.float32), np.eye(3)[None], limits)

@@ -16,7 +16,7 @@ from vaoi_station.runs.host.message_pipe import MessagePipe
 from vaoi_station.runs.host.process_setup import keep_freed_memory
 from vaoi_station.runs.states.run_ids import utc_of_host
 from vaoi_station.runs.states.schemas import STARTING, ProcessStatus
-from vaoi_station.runs.workers.jobs import ConcludeJob, Job, LinkJob, PictureJob, Priority
+from vaoi_station.runs.workers.jobs import ConcludeJob, Continue, Job, LinkJob, PictureJob, Priority, SteppedJob
 from vaoi_station.runs.workers.worker_process import run_worker
 from vaoi_station.stitching.matching.evidence import Task
 
@@ -58,6 +58,14 @@ class Queued:
     A second worker that repeats it, or a slow one, may still answer it again."""
     number: int = 0
     """Position of the job in the order in which jobs were queued."""
+    began: int | None = None
+    """Index of the worker that holds what a paused job has computed so far; None for other jobs."""
+
+    @property
+    def continuation(self) -> Continue:
+        """The message by which the worker that began a job goes on with it."""
+        assert isinstance(self.job, SteppedJob)
+        return Continue(self.job.run, self.job.request)
 
     @property
     def repeatable(self) -> bool:

@@ -33,20 +33,24 @@ from vaoi_station.runs.workers.jobs import (
     CloseRun,
     Concluded,
     ConcludeJob,
+    Continue,
     FramesJob,
     GatherJob,
     Job,
     Linked,
     LinkJob,
     OpenRun,
+    Paused,
     Ping,
     RenderJob,
     Reply,
     RunContext,
+    SteppedJob,
     WorkerReady,
     check_after,
 )
 from vaoi_station.runs.workers.merge_job import MergeJob, merge
+from vaoi_station.steps import Steps
 from vaoi_station.stitching.matching.evidence import Evidence, FrameKey, Task
 from vaoi_station.stitching.quality.findings import Findings
 from vaoi_station.stitching.work import StitchSetup, TaskRunner
@@ -54,6 +58,9 @@ from vaoi_station.stitching.work import StitchSetup, TaskRunner
 T = TypeVar("T")
 
 _log = logging.getLogger(__name__)
+
+SLICE_S = 0.005
+"""Time after which a stepped job is paused, s: about the time of a link, for which it may delay others."""
 
 
 @dataclass
@@ -77,6 +84,8 @@ class WorkerRuntime:
         self._ring = Ring.attach(Path(ring_path))
         self._runs: dict[str, _OpenedRun] = {}
         self._reference: Recording | None = None
+        self._paused: dict[tuple[str, int], tuple[SteppedJob, Steps[Any]]] = {}
+        """Stepped jobs that are not finished, by run and number of the request, until the pool sends `Continue`."""
 
     def __enter__(self) -> WorkerRuntime:
         return self
@@ -84,17 +93,18 @@ class WorkerRuntime:
     def __exit__(self, *_: object) -> None:
         # Runs hold arrays in the ring's memory. The memory cannot be unmapped while these arrays exist.
         self._runs.clear()
+        self._paused.clear()
         self._ring.close()
 
     def ready(self) -> WorkerReady:
         """Return the message by which this worker reports that it is ready."""
         return WorkerReady(os.getpid())
 
-    def replies(self, message: OpenRun | CloseRun | Ping | Job) -> Iterator[Reply | WorkerReady]:
+    def replies(self, message: OpenRun | CloseRun | Ping | Continue | Job) -> Iterator[Reply | WorkerReady]:
         """Process one message of the station, and yield each reply as soon as it is available.
 
-        `Ping` and each job have one reply, `OpenRun` and `CloseRun` have none. A `ConcludeJob` with a check may
-        have a second reply (`check_after`): the check uses the evidence of the conclusion, so it follows directly.
+        `Ping`, `Continue` and each job have one reply, `OpenRun` and `CloseRun` have none. A `ConcludeJob` with a check
+        may have a second reply (`check_after`): the check uses the evidence of the conclusion, so it follows directly.
         """
         match message:
             case Ping():
@@ -103,6 +113,9 @@ class WorkerRuntime:
                 self._open(message)
             case CloseRun():
                 self._runs.pop(message.run, None)
+            case Continue():
+                paused = self._paused.pop((message.run, message.request))
+                yield _reply_of(paused[0], partial(self._step, *paused))
             case _:
                 reply = _reply_of(message, lambda: self._perform(message))
                 yield reply
@@ -144,12 +157,30 @@ class WorkerRuntime:
                 return self._conclude(job)
             case RenderJob():
                 return self._render(job)
-            case FramesJob() if job.recorded:
-                return job.perform(self._ring.frame)
             case FramesJob():
-                return self._guarded(job.bay, job.generation, partial(job.perform, self._ring.frame))
+                return self._perform_with_frames(job)
             case CheckJob():
                 raise InternalError(f"{job} came without the conclusion it belongs to.")
+
+    def _perform_with_frames(self, job: FramesJob) -> Any:
+        if isinstance(job, SteppedJob):
+            return self._step(job, job.steps(self._ring.frame))
+        if job.recorded:
+            return job.perform(self._ring.frame)
+        return self._guarded(job.bay, job.generation, partial(job.perform, self._ring.frame))
+
+    def _step(self, job: SteppedJob, steps: Steps[Any]) -> Any:
+        """Go on with a stepped job for a while; return its value, or `Paused` if it is not finished."""
+        until_s = time.monotonic() + SLICE_S
+        self._ring.check_generation(job.bay, job.generation)
+        try:
+            while time.monotonic() < until_s:
+                next(steps)
+        except StopIteration as end:
+            self._ring.check_generation(job.bay, job.generation)
+            return end.value
+        self._paused[job.run, job.request] = job, steps
+        return Paused()
 
     def _link(self, job: LinkJob) -> tuple[Linked, ...]:
         opened = self._runs[job.run]
