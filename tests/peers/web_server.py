@@ -12,9 +12,11 @@ from typing import Any
 class ScriptedHandler(BaseHTTPRequestHandler):
     """Base of scripted handlers: sends replies and prints nothing. A subclass adds `do_GET` and the like."""
 
-    def send(self, status: int, content: bytes, length: int | None = None) -> None:
+    def send(self, status: int, content: bytes, length: int | None = None, retry_after: str | None = None) -> None:
         """Send a reply; `length` is the length that it declares, by default the true one."""
         self.send_response(status)
+        if retry_after is not None:
+            self.send_header("Retry-After", retry_after)
         self.send_header("Content-Length", str(len(content) if length is None else length))
         self.end_headers()
         self.wfile.write(content)

@@ -36,6 +36,21 @@ def test_callers_fetch_all_pictures_again_and_again() -> None:
     assert all(f.ms > 0 for f in fetched)
 
 
+def test_a_busy_station_is_asked_again_after_its_pause() -> None:
+    class Busy(Pictures):
+        fetched = threading.Semaphore(0)
+        refusals = iter([503, 503])
+
+        def do_GET(self) -> None:  # noqa: N802  (as http.server calls it)
+            self.fetched.release()
+            self.send(next(self.refusals, 200), b"pixels", retry_after="0.05")
+
+    with serving(Busy) as url, callers(port_of(url), ["/a"], 1) as fetched:
+        for _ in range(4):
+            assert Busy.fetched.acquire(timeout=60)
+    assert fetched[0].ms > 100, "both pauses are part of the time that the caller waits"
+
+
 def test_a_batch_is_read_to_its_end() -> None:
     with serving(Pictures) as url:
         batch = read_batch(port_of(url), "/batch")

@@ -8,6 +8,7 @@ import multiprocessing
 import threading
 import time
 from collections.abc import Iterator, Sequence
+from http import HTTPStatus
 from http.client import HTTPConnection, HTTPException
 from multiprocessing.connection import Connection
 from multiprocessing.synchronize import Event
@@ -29,7 +30,7 @@ class Fetched(NamedTuple):
     sent_s: float
     """Time of the request by time.monotonic(), which all processes share."""
     ms: float
-    """Time from the request to the last byte of the reply."""
+    """Time from the request to the last byte of the reply, with the pauses that the station asked for."""
 
 
 class ReadBatch(NamedTuple):
@@ -94,16 +95,14 @@ def _fetch(port: int, paths: Sequence[str], count: int, stop: Event, reply: Conn
                 break
             began_s = time.monotonic()
             try:
-                connection.request("GET", path)
-                answer = connection.getresponse()
-                content = answer.read()
+                status, content = _get(connection, path, began_s + REPLY_LIMIT_S, stop)
             except (OSError, HTTPException) as error:
                 refused.append(f"{path}: {error!r}")
                 break
-            if answer.status != 200:
+            if status == HTTPStatus.OK:
+                found.append((began_s, (time.monotonic() - began_s) * 1e3))
+            elif status != HTTPStatus.SERVICE_UNAVAILABLE or not stop.is_set():
                 refused.append(f"{path}: {content[:200]!r}")
-                break
-            found.append((began_s, (time.monotonic() - began_s) * 1e3))
         connection.close()
 
     reply.send(None)
@@ -113,6 +112,18 @@ def _fetch(port: int, paths: Sequence[str], count: int, stop: Event, reply: Conn
     for thread in threads:
         thread.join()
     reply.send(refused[0] if refused else found)
+
+
+def _get(connection: HTTPConnection, path: str, until_s: float, stop: Event) -> tuple[int, bytes]:
+    """Fetch a picture; while the station is busy, pause as it asks and try again, as clients do."""
+    while True:
+        connection.request("GET", path)
+        answer = connection.getresponse()
+        content = answer.read()
+        pause_s = float(answer.headers.get("Retry-After", 0))
+        busy = answer.status == HTTPStatus.SERVICE_UNAVAILABLE and pause_s > 0
+        if not busy or time.monotonic() + pause_s > until_s or stop.wait(pause_s):
+            return answer.status, content
 
 
 def _read(port: int, path: str) -> tuple[float, float, float, bool]:
