@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import socket
+import threading
 from collections.abc import Callable
 from typing import Any
 
 import httpx2
+import pytest
+
+from vaoi_station.api.listener.http_connection import LimitedHttp
 
 Connect = Callable[..., socket.socket]
 HALF = b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n"
@@ -56,3 +60,23 @@ def connected_port(limited: Any) -> int:
     stream = response.extensions["network_stream"]
     address: tuple[str, int] = stream.get_extra_info("client_addr")
     return address[1]
+
+
+def test_an_error_with_one_connection_does_not_end_the_limits_of_others(
+    limited: Any, connect: Connect, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    failed = threading.Event()
+    overdue = LimitedHttp.overdue
+
+    def fail_once(http: LimitedHttp) -> bool:
+        if not failed.is_set():
+            failed.set()
+            raise RuntimeError("a fault")
+        return overdue(http)
+
+    monkeypatch.setattr(LimitedHttp, "overdue", fail_once)
+    waiting = connect(HALF)
+    assert failed.wait(20)
+    # The limit for the head of a request still holds.
+    while waiting.recv(1000):
+        pass

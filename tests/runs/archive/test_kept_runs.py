@@ -47,3 +47,24 @@ def test_runs_without_data_cannot_be_pinned(make_rig: Callable[..., Any], store:
     kept = KeptRuns(rig.config, archive, EventLog(store), frames, *made, lambda _job, _name: None)
     with pytest.raises(GoneError):
         kept.pin(grant.run)
+
+
+def test_an_error_in_what_follows_a_run_prevents_neither_its_announcement_nor_the_rest(
+    make_rig: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = make_rig()
+    rig.ready()
+    kept = rig.coordinator.kept
+
+    def fail(*_: object) -> None:
+        raise RuntimeError("a fault")
+
+    monkeypatch.setattr(kept.trends, "finished", fail)
+    reached: list[str] = []
+    monkeypatch.setattr(kept.mosaics, "finished", lambda detail: reached.append(detail.id))
+    grant = rig.arm()
+    rig.board(grant)
+    assert rig.result_of(grant.run).id == grant.run
+    assert reached == [grant.run]
+    events = [event for event in rig.coordinator.events(0, 0.0) if event.code == "not-kept"]
+    assert [event.message for event in events] == ["The trends of the run cannot be kept (RuntimeError: a fault)."]

@@ -102,13 +102,14 @@ class Acceptor:
             self._loop.add_reader(self._listener.fileno(), self._accept)
 
     def _sweep(self) -> None:
+        # First, so that an error with one connection ends neither this sweep for good nor the limits of the others.
+        self._loop.call_later(SWEEP_S, self._sweep)
         for connection in self.table:
             assert isinstance(connection, AcceptedConnection)
             if connection.http is not None and connection.http.overdue():
                 connection.cut()
         if self._tls is not None and self._accepting:
             self._refresh_certificate(self._tls)
-        self._loop.call_later(SWEEP_S, self._sweep)
 
     def _refresh_certificate(self, files: CertificateFiles) -> None:
         """Begin to read a changed certificate, unless the last reading has not ended because the disk hangs."""

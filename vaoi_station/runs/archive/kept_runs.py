@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, Protocol, TypeVar
@@ -25,6 +26,7 @@ from vaoi_station.store.history.run_search import RunFilter
 from vaoi_station.supervised_queue import SupervisedQueue
 
 R = TypeVar("R", bound=RunSummary)
+_log = logging.getLogger(__name__)
 
 
 class KeptPictures(Protocol):
@@ -102,14 +104,28 @@ class KeptRuns:
         self.mosaics.tend()
 
     def _finished(self, detail: RunDetail) -> None:
-        """Keep what is to be kept of a run that has just ended; it returns at once."""
-        self.trends.finished(detail, lambda run: self._archive.get(run).stitch)
-        # First, because a recording states whether the identity of its run is decided.
-        self.identities.finished(detail)
-        self.recordings.finished(detail)
-        if self._after_run:
-            self.heights.finished(detail)
-        self.mosaics.finished(detail)
+        """Keep what is to be kept of a run that has just ended; it returns at once.
+
+        An error in one part prevents neither the others nor the announcement of the run.
+        """
+        parts: list[tuple[str, Callable[[RunDetail], object]]] = [
+            ("trends", lambda run: self.trends.finished(run, lambda name: self._archive.get(name).stitch)),
+            # Before the recording, which states whether the identity of its run is decided.
+            ("identity", self.identities.finished),
+            ("recording", self.recordings.finished),
+            ("heights", self.heights.finished if self._after_run else lambda _: None),
+            ("picture of the board", self.mosaics.finished),
+        ]
+        for name, finish in parts:
+            try:
+                finish(detail)
+            except Exception as fault:  # noqa: BLE001  callers wait for the run, whatever follows it
+                _log.exception("run %s: %s", detail.id, name)
+                self._events.add(
+                    "trouble",
+                    f"The {name} of the run cannot be kept ({type(fault).__name__}: {fault}).",
+                    run=detail.id, code="not-kept", action="Report it to the maintainer, if it returns.",
+                )  # fmt: skip
 
     def _identity_changed(self, run: str) -> None:
         """Keep a run that its identity degrades as others that are not ok, and renew its record; it returns at once."""
