@@ -109,6 +109,9 @@ def test_tls_is_verified(tmp_path: Path) -> None:
         ("::1", (), True),
         ("169.254.169.254", (), False),
         ("::ffff:169.254.169.254", (), False),
+        ("2002:a9fe:a9fe::1", (), False),
+        ("64:ff9b::a9fe:a9fe", (), False),
+        ("64:ff9b::c0a8:102", ("192.168.1.0/24",), True),
         ("fe80::1%eth0", (), False),
         ("224.0.0.1", (), False),
         ("0.0.0.0", (), False),  # noqa: S104  nothing binds to it

@@ -20,6 +20,7 @@ LARGEST_HEAD = 16 * 1024
 """Largest head of an answer, bytes."""
 LARGEST_BODY, DRAIN_S = 64 * 1024, 1.0
 """How much of an answer's content is read, and for how long, before the connection is closed."""
+_NAT64 = ipaddress.IPv6Network("64:ff9b::/96")
 MOST_ADDRESSES, CONNECT_S = 4, 5.0
 """Addresses of one name that are tried, and the longest wait for each, s."""
 _STATUS = re.compile(rb"HTTP/1\.[01] (\d{3})(?: [^\r\n]*)?\r\n")
@@ -83,7 +84,8 @@ def post(url: str, headers: Mapping[str, str], body: bytes, route: Route) -> Rep
 def refusal(address: str, networks: Sequence[str]) -> str:
     """Return why nothing is sent to an address; empty if it is permitted."""
     ip = ipaddress.ip_address(address.partition("%")[0])
-    ip = getattr(ip, "ipv4_mapped", None) or ip
+    if isinstance(ip, ipaddress.IPv6Address):
+        ip = ip.ipv4_mapped or ip.sixtofour or _behind_nat64(ip) or ip
     if networks:
         inside = any(ip in ipaddress.ip_network(network) for network in networks)
         return "" if inside else f"{ip} is in none of push.networks"
@@ -91,6 +93,11 @@ def refusal(address: str, networks: Sequence[str]) -> str:
     if ip.is_link_local or ip.is_multicast or ip.is_unspecified:
         return f"{ip} is link-local, multicast or unspecified, which only push.networks can permit"
     return ""
+
+
+def _behind_nat64(ip: ipaddress.IPv6Address) -> ipaddress.IPv4Address | None:
+    """Return the IPv4 address to which a gateway translates an address (RFC 6052, section 2.1); None for others."""
+    return ipaddress.IPv4Address(int(ip) & 0xFFFFFFFF) if ip in _NAT64 else None
 
 
 def _connected(host: str, port: int, networks: Sequence[str], deadline: float) -> socket.socket:
