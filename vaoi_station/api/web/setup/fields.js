@@ -46,10 +46,11 @@ export function button(text, work, answer, fields = {}) {
 export async function attempt(control, work, answer) {
   const before = control?.disabled;
   if (control) control.disabled = true;
-  say(answer, texts.setup.working, "working");
+  const turn = say(answer, texts.setup.working, "working");
   try {
     const said = await work();
-    say(answer, said || "", said ? "done" : "");
+    // An order that ends with nothing to say does not take away what a later one has said meanwhile.
+    if (said || turns.get(answer) === turn) say(answer, said || "", said ? "done" : "");
     if (said) reveal(answer);
     return true;
   } catch (error) {
@@ -65,9 +66,13 @@ export async function attempt(control, work, answer) {
 // A button may be far below the place that says what came of it.
 const reveal = (answer) => answer.scrollIntoView({ block: "nearest" });
 
+const turns = new WeakMap();
+
 export function say(answer, text, kind = "") {
   setText(answer, text);
   answer.className = `answer ${kind}`;
+  turns.set(answer, (turns.get(answer) || 0) + 1);
+  return turns.get(answer);
 }
 
 // The place where a page says what came of the last order.
