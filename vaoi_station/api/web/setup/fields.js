@@ -43,19 +43,27 @@ export function button(text, work, answer, fields = {}) {
   return made;
 }
 
+let orders = 0; // orders that have begun
+const saidBy = new WeakMap(); // of each line, the number of the order that wrote it
+
 export async function attempt(control, work, answer) {
   const before = control?.disabled;
   if (control) control.disabled = true;
-  const turn = say(answer, texts.setup.working, "working");
+  const order = ++orders;
+  const tell = (text, kind) => {
+    say(answer, text, kind);
+    saidBy.set(answer, order);
+  };
+  tell(texts.setup.working, "working");
   try {
     const said = await work();
     // An order that ends with nothing to say does not take away what a later one has said meanwhile.
-    if (said || turns.get(answer) === turn) say(answer, said || "", said ? "done" : "");
+    if (said || saidBy.get(answer) <= order) tell(said || "", said ? "done" : "");
     if (said) reveal(answer);
     return true;
   } catch (error) {
     if (!(error instanceof Refusal) && !(error instanceof TypeError) && !(error instanceof Wrong)) throw error;
-    say(answer, error instanceof TypeError ? texts.noAnswer : error.message, "refused");
+    tell(error instanceof TypeError ? texts.noAnswer : error.message, "refused");
     reveal(answer);
     return false;
   } finally {
@@ -66,13 +74,9 @@ export async function attempt(control, work, answer) {
 // A button may be far below the place that says what came of it.
 const reveal = (answer) => answer.scrollIntoView({ block: "nearest" });
 
-const turns = new WeakMap();
-
 export function say(answer, text, kind = "") {
   setText(answer, text);
   answer.className = `answer ${kind}`;
-  turns.set(answer, (turns.get(answer) || 0) + 1);
-  return turns.get(answer);
 }
 
 // The place where a page says what came of the last order.
