@@ -35,7 +35,7 @@ class SettingsPage {
   // Read the file. Changes that were not saved stay.
   async load() {
     const t = texts.settings;
-    const { content, tag } = await requests.settings();
+    const { content, tag } = await this.#read();
     [this.#state, this.#tag] = [content, tag];
     const { path, writable, pending, faults, hidden, restart, install } = content;
     const notes = [
@@ -45,6 +45,18 @@ class SettingsPage {
     this.#root.replaceChildren(make("h2", { textContent: texts.setup.pages.settings }), make("p", { className: "help", textContent: t.help(path) }),
       make("ul", { className: "warnings" }, ...notes.map((note) => make("li", {}, ...note))), this.#answer, make("div", { className: "two even settings" }, this.#form(), this.#side));
     await this.#check();
+  }
+
+  // Until the file is read and checked anew, nothing can be saved: it would be refused as changed meanwhile.
+  async #read() {
+    const save = this.#side.querySelector("#save-settings");
+    if (save) save.disabled = true;
+    try {
+      return await requests.settings();
+    } catch (error) {
+      if (save) save.disabled = false;
+      throw error;
+    }
   }
 
   #form() {
