@@ -58,7 +58,8 @@ export class Trial {
     const disarmed = state === IDLE;
     this.start.disabled = !disarmed;
     if (!disarmed && this.#running) this.#end(texts.cameras.trial.endedByArming);
-    else if (!disarmed) setText(this.answer, texts.cameras.trial.onlyDisarmed);
+    // Why a trial has ended stays to be read.
+    else if (!disarmed && this.answer.textContent !== texts.cameras.trial.endedByArming) setText(this.answer, texts.cameras.trial.onlyDisarmed);
     else if (!this.#running && this.answer.textContent === texts.cameras.trial.onlyDisarmed) setText(this.answer, "");
   }
 
