@@ -230,7 +230,6 @@ class WorkerPool:
                 queued, worker.since_s = worker.jobs.popleft(), time.monotonic()
                 if isinstance(message.value, Paused):
                     self._queues.pause(queued, worker)
-                    self._dispatch()
                     return
                 # A job that was repeated has two replies. The first one counts.
                 first, queued.done = not queued.done, True
@@ -394,8 +393,8 @@ class WorkerPool:
     def _abandoned(self) -> list[Queued]:
         with self._lock:
             # A job that is repeated is at two workers. It is reported only once.
-            under_way = {id(q): q for w in self._workers for q in w.jobs if not q.done}
-            left = [*under_way.values(), *self._queues.emptied()]
+            under_way = {id(q): q for w in self._workers for q in w.jobs if not q.done}.values()
+            left = [*under_way, *self._queues.emptied()]
             for worker in self._workers:
                 worker.jobs.clear()
             return left

@@ -50,20 +50,20 @@ export async function attempt(control, work, answer) {
   const before = control?.disabled;
   if (control) control.disabled = true;
   const order = ++orders;
-  const tell = (text, kind) => {
+  const write = (text, kind) => {
     say(answer, text, kind);
     saidBy.set(answer, order);
   };
-  tell(texts.setup.working, "working");
+  write(texts.setup.working, "working");
   try {
     const said = await work();
     // An order that ends with nothing to say does not take away what a later one has said meanwhile.
-    if (said || saidBy.get(answer) <= order) tell(said || "", said ? "done" : "");
+    if (said || saidBy.get(answer) <= order) write(said || "", said ? "done" : "");
     if (said) reveal(answer);
     return true;
   } catch (error) {
     if (!(error instanceof Refusal) && !(error instanceof TypeError) && !(error instanceof Wrong)) throw error;
-    tell(error instanceof TypeError ? texts.noAnswer : error.message, "refused");
+    write(error instanceof TypeError ? texts.noAnswer : error.message, "refused");
     reveal(answer);
     return false;
   } finally {
