@@ -254,7 +254,7 @@ class Glance(FramesJob):
 def walk(plant: Plant, monkeypatch: pytest.MonkeyPatch) -> Iterator[Pending]:
     """A job under way in the first worker: the other one, which concludes, takes no pictures while a run is open."""
     # Before its first step the worker imports this module, which may take seconds.
-    monkeypatch.setitem(worker_module.OVERDUE_S, Priority.RENDER, 60.0)  # type: ignore[arg-type]
+    monkeypatch.setitem(worker_module.OVERDUE_S, Priority.RENDER, 60.0)
     plant.all_idle()
     plant.ring.frame(0)[0, 0] = 0
     pending = plant.submit(Walk("r1", 0, plant.generation))
