@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -60,11 +61,15 @@ def test_an_error_in_what_follows_a_run_prevents_neither_its_announcement_nor_th
         raise RuntimeError("a fault")
 
     monkeypatch.setattr(kept.trends, "finished", fail)
-    reached: list[str] = []
-    monkeypatch.setattr(kept.mosaics, "finished", lambda detail: reached.append(detail.id))
+    reached = threading.Event()
+    monkeypatch.setattr(kept.mosaics, "finished", lambda _: reached.set())
     grant = rig.arm()
     rig.board(grant)
     assert rig.result_of(grant.run).id == grant.run
-    assert reached == [grant.run]
+    assert reached.wait(60), "the parts after the one that failed"
+    announced = rig.coordinator.latest()
+    while announced is None:
+        announced = rig.coordinator.next_run(None, 0.1) or rig.coordinator.latest()
+    assert announced.id == grant.run
     events = [event for event in rig.coordinator.events(0, 0.0) if event.code == "not-kept"]
     assert [event.message for event in events] == ["The trends of the run cannot be kept (RuntimeError: a fault)."]
