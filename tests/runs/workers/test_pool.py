@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import os
 import signal
-import time
 from collections.abc import Callable, Iterator
 from itertools import pairwise
 from pathlib import Path
@@ -232,7 +231,6 @@ class Walk(SteppedJob):
 
     def steps(self, frame: Callable[[int], Any]) -> Steps[int]:
         while frame(0)[0, 0] != 1:
-            time.sleep(0.001)
             yield
         return os.getpid()
 
