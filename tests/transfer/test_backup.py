@@ -15,6 +15,7 @@ from vaoi_station.config import read_config
 from vaoi_station.errors import GoneError, InputError
 from vaoi_station.files import read_board_type, read_calibration
 from vaoi_station.files.atomic_directory import remove_directory
+from vaoi_station.files.directory_walk import files_below
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.run.reference_store import ReferenceStore
@@ -23,6 +24,7 @@ from vaoi_station.store import Database, Store
 from vaoi_station.transfer import backup
 from vaoi_station.transfer.backup import back_up, restore
 from vaoi_station.transfer.live_directories import open_files
+from vaoi_station.transfer.package import unpack_package, write_package
 
 
 def test_everything_is_back_on_an_empty_machine(site: Site, tmp_path: Path) -> None:
@@ -158,6 +160,19 @@ def test_a_damaged_backup_restores_nothing(site: Site, tmp_path: Path) -> None:
     with pytest.raises(InputError):
         restore(tmp_path / "backup", tmp_path / "b" / "station.toml")
     assert list((tmp_path / "b").iterdir()) == []
+
+
+def test_names_in_a_backup_are_free(site: Site, tmp_path: Path) -> None:
+    back_up(site.config, tmp_path / "backup")
+    (tmp_path / "content").mkdir()
+    manifest = unpack_package(tmp_path / "backup", backup.KIND, tmp_path / "content")
+    # A restoration sets folders of the backup aside, in folders of its own.
+    members = ((str(p.relative_to(tmp_path / "content")), p.read_bytes()) for p in files_below(tmp_path / "content"))
+    added = [(f"{folder}/data/file", b"x") for folder in (".parts", "parts", "content")]
+    about = {key: manifest[key] for key in ("station", "made", "software", "tables")}
+    write_package(tmp_path / "crafted", backup.KIND, [*members, *added], about)
+    config = restore(tmp_path / "crafted", tmp_path / "b" / "station.toml")
+    assert (config.data / "station.db").is_file()
 
 
 def test_a_backup_does_not_overwrite(site: Site, tmp_path: Path) -> None:

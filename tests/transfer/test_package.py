@@ -104,3 +104,22 @@ def test_members_that_the_manifest_does_not_have_or_that_come_twice_are_refused(
     pack(tmp_path / "q", (tarfile.TarInfo("twice"), b"x"), (tarfile.TarInfo("twice"), b"y"))
     with pytest.raises(InputError, match="File exists"):
         unpack_package(tmp_path / "q", "kind", tmp_path / "out")
+
+
+@pytest.mark.parametrize("kind", [tarfile.XHDTYPE, tarfile.XGLTYPE, tarfile.GNUTYPE_LONGNAME])
+def test_an_extended_header_is_refused_before_it_is_read(tmp_path: Path, kind: bytes) -> None:
+    # `tarfile` would read all of it into memory, and zeros are compressed to a thousandth of their size.
+    info = tarfile.TarInfo("header")
+    info.type = kind
+    pack(tmp_path / "p", (info, bytes(70_000)))
+    (tmp_path / "out").mkdir()
+    with pytest.raises(InputError, match="extended header has 70000 bytes, the limit is 65536"):
+        unpack_package(tmp_path / "p", "kind", tmp_path / "out")
+
+
+def test_a_long_name_comes_back(tmp_path: Path) -> None:
+    name = "/".join(["a" * 200] * 4)
+    write_package(tmp_path / "p", "kind", [(name, b"x")], {})
+    (tmp_path / "out").mkdir()
+    unpack_package(tmp_path / "p", "kind", tmp_path / "out")
+    assert (tmp_path / "out" / name).read_bytes() == b"x"

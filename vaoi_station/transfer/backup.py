@@ -82,15 +82,18 @@ def restore(package: Path, config_path: Path) -> StationConfig:
     refuse_existing(config_path, action=_ELSEWHERE)
     config_path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=config_path.parent, prefix=".restore.") as scratch:
-        unpacked = Path(scratch)
+        # The names in a package are free, so its content has a folder of its own.
+        unpacked, parts = Path(scratch) / "content", Path(scratch) / "parts"
+        unpacked.mkdir()
+        parts.mkdir()
         unpack_package(package, KIND, unpacked)
         check_database(unpacked / DATA / DATABASE)
         _drop_deleted(unpacked / DATA / RECORDINGS)
         # Paths in the file are relative to its folder, so it is read as if it were there already.
         config = read_config(unpacked / CONFIG)
         # A file that exists already, such as a scenario of the package, is no problem.
-        moves = [m for m in _moves(unpacked, config, config_path.resolve().parent) if not _same_file(*m)]
-        _make_private(unpacked / ".parts" / DATA)
+        moves = [m for m in _moves(unpacked, parts, config, config_path.resolve().parent) if not _same_file(*m)]
+        _make_private(parts / DATA)
         for _, target in moves:
             _refuse_content(target)
         for source, target in moves:
@@ -171,7 +174,7 @@ def _drop_deleted(recordings: Path) -> None:
             shutil.rmtree(recording)
 
 
-def _moves(unpacked: Path, config: StationConfig, base: Path) -> list[tuple[Path, Path]]:
+def _moves(unpacked: Path, parts: Path, config: StationConfig, base: Path) -> list[tuple[Path, Path]]:
     """Return all moves as (source, target).
 
     Paths of station.toml below the draft's folder are below `base` in the end.
@@ -184,13 +187,11 @@ def _moves(unpacked: Path, config: StationConfig, base: Path) -> list[tuple[Path
     targets = {CALIBRATION: config.calibration, BOARD_TYPES: config.board_types, DATA: config.data}
     if config.simulation is not None:
         targets[SCENARIO] = config.simulation.scenario
-    # They are set aside under other names first, because the draft has the folders of the package, not those of the
-    # file.
-    (unpacked / ".parts").mkdir()
+    # They are set aside first, because the draft has the folders of the package, not those of the file.
     moves = []
     for name, target in targets.items():
         if (unpacked / name).exists():
-            moves.append(((unpacked / name).rename(unpacked / ".parts" / name), final(target)))
+            moves.append(((unpacked / name).rename(parts / name), final(target)))
     return moves
 
 

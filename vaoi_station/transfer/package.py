@@ -15,7 +15,7 @@ import tempfile
 import zlib
 from collections.abc import Iterable
 from pathlib import Path, PurePosixPath
-from typing import IO, Any
+from typing import IO, Any, Self
 
 from vaoi_station.errors import DeviceError, InputError
 from vaoi_station.files.atomic_directory import refuse_existing
@@ -28,6 +28,12 @@ _FAST = 1
 _CHUNK = 1 << 20
 _MOST_MEMBERS = 1_000_000
 _LARGEST_MANIFEST = 200_000_000
+_LARGEST_HEADER = 65_536
+"""Largest extended header of a member, bytes. It holds a name or a size; `tarfile` reads it into memory as a whole."""
+_EXTENDED = (
+    *(tarfile.XHDTYPE, tarfile.XGLTYPE, tarfile.SOLARIS_XHDTYPE),
+    *(tarfile.GNUTYPE_LONGNAME, tarfile.GNUTYPE_LONGLINK),
+)
 
 Entry = tuple[str, IO[bytes] | bytes]
 """Name in the package with "/" between its parts, and the open file or the content."""
@@ -90,7 +96,7 @@ def unpack_package(path: Path, kind: str, directory: Path, *, spare_bytes: int =
     found: dict[str, str] = {}
     manifest: dict[str, Any] | None = None
     try:
-        with tarfile.open(path, mode="r|gz") as tar:
+        with tarfile.open(path, mode="r|gz", tarinfo=_BoundedHeader) as tar:
             for member in tar:
                 source = tar.extractfile(member) if member.isreg() else None
                 if source is None or len(found) > _MOST_MEMBERS:
@@ -121,6 +127,18 @@ def unpack_package(path: Path, kind: str, directory: Path, *, spare_bytes: int =
 
 
 _ACTION = "Use a file that vaoi backup or vaoi export has written, or copy it again."
+
+
+class _BoundedHeader(tarfile.TarInfo):
+    """A header that refuses extended headers above the limit before they are read."""
+
+    @classmethod
+    def frombuf(cls, buf: bytes | bytearray, encoding: str | None, errors: str) -> Self:
+        """Read a header of 512 bytes; raise ValueError for an extended header that is too large."""
+        header = super().frombuf(buf, encoding, errors)
+        if header.type in _EXTENDED and header.size > _LARGEST_HEADER:
+            raise ValueError(f"an extended header has {header.size} bytes, the limit is {_LARGEST_HEADER}")
+        return header
 
 
 def _add(tar: tarfile.TarFile, name: str, content: IO[bytes] | bytes) -> str:
