@@ -11,6 +11,7 @@ from playwright.sync_api import Page, Route, expect
 from tests.api.board_data.test_check_routes import proposing
 from tests.api.web.contrast import contrast
 from tests.board_data.readers import samples
+from vaoi_station.model.board_marks import OtherMark
 
 pytestmark = pytest.mark.browser
 
@@ -65,7 +66,7 @@ def test_a_file_becomes_an_approved_board_type(page: Page, engineer: Any, fits: 
     fits("preview", ".board-drawing")
     page.get_by_role("button", name="Without the second file").click()
     expect(page.locator(".facts")).not_to_contain_text("centroid + kicad")  # then the page is drawn anew
-    page.get_by_text("Name a part as fiducial").click()
+    page.get_by_text("Name a part as a mark").click()
     for part in ("TP9", "TP2"):
         page.get_by_label("Part", exact=True).fill(part)
         page.get_by_role("button", name="Add").click()
@@ -155,7 +156,11 @@ def test_a_board_type_is_laid_over_a_filmed_board_and_moved_by_keys(page: Page, 
     expect(page.get_by_label("x, mm")).to_have_value("0.2")
     expect(page.get_by_label("y, mm")).to_have_value("0.1")
     expect(page.get_by_label("Turn, °")).to_have_value("0.1")
+    page.reload()  # the address has the move
+    expect(page.get_by_label("Turn, °")).to_have_value("0.1")
+    expect(page.get_by_label("x, mm")).to_have_value("0.2")
     page.get_by_label("Turn, °").fill("0")
+    assert "turn" not in page.url
     page.get_by_role("button", name="Store as a draft").click()
     expect(page.locator(".answer.done")).to_have_text("Stored as a draft. The version before can be restored.")
     stored = station.types["demo-board"]
@@ -177,6 +182,34 @@ def test_a_board_type_is_laid_over_a_filmed_board_and_moved_by_keys(page: Page, 
     station.release(run)  # a recording at most
     page.reload()
     expect(page.get_by_text("There is no board of this type with usable pictures in memory.")).to_be_visible()
+
+
+def test_marks_of_a_panel_are_named_and_read_by_choice(page: Page, engineer: Any) -> None:
+    types = engineer.station.types
+    board = types["demo-board"]
+    panel = tuple(part.model_copy(update={"panel": n}) for n, part in enumerate(board.components, start=1))
+    mark = OtherMark(name="BAD1", x=1.0, y=2.0, diameter=2.0, kind="bad-board", panel=1)
+    types["demo-board"] = board.model_copy(update={"components": panel, "other_marks": (mark,)})
+    page.goto(f"{engineer.url}/#/setup/types/of/demo-board")
+    expect(page.get_by_text("bad-board mark of board 1")).to_be_visible()
+    page.get_by_label("On a bad board it is").first.select_option("light")
+    page.get_by_text("Name a part as a mark").click()
+    expect(page.get_by_label("Of board", exact=True)).to_be_hidden()
+    page.get_by_label("Kind").select_option("bad-board mark")
+    page.get_by_label("Part", exact=True).fill(f"2/{panel[1].ref}")
+    page.get_by_label("Of board", exact=True).select_option("2")
+    page.get_by_role("button", name="Add").click()
+    expect(page.get_by_text("bad-board mark of board 2")).to_be_visible()
+    page.get_by_role("button", name="Store these marks").click()
+    expect(page.locator(".answer.done")).to_contain_text("Stored as a draft")
+    stored = types["demo-board"].other_marks
+    assert stored is not None
+    assert [(m.name, m.panel, m.bad) for m in stored] == [("BAD1", 1, "light"), (f"2/{panel[1].ref}", 2, "dark")]
+    for name in ("BAD1", "2/"):
+        page.get_by_label(re.compile(f"^{name}.* at ")).uncheck()
+    page.get_by_role("button", name="Store these marks").click()
+    expect(page.get_by_text("bad-board mark of board 1")).to_have_count(0)
+    assert types["demo-board"].other_marks is None
 
 
 def test_a_run_is_taught_as_reference(page: Page, engineer: Any) -> None:

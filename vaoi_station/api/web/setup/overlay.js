@@ -36,6 +36,7 @@ class Overlay {
 
   constructor(root, name, query) {
     [this.#root, this.#name, this.#query] = [root, name, query];
+    for (const axis of Object.keys(this.#move)) this.#move[axis] = Number(query.get(axis)) || 0;
   }
 
   async show() {
@@ -62,9 +63,10 @@ class Overlay {
     if (this.#query.has("measure")) this.#root.querySelector("#check").click(); // the page was loaded anew: the station goes on, or has the result
   }
 
-  // The address reproduces the run, and whether it is measured.
-  #note(measure) {
-    this.#query = new URLSearchParams({ run: this.#run.id, ...(measure ? { measure: "1" } : {}) });
+  // The address reproduces the run, the move, and whether the run is measured.
+  #note(measure = this.#query.has("measure")) {
+    const move = Object.entries(this.#move).map(([axis, value]) => [axis, String(+value.toFixed(4))]).filter(([, value]) => Number(value));
+    this.#query = new URLSearchParams([["run", this.#run.id], ...move, ...(measure ? [["measure", "1"]] : [])]);
     history.replaceState(null, "", `${typeAddress(this.#name, "lay")}?${this.#query}`);
   }
 
@@ -148,6 +150,7 @@ class Overlay {
     const [sx, sy] = [Math.sign(m[0][0]), -Math.sign(m[1][1]) * flip];
     this.#move = { x: this.#move.x + right * step * sx, y: this.#move.y + upwards * step * sy, turn: this.#move.turn + ccw * step * sx * sy };
     this.#place();
+    this.#note();
   }
 
   #key(event) {
@@ -167,6 +170,7 @@ class Overlay {
         if (!Number.isFinite(value)) return;
         this.#move = { ...this.#move, [name]: value };
         this.#place();
+        if (this.#run) this.#note();
       });
     }
     this.#fields.step = choice("step", STEPS, "0.1");
@@ -180,8 +184,8 @@ class Overlay {
     const store = button(t.storeMoved, async () => {
       if (!this.#move.x && !this.#move.y && !this.#move.turn) throw new Wrong(t.notMoved);
       await requests.storeType(moved(this.#type, this.#move, outline.querySelector("input").checked), requests.ifStill(this.#tag));
-      this.#note(false);
       this.#move = { x: 0, y: 0, turn: 0 };
+      this.#note(false);
       await this.show();
       return t.storedDraft;
     }, this.#answer, { className: "primary", id: "store-moved" });
@@ -215,6 +219,7 @@ class Overlay {
     const picture = make("img", { src: requests.checkPicture(this.#run.id, this.#name), alt: t.checkPicture });
     const correct = found.proposal ? button(t.correct, async () => {
       await requests.correct(this.#name, this.#run.id);
+      this.#move = { x: 0, y: 0, turn: 0 };
       this.#note(false);
       await this.show();
       return t.storedDraft;

@@ -3,7 +3,7 @@ import { make } from "../parts/elements.js";
 import { number, texts } from "../texts/texts.js";
 import { boardDrawing } from "./drawing.js";
 import { answerLine, attempt, button, choice, facts, input, labelled, section, Wrong } from "./fields.js";
-import { fiducialChoice } from "./fiducials.js";
+import { markChoice } from "./marks.js";
 import * as requests from "./requests.js";
 import { typeAddress } from "./types.js";
 
@@ -22,7 +22,7 @@ class Preview {
   #root;
   #preview;
   #answer = answerLine();
-  #chosen = null; // fiducials chosen by hand; null: as the import has found them
+  #chosen = null; // marks chosen by hand; null: as the import has found them
   #changes = Promise.resolve(); // the last change that was asked for: a change begins when the one before it has ended
 
   constructor(root, preview) {
@@ -37,7 +37,7 @@ class Preview {
     const parts = [make("a", { href: "#/setup/types", className: "up", textContent: texts.setup.toTypes }), make("h2", { textContent: filename })];
     if (refusal) parts.push(make("p", { className: "answer refused", textContent: refusal }));
     const side = make("div", { className: "column" }, this.#options(found), this.#joined());
-    if (found) side.append(this.#foundOf(found), this.#fiducials(type), this.#confirm(type));
+    if (found) side.append(this.#foundOf(found), this.#marks(type), this.#confirm(type));
     else side.append(this.#discard());
     parts.push(this.#answer, make("div", { className: "two" }, type ? boardDrawing(type) : make("div"), side));
     const entered = new Entered(this.#root, changed);
@@ -129,10 +129,10 @@ class Preview {
       make("div", { className: "buttons" }, file, make("label", { htmlFor: file.id, className: "button", textContent: t.chooseFile }), drop));
   }
 
-  #fiducials(type) {
-    return section(texts.setup.fiducialsTitle, fiducialChoice(type, (chosen) => {
+  #marks(type) {
+    return section(texts.setup.marksTitle, markChoice(type, (chosen) => {
       this.#chosen = chosen;
-      this.#root.querySelector(".drawing").replaceWith(boardDrawing({ ...type, fiducials: chosen }));
+      this.#root.querySelector(".drawing").replaceWith(boardDrawing({ ...type, ...chosen }));
     }));
   }
 
@@ -149,7 +149,7 @@ class Preview {
     const store = button(t.confirm(type.name), async () => {
       const sure = store.classList.contains("sure");
       try {
-        await requests.storeType(this.#chosen ? { ...type, fiducials: this.#chosen } : type, sure ? {} : requests.ifNew);
+        await requests.storeType(this.#chosen ? { ...type, ...this.#chosen } : type, sure ? {} : requests.ifNew);
       } catch (error) {
         if (sure || error.code !== "changed") throw error;
         store.classList.add("sure");

@@ -1,11 +1,11 @@
-// One board type: its drawing, state and revision, fiducials, earlier versions, and its reference run.
+// One board type: its drawing, state and revision, marks, earlier versions, and its reference run.
 import { make } from "../parts/elements.js";
 import * as rest from "../parts/rest.js";
 import { moment, number, texts } from "../texts/texts.js";
 import { boardDrawing } from "./drawing.js";
 import { answerLine, button, choice, facts, input, labelled, section } from "./fields.js";
-import { fiducialChoice } from "./fiducials.js";
 import { mmPerUnit } from "./geometry.js";
+import { markChoice } from "./marks.js";
 import * as requests from "./requests.js";
 import { typeAddress } from "./types.js";
 
@@ -36,7 +36,7 @@ class Type {
       }),
     ]);
     const side = make("div", { className: "column" }, this.#about(type), this.#state(type, tag), this.#lay(runs), this.#reference(reference, runs),
-      this.#fiducials(type, tag), this.#versions(versions), this.#end());
+      this.#marks(type, tag), this.#versions(versions), this.#end());
     this.#root.replaceChildren(make("a", { href: "#/setup/types", className: "up", textContent: t.toTypes }), make("h2", { textContent: type.name }), this.#answer,
       make("div", { className: "two" }, boardDrawing(type), side));
     if (said) this.#answer.textContent = said;
@@ -96,15 +96,15 @@ class Type {
         reference ? this.#order(t.forget, () => requests.forget(this.#name), t.forgotten, { className: "plain" }) : ""));
   }
 
-  #fiducials(type, tag) {
+  #marks(type, tag) {
     const t = texts.setup;
     let chosen = null;
-    const store = this.#order(t.storeFiducials, () => requests.storeType({ ...type, fiducials: chosen, state: "draft" }, requests.ifStill(tag)), t.storedDraft);
+    const store = this.#order(t.storeMarks, () => requests.storeType({ ...type, ...chosen, state: "draft" }, requests.ifStill(tag)), t.storedDraft);
     store.disabled = true;
-    return section(t.fiducialsTitle, fiducialChoice(type, (fiducials) => {
-      chosen = fiducials;
+    return section(t.marksTitle, markChoice(type, (marks) => {
+      chosen = marks;
       store.disabled = false;
-      this.#root.querySelector(".drawing").replaceWith(boardDrawing({ ...type, fiducials }));
+      this.#root.querySelector(".drawing").replaceWith(boardDrawing({ ...type, ...marks }));
     }), make("div", { className: "buttons" }, store));
   }
 
