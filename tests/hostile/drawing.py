@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.hostile.mistakes import Mistake, Random, draw_beside, draw_mistakes, scenario_changes
+from tests.hostile.mistakes import Mistake, Random, draw_beside, draw_mistakes, draw_moment, scenario_changes
 from vaoi_station.simulation import Scenario
 from vaoi_station.simulation.camera_array import Section
 
@@ -20,6 +20,8 @@ FORM = 1
 """Version of the generator. Seeds of finds are valid for one form only."""
 FIRST_WITH_SURROUNDINGS = 10_000
 """First seed whose drawings also have a carrier, or texture beside the board; the seeds below stay as they were."""
+FIRST_WITH_NEAR_COPIES = 87_000
+"""First seed in whose drawings a frame may show another moment without being an exact copy."""
 _WIDTH_PX, _HEIGHT_PX = 480, 360
 _BARRIER_MM, _SPEED_MM_S = 40.0, 100.0
 
@@ -59,6 +61,8 @@ def draw(seed: int) -> Drawing:
     mistakes = draw_mistakes(numbers(5), array["cameras"])
     if seed >= FIRST_WITH_SURROUNDINGS:
         mistakes += draw_beside(numbers(6))
+    if seed >= FIRST_WITH_NEAR_COPIES:
+        mistakes += draw_moment(numbers(7), array["cameras"])
     scenario = Scenario.model_validate(plain)
     for mistake in mistakes:
         scenario = changed(scenario, scenario_changes(mistake, scenario))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tests.hostile.drawing import Drawing, changed
-from tests.hostile.mistakes import Mistake, spoil
+from tests.hostile.mistakes import NEAR_COPY, Mistake, spoil
 from vaoi_station.calibration.array_calibration import calibrate
 from vaoi_station.calibration.camera_fit import Limits
 from vaoi_station.files.layouts import Layout
@@ -79,6 +79,9 @@ def film(drawing: Drawing) -> Film:
         calibration = _calibrated(mistake, calibration, twin)
         board_type = _typed(mistake, board_type, drawing)
     given = {key: frames[source] for key, source in filmed.items()}
+    near = drawing.mistake(NEAR_COPY)
+    if near is not None:
+        given |= {key: _filmed_again(given[key], near.size) for key, source in filmed.items() if key != source}
     for mistake in drawing.mistakes:
         given = {k: spoil(pixels, mistake) if k[0] == mistake.at else pixels for k, pixels in given.items()}
     missing = tuple(sorted({(c, r) for c in range(len(head.cameras)) for r in range(head.rows)} - set(filmed)))
@@ -120,7 +123,7 @@ def _wired(mistake: Mistake, filmed: dict[FrameKey, FrameKey], cameras: int, row
             lost = {keys[k] for k in g.permutation(len(keys))[: int(mistake.size)]}
         case "frozen":
             moved = {(at, r): (at, 0) for r in range(rows)}
-        case "repeated":
+        case "repeated" | "near-copy":
             moved = {(at, middle): (at, middle - 1)}
         case "late-camera":
             moved = {(at, r): (at, r - 1) for r in range(1, rows)}
@@ -129,6 +132,12 @@ def _wired(mistake: Mistake, filmed: dict[FrameKey, FrameKey], cameras: int, row
             other = (at + 1) % cameras
             moved = {(c, r): (at + other - c, r) for c in (at, other) for r in range(rows)}
     return {key: filmed[moved.get(key, key)] for key in filmed if key not in lost and moved.get(key, key) in filmed}
+
+
+def _filmed_again(pixels: NDArray[Any], sigma_grey: float) -> NDArray[Any]:
+    """Return a picture of the same moment with noise of its own."""
+    noise = np.random.default_rng(int(pixels.sum())).normal(0, sigma_grey, pixels.shape)
+    return np.asarray(np.clip(np.rint(pixels + noise), 0, np.iinfo(pixels.dtype).max), pixels.dtype)
 
 
 def _calibrated(mistake: Mistake, known: Calibration, twin: Twin) -> Calibration:

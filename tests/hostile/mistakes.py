@@ -32,7 +32,7 @@ class Mistake:
     @property
     def within(self) -> bool:
         """Whether a right answer is expected in spite of this mistake."""
-        return self.size <= {**KINDS, **BESIDE}[self.name].limit
+        return self.size <= EVERY_KIND[self.name].limit
 
     def __str__(self) -> str:
         return f"{self.name} {self.size:.3g}"
@@ -109,6 +109,12 @@ BESIDE: Mapping[str, Kind] = {
     "carrier": Kind(4, 12, 12, "mm of rim, brighter than the board, with three marks like fiducials"),
 }
 """Kinds of what lies beside the board. They are drawn apart from the others (`drawing.py`)."""
+NEAR_COPY = "near-copy"
+MOMENTS: Mapping[str, Kind] = {
+    NEAR_COPY: Kind(1, 5, _NEVER, "grey levels (σ) of fresh noise in a frame that shows the row before"),
+}
+"""Kinds of frames of another moment that equal no other frame. They are drawn apart from the others, too."""
+EVERY_KIND: Mapping[str, Kind] = {**KINDS, **BESIDE, **MOMENTS}
 _LOWEST_MM = 3.0
 
 
@@ -117,6 +123,11 @@ def draw_beside(g: Random) -> tuple[Mistake, ...]:
     if g.uniform() < 0.2:
         return ()
     return (_draw_one(str(g.choice(sorted(BESIDE))), g, 1, BESIDE),)
+
+
+def draw_moment(g: Random, cameras: int) -> tuple[Mistake, ...]:
+    """Draw whether a frame shows another moment: in every fifth drawing."""
+    return (_draw_one(NEAR_COPY, g, cameras, MOMENTS),) if g.uniform() < 0.2 else ()
 
 
 def draw_mistakes(g: Random, cameras: int) -> tuple[Mistake, ...]:

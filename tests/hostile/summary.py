@@ -9,7 +9,7 @@ from typing import Any
 
 from tests.hostile.drawing import FORM
 from tests.hostile.judging import CLASSES, OK_AND_WRONG, Outcome
-from tests.hostile.mistakes import BESIDE, KINDS
+from tests.hostile.mistakes import EVERY_KIND
 
 KEPT = Path(__file__).with_name("finds.json")
 """Finds of earlier runs: seed, classes, diagnosis, and whether the cause is mended."""
@@ -43,7 +43,7 @@ def table_of_mistakes(outcomes: Sequence[Outcome]) -> str:
     """Return a table in Markdown: for each mistake the drawings that have it, their verdicts, and their finds."""
     lines = ["| mistake | drawings | ok | degraded | failed | finds that are `ok` and wrong | refused |"]
     lines += ["|---|---|---|---|---|---|---|"]
-    for name in ("", *sorted({**KINDS, **BESIDE})):
+    for name in ("", *sorted(EVERY_KIND)):
         have = [o for o in outcomes if (name in {m.split()[0] for m in o.mistakes} if name else not o.mistakes)]
         counts = [sum(o.status == status for o in have) for status in ("ok", "degraded", "failed")]
         wrong = [o.seed for o in have if set(o.finds) & set(OK_AND_WRONG)]

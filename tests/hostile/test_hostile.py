@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.hostile.drawing import FIRST_WITH_SURROUNDINGS, Drawing, changed, draw
+from tests.hostile import judging
+from tests.hostile.drawing import FIRST_WITH_NEAR_COPIES, FIRST_WITH_SURROUNDINGS, Drawing, changed, draw
 from tests.hostile.filming import film
 from tests.hostile.judging import OK_AND_WRONG, Outcome, judge
-from tests.hostile.mistakes import BESIDE, KINDS, Mistake, draw_beside, draw_mistakes
+from tests.hostile.mistakes import BESIDE, KINDS, MOMENTS, NEAR_COPY, Mistake, draw_beside, draw_mistakes, draw_moment
 from tests.hostile.rule import fiducials_in_view, least_overlap, least_seen, why_impossible
 from tests.hostile.summary import kept_finds, open_classes, table, table_of_mistakes
 from tests.needs import LONG
@@ -106,6 +107,26 @@ def test_what_lies_beside_the_board_is_drawn_from_a_later_seed_on() -> None:
     assert {m.name for d in later for m in d.mistakes} & set(BESIDE)
     assert any(d.scenario.carrier.rim_mm for d in later)
     assert any(d.scenario.texture.sigma_grey for d in later)
+
+
+def test_a_frame_of_another_moment_is_drawn_from_a_later_seed_on() -> None:
+    g = np.random.default_rng(1)
+    assert {m.name for _ in range(100) for m in draw_moment(g, cameras=2)} == set(MOMENTS)
+    later = range(FIRST_WITH_NEAR_COPIES, FIRST_WITH_NEAR_COPIES + 20)
+    assert any(draw(seed).mistake(NEAR_COPY) for seed in later)
+    assert not any(draw(seed - 20).mistake(NEAR_COPY) for seed in later)
+
+
+@pytest.mark.parametrize("seed", [90012, 90027, 90028])
+def test_a_near_copy_of_the_frame_before_is_never_right(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Parts at equal distances let some links and points of the reference fit in a picture of the row before."""
+    drawing = draw(seed)
+    again = Mistake(NEAR_COPY, 2.0, seed % drawing.scenario.array.cameras, 0.7 + seed / 1e3)
+    spoilt = replace(drawing, mistakes=(again, Mistake("reference", 1.0)))
+    monkeypatch.setattr(judging, "draw", lambda _: spoilt)
+    outcome = judge(seed)
+    assert (outcome.status, outcome.finds) == ("degraded", ())
+    assert any("fit neither the frames before and after them" in reason for reason in outcome.reasons)
 
 
 def test_a_mistake_beyond_its_limit_is_the_reason_that_nothing_is_expected(plain: Drawing) -> None:

@@ -133,7 +133,7 @@ class _BoundedHeader(tarfile.TarInfo):
     """A header that refuses extended headers above the limit before they are read."""
 
     @classmethod
-    def frombuf(cls, buf: bytes | bytearray, encoding: str | None, errors: str) -> Self:
+    def frombuf(cls, buf: bytes | bytearray, encoding: str, errors: str) -> Self:
         """Read a header of 512 bytes; raise ValueError for an extended header that is too large."""
         header = super().frombuf(buf, encoding, errors)
         if header.type in _EXTENDED and header.size > _LARGEST_HEADER:

@@ -51,7 +51,7 @@ def test_lengths_gaps_and_leading_edges_are_reported() -> None:
 def line(**more: Any) -> Line:
     return Line(
         conveyor_mm_s=(0.0, 100.0), barrier_mm=0, start_delay_s=0, trigger_period_s=0.1, tail_s=0.48,
-        longest_board_mm=80, expected_board=ExpectedBoard(), **more,
+        longest_board_mm=80, **{"expected_board": ExpectedBoard()} | more,
     )  # fmt: skip
 
 
@@ -68,7 +68,9 @@ def stitch(*ways_mm: float, turned: bool = False) -> Stitch:
 
 def test_the_limit_is_the_side_along_the_motion_and_the_longer_one_while_it_is_unknown(board_type: BoardType) -> None:
     """The board has 40 mm × 30 mm."""
-    assert limit_of(board_type, line(), None) == pytest.approx(40 * 1.1 + 5)
+    assert limit_of(board_type, line(), None) == pytest.approx(30 * 1.1 + 5), "the rotation is the expected one"
+    turned = ExpectedBoard.model_validate({"rotation_deg": 90})
+    assert limit_of(board_type, line(expected_board=turned), None) == pytest.approx(40 * 1.1 + 5)
     assert limit_of(board_type, line(), stitch(0.0)) == pytest.approx(30 * 1.1 + 5)
     assert limit_of(board_type, line(), stitch(0.0, turned=True)) == pytest.approx(40 * 1.1 + 5)
     assert limit_of(board_type, line(carrier_mm=100.0), None) == pytest.approx(115)

@@ -78,17 +78,18 @@ def limit_of(board_type: BoardType, line: Line, stitch: Stitch | None) -> float:
     Args:
         board_type: gives the extent of the board.
         line: direction of the motion, expected rotation, carrier.
-        stitch: the result, which gives the rotation on the belt; None to use the longer side.
+        stitch: the result, which gives the rotation on the belt; None to use the expected rotation.
     """
     low, high = board_type.extent()
-    size_mm = (high - low) * board_type.mm_per_unit
+    corners = np.array([[x, y] for x in (low[0], high[0]) for y in (low[1], high[1])])
     from_cad = stitch.tester_from_cad if stitch is not None else None
-    if from_cad is None:
-        # Diagonals are not used: boards ride along a rail, at a multiple of 90 degrees.
-        length_mm = float(max(size_mm))
+    if from_cad is not None:
+        placed = from_cad(corners)
     else:
-        corners = from_cad(np.array([[x, y] for x in (low[0], high[0]) for y in (low[1], high[1])]))
-        length_mm = float(np.ptp(corners @ _direction(line)))
+        turn = np.deg2rad(line.expected_board.rotation_deg)
+        rotation = np.array([(np.cos(turn), -np.sin(turn)), (np.sin(turn), np.cos(turn))])
+        placed = corners @ rotation.T * board_type.mm_per_unit
+    length_mm = float(np.ptp(placed @ _direction(line)))
     return max(length_mm, line.carrier_mm or 0.0) * (1 + LENGTH_SHARE) + LENGTH_MM
 
 

@@ -100,6 +100,11 @@ class FootprintViews:
         """Return the views in all rows except the given ones."""
         return self._where(~np.isin(self.row, rows))
 
+    def without_frames(self, frames: Collection[FrameKey]) -> FootprintViews:
+        """Return the views in all frames except the given ones."""
+        keys = zip(self.camera.tolist(), self.row.tolist(), strict=True)
+        return self._where(np.array([key not in frames for key in keys], np.bool_)) if frames else self
+
     def without_points(self, points: Sequence[int]) -> FootprintViews:
         """Return the views of all points except the given ones."""
         return self._where(~np.isin(self.point, points)) if points else self

@@ -38,7 +38,7 @@ from vaoi_station.stitching.quality.agreement import seam_px
 from vaoi_station.stitching.quality.covariances import largest_sigma
 from vaoi_station.stitching.quality.heights import Height, component_heights
 from vaoi_station.stitching.quality.lens_errors import LensError, lens_errors
-from vaoi_station.stitching.quality.missing.confirmation import confirmed_beside, confirmed_by_links
+from vaoi_station.stitching.quality.missing.confirmation import CheckedFrames, check_frames
 from vaoi_station.stitching.quality.missing.dark_lights import DarkLight
 from vaoi_station.stitching.quality.missing.unseen import FilmedBoard, SeenFrames, UnseenComponent, find_unseen
 from vaoi_station.stitching.quality.row_offsets import row_offset
@@ -147,7 +147,13 @@ class Findings:
 
     @cached_property
     def views(self) -> FootprintViews | None:
-        """Views of the components, or of two corners of the board if it has no components; None without C."""
+        """Views of the components, or of two corners of the board if it has none, in frames that may show them."""
+        every = self._every_view
+        return every.without_frames(self.checked.refuted) if every is not None else None
+
+    @cached_property
+    def _every_view(self) -> FootprintViews | None:
+        """The views in all frames with a position, whatever they show; None without C."""
         if self.plane is None or self.cad_matrix is None:
             return None
         rows = self.adjusted.motion.rows_from_tester
@@ -188,26 +194,22 @@ class Findings:
         return frames_of_marks(board_type, views, self.scene.cameras, self.confirmed)
 
     @cached_property
+    def checked(self) -> CheckedFrames:
+        """Which good frames fit the board's motion, and which contradict it."""
+        left_out = self.mapping and self.mapping.left_out
+        present, beside = frozenset(self.scene.present), left_out.links if left_out else None
+        return check_frames(present, self.copies, self.method, self.adjusted, beside)
+
+    @property
     def confirmed(self) -> frozenset[FrameKey]:
-        """The good frames whose pictures fit the board's motion: by their links, or by a point with CAD coordinates."""
-        possible = frozenset(self.scene.present) - self.copies
-        if not self.method.links:
-            return possible  # Without links there is nothing that could confirm a frame between two fiducials.
-        frames, decided = confirmed_by_links(self.problem.links, self.adjusted.weight)
-        if (points := self.problem.fiducials) is not None:
-            frames |= set(zip(points.camera.tolist(), points.row.tolist(), strict=True))
-        left_out = self.mapping.left_out if self.mapping is not None else None
-        if left_out is not None:
-            frames |= confirmed_beside(left_out.links, self.adjusted.motion, possible - frames - decided)
-        return frozenset(frames & possible)
+        """The good frames whose pictures fit the board's motion: by their links, or by points with CAD coordinates."""
+        return self.checked.confirmed
 
     @cached_property
     def unconfirmed(self) -> tuple[FrameKey, ...]:
         """The good frames, in order, that should show the centre of a component but do not fit the board's motion."""
-        views = self.views
-        if views is None:
-            return ()
-        seen = set(zip(views.camera.tolist(), views.row.tolist(), strict=True))
+        views = self._every_view
+        seen = set() if views is None else set(zip(views.camera.tolist(), views.row.tolist(), strict=True))
         return tuple(sorted((seen & set(self.scene.present)) - self.confirmed))
 
     @cached_property

@@ -22,11 +22,11 @@ from vaoi_station.stitching.matching.scene import Scene
 _TRIED_ROWS = 4
 """Number of rows, for each pair of cameras, that are compared with the rows before and after them."""
 _AGREEING = 2
-"""Number of the compared rows that must show the same offset."""
+"""Number of the compared rows in which most links must have the same offset."""
 _PLAINLY = 2.0
 """Least ratio of the number of links at the offset to the number of links without offset."""
 _LINKS = 12
-"""Least number of links by which two frames count as frames of the same pulse."""
+"""Least number of links, in all compared rows together, by which frames count as frames of the same pulse."""
 _AT_REST = np.zeros(2)
 
 
@@ -41,7 +41,7 @@ def row_offset(scene: Scene, links: Iterable[Links], left: int) -> int:
     present = set(scene.present)
     seam = [e for e in links if e.task.kind == "neighbours" and e.task.a[0] == left and e.tried]
     # Rows with most texture in the overlap decide best.
-    votes: Counter[int] = Counter()
+    votes, total = Counter[int](), Counter[int]()
     for e in sorted(seam, key=lambda e: (-e.tried, e.task.a))[:_TRIED_ROWS]:
         row = e.task.a[1]
         counts = {
@@ -49,10 +49,12 @@ def row_offset(scene: Scene, links: Iterable[Links], left: int) -> int:
             for offset in (-1, 0, 1)
             if (left + 1, row + offset) in present
         }
+        total.update(counts)
         best = max(counts, key=lambda offset: counts[offset])
-        if counts[best] >= _LINKS and counts[best] >= _PLAINLY * counts[0]:
-            votes[best] += 1
-    return next((offset for offset, count in votes.items() if offset and count >= _AGREEING), 0)
+        votes[best] += counts[best] > 0
+    best = max((-1, 0, 1), key=lambda offset: total[offset])
+    plainly = total[best] >= _LINKS and total[best] >= _PLAINLY * total[0] and votes[best] >= _AGREEING
+    return best if plainly else 0
 
 
 def shifted_cameras(offsets: Mapping[tuple[int, int], int], cameras: int) -> dict[int, int]:

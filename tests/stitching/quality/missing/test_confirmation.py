@@ -44,7 +44,8 @@ ROWS = Task("rows", (0, 0), (0, 1))
         ([1.0] * 2, False, False),
         ([1.0] * 3, True, False),
         ([1.0] * 3 + [0.0] * 9, False, True),
-        ([1.0] * 5 + [0.0] * 40, True, True),
+        ([1.0] * 7 + [0.0] * 24, False, True),  # as many fit by chance in a picture of the row before
+        ([1.0] * 7 + [0.0] * 7, True, True),
         ([0.0] * 5, False, True),
     ],
 )

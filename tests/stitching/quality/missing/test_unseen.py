@@ -14,9 +14,11 @@ from vaoi_station.stitching.board.component_index import ComponentIndex
 from vaoi_station.stitching.quality.missing.unseen import (
     FilmedBoard,
     SeenFrames,
+    UnseenComponent,
     find_unseen,
     required_visibility,
     unconfirmed_reasons,
+    unseen_reasons,
 )
 
 
@@ -161,6 +163,22 @@ def test_a_reason_names_at_most_forty_components(filmed: Any) -> None:
     assert len(result.quality["unseen"]) == 60
     assert "and 20 more" in result.reasons[0]
     assert np.isfinite(result.quality["cad_sigma_px"])
+
+
+@pytest.mark.parametrize(
+    ("lost", "unplaced", "words"),
+    [
+        ({(1, 0), (1, 1)}, (), "camera 1 delivered no complete frame: repair what lost these frames"),
+        ({(0, 1), (1, 1)}, (1,), "): other rows are not placed: film the board again"),
+        ({(1, 0), (0, 1), (1, 1)}, (1,), "camera 1 delivered 1 of 2 frames: repair what lost these frames"),
+        ({(1, 0), (0, 1), (1, 1)}, (1,), "; other rows are not placed: film the board again"),
+    ],
+)
+def test_lost_frames_are_named_beside_rows_that_are_not_placed(lost: Any, unplaced: Any, words: str) -> None:
+    unseen = UnseenComponent("U1", 0.5, 0, False, Visibility(), "frames-lost")
+    present = {(i, j) for i in range(2) for j in range(2)} - lost
+    ((_, text),) = unseen_reasons((unseen,), 10, 2, 2, present, unplaced)
+    assert words in text
 
 
 def test_frames_that_fit_nothing_are_named_and_copies_counted() -> None:

@@ -15,14 +15,18 @@ from numpy.typing import NDArray
 
 from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.adjustment.observations import Observations
+from vaoi_station.stitching.adjustment.problem import REFERENCE, AdjustmentResult, FiducialPoints
+from vaoi_station.stitching.board.reference import inliers
 from vaoi_station.stitching.matching.evidence import FrameKey
+from vaoi_station.stitching.method import Method
 
 _USED = 0.1
 """Weight above which a link counts as used."""
-_LEAST_FITTING, _LEAST_SHARE, _SURELY = 3, 0.25, 5
-"""Least number and share of a frame's links that must fit the board's motion; number that always suffices.
+_LEAST_FITTING, _LEAST_SHARE, _DECIDING = 3, 0.5, 5
+"""Least number and share of a frame's links that must fit the board's motion; number of links that decides it.
 
-In sound frames of recordings and twin, a share of 0.7 or more fits. In a repeated one, one link may fit by chance."""
+In sound frames of recordings and twin, a share of 0.7 or more fits. In a picture of another row, up to 7 of 31 fit by
+chance: a board has equal parts at equal distances."""
 _BESIDE_SHARE = 0.7
 """Least share of the links beside the board that must fit where they alone confirm a frame."""
 _BESIDE_MM, _BESIDE_OF_WAY = 0.05, 0.02
@@ -37,8 +41,53 @@ class _Fits(NamedTuple):
     every: int = 0
     fitting: int = 0
 
+    @property
+    def enough(self) -> bool:
+        """Whether as many links fit as a frame of this row must have."""
+        return self.fitting >= _LEAST_FITTING and self.fitting >= _LEAST_SHARE * self.every
+
     def plus(self, every: int, fitting: int) -> _Fits:
         return _Fits(self.every + every, self.fitting + fitting)
+
+
+class CheckedFrames(NamedTuple):
+    """The good frames of a run by what their pictures show. Those that show too little are in neither set."""
+
+    confirmed: frozenset[FrameKey]
+    """Frames that fit the board's motion."""
+    refuted: frozenset[FrameKey]
+    """Frames that show another part of the board than their row: they are copies, or most of their links contradict."""
+
+
+def check_frames(
+    present: frozenset[FrameKey],
+    copies: frozenset[FrameKey],
+    method: Method,
+    adjusted: AdjustmentResult,
+    beside: Observations | None,
+) -> CheckedFrames:
+    """Check what the good frames show against the board's motion.
+
+    Args:
+        present: the good frames.
+        copies: those that equal the frame before in every pixel.
+        method: the kinds of evidence that were used.
+        adjusted: the solution, with the problem that it solves.
+        beside: the links beside the board, which the adjustment left out; None if it left out none.
+    """
+    points, possible = adjusted.problem.fiducials, present - copies
+    frames = set[FrameKey]() if points is None else confirmed_by_points(points, adjusted.fiducial_px)
+    decided = set[FrameKey]()
+    if method.links:
+        fitting, decided = confirmed_by_links(adjusted.problem.links, adjusted.weight)
+        frames |= fitting
+        if beside is not None:
+            frames |= confirmed_beside(beside, adjusted.motion, possible - frames - decided)
+    elif method.marks:
+        # Marks are far apart: nothing could confirm a frame between two of them.
+        return CheckedFrames(possible, copies & present)
+    confirmed = frozenset(frames & possible)
+    return CheckedFrames(confirmed, frozenset((copies | decided) & present - confirmed))
 
 
 def confirmed_by_links(links: Observations, weight: NDArray[np.float64]) -> tuple[set[FrameKey], set[FrameKey]]:
@@ -49,13 +98,27 @@ def confirmed_by_links(links: Observations, weight: NDArray[np.float64]) -> tupl
         weight: (k,) their robust weights in the adjustment.
     """
     frames = _fits(links, weight > _USED)
-    # Most links of a frame at the end of the board may lie on a textured belt.
-    fitting = {
-        key
-        for key, (every, fits) in frames.items()
-        if fits >= _SURELY or (fits >= _LEAST_FITTING and fits > _LEAST_SHARE * every)
-    }
-    return fitting, {key for key, one in frames.items() if one.every >= _SURELY}
+    fitting = {key for key, one in frames.items() if one.enough}
+    return fitting, {key for key, one in frames.items() if one.every >= _DECIDING}
+
+
+def confirmed_by_points(points: FiducialPoints, residual_px: NDArray[np.float64]) -> set[FrameKey]:
+    """Return the frames that points with CAD coordinates confirm: one mark of the board, or points of the reference.
+
+    Args:
+        points: the k points.
+        residual_px: (k, 2) their residuals in the adjustment.
+    """
+    fits, of_reference = inliers(points, residual_px), points.which == REFERENCE
+    frames: defaultdict[FrameKey, _Fits] = defaultdict(_Fits)
+    marked = set[FrameKey]()
+    for camera, row, fit, by_reference in np.column_stack([points.camera, points.row, fits, of_reference]).tolist():
+        if by_reference:
+            frames[camera, row] = frames[camera, row].plus(1, fit)
+        elif fit:
+            marked.add((camera, row))
+    # Parts at equal distances let single points of the reference fit by chance.
+    return marked | {key for key, one in frames.items() if one.enough}
 
 
 def confirmed_beside(beside: Observations, motion: Motion, undecided: Collection[FrameKey]) -> set[FrameKey]:
@@ -79,7 +142,7 @@ def confirmed_beside(beside: Observations, motion: Motion, undecided: Collection
     return {
         key
         for key, one in _fits(links, fits).items()
-        if key in undecided and one.fitting >= _SURELY and one.fitting >= _BESIDE_SHARE * one.every
+        if key in undecided and one.fitting >= _DECIDING and one.fitting >= _BESIDE_SHARE * one.every
     }
 
 

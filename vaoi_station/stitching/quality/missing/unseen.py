@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Literal, NamedTuple, cast
 
 import numpy as np
@@ -156,13 +157,10 @@ def unseen_reasons(
     for cause, explanation in _EXPLANATIONS.items():
         mine = [u for u in unseen if u.cause == cause]
         if mine:
-            lost = f"{_lost_frames(cameras, rows, present)}: " if cause == "frames-lost" else ""
-            if lost and unplaced:
-                lost, explanation = "other rows are not placed: ", "film the board again"  # noqa: PLW2901
+            why = _why_lost(cameras, rows, present, unplaced) if cause == "frames-lost" else explanation
             yield Reason(
                 ReasonCode.COMPONENTS_UNSEEN,
-                f"the good frames show too little of {len(mine)} of {total} components "
-                f"({_named(mine)}): {lost}{explanation}",
+                f"the good frames show too little of {len(mine)} of {total} components ({_named(mine)}): {why}",
             )
 
 
@@ -238,6 +236,15 @@ def _shortfall(u: UnseenComponent) -> str:
     if u.asked.views is not None and u.views < u.asked.views:
         return f"{u.views} of {u.asked.views} views"
     return "not in one frame"
+
+
+def _why_lost(cameras: int, rows: int, present: Collection[FrameKey], unplaced: Collection[int]) -> str:
+    """Return the explanation of components that lost frames, or frames without a position, should show."""
+    # Rows that are not placed have good frames, so their cameras did not lose them.
+    lost = _lost_frames(cameras, rows, {*present, *product(range(cameras), unplaced)})
+    lost_and_remedy = f"{lost}: {_EXPLANATIONS['frames-lost']}" if lost else ""
+    apart = f"{'; ' if lost else ''}other rows are not placed: film the board again" if unplaced else ""
+    return lost_and_remedy + apart
 
 
 def _lost_frames(cameras: int, rows: int, present: Collection[FrameKey]) -> str:
