@@ -27,6 +27,7 @@ from vaoi_station.stitching.board.cad_mapping import CadMapping, MappingInputs, 
 from vaoi_station.stitching.board.expectation import Expectation
 from vaoi_station.stitching.board.reference import Reference
 from vaoi_station.stitching.matching.evidence import Detections, Evidence, FrameKey, Links
+from vaoi_station.stitching.matching.link import are_copies
 from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
 from vaoi_station.stitching.matching.relinking import RowLinks, relink_rows
 from vaoi_station.stitching.matching.scene import Scene
@@ -102,7 +103,7 @@ def conclude(
     """
     stages = StageTimes()
     found = sort_evidence(evidence)
-    copies = frozenset(e.task.b for e in found.links if e.copied and e.task.b is not None)
+    copies = _copies(found.links) if prior.method.links else _compared_copies(scene)
     problem = _links_problem(prior, times_s, found, link_store)
     if prior.method.links:
         found, problem = _relinked(scene, prior, problem, found, link_store)
@@ -147,6 +148,18 @@ def sort_evidence(evidence: Sequence[Evidence]) -> SortedEvidence:
         tuple(e for e in order if isinstance(e, Links) and e.task.kind == "reference"),
         tuple(e for e in order if isinstance(e, Detections)),
     )
+
+
+def _copies(links: Sequence[Links]) -> frozenset[FrameKey]:
+    """Return the frames that the links between rows have found to equal the frame before in every pixel."""
+    return frozenset(e.task.b for e in links if e.copied and e.task.b is not None)
+
+
+def _compared_copies(scene: Scene) -> frozenset[FrameKey]:
+    """Return the frames that equal the frame before in every pixel, for methods that link no rows."""
+    pairs = [((camera, row - 1), (camera, row)) for camera, row in scene.present]
+    there = set(scene.present)
+    return frozenset(b for a, b in pairs if a in there and are_copies(scene.prepared(a).grey, scene.prepared(b).grey))
 
 
 def _links_problem(prior: PriorKnowledge, times_s: Floats, found: SortedEvidence, link_store: LinkStore) -> Problem:

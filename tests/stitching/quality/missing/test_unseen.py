@@ -11,6 +11,7 @@ import pytest
 
 from vaoi_station.model import VISIBILITY, BoardType, ReasonCode, Status, Visibility
 from vaoi_station.stitching.board.component_index import ComponentIndex
+from vaoi_station.stitching.board.reference import Reference
 from vaoi_station.stitching.quality.missing.unseen import (
     FilmedBoard,
     SeenFrames,
@@ -20,6 +21,7 @@ from vaoi_station.stitching.quality.missing.unseen import (
     unconfirmed_reasons,
     unseen_reasons,
 )
+from vaoi_station.stitching.recordings.offline import stitch_frames
 
 
 def with_changes(board_type: BoardType, **keys: Any) -> BoardType:
@@ -80,6 +82,40 @@ def test_a_single_frame_of_another_moment_degrades(filmed: Any) -> None:
     result = filmed.stitched(frames=frames)
     assert result.status is not Status.OK
     assert any("camera 0 row 3" in reason for reason in result.reasons)
+
+
+@pytest.mark.parametrize("kind", ["frozen", "black", "near-copy"])
+def test_the_method_by_reference_checks_every_frame(filmed: Any, kind: str) -> None:
+    """A frame that shows nothing of the reference at its place is not confirmed by being there."""
+    reference = Reference(filmed.stitch, frozenset(filmed.frames), "taught", filmed.stitch.quality["cad_sigma_px"])
+    first = filmed.frames[0, 0]
+    noise = np.random.default_rng(0).normal(0, 2, first.shape)
+    before = np.clip(filmed.frames[0, 1] + noise, 0, 255).astype(first.dtype)
+    spoilt = {
+        "frozen": {key: first for key in filmed.frames if key[0] == 0},
+        "black": {key: np.zeros_like(first) for key in filmed.frames if key[0] == 0},
+        "near-copy": {(0, 2): before},
+    }[kind]
+    setup = replace(filmed.setup, method="reference", reference=reference)
+
+    def stitched(frames: Any) -> Any:
+        return stitch_frames(
+            setup, filmed.head, lambda i, j: frames.get((i, j)), lambda i, j: filmed.frames.get((i, j))
+        )
+
+    sound = stitched(filmed.frames)
+    assert (sound.status, sound.quality["unseen"]) == (Status.OK, {})
+    result = stitched(filmed.frames | spoilt)
+    assert result.status is not Status.OK
+    assert kind != "near-copy" or ReasonCode.FRAMES_UNCONFIRMED.value in (result.reason_codes or ())
+
+
+def test_the_method_by_fiducials_names_copies(filmed: Any) -> None:
+    setup = replace(filmed.setup, method="fiducials")
+    frames = filmed.frames | {(0, 3): filmed.frames[0, 2]}
+    result = stitch_frames(setup, filmed.head, lambda i, j: frames.get((i, j)))
+    assert result.status is Status.DEGRADED
+    assert any("camera 0 row 3; 1 of them equal the frame before" in reason for reason in result.reasons)
 
 
 def test_rows_that_were_not_filmed_are_the_cause(filmed: Any) -> None:
