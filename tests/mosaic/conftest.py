@@ -21,6 +21,8 @@ SIZE = (320, 240)
 PX_PER_MM = 10.0
 DARK = 3.0
 BOARD_MM = (52.0, 40.0)
+Look = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+"""Radiance of CAD points (..., 2)."""
 Frames = dict[tuple[int, int], NDArray[Any]]
 
 
@@ -64,6 +66,7 @@ def filmed(
     vignette: float = 0.2,
     flicker: float = 0.02,
     step_mm: float = 9.0,
+    look: Look = radiance,
 ) -> Filmed:
     """Film the board once for all tests of these values."""
     g = np.random.default_rng(3)
@@ -107,7 +110,7 @@ def filmed(
             seen = apply(np.linalg.inv(matrices[i][j] @ cad), np.stack([u, v], -1))
             on = ((seen >= -1) & (seen <= np.array(BOARD_MM) + 1)).all(-1)
             exposure = exposures[j % len(exposures)]
-            light = np.where(on, radiance(seen), 5.0) * shade * lamp * exposure / 250.0
+            light = np.where(on, look(seen), 5.0) * shade * lamp * exposure / 250.0
             grey = np.clip((light + DARK + g.normal(0, 0.5, light.shape)) * full, 0, 255 * full)
             pixels = np.rint(grey).astype(dtype)
             frames[i, j] = pixels if channels == 1 else np.asarray(cv2.merge([pixels] * channels))

@@ -117,6 +117,30 @@ def test_hdr_is_radiance_where_the_long_exposure_saturates(film: Film) -> None:
     assert np.nanmedian(ratio) == pytest.approx(1.0, abs=0.05)
 
 
+def bright_lines(cad: np.ndarray) -> Any:
+    """Radiance of lines 3 px wide, 8 px apart, that saturate the long exposure only."""
+    return np.where(cad[..., 0] % 0.8 < 0.3, 400.0, 50.0)
+
+
+@pytest.mark.parametrize(("reduced", "short_us"), [(2, 60.0), (4, 60.0), (8, 60.0), (4, 240.0), (8, 240.0)])
+def test_hdr_of_reduced_levels_has_no_saturated_detail(film: Film, reduced: int, short_us: float) -> None:
+    """A block's mean is not saturated, although the long exposure saturates its lines; with 240 µs both do."""
+    board = film(exposures=(480.0, short_us), step_mm=6.0, flicker=0.0, vignette=0.0, look=bright_lines)
+    picture, _ = picture_of(board, hdr=True, reduced=reduced)
+    h, w = board.base.height // reduced, board.base.width // reduced
+    y, x = np.mgrid[: h * reduced, : w * reduced].astype(float)
+    shown = bright_lines(apply(board.base.cad_from_mosaic, np.stack([x, y], -1)))
+    middle = np.s_[h // 6 : -h // 6, w // 6 : -w // 6]
+    found = (picture[:h, :w] * 250)[middle]
+    truth = shown.reshape(h, reduced, w, reduced).mean((1, 3))[middle]
+    assert np.isfinite(found).all()
+    if short_us == 60.0:
+        assert found.mean() == pytest.approx(truth.mean(), rel=0.02)
+    else:
+        # The shortest exposure is a lower bound, and nearer to the truth than the long one.
+        assert 0.6 * truth.mean() < found.mean() < truth.mean()
+
+
 def test_bottom_side_is_not_mirrored(board: Filmed) -> None:
     """The region of a board in other axes has the same pixels, turned."""
     keys = board.board_type.model_dump() | {"y_axis": "down", "side": "bottom"}

@@ -3,12 +3,16 @@
 Without HDR, grey levels are those of the frames after correction: dark level subtracted, divided by the field of the
 camera and the gain of the frame. Two frames meet at a seam with weights that change over one cell (16 px of the
 cameras). With HDR each layer gives radiance and its noise, and the layers are merged by their noise.
+
+On reduced levels saturation is decided by the pixels of the frames: the mean of a block with saturated pixels is too
+dark, although it is not saturated itself. A layer without such pixels takes its place. If there is none, the shortest
+exposure gives the value, which is a lower bound there.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -24,7 +28,7 @@ from vaoi_station.mosaic.reduction import BORDER_PX, reduced
 from vaoi_station.mosaic.survey import Floats32, ReadFrame
 from vaoi_station.mosaic.tile_specs import Box, FramePart, TileSpec
 from vaoi_station.photometry import Radiance, merge
-from vaoi_station.photometry.radiance import is_saturated
+from vaoi_station.photometry.radiance import is_saturated, pixels_at_limit
 
 NODATA = 0
 """Value of pixels of 8 or 16 bits that no frame shows; shown pixels are at least 1. Floats are NaN there."""
@@ -64,7 +68,8 @@ def render_tile(spec: TileSpec, read: ReadFrame, scratch: Scratch | None = None)
     memory = Scratch() if scratch is None else scratch
     if spec.hdr:
         return _with_bodies(_render_hdr(spec, read), spec, read)
-    found = [(part, *source) for part in spec.parts if (source := _source(part, read, whole=True)) is not None]
+    sources = [(part, _source(part, read, whole=True)) for part in spec.parts]
+    found = [(part, source.pixels, source.matrix) for part, source in sources if source is not None]
     if not found:
         return None
     first = found[0][1]
@@ -210,42 +215,75 @@ def _with_bodies(ground: Floats32 | None, spec: TileSpec, read: ReadFrame) -> Fl
 
 def _render_hdr(spec: TileSpec, read: ReadFrame) -> Floats32 | None:
     """Render radiance: blend the frames of each layer, then merge the layers by their noise."""
-    shape = spec.height, spec.width
-    totals: dict[int, NDArray[np.float32]] = {}
+    shape = 3, spec.height, spec.width
+    totals: dict[int, Floats32] = {}
+    clipped: dict[int, Floats32] = {}
+    """The same of blocks of pixels of which some are saturated."""
     for part in spec.parts:
         source = _source(part, read, whole=False)
         if source is None:
             continue
-        pixels, matrix = source
         # One more pixel on each side: the noise is that of the mean of 3 × 3 px.
         x0, y0, x1, y1 = box = _grown(part.window, spec)
         size = x1 - x0, y1 - y0
-        matrix = _moved(matrix, box)
-        signal = cv2.warpPerspective(_grey_levels(pixels), matrix, size, flags=_LINEAR) - np.float32(part.dark)
+        matrix = _moved(source.matrix, box)
+        signal = cv2.warpPerspective(_grey_levels(source.pixels), matrix, size, flags=_LINEAR) - np.float32(part.dark)
         factor = _spread(part.factor, part, spec, box)
         sigma = np.sqrt(part.noise.variance(cv2.blur(signal, (3, 3)), part.gain)) * factor
         weight = _weight(part, spec, box)
-        saturated = is_saturated(pixels).astype(np.uint8)
+        saturated = is_saturated(source.pixels).astype(np.uint8)
         if saturated.any():
             weight = weight * (cv2.warpPerspective(saturated, matrix, size, flags=_NEAREST) == 0)
-        total = totals.setdefault(part.layer, np.zeros((3, *shape), np.float32))[:, y0:y1, x0:x1]
+        total = totals.setdefault(part.layer, np.zeros(shape, np.float32))[:, y0:y1, x0:x1]
+        partly = _partly_saturated(source, part.reduction)
+        if partly is not None:
+            touched = cv2.warpPerspective(partly, matrix, size, flags=_LINEAR) > 0
+            lost = weight * touched
+            rest = clipped.setdefault(part.layer, np.zeros(shape, np.float32))[:, y0:y1, x0:x1]
+            rest += (lost * signal * factor, lost * sigma, lost)
+            weight = weight - lost
         total += (weight * signal * factor, weight * sigma, weight)
     if not totals:
         return None
-    stack = []
-    for value, noise, weights in totals.values():
-        valid = weights > 1e-3
-        share = np.where(valid, weights, np.float32(1))
-        mean = np.where(valid, value / share, np.float32(np.nan))
-        stack.append(Radiance(mean, np.where(valid, noise / share, np.float32(np.inf)), valid))
-    return merge(stack).value
+    value = merge([_mean(total) for total in totals.values()]).value
+    # The last layer is that of the shortest exposure.
+    for _, total in sorted(clipped.items(), reverse=True):
+        value = np.where(np.isnan(value), _mean(total).value, value)
+    return value
 
 
-def _source(part: FramePart, read: ReadFrame, *, whole: bool) -> tuple[NDArray[Any], Floats] | None:
-    """Return the pixels that a tile is resampled from, C-contiguous, and the matrix from its pixels to them.
+def _mean(total: Floats32) -> Radiance:
+    """Return the radiance of one layer from its sums (3, h, w): of values, of their noise and of the weights."""
+    value, noise, weights = total
+    valid = weights > 1e-3
+    share = np.where(valid, weights, np.float32(1))
+    mean = np.where(valid, value / share, np.float32(np.nan))
+    return Radiance(mean, np.where(valid, noise / share, np.float32(np.inf)), valid)
 
-    They are those of the part of the frame that the tile shows, reduced; with `whole`, a frame that is not reduced is
-    not copied. None if the frame is missing or the part is empty.
+
+def _partly_saturated(source: _Source, reduction: int) -> Floats32 | None:
+    """Return where a reduced frame has blocks with a saturated pixel, (h, w) above 0 there; None if it has none."""
+    if reduction == 1:
+        return None
+    at_limit = pixels_at_limit(source.unreduced)
+    return np.asarray(reduced(at_limit.astype(np.float32), reduction)) if at_limit.any() else None
+
+
+class _Source(NamedTuple):
+    """The pixels that a tile is resampled from."""
+
+    pixels: NDArray[Any]
+    """C-contiguous."""
+    matrix: Floats
+    """(3, 3) from pixels of the tile to these pixels."""
+    unreduced: NDArray[Any]
+    """The same part of the frame, before it was reduced."""
+
+
+def _source(part: FramePart, read: ReadFrame, *, whole: bool) -> _Source | None:
+    """Return the pixels that a tile is resampled from: the part of the frame that the tile shows, reduced.
+
+    With `whole`, a frame that is not reduced is not copied. None if the frame is missing or the part is empty.
     """
     x0, y0, x1, y1 = part.crop
     if x1 <= x0 or y1 <= y0:
@@ -254,14 +292,14 @@ def _source(part: FramePart, read: ReadFrame, *, whole: bool) -> tuple[NDArray[A
     if frame is None:
         return None
     if whole and part.reduction == 1 and frame.flags.c_contiguous:
-        return frame, part.raw_from_tile
-    matrix = part.raw_from_tile.copy()
+        return _Source(frame, part.raw_from_tile, frame)
+    matrix, shown = part.raw_from_tile.copy(), frame[y0:y1, x0:x1]
     matrix[:2] -= np.array([(x0, y0)]).T * matrix[2]
     if part.reduction == 1:
-        return np.ascontiguousarray(frame[y0:y1, x0:x1]), matrix
+        return _Source(np.ascontiguousarray(shown), matrix, shown)
     matrix = between(matrix, part.reduction, 1)
     matrix[:2] += BORDER_PX * matrix[2]
-    return reduced(frame[y0:y1, x0:x1], part.reduction), matrix
+    return _Source(reduced(shown, part.reduction), matrix, shown)
 
 
 def _grown(box: Box, spec: TileSpec) -> Box:

@@ -81,10 +81,14 @@ def to_radiance(pixels: NDArray[Any], taken: Taken, maps: FieldMaps) -> Radiance
 
 def is_saturated(pixels: NDArray[Any]) -> NDArray[np.bool_]:
     """Return where a frame (h, w) or (h, w, 3) of 8 or 16 bits is saturated, or touches a saturated pixel: (h, w)."""
-    full = FULL_SCALE if pixels.dtype == np.uint8 else 65535
-    at_limit = pixels >= full
-    saturated = (at_limit if pixels.ndim == 2 else at_limit.any(2)).astype(np.uint8)
+    saturated = pixels_at_limit(pixels).astype(np.uint8)
     if saturated.any():
         side = 2 * _NEIGHBOURS_PX + 1
         saturated = np.asarray(cv2.dilate(saturated, np.ones((side, side), np.uint8)))
     return saturated.astype(bool)
+
+
+def pixels_at_limit(pixels: NDArray[Any]) -> NDArray[np.bool_]:
+    """Return where a channel of a frame (h, w) or (h, w, 3) of 8 or 16 bits has its largest value: (h, w)."""
+    at_limit = pixels >= (FULL_SCALE if pixels.dtype == np.uint8 else 65535)
+    return np.asarray(at_limit if pixels.ndim == 2 else at_limit.any(2))
