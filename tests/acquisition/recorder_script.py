@@ -38,6 +38,7 @@ class RecorderScript:
 
     cameras: int
     latencies: Sequence[LatencySettings] = ()
+    shutters_us: Sequence[float] = ()
     controller: DeviceClock = field(default_factory=lambda: DeviceClock(7e5, 40.0, origin_s=1000.0))
     outcomes: list[Outcome] = field(default_factory=list)
     events: list[tuple[float, int, Event]] = field(default_factory=list)
@@ -45,7 +46,9 @@ class RecorderScript:
     def __post_init__(self) -> None:
         self.camera_clocks = [DeviceClock(-50.0 * n, 30.0 - 25.0 * n, origin_s=1000.0) for n in range(self.cameras)]
         models = [clock_model(c) for c in self.camera_clocks]
-        self.recorder = Recorder(clock_model(self.controller), models, LIMITS, latencies=self.latencies)
+        self.recorder = Recorder(
+            clock_model(self.controller), models, LIMITS, exposures_us=self.shutters_us, latencies=self.latencies
+        )
         # The first ids are near the wrap of 16 bit ids, so that some scripts cross it.
         self._order, self._slots, self._ids = count(), count(), [count(65400) for _ in range(self.cameras)]
         self.truth: dict[int, tuple[str | None, int, int]] = {}
@@ -55,15 +58,21 @@ class RecorderScript:
         """Schedule an event."""
         heapq.heappush(self.events, (host_s, next(self._order), event))
 
-    def run(self, name: str | None, first_s: float, rows: int, report_delay_s: float) -> None:
-        """Schedule the pulses of a run from `first_s` on; each is reported `report_delay_s` later."""
+    def run(
+        self, name: str | None, first_s: float, rows: int, report_delay_s: float, on_us: Sequence[float] = ()
+    ) -> None:
+        """Schedule the pulses of a run from `first_s` on; each is reported `report_delay_s` later.
+
+        The LEDs are on for `on_us` of the row, in turn; the controller does not report it if there is none.
+        """
 
         def pulse(row: int) -> Event:
             def event(now_s: float) -> Iterable[Outcome]:
                 if row == 0:
                     self.recorder.begin_run(name, None if name is None else 0, PERIOD_S)
                 time_s = self.controller.device_s(first_s + row * PERIOD_S)
-                return self.recorder.add_pulse(PulseFired(0, time_s, row, "ring"), now_s)[1]
+                lit_us = on_us[row % len(on_us)] if on_us else None
+                return self.recorder.add_pulse(PulseFired(0, time_s, row, "ring", on_us=lit_us), now_s)[1]
 
             return event
 

@@ -72,6 +72,20 @@ def test_a_clean_run_is_finished_with_its_last_frame() -> None:
     assert all(abs(f.pulse_error_us or 0) < 100 for f in script.finished["a"])
 
 
+def test_frames_state_the_time_for_which_the_leds_lit_them() -> None:
+    """Without a light program the lights of the controller have on-times of their own."""
+    script = RecorderScript(2, shutters_us=(250.0, 80.0))
+    script.run("a", 1000.0, 4, 0.001, on_us=(100.0, 60.0, 300.0, 0.0))
+    for camera in range(2):
+        for row in range(4):
+            script.frame(("a", camera, row), 1000.0 + row * PERIOD_S, 0.02)
+    script.play()
+    script.check()
+    (record,) = [o.record for o in script.outcomes if isinstance(o, Finished)]
+    assert record.exposures_us() == ((100.0, 80.0), (60.0, 60.0), (250.0, 80.0), (250.0, 80.0))
+    assert [f.exposure_us for f in script.finished["a"]] == [100.0, 60.0, 250.0, 250.0, 80.0, 60.0, 80.0, 80.0]
+
+
 def test_a_frame_reported_before_its_pulse_waits_for_it() -> None:
     script = RecorderScript(1)
     script.run("a", 1000.0, 2, 0.08)

@@ -116,3 +116,27 @@ def test_exposures_are_given_only_if_all_rows_have_them() -> None:
     assert run.exposures_us() == ((250.0, 100.0), (250.0, 100.0))
     run.pulse_count = 3
     assert run.exposures_us() is None
+
+
+def lit(on_us: dict[int, float | None], shutters_us: tuple[float, ...] = (250.0, 40.0)) -> RunRecord:
+    """Return a run without a program, whose controller reports the on-times of the LEDs."""
+    run = RunRecord("a", 0, PERIOD_S, shutters_us=shutters_us)
+    for row, lit_us in on_us.items():
+        pulse = Pulse(index=row, time_s=50.0 + row * PERIOD_S, light="ring")
+        run.pulses[row] = ObservedPulse(pulse, row * PERIOD_S, on_us=lit_us)
+    return run
+
+
+def test_without_a_program_leds_that_are_on_shortly_determine_the_exposures() -> None:
+    run = lit({0: 100.0, 1: 60.0, 2: 30.0, 3: 400.0, 4: 0.0})
+    assert run.exposures_us() == ((100.0, 40.0), (60.0, 40.0), (30.0, 30.0), (250.0, 40.0), (250.0, 40.0))
+    assert run.taken_with(1) == ((60.0, 40.0), ())
+    # A lost report must not cost the other rows their exposures.
+    run.pulse_count = 6
+    assert run.exposures_us() == (*((100.0, 40.0), (60.0, 40.0), (30.0, 30.0)), *((250.0, 40.0),) * 3)
+
+
+def test_leds_that_are_on_for_longer_than_all_shutters_change_no_exposure() -> None:
+    assert lit({0: 250.0, 1: 300.0}).exposures_us() is None
+    assert lit({0: None, 1: 0.0}).exposures_us() is None
+    assert lit({0: 100.0}, shutters_us=()).exposures_us() is None

@@ -101,7 +101,8 @@ class Recorder:
             camera_clocks: map the time stamps of every camera.
             limits: tolerances and waiting times.
             move_to_bay: moves a frame into the bay of its run.
-            exposures_us: exposure time of every camera; used if the controller does not report it with each pulse.
+            exposures_us: exposure time of every camera; used if the controller reports neither it nor a shorter on-time
+                of the LEDs with a pulse.
             latencies: configuration of every camera's latency; by default all are learnt.
             gains: linear gain of every camera; used like `exposures_us`.
         """
@@ -135,7 +136,7 @@ class Recorder:
 
     def begin_run(self, run: str | None, bay: int | None, period_s: float) -> RunRecord:
         """Begin the run of a board. `run` and `bay` are None if there is no memory for its frames."""
-        record = RunRecord(run, bay, period_s)
+        record = RunRecord(run, bay, period_s, shutters_us=tuple(self._exposures_us))
         self._runs.append(record)
         return record
 

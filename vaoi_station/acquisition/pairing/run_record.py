@@ -106,6 +106,8 @@ class RunRecord:
     """Velocity of the belt that the plan of the run expects; None: that of station.toml."""
     row_mm: float | None = None
     """Distance of the rows by the belt's encoder; None if the controller's clock spaces the rows."""
+    shutters_us: tuple[float, ...] = ()
+    """For how long the shutter of every camera is open without a light program, µs; empty if it is not known."""
     fastest_s: float = float("inf")
     """Shortest time between two pulses that the plan of the run allows; infinite without a plan."""
 
@@ -180,9 +182,13 @@ class RunRecord:
         return "" if expected is None else expected.light
 
     def exposures_us(self) -> tuple[tuple[float, ...], ...] | None:
-        """Return the exposure times in µs of every row, one per camera; None unless all rows have a report of them."""
-        rows = [self.taken_with(r)[0] for r in range(self.rows)]
-        return tuple(rows) if all(rows) else None
+        """Return the exposure times in µs of every row, one per camera; None if no row, or not every row, has them.
+
+        Where a row has no report, the shutters limit its exposure, if they are known.
+        """
+        reported = [self.taken_with(r)[0] for r in range(self.rows)]
+        rows = tuple(row or self.shutters_us for row in reported)
+        return rows if any(reported) and all(rows) else None
 
     def gains(self) -> tuple[tuple[float, ...], ...] | None:
         """Return the linear gains of every row, one per camera; None unless all rows have a report of them."""
@@ -192,14 +198,22 @@ class RunRecord:
     def taken_with(self, row: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Return exposures (µs) and linear gains of all cameras in a row: as reported, else as the program states.
 
-        Both are empty if neither states them.
+        Without a program, LEDs that are on for a shorter time than a shutter is open determine the exposures. Both are
+        empty if they are those of station.toml, or unknown.
         """
         expected, pulse = row_of(self.program, row), self.pulses.get(row)
         exposures_us = pulse.exposures_us if pulse is not None else ()
         gains = pulse.gains if pulse is not None else ()
         if expected is not None:
             return exposures_us or expected.lit_us, gains or expected.gains
-        return exposures_us, gains
+        return exposures_us or self._lit_us(pulse), gains
+
+    def _lit_us(self, pulse: ObservedPulse | None) -> tuple[float, ...]:
+        """Return for how long light fell on every sensor by the LEDs; empty if no shutter was open for longer."""
+        # An on-time of 0 is that of a row under a light without LEDs of the controller.
+        if pulse is None or not pulse.on_us or pulse.on_us >= max(self.shutters_us, default=0.0):
+            return ()
+        return tuple(min(shutter_us, pulse.on_us) for shutter_us in self.shutters_us)
 
     def times_s(self) -> tuple[float, ...]:
         """Return every row's pulse time by the controller's clock, relative to row 0 and rounded to ns.
