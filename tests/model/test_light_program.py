@@ -8,7 +8,7 @@ import pytest
 from pydantic import ValidationError
 
 from vaoi_station.model import BoardType, ProgramRow, ProgramStep
-from vaoi_station.model.light_program import linear_gain, row_of
+from vaoi_station.model.light_program import linear_gain, row_of, usual_light
 
 
 def test_one_number_applies_to_all_cameras() -> None:
@@ -43,3 +43,10 @@ def test_the_steps_repeat_over_the_rows() -> None:
     a, b = (ProgramRow(name, (1.0,), (0.0,)) for name in ("a", "b"))
     assert [row_of((a, b), row) for row in range(3)] == [a, b, a]
     assert row_of((), 5) is None
+
+
+def test_the_usual_light_is_that_of_most_frames_and_else_the_first() -> None:
+    assert usual_light(["left", None, "right", "right"]) == "right"
+    assert usual_light(["left", "right"]) == "left"
+    assert usual_light([None, "left"]) is None
+    assert usual_light([]) is None

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -72,3 +73,8 @@ def linear_gain(gain_db: float) -> float:
 def row_of(program: Sequence[ProgramRow], row: int) -> ProgramRow | None:
     """Return what a row is filmed with; None without a program."""
     return program[row % len(program)] if program else None
+
+
+def usual_light(lights: Iterable[str | None]) -> str | None:
+    """Return the light of most frames, and of equally many the first; None if there is no frame."""
+    return next(iter(Counter(lights).most_common(1)), (None, 0))[0]

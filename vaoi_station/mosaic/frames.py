@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 from vaoi_station.errors import InputError
 from vaoi_station.model import RecordingHead
+from vaoi_station.model.light_program import usual_light
 
 _SIMILAR = 1.5
 """Largest ratio of two sensitivities that are in one layer of an HDR mosaic."""
@@ -80,7 +81,7 @@ def choose_frames(
     if light is not None and light not in counts:
         names = ", ".join(repr(name) for name in counts if name is not None) or "none that is named"
         raise InputError.field("mosaic", "light", light, f"one of the {len(counts)} lights of the run: {names}")
-    chosen_light = counts.most_common(1)[0][0] if light is None else light
+    chosen_light = usual_light(frame.light for frame in frames) if light is None else light
     lit = [frame for frame in frames if frame.light == chosen_light]
     if hdr:
         if exposure_us is not None:

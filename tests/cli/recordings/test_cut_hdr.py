@@ -45,6 +45,25 @@ def test_merged_pictures_with_their_sigma_and_listing(
     assert abs(grey[usable].mean() / picture[usable].mean() - 1) < 0.1
 
 
+def test_frames_of_one_light_are_merged(vaoi: Any, recording: Path, result: Path, tmp_path: Path) -> None:
+    """Of most frames, or the one that is named: metal looks another way under every light."""
+    head = json.loads((recording / "recording.json").read_text())
+    head["lights"] = ["left" if row % 3 else "even" for row in range(head["rows"])]
+    (recording / "recording.json").write_text(json.dumps(head))
+    for options, light in (((), "left"), (("--light", "even"), "even")):
+        out = tmp_path / light
+        said = vaoi("cut", recording, "--result", result, "--component", "U1", "--hdr", *options, "--out", out)
+        assert (said.code, said.err) == (0, "")
+        assert f"under the light '{light}'" in said.out
+        listing = json.loads((out / "U1.json").read_text())
+        assert {e["light"] for e in listing} == {light}
+        rows_of = {row for entry in listing for _, row in entry["merged"]}
+        assert {row % 3 == 0 for row in rows_of} == {light == "even"}
+    said = vaoi("cut", recording, "--result", result, "--component", "U1", "--hdr", "--light", "blue", "--out", out)
+    assert said.code == 2
+    assert "light is 'blue', but must be one of the lights of the run: 'even', 'left'" in said.err
+
+
 @pytest.mark.parametrize("form", ["tiff", "png", "jpeg"])
 def test_formats_of_a_region(vaoi: Any, small_recording: Path, result: Path, tmp_path: Path, form: str) -> None:
     options = ("--region", 5, 5, 12, 9, "--hdr", "--format", form, "--px-per-mm", 5)

@@ -90,7 +90,7 @@ def test_a_difference_and_a_plane_that_is_not_known(vaoi: Any, lit: Path, result
         (("--light", "blue"), "light is 'blue', but must be one of the lights of this run: left, right"),
         (("--seen-from", "up"), "seen_from is 'up', but must be 'left' or 'right' or 'front' or 'back'"),
         (("--angle-deg", 50, 20), "min_angle_deg is 50.0, but must be at most max_angle_deg, 20"),
-        (("--hdr", "--light", "left"), "--hdr merges all frames of a component, so light cannot be chosen with it"),
+        (("--hdr", "--limit", 2), "--hdr merges all frames of a component under one light, so limit cannot be chosen"),
         (("--margin-mm", 90, "--px-per-mm", 200), "margin_mm is 90.0, but must be at most"),
     ],
 )

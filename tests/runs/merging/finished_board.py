@@ -34,10 +34,14 @@ class Merging:
         cameras: tuple[Camera, ...],
         flat_fields: Path | None = None,
         flicker: float = 0.0,
+        metal: float = 1.0,
     ) -> None:
-        """Make the run; the brightness of its rows deviates by at most `flicker`."""
+        """Make the run; the brightness of its rows deviates by at most `flicker`.
+
+        Under the light "left" the surface is so many times as bright as under "even".
+        """
         rows = len(stitch.row_motion)
-        self.levels = 1 + flicker * np.cos(2.1 * np.arange(rows))
+        self.levels = (1 + flicker * np.cos(2.1 * np.arange(rows))) * np.where(np.arange(rows) % 2, metal, 1.0)
         records, self.pixels, self.jobs = [], {}, list[MergeJob]()
         self.compared: list[RowLevelsJob] = []
         for i, camera in enumerate(cameras):

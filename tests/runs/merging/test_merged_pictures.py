@@ -22,10 +22,10 @@ def merging() -> Merging:
     return make()
 
 
-def make(flat_fields: Path | None = None) -> Merging:
+def make(flat_fields: Path | None = None, metal: float = 1.0) -> Merging:
     station = HeldStation()
     run = station.film()
-    return Merging(BoardType.model_validate(BOARD), station.stitch(run), station.cameras, flat_fields)
+    return Merging(BoardType.model_validate(BOARD), station.stitch(run), station.cameras, flat_fields, metal=metal)
 
 
 def array(content: bytes) -> Any:
@@ -55,6 +55,17 @@ def test_regions_and_single_lights(merging: Merging) -> None:
     assert (last.view.width, last.view.height) == (24, 20)
     assert last.plane_height_mm == 0
     assert merging.access.image("r1", wanted, None, "png").startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(("light", "shown", "brighter"), [(None, "even", 1.0), ("left", "left", 0.2)])
+def test_frames_of_one_light_are_merged(light: str | None, shown: str, brighter: float) -> None:
+    """Metal is dark under the light from the left: a mean of both would be the radiance under neither."""
+    merging = make(metal=0.2)
+    wanted = MergeRequest("U1", light=light)
+    for choice in merging.access.pictures("r1", wanted):
+        assert {f.taken.light for f in choice.frames} == {shown}
+    value = array(merging.access.image("r1", wanted, None, "npy"))
+    np.testing.assert_allclose(value[np.isfinite(value)], RADIANCE * brighter, rtol=0.01)
 
 
 def test_a_region_has_its_bodies_in_the_planes_of_their_tops(merging: Merging) -> None:

@@ -53,7 +53,9 @@ async def _request(
         str | None,
         Query(description="This part of the board in place of components: `x0,y0,x1,y1`, CAD.", max_length=200),
     ] = None,
-    hdr: Annotated[bool, Query(description="One picture per component, merged of all its frames.")] = False,
+    hdr: Annotated[
+        bool, Query(description="One picture per component, merged of all its frames under one light.")
+    ] = False,
     format: Annotated[
         Literal["png", "jpeg", "tiff", "npy", "raw"] | None,
         Query(description="Format of the pictures; by default png, and npy in npz. `raw` is the pixels alone."),

@@ -27,14 +27,16 @@ Region = Annotated[
     str | None,
     Query(description="Part of the board: `x0,y0,x1,y1` in CAD coordinates; or give `component`.", max_length=200),
 ]
-Light = Annotated[str | None, Query(description="Merge only frames under this light.", max_length=100)]
+Light = Annotated[
+    str | None, Query(description="Merge the frames under this light; default: that of most frames.", max_length=100)
+]
 LeastCoverage = Annotated[
     float,
     Query(description="Omit frames that show less than this share.", gt=0, le=1, allow_inf_nan=False),
 ]
 Index = Annotated[
     int | None,
-    Query(description="Index of the picture, from 0; default: the last, of all frames.", ge=0, le=99_999),
+    Query(description="Index of the picture, from 0; default: the last, of all frames of the light.", ge=0, le=99_999),
 ]
 Sigma = Annotated[
     bool, Query(description="Return the standard deviation of every pixel in place of the radiance (npy, tiff, raw).")
@@ -47,7 +49,7 @@ class MergedEntry(Strict):
     k: int
     merged: list[tuple[int, int]] = Field(description="[camera, row] of the frames it is merged of, best first.")
     exposures: int = Field(description="Number of different exposures; with 1, saturated places have no value.")
-    lights: list[str] = Field(description="Lights of the frames, without repetition; empty if lights have no names.")
+    lights: list[str] = Field(description="The light of the frames; empty if lights have no names.")
     width_px: int
     height_px: int
     px_per_mm: float
@@ -91,7 +93,8 @@ def router(services: Services) -> APIRouter:
     ) -> Response:
         """List the merged pictures of a component or a region, with their frames and matrices.
 
-        Frames of different exposures are merged to linear radiance, in the plane of the component's top.
+        Frames of different exposures under one light are merged to linear radiance, in the plane of the component's
+        top.
         """
         choices = await ask(coordinator.merged.pictures, run, wanted)
         query = {k: v for k, v in request.query_params.items() if k != FOR_CACHES}

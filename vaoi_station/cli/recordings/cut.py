@@ -87,8 +87,8 @@ def cut(
     parts = opened.board_type.components if all_components else _named(opened.board_type, component or ())
     if hdr:
         cut_merged(
-            opened, parts, out, region=region, px_per_mm=px_per_mm, min_coverage=min_coverage, flatfield=flatfield,
-            form=(format or "tiff", sigma),
+            opened, parts, out, region=region, light=light, px_per_mm=px_per_mm, min_coverage=min_coverage,
+            flatfield=flatfield, form=(format or "tiff", sigma),
         )  # fmt: skip
         return
     run = StitchedRun(opened.recording, tuple(opened.cameras), opened.board_type, opened.stitch)

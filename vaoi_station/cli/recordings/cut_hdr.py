@@ -23,8 +23,9 @@ from vaoi_station.hdr.parts import region_component, views_on_top
 from vaoi_station.hdr.row_levels import at_level, row_levels
 from vaoi_station.hdr.tone_mapping import ToneCurve
 from vaoi_station.library.stitched_run import check_result
-from vaoi_station.model import BoardType, Component, Stitch
+from vaoi_station.model import BoardType, Component, RecordingHead, Stitch
 from vaoi_station.model.known_height import known_height_mm
+from vaoi_station.model.light_program import usual_light
 from vaoi_station.photometry import FlatFields, NoiseModel, Taken, noise_from_frames
 from vaoi_station.rendering import View, ViewCalculator
 from vaoi_station.stitching.recordings.origin import check_origin
@@ -74,6 +75,7 @@ def cut_merged(
     out: Path,
     *,
     region: tuple[float, float, float, float] | None,
+    light: str | None,
     px_per_mm: float | None,
     min_coverage: float | None,
     flatfield: Path | None,
@@ -81,7 +83,8 @@ def cut_merged(
 ) -> None:
     """Write the merged pictures of components, or of a region, and a listing of each.
 
-    `form` is the format of the pictures, and whether their standard deviation is written as well.
+    Frames under one light are merged: `light`, by default that of most frames. `form` is the format of the pictures,
+    and whether their standard deviation is written as well.
     """
     if region is not None:
         parts = [region_component(region, case.board_type, px_per_mm or case.px_per_mm)]
@@ -99,12 +102,7 @@ def cut_merged(
         assert found is not None, "views of missing frames are left out"
         return found
 
-    taken = {
-        (i, j): Taken(head.exposure_us(i, j), head.gain(i, j), head.light(j))
-        for i in range(len(head.cameras))
-        for j in range(head.rows)
-        if (i, j) not in head.missing
-    }
+    taken = _taken(head, light)
 
     def all_exposed(views: Iterable[View]) -> list[Exposed]:
         return [
@@ -119,6 +117,7 @@ def cut_merged(
             if (v.camera, v.row) in taken
         ]
 
+    shown = next((of.light for of in taken.values()), None)
     levels = row_levels(taken, case.board_type, case.stitch, case.cameras, fields, case.frame)
     calculator = ViewCalculator(case.board_type, case.stitch, case.cameras)
     for part in parts:
@@ -131,12 +130,38 @@ def cut_merged(
             bodies = bodies_in(exposed[0].view, case.board_type, case.stitch)
             seen = views_of_bodies(calculator, bodies, exposed[0].view.px_per_mm)
             pictures = merge_region(exposed, [(body, all_exposed(of)) for body, of in seen])
-        _write(part, pictures, out, form, height)
+        same = {"plane_height_mm": round(height, 4)} | ({} if shown is None else {"light": shown})
+        _write(part, pictures, out, form, same)
+
+
+def _taken(head: RecordingHead, light: str | None) -> dict[tuple[int, int], Taken]:
+    """Return what the frames (camera, row) were taken with; only those of one light, because metal differs under each.
+
+    Raises:
+        InputError: no frame has this light.
+    """
+    every = {
+        (i, j): Taken(head.exposure_us(i, j), head.gain(i, j), head.light(j) or None)
+        for i in range(len(head.cameras))
+        for j in range(head.rows)
+        if (i, j) not in head.missing
+    }
+    lights = [of.light for of in every.values()]
+    if light is not None and light not in lights:
+        names = ", ".join(repr(name) for name in dict.fromkeys(lights) if name is not None) or "none that is named"
+        raise InputError.field("vaoi cut", "light", light, f"one of the lights of the run: {names}")
+    wanted = usual_light(lights) if light is None else light
+    return {key: of for key, of in every.items() if of.light == wanted}
 
 
 def _write(
-    part: Component, pictures: Sequence[MergedPicture], out: Path, form: tuple[MergedFormat, bool], height_mm: float
+    part: Component,
+    pictures: Sequence[MergedPicture],
+    out: Path,
+    form: tuple[MergedFormat, bool],
+    same: dict[str, Any],
 ) -> None:
+    """Write the pictures of a component and their listing, whose entries all have the values `same`."""
     stem = part.address.replace("/", "_")
     curve = ToneCurve.of(pictures[-1].value) if pictures else None
     suffix = {"jpeg": "jpg"}.get(form[0], form[0])
@@ -144,7 +169,7 @@ def _write(
     for k, picture in enumerate(pictures):
         name = f"{stem}_hdr.{suffix}" if k == len(pictures) - 1 else f"{stem}_hdr_{k:02d}.{suffix}"
         write_bytes(out / name, encode_merged(picture.value, form[0], curve), durable=False)
-        entry: dict[str, Any] = {"file": name, **_describe(picture), "plane_height_mm": round(height_mm, 4)}
+        entry: dict[str, Any] = {"file": name, **_describe(picture), **same}
         if form[1]:
             entry["sigma_file"] = name.replace("_hdr", "_hdr_sigma", 1)
             write_bytes(out / entry["sigma_file"], encode_merged(picture.sigma, form[0]), durable=False)
@@ -154,9 +179,10 @@ def _write(
         typer.echo(f"{part.address}: no frame shows it; no picture was written")
         return
     last = pictures[-1]
+    under = f" under the light {same['light']!r}" if "light" in same else ""
     note = "" if last.exposures > 1 else "; only one exposure shows it, so bright places may have no value"
     typer.echo(
-        f"{part.address}: {len(pictures)} merged picture(s) of {len(last.views)} frames and {last.exposures} "
+        f"{part.address}: {len(pictures)} merged picture(s) of {len(last.views)} frames{under} and {last.exposures} "
         f"exposure(s), {last.holes:.2%} without a value{note} → {out}"
     )
 

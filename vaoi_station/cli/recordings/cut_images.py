@@ -14,7 +14,9 @@ if TYPE_CHECKING:
 Margin = Annotated[float, typer.Option(help="Show this much around the component, mm.")]
 Align = Annotated[Literal["cad", "part"], typer.Option(help="Upright as CAD, or as the component at rotation 0.")]
 Plane = Annotated[Literal["board", "top"], typer.Option(help="Plane of the images: the board, or the body's top.")]
-Light = Annotated[str | None, typer.Option(help="Only images under this light.")]
+Light = Annotated[
+    str | None, typer.Option(help="Only images under this light; with --hdr by default that of most frames.")
+]
 Minus = Annotated[str | None, typer.Option(help="Subtract the image under this light, seen from the same side.")]
 SeenFrom = Annotated[
     str | None,
@@ -50,14 +52,14 @@ def image_request(
 
 
 def refuse_with_hdr(wanted: ImageRequest) -> None:
-    """Raise InputError if a request chooses images by more than resolution and coverage, which is all --hdr knows."""
+    """Raise InputError if a request chooses images by more than --hdr knows: light, resolution and coverage."""
     from vaoi_station.errors import InputError
 
-    chosen = set(wanted.options()) - {"px_per_mm", "min_coverage", "measure"}
+    chosen = set(wanted.options()) - {"light", "px_per_mm", "min_coverage", "measure"}
     if chosen:
         raise InputError(
-            f"vaoi cut: --hdr merges all frames of a component, so {', '.join(sorted(chosen))} cannot be chosen "
-            "with it.",
+            f"vaoi cut: --hdr merges all frames of a component under one light, so {', '.join(sorted(chosen))} cannot "
+            "be chosen with it.",
             action="Leave out --hdr, or these options.",
         )
 

@@ -174,12 +174,12 @@ class StationRun:
         px_per_mm: float | None = None,
         min_coverage: float | None = None,
     ) -> tuple[MergedPicture, ...]:
-        """Return pictures in linear radiance of a component or of a region; the last one is of all frames.
+        """Return pictures in linear radiance of a component or a region; the last one is of all frames of a light.
 
         Args:
             component: address of the component.
             region: a part of the board in place of a component.
-            light: merge only frames under this light.
+            light: merge the frames under this light; by default that of most frames of the run.
             px_per_mm: resolution; by default that of the cameras.
             min_coverage: omit frames that show a smaller share.
         """

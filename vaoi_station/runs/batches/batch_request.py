@@ -31,7 +31,7 @@ class BatchRequest:
     """One picture per frame of this part of the board, in place of components."""
     images: ImageRequest = field(default_factory=ImageRequest)
     hdr: bool = False
-    """One picture per component, merged of all its frames, in place of one per frame."""
+    """One picture per component, merged of all its frames under one light, in place of one per frame."""
     format: str = "png"
     container: ContainerName = "multipart"
 
@@ -51,7 +51,7 @@ class BatchRequest:
         self.images.check()
         if self.hdr and (other := sorted(set(self.images.options()) - set(_OF_MERGES))):
             raise InputError(
-                f"batch: {other[0]} has no meaning with hdr, whose pictures are merged of all frames.",
+                f"batch: {other[0]} has no meaning with hdr, whose pictures are merged of all frames of a light.",
                 action=f"Give only {', '.join(_OF_MERGES)} with hdr.",
             )
         return self

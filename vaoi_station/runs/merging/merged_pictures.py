@@ -23,6 +23,7 @@ from vaoi_station.hdr.parts import region_component, views_on_top
 from vaoi_station.hdr.row_levels import at_level
 from vaoi_station.model import FrameRecord
 from vaoi_station.model.known_height import known_height_mm
+from vaoi_station.model.light_program import usual_light
 from vaoi_station.photometry import FieldMaps, FlatFields, NoiseModel, Taken
 from vaoi_station.rendering import View
 from vaoi_station.runs.archive.component_views import component_of
@@ -43,7 +44,7 @@ class MergeRequest(NamedTuple):
     component: str | None = None
     region: tuple[float, float, float, float] | None = None
     light: str | None = None
-    """Only frames under this light; None: all frames."""
+    """Only frames under this light; None: under the light of most frames of the run."""
     px_per_mm: float | None = None
     min_coverage: float | None = None
 
@@ -86,17 +87,20 @@ def merged_pictures(finished: FinishedRun, wanted: MergeRequest) -> tuple[Merged
         resolution = wanted.px_per_mm or float(np.mean([c.px_per_mm for c in finished.cameras]))
         part = region_component(wanted.region, board_type, resolution, "merged pictures: region")
     views = views_on_top(calculator, part, height, px_per_mm=wanted.px_per_mm, min_coverage=wanted.min_coverage)
-    records = {(f.camera, f.row): f for f in finished.detail.frames if f.usable}
+    usable = [f for f in finished.detail.frames if f.usable]
+    # Metal looks another way under every light: radiance under several of them has no meaning.
+    light = usual_light(f.light for f in usable) if wanted.light is None else wanted.light
+    records = {(f.camera, f.row): f for f in usable if f.light == light}
     sizes = [(c.width_px, c.height_px) for c in finished.cameras]
     exposed = [
         Exposed(view, taken_with(record), _UNKNOWN, sizes[view.camera], _no_pixels)
         for view in views
-        if (record := records.get((view.camera, view.row))) is not None and _under(record, wanted.light)
+        if (record := records.get((view.camera, view.row))) is not None
     ]
     if not exposed:
-        light = "" if wanted.light is None else f" under the light {wanted.light!r}"
+        under = f" under the light {light!r}" if light else ""
         raise NotFoundError(
-            f"No usable frame of run {finished.detail.id}{light} shows {wanted.component or 'the region'}.",
+            f"No usable frame of run {finished.detail.id}{under} shows {wanted.component or 'the region'}.",
             action="Ask for another place or light, or lower min_coverage.",
             code="no-such-image",
         )
@@ -124,10 +128,6 @@ def taken_with(record: FrameRecord) -> Taken:
             action="Configure exposure_us of the camera, or the on-time of the light.",
         )
     return Taken(record.exposure_us, record.gain or 1.0, record.light or None)
-
-
-def _under(record: FrameRecord, light: str | None) -> bool:
-    return light is None or record.light == light
 
 
 def _choice(group: Sequence[Exposed], records: dict[tuple[int, int], FrameRecord], height_mm: float) -> MergedChoice:
@@ -165,7 +165,7 @@ class MergedAccess:
     def image(
         self, run: str, wanted: MergeRequest, k: int | None, format: MergedFormat, *, sigma: bool = False
     ) -> bytes:
-        """Return merged picture k of a request, encoded; None is the last, which is merged of all frames.
+        """Return merged picture k of a request, encoded; None is the last, which is merged of all frames of the light.
 
         Raises:
             GoneError: the frames are no longer in memory, and no recording of the run is kept.
