@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.hdr.exposed_views import FRAME, NOISE, exposed
-from vaoi_station.hdr.kernels import Source, accumulate, add_shifted, linearise, mean
+from vaoi_station.hdr.kernels import SHARPENING_PX2, Source, accumulate, add_shifted, linearise, mean, noise_factors
 from vaoi_station.hdr.merging import _block_scales, _source, _warped
 from vaoi_station.photometry import FieldMaps
 from vaoi_station.rendering.view import Tile
@@ -53,24 +53,25 @@ def test_shifted_frames_are_merged_as_opencv_resamples_them(
     width, height = size
     plain.view.width, plain.view.height, plain.view.matrix = width, height, turned
     frame = _source(plain)
-    sums = np.zeros((2, 3, height, width), np.float32)
+    sums = np.zeros((3, 3, height, width), np.float32)
     assert add_shifted(frame, turned, (0, 0, width, height), np.array([0, 2]), sums)
-    value = _warped(plain.view, frame, [Tile(0, 0, width, height, turned)])
-    total, weight = np.zeros_like(value), np.zeros_like(value)
-    accumulate(value, _block_scales(plain.view, frame), (NOISE.read**2, NOISE.shot), total, weight)
+    value, factors = _warped(plain.view, frame, [Tile(0, 0, width, height, turned)])
+    total, weight, noise = np.zeros((3, *value.shape), np.float32)
+    accumulate((value, factors), _block_scales(plain.view, frame), (NOISE.read**2, NOISE.shot), (total, weight, noise))
     assert not sums[:, 1].any()
     np.testing.assert_array_equal(sums[:, 0], sums[:, 2])
     both = (sums[1, 0] > 0) & (weight > 0)
     assert 800 < both.sum() < 0.99 * width * height
     # OpenCV counts pixels at the very border of the frame, and rounds places to a thousandth of a pixel or so.
     assert ((sums[1, 0] > 0) != (weight > 0)).mean() < 0.01
-    (found, own), expected = sums[:, 0, both], total[both] / weight[both]
+    (found, own, noisy), expected = sums[:, 0, both], total[both] / weight[both]
     np.testing.assert_allclose(found / own, expected, rtol=0.01, atol=2e-3)
     np.testing.assert_allclose(own, weight[both], rtol=0.02)
+    np.testing.assert_allclose(noisy, noise[both], rtol=0.02)
 
 
 def test_turned_frames_are_left_to_opencv() -> None:
-    quarter, sums = np.array([[0.0, 1, 10], [-1, 0, 60], [0, 0, 1]]), np.zeros((2, 1, 20, 20), np.float32)
+    quarter, sums = np.array([[0.0, 1, 10], [-1, 0, 60], [0, 0, 1]]), np.zeros((3, 1, 20, 20), np.float32)
     assert not add_shifted(_source(exposed(0, 0, 50.0)), quarter, (0, 0, 20, 20), np.zeros(1, np.int64), sums)
     assert not sums.any()
 
@@ -94,10 +95,21 @@ def test_means_have_no_value_without_a_weight() -> None:
 
 def test_sums_are_weighted_by_the_inverse_variance_and_skip_nan() -> None:
     value = np.array([[1.0, np.nan, -0.1]], np.float32)
-    total, weight = np.zeros((1, 3), np.float32), np.zeros((1, 3), np.float32)
-    accumulate(value, np.array([[100.0]]), (2.25, 0.03), total, weight)
-    accumulate(value * 2, np.array([[100.0]]), (2.25, 0.03), total, weight)
+    total, weight, noise = np.zeros((3, 1, 3), np.float32)
+    factor = np.array([[1.0, 1.0, 0.5]], np.float32)
+    for part in (value, value * 2):
+        accumulate((part, factor), np.array([[100.0]]), (2.25, 0.03), (total, weight, noise))
     assert weight[0, 0] == pytest.approx(1e4 / (2.25 + 3) + 1e4 / (2.25 + 6), rel=1e-5)
     assert total[0, 0] == pytest.approx(1e4 / (2.25 + 3) + 2e4 / (2.25 + 6), rel=1e-5)
     assert (total[0, 1], weight[0, 1]) == (0, 0)
     assert weight[0, 2] == pytest.approx(2e4 / 2.25, rel=1e-5)
+    np.testing.assert_allclose(noise, weight * factor, rtol=1e-5)
+
+
+@pytest.mark.parametrize("at", [(3.0, 2.0), (3.25, 2.5), (3.9, 2.1)])
+def test_sharpening_and_interpolation_multiply_noise_by_the_sum_of_their_squared_taps(at: tuple[float, float]) -> None:
+    factors, taps = np.empty((1, 1), np.float32), []
+    noise_factors(np.array([[1.0, 0, at[0]], [0, 1, at[1]], [0, 0, 1]]), factors)
+    for f in np.array(at) % 1:
+        taps.append(np.convolve([-SHARPENING_PX2 / 2, 1 + SHARPENING_PX2, -SHARPENING_PX2 / 2], [1 - f, f]))
+    assert factors[0, 0] == pytest.approx((np.outer(*taps) ** 2).sum(), rel=1e-5)

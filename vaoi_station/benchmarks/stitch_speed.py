@@ -219,7 +219,7 @@ def _hdr_ratio(board: BenchmarkBoard, stitch: Stitch, repetitions: int) -> float
 
     def merged() -> None:
         for part in views:
-            merge_views([exposed(view) for view in part], groups=False)
+            merge_views([exposed(view) for view in part], groups=False, sigma=False)
 
     plain()
     merged()

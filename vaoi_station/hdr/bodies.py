@@ -71,18 +71,22 @@ def views_of_bodies(
 
 
 def merge_region(
-    views: Sequence[Exposed], bodies: Sequence[tuple[Body, Sequence[Exposed]]], *, groups: bool = True
+    views: Sequence[Exposed],
+    bodies: Sequence[tuple[Body, Sequence[Exposed]]],
+    *,
+    groups: bool = True,
+    sigma: bool = True,
 ) -> list[MergedPicture]:
     """Merge the views of a region as `merge_views` does, with its bodies in the planes of their tops.
 
     Each picture shows its bodies by the frames of which its ground is merged.
     """
-    pictures = merge_views(views, groups=groups)
+    pictures = merge_views(views, groups=groups, sigma=sigma)
     for picture in pictures:
         frames = {(view.camera, view.row) for view in picture.views}
         for body, exposed in bodies:
             if mine := [e for e in exposed if e.key in frames]:
-                _lay(picture, body, merge_views(mine, groups=False)[-1])
+                _lay(picture, body, merge_views(mine, groups=False, sigma=sigma)[-1])
     return pictures
 
 
@@ -91,6 +95,7 @@ def _lay(picture: MergedPicture, body: Body, top: MergedPicture) -> None:
     x0, y0, x1, y1 = body.box
     if top.value.shape != (y1 - y0, x1 - x0):
         return  # a rounding of the sizes to whole pixels went the other way: its grid would be another one
-    mask = pixels_inside(body.corners - (x0, y0), x1 - x0, y1 - y0) & (top.weight > 0)
-    for whole, part in ((picture.value, top.value), (picture.weight, top.weight)):
-        whole[y0:y1, x0:x1][mask] = part[mask]
+    mask = pixels_inside(body.corners - (x0, y0), x1 - x0, y1 - y0) & np.isfinite(top.value)
+    for whole, part in ((picture.value, top.value), (picture.deviation, top.deviation)):
+        if whole is not None and part is not None:
+            whole[y0:y1, x0:x1][mask] = part[mask]

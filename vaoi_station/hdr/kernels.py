@@ -29,6 +29,14 @@ SHARPENING_PX2 = 0.25
 Bilinear interpolation blurs by f (1 − f) at a fraction f of a pixel: 1/4 at most, 1/6 on average. Beside bright metal
 this blur would add light to dark places: by several per cent over two decades of radiance.
 """
+_WITHOUT_SIGMA = 2
+"""Number of sums of a merge whose standard deviation is not wanted."""
+_SIDE, _MIDDLE = -SHARPENING_PX2 / 2, 1 + SHARPENING_PX2
+_MOST_NOISE = 2 * _SIDE**2 + _MIDDLE**2
+"""Factor by which sharpening multiplies the variance of noise along one axis: the sum of the squared taps."""
+_LESS_NOISE = 2 * _MOST_NOISE - 4 * _SIDE * _MIDDLE
+"""Interpolation at a fraction f of a pixel reduces this factor by `_LESS_NOISE` · f (1 − f): squares of the taps of
+both, convolved."""
 
 
 class Source(NamedTuple):
@@ -107,8 +115,15 @@ def linearise(source: Source, box: tuple[int, int, int, int], out: Floats32) -> 
 
 
 @inlined
+def _noise_factor(s: np.float32, t: np.float32) -> Any:
+    """Return the variance of noise at fractions s and t of a pixel, divided by that of the frame's pixels."""
+    most, less, one = np.float32(_MOST_NOISE), np.float32(_LESS_NOISE), np.float32(1)
+    return (most - less * s * (one - s)) * (most - less * t * (one - t))
+
+
+@inlined
 def _weighted(value: np.float32, scale: np.float32, dark: np.float32, shot: np.float32) -> tuple[Any, Any]:
-    """Return value / variance and 1 / variance of a radiance; 0 of NaN."""
+    """Return value / variance and 1 / variance of a radiance; 0 of NaN. The variance is that of pixels of a frame."""
     nothing = np.float32(0)
     seen = value == value  # noqa: PLR0124  (NaN differs from itself)
     known = value if seen else nothing
@@ -120,18 +135,35 @@ def _weighted(value: np.float32, scale: np.float32, dark: np.float32, shot: np.f
 
 
 @compiled
+def noise_factors(matrix: Floats, out: Floats32) -> None:
+    """Write by how much sharpening and interpolation multiply the variance of noise, for each pixel of a picture.
+
+    `matrix` (3, 3) is the homography from pixels of the picture (h, w) to those of the frame.
+    """
+    m = matrix
+    for y in range(out.shape[0]):
+        for x in range(out.shape[1]):
+            w = m[2, 0] * x + m[2, 1] * y + m[2, 2]
+            u, v = (m[0, 0] * x + m[0, 1] * y + m[0, 2]) / w, (m[1, 0] * x + m[1, 1] * y + m[1, 2]) / w
+            out[y, x] = _noise_factor(np.float32(u - np.floor(u)), np.float32(v - np.floor(v)))
+
+
+@compiled
 def accumulate(
-    value: Floats32, scales: NDArray[np.float64], noise: tuple[float, float], total: Floats32, weight: Floats32
+    picture: tuple[Floats32, Floats32],
+    scales: NDArray[np.float64],
+    noise: tuple[float, float],
+    sums: tuple[Floats32, Floats32, Floats32],
 ) -> None:
     """Add one picture to the sums of a merge; NaN counts for nothing.
 
     Args:
-        value: radiance (h, w).
+        picture: radiance (h, w), and the factor of its variance by `noise_factors` (h, w).
         scales: grey levels per unit of radiance, for each block of the picture.
         noise: variance of a dark pixel, and variance per grey level of signal.
-        total: sum (h, w) of value / variance, changed in place.
-        weight: sum (h, w) of 1 / variance, changed in place.
+        sums: sums (h, w) of value / variance, of 1 / variance, and of factor / variance, changed in place.
     """
+    value, factors = picture
     h, w = value.shape
     dark, shot = np.float32(noise[0]), np.float32(noise[1])
     for y in range(h):
@@ -139,11 +171,13 @@ def accumulate(
             s = np.float32(scales[y >> BLOCK_SHIFT, block])
             # The loop over one block has no branch, so that the compiler uses vector registers.
             first, last = block << BLOCK_SHIFT, min((block + 1) << BLOCK_SHIFT, w)
-            line, sums, weights = value[y, first:last], total[y, first:last], weight[y, first:last]
+            line, factor = value[y, first:last], factors[y, first:last]
+            totals, weights, noises = sums[0][y, first:last], sums[1][y, first:last], sums[2][y, first:last]
             for x in range(last - first):
                 part, one = _weighted(line[x], s, dark, shot)
-                sums[x] += part
+                totals[x] += part
                 weights[x] += one
+                noises[x] += one * factor[x]
 
 
 @compiled
@@ -159,7 +193,8 @@ def add_shifted(
         matrix: (3, 3) homography from pixels of the part to those of the frame.
         place: first column and row of the part in the picture, its width and height.
         groups: (g,) numbers of the merges to which it is added.
-        sums: (2, n, h, w) of n merges: sums of value / variance and of 1 / variance, changed in place.
+        sums: (3, n, h, w) of n merges: sums of value / variance, of 1 / variance, and of factor / variance with the
+            factor of `noise_factors`, changed in place. (2, n, h, w): without the last ones.
     """
     x0, y0, width, height = place
     if not is_almost_shift(matrix, width, height):
@@ -175,7 +210,7 @@ def add_shifted(
             wide, high = max(wide, box[2] - box[0]), max(high, box[3] - box[1])
     # One line and the two values beside it are kept in the same memory.
     radiance, sharp = np.empty(wide * high + 2, np.float32), np.empty(wide * high + 2, np.float32)
-    line, weight = np.empty(side, np.float32), np.empty(side, np.float32)
+    lines_out = _Weighted(np.empty(side, np.float32), np.empty(side, np.float32), np.empty(side, np.float32))
     for top in range(0, height, side):
         for left in range(0, width, side):
             right, bottom = min(left + side, width), min(top + side, height)
@@ -187,14 +222,19 @@ def add_shifted(
             scale = _flat_at(source.flat, middle.left, middle.top) * np.float32(source.exposure)
             block = _Block(sharp, wide, box[0], box[1], scale)
             for y in range(top, bottom):
-                _weigh_line(source, matrix, (left, right, y), block, line, weight)
+                _weigh_line(source, matrix, (left, right, y), block, lines_out)
                 for group in groups:
                     above = (group * sums.shape[2] + y0 + y) * sums.shape[3] + x0 + left
                     total, weights = np.uint64(above), np.uint64(above + sums[0].size)
                     for n in range(right - left):
                         k = np.uint64(n)
-                        values[total + k] += line[k]
-                        values[weights + k] += weight[k]
+                        values[total + k] += lines_out.value[k]
+                        values[weights + k] += lines_out.weight[k]
+                    if len(sums) > _WITHOUT_SIGMA:
+                        noises = np.uint64(above + 2 * sums[0].size)
+                        for n in range(right - left):
+                            k = np.uint64(n)
+                            values[noises + k] += lines_out.noise[k]
     return True
 
 
@@ -234,7 +274,7 @@ def _sharpen(
     begin every `pitch` values.
     """
     width, height = box[2] - box[0], box[3] - box[1]
-    side, middle = np.float32(-SHARPENING_PX2 / 2), np.float32(1 + SHARPENING_PX2)
+    side, middle = np.float32(_SIDE), np.float32(_MIDDLE)
     for y in range(height):
         _linear_line(source, lines, (box[1] + y) * source.pixels.shape[1] + box[0], width, sharp, 1)
         sharp[0], sharp[width + 1] = sharp[1], sharp[width]
@@ -263,11 +303,20 @@ class _Block(NamedTuple):
     """Grey levels per unit of radiance."""
 
 
+class _Weighted(NamedTuple):
+    """One line of a frame, as it is added to the sums of a merge."""
+
+    value: Floats32
+    """Value / variance."""
+    weight: Floats32
+    """1 / variance."""
+    noise: Floats32
+    """Factor / variance."""
+
+
 @inlined
-def _weigh_line(
-    source: Source, m: Floats, span: tuple[int, int, int], block: _Block, line: Floats32, weight: Floats32
-) -> None:
-    """Write value / variance to `line` and 1 / variance to `weight`; 0 where a neighbour is beside the frame or NaN.
+def _weigh_line(source: Source, m: Floats, span: tuple[int, int, int], block: _Block, out: _Weighted) -> None:
+    """Write one line of a picture to `out`; 0 where a neighbour is beside the frame or NaN.
 
     `span` is the first column, that after the last, and the line.
     """
@@ -276,7 +325,7 @@ def _weigh_line(
     dark, shot = np.float32(source.read_variance), np.float32(source.shot_variance)
     longest, x = longest_run(m), left
     for n in range(right - left):
-        line[n] = weight[n] = 0
+        out.value[n] = out.weight[n] = out.noise[n] = 0
     while x < right:
         run = run_from(m, x, y, min(longest, right - x))
         count, before = run.length, max(-run.left, 0)
@@ -293,7 +342,8 @@ def _weigh_line(
                 c, d = block.values[below + k], block.values[below + k + np.uint64(1)]
                 s, t = to_right + step_right * steps, to_below + step_down * steps
                 upper, lower = a + s * (b - a), c + s * (d - c)
-                line[at + k], weight[at + k] = _weighted(upper + t * (lower - upper), block.scale, dark, shot)
+                value, one = _weighted(upper + t * (lower - upper), block.scale, dark, shot)
+                out.value[at + k], out.weight[at + k], out.noise[at + k] = value, one, one * _noise_factor(s, t)
         x += count
 
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.photometry import FieldMaps, Radiance, Taken
 from vaoi_station.photometry.noise import FULL_SCALE, Floats32
+from vaoi_station.photometry.radiance import pixels_at_limit
 from vaoi_station.rendering import View
 from vaoi_station.rendering.view import Tile
 
@@ -74,32 +75,36 @@ class MergedPicture:
     """Number of different exposures among them."""
     value: Floats32
     """(h, w) radiance in grey levels per µs at gain 1; NaN where no frame gives a valid value."""
-    weight: Floats32
-    """(h, w) inverse variance of `value`; 0 where it is NaN."""
+    deviation: Floats32 | None
+    """(h, w) standard deviation of each pixel of `value` by noise, infinite where it is NaN; None if not wanted.
+
+    Sharpening and interpolation are in it. They also make neighbouring pixels depend on each other.
+    """
 
     @property
     def sigma(self) -> Floats32:
-        """Standard deviation (h, w) of the radiance by noise; infinite where there is no value."""
-        with np.errstate(divide="ignore"):
-            return np.asarray(1 / np.sqrt(self.weight), dtype=np.float32)
+        """The standard deviation of a picture that was merged with `sigma`."""
+        assert self.deviation is not None, "merged without sigma"
+        return self.deviation
 
     @property
     def radiance(self) -> Radiance:
         """The picture with its standard deviation and validity."""
-        return Radiance(self.value, self.sigma, self.weight > 0)
+        return Radiance(self.value, self.sigma, np.isfinite(self.value))
 
     @property
     def holes(self) -> float:
         """Share of the picture without a value."""
-        return float((self.weight == 0).mean())
+        return float(np.isnan(self.value).mean())
 
 
-def merge_views(views: Sequence[Exposed], *, groups: bool = True) -> list[MergedPicture]:
+def merge_views(views: Sequence[Exposed], *, groups: bool = True, sigma: bool = True) -> list[MergedPicture]:
     """Merge all views of one component, which have one size.
 
     Args:
         views: the views, best first; at least one.
         groups: also return the paper's m_v pictures, one for each group of `exposure_groups`.
+        sigma: also compute the standard deviation of every pixel, which takes a third of the time more.
 
     Returns:
         The pictures of the groups in the order of their rows, and last the picture of all views.
@@ -108,7 +113,7 @@ def merge_views(views: Sequence[Exposed], *, groups: bool = True) -> list[Merged
 
     parts = [*(exposure_groups(views) if groups else ()), views]
     first, every = views[0].view, np.zeros(1, np.int64)
-    sums = np.zeros((2, len(parts), first.height, first.width), np.float32)
+    sums = np.zeros((3 if sigma else 2, len(parts), first.height, first.width), np.float32)
     for view in views:
         # Groups share frames, and each frame is resampled once.
         mine = np.array([n for n, part in enumerate(parts) if part is views or view in part]) if groups else every
@@ -117,8 +122,15 @@ def merge_views(views: Sequence[Exposed], *, groups: bool = True) -> list[Merged
     for n, part in enumerate(parts):
         value = np.empty((first.height, first.width), np.float32)
         mean(sums[0, n], sums[1, n], value)
-        found.append(MergedPicture(tuple(v.view for v in part), len(distinct_exposures(part)), value, sums[1, n]))
+        deviation = _deviation(sums[1, n], sums[2, n]) if sigma else None
+        found.append(MergedPicture(tuple(v.view for v in part), len(distinct_exposures(part)), value, deviation))
     return found
+
+
+def _deviation(weight: Floats32, noise: Floats32) -> Floats32:
+    """Return the standard deviation of means: their variance is Σ(weight² · variance) / (Σ weight)²."""
+    found = np.full(weight.shape, np.inf, np.float32)
+    return np.divide(np.sqrt(noise), weight, out=found, where=weight > 0)
 
 
 def exposure_groups(views: Sequence[Exposed]) -> list[list[Exposed]]:
@@ -172,7 +184,7 @@ def distinct_exposures(views: Sequence[Exposed]) -> list[float]:
 
 
 def _add(exposed: Exposed, groups: NDArray[np.int64], sums: Floats32) -> None:
-    """Add a frame to the sums (2, n, h, w) of several merges: of radiance weighted by 1/σ², and of the weights."""
+    """Add a frame to the sums of several merges, those of `add_shifted`."""
     from vaoi_station.hdr.kernels import accumulate, add_shifted
 
     view, source = exposed.view, _source(exposed)
@@ -182,9 +194,11 @@ def _add(exposed: Exposed, groups: NDArray[np.int64], sums: Floats32) -> None:
         if not add_shifted(source, matrix, (x0, y0, x1 - x0, y1 - y0), groups, sums):
             rest.append(tile)
     if rest:
-        value, scales = _warped(view, source, rest), _block_scales(view, source)
+        picture, scales = _warped(view, source, rest), _block_scales(view, source)
+        unwanted = np.empty_like(sums[0, 0])
         for n in groups.tolist():
-            accumulate(value, scales, (source.read_variance, source.shot_variance), sums[0, n], sums[1, n])
+            own = sums[0, n], sums[1, n], sums[2, n] if len(sums) > 2 else unwanted
+            accumulate(picture, scales, (source.read_variance, source.shot_variance), own)
 
 
 def _source(exposed: Exposed) -> Source:
@@ -192,29 +206,37 @@ def _source(exposed: Exposed) -> Source:
     from vaoi_station.hdr.kernels import Source
 
     pixels, maps, taken = exposed.pixels(), exposed.maps, exposed.taken
+    full = FULL_SCALE if pixels.dtype == np.uint8 else 65535.0
     if pixels.ndim == 3:
+        # Luminance hides that one channel is saturated, so it is marked as saturated as well.
+        at_limit = pixels_at_limit(pixels)
         pixels = np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY))
+        pixels[at_limit] = full
     # Numba compiles separate versions for writeable and read-only arrays, so all are passed as read-only.
     pixels = pixels.view() if pixels.flags.c_contiguous else np.ascontiguousarray(pixels)
     pixels.flags.writeable = False
-    full = FULL_SCALE if pixels.dtype == np.uint8 else 65535.0
     (flat, dark), noise = maps.arrays, maps.noise
     return Source(pixels, dark, flat, FULL_SCALE / full, full, exposed.scale, noise.read**2, noise.shot * taken.gain)
 
 
-def _warped(view: View, source: Source, tiles: Sequence[Tile]) -> Floats32:
-    """Resample a frame into tiles of a picture, as radiance (h, w), with OpenCV.
+def _warped(view: View, source: Source, tiles: Sequence[Tile]) -> tuple[Floats32, Floats32]:
+    """Resample a frame into tiles of a picture, as radiance (h, w), with OpenCV, and with the factor of its variance.
 
-    NaN elsewhere, outside the frame and beside saturated pixels.
+    The radiance is NaN elsewhere, outside the frame and beside saturated pixels.
     """
-    from vaoi_station.hdr.kernels import SHARPENING_PX2, linearise
+    from vaoi_station.hdr.kernels import SHARPENING_PX2, linearise, noise_factors
 
-    out = np.full((view.height, view.width), np.nan, np.float32)
+    shape = view.height, view.width
+    out, factors = np.full(shape, np.nan, np.float32), np.ones(shape, np.float32)
     taps = np.array([-SHARPENING_PX2 / 2, 1 + SHARPENING_PX2, -SHARPENING_PX2 / 2], np.float32)
     for x0, y0, x1, y1, matrix in tiles:
         box = _used_part(matrix, (x1 - x0, y1 - y0), source.pixels.shape)
         if box is None:
             continue
+        # Numba compiles a separate version for parts of arrays.
+        part_factors = np.empty((y1 - y0, x1 - x0), np.float32)
+        noise_factors(matrix, part_factors)
+        factors[y0:y1, x0:x1] = part_factors
         left, top, right, bottom = box
         part = np.empty((bottom - top, right - left), np.float32)
         linearise(source, box, part)
@@ -224,7 +246,7 @@ def _warped(view: View, source: Source, tiles: Sequence[Tile]) -> Floats32:
         out[y0:y1, x0:x1] = cv2.warpPerspective(
             part, _shifted(matrix, left, top), (x1 - x0, y1 - y0), flags=_FLAGS, borderValue=nan
         )
-    return out
+    return out, factors
 
 
 def _shifted(matrix: Floats, left: int, top: int) -> Floats:

@@ -125,11 +125,11 @@ def cut_merged(
         views = views_on_top(calculator, part, height, px_per_mm=px_per_mm, min_coverage=min_coverage)
         exposed = all_exposed(views)
         if region is None or not exposed:
-            pictures = merge_views(exposed) if exposed else []
+            pictures = merge_views(exposed, sigma=form[1]) if exposed else []
         else:
             bodies = bodies_in(exposed[0].view, case.board_type, case.stitch)
             seen = views_of_bodies(calculator, bodies, exposed[0].view.px_per_mm)
-            pictures = merge_region(exposed, [(body, all_exposed(of)) for body, of in seen])
+            pictures = merge_region(exposed, [(body, all_exposed(of)) for body, of in seen], sigma=form[1])
         same = {"plane_height_mm": round(height, 4)} | ({} if shown is None else {"light": shown})
         _write(part, pictures, out, form, same)
 

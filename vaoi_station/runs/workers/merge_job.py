@@ -75,7 +75,7 @@ def merge(job: MergeJob, frame: Callable[[int], NDArray[Any]]) -> bytes:
         ]
 
     bodies = [(of.body, exposed(of.frames)) for of in job.bodies]
-    picture = merge_region(exposed(job.frames), bodies, groups=False)[-1]
+    picture = merge_region(exposed(job.frames), bodies, groups=False, sigma=job.sigma)[-1]
     return encode_merged(picture.sigma if job.sigma else picture.value, job.format)
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from vaoi_station.geometry import Camera, Lens, Projective, System
 from vaoi_station.geometry.shifting import shift
-from vaoi_station.hdr.kernels import Source, accumulate, add_shifted, linearise, mean
+from vaoi_station.hdr.kernels import Source, accumulate, add_shifted, linearise, mean, noise_factors
 from vaoi_station.heights.estimates import measure_heights
 from vaoi_station.marks.subpixel_localisation import locate_mark
 from vaoi_station.model import BoardType, Stitch
@@ -92,7 +92,7 @@ def _blend() -> None:
 def _merge() -> None:
     """Call the functions that are compiled for merged pictures."""
     one, out = np.ones((1, 1), np.float32), np.ones((4, 4), np.float32)
-    sums, groups = np.zeros((2, 1, 4, 4), np.float32), np.zeros(1, np.int64)
+    sums, groups = np.zeros((3, 1, 4, 4), np.float32), np.zeros(1, np.int64)
     for array in (one, flat := np.ones((6, 6), np.float32)):
         array.flags.writeable = False
     for dtype in (np.uint8, np.uint16):
@@ -101,8 +101,10 @@ def _merge() -> None:
         source = Source(pixels, one, flat, 1.0, 255.0, 1.0, 1.0, 1.0)
         linearise(source, (1, 1, 5, 5), out)
         add_shifted(source, np.eye(3), (0, 0, 4, 4), groups, sums)
-    accumulate(out, np.ones((1, 1)), (1.0, 1.0), sums[0, 0], sums[1, 0])
-    mean(sums[0, 0], sums[1, 0], out)
+    noise_factors(np.eye(3), out)
+    own = sums[0, 0], sums[1, 0], sums[2, 0]
+    accumulate((out, out), np.ones((1, 1)), (1.0, 1.0), own)
+    mean(*own[:2], out)
 
 
 def _setup() -> StitchSetup:
