@@ -7,7 +7,7 @@ With the plan, any part is rendered at any resolution from the few frames that s
 picture of a board never lies in memory as a whole.
 """
 
-from vaoi_station.mosaic.frames import FrameChoice, TakenFrame, choose_frames
+from vaoi_station.mosaic.frames import FrameChoice, TakenFrame, choose_frames, distinct_exposures_us
 from vaoi_station.mosaic.grid import MosaicGrid
 from vaoi_station.mosaic.plan import MosaicPlan, make_plan
 from vaoi_station.mosaic.tile_specs import TileRenderer
@@ -20,6 +20,7 @@ __all__ = [
     "TakenFrame",
     "TileRenderer",
     "choose_frames",
+    "distinct_exposures_us",
     "make_plan",
     "render_tile",
 ]

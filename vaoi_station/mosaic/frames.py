@@ -6,8 +6,9 @@ saturation do not change from row to row. With HDR, frames of similar exposure m
 
 from __future__ import annotations
 
+import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -17,6 +18,8 @@ from vaoi_station.model.light_program import usual_light
 
 _SIMILAR = 1.5
 """Largest ratio of two sensitivities that are in one layer of an HDR mosaic."""
+_SAME = 1e-5
+"""Largest relative difference of two exposures that count as one: people and names give them rounded."""
 
 
 class TakenFrame(NamedTuple):
@@ -91,13 +94,22 @@ def choose_frames(
             )
         return FrameChoice(chosen_light, True, _layers(lit))
     if exposure_us is not None:
-        taken = tuple(frame for frame in lit if frame.exposure_us == exposure_us)
+        taken = tuple(frame for frame in lit if math.isclose(frame.exposure_us, exposure_us, rel_tol=_SAME))
         if not taken:
             found = ", ".join(f"{e:g}" for e in sorted({frame.exposure_us for frame in lit}))
             raise InputError.field("mosaic", "exposure_us", exposure_us, f"one of the exposures of the run: {found} µs")
         return FrameChoice(chosen_light, False, (taken,))
     usual = {camera: _usual([f for f in lit if f.camera == camera]) for camera in {f.camera for f in lit}}
     return FrameChoice(chosen_light, False, (tuple(f for f in lit if f.sensitivity == usual[f.camera]),))
+
+
+def distinct_exposures_us(frames: Iterable[TakenFrame]) -> list[float]:
+    """Return the exposures that `choose_frames` distinguishes, the longest first."""
+    found: list[float] = []
+    for exposure_us in sorted({frame.exposure_us for frame in frames}, reverse=True):
+        if not found or not math.isclose(exposure_us, found[-1], rel_tol=_SAME):
+            found.append(exposure_us)
+    return found
 
 
 def _layers(frames: Sequence[TakenFrame]) -> tuple[tuple[TakenFrame, ...], ...]:

@@ -267,3 +267,11 @@ def _read(path: Path, camera: CameraFields, least: float = 0.0) -> Floats32:
         raise InputError.field(path, "range", f"{low:g} to {high:g}", f"{least:g} to {_LARGEST:g}", _MAKE)
     image.setflags(write=False)
     return image
+
+
+def changed_ns(directory: Path | None) -> int:
+    """Return when the flat fields of a directory were written, ns; 0 if there are none."""
+    try:
+        return 0 if directory is None else (directory / DOCUMENT).stat().st_mtime_ns
+    except OSError:
+        return 0

@@ -34,6 +34,16 @@ def test_list_leads_to_all_forms_of_a_mosaic(client: Any, board: Any) -> None:
         assert cache in answer.headers["cache-control"], "pixels depend on the station's flat fields"
 
 
+def test_addresses_of_lights_with_any_name_can_be_opened(client: Any, station: Any) -> None:
+    station.lights = ("top, left/right", "50%")
+    entries = client.get(f"{RUNS}/{station.film()}/mosaics").json()["mosaics"]
+    assert {entry.get("light") for entry in entries} == {None, *station.lights}
+    for entry in entries:
+        assert client.get(entry["dzi"]).status_code == client.get(entry["iiif"]).status_code == 200
+    tile = client.get(entries[-1]["dzi"].removesuffix(".dzi") + "_files/0/0_0.jpg")
+    assert tile.status_code == 200
+
+
 def test_deep_zoom_tiles_join_to_the_board(client: Any, board: Any) -> None:
     text = client.get(board["dzi"]).text
     assert 'TileSize="256"' in text

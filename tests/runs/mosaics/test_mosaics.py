@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 from contextlib import nullcontext
 from pathlib import Path
@@ -17,7 +18,7 @@ from vaoi_station.errors import InputError
 from vaoi_station.model import CameraHead, FrameRecord, Verdict
 from vaoi_station.photometry.flat_fields import FlatFieldDocument, FlatFields, write_flat_fields
 from vaoi_station.runs.mosaics.mosaics import MOST_PLANS, Download, Mosaics
-from vaoi_station.runs.mosaics.picture_names import PictureName
+from vaoi_station.runs.mosaics.picture_names import PictureName, parse_name
 from vaoi_station.runs.workers.mosaic_jobs import PlanJob
 
 __all__ = ["board", "film"]
@@ -77,6 +78,27 @@ def test_lights_and_exposures_have_mosaics(film: Film) -> None:
     ]
 
 
+def test_every_mosaic_that_is_listed_can_be_opened(film: Film) -> None:
+    """By its name: exposures are the product of a ratio, and lights have the names that people give them."""
+    exposures = 333.3333, 250 * 0.06, 15.0, 1234.5678
+    mosaics = mosaics_of(film(exposures=exposures, lights=("top, left/right", "50%")), [])
+    listed = mosaics.names("r1")
+    assert len(set(map(str, listed))) == len(listed)
+    for name in listed:
+        mosaics.grid("r1", parse_name(str(name)))
+
+
+def test_new_flat_fields_make_new_plans(board: Filmed, tmp_path: Path) -> None:
+    jobs: list[Any] = []
+    mosaics = mosaics_of(board, jobs, flat_fields=write_fields(tmp_path, len(board.cameras)))
+    first, again = (mosaics._plan("r1", PictureName()) for _ in range(2))
+    assert first is again
+    document = tmp_path / "flatfield.json"
+    os.utime(document, ns=(0, document.stat().st_mtime_ns + 10**9))
+    assert mosaics._plan("r1", PictureName()) is not first
+    assert sum(isinstance(job, PlanJob) for job in jobs) == 2
+
+
 def test_plan_is_made_once_though_several_callers_ask(board: Filmed) -> None:
     jobs: list[Any] = []
     may_go = threading.Event()
@@ -98,7 +120,7 @@ def test_plan_is_made_once_though_several_callers_ask(board: Filmed) -> None:
 def test_plans_are_kept_up_to_a_number(board: Filmed) -> None:
     mosaics = mosaics_of(board, [])
     for n in range(MOST_PLANS + 3):
-        mosaics._plans[f"old{n}", PictureName()] = SimpleNamespace()  # type: ignore[assignment]
+        mosaics._plans[f"old{n}", PictureName(), 0] = SimpleNamespace()  # type: ignore[assignment]
     mosaics.tile("r1", PictureName(), 4, (0, 0, 32, 32), "jpg")
     assert len(mosaics._plans) == MOST_PLANS
 

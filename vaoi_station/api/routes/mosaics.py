@@ -36,7 +36,7 @@ Picture = Annotated[
     str,
     Path(
         description="Name of a mosaic: `board`, with `,light=NAME`, `,exposure=µs` or `,hdr` added.",
-        pattern=r"^board(,[^/\x00-\x1f\x7f]{1,120})?$",
+        pattern=r"^board(,[^/\x00-\x1f\x7f]{1,400})?$",
     ),
 ]
 Suffix = Literal["jpg", "jpeg", "png"]

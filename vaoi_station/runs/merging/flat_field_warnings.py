@@ -9,7 +9,7 @@ from pathlib import Path
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import VaoiError
 from vaoi_station.photometry import FlatFields
-from vaoi_station.photometry.flat_fields import DOCUMENT, EXPIRED_DAYS
+from vaoi_station.photometry.flat_fields import EXPIRED_DAYS, changed_ns
 from vaoi_station.runs.states.schemas import Reason
 
 _AGAIN = "Film a white target and darkness, and run 'vaoi flatfield' (docs/engineering/photometry.md)."
@@ -19,11 +19,7 @@ def flat_field_warnings(config: StationConfig) -> tuple[Reason, ...]:
     """Return a warning if the flat fields of station.toml cannot be used or have expired, else none."""
     if config.flat_fields is None:
         return ()
-    try:
-        changed_ns = (config.flat_fields / DOCUMENT).stat().st_mtime_ns
-    except OSError:
-        changed_ns = 0
-    fields = _peek(config.flat_fields, changed_ns)
+    fields = _peek(config.flat_fields, changed_ns(config.flat_fields))
     try:
         if isinstance(fields, VaoiError):
             raise fields

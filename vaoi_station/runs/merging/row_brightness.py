@@ -16,6 +16,7 @@ from vaoi_station.errors import GoneError, InternalError
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import FrameRecord
 from vaoi_station.photometry import Taken
+from vaoi_station.photometry.flat_fields import changed_ns
 from vaoi_station.runs.archive.finished_runs import FinishedRun
 from vaoi_station.runs.run.memory import Bay
 from vaoi_station.runs.workers.jobs import PictureJob
@@ -57,8 +58,7 @@ class RowBrightness:
 
         Callers who want the same run wait for each other. Those of a run whose levels are kept do not wait.
         """
-        changed_ns = (self._flat_fields / "flatfield.json").stat().st_mtime_ns
-        key = finished.detail.id, changed_ns
+        key = finished.detail.id, changed_ns(self._flat_fields)
         with self._lock:
             if key in self._kept:
                 self._kept.move_to_end(key)

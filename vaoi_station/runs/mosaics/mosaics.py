@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 
 from vaoi_station.errors import InputError, StateError
 from vaoi_station.files.pyramids import TILE_PX, PyramidLayout, write_pyramid
-from vaoi_station.mosaic import MosaicGrid, MosaicPlan, TakenFrame, TileRenderer, choose_frames
+from vaoi_station.mosaic import MosaicGrid, MosaicPlan, TakenFrame, TileRenderer, choose_frames, distinct_exposures_us
 from vaoi_station.mosaic.deep_zoom import Box
 from vaoi_station.mosaic.grid import Region
 from vaoi_station.mosaic.projection import FrameProjector
 from vaoi_station.mosaic.tiles import NODATA
 from vaoi_station.photometry import FlatFields
+from vaoi_station.photometry.flat_fields import changed_ns
 from vaoi_station.runs.archive.finished_runs import Archive, FinishedRun
 from vaoi_station.runs.mosaics.board_checks import BoardChecks, Lease, Render, slots_of
 from vaoi_station.runs.mosaics.overlays import overlay_of
@@ -69,7 +70,8 @@ class Mosaics:
         self.board_checks = BoardChecks(archive, lease, render)
         """Board types laid over these runs."""
         self._lock = threading.Lock()
-        self._plans: OrderedDict[tuple[str, PictureName], _Planned] = OrderedDict()
+        self._plans: OrderedDict[tuple[str, PictureName, int], _Planned] = OrderedDict()
+        """By run, name and date of the flat fields, which may be replaced while the run is in memory."""
 
     def names(self, run: str) -> tuple[PictureName, ...]:
         """Return the mosaics of a run: of every light, and of every exposure and HDR where exposures differ."""
@@ -79,7 +81,7 @@ class Mosaics:
         for light in lights if len(lights) > 1 else (None,):
             lit = [f for f in frames if light is None or f.light == light]
             found += [PictureName(light)] if light is not None else []
-            exposures = sorted({f.exposure_us for f in lit}, reverse=True)
+            exposures = distinct_exposures_us(lit)
             if len(exposures) > 1:
                 found += [PictureName(light, exposure) for exposure in exposures] + [PictureName(light, hdr=True)]
         return tuple(found)
@@ -197,7 +199,7 @@ class Mosaics:
 
     def _plan(self, run: str, name: PictureName) -> MosaicPlan:
         """Return the plan of a mosaic; a worker makes it if there is none. Other callers wait meanwhile."""
-        key = run, name
+        key = run, name, changed_ns(self._flat_fields)
         with self._lock:
             planned = self._plans.setdefault(key, _Planned())
             self._plans.move_to_end(key)

@@ -20,6 +20,7 @@ from vaoi_station.hdr.encoding import encode_merged
 from vaoi_station.hdr.row_levels import row_levels
 from vaoi_station.model import BoardType, Stitch
 from vaoi_station.photometry import FlatFields, Taken
+from vaoi_station.photometry.flat_fields import changed_ns
 from vaoi_station.rendering import View
 from vaoi_station.runs.workers.jobs import FramesJob, RenderJob
 
@@ -87,7 +88,7 @@ def opened_fields(directory: Path | None) -> FlatFields:
     """Return flat fields, which are read again when their document changes."""
     if directory is None:
         return FlatFields.none()
-    return _opened(directory, (directory / "flatfield.json").stat().st_mtime_ns if directory.is_dir() else 0)
+    return _opened(directory, changed_ns(directory))
 
 
 @lru_cache(maxsize=1)
