@@ -320,6 +320,12 @@ class StationConfig(Section):
         """Number of slots per camera and run in the ring."""
         return self.line.rows_of_longest_board + self.ring.spare_rows
 
+    @property
+    def known_lights(self) -> tuple[str, ...]:
+        """Lights of rows of board types without a program, in turn; empty if a twin or a recording decides, or none."""
+        serial = self.controller.light_sequence if self.controller.backend == "serial" else ()
+        return tuple(step.light for step in self.program) or serial
+
 
 def conflicts(
     cameras: Sequence[CameraConfig], controller: ControllerConfig | None, tables: Set[str], line: Line | None

@@ -20,7 +20,11 @@ ALL_KEYS = frozenset(StationConfig.model_fields)
 FILE_CHECKS: tuple[tuple[str, frozenset[str], Callable[[CheckContext], Iterable[Finding]]], ...] = (
     ("calibration", frozenset({"calibration", "cameras"}), configured_files.calibration),
     ("board types", frozenset({"board_types"}), configured_files.board_types),
-    ("flat fields", frozenset({"flat_fields", "cameras", "program"}), configured_files.flat_fields),
+    (
+        "flat fields",
+        frozenset({"flat_fields", "board_types", "cameras", "controller", "program"}),
+        configured_files.flat_fields,
+    ),
     ("light programs", ALL_KEYS, configured_files.programs),
     ("stand-ins", ALL_KEYS, configured_files.stand_ins),
     ("receivers", frozenset({"push", "data"}), receivers.receivers),

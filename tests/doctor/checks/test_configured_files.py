@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from tests.doctor.conftest import assert_problem, changed, only, with_config, without_privileges
-from vaoi_station.config import ReplayConfig
+from vaoi_station.config import LightConfig, ReplayConfig
 from vaoi_station.doctor.check_context import CheckContext
 from vaoi_station.doctor.checks import configured_files
 from vaoi_station.doctor.finding import Level
@@ -90,10 +90,14 @@ def test_real_devices_need_no_stand_ins(context: CheckContext) -> None:
     assert finding.level is Level.NOT_APPLICABLE
 
 
-def with_flat_fields(context: CheckContext, directory: Path, created: str, width: int | None = None) -> CheckContext:
+def with_flat_fields(
+    context: CheckContext, directory: Path, created: str, width: int | None = None, light: str | None = None
+) -> CheckContext:
     heads = [camera.head for camera in context.config.cameras]
     size = [{"width": width or h.width, "height": h.height, "read": 1.0, "shot": 0.03} for h in heads]
     each = [{"camera": i, "file": f"fields/{i}.tiff", "level": 0.5, "rows": 4} for i in range(len(heads))]
+    if light is not None:
+        each = [field | {"light": light} for field in each]
     document = {"format": "vaoi-flatfield", "version": 1, "created": created, "cameras": size, "fields": each}
     (directory / "flatfield.json").write_text(json.dumps(document))
     return with_config(context, context.config.model_copy(update={"flat_fields": directory, "program": ()}))
@@ -105,6 +109,23 @@ def test_flat_fields_of_this_array_are_ok_until_they_expire(context: CheckContex
     assert only(configured_files.flat_fields(with_flat_fields(context, tmp_path, today))).level is Level.OK
     old = only(configured_files.flat_fields(with_flat_fields(context, tmp_path, "2020-01-01T00:00:00+00:00")))
     assert_problem(old, Level.WARNING, "days old and expire after 180")
+
+
+def test_flat_fields_of_other_lights_than_those_of_the_rows_are_reported(context: CheckContext, tmp_path: Path) -> None:
+    """The lights of a program, of the controller's order, and of the programs of board types."""
+    lit = with_flat_fields(context, tmp_path, datetime.now(UTC).isoformat(), light="ring")
+    assert only(configured_files.flat_fields(lit)).level is Level.OK
+    lights = {name: LightConfig(channels=(0,), on_us=100.0) for name in ("ring", "left")}
+    serial = changed(lit.config, "controller", backend="serial", lights=lights, order=("ring",))
+    assert only(configured_files.flat_fields(with_config(lit, serial))).level is Level.OK
+    turns = changed(serial, "controller", order=("ring", "left"))
+    finding = only(configured_files.flat_fields(with_config(lit, turns)))
+    assert_problem(finding, Level.FAULT, "have no field for the light 'left'")
+    path = next(context.config.board_types.glob("*.json"))
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"program": [{"light": "left"}]}))
+    unfit, fit = configured_files.flat_fields(lit)
+    assert_problem(unfit, Level.WARNING, "board type", "have no field for the light 'left'")
+    assert fit.level is Level.OK
 
 
 def test_flat_fields_of_another_array_are_a_fault(context: CheckContext, tmp_path: Path) -> None:

@@ -95,7 +95,6 @@ def cut_merged(
         )
     head = case.recording.head
     fields = FlatFields.open(flatfield) if flatfield else FlatFields.none(_noise(case.recording))
-    fields.check_head(head)
 
     def pixels(camera: int, row: int) -> NDArray[Any]:
         found = case.frame(camera, row)
@@ -118,6 +117,7 @@ def cut_merged(
         ]
 
     shown = next((of.light for of in taken.values()), None)
+    fields.check(head.cameras, None if shown is None else (shown,))
     levels = row_levels(taken, case.board_type, case.stitch, case.cameras, fields, case.frame)
     calculator = ViewCalculator(case.board_type, case.stitch, case.cameras)
     for part in parts:

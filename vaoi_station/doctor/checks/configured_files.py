@@ -8,11 +8,13 @@ from datetime import UTC, datetime
 
 from vaoi_station.acquisition.controller.filming_plan import filming_plan
 from vaoi_station.acquisition.process.backends import check_backends
+from vaoi_station.config import StationConfig
 from vaoi_station.doctor.check_context import CheckContext
 from vaoi_station.doctor.finding import Finding, fault, not_applicable, ok, warning
 from vaoi_station.doctor.machine import is_directory, writable
 from vaoi_station.errors import InputError, VaoiError
 from vaoi_station.files import read_calibration
+from vaoi_station.model import BoardType
 from vaoi_station.photometry import FlatFields
 from vaoi_station.photometry.flat_fields import EXPIRED_DAYS
 from vaoi_station.store import BoardTypeDirectory
@@ -62,7 +64,7 @@ def board_types(context: CheckContext) -> Iterator[Finding]:
 
 
 def flat_fields(context: CheckContext) -> Iterator[Finding]:
-    """Check that the flat fields fit the cameras and the lights of the station's program, and are not too old."""
+    """Check that the flat fields fit the cameras and the lights of station and board types, and are not too old."""
     config = context.config
     again = "Film a white target and darkness, then vaoi flatfield: docs/engineering/photometry.md."
     if config.flat_fields is None:
@@ -70,11 +72,17 @@ def flat_fields(context: CheckContext) -> Iterator[Finding]:
         return
     try:
         fields = FlatFields.peek(config.flat_fields)
-        lights = [step.light for step in config.program if step.light]
-        fields.check([camera.head for camera in config.cameras], lights or fields.named_lights)
+        heads = [camera.head for camera in config.cameras]
+        fields.check(heads, config.known_lights or fields.named_lights)
     except VaoiError as error:
         yield fault(error.message, error.action or again)
         return
+    for board_type in _sound_board_types(config):
+        if board_type.program:
+            try:
+                fields.check(heads, [step.light for step in board_type.program])
+            except VaoiError as error:
+                yield warning(f"board type {board_type.name!r}: {error.message}", error.action or again)
     days = fields.age_days(datetime.now(UTC))
     if days is not None and days > EXPIRED_DAYS:
         yield warning(
@@ -88,6 +96,14 @@ def flat_fields(context: CheckContext) -> Iterator[Finding]:
     yield ok(f"{config.flat_fields}: {len(config.cameras)} cameras{age}")
 
 
+def _sound_board_types(config: StationConfig) -> list[BoardType]:
+    """Return the board types that can be read; another check reports the others."""
+    if not is_directory(config.board_types):
+        return []
+    listed = BoardTypeDirectory(config.board_types).list()
+    return [file.board_type for file in listed if file.board_type is not None]
+
+
 def programs(context: CheckContext) -> Iterator[Finding]:
     """Check that light program, belt speed and lengths of the station and of each board type fit the station."""
     config = context.config
@@ -95,10 +111,7 @@ def programs(context: CheckContext) -> Iterator[Finding]:
     heads = tuple(camera.head for camera in config.cameras)
     with contextlib.suppress(VaoiError):  # the check of the calibration reports it
         px_per_mm = [camera.px_per_mm for camera in read_calibration(config.calibration, heads).cameras(heads)]
-    sound = []
-    if is_directory(config.board_types):
-        listed = BoardTypeDirectory(config.board_types).list()
-        sound = [file.board_type for file in listed if file.board_type is not None]
+    sound = _sound_board_types(config)
     own = [board_type for board_type in sound if board_type.program or board_type.line]
     wrong = False
     for board_type in (None, *own):

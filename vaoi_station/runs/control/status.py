@@ -54,7 +54,7 @@ def snapshot_of(
     """
     filming, cameras = core.runs.filming, _cameras(core, config)
     held = line_held(core, config, lambda: processes, faults)
-    output = core.health.line_output if core.health else None
+    output, order = core.health.line_output if core.health else None, core.line.orders.order
     return StationSnapshot(
         name=config.name,
         state=core.machine.state,
@@ -66,7 +66,7 @@ def snapshot_of(
             *core.line.warnings(),
             *core.storage.warnings(),
             *address_warnings(config),
-            *flat_field_warnings(config),
+            *flat_field_warnings(config, order.setup.lights if order is not None else ()),
             *worker_warnings(processes),
             *core.receiver_warnings(),
         ),

@@ -1,7 +1,8 @@
-"""Warnings of the station about its flat fields: they do not fit the cameras, or they have expired."""
+"""Warnings of the station about its flat fields: they do not fit cameras or lights, or they have expired."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from functools import lru_cache
 from pathlib import Path
@@ -15,15 +16,20 @@ from vaoi_station.runs.states.schemas import Reason
 _AGAIN = "Film a white target and darkness, and run 'vaoi flatfield' (docs/engineering/photometry.md)."
 
 
-def flat_field_warnings(config: StationConfig) -> tuple[Reason, ...]:
-    """Return a warning if the flat fields of station.toml cannot be used or have expired, else none."""
+def flat_field_warnings(config: StationConfig, armed: Sequence[str] = ()) -> tuple[Reason, ...]:
+    """Return a warning if the flat fields of station.toml cannot be used or have expired, else none.
+
+    `armed` are the lights of the rows of the armed board type; without them those of station.toml count.
+    """
     if config.flat_fields is None:
         return ()
     fields = _peek(config.flat_fields, changed_ns(config.flat_fields))
     try:
         if isinstance(fields, VaoiError):
             raise fields
-        fields.check([camera.head for camera in config.cameras], fields.named_lights)
+        # Where no light is known, the fields are not checked against any.
+        lights = armed or config.known_lights or fields.named_lights
+        fields.check([camera.head for camera in config.cameras], lights)
     except VaoiError as error:
         return (Reason(code="flat-fields-unfit", message=error.message, action=error.action or _AGAIN),)
     days = fields.age_days(datetime.now(UTC))
