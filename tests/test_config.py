@@ -122,6 +122,8 @@ def test_real_cameras_need_the_real_controller(tmp_path: Path) -> None:
     assert station.controller.lights["top"].channels == (0, 1)
     assert station.controller.light_sequence == ("top", "low")
     assert station.cameras[1].readout_us == 8000.0
+    assert [camera.head.serial for camera in station.cameras] == ["A17", None]
+    assert station.known_lights == ("top", "low")
     ordered = (("lights.top =", 'order = ["low", "top", "low"]\nlights.top ='),)
     assert read_config(config_file(tmp_path, *real, *ordered)).controller.light_sequence == ("low", "top", "low")
 

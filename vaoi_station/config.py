@@ -100,6 +100,7 @@ class CameraConfig(Section):
             nominal_roll_deg=self.nominal_roll_deg,
             # Frames of more than 8 bits leave the ring at full scale, whatever the depth of the camera.
             bits=16 if PIXEL_FORMATS[self.pixel_format].bits > 8 else None,
+            serial=self.serial,
         )
 
     @property

@@ -87,6 +87,22 @@ def test_another_array_resolution_or_light_is_refused(
         FlatFields.open(stored).check(cameras, lights)
 
 
+def test_cameras_of_other_serial_numbers_are_refused_where_both_are_known(stored: Path) -> None:
+    """Two arrays of one kind have the same number of cameras and the same frames; so have two exchanged cameras."""
+
+    def of(*serials: str | None) -> list[CameraHead]:
+        return [head.model_copy(update={"serial": serial}) for head, serial in zip(heads(), serials, strict=True)]
+
+    FlatFields.peek(stored).check(of("A1", "A2"), LIGHTS)
+    cameras = json.loads((stored / "flatfield.json").read_text())["cameras"]
+    change("cameras", [camera | {"serial": s} for camera, s in zip(cameras, ("A1", "A2"), strict=True)])(stored)
+    known = FlatFields.peek(stored)
+    for same in (of("A1", "A2"), of("A1", None), of(None, None)):
+        known.check(same, LIGHTS)
+    with pytest.raises(InputError, match="camera 1 is that of serial number A2, but its frames are of B2"):
+        known.check(of("A1", "B2"), LIGHTS)
+
+
 def test_a_camera_or_light_without_a_field_is_refused_by_name() -> None:
     with pytest.raises(InputError, match="have 2 cameras, but camera 2 is asked for"):
         fields().maps(2, "even")

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +9,7 @@ import pytest
 
 from tests.photometry.white_recordings import DARK, EXPOSURE_US, HEIGHT, READ, SHOT, WIDTH, film, shade, white
 from vaoi_station.errors import InputError
+from vaoi_station.files import open_recording
 from vaoi_station.photometry.measurement import measure_flat_fields
 
 
@@ -101,3 +103,14 @@ def test_unfit_darkness_is_refused_with_numbers(tmp_path: Path, level: float, op
     targets = film(tmp_path / "white", white(150)), film(tmp_path / "dark", white(level), **options)
     with pytest.raises(InputError, match=message):
         measure_flat_fields(*targets)
+
+
+def test_fields_state_the_serial_numbers_of_their_cameras(tmp_path: Path) -> None:
+    film(tmp_path / "white", white(150))
+    path = tmp_path / "white" / "recording.json"
+    head = json.loads(path.read_text())
+    head["cameras"][1]["serial"] = "A2"
+    path.write_text(json.dumps(head))
+    made = measure_flat_fields(open_recording(tmp_path / "white")).document
+    assert made is not None
+    assert [camera.serial for camera in made.cameras] == [None, "A2"]

@@ -30,6 +30,8 @@ class CameraHead(FrozenModel):
     """Rotation of the mounted camera, from image x towards image y; 180 is upside down. None: upright."""
     bits: Annotated[Whole, Field(ge=8, le=16)] | None = None
     """Used bits of a 16-bit pixel, counted from the lowest: 12 for values up to 4095; None if unknown."""
+    serial: Annotated[str, Field(min_length=1)] | None = None
+    """Serial number of the camera; None if it is not known."""
 
 
 class RecordingHead(FrozenModel):

@@ -44,6 +44,8 @@ class CameraFields(FrozenModel):
     """Picture of the dark level, where it differs from pixel to pixel."""
     read: Annotated[Positive, Field(le=255)]
     shot: Annotated[Positive, Field(le=255)]
+    serial: Annotated[str, Field(min_length=1)] | None = None
+    """Serial number of the camera; None if it was not known."""
 
 
 class FieldHead(FrozenModel):
@@ -193,7 +195,9 @@ class FlatFields:
         return FieldMaps(flat, self.darks.get(camera, float(found.dark)), NoiseModel(found.read, found.shot))
 
     def check(self, cameras: Sequence[CameraHead], lights: Sequence[str] | None) -> None:
-        """Refuse an array whose number of cameras, frame sizes or lights differ from those of the flat fields.
+        """Refuse an array whose cameras, frame sizes or lights differ from those of the flat fields.
+
+        Arrays of one kind are distinguished by the serial numbers of their cameras, where both are known.
 
         Raises:
             InputError: they differ; the message has both numbers.
@@ -211,6 +215,12 @@ class FlatFields:
                 raise InputError(
                     f"{self.source}: the field of camera {i} has {mine.width}×{mine.height} px, but its frames have "
                     f"{head.width}×{head.height} px.",
+                    action=_MAKE,
+                )
+            if None not in (mine.serial, head.serial) and mine.serial != head.serial:
+                raise InputError(
+                    f"{self.source}: the field of camera {i} is that of serial number {mine.serial}, but its frames "
+                    f"are of {head.serial}.",
                     action=_MAKE,
                 )
         for light in dict.fromkeys(lights or (None,)):

@@ -64,7 +64,7 @@ def measure_flat_fields(white: Recording, dark: Recording | None = None) -> Flat
         noise = _noise([target for target, _ in found], darkness)
         size: dict[str, Any] = {"width": shape.width, "height": shape.height, "dark_file": name}
         level = darkness.level if darkness else 0.0
-        cameras.append(CameraFields(**size, dark=level, read=noise.read, shot=noise.shot))
+        cameras.append(CameraFields(**size, dark=level, read=noise.read, shot=noise.shot, serial=shape.serial))
     # One common factor keeps the ratios of cameras and lights: a white target has one radiance for all of them.
     common = float(np.mean([target.level for target, _ in targets.values()]))
     fields = [

@@ -38,7 +38,7 @@ class Merging:
     ) -> None:
         """Make the run; the brightness of its rows deviates by at most `flicker`.
 
-        Under the light "left" the surface is so many times as bright as under "even".
+        Under the light "left" the surface is `metal` times as bright as under "even".
         """
         rows = len(stitch.row_motion)
         self.levels = (1 + flicker * np.cos(2.1 * np.arange(rows))) * np.where(np.arange(rows) % 2, metal, 1.0)
