@@ -11,12 +11,14 @@ import pytest
 from tests.runs.doubles import Acquisition, CountingRing
 from vaoi_station.acquisition.cameras.interface import CameraHealth
 from vaoi_station.acquisition.process import messages
+from vaoi_station.backoff import BackoffPolicy
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import BusyError, DeviceError, StateError
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.control.line_control import LineControl
 from vaoi_station.runs.control.station_state import StationStateMachine
+from vaoi_station.runs.run import standing_order
 from vaoi_station.runs.run.leases import Leases
 from vaoi_station.runs.run.memory import Memory
 from vaoi_station.runs.run.order import Order
@@ -224,6 +226,83 @@ def test_after_a_fault_the_line_is_armed_again_without_a_request(line: Line) -> 
     assert line.acquisition.taken() == ["Grant", "Arm"]
 
 
+def hold_all_bays(line: Line) -> list[str]:
+    """Let boards pass that a caller holds, until no bay is free."""
+    held = []
+    while runs := line.granted():
+        assert line.control.take_grant(runs[0], 1e9) is not None
+        line.memory.use(runs[0], "finished")
+        line.leases.take(runs[0], "tester", "AOI")
+        held += runs
+        line.control.keep_memory_granted()
+    return held
+
+
+def test_an_order_survives_a_full_ring_after_a_fault(line: Line) -> None:
+    line.armed()
+    held = hold_all_bays(line)
+    assert line.state == "blocked"
+    line.control.on_acquisition_ended("the acquisition process ended")
+    line.acquisition.taken()
+    line.control.on_ready()
+    line.control.tick(None)
+    assert (line.state, [reason.code for reason in line.machine.reasons.all()]) == ("idle", ["ring-full"])
+    line.leases.end(held[0], "tester")
+    line.memory.free(held[0])
+    line.control.tick(None)
+    assert (line.acquisition.taken(), line.machine.reasons.all()) == (["Grant", "Arm"], ())
+    line.control.on_armed()
+    assert line.state == "armed"
+
+
+def test_a_disarm_ends_the_order_that_waits_for_memory(line: Line) -> None:
+    line.armed()
+    held = hold_all_bays(line)
+    line.control.on_acquisition_ended("the acquisition process ended")
+    line.control.on_ready()
+    line.control.disarm(Completion())
+    line.memory.free(held[0])
+    line.acquisition.taken()
+    line.control.tick(None)
+    assert (line.state, line.acquisition.taken(), line.machine.reasons.all()) == ("idle", [], ())
+
+
+def test_an_order_survives_a_trouble_while_the_line_is_armed_again(
+    config: StationConfig, store: Store, progress: Progress, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(standing_order, "PACE", BackoffPolicy(first_s=0.0, longest_s=0.0, proven_s=1.0))
+    line = Line(config, store, progress.order)
+    line.armed()
+    line.control.on_acquisition_ended("the acquisition process ended")
+    line.control.on_ready()
+    line.acquisition.taken()
+    line.control.on_trouble(messages.Trouble("events-lost", "events were lost", "Check its cable."))
+    line.control.tick(None)
+    assert line.acquisition.taken() == ["Disarm"]
+    line.control.on_disarmed(messages.Disarmed((messages.Grant(line.granted()[0], 0),)), None)
+    [warning] = line.control.warnings()
+    assert (warning.code, "events were lost" in warning.message) == ("not-armed-again", True)
+    away = messages.Health((CameraHealth(True), CameraHealth(False, "cable pulled")), "fine", 1.0)
+    line.control.tick(away)
+    assert line.acquisition.taken() == []
+    assert "Cable pulled" in line.control.warnings()[0].message
+    line.control.tick(replace(away, cameras=(CameraHealth(True),) * 2))
+    assert line.acquisition.taken() == ["Grant", "Arm"]
+    line.control.on_armed()
+    assert (line.state, line.control.warnings()) == ("armed", ())
+
+
+def test_a_run_that_the_archive_does_not_know_is_evicted_without_a_leak(line: Line) -> None:
+    line.armed()
+    for _ in range(6):
+        [run] = line.granted()
+        assert line.control.take_grant(run, 1e9) is not None
+        line.memory.use(run, "finished")
+        line.memory.keep(run, 0.0)
+        line.control.keep_memory_granted()
+    assert (line.state, line.control.has_grant, len(line.granted())) == ("armed", True, 1)
+
+
 def test_a_full_ring_blocks_the_line_until_memory_is_free(line: Line) -> None:
     line.armed()
     for _ in range(2):
@@ -276,3 +355,18 @@ def test_an_order_with_another_plan_is_armed_after_a_disarm(line: Line) -> None:
     line.control.on_armed()
     changed.result(0)
     assert line.state == "armed"
+
+
+def test_the_order_before_stays_in_force_if_another_plan_is_not_armed(line: Line) -> None:
+    line.armed()
+    before = line.order
+    assert line.order.plan is not None
+    line.order = replace(line.order, plan=replace(line.order.plan, period_s=0.2))
+    changed = line.arm()
+    line.control.on_acquisition_ended("the acquisition process ended")
+    with pytest.raises(StateError, match="faulted"):
+        changed.result(0)
+    line.acquisition.taken()
+    line.control.on_ready()
+    assert line.acquisition.taken() == ["Grant", "Arm"]
+    assert line.control.orders.order is before

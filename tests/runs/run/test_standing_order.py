@@ -11,7 +11,7 @@ from vaoi_station.errors import NotFoundError
 from vaoi_station.model import BoardType
 from vaoi_station.runs.run.order import Order
 from vaoi_station.runs.run.progress import Progress
-from vaoi_station.runs.run.standing_order import StandingOrder
+from vaoi_station.runs.run.standing_order import Rearming, StandingOrder
 from vaoi_station.store import Store
 
 
@@ -73,3 +73,19 @@ def test_a_record_of_another_version_and_a_finished_order_arm_nothing(
     resumed = standing.resume(lambda _: order.board_type, make)
     assert resumed is not None
     assert resumed.fault is not None
+
+
+def test_the_pauses_between_attempts_to_arm_again_grow_to_a_limit() -> None:
+    now = [0.0]
+    rearming = Rearming(lambda: now[0])
+    due = []
+    for pause_s in (2.0, 4.0, 8.0, 16.0, 30.0, 30.0):
+        rearming.fail("camera c0 is lost", "Check its cable.")
+        now[0] += pause_s - 0.1
+        due.append(rearming.is_due)
+        now[0] += 0.2
+        due.append(rearming.is_due)
+    assert due == [False, True] * 6
+    assert rearming.why is not None
+    assert rearming.why.action == "Check its cable. The station tries again by itself."
+    assert (rearming.succeed(), rearming.succeed(), rearming.is_due) == (True, False, True)

@@ -179,6 +179,7 @@ class Core:
             self.machine.reasons.expire()
         for run in self.memory.reclaim(self.runs.active):
             self._events.add("trouble", "The run ended by a fault; its memory is free again.", run=run, code="store")
+        self.line.tick(self.health)
         self.line.keep_memory_granted()
         self._archive.tick()
         self.trial.tick()

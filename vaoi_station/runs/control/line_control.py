@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from typing import Protocol
 
 from vaoi_station.acquisition.controller.interface import TriggerPlan
 from vaoi_station.acquisition.process import messages
 from vaoi_station.config import StationConfig
-from vaoi_station.errors import BusyError, DeviceError, StateError
+from vaoi_station.errors import BusyError, DeviceError, StateError, VaoiError
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.control import readiness
 from vaoi_station.runs.control.station_state import StationStateMachine
 from vaoi_station.runs.run.memory import Memory
 from vaoi_station.runs.run.order import Order, Orders
-from vaoi_station.runs.run.standing_order import Resumed, StandingOrder
+from vaoi_station.runs.run.standing_order import Rearming, Resumed, StandingOrder
 from vaoi_station.runs.run.waiting_orders import Completion, WaitingOrders, WaitingRequest
 from vaoi_station.runs.states.run_ids import RunIds
 from vaoi_station.runs.states.schemas import ArmedWith, Reason
 from vaoi_station.runs.states.tables import RunState, RunStep, StationState, StationStep
+
+_log = logging.getLogger(__name__)
 
 
 class Acquisition(Protocol):
@@ -52,10 +55,7 @@ class LineControl:
         self._config, self._acquisition, self._machine = config, acquisition, machine
         self._memory, self._run_ids, self._archive, self._events = memory, run_ids, archive, events
         self.orders = Orders()
-        self._standing = standing
-        self._not_resumed: Reason | None = None
-        """Why the line was not armed again after a restart; None if it was not armed before, or was armed or disarmed
-        since."""
+        self._standing, self._rearming = standing, Rearming()
         self._granted: dict[str, int] = {}
         """Numbers of the bays that the cameras hold for coming runs, by run id."""
         self._arming: list[Completion] = []
@@ -72,9 +72,8 @@ class LineControl:
     def resume(self, resumed: Resumed) -> None:
         """Put the order from before the restart in force; the line is armed as soon as the devices are open."""
         if resumed.order is None:
-            self._not_resumed = resumed.fault
-            if resumed.fault is not None:
-                fault = resumed.fault
+            self._rearming.why = fault = resumed.fault
+            if fault is not None:
                 self._events.add("trouble", fault.message, code=fault.code, action=fault.action)
             return
         now_s = time.monotonic()
@@ -87,11 +86,7 @@ class LineControl:
     def arm(self, order: Order, runs: int | None, health: messages.Health | None, completion: Completion) -> None:
         """Arm the line for an order. The completion is set once the line is armed, or carries the refusal.
 
-        Args:
-            order: the order for the boards to come.
-            runs: number of boards to film; None for no limit.
-            health: latest health report of the acquisition process; None before the first.
-            completion: future of the caller.
+        `runs` is the number of boards to film; None for no limit.
         """
         # While a Disarm is not confirmed, a new request to arm waits, because that Disarm would undo it.
         if self._disarm_sent and self._machine.state in _ARMED_STATES:
@@ -100,20 +95,17 @@ class LineControl:
         if self._machine.state is StationState.FILMING:
             self._waiting.wait_for_board(WaitingRequest(order, runs, completion))
             return
-        if self._machine.state in _WITH_PLAN and self._plan_of(order) != self._plan:
-            if (refusal := self._refusal(order, health)) is not None:
-                completion.set_exception(refusal)
-                return
-            # Cameras and controller take another plan only when they are disarmed.
-            self._waiting.wait_for_disarm(WaitingRequest(order, runs, completion))
-            self.orders.cancel(time.monotonic())
-            self._send_disarm()
-            return
         try:
+            if self._machine.state in _WITH_PLAN and self._plan_of(order) != self._plan:
+                self._require_cameras(order, health)
+                # Cameras and controller take another plan only when they are disarmed. If they end meanwhile, the order
+                # in force is armed again.
+                self._waiting.wait_for_disarm(WaitingRequest(order, runs, completion))
+                self._send_disarm()
+                return
             self._unblock()
             self._machine.require(StationStep.ARM)
-            if not order.despite_lost_cameras:
-                readiness.require(health, self._config.cameras)
+            self._require_cameras(order, health)
             # Memory is granted before the cameras are armed, so that a full ring refuses the caller at once.
             if self._machine.state is StationState.IDLE:
                 self._grant()
@@ -131,14 +123,10 @@ class LineControl:
             self._arming.append(completion)
             self._send_arm()
 
-    def _refusal(self, order: Order, health: messages.Health | None) -> DeviceError | None:
-        """Return why the line cannot be armed for an order; None if the cameras are ready."""
-        try:
-            if not order.despite_lost_cameras:
-                readiness.require(health, self._config.cameras)
-        except DeviceError as refusal:
-            return refusal
-        return None
+    def _require_cameras(self, order: Order, health: messages.Health | None) -> None:
+        """Raise DeviceError if a camera is lost that the order needs."""
+        if not order.despite_lost_cameras:
+            readiness.require(health, self._config.cameras)
 
     def withdraw(self, completion: Completion) -> bool:
         """Withdraw a request to arm that waits until a board has passed. Return False if it does not wait any more."""
@@ -167,6 +155,7 @@ class LineControl:
             self._disarming.append(completion)
             self._send_disarm()
         else:
+            self._machine.reasons.drop("ring-full")
             completion.set_result(None)
 
     def disarm_for_stop(self) -> None:
@@ -197,6 +186,8 @@ class LineControl:
         if self._machine.state is StationState.ARMING and not self._disarm_sent:
             self._machine.reasons.clear()
             self._machine.advance(StationStep.ARMED)
+            if self._rearming.succeed():
+                self._events.add("armed", "Armed again: what was against it is over.", code="armed-again")
             for completion in self._arming:
                 completion.set_result(None)
             self._arming = []
@@ -216,19 +207,15 @@ class LineControl:
         self._close_requests(StateError("The line was disarmed before it was armed."), health)
 
     def on_trouble(self, trouble: messages.Trouble) -> None:
-        """Handle a trouble. If it hits a camera or the controller during arming, refuse the waiting requests to arm."""
-        if self._machine.state is not StationState.ARMING:
+        """Handle a trouble during arming: refuse the waiting requests to arm, or try again later without a caller."""
+        if self._machine.state is not StationState.ARMING or self._disarm_sent:
             return
-        self.orders.cancel(time.monotonic())
         if self._arming:
+            self.orders.cancel(time.monotonic())
             self._keep_order()
         else:
-            # No caller waits: the station itself was arming the line again. The order stays stored for the next start.
-            self._not_resumed = Reason(
-                code="not-armed-again",
-                message=f"The line was armed before and could not be armed again: {trouble.message}",
-                action=f"{trouble.action} Then arm the line.".strip(),
-            )
+            # No caller waits: the station itself is arming the line again. The order stays in force.
+            self._rearming.fail(trouble.message, trouble.action)
         for completion in self._arming:
             completion.set_exception(
                 DeviceError(f"Arming failed: {trouble.message}", action=trouble.action, code=trouble.code)
@@ -299,7 +286,7 @@ class LineControl:
 
     def warnings(self) -> tuple[Reason, ...]:
         """Return warnings about the next board: memory that callers hold, a doubtful board id, a draft."""
-        found = [self._not_resumed, self._memory.warning() if self._machine.state in _TAKING_BOARDS else None]
+        found = [self._rearming.why, self._memory.warning() if self._machine.state in _TAKING_BOARDS else None]
         found.append(self.orders.order.draft if self.orders.order is not None else None)
         if (why := self.orders.present_doubt) is not None and self.orders.order is not None:
             found.append(
@@ -313,7 +300,7 @@ class LineControl:
 
     def _keep_order(self) -> None:
         """Store the order in force for the next start of the station; without an order, delete the stored one."""
-        self._not_resumed = None
+        self._rearming.why = None
         if self._standing is None:
             return
         if self.orders.order is None:
@@ -332,25 +319,46 @@ class LineControl:
         """Grant a bay for a coming run, unless the cameras hold one. Raise BusyError if no bay is free."""
         if self._granted:
             return
-        granted = self._memory.grant(self._run_ids.next())
+        granted = self._memory.grant(run := self._run_ids.next())
+        self._granted[run] = granted.bay.number
+        self._acquisition.send(messages.Grant(run, granted.bay.number))
         if granted.evicted is not None:
             self.evicted(granted.evicted)
-        assert granted.bay.run is not None
-        self._granted[granted.bay.run] = granted.bay.number
-        self._acquisition.send(messages.Grant(granted.bay.run, granted.bay.number))
 
     def evicted(self, run: str, room_for: str = "the next board") -> None:
         """Record that the frames of a finished run were given up for the next board, or for something else."""
-        self._archive.mark(run, RunStep.MEMORY_TAKEN)
+        try:
+            self._archive.mark(run, RunStep.MEMORY_TAKEN)
+        except VaoiError as error:
+            # The database may have been replaced or set aside since the run: that must not cost the next board its bay.
+            _log.warning("The eviction of run %s was not recorded: %s", run, error.message)
         self._events.add("run", f"Frames evicted to make room for {room_for}.", state=RunState.GONE, run=run)
 
+    def tick(self, health: messages.Health | None) -> None:
+        """Arm the line again for an order that nobody cancelled, when memory and cameras allow it."""
+        order = self.orders.order
+        if order is None or not self.orders.wants_more or self._machine.state is not StationState.IDLE:
+            return
+        try:
+            self._require_cameras(order, health)
+        except DeviceError as refusal:
+            self._rearming.wait(refusal.message, refusal.action)
+            return
+        if self._rearming.is_due:
+            self._rearm()
+
     def _rearm(self) -> None:
+        reasons = self._machine.reasons
         try:
             self._grant()
         except BusyError as refusal:
-            self._machine.add_reason(refusal.code, refusal.message, "Release runs, then arm again.")
-            self.orders.cancel(time.monotonic())
+            # Its message names the present use of the memory; only the first one is published.
+            first = all(reason.code != refusal.code for reason in reasons.all())
+            reasons.hold(Reason(code=refusal.code, message=refusal.message, action=_ARMED_WHEN_FREE))
+            if first:
+                self._events.add("trouble", refusal.message, code=refusal.code, action=_ARMED_WHEN_FREE)
             return
+        reasons.drop("ring-full")
         self._machine.advance(StationStep.ARM)
         self._send_arm()
 
@@ -382,6 +390,7 @@ class LineControl:
         self._serve(self._waiting.disarmed(), health)
 
 
+_ARMED_WHEN_FREE = "Release runs, or wait: the line is armed again as soon as memory is free."
 _S = StationState
 _ARMED_STATES = frozenset({_S.ARMING, _S.ARMED, _S.FILMING, _S.BLOCKED})
 """States in which the acquisition process has an Arm command in force."""

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from vaoi_station.backoff import Backoff, BackoffPolicy
 from vaoi_station.errors import VaoiError
 from vaoi_station.model import BoardType
 from vaoi_station.runs.run.order import Order
@@ -15,6 +17,8 @@ from vaoi_station.store.standing import StandingDocuments
 
 _KEY = "armed"
 CODE = "not-armed-again"
+PACE = BackoffPolicy(first_s=2.0, longest_s=30.0, proven_s=30.0)
+"""Pauses between attempts of the station to arm the line again by itself."""
 
 
 class _Armed(BaseModel):
@@ -78,6 +82,37 @@ class StandingOrder:
         if armed.runs == 0:
             return None
         return Resumed(replace(order, despite_lost_cameras=armed.allow_lost_cameras), armed.runs)
+
+
+class Rearming:
+    """When the station tries again to arm the line by itself, and why it could not so far. Used by one thread."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._pace = Backoff(PACE, clock)
+        self.why: Reason | None = None
+        """Why the line is not armed again after a restart or a fault; None if it was not armed before, or was armed or
+        disarmed since."""
+
+    @property
+    def is_due(self) -> bool:
+        """Whether the next attempt may begin."""
+        return self._pace.remaining_s() == 0
+
+    def wait(self, why: str, action: str) -> None:
+        """Record what must end before the next attempt."""
+        message = f"The line was armed before and could not be armed again: {why}"
+        self.why = Reason(code=CODE, message=message, action=f"{action} The station tries again by itself.".strip())
+
+    def fail(self, why: str, action: str) -> None:
+        """Record that an attempt failed. The next one is due after a pause."""
+        self.wait(why, action)
+        self._pace.record_failure()
+
+    def succeed(self) -> bool:
+        """Record that the line is armed. Return whether something was against it before."""
+        self._pace.reset()
+        before, self.why = self.why, None
+        return before is not None
 
 
 def _fault(why: str, action: str) -> Reason:
