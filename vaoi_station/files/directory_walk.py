@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
+
+_log = logging.getLogger(__name__)
 
 
 def files_below(directory: Path, *, hidden: bool = True) -> Iterator[Path]:
@@ -34,6 +37,18 @@ def size_below(directory: Path) -> int:
         with suppress(FileNotFoundError):
             size += file.stat().st_size
     return size
+
+
+def readable_size_below(directory: Path) -> int | None:
+    """Return the size in bytes of the files below a directory; None, with a warning in the log, if one is unreadable.
+
+    For directories that other users may have copied: they must keep no board from being filmed.
+    """
+    try:
+        return size_below(directory)
+    except OSError as error:
+        _log.warning("%s: cannot be read (%s) and is not counted.", directory, error.strerror)
+        return None
 
 
 def _raise_unless_deleted(error: OSError) -> None:

@@ -90,6 +90,17 @@ def test_a_run_that_the_database_has_no_more_is_offered_with_the_verdict_of_a_bo
     assert (record.verdict, [reason.code for reason in record.reasons]) == (Status.DEGRADED, ["identity-not-read"])
 
 
+def test_a_start_leaves_out_a_recording_that_cannot_be_read(rig: Any, make_rig: Callable[..., Any]) -> None:
+    run = a_board(rig, Status.DEGRADED)
+    wait_event(rig, run.id, "recording")
+    directory = rig.coordinator.kept.recordings.directory
+    # Root may read every directory, so a loop of links stands for one of another user.
+    (directory / "loop").symlink_to("loop")
+    started = make_rig(name="started-again").coordinator.kept.recordings
+    started.tend()
+    assert started.all() == (run.id,)
+
+
 def pixels(rig: Any, run: RunDetail, camera: int, row: int) -> Any:
     return rig.coordinator.frame(run.id, camera, row)[0]
 
@@ -243,7 +254,7 @@ def test_the_oldest_recording_that_is_not_pinned_makes_room(rig: Any, tmp_path: 
     keeper = a_keeper(rig, tmp_path, frames, recordings_gb=3.5 * size / 1e9)
     for name in ("00-oldest", "00-second"):
         with new_directory(tmp_path / "kept" / name) as draft:
-            (draft / "frame").write_bytes(bytes(size))
+            (draft / module.HEAD_FILE).write_bytes(bytes(size))
     (tmp_path / "kept" / ".00-oldest.cut").mkdir()
     keeper = a_keeper(rig, tmp_path, frames, recordings_gb=2.5 * size / 1e9)
     assert keeper.runs == 2
@@ -289,6 +300,7 @@ def test_recordings_make_room_on_a_disk_that_is_nearly_full(
     rig.coordinator.kept.pin(run.id)
     for name in ("0-old", run.id):
         (tmp_path / "kept" / name).mkdir(parents=True)
+        (tmp_path / "kept" / name / module.HEAD_FILE).touch()
     keeper = a_keeper(rig, tmp_path, rig.coordinator._frames)
     monkeypatch.setattr(module, "DISK_RESERVE", 0)
     shutil.copytree(tmp_path / "kept" / run.id, tmp_path / "kept" / "failing")
@@ -299,7 +311,7 @@ def test_recordings_make_room_on_a_disk_that_is_nearly_full(
         return size_below(path)
 
     with monkeypatch.context() as patch:
-        patch.setattr(module, "size_below", import_fails)
+        patch.setattr(module, "readable_size_below", import_fails)
         keeper.tend()
     assert keeper.runs == 2
     monkeypatch.setattr(module, "DISK_RESERVE", 10**18)

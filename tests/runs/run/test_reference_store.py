@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from vaoi_station.config import StationConfig
-from vaoi_station.errors import VaoiError
+from vaoi_station.errors import DeviceError, VaoiError
 from vaoi_station.model import BoardType, Calibration
 from vaoi_station.runs.run.reference_store import KEEP, ReferenceStore
 from vaoi_station.runs.run.salvage import camera_heads
@@ -90,3 +90,21 @@ def test_references_outlive_a_database_that_was_lost(tmp_path: Path) -> None:
     ReferenceStore(data / "references", store, ()).sweep()
     store.close()
     assert not reference.exists(), "what was set aside was cleared away"
+
+
+def test_a_record_that_cannot_be_read_keeps_every_reference_and_is_named(
+    references: ReferenceStore, store: Store, board_type: BoardType
+) -> None:
+    unread, unused = (directory_of(references, run) for run in ("r1", "r2"))
+    # A later version may add a field; a station that was rolled back must start with it.
+    later = record_of("r1").model_dump_json().replace("{", '{"added_later": 1, ', 1)
+    store.stitching.keep_reference("small", later).result(10)
+    references.sweep()
+    assert unread.is_dir()
+    assert unused.is_dir()
+    with pytest.raises(DeviceError, match="'small' cannot be read"):
+        references.open(board_type)
+    assert references.has("small")
+    references.keep("small", record_of("r1"))
+    references.sweep()
+    assert [unread.exists(), unused.exists()] == [True, False]

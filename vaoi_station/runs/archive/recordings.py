@@ -24,7 +24,7 @@ from vaoi_station.config import KeepConfig
 from vaoi_station.errors import DeviceError, GoneError, InputError, NotFoundError, StateError, VaoiError
 from vaoi_station.files import read_board_type, write_board_type, write_calibration, write_recording
 from vaoi_station.files.atomic_directory import new_directory, remove_directory
-from vaoi_station.files.directory_walk import size_below
+from vaoi_station.files.directory_walk import readable_size_below, size_below
 from vaoi_station.files.documents import parse, read_json, write_bytes, write_json
 from vaoi_station.files.images import Image
 from vaoi_station.files.recordings import frame_file
@@ -96,8 +96,7 @@ class Recordings:
         self._wake = threading.Condition()
         """Guards the tasks of the thread; never held while the disk is awaited."""
         self._waiting: deque[tuple[str, bool]] = deque()
-        """Runs to be written, and whether they are kept for an archive only. They come first: their frames are in
-        memory for a short time."""
+        """Runs to be written, and whether for an archive only. They come first: their memory is needed soon."""
         self._updates: dict[str, bool] = {}
         """Recordings whose records are to be brought up to date, and whether they are offered unchanged as well."""
         self._outdated: set[str] = set()
@@ -109,8 +108,8 @@ class Recordings:
         for draft in directory.glob(".*"):
             shutil.rmtree(draft, ignore_errors=True)
         archive.retention.pins()  # This is read now because `finished` must not wait for the disk.
-        self._sizes = {path.name: size_below(path) for path in directory.glob("*")}
-        self._for_archive = {run for run in self._sizes if (directory / run / FOR_ARCHIVE_FILE).exists()}
+        self._sizes, self._for_archive = dict[str, int](), set[str]()
+        self._take_in()
 
     def start(self) -> None:
         """Start the thread that writes recordings; first it brings the records of those of earlier runs up to date.
@@ -218,14 +217,19 @@ class Recordings:
         """Take in what `vaoi import` has added, and delete recordings while the disk is short of space."""
         self._archive.retention.refresh_pins()
         with self._lock:
-            for path in self.directory.glob("[!.]*"):
-                if path.name not in self._sizes:
-                    size = size_below(path)
-                    # Asked afterwards: an import that failed meanwhile has removed its recording.
-                    if (path / HEAD_FILE).is_file():
-                        self._sizes[path.name] = size
+            self._take_in()
         self._update_later(*self._outdated.copy(), offer=True)
         self._trim()
+
+    def _take_in(self) -> None:
+        """Enter the recordings on the disk that are not known yet, without those that cannot be read."""
+        for path in self.directory.glob("[!.]*"):
+            size = None if path.name in self._sizes else readable_size_below(path)
+            # Asked afterwards: an import that failed meanwhile has removed its recording.
+            if size is not None and (path / HEAD_FILE).is_file():
+                self._sizes[path.name] = size
+                if (path / FOR_ARCHIVE_FILE).exists():
+                    self._for_archive.add(path.name)
 
     def _trim(self) -> None:
         """Delete the oldest recordings that are not pinned while the disk is short of space for the database."""
@@ -391,7 +395,6 @@ class Recordings:
     def _refused(self, run: str, why: str) -> None:
         self.counts.refused += 1
         self._events.add(
-            "trouble",
-            f"The frames were not kept: {why}",
+            "trouble", f"The frames were not kept: {why}",
             run=run, code="recording-refused", action="Unpin runs, raise [keep] recordings_gb, or free disk space.",
         )  # fmt: skip

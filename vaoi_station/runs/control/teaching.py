@@ -111,14 +111,14 @@ class ReferenceTeaching:
             if not path.exists():
                 _write(path, finished, stitch, calibration, pixels)
             self._store.load(run, board_type)
-            new = self._store.record(board_type.name) is None
+            new = not self._store.has(board_type.name)
             self._store.keep(board_type.name, _record_of(path, finished))
             self._store.open(board_type)  # It is read now and cached, so that arming does not wait for the disk.
         return new
 
     def forget(self, board_type: str) -> None:
         """Remove the reference of a board type. Raise NotFoundError if it has none."""
-        if self._store.record(board_type) is None:
+        if not self._store.has(board_type):
             raise _no_reference(board_type)
         self._store.drop(board_type)
 

@@ -7,14 +7,16 @@ types. A directory that is not assigned is removed when no order and no run uses
 from __future__ import annotations
 
 import hashlib
+import logging
 import threading
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
-from pydantic import TypeAdapter
+from pydantic import TypeAdapter, ValidationError
 
 from vaoi_station.config import MethodName
+from vaoi_station.errors import DeviceError
 from vaoi_station.files.atomic_directory import remove_directory
 from vaoi_station.geometry import Camera
 from vaoi_station.model import BoardType
@@ -22,6 +24,8 @@ from vaoi_station.runs.states.stitching_schemas import ReferenceRecord
 from vaoi_station.stitching.board.reference import Reference
 from vaoi_station.stitching.recordings.reference_directory import open_reference
 from vaoi_station.store import Store
+
+_log = logging.getLogger(__name__)
 
 KEEP = "keep-all"
 """Name of an empty file in the directory of references. While it exists, no reference is deleted."""
@@ -64,10 +68,22 @@ class ReferenceStore:
         """Return the directory of the reference made from a run. The directory may not exist."""
         return self._directory / run
 
+    def has(self, board_type: str) -> bool:
+        """Return whether a board type has a reference, also one that is unusable."""
+        return self._kept.reference(board_type) is not None
+
     def record(self, board_type: str) -> ReferenceRecord | None:
-        """Return the record of a board type's reference; None if the board type has no reference."""
+        """Return the record of a board type's reference; None if it has none. DeviceError if it cannot be read."""
         document = self._kept.reference(board_type)
-        return None if document is None else ReferenceRecord.model_validate_json(document)
+        try:
+            return None if document is None else ReferenceRecord.model_validate_json(document)
+        except ValidationError as error:
+            raise DeviceError(
+                f"The record of the reference of board type {board_type!r} cannot be read: it is damaged, or of a "
+                "later version of the station.",
+                action="Teach the reference again, or install that version.",
+                code="reference-unusable",
+            ) from error
 
     def open(self, board_type: BoardType) -> StoredReference | None:
         """Return the reference of a board type, read from disk if necessary; None if there is no reference.
@@ -120,7 +136,11 @@ class ReferenceStore:
                 keep.touch()
             if keep.exists():
                 return
-            named = {ReferenceRecord.model_validate_json(document).run for document in self._kept.references()}
+            try:
+                named = {ReferenceRecord.model_validate_json(document).run for document in self._kept.references()}
+            except ValidationError as error:
+                _log.warning("A record of a reference cannot be read, so no reference is removed: %s", error)
+                return
             opened = {stored.run for _, stored in self._opened.values()}
             for path in self._directory.glob("*"):
                 if path.name not in named | opened | {*in_use}:
