@@ -110,6 +110,18 @@ def test_readiness_is_about_the_next_board(
     assert client.get("/healthz").status_code == (503 if state == "faulted" else 200)
 
 
+def test_a_present_trouble_of_the_storage_is_not_ready_and_a_file_that_was_set_aside_is(
+    client: Any, station: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    snapshot = station.snapshot()
+    damaged = (Reason(code="database-damaged", message="x"),)
+    for present in (True, False):
+        held = damaged if present else ()
+        shown = snapshot.model_copy(update={"warnings": damaged, "line_held": held, "line_ready": not held})
+        monkeypatch.setattr(station, "snapshot", lambda shown=shown: shown)
+        assert client.get("/readyz").status_code == (503 if present else 200)
+
+
 def test_a_database_that_was_set_aside_is_acknowledged(client: Any, station: Any) -> None:
     name = "station.db.damaged-20260101T000000Z"
     station.storage.files[name] = False

@@ -90,6 +90,12 @@ def test_a_lost_camera_holds_boards_back_unless_the_order_accepts_it() -> None:
     assert codes(health=health(True, False), without_cameras=True) == []
 
 
+def test_every_present_trouble_of_the_storage_holds_boards_back_and_what_is_over_does_not() -> None:
+    newer = Reason(code="database-newer", message="The database is of a later version.")
+    assert codes(storage=newer, reasons=(newer,)) == ["database-newer"]
+    assert codes(reasons=(Reason(code="database-damaged", message="It was set aside."),)) == []
+
+
 def test_a_board_without_memory_waits() -> None:
     assert codes(expects_board=False) == ["line-not-armed"]
 
@@ -113,8 +119,8 @@ def test_a_board_in_the_barrier_holds_the_next_one_back_before_its_first_pulse_t
         assert (reason.code, "the belt does not move" in reason.message) == ("line-filming", True)
 
 
-@pytest.mark.parametrize("code", ["storage-full", "storage-read-only", "workers-starting", "thread-lost"])
-def test_troubles_of_disk_workers_and_threads_hold_boards_back(code: str) -> None:
+@pytest.mark.parametrize("code", ["not-armed-again", "workers-starting", "thread-lost"])
+def test_troubles_of_workers_and_threads_hold_boards_back(code: str) -> None:
     assert codes(reasons=(Reason(code=code, message="so it is", action="do it"),)) == [code]
 
 

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import sqlite3
 import time
 from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -47,6 +50,15 @@ def held(rig: Any) -> list[str]:
     snapshot = rig.coordinator.snapshot()
     assert snapshot.line_ready == (not snapshot.line_held)
     return [reason.code for reason in snapshot.line_held]
+
+
+def test_a_database_of_a_later_version_holds_boards_back(line: Any, tmp_path: Path) -> None:
+    later = tmp_path / "later.db"
+    with closing(sqlite3.connect(later)) as database:
+        database.executescript("CREATE TABLE runs (id TEXT); PRAGMA user_version = 999;")
+    later.replace(line.store.database.path)
+    line.wait_for(lambda: "database-newer" in held(line), "the trouble")
+    assert not line.coordinator.snapshot().line_ready
 
 
 def test_an_armed_line_gives_one_permit_per_board(line: Any) -> None:

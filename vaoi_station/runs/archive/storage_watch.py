@@ -47,13 +47,19 @@ class StorageWatch:
             self._events.add("trouble", low.message, code=low.code, action=low.action)
         self._low = low is not None
 
+    def present(self) -> Reason | None:
+        """Return the trouble because of which results are not written at present; None if they are."""
+        if (trouble := self._trouble) is None:
+            return None
+        count = self._count_unstored()
+        waiting = f" {count} finished runs wait in memory." if count else ""
+        return Reason(code=trouble.code, message=trouble.message + waiting, action=trouble.action)
+
     def warnings(self) -> tuple[Reason, ...]:
         """Return a warning for each present trouble, for each event that lost or moved data, and for low disk space."""
         found = []
-        if (trouble := self._trouble) is not None:
-            count = self._count_unstored()
-            waiting = f" {count} finished runs wait in memory." if count else ""
-            found.append(Reason(code=trouble.code, message=trouble.message + waiting, action=trouble.action))
+        if (present := self.present()) is not None:
+            found.append(present)
         elif (low := self._low_space()) is not None:
             found.append(low)
         known = self._store.database.acknowledged

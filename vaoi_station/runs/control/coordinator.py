@@ -384,14 +384,13 @@ class StationCoordinator:
         self._show_status(status_line(self._core))
 
     def _snapshot(self) -> StationSnapshot:
-        latest = self._parts.archive.latest()
         return snapshot_of(
             self._core,
             self._parts.config,
             ring=(self._ring.path, self._ring.layout.file_bytes),
             processes=self._processes(),
             faults=self.faults(),
-            last_run=latest.detail.id if latest else None,
+            archive=self._parts.archive,
             last_event=self._parts.events.last,
         )
 

@@ -20,6 +20,8 @@ from vaoi_station.store.storage_trouble import PASSING
 CODE = "camera-lost"
 NOT_READY = PASSING | {CODE, "workers-starting", "ring-full", "not-armed-again"}
 """Codes of reasons and warnings with which the next board would not be filmed completely, or not kept on disk."""
+_HOLDING = NOT_READY - PASSING - {CODE, "ring-full"} | {"thread-lost"}
+"""Codes of warnings and faults that hold the next board back; those left out are found by themselves."""
 HEALTH_OLD_S = 2.0
 """Age of the last heartbeat of the acquisition process after which its devices no longer count as ready, s."""
 _DEFAULT_ACTION = "Check its cable and power; the station reopens it automatically."
@@ -38,6 +40,8 @@ class LineFacts:
     reasons: tuple[Reason, ...]
     """Reasons for the station's state, warnings, and faults of threads."""
     now_s: float
+    storage: Reason | None = None
+    """The trouble because of which results are not kept on disk at present, also one that does not pass by itself."""
 
 
 _BY_STATE = {
@@ -93,8 +97,9 @@ def held_back(facts: LineFacts, cameras: Sequence[CameraConfig]) -> tuple[Reason
         found.append(_STOPPED if stopped else _PASSING)
     if not facts.without_cameras:
         found += reasons(facts.health, cameras)
-    others = NOT_READY - {CODE, "ring-full"} | {"thread-lost"}
-    found += [reason for reason in facts.reasons if reason.code in others]
+    if facts.storage is not None:
+        found.append(facts.storage)
+    found += [reason for reason in facts.reasons if reason.code in _HOLDING]
     return tuple(found)
 
 

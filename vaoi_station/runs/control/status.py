@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 from vaoi_station.config import StationConfig
+from vaoi_station.errors import DeviceError
+from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.control import readiness
 from vaoi_station.runs.control.core import Core, Parts
 from vaoi_station.runs.host.addresses import is_present
@@ -38,7 +41,7 @@ def snapshot_of(
     ring: tuple[Path, int],
     processes: tuple[ProcessStatus, ...],
     faults: tuple[Reason, ...],
-    last_run: str | None,
+    archive: Archive,
     last_event: int,
 ) -> StationSnapshot:
     """Build the snapshot of the station. Call this function in the coordinator's thread.
@@ -49,7 +52,7 @@ def snapshot_of(
         ring: path and size in bytes of the ring.
         processes: states of all processes.
         faults: reasons for the threads that have ended or hang.
-        last_run: id of the run that finished last; None before the first.
+        archive: the finished runs.
         last_event: number of the newest event.
     """
     filming, cameras = core.runs.filming, _cameras(core, config)
@@ -91,7 +94,7 @@ def snapshot_of(
         ),
         versions=versions(),
         retention=_retention(config),
-        last_run=last_run,
+        last_run=_last_run(archive),
         filming=filming[0].run if filming else None,
         last_event=last_event,
         boards_missed=core.boards.missed,
@@ -107,7 +110,7 @@ def line_held(
     # Only of an armed line is everything evaluated: this runs after every message while frames are being settled.
     others = (*faults, *core.line.warnings())
     if state is StationState.ARMED:
-        others += (*core.storage.warnings(), *worker_warnings(processes()))
+        others += worker_warnings(processes())
     facts = readiness.LineFacts(
         state,
         core.line.expects_board,
@@ -115,6 +118,7 @@ def line_held(
         order is not None and order.despite_lost_cameras,
         others,
         time.monotonic(),
+        core.storage.present(),
     )
     return readiness.held_back(facts, config.cameras)
 
@@ -169,6 +173,15 @@ def worker_warnings(processes: tuple[ProcessStatus, ...]) -> tuple[Reason, ...]:
         else "Results of boards that pass meanwhile come late"
     )
     return (Reason(code="workers-starting", message=f"{effect}: {still}{progress}.", action=_COMPILE_NOTE),)
+
+
+def _last_run(archive: Archive) -> str | None:
+    """Return the id of the run that was announced last; None before the first."""
+    # Callers must learn of a database that cannot be read, so that must not end their request.
+    with suppress(DeviceError):
+        latest = archive.latest()
+        return None if latest is None else latest.detail.id
+    return None
 
 
 def _cameras(core: Core, config: StationConfig) -> tuple[CameraStatus, ...]:
