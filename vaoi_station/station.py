@@ -54,7 +54,9 @@ _log = logging.getLogger(__name__)
 RETENTION_S, DOCUMENTS_S, CHECK_S = 60.0, 3600.0, 0.2
 """Periods of housekeeping: deletion of old runs, of unused documents, and the check of a piece of the database."""
 GRACE_S = 10.0
-"""Longest wait for unfinished runs to end when the station is stopped."""
+"""Longest wait for unfinished runs to end when the station is stopped, beside the time of the board that passes."""
+STOP_S = 20.0
+"""Time after that for which systemd waits until all processes have ended."""
 REMOUNT_S = 5.0
 """Period of the check whether a disk that was read-only is writable again."""
 REPORT_S = 1.0
@@ -235,10 +237,13 @@ class Station:
         self._on_fault()
 
     def wind_down(self) -> None:
-        """Film no more boards, and wait up to `GRACE_S` for the unfinished runs to end. Requests are still answered."""
+        """Film no more boards, and wait for the unfinished runs to end. Requests are still answered."""
         if self._coordinator is not None and not self._wound_down:
             self._wound_down = True
-            self._coordinator.wind_down(GRACE_S)
+            limit_s = self._coordinator.grace_s + GRACE_S
+            # A slow belt may need longer than TimeoutStopSec of the unit, which stays as short as it can be.
+            notify(f"EXTEND_TIMEOUT_USEC={round((limit_s + STOP_S) * 1e6)}")
+            self._coordinator.wind_down(limit_s)
 
     def stop(self) -> None:
         """Stop all parts. A second call does nothing."""

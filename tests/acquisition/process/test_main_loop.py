@@ -213,7 +213,7 @@ def test_a_board_that_is_passing_is_filmed_before_the_line_is_disarmed(start: St
 def test_a_board_that_does_not_leave_is_cut_short(
     start: Start, make_config: Make, slow: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(main_loop, "BOARD_GRACE_S", 0.0)
+    monkeypatch.setattr(TriggerPlan, "grace_s", 0.0)
     bench = start(make_config(slow))
     bench.grant("one", 0)
     bench.arm()

@@ -19,6 +19,8 @@ from vaoi_station.supervised_thread import SupervisedThread
 
 SLOWEST = 4.0
 """A belt whose way spaces the rows may need this many times its nominal time for a run."""
+LEAST_GRACE_S, GRACE_SHARE = 8.0, 1.25
+"""A board is filmed for this time after a Disarm, or for this share of the longest board's time if that is longer."""
 
 
 @dataclass(frozen=True)
@@ -86,6 +88,11 @@ class TriggerPlan:
     def longest_period_s(self) -> float:
         """Mean time between two rows on the slowest belt for which the end of a run is awaited."""
         return self.period_s if self.belt is None else SLOWEST * self.period_s
+
+    @property
+    def grace_s(self) -> float:
+        """Longest time for which a board is still filmed after a Disarm. A board that takes longer has stopped."""
+        return max(LEAST_GRACE_S, GRACE_SHARE * (self.start_delay_s + self.max_rows * self.period_s))
 
     @property
     def row_mm(self) -> float | None:

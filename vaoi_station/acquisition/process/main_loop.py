@@ -55,8 +55,6 @@ HEALTH_PERIOD_S = 0.5
 """Time between two heartbeats, and between two readings of all clocks, s."""
 CLOCKS_LIMIT_S = 30.0
 """Longest time for the reading of one clock. After it, the thread that reads the clocks counts as hung, s."""
-BOARD_GRACE_S = 8.0
-"""Longest time for which a board is still filmed after a Disarm, s. A board that takes longer has stopped."""
 END_S = 3.0
 """Longest wait for a thread to end, s."""
 FIRST_READINGS = 8
@@ -271,7 +269,8 @@ class _MainLoop:
             self._session.trial.restore()
         elif isinstance(command, Disarm):
             self._replace_waiting(None)
-            self._disarm_by_s = min(self._disarm_by_s, now_s + BOARD_GRACE_S)
+            plan = self._session.plan
+            self._disarm_by_s = min(self._disarm_by_s, now_s + (plan.grace_s if plan is not None else 0.0))
         elif not isinstance(command, Shutdown):
             self._replace_waiting(_WaitingCommand(command, now_s + CLOCK_TIMEOUT_S))
 

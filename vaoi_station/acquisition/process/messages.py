@@ -35,7 +35,7 @@ class Arm:
 
 @dataclass(frozen=True)
 class Disarm:
-    """Ignore the barrier once the board that is passing has left, at the latest after `main_loop.BOARD_GRACE_S`.
+    """Ignore the barrier once the board that is passing has left, at the latest after `TriggerPlan.grace_s`.
 
     If the board has not left by then, its run has the frames that arrived until then.
     """

@@ -99,7 +99,7 @@ class Session:
         self._grants: deque[Grant] = deque()
         self._next: Grant | None = None
         """The grant whose slots the cameras hold for the next board."""
-        self._plan: TriggerPlan | None = None
+        self.plan: TriggerPlan | None = None
         self._run: RunRecord | None = None
         """The run whose pulses are being fired at present."""
         self._silent_s = float("inf")
@@ -108,7 +108,7 @@ class Session:
         self._outdated = OutdatedEvents(controller_clock)
         self._passages = PassageLog(controller_clock)
         self._disarming = False
-        self.trial = TrialPulse(config.cameras, devices, self._slot_queue, lambda: self._plan is not None)
+        self.trial = TrialPulse(config.cameras, devices, self._slot_queue, lambda: self.plan is not None)
 
     @property
     def filming(self) -> bool:
@@ -163,15 +163,15 @@ class Session:
             raise InputError.field("trigger plan", "max_rows", plan.max_rows, limit)
         require_time(plan, self._config)
         self._require_clocks(min(CLOCK_LIMIT_S, CLOCK_SHARE * plan.period_s))
-        if plan != self._plan:
+        if plan != self.plan:
             if self._run is not None:
                 raise StateError("a board is passing; the plan cannot change now.", action="Arm again in a moment.")
-            before, self._plan = self._plan, None
+            before, self.plan = self.plan, None
             try:
                 if before is not None:
                     self._devices.controller.disarm()
                 # Slots are queued only with a plan set, and before the controller may fire.
-                self._plan = plan
+                self.plan = plan
                 self._load_next()
                 for camera, wanted in zip(self._devices.cameras, exposures_of(plan, self._config), strict=True):
                     camera.set_exposure(wanted)
@@ -179,7 +179,7 @@ class Session:
                 self._devices.controller.arm(plan)
             except BaseException as error:  # after any failure the station is not armed; raised again
                 # The controller has already given up its previous plan. If it stayed here, it would count as armed.
-                self._plan = None
+                self.plan = None
                 if isinstance(error, VaoiError) and before is not None:
                     message = f"the station is not armed: its plan could not be changed: {error.message}"
                     raise type(error)(message, action=error.action, code=error.code) from error
@@ -194,7 +194,7 @@ class Session:
             ClockError: a clock is not known well enough yet.
             DeviceError: the controller refuses the pulse.
         """
-        if self._plan is not None:
+        if self.plan is not None:
             raise StateError(
                 "the station is armed; single pulses would mix with those of boards.", action="Disarm first."
             )
@@ -224,7 +224,7 @@ class Session:
         """
         if self._run is not None:
             self._end_run(self._run.rows, "disarmed", now_s)
-        self._plan = None
+        self.plan = None
         self.sequences.end_pulses()
         # While disarmed, no edge is reported. So at the next arming it is not known what is in the barrier.
         self._passages.forget()
@@ -235,7 +235,7 @@ class Session:
     def handle_event(self, event: ControllerEvent, now_s: float) -> None:
         """Record an event of the controller (barrier, pulse, end of a run) in the run to which it belongs."""
         self._recorder.note_controller_time(event.time_s)
-        self.sequences.follow(event, self._plan)
+        self.sequences.follow(event, self.plan)
         if self._outdated.has(event):
             return
         if isinstance(event, PulseFired):
@@ -299,7 +299,7 @@ class Session:
         if self._run is not None:
             self._end_run(self._run.rows, "the controller did not report its end", now_s)
             self._load_while_waiting()
-        plan = self._plan
+        plan = self.plan
         period_s = plan.period_s if plan else self._config.line.trigger_period_s
         rows = plan.max_rows if plan else self._ring.layout.slots_per_camera
         grant, self._next = self.trial.take() or self._next, None
@@ -375,7 +375,7 @@ class Session:
 
     def _load_next(self) -> None:
         """Queue the slots of the next grant if a plan is set and the cameras hold no slots of another run."""
-        if self._plan is not None and self._run is None and self._slot_queue.loaded is None and self._grants:
+        if self.plan is not None and self._run is None and self._slot_queue.loaded is None and self._grants:
             self._load()
 
     def _load(self) -> None:

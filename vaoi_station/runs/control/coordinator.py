@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Future
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -124,13 +125,17 @@ class StationCoordinator:
         self._inbox.start()
         self.kept.start()
 
+    @property
+    def grace_s(self) -> float:
+        """Longest time for which the board that is passing is still filmed if the line is disarmed; 0 without one."""
+        plan = self._core.line.plan
+        return plan.grace_s if plan is not None and self._core.runs.filming else 0.0
+
     def wind_down(self, timeout_s: float) -> None:
         """Take no more boards, and wait until all unfinished runs have ended or `timeout_s` has passed."""
         stopped: Future[None] = Future()
-        try:
+        with suppress(TimeoutError):  # The next start marks runs that have not ended by then as failed.
             self._inbox.wait(stopped, lambda: self._core.stop(stopped), timeout_s)
-        except TimeoutError:
-            return  # Runs that have not ended by now are marked as failed by the next start of the station.
 
     def close(self) -> None:
         """End the coordinator's thread. Callers that still wait receive a refusal."""
@@ -179,31 +184,25 @@ class StationCoordinator:
                 break
             except TimeoutError:
                 if self._inbox.ask(self._core.withdraw, armed):
-                    raise StateError(
-                        f"Boards have passed without a gap for {ARM_LIMIT_S:.0f} s; the order before stays in force.",
-                        action="Arm with passing=after, which takes effect in the next gap.",
-                    ) from None
+                    message = f"Boards passed without a gap for {ARM_LIMIT_S:.0f} s; the order before stays in force."
+                    action = "Arm with passing=after, which takes effect in the next gap."
+                    raise StateError(message, action=action) from None
                 if not left:
                     self._inbox.post(self._core.disarm, Future())
-                    raise DeviceError(
-                        f"Cameras and controller were not ready within {ARM_LIMIT_S:.0f} s; the line was disarmed.",
-                        action="Check the health of cameras and controller.",
-                        code="arming-failed",
-                    ) from None
+                    message = f"Cameras and controller were not ready in {ARM_LIMIT_S:.0f} s; the line was disarmed."
+                    action = "Check the health of cameras and controller."
+                    raise DeviceError(message, action=action, code="arming-failed") from None
         return self.snapshot()
 
     def disarm(self) -> StationSnapshot:
-        """Disarm the line: film no further board, and return once the acquisition process has confirmed it.
-
-        A board that is passing is filmed to its end, for at most `main_loop.BOARD_GRACE_S`.
-        """
+        """Disarm the line, and return when that is confirmed: a board that passes is filmed for at most `grace_s`."""
         disarmed: Future[None] = Future()
+        limit_s = ARM_LIMIT_S + self.grace_s
         try:
-            self._inbox.wait(disarmed, lambda: self._core.disarm(disarmed), ARM_LIMIT_S)
+            self._inbox.wait(disarmed, lambda: self._core.disarm(disarmed), limit_s)
         except TimeoutError:
-            raise DeviceError(
-                f"The acquisition process did not disarm within {ARM_LIMIT_S:.0f} s.", code="disarming-failed"
-            ) from None
+            message = f"The acquisition process did not disarm within {limit_s:.0f} s."
+            raise DeviceError(message, code="disarming-failed") from None
         return self.snapshot()
 
     def events(self, after: int = 0, timeout_s: float = 0.0, limit: int = 1000) -> tuple[EventRecord, ...]:

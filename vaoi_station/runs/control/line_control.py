@@ -62,7 +62,7 @@ class LineControl:
         self._disarming: list[Completion] = []
         self._waiting = WaitingOrders()
         self._disarm_sent = False
-        self._plan: TriggerPlan | None = None
+        self.plan: TriggerPlan | None = None
         """The trigger plan of the newest Arm command."""
         self.times_blocked = 0
         """Number of times that the armed line had no memory for the next board."""
@@ -96,7 +96,7 @@ class LineControl:
             self._waiting.wait_for_board(WaitingRequest(order, runs, completion))
             return
         try:
-            if self._machine.state in _WITH_PLAN and self._plan_of(order) != self._plan:
+            if self._machine.state in _WITH_PLAN and self._plan_of(order) != self.plan:
                 self._require_cameras(order, health)
                 # Cameras and controller take another plan only when they are disarmed. If they end meanwhile, the order
                 # in force is armed again.
@@ -363,8 +363,8 @@ class LineControl:
         self._send_arm()
 
     def _send_arm(self) -> None:
-        self._plan = self._plan_of(self.orders.order)
-        self._acquisition.send(messages.Arm(self._plan))
+        self.plan = self._plan_of(self.orders.order)
+        self._acquisition.send(messages.Arm(self.plan))
 
     def _plan_of(self, order: Order | None) -> TriggerPlan:
         return order.plan if order is not None and order.plan is not None else TriggerPlan.of(self._config.line)
