@@ -17,6 +17,7 @@ from tests.api.description.openapi_rules import faults, fits
 from tests.api.held.setup_files import setup_files
 from tests.board_data.readers import samples
 from vaoi_station.api import create_app
+from vaoi_station.api import openapi as openapi_module
 from vaoi_station.api.access.access_control import AccessControl
 from vaoi_station.api.access.audit import AuditLog
 from vaoi_station.api.access.scopes import PUBLIC
@@ -145,6 +146,22 @@ def test_the_older_document_is_served_without_a_key(client: Any) -> None:
     assert older["openapi"] == "3.0.3"
     assert older["paths"].keys() == client.get("/api/v1/openapi.json").json()["paths"].keys()
     assert PUBLIC.fullmatch("/api/v1/openapi-3.0.json")
+
+
+def test_the_documents_are_made_once(client: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Anybody may ask for them, and a conversion takes 0.1 s of processor time."""
+    made: list[str] = []
+
+    def counted(shown: dict[str, Any]) -> dict[str, Any]:
+        made.append(shown["openapi"])
+        return downgraded(shown)
+
+    monkeypatch.setattr(openapi_module, "downgraded", counted)
+    for url in ("/api/v1/openapi.json", "/api/v1/openapi-3.0.json"):
+        first = client.get(url)
+        assert client.get(url).content == first.content
+        assert client.get(url, headers={"If-None-Match": first.headers["ETag"]}).status_code == 304
+    assert made == ["3.1.0"]
 
 
 def test_replies_match_their_schemas(

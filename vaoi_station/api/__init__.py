@@ -89,7 +89,7 @@ def create_app(
         title="VAOI station",
         version=__version__,
         lifespan=lifespan,
-        openapi_url=f"{PREFIX}/openapi.json",
+        openapi_url=None,  # `openapi.install` adds the route
         docs_url=None,
         redoc_url=None,
         redirect_slashes=False,

@@ -7,9 +7,11 @@
 
 from __future__ import annotations
 
+import json
+from functools import cache
 from typing import Any
 
-from fastapi import FastAPI
+from fastapi import FastAPI, Request, Response
 from fastapi.openapi.utils import get_openapi
 from pydantic import BaseModel
 
@@ -18,6 +20,8 @@ from vaoi_station.api.callers.repeated_requests import HEADER
 from vaoi_station.api.description import headers, refusals, schemas
 from vaoi_station.api.description.examples import add_examples
 from vaoi_station.api.description.older import downgraded
+from vaoi_station.api.event_hub import ThreadLimit
+from vaoi_station.api.http_caching import REVALIDATE, conditional_response
 from vaoi_station.api.problems import Fault, Problem
 from vaoi_station.api.rest_models import Heartbeat
 from vaoi_station.runs.states.schemas import EventRecord
@@ -48,6 +52,8 @@ EVENTS = {
     "example": "id: 30\ndata: {…}\n\n",
 }
 """Schema of the event stream; its messages have the schemas EventRecord and Heartbeat."""
+URL = "/api/v1/openapi.json"
+"""Address of the document."""
 OLDER_URL = "/api/v1/openapi-3.0.json"
 """Address of the document in version 3.0."""
 
@@ -70,9 +76,18 @@ def install(app: FastAPI) -> None:
 
     app.openapi = document  # type: ignore[method-assign]  # FastAPI's own way to extend the document
 
+    @cache
+    def text(url: str) -> bytes:
+        return json.dumps(downgraded(document()) if url == OLDER_URL else document(), ensure_ascii=False).encode()
+
+    # Made once, in one thread beside the event loop: it takes longer than a second, and callers need no key.
+    making = ThreadLimit(1)
+
+    @app.get(URL, include_in_schema=False)
     @app.get(OLDER_URL, include_in_schema=False)
-    async def older() -> dict[str, Any]:
-        return downgraded(document())
+    async def get_document(request: Request) -> Response:
+        content = await making.ask(text, request.url.path)
+        return conditional_response(request, content, "application/json", cache=REVALIDATE)
 
 
 def completed(document: dict[str, Any]) -> dict[str, Any]:

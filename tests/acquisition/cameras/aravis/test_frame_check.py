@@ -50,6 +50,21 @@ def test_frames_that_had_begun_when_a_packet_came_twice_are_suspect(monkeypatch:
     assert check.fault(frame(began_ns=6_000), 256) == ""
 
 
+def test_a_clock_that_was_set_back_makes_no_later_frame_suspect(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As by NTP some time after the start: all frames of an hour would be suspect."""
+    now = [5_000_000]
+    stream = StandInStream()
+    check = FrameCheck(stream, KIND)
+    monkeypatch.setattr(time, "time_ns", lambda: now[0])
+    stream.counters["n_duplicated_packets"] = 1
+    assert "a packet came twice" in check.fault(frame(began_ns=4_999_000), 256)
+    now[0] = 1_000_000
+    check.fault(frame(began_ns=999_000), 256)
+    for began_ns in (1_001_000, 2_000_000):
+        now[0] = began_ns + 1_000
+        assert check.fault(frame(began_ns=began_ns), 256) == ""
+
+
 def test_a_stream_that_counts_no_duplicates_is_checked_otherwise() -> None:
     stream = StandInStream()
     del stream.counters["n_duplicated_packets"]

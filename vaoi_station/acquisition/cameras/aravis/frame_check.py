@@ -98,6 +98,8 @@ class FrameCheck:
         duplicates = self._stream.get_info_uint64_by_name(_DUPLICATES)
         if duplicates != self._duplicates:
             self._duplicates, self._duplicates_ns = duplicates, time.time_ns()
+        # If the clock was set back since, frames of now would seem to have begun before the duplicate, for as long.
+        self._duplicates_ns = min(self._duplicates_ns, time.time_ns())
         # The counter is of the stream and not of the frame. If this thread was late, the duplicate may be of a frame
         # that ended later, so every frame that had begun when the counter was read is suspect.
         return bool(buffer.get_system_timestamp() <= self._duplicates_ns)
