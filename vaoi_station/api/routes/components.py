@@ -37,19 +37,19 @@ def router(services: Services) -> APIRouter:
     routes = APIRouter(prefix="/runs/{run}/components", tags=["pictures"])
     coordinator, ask = services.coordinator, services.commands.ask
 
-    async def answer(
-        request: Request, run: str, content: ComponentList | ComponentViews, cache: str = IMMUTABLE
-    ) -> Response:
-        done = (await ask(coordinator.run, run)).state in FINISHED
-        body = content.model_dump_json(exclude_none=True).encode()
-        return conditional_response(request, body, "application/json", cache=cache if done else LIVE)
+    async def caching(run: str, cache: str = IMMUTABLE) -> str:
+        return cache if (await ask(coordinator.run, run)).state in FINISHED else LIVE
 
-    def caching(run: str, wanted: ImageRequest) -> str:
+    def answer(request: Request, content: ComponentList | ComponentViews, cache: str) -> Response:
+        body = content.model_dump_json(exclude_none=True).encode()
+        return conditional_response(request, body, "application/json", cache=cache)
+
+    def picture_caching(run: str, wanted: ImageRequest) -> str:
         # Heights are measured after the result: until they are known, images on the tops of bodies may change.
         final = wanted.framing.plane != "top" or coordinator.heights.known(run) is not None
         return IMMUTABLE if final else REVALIDATE
 
-    @routes.get("", response_model=ComponentList)
+    @routes.get("", response_model=ComponentList, dependencies=[Depends(services.searches.hold)])
     async def list_components(
         request: Request,
         run: RunId,
@@ -58,9 +58,15 @@ def router(services: Services) -> APIRouter:
         ] = None,
     ) -> Response:
         """List the components of the run's board type with their positions."""
-        found = [c for c in await ask(coordinator.components, run) if unseen in (None, c.unseen)]
-        entries = [_entry(c, f"{quote(request.url.path)}/{quote(c.address)}") for c in found]
-        return await answer(request, run, ComponentList(components=entries))
+        path, cache = quote(request.url.path), await caching(run)
+
+        def listed() -> Response:
+            found = [c for c in coordinator.components(run) if unseen in (None, c.unseen)]
+            entries = [_entry(c, f"{path}/{quote(c.address)}") for c in found]
+            return answer(request, ComponentList(components=entries), cache)
+
+        # 20,000 components become some megabytes of text, which takes too long for the event loop.
+        return await services.searches.ask(listed)
 
     # Before "/{ref:path}", whose path parameter would match this address as well.
     @routes.get(
@@ -87,7 +93,7 @@ def router(services: Services) -> APIRouter:
         image_format = choose_format(format, accept)
 
         def picture() -> tuple[bytes, dict[str, str], str]:
-            cache = caching(run, wanted)
+            cache = picture_caching(run, wanted)
             content = coordinator.image(run, ref, k, wanted, format=RENDERED_AS[image_format])
             return (*(raw_from_npy(content) if image_format is ImageFormat.RAW else (content, {})), cache)
 
@@ -99,7 +105,7 @@ def router(services: Services) -> APIRouter:
         """List the frames that show a component, best first, with the addresses of their temporary images."""
         # Measuring reads pixels, like rendering; its callers wait in the same queue.
         reads = wanted.needs_pixels or wanted.choice.measure
-        cache = await ask(caching, run, wanted)
+        cache = await ask(picture_caching, run, wanted)
         found = await (services.pictures.ask if reads else ask)(lambda: coordinator.images(run, ref, wanted))
         address = quote(request.url.path)
         query = picture_query(wanted)
@@ -114,19 +120,15 @@ def router(services: Services) -> APIRouter:
             for k, choice in enumerate(found.chosen)
         ]
         resolution = entries[0].px_per_mm if entries else None
-        return await answer(
-            request,
-            run,
-            ComponentViews(
-                address=ref,
-                px_per_mm=resolution,
-                remark=found.remark,
-                plane_source=None if found.height is None else found.height.source,
-                plane_sigma_mm=None if found.height is None else found.height.sigma_mm,
-                views=entries,
-            ),
-            cache,
+        views = ComponentViews(
+            address=ref,
+            px_per_mm=resolution,
+            remark=found.remark,
+            plane_source=None if found.height is None else found.height.source,
+            plane_sigma_mm=None if found.height is None else found.height.sigma_mm,
+            views=entries,
         )
+        return answer(request, views, await caching(run, cache))
 
     return routes
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import Annotated
 
@@ -21,7 +20,7 @@ from vaoi_station.runs.archive.run_history import Wanted
 from vaoi_station.runs.states.decision_schemas import RunCounts
 from vaoi_station.runs.states.height_schemas import HeightList
 from vaoi_station.runs.states.run_ids import utc
-from vaoi_station.runs.states.schemas import LeaseStatus, RunDetail, RunSummary
+from vaoi_station.runs.states.schemas import LeaseStatus, RunDetail
 from vaoi_station.runs.states.tables import IN_MEMORY
 from vaoi_station.store.history.run_search import RunFilter
 
@@ -48,42 +47,7 @@ def router(services: Services) -> APIRouter:
     routes = APIRouter(prefix="/runs", tags=["runs"])
     coordinator, ask, kept = services.coordinator, services.commands.ask, services.coordinator.kept
 
-    @routes.get("", response_model_exclude_none=True)
-    async def list_runs(
-        response: Response,
-        wanted: Annotated[RunFilter, Depends(run_filter)],
-        limit: Annotated[int, Query(ge=1, le=500)] = 50,
-        before: Cursor = None,
-        read_id: Annotated[
-            str | None,
-            Query(description="Id that was read from a board, or reported.", min_length=1, max_length=200),
-        ] = None,
-    ) -> RunPage:
-        """List runs, newest first; `next` is the cursor of the next page.
-
-        With a filter, a reply may have fewer runs than `limit`, or none, although there are more: one request reads
-        20,000 runs at most. Go on while there is a `next`. With `read_id`, runs are listed of which this id was read
-        from a code, or reported by the next machine.
-        """
-        response.headers["Cache-Control"] = LIVE
-        if read_id is not None:
-            return await _page(services, *await ask(kept.with_id, read_id, wanted, limit, before))
-        if wanted != RunFilter():
-            return await _page(services, *await ask(kept.history.find, wanted, limit, before))
-        # One more than requested shows whether there is a further page.
-        found = await ask(coordinator.runs, limit + 1, before)
-        shown = await ask(kept.all_shown, found[:limit])
-        return RunPage(runs=list(shown), next=found[limit - 1].id if len(found) > limit else None)
-
-    @routes.get("/counts")
-    async def count_runs(response: Response, since: Moment = None) -> RunCounts:
-        """Count the boards since a time, by verdict, and the boards that passed without a run.
-
-        Without `since`: since the last midnight of the station's time zone.
-        """
-        response.headers["Cache-Control"] = LIVE
-        midnight = datetime.now().astimezone().replace(hour=0, minute=0, second=0, microsecond=0)
-        return await ask(kept.history.counts, since or midnight)
+    _add_lists(routes, services)
 
     @routes.get("/latest", response_model=RunDetail)
     async def get_latest_run(request: Request) -> Response:
@@ -186,10 +150,52 @@ def router(services: Services) -> APIRouter:
     return routes
 
 
-async def _page(services: Services, runs: Sequence[RunSummary], more: str | None) -> RunPage:
-    """Return a page of the list of runs; `more` is the cursor of the next one."""
-    shown = await services.commands.ask(services.coordinator.kept.all_shown, tuple(runs))
-    return RunPage(runs=list(shown), next=more)
+def _add_lists(routes: APIRouter, services: Services) -> None:
+    """Add the routes that list, search and count runs."""
+    coordinator, ask, kept = services.coordinator, services.commands.ask, services.coordinator.kept
+    searches = services.searches
+
+    @routes.get("", response_model_exclude_none=True)
+    async def list_runs(
+        *,
+        request: Request,
+        response: Response,
+        wanted: Annotated[RunFilter, Depends(run_filter)],
+        limit: Annotated[int, Query(ge=1, le=500)] = 50,
+        before: Cursor = None,
+        read_id: Annotated[
+            str | None,
+            Query(description="Id that was read from a board, or reported.", min_length=1, max_length=200),
+        ] = None,
+    ) -> RunPage:
+        """List runs, newest first; `next` is the cursor of the next page.
+
+        With a filter, a reply may have fewer runs than `limit`, or none, although there are more: one request reads
+        20,000 runs at most. Go on while there is a `next`. With `read_id`, runs are listed of which this id was read
+        from a code, or reported by the next machine.
+        """
+        response.headers["Cache-Control"] = LIVE
+        if read_id is not None or wanted != RunFilter():
+            async with searches.take(caller_of(request).name):
+                if read_id is not None:
+                    runs, more = await searches.ask(kept.with_id, read_id, wanted, limit, before)
+                else:
+                    runs, more = await searches.ask(kept.history.find, wanted, limit, before)
+                return RunPage(runs=list(await searches.ask(kept.all_shown, tuple(runs))), next=more)
+        # One more than requested shows whether there is a further page.
+        found = await ask(coordinator.runs, limit + 1, before)
+        shown = await ask(kept.all_shown, found[:limit])
+        return RunPage(runs=list(shown), next=found[limit - 1].id if len(found) > limit else None)
+
+    @routes.get("/counts", dependencies=[Depends(searches.hold)])
+    async def count_runs(response: Response, since: Moment = None) -> RunCounts:
+        """Count the boards since a time, by verdict, and the boards that passed without a run.
+
+        Without `since`: since the last midnight of the station's time zone.
+        """
+        response.headers["Cache-Control"] = LIVE
+        midnight = datetime.now().astimezone().replace(hour=0, minute=0, second=0, microsecond=0)
+        return await searches.ask(kept.history.counts, since or midnight)
 
 
 def _detail(request: Request, run: RunDetail, cache: str = REVALIDATE) -> Response:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from vaoi_station.api.callers.picture_seats import PICTURE_THREADS, PictureSeats
 from vaoi_station.api.event_hub import COMMAND_THREADS, EventHub, ThreadLimit
+from vaoi_station.api.routes.searches import Searches
 from vaoi_station.push.push_service import PushService
 from vaoi_station.runs.control.coordinator import StationCoordinator
 
@@ -21,5 +22,6 @@ class Services:
     commands: ThreadLimit = field(default_factory=lambda: ThreadLimit(COMMAND_THREADS))
     pictures: ThreadLimit = field(default_factory=lambda: ThreadLimit(PICTURE_THREADS))
     picture_seats: PictureSeats = field(default_factory=PictureSeats)
+    searches: Searches = field(default_factory=Searches)
     changing: asyncio.Lock = field(default_factory=asyncio.Lock)
     """Held while a board type is changed: between the check of If-Match and the change no other caller may do so."""
