@@ -20,7 +20,7 @@ def test_a_deleted_file_is_written_back_with_all_that_was_committed(path: Path) 
     shutil.rmtree(path.parent)
     seen.append(watch.changed)
     assert seen == [False, True]
-    assert watch.rescue(connection).code == "database-deleted"
+    assert watch.rescue(connection, lambda: None).code == "database-deleted"
     connection.close()
     again, notice = open_database(path)
     assert [tuple(row) for row in again.execute("SELECT * FROM events")] == [(1, "{}")]
@@ -30,13 +30,23 @@ def test_a_deleted_file_is_written_back_with_all_that_was_committed(path: Path) 
     again.close()
 
 
+def test_a_large_file_is_written_back_with_a_heartbeat(path: Path) -> None:
+    connection, _ = open_database(path)
+    connection.executemany("INSERT INTO events VALUES (?, '{}')", ((n,) for n in range(20_000)))
+    watch, beats = FileWatch(path), list[int]()
+    path.unlink()
+    watch.rescue(connection, lambda: beats.append(1))
+    connection.close()
+    assert len(beats) > 5
+
+
 def test_a_file_in_its_place_is_left_there(path: Path) -> None:
     connection, _ = open_database(path)
     connection.execute("INSERT INTO events VALUES (1, '{}')")
     watch = FileWatch(path)
     path.unlink()
     path.write_text("what a person put there")
-    assert watch.rescue(connection).code == "database-replaced"
+    assert watch.rescue(connection, lambda: None).code == "database-replaced"
     connection.close()
     assert path.read_text() == "what a person put there"
     [kept] = path.parent.glob("*.replaced-*")
@@ -54,7 +64,7 @@ def test_a_directory_that_cannot_be_searched_proves_no_change(path: Path) -> Non
     with unreachable(path.parent):
         assert not watch.changed
         with pytest.raises(PermissionError):
-            watch.rescue(connection)
+            watch.rescue(connection, lambda: None)
     assert (sorted(path.parent.iterdir()), watch.changed) == (before, False)
     connection.close()
 

@@ -32,7 +32,7 @@ from vaoi_station.store.database_file import (
     set_aside,
     stand_in,
 )
-from vaoi_station.store.file_watch import FileWatch
+from vaoi_station.store.file_watch import BEAT_STEPS, FileWatch
 from vaoi_station.store.storage_trouble import (
     DAMAGED,
     DELETED,
@@ -57,8 +57,7 @@ FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.25, 2.0
 CHECK_S = 2.0
 """Time between two checks of the file while nothing is written."""
 WRITE_LIMIT_S = 600.0
-"""Longest time for one attempt to write, s. After it, the disk does not reply, and the writing thread counts as
-hung."""
+"""Longest time without progress of a write, s. After it, the writing thread counts as hung."""
 SLOW_S = 5.0
 """Time, s, after which a write that has not ended counts as trouble."""
 MOST_WAITING_BYTES = 64_000_000
@@ -344,7 +343,7 @@ class Database:
         writer = self._writer
         if writer is None:
             return
-        notice = self._watch.rescue(writer)
+        notice = self._watch.rescue(writer, self.thread.beat)
         self._close_connections()
         self._watch.forget()
         self._reopen()
@@ -384,6 +383,7 @@ class Database:
     def _check(self, _: sqlite3.Connection) -> None:
         # A new connection is used: the writer's own connection may have undamaged pages in its cache.
         with contextlib.closing(connect(self.path)) as fresh:
+            fresh.set_progress_handler(self.thread.beat, BEAT_STEPS)
             fault = fresh.execute("PRAGMA quick_check(1)").fetchone()[0]
         if fault != "ok":
             raise sqlite3.DatabaseError(fault)

@@ -5,10 +5,14 @@ from __future__ import annotations
 import contextlib
 import os
 import sqlite3
+from collections.abc import Callable
 from pathlib import Path
 
 from vaoi_station.store.database_file import identity_of, unused_name
 from vaoi_station.store.storage_trouble import DELETED, REPLACED, StorageTrouble
+
+BEAT_STEPS = 10_000
+"""Steps of SQLite's virtual machine between two heartbeats of a thread, some hundredths of a second."""
 
 
 class FileWatch:
@@ -45,16 +49,18 @@ class FileWatch:
             found = os.statvfs(self._path.parent)
             self.free_bytes = found.f_bavail * found.f_frsize
 
-    def rescue(self, connection: sqlite3.Connection) -> StorageTrouble:
+    def rescue(self, connection: sqlite3.Connection, beat: Callable[[], None]) -> StorageTrouble:
         """Save everything that `connection`, whose file is no longer at the path, can still read.
 
         If the database was deleted, it is put back. If another file is in its place, that file is left there, and the
-        old content is saved beside it. OSError: the disk does not say which of both it is.
+        old content is saved beside it. `beat` is called meanwhile, because a year of results takes minutes. OSError:
+        the disk does not say which of both it is.
         """
         replaced = identity_of(self._path) is not None
         self._path.parent.mkdir(parents=True, exist_ok=True)
         aside = self._path.with_name(f"{self._path.name}.rescued")
         aside.unlink(missing_ok=True)
+        connection.set_progress_handler(beat, BEAT_STEPS)
         connection.execute("VACUUM INTO ?", (str(aside),))
         # The write-ahead log of the old file must not be applied to the file that is opened next.
         for ending in ("-wal", "-shm"):
