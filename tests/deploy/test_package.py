@@ -78,6 +78,97 @@ def test_scripts_of_dpkg_are_those_of_a_posix_shell(script: str) -> None:
     assert path.stat().st_mode & 0o111
 
 
+class Machine:
+    """A directory that stands for a machine with the package: scripts of dpkg run with its paths, tools only log."""
+
+    TOOLS = ("systemctl", "systemd-sysusers", "systemd-tmpfiles", "runuser", "udevadm", "sysctl", "df",
+             "deb-systemd-helper", "deb-systemd-invoke")  # fmt: skip
+
+    def __init__(self, root: Path) -> None:
+        self.root, self.log = root, root / "log"
+        self.home, self.data = root / "opt/vaoi-station", root / "var/lib/vaoi-station/data"
+        for folder in (root / "bin", root / "run/systemd/system", self.home / "venv/bin", self.data):
+            folder.mkdir(parents=True)
+        (self.home / "venv/version").write_text("old")
+        (self.data / "station.db").write_bytes(bytes(100_000))
+        for path in ("etc/vaoi-station/station.toml", "usr/share/vaoi-station/example/board-types/x.json"):
+            (root / path).parent.mkdir(parents=True)
+            (root / path).touch()
+        self.free_kb, self.starts = 10**9, True
+        for tool in self.TOOLS:
+            self.script(root / "bin" / tool, f'echo "{tool} $*" >> "{self.log}"')
+        self.script(root / "bin/install", "true")
+        self.script(self.home / "venv/bin/python3", "true")
+
+    def script(self, path: Path, text: str) -> None:
+        path.write_text(f"#!/bin/sh\n{text}\n")
+        path.chmod(0o755)
+
+    def run(self, name: str, *arguments: str) -> bool:
+        self.script(self.root / "bin/df", f"echo Avail; echo {self.free_kb}")
+        refused = "" if self.starts else '[ "$1" != start ] || exit 1'
+        self.script(self.root / "bin/systemctl", f'echo "systemctl $*" >> "{self.log}"\n{refused}')
+        text = re.sub(
+            r"/(opt|var|etc|usr/share|usr/lib|run)/", rf"{self.root}/\1/", (PACKAGE / name).read_text("utf-8")
+        )
+        self.script(self.root / name, text.removeprefix("#!/bin/sh\n"))
+        environment = {"PATH": f"{self.root}/bin:/usr/bin:/bin"}
+        return subprocess.run([self.root / name, *arguments], check=False, env=environment).returncode == 0
+
+    def unpack(self, version: str) -> None:
+        """Replace the program as dpkg does, by renaming."""
+        (self.home / "new").write_text(version)
+        (self.home / "new").rename(self.home / "venv/version")
+
+    @property
+    def version(self) -> str:
+        return (self.home / "venv/version").read_text()
+
+    def commands(self) -> list[str]:
+        """Return what systemd was asked for since the last call, without questions."""
+        lines = self.log.read_text().splitlines() if self.log.exists() else []
+        self.log.unlink(missing_ok=True)
+        return [
+            words[1] for words in map(str.split, lines) if words[0] == "systemctl" and words[1] in ("stop", "start")
+        ]
+
+
+@pytest.fixture
+def machine(tmp_path: Path) -> Machine:
+    return Machine(tmp_path)
+
+
+def test_an_upgrade_without_room_for_the_copy_does_not_stop_the_station(machine: Machine) -> None:
+    machine.free_kb = 50_000
+    assert not machine.run("preinst", "upgrade", "1.0", "2.0")
+    assert machine.commands() == []
+
+
+@pytest.mark.parametrize(("script", "arguments"), [("postrm", ("1.0", "2.0")), ("postinst", ("2.0",))])
+def test_an_upgrade_that_is_given_up_starts_the_station_again(
+    machine: Machine, script: str, arguments: tuple[str, ...]
+) -> None:
+    assert machine.run("preinst", "upgrade", "1.0", "2.0")
+    assert machine.commands() == ["stop"]
+    assert machine.run(script, "abort-upgrade", *arguments)
+    assert machine.commands() == ["start"]
+    assert not (machine.home / "previous").exists()
+
+
+def test_a_version_that_was_replaced_by_the_one_before_is_never_called_installed(machine: Machine) -> None:
+    assert machine.run("preinst", "upgrade", "1.0", "2.0")
+    machine.unpack("new")
+    machine.starts = False
+    assert not machine.run("postinst", "configure", "1.0")
+    machine.starts = True
+    assert machine.version == "old"
+    assert not machine.run("postinst", "configure", "1.0"), "as apt tries with the next package"
+    assert machine.run("preinst", "upgrade", "2.0", "3.0")
+    machine.unpack("newer")
+    assert machine.run("postinst", "configure", "2.0")
+    assert machine.version == "newer"
+
+
 def test_the_start_script_can_be_imported_by_child_processes() -> None:
     """multiprocessing imports the main script again in each child: without the guard, each would be a station."""
     script = re.search(r"<<'SCRIPT'\n(.*?)\nSCRIPT\n", BUILD, re.DOTALL)
