@@ -20,7 +20,7 @@ from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import DeviceError, StateError, VaoiError
 from vaoi_station.files import read_calibration
-from vaoi_station.files.access_keys import KEY_FILE, KeyFile
+from vaoi_station.files.access_keys import AUDIT_FILE, KEY_FILE, KeyFile
 from vaoi_station.push.push_service import PushService
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
@@ -276,7 +276,7 @@ def serve(config: StationConfig, port: int | None = None, file: Path | None = No
     """
     from vaoi_station.api import create_app
     from vaoi_station.api.access.access_control import AccessControl
-    from vaoi_station.api.access.audit import AUDIT_FILE, AuditLog
+    from vaoi_station.api.access.audit import AuditLog
     from vaoi_station.api.listener.certificate import CertificateFiles
     from vaoi_station.api.routes.waiting_page import WaitingPage
     from vaoi_station.api.setup.station_files import StationFiles

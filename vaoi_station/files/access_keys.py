@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import fcntl
 import hashlib
+import json
 import os
 import secrets
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
@@ -23,7 +24,7 @@ from vaoi_station.errors import DeviceError, InputError, NotFoundError, StateErr
 from vaoi_station.files.documents import check_format, parse, read_json, write_json
 
 Scope = Literal["read", "operate", "teach", "admin"]
-KEY_FILE = "keys.json"
+KEY_FILE, AUDIT_FILE = "keys.json", "audit.jsonl"
 FORMAT, VERSION = "vaoi-keys", 1
 MOST_KEYS = 200
 _PREFIX = "vaoi"
@@ -130,23 +131,51 @@ class KeyFile:
         self.path.parent.mkdir(parents=True, exist_ok=True)
         with self.path.with_suffix(".lock").open("a") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
-            self._belong_to_service(lock.fileno())
+            _belong_to_service(lock.fileno(), self.path.parent)
             keys = {k.name: k for k in self.entries()}
             yield keys
             content = _KeyFile(keys=tuple(sorted(keys.values(), key=lambda k: k.name)))
             write_json(self.path, content.model_dump(mode="json"))
             with self.path.open() as written:
                 os.fchmod(written.fileno(), 0o600)
-                self._belong_to_service(written.fileno())
+                _belong_to_service(written.fileno(), self.path.parent)
 
-    def _belong_to_service(self, handle: int) -> None:
-        """Give a file the owner of its directory.
 
-        The administrator makes keys as root, and the service, which owns the directory, must be able to read them.
-        """
-        owner = self.path.parent.stat()
-        with suppress(PermissionError):
-            os.fchown(handle, owner.st_uid, owner.st_gid)
+def append_entry(path: Path, entry: Mapping[str, object]) -> None:
+    """Append an entry to the audit log, as a complete line or not at all. OSError: the disk refuses it."""
+    line = json.dumps(entry).encode() + b"\n"
+    with path.open("a+b", buffering=0) as file:
+        size = file.seek(0, os.SEEK_END)
+        if size:
+            file.seek(size - 1)
+            if file.read(1) != b"\n":  # A power failure has cut the last line short.
+                line = b"\n" + line
+        else:
+            _belong_to_service(file.fileno(), path.parent)
+        try:
+            written = file.write(line)
+            while written < len(line):
+                written += file.write(line[written:])
+        except OSError:
+            file.truncate(size)
+            raise
+
+
+def note_change(path: Path, user: str, command: str, scopes: Sequence[str] = ()) -> None:
+    """Write a command of a user of this machine, which has changed keys without the service, to the audit log."""
+    time = datetime.now(UTC).isoformat(timespec="milliseconds")
+    entry = {"time": time, "key": "none", "user": user, "address": "local", "method": "vaoi", "path": command}
+    append_entry(path, {**entry, "query": ",".join(scopes)})
+
+
+def _belong_to_service(handle: int, directory: Path) -> None:
+    """Give a file the owner of its directory.
+
+    The administrator makes keys as root, and the service, which owns the directory, must be able to use the files.
+    """
+    owner = directory.stat()
+    with suppress(PermissionError):
+        os.fchown(handle, owner.st_uid, owner.st_gid)
 
 
 def _new(name: str, scopes: Sequence[str]) -> NewKey:

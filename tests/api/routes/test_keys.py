@@ -70,6 +70,10 @@ def test_a_page_logs_in_once_with_a_cookie_that_only_its_own_pages_send(outside:
     assert outside.post(ARM, headers=ORIGIN).status_code == 200
     assert outside.post(ARM, headers={"origin": "https://evil.example"}).status_code == 403
     assert outside.post(ARM).json()["code"] == "foreign-origin"
+    chief = bearer(keys.create("chief", ["admin"]).secret)
+    entries = outside.get("/api/v1/audit", headers=chief).json()["entries"]
+    logins = [(e["key"], e["status"]) for e in reversed(entries) if e["path"] == "/api/v1/session"]
+    assert logins == [("none", 401), ("operator", 200)]
     token = outside.cookies["vaoi-session"]
     assert outside.delete("/api/v1/session", headers=ORIGIN).status_code == 204
     outside.cookies.set("vaoi-session", token)

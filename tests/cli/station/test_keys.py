@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import getpass
+import json
 from collections.abc import Callable
 from pathlib import Path
 
 from tests.cli.conftest import Result
 from vaoi_station.config import read_config
 from vaoi_station.demo.station_files import write_station_files
-from vaoi_station.files.access_keys import KEY_FILE, KeyFile
+from vaoi_station.files.access_keys import AUDIT_FILE, KEY_FILE, KeyFile
 from vaoi_station.simulation import scenario_path
 
 
@@ -26,4 +28,9 @@ def test_keys_are_made_listed_rotated_and_revoked(vaoi: Callable[..., Result], t
     assert keys.find(rotated.out.strip()) is not None
     assert vaoi("keys", "revoke", "tester", "--config", path).code == 0
     assert keys.entries() == ()
+    text = (keys.path.parent / AUDIT_FILE).read_text()
+    entries = [json.loads(line) for line in text.splitlines()]
+    assert [entry["path"] for entry in entries] == ["keys create tester", "keys rotate tester", "keys revoke tester"]
+    assert entries[0].items() >= {"user": getpass.getuser(), "method": "vaoi", "query": "operate,teach"}.items()
+    assert made.out.strip() not in text
     assert vaoi("keys", "revoke", "tester", "--config", path).code == 2

@@ -24,7 +24,7 @@ from starlette.types import Scope
 from vaoi_station.api.access.audit import AuditLog
 from vaoi_station.api.access.scopes import scope_needed
 from vaoi_station.api.access.sessions import COOKIE, Sessions
-from vaoi_station.api.callers.caller import Caller, set_caller
+from vaoi_station.api.callers.caller import Caller, caller_in, set_caller
 from vaoi_station.api.problems import problem_response
 from vaoi_station.errors import VaoiError
 from vaoi_station.files.access_keys import AccessKey, KeyFile
@@ -76,6 +76,11 @@ class AccessControl:
             detail = f"{scope['method']} {path} needs the scope {needed}; {caller.name} has {sorted(caller.scopes)}."
             return problem_response(path, "missing-scope", detail)
         return None
+
+    def log_in(self, scope: Scope, key: AccessKey) -> str:
+        """Begin the login of a page, name its key in the audit log, and return the token of its cookie."""
+        set_caller(scope, _with_key(caller_in(scope).address, key))
+        return self.sessions.begin(key)
 
     def _still_known(self, caller: Caller) -> bool:
         """Return whether the key of a caller is the same as when its request began; a reply may last for hours."""

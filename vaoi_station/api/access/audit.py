@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import logging
-import os
 import queue
 import threading
 from collections import deque
@@ -13,11 +12,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from vaoi_station.files.access_keys import append_entry
 from vaoi_station.supervised_thread import SupervisedThread
 
 _log = logging.getLogger(__name__)
 
-AUDIT_FILE = "audit.jsonl"
 MOST_BYTES, FILES_KEPT = 8 * 2**20, 4
 """Size in bytes at which a new file is begun, and number of earlier files that are kept."""
 WRITE_LIMIT_S = 600.0
@@ -118,27 +117,10 @@ class AuditLog:
                 if self._old(n - 1).exists():
                     self._old(n - 1).replace(self._old(n))
             self.path.replace(self._old(1))
-        _append(self.path, json.dumps(record).encode() + b"\n")
+        append_entry(self.path, record)
 
     def _old(self, n: int) -> Path:
         return self.path.with_name(f"{self.path.name}.{n}")
-
-
-def _append(path: Path, line: bytes) -> None:
-    """Append a line, completely or not at all."""
-    with path.open("a+b", buffering=0) as file:
-        size = file.seek(0, os.SEEK_END)
-        if size:
-            file.seek(size - 1)
-            if file.read(1) != b"\n":  # A power failure has cut the last line short.
-                line = b"\n" + line
-        try:
-            written = file.write(line)
-            while written < len(line):
-                written += file.write(line[written:])
-        except OSError:
-            file.truncate(size)
-            raise
 
 
 def _parsed(line: str) -> dict[str, Any] | None:

@@ -117,7 +117,7 @@ def router(services: Services, access: AccessControl) -> APIRouter:
         # Behind a proxy the station itself sees no TLS; the proxy states it.
         tls = "https" in (request.url.scheme, request.headers.get("x-forwarded-proto"))
         answer.set_cookie(
-            COOKIE, access.sessions.begin(key), max_age=SESSION_S, httponly=True, samesite="strict", secure=tls
+            COOKIE, access.log_in(request.scope, key), max_age=SESSION_S, httponly=True, samesite="strict", secure=tls
         )
         return answer
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import getpass
+import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -24,7 +27,9 @@ def create(
     config: CONFIG = DEFAULT,
 ) -> None:
     """Make a key and print it. It is printed only now: the station keeps its hash."""
-    typer.echo(_file(config).create(name, scope).secret)
+    made = _file(config).create(name, scope)
+    _note(config, f"keys create {name}", made.key.scopes)
+    typer.echo(made.secret)
 
 
 @keys.command("list")
@@ -37,13 +42,31 @@ def list_keys(config: CONFIG = DEFAULT) -> None:
 @keys.command()
 def rotate(name: NAME, config: CONFIG = DEFAULT) -> None:
     """Replace a key by a new one, and print it. The old one is refused from now on."""
-    typer.echo(_file(config).rotate(name).secret)
+    made = _file(config).rotate(name)
+    _note(config, f"keys rotate {name}")
+    typer.echo(made.secret)
 
 
 @keys.command()
 def revoke(name: NAME, config: CONFIG = DEFAULT) -> None:
     """End a key: it is refused from now on."""
     _file(config).revoke(name)
+    _note(config, f"keys revoke {name}")
+
+
+def _note(config: Path, command: str, scopes: Sequence[str] = ()) -> None:
+    """Write a command that has changed the keys to the audit log of the station, with the user who gave it."""
+    from vaoi_station.config import read_config
+    from vaoi_station.files.access_keys import AUDIT_FILE, note_change
+
+    path = read_config(config).data / AUDIT_FILE
+    # With sudo, the user who has become root.
+    user = os.environ.get("SUDO_USER") or getpass.getuser()
+    try:
+        note_change(path, user, command, scopes)
+    except OSError as error:
+        # The key is changed already, and its secret is shown only now.
+        typer.echo(f"{path}: cannot be written ({error.strerror}); the audit log lacks this command.", err=True)
 
 
 def _file(config: Path) -> KeyFile:
