@@ -62,6 +62,17 @@ def test_everything_is_back_on_an_empty_machine(site: Site, tmp_path: Path) -> N
     store.close()
 
 
+@pytest.mark.parametrize("place", ["flat fields", "data/flat fields"])
+def test_flat_fields_are_back_too(site: Site, tmp_path: Path, place: str) -> None:
+    (tmp_path / place).mkdir()
+    (tmp_path / place / "flatfield.json").write_text("{}")
+    site.config.write_text(f'flat_fields = "{place}"\n{site.config.read_text()}')
+    back_up(site.config, tmp_path / "backup")
+    config = restore(tmp_path / "backup", tmp_path / "other machine" / "station.toml")
+    assert config.flat_fields == tmp_path / "other machine" / place
+    assert [path.name for path in config.flat_fields.iterdir()] == ["flatfield.json"]
+
+
 def test_recordings_are_included_on_request(site: Site, tmp_path: Path) -> None:
     picture = site.rig.config.data / "mosaics" / f"{site.degraded}_4.jpg"
     picture.parent.mkdir(exist_ok=True)

@@ -29,6 +29,7 @@ from vaoi_station.version import __version__
 
 KIND = "vaoi-backup"
 CONFIG, CALIBRATION, BOARD_TYPES, SCENARIO, DATA = "station.toml", "calibration.json", "board-types", "scenario", "data"
+FLAT_FIELDS = "flat-fields"
 DATABASE, REFERENCES = "station.db", "references"
 _SECRET = (KEY_FILE, "push/webhooks.json")
 """Files of the data that only the service reads."""
@@ -46,7 +47,9 @@ class BackupSummary:
 
 
 def back_up(config_path: Path, out: Path, *, recordings: bool = False) -> BackupSummary:
-    """Write configuration, calibration, board types, references and history of a station, running or not, to a file.
+    """Write configuration, calibration, flat fields, board types, references and history of a station to a file.
+
+    The station may run.
 
     Args:
         config_path: the station.toml.
@@ -114,6 +117,8 @@ def _entries(config_path: Path, config: StationConfig, database: Path, deleted: 
     if config.simulation is not None:
         yield from _file(config.simulation.scenario, SCENARIO)
     yield from _files(config.board_types, BOARD_TYPES)
+    if config.flat_fields is not None and not config.flat_fields.is_relative_to(config.data):
+        yield from _files(config.flat_fields, FLAT_FIELDS)
     for path in _visible(config.data):
         name = f"{DATA}/{path.name}"
         # The files beside the database belong to it, or are damaged ones that were set aside. Only its marker file is
@@ -187,6 +192,8 @@ def _moves(unpacked: Path, parts: Path, config: StationConfig, base: Path) -> li
     targets = {CALIBRATION: config.calibration, BOARD_TYPES: config.board_types, DATA: config.data}
     if config.simulation is not None:
         targets[SCENARIO] = config.simulation.scenario
+    if config.flat_fields is not None:
+        targets[FLAT_FIELDS] = config.flat_fields
     # They are set aside first, because the draft has the folders of the package, not those of the file.
     moves = []
     for name, target in targets.items():
