@@ -29,6 +29,15 @@ def test_refusals_and_limits_of_board_types_are_sentences(tmp_path: Path) -> Non
     assert "No such file" in run_import(ImportTask(file=tmp_path / "none")).refusal
 
 
+def test_an_error_that_no_reader_foresees_is_a_refusal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(import_process, "read_design", fail)
+    reply = run_import(ImportTask(file=tmp_path / "b"))
+    assert "b: is damaged, or not as its format demands (ZeroDivisionError)." in reply.refusal
+
+
 def test_a_reply_that_is_too_long_is_a_refusal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = tmp_path / "b.kicad_pcb"
     file.write_text(samples.KICAD)

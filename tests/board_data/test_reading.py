@@ -90,6 +90,28 @@ def test_exported_runs_are_told_from_board_data(tmp_path: Path) -> None:
         read_design(tmp_path)
 
 
+@pytest.mark.parametrize(
+    ("name", "text", "old", "new", "message"),
+    [
+        ("b.kicad_pcb", samples.KICAD, "(at 30 -20 90)", "(at 30 -20 inf)", r"\(at 30 -20 inf\): 'inf' is no number"),
+        ("b.kicad_pcb", samples.KICAD, "(mid 25 -45)", "(mid nan -45)", r"\(mid nan -45\): 'nan' is no number"),
+        ("b.kicad_pcb", samples.KICAD, "(mid 25 -45)", "(mid 1e200 -45)", r"\(mid 1e200 -45\): '1e200' is no number"),
+        ("b.cad", samples.GENCAD, "LINE 0 0 1968.504 0", "ARC 0 0 nan 1 2 2", "line 7: 'ARC 0 0 nan 1 2 2' must"),
+        ("b.cad", samples.GENCAD, "ROTATION 90", "ROTATION inf", "'ROTATION inf' must have 1 numbers"),
+        ("b.cad", samples.GENCAD, "UNITS USER 1000", "UNITS USER ²", "UNITS is 'USER ²', but must be"),
+        ("b.xml", samples.IPC2581, 'centerX="0.98425"', 'centerX="1e308"', "PolyStepCurve centerX is '1e308'"),
+        ("b.brd", samples.EAGLE, 'curve="180"', 'curve="1e308"', "curve is '1e308', but must be a number"),
+    ],
+)
+def test_a_value_that_is_no_length_and_no_angle_is_named(
+    name: str, text: str, old: str, new: str, message: str, tmp_path: Path
+) -> None:
+    assert old in text
+    (tmp_path / name).write_text(text.replace(old, new))
+    with pytest.raises(InputError, match=message):
+        read_design(tmp_path / name)
+
+
 def test_sizes_of_the_user_come_first(tmp_path: Path) -> None:
     (tmp_path / "b.csv").write_text("ref,x,y,package\nR1,0mm,0mm,R0805\n")
     (tmp_path / "t.toml").write_text("[[package]]\npattern = 'r0805'\nsize = [3, 4]\n")

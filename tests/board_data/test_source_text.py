@@ -1,7 +1,9 @@
 from __future__ import annotations
 
+import random
 import tarfile
 import zipfile
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -72,6 +74,25 @@ def test_folder_zip_and_tar_read_alike(tmp_path: Path) -> None:
         with open_archive(path) as archive:
             assert list(archive.names()) == ["steps/x"]
             assert archive.text("STEPS/x") == "content"
+
+
+@pytest.mark.parametrize("kind", ["zip deflated", "zip lzma", "tar gz", "tar xz", "tar bz2"])
+def test_a_damaged_byte_of_an_archive_is_a_refusal(kind: str, tmp_path: Path) -> None:
+    container, method = kind.split()
+    path, content = tmp_path / "a", random.Random(1).randbytes(3000) * 2
+    if container == "zip":
+        with zipfile.ZipFile(path, "w", {"deflated": zipfile.ZIP_DEFLATED, "lzma": zipfile.ZIP_LZMA}[method]) as zipped:
+            zipped.writestr("steps/x", content)
+    else:
+        (tmp_path / "x").write_bytes(content)
+        with tarfile.open(path, f"w:{method}") as tar:  # type: ignore[call-overload]
+            tar.add(tmp_path / "x", "steps/x")
+    whole = path.read_bytes()
+    for at in range(0, len(whole), 37):
+        path.write_bytes(whole[:at] + bytes([whole[at] ^ 0x55]) + whole[at + 1 :])
+        with suppress(InputError), open_archive(path) as archive:
+            for name in archive.names():
+                archive.read(name)
 
 
 def test_a_damaged_archive_is_named(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ its reply to standard output, and can do no harm beyond its limits.
 
 from __future__ import annotations
 
+import logging
 import os
 import resource
 import sys
@@ -22,6 +23,8 @@ from vaoi_station.board_data.readers.placement_table import TableOptions
 from vaoi_station.board_data.reading import Options, read_design
 from vaoi_station.errors import VaoiError
 from vaoi_station.model import Strict
+
+_log = logging.getLogger(__name__)
 
 NICE = 10
 """Priority below that of the station, whose workers stitch meanwhile."""
@@ -83,6 +86,14 @@ def run_import(task: ImportTask) -> ImportReply:
         return ImportReply(overview=overview(design, board, notes), board_type=document, picture=board_picture(board))
     except VaoiError as error:
         return ImportReply(refusal=error.message, action=error.action)
+    except MemoryError:
+        raise
+    except Exception as error:  # noqa: BLE001  readers cannot foresee all damage
+        _log.exception("import of %s", task.file)
+        return ImportReply(
+            refusal=f"{task.file}: is damaged, or not as its format demands ({type(error).__name__}).",
+            action="Export it again. If that does not help, report it with the file to the makers of the station.",
+        )
 
 
 def reply_text(task: ImportTask) -> str:

@@ -43,6 +43,8 @@ def import_limited(task: ImportTask, limits: ImportLimits | None = None) -> Impo
             "of memory; the file is refused.",
             action="Export it with fewer layers, or import it by `vaoi import`, which has no such limits.",
         )
+    if errors:
+        _log.warning("import of %s: %s", task.file, errors[-2000:])
     reply = ImportReply.model_validate_json(out)
     if reply.refusal:
         raise InputError(reply.refusal, action=reply.action)

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import lzma
+import math
 import tarfile
 import zipfile
+import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
@@ -16,6 +19,8 @@ MOST_BYTES = 512 * 1024 * 1024
 """Largest file and largest member of an archive that is read. The largest known file, IPC-2581 case 10, has 59 MB."""
 MOST_MEMBERS = 100_000
 MOST_DEPTH = 200
+LARGEST_NUMBER = 1e9
+"""A larger number is no length of a board in any unit; squares and products of smaller ones are finite."""
 _BYTE_ORDER_MARKS = ((b"\xef\xbb\xbf", "utf-8-sig"), (b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"))
 
 
@@ -46,6 +51,15 @@ def decode(data: bytes, where: str | Path) -> str:
         return data.decode("utf-8")
     except UnicodeDecodeError:
         return data.decode("latin-1")
+
+
+def number_of(text: object) -> float | None:
+    """Return the number that a text states; None if it states none, or one that is infinite or too large."""
+    try:
+        found = float(text)  # type: ignore[arg-type]  # any other object is refused as well
+    except (TypeError, ValueError):
+        return None
+    return found if math.isfinite(found) and abs(found) <= LARGEST_NUMBER else None
 
 
 def parse_xml(data: bytes, where: str | Path) -> Element:
@@ -107,6 +121,13 @@ class Archive:
         return name.lower() in self._members
 
 
+# zipfile raises RuntimeError for an encrypted member, and a subclass of it for a compression it does not have. Damaged
+# members raise the errors of their compression.
+_UNREADABLE = (
+    zipfile.BadZipFile, tarfile.TarError, zlib.error, lzma.LZMAError, EOFError, OSError, RuntimeError, UnicodeError,
+)  # fmt: skip
+
+
 @contextmanager
 def open_archive(path: Path) -> Iterator[Archive]:
     """Open a folder, zip or tar file; refuse one with too many members, or with paths that lead out of it."""
@@ -119,8 +140,7 @@ def open_archive(path: Path) -> Iterator[Archive]:
         else:
             with tarfile.open(path) as tar:
                 yield _tar(path, tar)
-    except (zipfile.BadZipFile, tarfile.TarError, EOFError, OSError, RuntimeError) as error:
-        # zipfile raises RuntimeError for an encrypted member, and a subclass of it for a compression it does not have.
+    except _UNREADABLE as error:
         raise InputError(f"{path}: is no readable folder, zip or tar file: {error}.") from error
 
 

@@ -64,3 +64,9 @@ def test_pads_state_that_they_are_fiducials() -> None:
     assert local.at == pytest.approx((20, 23))
     assert (excluded.name, excluded.at, excluded.diameter, excluded.kind) == ("REF**", (3, 4), 1.5, "global")
     assert {p.ref: p.mark_kind for p in design.parts} == {"U1": None, "FID1": "global"}
+
+
+def test_an_outline_of_a_footprint_without_a_place_is_left_out() -> None:
+    text = """(kicad_pcb (footprint "L:F" (layer "F.Cu")
+        (fp_line (start 0 0) (end 1 0) (layer "Edge.Cuts"))))"""
+    assert not read_kicad(text.encode(), PATH).outline

@@ -13,6 +13,7 @@ from vaoi_station.board_data.readers.odb import is_odb, read_odb
 from vaoi_station.errors import InputError
 
 TOP = "job/steps/pcb/layers/comp_+_top/components"
+PROFILE, PACKAGES = "job/steps/pcb/profile", "job/steps/pcb/eda/data"
 
 
 def write(folder: Path, **members: str) -> Path:
@@ -59,6 +60,9 @@ def test_the_step_with_most_components_or_the_chosen_one(tmp_path: Path) -> None
     [
         (TOP, "UNITS=MM\nCMP 0 1 1\n", "line 2: 'CMP 0 1 1' must be CMP package x y rotation mirror name part"),
         (TOP, "UNITS=MM\nCMP 0 a 1 0 N R1 x ;\n", "line 2: .* must have 4 numbers"),
+        (TOP, "UNITS=MM\nCMP 0 nan 1 0 N R1 x ;\n", "line 2: .* must have 4 numbers"),
+        (PROFILE, "UNITS=MM\nS P 0\nOB 0 0 I\nOC 0 40 nan 40 N\nOE\n", "line 4: 'OC 0 40 nan 40 N' must have 4"),
+        (PACKAGES, "UNITS=MM\nPKG R 0 -2 -1 2 1;\nCR 0 0 nan\n", "line 3: 'CR 0 0 nan' must have 3 numbers"),
         (TOP, "UNITS=CUBIT\n", "UNITS is 'CUBIT', but must be MM or INCH"),
         (TOP, "\x1f\x9dabc", "compressed by Unix compress"),
     ],

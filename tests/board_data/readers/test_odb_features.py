@@ -79,3 +79,8 @@ def test_a_design_has_the_marks_of_its_copper(tmp_path: Path) -> None:
     assert [(f.name, f.kind) for f in board.fiducials] == [("global1", "global"), ("local2", "local")]
     assert [(m.name, m.kind) for m in board.other_marks or ()] == [("BADBOARD_1", "bad-board")]
     assert [len(c) for c in board.cut_outs or ()] == [3]
+
+
+def test_a_row_that_is_no_number_is_no_layer() -> None:
+    assert outer_layers(MATRIX.replace("ROW=2", "ROW=²").splitlines()) == {"top": "gnd", "bottom": "bot"}
+    assert outer_layers(MATRIX.replace("ROW=5", "ROW=" + "9" * 5000).splitlines()) == {"top": "top", "bottom": "gnd"}

@@ -112,6 +112,7 @@ def test_wrong_tables_are_refused(text: str, message: str) -> None:
         ({"units": "cm"}, "the unit is 'cm', but must be mm, inch, mil"),
         ({"delimiter": "ab"}, "the delimiter is 'ab', but must be one character"),
         ({"columns": "place=1"}, "an entry is 'place=1', but must be NAME=COLUMN"),
+        ({"columns": "x=²"}, "--columns x is '²', but must be a number from 1, or a header"),
         ({"columns": "x=Nowhere"}, "--columns x is 'Nowhere', but must be a number from 1, or a header"),
     ],
 )

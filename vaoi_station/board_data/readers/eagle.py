@@ -14,7 +14,7 @@ from xml.etree.ElementTree import Element
 
 from vaoi_station.board_data.contours import arc_points, circle_points, join
 from vaoi_station.board_data.design import XY, Box, Design, Part, body_of, box_around, normalised
-from vaoi_station.board_data.source_text import decode, parse_xml
+from vaoi_station.board_data.source_text import decode, number_of, parse_xml
 from vaoi_station.errors import InputError
 
 _DIMENSION, _DOCUMENTATION, _PLACEMENT = "20", "51", "21"
@@ -120,18 +120,15 @@ class _Reader:
         text = element.get(key)
         if text is None and default is not None:
             return default
-        try:
-            found = float(text or "")
-        except ValueError:
-            found = math.nan
-        if not math.isfinite(found):
+        found = number_of(text)
+        if found is None:
             raise InputError.field(self._path, f"{element.tag} {element.get('name', '')} {key}", text, "a number")
         return found
 
 
 def _rotation(text: str) -> tuple[bool, float]:
     """Return whether a part is mirrored, and its rotation: `MR90`, `SR180` (spin)."""
-    match = re.fullmatch(r"([MS]*)R(-?\d+(?:\.\d+)?)", text)
+    match = re.fullmatch(r"([MS]*)R(-?\d{1,9}(?:\.\d+)?)", text)
     return ("M" in match[1], float(match[2])) if match else (False, 0.0)
 
 

@@ -14,10 +14,12 @@ from pathlib import Path
 
 from vaoi_station.board_data.contours import arc_points, circle_points, join
 from vaoi_station.board_data.design import XY, Box, Design, Part, Side, body_of, box_around, normalised, rotated
-from vaoi_station.board_data.source_text import decode
+from vaoi_station.board_data.source_text import decode, number_of
 from vaoi_station.errors import InputError
 
 _UNITS = {"INCH": 25.4, "THOU": 0.0254, "MM": 1.0, "MM100": 0.01}
+LEAST_UNITS = 1e-3
+"""Smallest n of `USER n`: a unit of 25 m."""
 Line = tuple[int, list[str]]
 """Number of a line of the file, and its words."""
 
@@ -100,9 +102,10 @@ def _unit(words: list[str], path: Path, number: int) -> float:
         return _UNITS[kind]
     # USER n: n units are one inch. USERCM, USERMM: n units are one centimetre, one millimetre.
     per = {"USER": 25.4, "USERCM": 10.0, "USERMM": 1.0}.get(kind)
-    if per is None or len(words) < 3 or not words[2].replace(".", "", 1).isdigit() or float(words[2]) == 0:
+    count = number_of(words[2]) if len(words) > 2 else None
+    if per is None or count is None or count < LEAST_UNITS:
         raise InputError.field(f"{path}, line {number}", "UNITS", " ".join(words[1:]), f"{', '.join(_UNITS)} or USER n")
-    return per / float(words[2])
+    return per / count
 
 
 class _Reader:
@@ -114,10 +117,7 @@ class _Reader:
     def numbers(self, line: Line, first: int, count: int) -> list[float]:
         """Return `count` numbers of a line in mm, from word `first` on."""
         number, words = line
-        try:
-            values = [float(w) * self._mm for w in words[first : first + count]]
-        except ValueError:
-            values = []
+        values = [v * self._mm for w in words[first : first + count] if (v := number_of(w)) is not None]
         if len(values) != count:
             raise InputError(
                 f"{self._path}, line {number}: {' '.join(words)!r} must have {count} numbers after word {first}."
@@ -169,8 +169,8 @@ class _Reader:
                 shape = found[words[1]] = _Shape()
             elif words[0] == "PIN" and len(words) > 5:
                 x, y = self.numbers(line, 3, 2)
-                turn = float(words[6]) if len(words) > 6 and _is_number(words[6]) else 0.0
-                shape.pins.append((words[2], (x, y), turn))
+                turn = number_of(words[6]) if len(words) > 6 else None
+                shape.pins.append((words[2], (x, y), turn or 0.0))
             elif words[0] == "HEIGHT":
                 shape.height = self.numbers(line, 1, 1)[0]
             elif (piece := self.piece(line)) is not None:
@@ -238,11 +238,3 @@ def _pad_corners(pin: tuple[str, XY, float], pads: dict[str, Box]) -> list[XY]:
         return [(x, y)]
     corners = [rotated((cx, cy), turn) for cx in (box.low[0], box.high[0]) for cy in (box.low[1], box.high[1])]
     return [(x + cx, y + cy) for cx, cy in corners]
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True

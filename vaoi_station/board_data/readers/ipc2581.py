@@ -28,7 +28,7 @@ from vaoi_station.board_data.design import (
     rotated,
 )
 from vaoi_station.board_data.panels import Repeat, Step, note_on_panels, panel_of
-from vaoi_station.board_data.source_text import parse_xml
+from vaoi_station.board_data.source_text import number_of, parse_xml
 from vaoi_station.errors import InputError
 
 _BOTTOM_RULES: dict[str, Callable[[float], float]] = {
@@ -312,11 +312,8 @@ class _Reader:
         text = None if element is None else element.get(key)
         if text is None and default is not None:
             return default
-        try:
-            found = float(text or "")
-        except ValueError:
-            found = math.nan
-        if not math.isfinite(found):
+        found = number_of(text)
+        if found is None:
             tag = "" if element is None else element.tag
             raise InputError.field(self._path, f"{tag} {key}", text, "a number")
         return found

@@ -33,6 +33,13 @@ def read_kicad(data: bytes, path: Path) -> Design:
     root = parse_sexpr(decode(data, path), path)
     if not root or root[0] != "kicad_pcb":
         raise InputError(f"{path}: begins with ({root[0] if root else ''} …, a KiCad board begins with (kicad_pcb …).")
+    try:
+        return _design(root, path)
+    except InputError as error:  # of a number; the functions that read one do not know the file
+        raise InputError(f"{path}: {error.message}") from error
+
+
+def _design(root: Node, path: Path) -> Design:
     parts, unplaced = [], 0
     marks: list[Mark] = []
     for footprint in every(root, "footprint", "module"):
@@ -204,6 +211,6 @@ def _edges(root: Node) -> Iterator[list[XY]]:
     yield from _drawing(root, "gr_", "Edge.Cuts")
     for footprint in every(root, "footprint", "module"):
         at = numbers(first(footprint, "at"))
-        for piece in _drawing(footprint, "fp_", "Edge.Cuts"):
+        for piece in _drawing(footprint, "fp_", "Edge.Cuts") if len(at) >= 2 else ():
             turned = [rotated(p, at[2] if len(at) > 2 else 0.0) for p in piece]
             yield [(x + at[0], y - at[1]) for x, y in turned]

@@ -20,7 +20,7 @@ from vaoi_station.board_data.design import XY, Design, Mark, Part, Side, box_aro
 from vaoi_station.board_data.panels import Step, note_on_panels, panel_of
 from vaoi_station.board_data.readers.odb_features import outer_layers, pad_marks
 from vaoi_station.board_data.readers.odb_repeats import datum_of, has_repeats, repeats_of
-from vaoi_station.board_data.source_text import MOST_BYTES, Archive, decode, open_archive
+from vaoi_station.board_data.source_text import MOST_BYTES, Archive, decode, number_of, open_archive
 from vaoi_station.errors import InputError
 
 _UNITS = {"MM": 1.0, "INCH": 25.4}
@@ -160,10 +160,7 @@ class _File:
 
     def numbers(self, number: int, words: list[str], count: int) -> list[float]:
         """Return the first `count` words as numbers, unscaled."""
-        try:
-            found = [float(w) for w in words[:count]]
-        except ValueError:
-            found = []
+        found = [v for w in words[:count] if (v := number_of(w)) is not None]
         if len(found) != count:
             raise InputError(f"{self.where}, line {number}: {self.lines[number - 1][:80]!r} must have {count} numbers.")
         return found
@@ -262,7 +259,7 @@ def _components(file: _File, side: Side, packages: list[_Package]) -> Iterator[P
         box = box_around(package.points)
         if box is not None and side == "bottom":
             box = box.mirrored()
-        height = float(attributes[".comp_height"]) * file.mm if _is_number(attributes.get(".comp_height", "")) else None
+        height = number_of(attributes.get(".comp_height"))
         is_mark = any(a in attributes for a in _MARK_ATTRIBUTES) or "fiducial" in package.name.lower()
         yield Part(
             ref=words[6],
@@ -272,7 +269,7 @@ def _components(file: _File, side: Side, packages: list[_Package]) -> Iterator[P
             package=package.name,
             value=words[7] if len(words) > 7 else "",
             box=box,
-            body_height=height or None,
+            body_height=height * file.mm if height else None,
             fitted=".no_pop" not in attributes and ".comp_ignore" not in attributes,
             is_mark=is_mark,
             mark_diameter=package.pad,
@@ -307,11 +304,3 @@ def _contours(file: _File) -> Iterator[list[XY]]:
             if len(closed) > 2:
                 yield closed
             points = []
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True

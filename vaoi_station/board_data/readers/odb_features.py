@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 
 from vaoi_station.board_data.design import Mark, MarkKind, Side
 from vaoi_station.board_data.marks import kind_by_name
+from vaoi_station.board_data.source_text import number_of
 
 _USAGES: dict[str, MarkKind] = {"2": "global", "g_fiducial": "global", "3": "local", "l_fiducial": "local"}
 """Values of `.pad_usage` that mark fiducials; files state the number of the option."""
@@ -18,7 +19,7 @@ MOST_MARKS = 1_000
 
 def outer_layers(matrix: Sequence[str]) -> dict[Side, str]:
     """Return the names of the outer copper layers, in lower case, from the lines of `matrix/matrix`."""
-    found: list[tuple[int, str]] = []
+    found: list[tuple[float, str]] = []
     entry: dict[str, str] = {}
     for line in matrix:
         key, equals, value = line.strip().partition("=")
@@ -26,8 +27,9 @@ def outer_layers(matrix: Sequence[str]) -> dict[Side, str]:
             entry = {}
         elif equals:
             entry[key] = value
-        elif line.strip() == "}" and entry.get("TYPE", "").upper() in _COPPER and entry.get("ROW", "").isdigit():
-            found.append((int(entry["ROW"]), entry.get("NAME", "").lower()))
+        elif line.strip() == "}" and entry.get("TYPE", "").upper() in _COPPER:
+            if (row := number_of(entry.get("ROW"))) is not None:
+                found.append((row, entry.get("NAME", "").lower()))
             entry = {}
     if not found:
         return {}
@@ -63,13 +65,12 @@ def pad_marks(lines: Sequence[str], mm: float, side: Side) -> Iterator[Mark]:
             words = head.split()
             if (name is None and usage is None) or len(words) < 4:
                 continue
-            try:
-                at = (float(words[1]) * mm, float(words[2]) * mm)
-            except ValueError:
+            x, y = number_of(words[1]), number_of(words[2])
+            if x is None or y is None:
                 continue
             count += 1
             kind = usage or kind_by_name(name or "")
-            yield Mark(name or f"{kind}{count}", side, at, symbols.get(words[3]), kind, "attribute")
+            yield Mark(name or f"{kind}{count}", side, (x * mm, y * mm), symbols.get(words[3]), kind, "attribute")
 
 
 def _named(tail: str, names: dict[str, str]) -> Iterator[tuple[str, str]]:

@@ -7,12 +7,12 @@ Version 7 has MIRROR only. Source: ODB++ specification 8.1.
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterator, Sequence
 
 from vaoi_station.board_data.design import XY
 from vaoi_station.board_data.panels import Repeat
+from vaoi_station.board_data.source_text import number_of
 from vaoi_station.errors import InputError
 
 _BLOCK = re.compile(r"\s*STEP-REPEAT\s*\{?\s*$", re.IGNORECASE)
@@ -84,11 +84,8 @@ def _blocks(where: str, lines: Sequence[str], header: dict[str, str]) -> Iterato
 
 def _number(where: str, values: dict[str, str], key: str) -> float:
     text = values.get(key, "0")
-    try:
-        found = float(text)
-    except ValueError:
-        found = math.nan
-    if not math.isfinite(found):
+    found = number_of(text)
+    if found is None:
         raise InputError.field(where, key, text, "a number")
     return found
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from vaoi_station.board_data.design import Design, Part, Side, TableReading, normalised
-from vaoi_station.board_data.source_text import decode
+from vaoi_station.board_data.source_text import decode, number_of
 from vaoi_station.errors import InputError
 
 UNITS = {"mm": 1.0, "inch": 25.4, "mil": 0.0254}
@@ -231,7 +231,7 @@ def _named_columns(row: Sequence[str]) -> dict[str, int]:
 
 
 def _column(path: Path, name: str, at: str, header: Sequence[str]) -> int:
-    if at.isdigit() and int(at) >= 1:
+    if re.fullmatch(r"[0-9]{1,6}", at) and int(at) >= 1:
         return int(at) - 1
     keys = [_key(cell) for cell in header]
     if _key(at) and _key(at) in keys:
@@ -257,7 +257,7 @@ def _without_header(rows: Sequence[list[str]], path: Path) -> dict[str, int]:
 
 def _number(cell: str) -> float | None:
     match = _NUMBER.match(cell.strip())
-    return float(match[1].replace(",", ".")) if match else None
+    return number_of(match[1].replace(",", ".")) if match else None
 
 
 def _required_number(cell: str, name: str, where: str) -> float:

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from vaoi_station.board_data.source_text import LARGEST_NUMBER, number_of
 from vaoi_station.errors import InputError
 
 MOST_DEPTH = 200
@@ -58,14 +59,27 @@ def text_of(node: Node, name: str, default: str = "") -> str:
 
 
 def numbers(node: Node | None) -> list[float]:
-    """Return the numbers of a list, without its name and without other texts."""
+    """Return the numbers of a list, without its name and without other texts.
+
+    Raises:
+        InputError: one is infinite or too large; the message does not name the file.
+    """
     found: list[float] = []
     for item in (node or [])[1:]:
-        try:
-            found.append(float(item))
-        except (TypeError, ValueError):
-            continue
+        if (value := number_of(item)) is not None:
+            found.append(value)
+        elif _is_float(item):
+            shown = " ".join(str(word) for word in (node or []) if isinstance(word, str))
+            raise InputError(f"({shown:.80}): {item!r:.40} is no number from 0 to ±{LARGEST_NUMBER:g}.")
     return found
+
+
+def _is_float(item: object) -> bool:
+    try:
+        float(item)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        return False
+    return True
 
 
 def _at(text: str, position: int) -> str:
