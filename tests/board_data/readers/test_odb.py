@@ -39,6 +39,25 @@ def test_folder_tar_and_compressed_members(tmp_path: Path) -> None:
     assert [(p.ref, p.origin) for p in read_odb(tmp_path / "b.tgz").parts] == expected
 
 
+def test_a_compressed_member_is_read_to_its_end_or_refused(tmp_path: Path) -> None:
+    """A cut-off member would give a board with fewer parts."""
+    lines = "".join(f"CMP 0 {n} {n * n % 97} 0 N R{n} x ;\n" for n in range(500))
+    first, second = (gzip.compress(text.encode()) for text in ("UNITS=MM\n" + lines[:5000], lines[5000:]))
+    path = tmp_path / "b.zip"
+
+    def write_member(content: bytes) -> None:
+        with zipfile.ZipFile(path, "w") as zipped:
+            for name, text in (samples.ODB | {TOP: ""}).items():
+                zipped.writestr(name, content if name == TOP else text)
+
+    write_member(first + second)
+    assert sum(part.side == "top" for part in read_odb(path).parts) == 500
+    for kept in range(2, len(second), 97):
+        write_member(first + second[:kept])
+        with pytest.raises(InputError, match=r"components: is no valid gzip file: "):
+            read_odb(path)
+
+
 def test_every_file_has_its_own_unit(tmp_path: Path) -> None:
     parts = {p.ref: p for p in read_odb(write(tmp_path)).parts}
     assert parts["C1"].origin == pytest.approx((15, 25), abs=1e-4)

@@ -8,6 +8,7 @@ export and its board file agree in this.
 from __future__ import annotations
 
 import gzip
+import io
 import re
 import zlib
 from collections.abc import Iterator
@@ -124,8 +125,9 @@ def _lines(archive: Archive, name: str) -> list[str] | None:
     data, where = archive.read(member), f"{archive.where}: {name}"
     if data[:2] == b"\x1f\x8b":
         try:
-            inflated = zlib.decompressobj(wbits=31).decompress(data, MOST_BYTES + 1)
-        except (zlib.error, gzip.BadGzipFile) as error:
+            with gzip.GzipFile(fileobj=io.BytesIO(data)) as packed:
+                inflated = packed.read(MOST_BYTES + 1)
+        except (zlib.error, OSError, EOFError) as error:
             raise InputError(f"{where}: is no valid gzip file: {error}.") from error
         if len(inflated) > MOST_BYTES:
             raise InputError.field(where, "its size", f"more than {MOST_BYTES} bytes", f"at most {MOST_BYTES} bytes")
