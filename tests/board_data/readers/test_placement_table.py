@@ -89,6 +89,16 @@ def test_units_of_the_values_and_of_a_usual_board() -> None:
         read("ref,x,y\nR1,0,0\nR2,0.1,0.2\n")
 
 
+@pytest.mark.parametrize("unit", ["cm", "um", "µm", "m", "micron", "Centimetres", "nm"])
+def test_another_unit_is_refused_unless_the_user_states_one(unit: str) -> None:
+    """A file in cm would else be read in inches, the only unit at which its board has a usual size."""
+    for text in (f"ref,x({unit}),y [{unit}]\nR1,0,0\nR2,16,9\n", f"# Unit: ({unit})\nref,x,y\nR1,0,0\nR2,16,9\n"):
+        with pytest.raises(InputError, match=r"states the unit '\w+' \(by .*\), but must be one of"):
+            read(text)
+        assert read(text, units="mm").parts[1].origin == (16, 9)
+    assert read("ref,x (center),y (center)\nR1,0mm,0mm\nR2,16mm,9mm\n").parts[1].origin == (16, 9)
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

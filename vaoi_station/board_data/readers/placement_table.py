@@ -62,6 +62,11 @@ _UNIT_WORDS = (
     (re.compile(r"\b(millimet(er|re)s?|mm)\b", re.IGNORECASE), "mm"),
     (re.compile(r"\b(mils?|thou)\b", re.IGNORECASE), "mil"),
     (re.compile(r"\b(inch(es)?|in)\b", re.IGNORECASE), "inch"),
+    # Units that are recognised to be refused. A single m stands for metres in brackets only.
+    (re.compile(r"\b(centimet(er|re)s?|cm)\b", re.IGNORECASE), "cm"),
+    (re.compile(r"\b(micromet(er|re)s?|microns?|[uµμ]m)\b", re.IGNORECASE), "um"),
+    (re.compile(r"\b(nanomet(er|re)s?|nm)\b", re.IGNORECASE), "nm"),
+    (re.compile(r"\b(met(er|re)s?)\b|[(\[]m[)\]]", re.IGNORECASE), "m"),
 )
 _NUMBER = re.compile(r"^([+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?)\s*(mm|mils?|inch|in|\"|°|deg)?$")
 _REF = re.compile(r"^[A-Za-z*_][\w*.\-/+$]*$")
@@ -277,6 +282,21 @@ def _unit(
     """Return the unit of the table and what states it."""
     if options.unit is not None:
         return options.unit, "as given"
+    unit, stated = _stated_unit(lines, rows, layout, path)
+    if unit is None:
+        return _plausible_unit(rows, layout, path), f"{stated}; the file states none"
+    if unit not in UNITS:
+        raise InputError(
+            f"{path}: states the unit {unit!r} ({stated}), but must be one of {', '.join(UNITS)}.",
+            action="Export it in mm, or state the unit of its numbers by --units.",
+        )
+    return unit, stated
+
+
+def _stated_unit(
+    lines: Sequence[str], rows: Sequence[list[str]], layout: _Layout, path: Path
+) -> tuple[str | None, str]:
+    """Return the unit that a file states, which may be none of `UNITS`, and what states it."""
     if found := set(layout.units.values()):
         if len(found) > 1:
             raise InputError(
@@ -297,7 +317,7 @@ def _unit(
     for n, line in enumerate(lines[: max(layout.first, 20)]):
         if re.search(r"unit", line, re.IGNORECASE) and (word := _unit_word(line)):
             return word, f"by line {n + 1}"
-    return _plausible_unit(rows, layout, path), "the only one at which the board has a usual size; the file states none"
+    return None, "the only one at which the board has a usual size"
 
 
 def _plausible_unit(rows: Sequence[list[str]], layout: _Layout, path: Path) -> str:
