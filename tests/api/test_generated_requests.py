@@ -35,6 +35,7 @@ GOOD: dict[str, tuple[Any, ...]] = {
     "file": ("x",), "board_type": ("demo-board",), "after": ("r000001", 0), "before": ("r000002",), "holder": ("h",),
     "component": ("U1",), "format": ("raw", "png", "jpeg"), "px_per_mm": (5, 20), "limit": (1, 10), "runs": (1,),
     "light": ("left",), "seen_from": ("left", 90), "order": ("best", "sharpest"), "x0": (0,), "x1": (9,), "y0": (0,),
+    "since": ("2026-01-01T00:00:00Z", "0001-01-01T00:00:00+23:00"), "until": ("9999-12-31T23:59:59-23:00",),
 }  # fmt: skip
 """Values that often mean something, by the name of the parameter."""
 BAD = (

@@ -153,6 +153,16 @@ def test_the_list_is_filtered_by_the_station(client: Any, station: Any) -> None:
         assert client.get(RUNS, params=query).status_code == 422
 
 
+@pytest.mark.parametrize("moment", ["0001-01-01T00:00:00+23:00", "9999-12-31T23:59:59-23:00"])
+def test_times_that_utc_cannot_express_are_the_first_and_the_last(client: Any, station: Any, moment: str) -> None:
+    station.film()
+    later = moment.startswith("9")
+    for query, count in (({"since": moment}, not later), ({"until": moment}, later)):
+        assert len(client.get(RUNS, params=query).json()["runs"]) == count
+    counts = client.get(f"{RUNS}/counts", params={"since": moment}).json()
+    assert counts["since"][:4] == ("9998" if later else "0002")
+
+
 def test_boards_are_counted_since_a_time_with_its_zone(client: Any, station: Any) -> None:
     station.film()
     station.film(verdict=Status.DEGRADED)

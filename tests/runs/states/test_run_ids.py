@@ -10,12 +10,28 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vaoi_station.runs.states.run_ids import RunIds, assigned_s, earliest_id, is_run_id, utc, utc_of_host
+from vaoi_station.runs.states.run_ids import (
+    FIRST,
+    LAST,
+    RunIds,
+    assigned_s,
+    earliest_id,
+    in_utc,
+    is_run_id,
+    utc,
+    utc_of_host,
+)
 
 
 def test_times_are_rfc_3339_in_utc() -> None:
     assert utc(datetime(2026, 11, 3, 14, 1, 2, 345678, tzinfo=UTC)) == "2026-11-03T14:01:02.345Z"
     assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z", utc())
+
+
+def test_times_of_callers_are_converted_wherever_utc_has_them() -> None:
+    assert in_utc(datetime.fromisoformat("2026-01-01T01:00:00+02:00")) == datetime(2025, 12, 31, 23, tzinfo=UTC)
+    assert in_utc(datetime.fromisoformat("0001-01-01T00:00:00+23:00")) == FIRST
+    assert in_utc(datetime.fromisoformat("9999-12-31T23:59:59-23:00")) == LAST
 
 
 def test_host_time_is_formatted_in_utc() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from datetime import UTC, datetime
+from datetime import datetime
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, Query, Request, Response
@@ -19,7 +19,7 @@ from vaoi_station.model.board_identity import IdentityDocument, ReportedId
 from vaoi_station.runs.archive.run_history import Wanted
 from vaoi_station.runs.states.decision_schemas import RunCounts
 from vaoi_station.runs.states.height_schemas import HeightList
-from vaoi_station.runs.states.run_ids import utc
+from vaoi_station.runs.states.run_ids import in_utc, utc
 from vaoi_station.runs.states.schemas import LeaseStatus, RunDetail
 from vaoi_station.runs.states.tables import IN_MEMORY
 from vaoi_station.store.history.run_search import RunFilter
@@ -38,7 +38,7 @@ async def run_filter(
     until: Annotated[AwareDatetime | None, Query(description="Boards before this time, RFC 3339.")] = None,
 ) -> RunFilter:
     """Return the filter that a query states."""
-    first, last = (None if moment is None else utc(moment.astimezone(UTC)) for moment in (since, until))
+    first, last = (None if moment is None else utc(in_utc(moment)) for moment in (since, until))
     return RunFilter(verdict, board_type, board_id, reason, first, last)
 
 
@@ -195,7 +195,7 @@ def _add_lists(routes: APIRouter, services: Services) -> None:
         """
         response.headers["Cache-Control"] = LIVE
         midnight = datetime.now().astimezone().replace(hour=0, minute=0, second=0, microsecond=0)
-        return await searches.ask(kept.history.counts, since or midnight)
+        return await searches.ask(kept.history.counts, in_utc(since or midnight))
 
 
 def _detail(request: Request, run: RunDetail, cache: str = REVALIDATE) -> Response:

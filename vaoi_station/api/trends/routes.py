@@ -15,7 +15,7 @@ from vaoi_station.api.event_hub import ThreadLimit
 from vaoi_station.api.http_caching import LIVE
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import InputError
-from vaoi_station.runs.states.run_ids import utc
+from vaoi_station.runs.states.run_ids import in_utc, utc
 from vaoi_station.runs.trends.trend_schemas import TrendComparison, Trends
 from vaoi_station.store.history.board_figures import Span
 
@@ -31,8 +31,6 @@ FigureName = Literal[
     "lost_frames", "unseen_parts",
 ]  # fmt: skip
 Moment = Annotated[AwareDatetime | None, Query(description="A time with its zone, RFC 3339.")]
-_FIRST, _LAST = datetime(2, 1, 1, tzinfo=UTC), datetime(9998, 1, 1, tzinfo=UTC)
-"""Times beyond these cannot be converted to UTC from every zone."""
 TypeName = Annotated[str | None, Query(description="Name of the board type.", max_length=200)]
 
 
@@ -100,13 +98,12 @@ def _span(
     first: str, since: datetime | None, last: str, until: datetime | None, end: datetime, board_type: str | None
 ) -> Span:
     """Return a span that two parameters state; without them, the day before `end`."""
-    until = min(max(until or end, _FIRST), _LAST)
-    since = max(since or until - DAY, _FIRST)
+    until = in_utc(until or end)
+    since = in_utc(since or until - DAY)
     if not timedelta(0) < until - since <= LONGEST:
         raise InputError(
             f"{first} is {since.isoformat()} and {last} is {until.isoformat()}: {first} must be earlier, by "
             f"{LONGEST.days} days at most.",
             action="State an earlier begin, or a shorter span.",
         )
-    begin, end_text = (utc(moment.astimezone(UTC)) for moment in (since, until))
-    return Span(begin, end_text, board_type)
+    return Span(utc(since), utc(until), board_type)

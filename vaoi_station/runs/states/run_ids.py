@@ -10,10 +10,18 @@ _DIGITS = "0123456789abcdefghjkmnpqrstvwxyz"
 """The digits of Crockford's base 32, in ASCII order. The letters i, l, o and u are not used."""
 _TIME_DIGITS, _RANDOM_DIGITS = 10, 6
 
+FIRST, LAST = datetime(2, 1, 1, tzinfo=UTC), datetime(9998, 1, 1, tzinfo=UTC)
+"""Times beyond these cannot be converted to UTC from every zone."""
+
 
 def utc(moment: datetime | None = None) -> str:
     """Format a time in UTC as RFC 3339 with milliseconds; None formats the present time."""
     return (moment or datetime.now(UTC)).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
+def in_utc(moment: datetime) -> datetime:
+    """Return a time that a caller states, in UTC; the first or last one that is possible if it is beyond."""
+    return min(max(moment, FIRST), LAST).astimezone(UTC)
 
 
 def utc_of_host(host_s: float) -> str:
