@@ -82,6 +82,23 @@ def test_a_webhook_from_its_making_to_its_end(service: Service, target: Receiver
     assert ("chief", "POST", f"{HOOKS}/mes/rotate") in audited
 
 
+def test_of_two_who_change_a_webhook_the_second_learns_that_it_has_changed(service: Service, target: Receiver) -> None:
+    def put(tag: str | None, events: list[str]) -> Any:
+        headers = service.admin | ({} if tag is None else {"If-Match": tag})
+        return service.client.put(f"{HOOKS}/mes", json={"url": target.url, "events": events}, headers=headers)
+
+    read = put(None, ["run"]).headers["etag"]
+    service.ask("POST", "/mes/test")  # deliveries change the document, but not what people edit
+    assert service.client.get(f"{HOOKS}/mes", headers=service.admin).headers["etag"] == read
+    changed = put(read, ["run.ready"]).headers["etag"]
+    late = service.client.delete(f"{HOOKS}/mes", headers=service.admin | {"If-Match": read})
+    for answer in (put(read, []), late):
+        assert (answer.status_code, answer.json()["code"]) == (412, "changed")
+    assert service.ask("GET", "/mes")["events"] == ["run.ready"]
+    service.client.delete(f"{HOOKS}/mes", headers=service.admin | {"If-Match": changed})
+    assert put(changed, []).status_code == 412
+
+
 def test_dead_letters_are_listed_sent_again_and_dropped(service: Service, target: Receiver) -> None:
     target.status = 500
     service.ask("PUT", "/mes", json={"url": target.url, "retry_after_s": [1]})

@@ -51,10 +51,14 @@ def test_of_two_who_edit_a_board_type_the_second_learns_that_it_has_changed(clie
         client.put(f"{TYPES}/new", json=NEW, headers={"If-Match": read}),
         client.delete(f"{TYPES}/new", headers={"If-Match": read}),
         client.post(f"{TYPES}/new/revisions/20260101T120000000Z-00000000/restore", headers={"If-Match": read}),
+        client.put(f"{TYPES}/new/state", json={"state": "approved"}, headers={"If-Match": read}),
         client.put(f"{TYPES}/new", json=NEW, headers={"If-None-Match": "*"}),
     ):
         assert (change.status_code, change.json()["code"]) == (412, "changed")
     assert client.get(f"{TYPES}/new").json()["side"] == "bottom"
+    now = {"If-Match": mine.headers["etag"]}
+    mine = client.put(f"{TYPES}/new/state", json={"state": "approved"}, headers=now)
+    assert (mine.json()["state"], mine.headers["etag"]) == ("approved", client.get(f"{TYPES}/new").headers["etag"])
     assert client.delete(f"{TYPES}/new", headers={"If-Match": mine.headers["etag"]}).status_code == 204
 
 

@@ -190,6 +190,19 @@ def test_a_decision_needs_a_name_and_a_reason_and_is_shown(client: Any, station:
     assert client.put(f"{RUNS}/r999999/decision", json=decision).status_code == 404
 
 
+def test_of_two_who_decide_the_second_learns_of_the_first(client: Any, station: Any) -> None:
+    run = station.film(verdict=Status.FAILED)
+    decision = {"choice": "use", "name": "Ada", "reason": "Only a seam is blurred."}
+    read = client.get(f"{RUNS}/{run}").headers["etag"]
+    first = client.put(f"{RUNS}/{run}/decision", json=decision, headers={"If-Match": read})
+    second = {"headers": {"If-Match": read}, "json": decision | {"choice": "film-again", "name": "Bo"}}
+    answer = client.put(f"{RUNS}/{run}/decision", **second)
+    assert (first.status_code, answer.status_code, answer.json()["code"]) == (200, 412, "changed")
+    assert client.get(f"{RUNS}/{run}").json()["decision"]["name"] == "Ada"
+    second["headers"] = {"If-Match": first.headers["etag"]}
+    assert client.put(f"{RUNS}/{run}/decision", **second).json()["decision"]["name"] == "Bo"
+
+
 def test_identity_is_waited_for_and_compared(client: Any, station: Any) -> None:
     run = station.film(board_id="SN-1")
     address = f"{RUNS}/{run}/identity"

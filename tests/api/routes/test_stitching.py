@@ -39,6 +39,21 @@ def test_a_method_is_changed_only_if_it_is_the_one_that_was_read(client: Any) ->
     assert client.get(f"{TYPE}/method").json()["method"] == "features"
 
 
+def test_of_two_who_teach_the_second_learns_that_there_is_another_reference(client: Any, station: Any) -> None:
+    runs = [station.film() for _ in range(3)]
+    first = client.put(f"{TYPE}/reference", json={"run": runs[0]}).headers["etag"]
+    assert client.get(f"{TYPE}/reference").headers["etag"] == first
+    second = client.put(f"{TYPE}/reference", json={"run": runs[1]}, headers={"If-Match": first}).headers["etag"]
+    for answer in (
+        client.put(f"{TYPE}/reference", json={"run": runs[2]}, headers={"If-Match": first}),
+        client.delete(f"{TYPE}/reference", headers={"If-Match": first}),
+    ):
+        assert (answer.status_code, answer.json()["code"]) == (412, "changed")
+    assert client.get(f"{TYPE}/reference").json()["run"] == runs[1]
+    assert client.delete(f"{TYPE}/reference", headers={"If-Match": second}).status_code == 204
+    assert client.put(f"{TYPE}/reference", json={"run": runs[2]}, headers={"If-Match": second}).status_code == 412
+
+
 def test_unsuitable_runs_are_refused_as_reference(client: Any, station: Any) -> None:
     def refused(**body: Any) -> tuple[int, str]:
         answer = client.put(f"{TYPE}/reference", json=body)

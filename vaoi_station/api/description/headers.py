@@ -46,7 +46,10 @@ CONDITIONAL = frozenset(
     }
 )  # fmt: skip
 """Operations whose answers carry an ETag; those that read give 304 to a caller that has the content already."""
-_TAGGED = CONDITIONAL | {"get_method", "set_method", "forget_method"}
+_TAGGED = CONDITIONAL | {
+    "get_method", "set_method", "forget_method", "get_reference", "teach_reference", "get_webhook", "put_webhook",
+    "set_board_type_state", "decide_about_run",
+}  # fmt: skip
 UNCHANGED = {"description": "The caller has the same content already (If-None-Match)."}
 
 

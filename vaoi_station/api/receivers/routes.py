@@ -6,9 +6,10 @@ import asyncio
 from concurrent.futures import Future
 from typing import Annotated, TypeVar
 
-from fastapi import APIRouter, Path, Query, Response
+from fastapi import APIRouter, Path, Query, Request, Response
 
-from vaoi_station.api.http_caching import LIVE
+from vaoi_station.api.http_caching import LIVE, require_unchanged, tag_of
+from vaoi_station.api.parameters import IfMatch
 from vaoi_station.api.receivers.models import (
     DeadLetterList,
     DeliveryResult,
@@ -21,8 +22,8 @@ from vaoi_station.api.receivers.models import (
     result_of,
 )
 from vaoi_station.api.routes.services import Services
-from vaoi_station.errors import BusyError
-from vaoi_station.push.push_service import PushService
+from vaoi_station.errors import BusyError, NotFoundError
+from vaoi_station.push.push_service import PushService, Webhook
 from vaoi_station.push.webhook_transport import LIMIT_S
 
 T = TypeVar("T")
@@ -37,6 +38,16 @@ def router(services: Services, push: PushService) -> APIRouter:
     """Create the routes for webhooks."""
     routes = APIRouter(tags=["webhooks"])
     ask = services.commands.ask
+    # Between the check of If-Match and the change no other caller may change the webhook.
+    changing = asyncio.Lock()
+
+    async def require_read(request: Request, name: str) -> None:
+        """Raise ChangedError if the webhook is not the one that the caller has read."""
+        try:
+            present = _settings(await ask(push.webhook, name))
+        except NotFoundError:
+            present = None
+        require_unchanged(request, present, f"Webhook {name!r}")
 
     @routes.get("/webhooks", response_model_exclude_none=True)
     async def list_webhooks(response: Response) -> WebhookList:
@@ -46,25 +57,32 @@ def router(services: Services, push: PushService) -> APIRouter:
 
     @routes.get("/webhooks/{name}", response_model_exclude_none=True)
     async def get_webhook(response: Response, name: Name) -> WebhookEntry:
-        """Return one webhook and how its deliveries do."""
+        """Return one webhook and how its deliveries do. Its ETag is that of its settings: no delivery changes it."""
         response.headers["Cache-Control"] = LIVE
-        return entry_of(await ask(push.webhook, name))
+        return _tagged(response, await ask(push.webhook, name))
 
     @routes.put("/webhooks/{name}", response_model_exclude_none=True)
-    async def put_webhook(response: Response, name: Name, request: WebhookRequest) -> WebhookEntry:
+    async def put_webhook(
+        request: Request, response: Response, name: Name, wanted: WebhookRequest, _: IfMatch = None
+    ) -> WebhookEntry:
         """Make a webhook, or change one. The reply to the request that makes it has its `secret`.
 
         A new webhook gets the events from now on. A change takes effect at once: a webhook that is disabled is enabled,
-        and what waits is sent again.
+        and what waits is sent again. With `If-Match: ETAG` only if it is still the one that the caller has read: else
+        412 `changed`.
         """
         response.headers["Cache-Control"] = LIVE
-        secret = await ask(push.put, name, request.settings())
-        return entry_of(await ask(push.webhook, name), secret)
+        async with changing:
+            await require_read(request, name)
+            secret = await ask(push.put, name, wanted.settings())
+            return _tagged(response, await ask(push.webhook, name), secret)
 
     @routes.delete("/webhooks/{name}", status_code=204)
-    async def delete_webhook(name: Name) -> None:
-        """Delete a webhook with its dead letters."""
-        await ask(push.delete, name)
+    async def delete_webhook(request: Request, name: Name, _: IfMatch = None) -> None:
+        """Delete a webhook with its dead letters; with `If-Match: ETAG` only the one that the caller has read."""
+        async with changing:
+            await require_read(request, name)
+            await ask(push.delete, name)
 
     @routes.post("/webhooks/{name}/rotate")
     async def rotate_webhook_secret(
@@ -109,6 +127,17 @@ def router(services: Services, push: PushService) -> APIRouter:
         await _sent((await ask(push.webhook, name)).delivery.drop(number))
 
     return routes
+
+
+def _settings(webhook: Webhook) -> bytes:
+    """Return what people may edit of a webhook, of which its ETag is made."""
+    return webhook.settings.model_dump_json().encode()
+
+
+def _tagged(response: Response, webhook: Webhook, secret: str | None = None) -> WebhookEntry:
+    """Add the ETag of a webhook to its reply, and return its document."""
+    response.headers["ETag"] = tag_of(_settings(webhook))
+    return entry_of(webhook, secret)
 
 
 async def _sent(future: Future[T]) -> T:

@@ -89,14 +89,18 @@ def router(services: Services) -> APIRouter:
             await ask(coordinator.delete_board_type, name)
 
     @routes.put("/{name}/state", response_model=BoardType)
-    async def set_board_type_state(name: BoardTypeName, body: StateRequest) -> Response:
+    async def set_board_type_state(
+        request: Request, name: BoardTypeName, body: StateRequest, _: IfMatch = None
+    ) -> Response:
         """Set the state of a board type, and its revision if given. The version before can be restored.
 
-        An armed line keeps the state with which it was armed; the new one applies from the next arming on.
+        An armed line keeps the state with which it was armed; the new one applies from the next arming on. With
+        `If-Match: ETAG` only the version that the caller has read: else 412 `changed`.
         """
         async with changing:
+            require_unchanged(request, await present_document(services, request, name), f"Board type {name!r}")
             board_type = await ask(coordinator.board_type_history.set_state, name, body.state, body.revision)
-        return Response(document_of(board_type), media_type="application/json", headers={"Cache-Control": LIVE})
+        return conditional_response(request, document_of(board_type), "application/json", cache=LIVE)
 
     @routes.get("/{name}/revisions")
     async def list_revisions(response: Response, name: BoardTypeName) -> BoardTypeVersions:

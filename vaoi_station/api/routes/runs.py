@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import time
 from datetime import datetime
 from typing import Annotated
@@ -10,8 +11,8 @@ from fastapi import APIRouter, Depends, Query, Request, Response
 from pydantic import AwareDatetime
 
 from vaoi_station.api.callers.caller import caller_of
-from vaoi_station.api.http_caching import IMMUTABLE, LIVE, REVALIDATE, conditional_response
-from vaoi_station.api.parameters import RunId, TimeoutS
+from vaoi_station.api.http_caching import IMMUTABLE, LIVE, REVALIDATE, conditional_response, require_unchanged
+from vaoi_station.api.parameters import IfMatch, RunId, TimeoutS
 from vaoi_station.api.rest_models import DecisionRequest, IdentityReport, Matrices, RunPage
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import NotFoundError
@@ -137,15 +138,7 @@ def router(services: Services) -> APIRouter:
         """Remove the pin of a run; it is then deleted like other runs. Replies 404 `not-pinned` if it has none."""
         await ask(kept.unpin, run)
 
-    @routes.put("/{run}/decision", response_model=RunDetail)
-    async def decide_about_run(request: Request, run: RunId, wanted: DecisionRequest) -> Response:
-        """Keep what a person has decided about a run: film the board again, or use its pictures despite the verdict.
-
-        The verdict stays as it is. A later decision replaces an earlier one; the event log has both.
-        """
-        await ask(kept.history.decide, run, wanted.choice, wanted.name, wanted.reason)
-        return _detail(request, await ask(kept.shown, await ask(coordinator.run, run)), LIVE)
-
+    _add_decision(routes, services)
     _add_identity(routes, services)
     return routes
 
@@ -201,8 +194,31 @@ def _add_lists(routes: APIRouter, services: Services) -> None:
 def _detail(request: Request, run: RunDetail, cache: str = REVALIDATE) -> Response:
     """Return the document of a run as JSON, with its ETag."""
     # Even a finished run changes its state when its frames are released, so clients must revalidate.
-    content = run.model_dump_json(exclude_none=True).encode()
-    return conditional_response(request, content, "application/json", cache=cache)
+    return conditional_response(request, _content(run), "application/json", cache=cache)
+
+
+def _content(run: RunDetail) -> bytes:
+    return run.model_dump_json(exclude_none=True).encode()
+
+
+def _add_decision(routes: APIRouter, services: Services) -> None:
+    """Add the route for what a person decides about a run."""
+    coordinator, ask, kept = services.coordinator, services.commands.ask, services.coordinator.kept
+    # Between the check of If-Match and the decision nobody else may decide.
+    deciding = asyncio.Lock()
+
+    @routes.put("/{run}/decision", response_model=RunDetail)
+    async def decide_about_run(request: Request, run: RunId, wanted: DecisionRequest, _: IfMatch = None) -> Response:
+        """Keep what a person has decided about a run: film the board again, or use its pictures despite the verdict.
+
+        The verdict stays as it is. A later decision replaces an earlier one; the event log has both. With
+        `If-Match: ETAG` only if the run is still as the caller has read it: else 412 `changed`.
+        """
+        async with deciding:
+            present = _content(await ask(kept.shown, await ask(coordinator.run, run)))
+            require_unchanged(request, present, f"Run {run}")
+            await ask(kept.history.decide, run, wanted.choice, wanted.name, wanted.reason)
+        return _detail(request, await ask(kept.shown, await ask(coordinator.run, run)), LIVE)
 
 
 def _add_identity(routes: APIRouter, services: Services) -> None:

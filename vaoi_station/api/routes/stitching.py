@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from functools import partial
+from typing import TypeVar
 from urllib.parse import quote
 
 from fastapi import APIRouter, Request, Response
@@ -12,21 +13,33 @@ from vaoi_station.api.http_caching import LIVE, require_unchanged, tag_of
 from vaoi_station.api.parameters import BoardTypeName, IfMatch
 from vaoi_station.api.rest_models import MethodRequest, TeachRequest
 from vaoi_station.api.routes.services import Services
+from vaoi_station.errors import NotFoundError
 from vaoi_station.runs.states.stitching_schemas import ReferenceStatus, StitchingMethod
+
+Setting = TypeVar("Setting", StitchingMethod, ReferenceStatus)
 
 
 def router(services: Services) -> APIRouter:
     """Create the routes for references and methods. A change applies from the next arming on."""
     routes = APIRouter(prefix="/board-types/{name}", tags=["board types"])
     coordinator, ask = services.coordinator, services.commands.ask
-    # Between the check of If-Match and the change no other caller may change the setting.
-    changing = asyncio.Lock()
+    # Between the check of If-Match and the change no other caller may change the setting. Teaching copies frames.
+    changing, teaching = asyncio.Lock(), asyncio.Lock()
+
+    async def present_reference(request: Request, name: str) -> bytes | None:
+        """Return the document of the reference; None if there is none, or the request has no condition."""
+        if "if-match" not in request.headers and "if-none-match" not in request.headers:
+            return None
+        try:
+            return _content(await ask(coordinator.reference, name))
+        except NotFoundError:
+            return None
 
     @routes.get("/reference", response_model_exclude_none=True)
     async def get_reference(response: Response, name: BoardTypeName) -> ReferenceStatus:
         """Return the board type's reference, and whether it is usable. Replies 404 `no-reference` if there is none."""
         response.headers["Cache-Control"] = LIVE
-        return await ask(coordinator.reference, name)
+        return _tagged(response, await ask(coordinator.reference, name))
 
     @routes.put(
         "/reference",
@@ -34,25 +47,33 @@ def router(services: Services) -> APIRouter:
         responses={201: {"model": ReferenceStatus, "description": "The board type had no reference before."}},
     )
     async def teach_reference(
-        request: Request, response: Response, name: BoardTypeName, wanted: TeachRequest
+        request: Request, response: Response, name: BoardTypeName, wanted: TeachRequest, _: IfMatch = None
     ) -> ReferenceStatus:
         """Make a finished run the reference of its board type, from the next arming on.
 
         Some frames of each row are copied to the disk. 409: the run's verdict is not ok, or the run has none yet; 410:
         the frames of the run are no longer in memory; 422: the run is of another board type. A run that is degraded
-        only because its board may lie turned by 180° is accepted with `confirm_orientation`.
+        only because its board may lie turned by 180° is accepted with `confirm_orientation`. With `If-Match: ETAG` only
+        if the reference is still the one that the caller has read: else 412 `changed`.
         """
         response.headers["Cache-Control"] = LIVE
         teach = partial(coordinator.teach_reference, confirm_orientation=wanted.confirm_orientation)
-        if await ask(teach, name, wanted.run):
-            response.status_code = 201
-            response.headers["Location"] = quote(request.url.path)
-        return await ask(coordinator.reference, name)
+        async with teaching:
+            require_unchanged(request, await present_reference(request, name), f"The reference of {name!r}")
+            if await ask(teach, name, wanted.run):
+                response.status_code = 201
+                response.headers["Location"] = quote(request.url.path)
+            return _tagged(response, await ask(coordinator.reference, name))
 
     @routes.delete("/reference", status_code=204)
-    async def forget_reference(name: BoardTypeName) -> None:
-        """Delete the reference of the board type. The change applies from the next arming on."""
-        await ask(coordinator.forget_reference, name)
+    async def forget_reference(request: Request, name: BoardTypeName, _: IfMatch = None) -> None:
+        """Delete the reference of the board type. The change applies from the next arming on.
+
+        With `If-Match: ETAG` only if it is still the one that the caller has read: else 412 `changed`.
+        """
+        async with teaching:
+            require_unchanged(request, await present_reference(request, name), f"The reference of {name!r}")
+            await ask(coordinator.forget_reference, name)
 
     @routes.get("/method", response_model_exclude_none=True)
     async def get_method(response: Response, name: BoardTypeName) -> StitchingMethod:
@@ -86,11 +107,11 @@ def router(services: Services) -> APIRouter:
     return routes
 
 
-def _content(method: StitchingMethod) -> bytes:
-    return method.model_dump_json().encode()
+def _content(setting: StitchingMethod | ReferenceStatus) -> bytes:
+    return setting.model_dump_json().encode()
 
 
-def _tagged(response: Response, method: StitchingMethod) -> StitchingMethod:
-    """Add the ETag of a method to its reply, and return the method."""
-    response.headers["ETag"] = tag_of(_content(method))
-    return method
+def _tagged(response: Response, setting: Setting) -> Setting:
+    """Add the ETag of a method or reference to its reply, and return it."""
+    response.headers["ETag"] = tag_of(_content(setting))
+    return setting
