@@ -112,6 +112,15 @@ def test_a_value_that_is_no_length_and_no_angle_is_named(
         read_design(tmp_path / name)
 
 
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-be", "utf-8-sig"])
+@pytest.mark.parametrize("text", [samples.KICAD, samples.GENCAD, samples.IPC2581, samples.EAGLE, samples.HTML_BOM])
+def test_every_format_is_recognised_in_every_encoding(text: str, encoding: str, tmp_path: Path) -> None:
+    (tmp_path / "plain").write_text(text)
+    (tmp_path / "encoded").write_bytes(text.encode(encoding))
+    plain, encoded = (read_design(tmp_path / name) for name in ("plain", "encoded"))
+    assert (encoded.format, encoded.parts, encoded.outline) == (plain.format, plain.parts, plain.outline)
+
+
 def test_sizes_of_the_user_come_first(tmp_path: Path) -> None:
     (tmp_path / "b.csv").write_text("ref,x,y,package\nR1,0mm,0mm,R0805\n")
     (tmp_path / "t.toml").write_text("[[package]]\npattern = 'r0805'\nsize = [3, 4]\n")

@@ -18,6 +18,12 @@ def test_encodings_of_old_and_new_programs(encoding: str) -> None:
     assert decode("Größe 5 µm".encode(encoding), "f") == "Größe 5 µm"
 
 
+def test_utf_16_without_a_mark_is_recognised() -> None:
+    assert decode("<a>µ</a>".encode("utf-16-le"), "f") == decode("<a>µ</a>".encode("utf-16-be"), "f") == "<a>µ</a>"
+    with pytest.raises(InputError, match="f: is no valid utf-16-le text at byte 10"):
+        decode("(abcd".encode("utf-16-le") + b"\x00\xd8\x00\x00", "f")
+
+
 def test_binary_files_and_absent_ones_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="f: is a binary file"):
         decode(b"ab\x00\x01", "f")

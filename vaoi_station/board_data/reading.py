@@ -17,11 +17,10 @@ from vaoi_station.board_data.readers.ipc2581 import is_ipc2581, read_ipc2581
 from vaoi_station.board_data.readers.kicad import is_kicad, read_kicad
 from vaoi_station.board_data.readers.odb import is_odb, read_odb
 from vaoi_station.board_data.readers.placement_table import TableOptions, read_placement_table
-from vaoi_station.board_data.source_text import read_bytes
+from vaoi_station.board_data.source_text import head_of, read_bytes
 from vaoi_station.errors import InputError
 
 FORMATS = ("kicad", "gencad", "ipc2581", "odb", "eagle", "html-bom", "centroid")
-_HEAD_BYTES = 4096
 _BY_HEAD: tuple[tuple[str, Callable[[bytes], bool]], ...] = (
     ("kicad", is_kicad),
     ("gencad", is_gencad),
@@ -88,7 +87,8 @@ def _read(path: Path, options: Options) -> Design:
     if path.is_dir():
         raise InputError(f"{path}: is a folder without matrix/matrix. Of folders, only ODB++ designs can be read.")
     data = read_bytes(path)
-    chosen = options.format or next((name for name, is_it in _BY_HEAD if is_it(data[:_HEAD_BYTES])), "centroid")
+    head = head_of(data)
+    chosen = options.format or next((name for name, is_it in _BY_HEAD if is_it(head)), "centroid")
     if chosen == "ipc2581":
         return read_ipc2581(data, path, options.step)
     if chosen in _READERS:

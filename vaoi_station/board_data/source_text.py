@@ -22,6 +22,8 @@ MOST_DEPTH = 200
 LARGEST_NUMBER = 1e9
 """A larger number is no length of a board in any unit; squares and products of smaller ones are finite."""
 _BYTE_ORDER_MARKS = ((b"\xef\xbb\xbf", "utf-8-sig"), (b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"))
+_EXPAT_NAMES = {"utf-8-sig": "UTF-8", "utf-16": "UTF-16", "utf-16-le": "UTF-16LE", "utf-16-be": "UTF-16BE"}
+_HEAD_BYTES = 4096
 
 
 def read_bytes(path: Path) -> bytes:
@@ -37,15 +39,31 @@ def read_bytes(path: Path) -> bytes:
         raise InputError(f"{path}: cannot be read: {error.strerror}.") from error
 
 
-def decode(data: bytes, where: str | Path) -> str:
-    """Return text in UTF-8, UTF-16 with a byte order mark, or Latin-1, which old CAD systems write."""
+def head_of(data: bytes) -> bytes:
+    """Return the beginning of a file by which its format is recognised; of a text in UTF-16 in UTF-8."""
+    head, encoding = data[:_HEAD_BYTES], _encoding_of(data)
+    return head if encoding is None else head.decode(encoding, errors="ignore").encode(errors="ignore")
+
+
+def _encoding_of(data: bytes) -> str | None:
+    """Return the encoding that the first bytes of a text show: by a byte order mark, or every other byte is zero."""
     for mark, encoding in _BYTE_ORDER_MARKS:
         if data.startswith(mark):
-            try:
-                return data.decode(encoding)
-            except UnicodeDecodeError as error:
-                raise InputError(f"{where}: is no valid {encoding} text at byte {error.start}.") from error
-    if b"\x00" in data[:4096]:
+            return encoding
+    zeros, first = bytes(4), data[:8]
+    if (first[::2] == zeros) != (first[1::2] == zeros):
+        return "utf-16-be" if first[::2] == zeros else "utf-16-le"
+    return None
+
+
+def decode(data: bytes, where: str | Path) -> str:
+    """Return text in UTF-8, UTF-16, or Latin-1, which old CAD systems write."""
+    if (encoding := _encoding_of(data)) is not None:
+        try:
+            return data.decode(encoding)
+        except UnicodeDecodeError as error:
+            raise InputError(f"{where}: is no valid {encoding} text at byte {error.start}.") from error
+    if b"\x00" in data[:_HEAD_BYTES]:
         raise InputError(f"{where}: is a binary file, not a text.")
     try:
         return data.decode("utf-8")
@@ -68,7 +86,7 @@ def parse_xml(data: bytes, where: str | Path) -> Element:
     Names are without their namespace, which differs from revision to revision. A document type is refused: its entities
     could make a small file fill the memory.
     """
-    builder, parser = TreeBuilder(), expat.ParserCreate()
+    builder, parser = TreeBuilder(), expat.ParserCreate(_EXPAT_NAMES.get(_encoding_of(data) or ""))
     depth = 0
 
     def start(tag: str, attributes: dict[str, str]) -> None:
