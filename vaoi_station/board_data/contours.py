@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Iterable, Sequence
 
 from vaoi_station.board_data.design import XY
@@ -61,21 +62,62 @@ def join(pieces: Iterable[Sequence[XY]]) -> tuple[list[list[XY]], int]:
         The closed contours without a repeated last corner, the largest first, and the number of pieces that close no
         contour.
     """
-    left = [list(piece) for piece in pieces if len(piece) > 1]
+    left = _Pieces([piece for piece in pieces if len(piece) > 1])
     closed: list[list[XY]] = []
     open_count = 0
-    while left:
-        chain, count = left.pop(), 1
+    while (first := left.take()) is not None:
+        chain, count = list(first), 1
         while math.dist(chain[0], chain[-1]) > JOIN_MM or len(chain) < 4:
-            near = min(left, key=lambda p: min(math.dist(p[0], chain[-1]), math.dist(p[-1], chain[-1])), default=None)
-            if near is None or min(math.dist(near[0], chain[-1]), math.dist(near[-1], chain[-1])) > JOIN_MM:
+            near = left.take_from(chain[-1])
+            if near is None:
                 break
-            left.remove(near)
             count += 1
-            forward = math.dist(near[0], chain[-1]) <= math.dist(near[-1], chain[-1])
-            chain += (near if forward else near[::-1])[1:]
+            chain += near[1:]
         if math.dist(chain[0], chain[-1]) <= JOIN_MM and abs(area(chain)) > 1e-3:
             closed.append(chain[:-1])
         else:
             open_count += count
     return sorted(closed, key=lambda c: -abs(area(c))), open_count
+
+
+class _Pieces:
+    """Pieces with their ends in a grid, so that one that begins at a place is found among its neighbours."""
+
+    def __init__(self, pieces: Sequence[Sequence[XY]]) -> None:
+        self._left = dict(enumerate(pieces))
+        # Cell → (number of a piece, whether its last point is meant); dictionaries keep the order and lose any entry.
+        self._ends: defaultdict[tuple[int, int], dict[tuple[int, bool], XY]] = defaultdict(dict)
+        for n, piece in self._left.items():
+            for last in (False, True):
+                end = piece[-1 if last else 0]
+                self._ends[_cell(end)][n, last] = end
+
+    def take(self) -> Sequence[XY] | None:
+        """Remove and return the last piece; None if there is none."""
+        return self._without_ends(*self._left.popitem()) if self._left else None
+
+    def take_from(self, at: XY) -> Sequence[XY] | None:
+        """Remove the piece with the nearest end, and return it from there on; None if none is near."""
+        column, row = _cell(at)
+        best: tuple[float, int, bool] | None = None
+        for x in (column, column - 1, column + 1):
+            for y in (row, row - 1, row + 1):
+                for (n, last), end in self._ends.get((x, y), {}).items():
+                    distance = math.dist(end, at)
+                    if distance <= JOIN_MM and (best is None or (distance, n, last) < best):
+                        best = (distance, n, last)
+                    if distance == 0:
+                        break  # there is none nearer; thousands of lines may begin at one place
+        if best is None:
+            return None
+        piece = self._without_ends(best[1], self._left.pop(best[1]))
+        return piece[::-1] if best[2] else piece
+
+    def _without_ends(self, n: int, piece: Sequence[XY]) -> Sequence[XY]:
+        for last in (False, True):
+            del self._ends[_cell(piece[-1 if last else 0])][n, last]
+        return piece
+
+
+def _cell(point: XY) -> tuple[int, int]:
+    return math.floor(point[0] / JOIN_MM), math.floor(point[1] / JOIN_MM)
