@@ -22,7 +22,7 @@ import asyncio
 import json
 import re
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from functools import partial
 from http import HTTPStatus
 
@@ -160,7 +160,21 @@ class RequestGuard:
                 late = f"The upload did not arrive within {UPLOAD_LIMIT_S:g} s."
                 raise InputError(late, code="upload-too-slow") from None
 
-        await self._app(scope, receive_in_time, send)
+        performed = False
+
+        async def work(send: Send) -> None:
+            nonlocal performed
+            performed = True
+            await self._app(scope, receive_in_time, send)
+
+        async def send_after_body(message: Message) -> None:
+            # A caller whose upload is not performed again still sends it, and would not read the reply before its end.
+            if not performed and message["type"] == "http.response.start":
+                await _discard(receive_in_time)
+            await send(message)
+
+        # The file itself is not compared, because it is not kept: one of the same size is the same command.
+        await self._repeated.serve(scope, announced.encode(), work, send_after_body)
 
     async def _stream(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request for the event stream on. Ignore the error that is raised when its reader has gone."""
@@ -227,6 +241,13 @@ class RequestGuard:
         if twin is not None:
             return problem_response(path, "malformed", f"body: {twin}.")
         return body
+
+
+async def _discard(receive: Receive) -> None:
+    """Read the body of a request to its end, or until it is too late."""
+    with suppress(InputError):
+        while (message := await receive())["type"] != "http.disconnect" and message.get("more_body", False):
+            pass
 
 
 async def _read(headers: Headers, receive: Receive, limit: int) -> bytes | None:

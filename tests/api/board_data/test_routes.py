@@ -72,6 +72,19 @@ def test_a_board_type_is_replaced_under_the_condition_of_its_caller(client: Any,
     assert (last.status_code, last.content) == (200, first.content)
 
 
+def test_an_upload_that_is_repeated_with_its_key_makes_one_preview(client: Any) -> None:
+    def send(content: str = TABLE, **options: str) -> Any:
+        query = {"filename": "p.csv", **options}
+        return client.post(PREVIEWS, params=query, content=content.encode(), headers={"Idempotency-Key": '"one"'})
+
+    first, again = send(), send()
+    assert (again.status_code, again.json()["id"]) == (201, first.json()["id"])
+    assert again.headers["idempotency-replayed"] == "true"
+    assert sum(p["id"] == first.json()["id"] for p in client.get(PREVIEWS).json()["previews"]) == 1
+    for other in (send(TABLE + "R9,1,1,0\n"), send(side="bottom")):
+        assert (other.status_code, other.json()["code"]) == (422, "key-of-another-request")
+
+
 def test_options_are_corrected_and_files_joined(client: Any) -> None:
     bodies = upload(client, samples.KICAD, "b.kicad_pcb")
     places = upload(client, TABLE.replace("(mm)", ""))

@@ -75,7 +75,7 @@ def of_answer(method: str, operation: dict[str, Any], status: str, answer: dict[
         names += _LAYOUT[-1:] if name != "get_component_image" else _LAYOUT
     if status == "201" and "keys" not in name and "key" not in name:
         names.append("Location")
-    if method != "get" and name != "upload_board_data":
+    if method != "get":
         names.append("Idempotency-Replayed")
     return _references(*names, *_OF_OPERATIONS.get(name, ()))
 
