@@ -6,6 +6,7 @@ import pytest
 
 from tests.board_data.readers import samples
 from vaoi_station.board_data import read_design, to_board_type
+from vaoi_station.board_data.import_process import ImportTask, run_import
 from vaoi_station.board_data.overview import ImportOverview, overview
 
 
@@ -33,3 +34,7 @@ def test_a_table_shows_its_columns_and_what_it_has_no_column_for(tmp_path: Path)
     ]
     assert [m.what for m in found.missing] == ["outline", "sizes", "heights", "sides", "rotations"]
     assert found.sizes_from == {"guess": 3}
+    stated = run_import(ImportTask(file=tmp_path / "p.csv", side="bottom", columns="side=bottom")).overview
+    assert stated is not None
+    assert (stated.parts_bottom, stated.table and stated.table.all_on) == (3, "bottom")
+    assert "sides" not in [m.what for m in stated.missing]

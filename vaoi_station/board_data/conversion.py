@@ -55,14 +55,15 @@ def _converted(design: Design, side: Side, name: str | None) -> tuple[BoardType,
         others = Counter(part.side for part in design.parts)
         found = ", ".join(f"{count} on the {s}" for s, count in others.items()) or "none at all"
         raise InputError(
-            f"design {design.name!r} has no part on the {side}; parts: {found}. Choose the side by --side."
+            f"design {design.name!r} has no part on the {side}; parts: {found}.", action=_advice(design, side)
         )
     counts = Counter(part.address for part in chosen)
     repeated = sorted(address for address, count in counts.items() if count > 1)
     parts = [part for part in chosen if counts[part.address] == 1 and part.box is not None]
     notes = list(design.notes)
     if repeated:
-        notes.append(f"designators that occur more than once were left out: {_some(repeated)}.")
+        shown = [address + _lines(address, chosen) for address in repeated[:8]]
+        notes.append(f"designators that occur more than once were left out: {_some([*shown, *repeated[8:]])}.")
     if 2 * len(repeated) > len(counts):
         panel = (
             f"{len(repeated)} of {len(counts)} designators of the {side} occur more than once: the file seems to be of "
@@ -94,6 +95,22 @@ def _converted(design: Design, side: Side, name: str | None) -> tuple[BoardType,
         components=tuple(_component(part) for part in parts),
     )
     return board, tuple(notes)
+
+
+def _advice(design: Design, side: Side) -> str:
+    """Return what to do about a side without parts."""
+    if not design.parts:
+        return "Export the file with its components."
+    table = design.table
+    if table is not None and table.all_on is None and "side" not in dict(table.columns):
+        return f"If the parts of the file are those of the {side}, state it by --columns side={side}."
+    return "Choose the side by --side."
+
+
+def _lines(address: str, parts: Sequence[Part]) -> str:
+    """Return in which lines a designator occurs, if the format has lines."""
+    lines = [str(part.line) for part in parts if part.address == address and part.line is not None]
+    return f" (lines {_some(lines)})" if lines else ""
 
 
 def _component(part: Part) -> Component:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 Side = Literal["top", "bottom"]
@@ -92,6 +92,8 @@ class Part:
     """The kind that an attribute of the file states; None: names decide."""
     panel: str | None = None
     """Position on the panel of the board that the part is on."""
+    line: int | None = field(default=None, compare=False)
+    """Line of the file that places the part, where the format has lines."""
 
     @property
     def address(self) -> str:
@@ -161,6 +163,8 @@ class TableReading:
     """Pairs of what a column holds and its number, from 1."""
     headers: tuple[str, ...] = ()
     """The header of every column; empty if the file has none."""
+    all_on: Side | None = None
+    """The side of all parts, as the user states it."""
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from vaoi_station.board_data.design import Design
+from vaoi_station.board_data.design import Design, Side
 from vaoi_station.model import BoardType, Strict
 
 
@@ -28,6 +28,7 @@ class ImportedTable(Strict):
     unit_from: str = Field(description="What states the unit.")
     columns: list[ImportedColumn]
     headers: list[str] = Field(default=[], description="Header of every column.")
+    all_on: Side | None = Field(default=None, description="The side of all parts, as it was given.")
 
 
 class MissingData(Strict):
@@ -101,6 +102,7 @@ def _table(design: Design) -> ImportedTable | None:
         unit_from=table.unit_from,
         columns=columns,
         headers=list(table.headers),
+        all_on=table.all_on,
     )
 
 
@@ -121,7 +123,10 @@ def _missing(design: Design, board: BoardType) -> Iterator[MissingData]:
         message = "Without body heights, images are right on the board and less so on tall bodies."
         yield MissingData(what="heights", count=flat, message=message)
     known = dict(design.table.columns) if design.table else None
-    if known is not None and "side" not in known and len({part.side for part in design.parts}) == 1:
-        yield MissingData(what="sides", count=count, message="No column states the side; all parts count as top.")
+    sides = sorted({part.side for part in design.parts})
+    stated = design.table is not None and design.table.all_on is not None
+    if known is not None and "side" not in known and not stated and len(sides) == 1:
+        message = f"No column states the side; all parts count as those of the {sides[0]}."
+        yield MissingData(what="sides", count=count, message=message)
     if known is not None and "rotation" not in known:
         yield MissingData(what="rotations", count=count, message="No column states the rotation; 0° is taken.")

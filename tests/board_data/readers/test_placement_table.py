@@ -65,6 +65,32 @@ def test_what_was_recognised_is_said() -> None:
     assert any("no column states the side" in note for note in read(EAGLE, units="mm").notes)
 
 
+def test_the_side_of_a_file_of_one_side_is_stated_by_the_user_or_its_suffix() -> None:
+    text = "ref,x (mm),y (mm)\nR1,1,2\n"
+    for options, side in (({}, "top"), ({"columns": "side=bottom"}, "bottom"), ({"columns": "side=Top"}, "top")):
+        design = read(text, **options)
+        assert [part.side for part in design.parts] == [side]
+        assert any("no column states the side" in note for note in design.notes) == (not options)
+    eagle = read_placement_table(EAGLE.encode(), Path("b.mnb"), TableOptions("mm"))
+    assert {part.side for part in eagle.parts} == {"bottom"}
+    assert any("are taken as those of the bottom" in note for note in eagle.notes)
+    stated = read("ref,x (mm),y (mm),side\nR1,1,2,top\n", columns="side=bottom")
+    assert (stated.parts[0].side, stated.table and stated.table.all_on) == ("bottom", "bottom")
+    assert read(ALLEGRO, columns="side=bottom").parts[1].package == "C0402"
+
+
+def test_parts_that_are_not_fitted_are_marked() -> None:
+    def fitted(header: str, *cells: str, **options: str) -> list[bool]:
+        lines = "".join(f"R{n},{n},0,{cell}\n" for n, cell in enumerate(cells))
+        return [part.fitted for part in read(f"ref,x (mm),y (mm),{header}\n{lines}", **options).parts]
+
+    assert fitted("DNP", "", "DNP", "yes", "no", "1", "x") == [True, False, False, True, False, False]
+    assert fitted("Fitted", "yes", "No", "Not Fitted", "", "false") == [True, False, False, True, False]
+    assert fitted("Populate", "0", "1") == [False, True]
+    assert fitted("Comment", "10k", "DNP") == [True, False]
+    assert fitted("a", "n", "y", columns="fitted=4") == [False, True]
+
+
 def test_parts_without_a_place_are_left_out_and_named() -> None:
     design = read("ref,x (mm),y (mm)\nR1,1,2\nR2,,\n")
     assert [part.ref for part in design.parts] == ["R1"]

@@ -21,7 +21,10 @@ class ImportOptions(Strict):
     format: FormatName | None = None
     units: Literal["mm", "inch", "mil"] | None = Field(default=None, description="Of a centroid file.")
     columns: str | None = Field(
-        default=None, max_length=500, description="Of a centroid file, as `ref=1,x=3,y=Mid Y,rotation=5,side=Layer`."
+        default=None,
+        max_length=500,
+        description="Of a centroid file, as `ref=1,x=3,y=Mid Y,rotation=5,side=Layer,fitted=DNP`; `side=bottom` states "
+        "the side of all parts.",
     )
     delimiter: str | None = Field(
         default=None, max_length=10, description="Of a centroid file: one character or its name."

@@ -198,10 +198,10 @@ class _Reader:
         is_mark = "fiducial" in package.lower()
         sizes = [max(pads[stack].size) for stack, _, _ in shape.pins if stack in pads]
         height = self.numbers(found["HEIGHT"], 1, 1)[0] if "HEIGHT" in found else shape.height
-        ref = found["COMPONENT"][1][1]
+        line, (_, ref, *_) = found["COMPONENT"]
         return Part(
             ref, side, (x, y), normalised(rotation), package, box=box, body_height=height or None, is_mark=is_mark,
-            mark_diameter=sizes[0] if sizes else None,
+            mark_diameter=sizes[0] if sizes else None, line=line,
         )  # fmt: skip
 
 

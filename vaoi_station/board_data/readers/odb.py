@@ -275,6 +275,7 @@ def _components(file: _File, side: Side, packages: list[_Package]) -> Iterator[P
             fitted=".no_pop" not in attributes and ".comp_ignore" not in attributes,
             is_mark=is_mark,
             mark_diameter=package.pad,
+            line=number,
         )
 
 

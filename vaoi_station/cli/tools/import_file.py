@@ -32,7 +32,10 @@ def import_file(
     units: Annotated[str | None, typer.Option(help="Centroid file: mm, inch or mil; by default recognised.")] = None,
     columns: Annotated[
         str | None,
-        typer.Option(help="Centroid file: columns by number or header, as ref=1,x=3,y=4,rotation=5,side=Layer."),
+        typer.Option(
+            help="Centroid file: columns by number or header, as ref=1,x=3,y=4,rotation=5,side=Layer,fitted=DNP; "
+            "side=bottom states the side of all parts."
+        ),
     ] = None,
     delimiter: Annotated[str | None, typer.Option(help="Centroid file: one character; by default recognised.")] = None,
     step: Annotated[

@@ -7,7 +7,7 @@ import { markChoice } from "./marks.js";
 import * as requests from "./requests.js";
 import { typeAddress } from "./types.js";
 
-const COLUMNS = ["ref", "x", "y", "rotation", "side", "package", "value"];
+const COLUMNS = ["ref", "x", "y", "rotation", "side", "package", "value", "fitted"];
 // What a panel's fields must be, so that a refusal names the field and not the option of the command.
 const LENGTH = "-?\\d*\\.?\\d+";
 const PANEL = { repeat: /^[1-9]\d*x[1-9]\d*$/, pitch: new RegExp(`^${LENGTH}x${LENGTH}$`), rotate: /^-?\d+(\.\d+)?(,-?\d+(\.\d+)?)*$/, border: new RegExp(`^${LENGTH}x${LENGTH}$`) };
@@ -76,7 +76,8 @@ class Preview {
         const now = centroid.columns.find((c) => c.name === column)?.number ?? "";
         const last = Math.max(headers.length, ...centroid.columns.map((c) => c.number));
         const list = { "": t.noColumn, ...Object.fromEntries(Array.from({ length: last }, (_, n) => [n + 1, `${n + 1}: ${headers[n] ?? ""}`])) };
-        columns.set(column, choice(`column-${column}`, list, String(now)));
+        if (column === "side") Object.assign(list, t.allOn);
+        columns.set(column, choice(`column-${column}`, list, String((column === "side" && centroid.all_on) || now)));
         fields.push(labelled(t.columnNames[column], columns.get(column)));
       }
     }
