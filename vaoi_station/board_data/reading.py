@@ -8,6 +8,7 @@ from pathlib import Path
 
 from vaoi_station.board_data import package_sizes
 from vaoi_station.board_data.design import Design, Side
+from vaoi_station.board_data.foreign_files import refuse_archive, refuse_foreign
 from vaoi_station.board_data.joining import join_designs
 from vaoi_station.board_data.panels import Grid, laid_out, repeated, with_copies
 from vaoi_station.board_data.readers.eagle import is_eagle, read_eagle
@@ -17,7 +18,7 @@ from vaoi_station.board_data.readers.ipc2581 import is_ipc2581, read_ipc2581
 from vaoi_station.board_data.readers.kicad import is_kicad, read_kicad
 from vaoi_station.board_data.readers.odb import is_odb, read_odb
 from vaoi_station.board_data.readers.placement_table import TableOptions, read_placement_table
-from vaoi_station.board_data.source_text import head_of, read_bytes
+from vaoi_station.board_data.source_text import head_of, open_archive, read_bytes
 from vaoi_station.errors import InputError
 
 FORMATS = ("kicad", "gencad", "ipc2581", "odb", "eagle", "html-bom", "centroid")
@@ -82,13 +83,19 @@ def read_design(path: Path, options: Options | None = None, join: Path | None = 
 
 
 def _read(path: Path, options: Options) -> Design:
-    if options.format == "odb" or (options.format is None and _may_be_archive(path) and is_odb(path)):
+    may_be_archive = options.format is None and _may_be_archive(path)
+    if options.format == "odb" or (may_be_archive and is_odb(path)):
         return read_odb(path, options.step)
     if path.is_dir():
         raise InputError(f"{path}: is a folder without matrix/matrix. Of folders, only ODB++ designs can be read.")
+    if may_be_archive:
+        with open_archive(path) as archive:
+            refuse_archive(path, archive)
     data = read_bytes(path)
     head = head_of(data)
-    chosen = options.format or next((name for name, is_it in _BY_HEAD if is_it(head)), "centroid")
+    chosen = options.format or next((name for name, is_it in _BY_HEAD if is_it(head)), None)
+    if chosen is None:
+        refuse_foreign(path, head)
     if chosen == "ipc2581":
         return read_ipc2581(data, path, options.step)
     if chosen in _READERS:

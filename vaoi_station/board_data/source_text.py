@@ -8,7 +8,7 @@ import tarfile
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 from xml.etree.ElementTree import Element, TreeBuilder
 from xml.parsers import expat
@@ -159,7 +159,21 @@ def open_archive(path: Path) -> Iterator[Archive]:
             with tarfile.open(path) as tar:
                 yield _tar(path, tar)
     except _UNREADABLE as error:
-        raise InputError(f"{path}: is no readable folder, zip or tar file: {error}.") from error
+        why = str(error).partition("\n")[0].rstrip(":.") or type(error).__name__
+        raise InputError(
+            f"{path}: is no readable folder, zip or tar file: {why}.",
+            action="Copy or export it again. If it is one compressed file, unpack it first.",
+        ) from error
+
+
+def names_before_damage(path: Path) -> list[str]:
+    """Return the names of the members of a tar file, in lower case; of a damaged one those that can still be read."""
+    names: list[str] = []
+    with suppress(*_UNREADABLE), tarfile.open(path) as tar:
+        for member in tar:
+            if len(names) < MOST_MEMBERS:
+                names.append(member.name.lower())
+    return names
 
 
 def _checked(path: Path, count: int, name: str) -> str:

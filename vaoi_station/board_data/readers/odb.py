@@ -21,7 +21,14 @@ from vaoi_station.board_data.design import XY, Design, Mark, Part, Side, box_aro
 from vaoi_station.board_data.panels import Step, note_on_panels, panel_of
 from vaoi_station.board_data.readers.odb_features import outer_layers, pad_marks
 from vaoi_station.board_data.readers.odb_repeats import datum_of, has_repeats, repeats_of
-from vaoi_station.board_data.source_text import MOST_BYTES, Archive, decode, number_of, open_archive
+from vaoi_station.board_data.source_text import (
+    MOST_BYTES,
+    Archive,
+    decode,
+    names_before_damage,
+    number_of,
+    open_archive,
+)
 from vaoi_station.errors import InputError
 
 _UNITS = {"MM": 1.0, "INCH": 25.4}
@@ -35,7 +42,8 @@ def is_odb(path: Path) -> bool:
         with open_archive(path) as archive:
             return any(re.search(r"(^|/)matrix/matrix(\.z)?$", name) for name in archive.names())
     except InputError:
-        return False
+        # Of a damaged archive the names before the damage show what it was; `read_odb` then refuses it as damaged.
+        return any(re.search(r"(^|/)(matrix|steps|symbols|misc|fonts)/", name) for name in names_before_damage(path))
 
 
 def read_odb(path: Path, step: str | None = None) -> Design:
