@@ -8,7 +8,7 @@ import pytest
 
 from tests.board_data.readers import samples
 from vaoi_station.board_data import import_process
-from vaoi_station.board_data.import_process import ImportReply, ImportTask, reply_text, run_import
+from vaoi_station.board_data.import_process import ImportLimits, ImportReply, ImportTask, reply_text, run_import
 from vaoi_station.model import BoardType
 
 
@@ -38,11 +38,11 @@ def test_an_error_that_no_reader_foresees_is_a_refusal(tmp_path: Path, monkeypat
     assert "b: is damaged, or not as its format demands (ZeroDivisionError)." in reply.refusal
 
 
-def test_a_reply_that_is_too_long_is_a_refusal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_reply_that_is_too_long_is_a_refusal(tmp_path: Path) -> None:
     file = tmp_path / "b.kicad_pcb"
     file.write_text(samples.KICAD)
-    assert ImportReply.model_validate_json(reply_text(ImportTask(file=file))).picture
-    monkeypatch.setattr(import_process, "MOST_REPLY", 100)
-    reply = ImportReply.model_validate_json(reply_text(ImportTask(file=file)))
+    assert ImportReply.model_validate_json(reply_text(ImportTask(file=file), ImportLimits())).picture
+    reply = ImportReply.model_validate_json(reply_text(ImportTask(file=file), ImportLimits(most_reply=100)))
     assert "million characters, the limit is" in reply.refusal
+    assert "by `vaoi import`, whose limits are larger" in reply.action
     assert not reply.picture

@@ -30,10 +30,6 @@ NICE = 10
 """Priority below that of the station, whose workers stitch meanwhile."""
 
 
-MOST_REPLY = 32 * 2**20
-"""Largest reply, in characters: the station keeps the replies of all previews in memory."""
-
-
 class ImportTask(Strict):
     """A file to import, with what the user says about it."""
 
@@ -72,6 +68,21 @@ class ImportLimits(Strict):
     memory_bytes: int = Field(default=1536 * 2**20, description="Address space of the process.")
     cpu_s: int = 60
     wall_s: float = 120.0
+    most_reply: int = Field(default=32 * 2**20, description="Characters of the reply, which the station keeps.")
+    advice: str = Field(
+        default="Export it with fewer layers, or import it by `vaoi import`, whose limits are larger.",
+        description="What to do about a file that exceeds a limit.",
+    )
+
+
+OF_PERSONS = ImportLimits(
+    memory_bytes=8 * 2**30,
+    cpu_s=900,
+    wall_s=1800.0,
+    most_reply=512 * 2**20,
+    advice="Export it with fewer layers, or the board without its panel.",
+)
+"""Limits of an import on the command line or in a program: a person waits, and may end it."""
 
 
 def run_import(task: ImportTask) -> ImportReply:
@@ -89,24 +100,24 @@ def run_import(task: ImportTask) -> ImportReply:
     except MemoryError:
         raise
     except Exception as error:  # noqa: BLE001  readers cannot foresee all damage
-        _log.exception("import of %s", task.file)
+        # No warning: the caller has the refusal, and on a command line a warning would be printed beside it.
+        _log.info("import of %s", task.file, exc_info=True)
         return ImportReply(
             refusal=f"{task.file}: is damaged, or not as its format demands ({type(error).__name__}).",
             action="Export it again. If that does not help, report it with the file to the makers of the station.",
         )
 
 
-def reply_text(task: ImportTask) -> str:
+def reply_text(task: ImportTask, limits: ImportLimits) -> str:
     """Import a file, and return the reply as JSON; a reply that is too long becomes a refusal."""
     text = run_import(task).model_dump_json(exclude_none=True)
-    if len(text) <= MOST_REPLY:
+    if len(text) <= limits.most_reply:
         return text
     long = (
         f"{task.file}: makes a board type with picture and overview of {len(text) / 1e6:.1f} million characters, the "
-        f"limit is {MOST_REPLY / 1e6:.1f} million; the file is refused."
+        f"limit is {limits.most_reply / 1e6:.1f} million; the file is refused."
     )
-    action = "Export the board without its drill holes and text, or import it by `vaoi import`, which has no limit."
-    return ImportReply(refusal=long, action=action).model_dump_json(exclude_none=True)
+    return ImportReply(refusal=long, action=limits.advice).model_dump_json(exclude_none=True)
 
 
 def main() -> None:
@@ -119,11 +130,11 @@ def main() -> None:
     resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
     os.nice(NICE)
     try:
-        text = reply_text(task)
+        text = reply_text(task, limits)
     except MemoryError:
         mb = limits.memory_bytes >> 20
-        refusal = ImportReply(refusal=f"{task.file}: needs more than {mb} MB of memory; the file is refused.")
-        text = refusal.model_dump_json(exclude_none=True)
+        refusal = f"{task.file}: needs more than {mb} MB of memory; the file is refused."
+        text = ImportReply(refusal=refusal, action=limits.advice).model_dump_json(exclude_none=True)
     sys.stdout.write(text)
 
 

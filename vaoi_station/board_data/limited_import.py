@@ -34,17 +34,17 @@ def import_limited(task: ImportTask, limits: ImportLimits | None = None) -> Impo
             process.communicate()
             raise InputError(
                 f"{task.file}: cannot be read within {limits.wall_s:g} s; the file is refused.",
-                action="Export it with fewer layers, or import it by `vaoi import`, which has no limit of time.",
+                action=limits.advice,
             ) from None
     if process.returncode != 0:
-        _log.warning("import of %s ended with code %d: %s", task.file, process.returncode, errors[-2000:])
+        _log.info("import of %s ended with code %d: %s", task.file, process.returncode, errors[-2000:])
         raise InputError(
             f"{task.file}: cannot be read within {limits.cpu_s} s of computing time and {limits.memory_bytes >> 20} MB "
             "of memory; the file is refused.",
-            action="Export it with fewer layers, or import it by `vaoi import`, which has no such limits.",
+            action=limits.advice,
         )
     if errors:
-        _log.warning("import of %s: %s", task.file, errors[-2000:])
+        _log.info("import of %s: %s", task.file, errors[-2000:])
     reply = ImportReply.model_validate_json(out)
     if reply.refusal:
         raise InputError(reply.refusal, action=reply.action)

@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any, Literal, TypedDict, Unpack
 from urllib.parse import quote
 
-from vaoi_station.board_data.import_process import ImportTask, run_import
+from vaoi_station.board_data.import_process import OF_PERSONS, ImportTask
+from vaoi_station.board_data.limited_import import import_limited
 from vaoi_station.demo.client import Client
 from vaoi_station.errors import InputError
 from vaoi_station.library.arguments import require_path
@@ -69,9 +70,8 @@ def import_board_data(
     if side not in ("top", "bottom"):
         raise InputError.field("import_board_data", "side", side, '"top" or "bottom"')
     _known(choices)
-    reply = run_import(ImportTask(file=file, side=side, join=second, **choices))
-    if reply.overview is None:
-        raise InputError(reply.refusal, action=reply.action)
+    reply = import_limited(ImportTask(file=file, side=side, join=second, **choices), OF_PERSONS)
+    assert reply.overview is not None
     board = BoardType.model_validate_json(reply.board_type)
     return ImportedBoard(board, tuple(reply.overview.check), reply.picture)
 

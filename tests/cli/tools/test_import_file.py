@@ -10,6 +10,8 @@ import pytest
 
 from tests.board_data.readers import samples
 from tests.cli.conftest import Result
+from vaoi_station.board_data import import_process
+from vaoi_station.board_data.import_process import ImportLimits
 
 Vaoi = Callable[..., Result]
 
@@ -46,6 +48,16 @@ def test_wrong_options_are_refused(vaoi: Vaoi, board: Path, tmp_path: Path, opti
     done = vaoi("import", str(board), "--out", str(tmp_path / "x.json"), *options)
     assert (done.code, message in done.err) == (2, True), done.err
     assert not (tmp_path / "x.json").exists()
+
+
+def test_a_file_that_exceeds_the_limits_of_an_import_is_refused(
+    vaoi: Vaoi, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(import_process, "OF_PERSONS", ImportLimits(memory_bytes=400 * 2**20, advice="Try a part."))
+    bomb = tmp_path / "bomb.zip"
+    bomb.write_bytes(samples.odb_zip(samples.ODB | {"job/steps/pcb/eda/data": "PKG A 0 0 0 1 1;\n" * 3_000_000}))
+    done = vaoi("import", str(bomb), "--out", str(tmp_path / "x.json"))
+    assert (done.code, "the file is refused. Try a part." in done.err) == (2, True), done.err
 
 
 def test_without_out_it_is_refused(vaoi: Vaoi, board: Path) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
@@ -62,8 +62,7 @@ def import_file(
 
     Board data: KiCad, GenCAD, IPC-2581, ODB++, EAGLE, InteractiveHtmlBom, centroid files of any program.
     """
-    from vaoi_station.board_data import Grid, Options, is_exported_run
-    from vaoi_station.board_data.readers.placement_table import TableOptions
+    from vaoi_station.board_data import is_exported_run
     from vaoi_station.cli.station.export import import_exported_run
     from vaoi_station.errors import InputError
 
@@ -74,32 +73,30 @@ def import_file(
         raise InputError.field("--side", "the side", side, "top or bottom")
     if out is None:
         raise InputError("a board type needs a file to be written to.", action="Give it by --out board.json.")
-    table = TableOptions.parse(units, columns, delimiter)
-    grid = Grid.parse(repeat, pitch, rotate, border)
-    _import_board_data(file, join, Options(format, table, step, sizes, grid), side, out, name)
+    task = {"file": file, "side": side, "name": name, "format": format, "units": units, "columns": columns}
+    task |= {"delimiter": delimiter, "step": step, "repeat": repeat, "pitch": pitch, "rotate": rotate}
+    _import_board_data(out, task | {"border": border, "sizes": sizes, "join": join})
 
 
-def _import_board_data(file: Path, join: Path | None, options: object, side: str, out: Path, name: str | None) -> None:
+def _import_board_data(out: Path, task: dict[str, object]) -> None:
     """Write a board type, and print what was recognised and what to check."""
-    from collections import Counter
-
-    from vaoi_station.board_data import Options, read_design, to_board_type
+    from vaoi_station.board_data.import_process import OF_PERSONS, ImportTask
+    from vaoi_station.board_data.limited_import import import_limited
     from vaoi_station.files.atomic_directory import refuse_existing
     from vaoi_station.files.board_types import write_board_type
+    from vaoi_station.model import BoardType
 
-    assert isinstance(options, Options)
     refuse_existing(out)
-    up: Literal["top", "bottom"] = "bottom" if side == "bottom" else "top"
-    design = read_design(file, options, join, up)
-    board, notes = to_board_type(design, up, name)
-    write_board_type(out, board)
-    sizes = Counter(c.size_from for c in board.components)
-    shown = ", ".join(f"{count} sizes from {_SIZE_WORDS[key]}" for key, count in sizes.items() if key)
+    reply = import_limited(ImportTask.model_validate(task), OF_PERSONS)
+    found = reply.overview
+    assert found is not None
+    write_board_type(out, BoardType.model_validate_json(reply.board_type))
+    shown = ", ".join(f"{count} sizes from {_SIZE_WORDS[key]}" for key, count in found.sizes_from.items())
     typer.echo(
-        f"{out}: {side} of {board.name!r} ({design.format}): {len(board.components)} components, {shown}; "
-        f"{len(board.fiducials)} fiducials"
+        f"{out}: {found.side} of {found.name!r} ({found.format}): {found.components} components, {shown}; "
+        f"{found.fiducials} fiducials"
     )
-    for note in notes:
+    for note in found.check:
         typer.echo(f"check: {note}")
 
 
