@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from vaoi_station.board_data.design import Design, Part
-from vaoi_station.board_data.package_sizes import GUESS_MM, read_table, shipped_table, size_of, with_sizes
+from vaoi_station.board_data.package_sizes import GUESS_MM, parse_table, read_table, shipped_table, size_of, with_sizes
 from vaoi_station.errors import InputError
 
 
@@ -47,6 +47,9 @@ def test_sizes_are_marked_by_their_source() -> None:
 def test_a_table_of_the_user(tmp_path: Path) -> None:
     (tmp_path / "t.toml").write_text("[[package]]\npattern = 'custom-7'\nsize = [12, 8.5]\n")
     assert size_of("CUSTOM-7", read_table(tmp_path / "t.toml")) == (12.0, 8.5)
+    assert size_of("CUSTOM-7", parse_table((tmp_path / "t.toml").read_text(), "sizes")) == (12.0, 8.5)
+    with pytest.raises(InputError, match=r"sizes: has no \[\[package\]\]"):
+        parse_table("", "sizes")
 
 
 @pytest.mark.parametrize(

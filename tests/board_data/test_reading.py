@@ -12,6 +12,7 @@ from tests.board_data.readers import samples
 from tests.needs import FILMS, need_films
 from vaoi_station.board_data import Options, is_exported_run, read_design, to_board_type
 from vaoi_station.board_data.design import Design, Part, Side
+from vaoi_station.board_data.package_sizes import read_table
 from vaoi_station.errors import InputError
 
 BOARDS = FILMS / "boards"
@@ -124,7 +125,7 @@ def test_every_format_is_recognised_in_every_encoding(text: str, encoding: str, 
 def test_sizes_of_the_user_come_first(tmp_path: Path) -> None:
     (tmp_path / "b.csv").write_text("ref,x,y,package\nR1,0mm,0mm,R0805\n")
     (tmp_path / "t.toml").write_text("[[package]]\npattern = 'r0805'\nsize = [3, 4]\n")
-    (part,) = read_design(tmp_path / "b.csv", Options(sizes=tmp_path / "t.toml")).parts
+    (part,) = read_design(tmp_path / "b.csv", Options(sizes=read_table(tmp_path / "t.toml"))).parts
     assert part.box is not None
     assert part.box.size == (3, 4)
 

@@ -17,6 +17,7 @@ from pydantic import Field
 from vaoi_station.board_data.conversion import to_board_type
 from vaoi_station.board_data.design import Side
 from vaoi_station.board_data.overview import ImportOverview, overview
+from vaoi_station.board_data.package_sizes import Table, parse_table, read_table
 from vaoi_station.board_data.panels import Grid
 from vaoi_station.board_data.picture import board_picture
 from vaoi_station.board_data.readers.placement_table import TableOptions
@@ -46,6 +47,9 @@ class ImportTask(Strict):
     rotate: str | None = None
     border: str | None = None
     sizes: Path | None = None
+    """File with a table of body sizes."""
+    size_table: str | None = None
+    """The text of such a table."""
     join: Path | None = None
     """File with the bodies."""
 
@@ -90,7 +94,7 @@ def run_import(task: ImportTask) -> ImportReply:
     try:
         table = TableOptions.parse(task.units, task.columns, task.delimiter)
         grid = Grid.parse(task.repeat, task.pitch, task.rotate, task.border)
-        options = Options(task.format, table, task.step, task.sizes, grid)
+        options = Options(task.format, table, task.step, _sizes(task), grid)
         design = read_design(task.file, options, task.join, task.side)
         board, notes = to_board_type(design, task.side, task.name)
         document = board.model_dump_json(exclude_none=True)
@@ -106,6 +110,12 @@ def run_import(task: ImportTask) -> ImportReply:
             refusal=f"{task.file}: is damaged, or not as its format demands ({type(error).__name__}).",
             action="Export it again. If that does not help, report it with the file to the makers of the station.",
         )
+
+
+def _sizes(task: ImportTask) -> Table:
+    if task.size_table is not None:
+        return parse_table(task.size_table, "sizes")
+    return read_table(task.sizes) if task.sizes is not None else ()
 
 
 def reply_text(task: ImportTask, limits: ImportLimits) -> str:

@@ -11,7 +11,7 @@ from typing import Any
 
 from vaoi_station.board_data.design import Box, Design, Part
 from vaoi_station.errors import InputError
-from vaoi_station.files.documents import read_toml
+from vaoi_station.files.documents import parse_toml, read_toml
 
 Size = tuple[float, float]
 Table = tuple[tuple[re.Pattern[str], Size], ...]
@@ -53,13 +53,22 @@ def shipped_table() -> Table:
 
 def read_table(path: Path) -> Table:
     """Read a table of sizes; refuse wrong patterns and sizes."""
-    rows: Any = read_toml(path).get("package")
+    return _table(read_toml(path), path)
+
+
+def parse_table(text: str, where: str) -> Table:
+    """Parse the text of a table of sizes; refuse wrong patterns and sizes."""
+    return _table(parse_toml(text, where), where)
+
+
+def _table(document: dict[str, Any], where: str | Path) -> Table:
+    rows: Any = document.get("package")
     if not isinstance(rows, list) or not rows:
-        raise InputError(f"{path}: has no [[package]] with pattern and size.")
-    return tuple(_row(path, n, row) for n, row in enumerate(rows))
+        raise InputError(f"{where}: has no [[package]] with pattern and size.")
+    return tuple(_row(where, n, row) for n, row in enumerate(rows))
 
 
-def _row(path: Path, n: int, row: Any) -> tuple[re.Pattern[str], Size]:
+def _row(path: str | Path, n: int, row: Any) -> tuple[re.Pattern[str], Size]:
     where = f"package.{n}"
     if not isinstance(row, dict) or set(row) != {"pattern", "size"}:
         raise InputError.field(path, where, row, "a table with pattern and size")

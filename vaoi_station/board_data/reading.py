@@ -45,8 +45,8 @@ class Options:
     table: TableOptions = field(default_factory=TableOptions)
     step: str | None = None
     """Step of an ODB++ design or an IPC-2581 file: a board, or a panel that repeats it."""
-    sizes: Path | None = None
-    """Table of body sizes that comes before the shipped one."""
+    sizes: package_sizes.Table = ()
+    """Body sizes that come before the shipped table."""
     grid: Grid | None = None
     """How the board is repeated on a panel of which the file has no data."""
 
@@ -74,7 +74,7 @@ def read_design(path: Path, options: Options | None = None, join: Path | None = 
     options = options or Options()
     if options.format is not None and options.format not in FORMATS:
         raise InputError.field("--format", "the format", options.format, f"one of {', '.join(FORMATS)}")
-    table = (*(package_sizes.read_table(options.sizes) if options.sizes else ()), *package_sizes.shipped_table())
+    table = (*options.sizes, *package_sizes.shipped_table())
     design = with_copies(package_sizes.with_sizes(_read(path, options), table))
     if join is not None:
         bodies = with_copies(package_sizes.with_sizes(_read(join, Options(step=options.step)), table))

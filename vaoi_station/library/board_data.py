@@ -32,6 +32,7 @@ class ImportChoices(TypedDict, total=False):
     pitch: str
     rotate: str
     border: str
+    sizes: str | Path
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,7 @@ def import_board_data(
         **choices: `name` of the board type; `format`; `units` ("mm", "inch", "mil"), `columns` ("ref=1,x=3,y=4") and
             `delimiter` of a centroid file; `step` of an ODB++ design or IPC-2581 file, a board or its panel; of the
             panel of a file of one board `repeat` ("3x2", boards along x and y), `pitch` ("30x28.5", mm), `rotate`
-            ("0,180", degrees in turn), `border` ("0x5", mm).
+            ("0,180", degrees in turn), `border` ("0x5", mm); `sizes`, a TOML file with sizes of bodies by package.
 
     Raises:
         InputError: the file cannot be understood; the message says what to do.
@@ -70,7 +71,8 @@ def import_board_data(
     if side not in ("top", "bottom"):
         raise InputError.field("import_board_data", "side", side, '"top" or "bottom"')
     _known(choices)
-    reply = import_limited(ImportTask(file=file, side=side, join=second, **choices), OF_PERSONS)
+    task = ImportTask.model_validate({"file": file, "side": side, "join": second, **choices})
+    reply = import_limited(task, OF_PERSONS)
     assert reply.overview is not None
     board = BoardType.model_validate_json(reply.board_type)
     return ImportedBoard(board, tuple(reply.overview.check), reply.picture)
@@ -92,7 +94,10 @@ class StationImport:
             content = file.read_bytes()
         except OSError as error:
             raise InputError(f"{file}: cannot be read: {error.strerror}.") from error
-        return cls(dict(client.upload(PREVIEWS, content, filename=file.name, **options)), client)
+        # A table of sizes may be too long for an address: the file is read again with it.
+        sizes = options.pop("sizes", None)
+        found = cls(dict(client.upload(PREVIEWS, content, filename=file.name, **options)), client)
+        return found if sizes is None else found.correct(sizes=sizes, **options)
 
     @property
     def picture(self) -> bytes:
@@ -101,7 +106,9 @@ class StationImport:
 
     def correct(self, **options: Any) -> StationImport:
         """Read the file again with other options: `side`, `join` (id of another upload), and as for the upload."""
-        reply = self._client.put_document(self._address, options)
+        if options.get("sizes") is not None:
+            options["sizes"] = _text(require_path("correct", "sizes", options["sizes"]))
+        reply = self._client.put_document(self._address, {k: v for k, v in options.items() if v is not None})
         return StationImport(dict(reply), self._client)
 
     def confirm(self, *, tag: str | None = None, new: bool = False) -> BoardType:
@@ -128,11 +135,18 @@ class StationImport:
         return f"{PREVIEWS}/{quote(str(self.document['id']))}"
 
 
+def _text(file: Path) -> str:
+    try:
+        return file.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{file}: cannot be read: {error}.") from error
+
+
 def _known(choices: ImportChoices) -> None:
     """Raise InputError for a choice that is no text, or has an unknown name."""
     for name, value in choices.items():
         known = ", ".join(ImportChoices.__annotations__)
         if name not in ImportChoices.__annotations__:
             raise InputError.field("import_board_data", name, value, f"one of {known}")
-        if not isinstance(value, str):
+        if not isinstance(value, (str, Path) if name == "sizes" else str):
             raise InputError.field("import_board_data", name, value, "a text")

@@ -102,6 +102,19 @@ def test_options_are_corrected_and_files_joined(client: Any) -> None:
     assert "--pitch: the value is None" in refused
 
 
+def test_a_table_of_sizes_is_given_with_the_options(client: Any) -> None:
+    table = "Ref,X(mm),Y(mm),Package\nR1,0,0,MY-RELAY\nR2,30,30,OTHER\n"
+    sizes = "[[package]]\npattern = '^MY-RELAY'\nsize = [15.0, 7.5]\n"
+    preview = upload(client, table, sizes=sizes)
+    assert preview["found"]["sizes_from"] == {"table": 1, "guess": 1}
+    r1 = client.get(preview["board_type"]).json()["components"][0]
+    assert (r1["width"], r1["height"], r1["size_from"]) == (15.0, 7.5, "table")
+    again = client.put(f"{PREVIEWS}/{preview['id']}", json={"sizes": sizes + sizes.replace("MY-RELAY", "OTHER")}).json()
+    assert again["found"]["sizes_from"] == {"table": 2}
+    refused = client.put(f"{PREVIEWS}/{preview['id']}", json={"sizes": "[[package]]\npattern = '('\nsize = [1, 1]\n"})
+    assert "sizes: package.0.pattern is '('" in refused.json()["refusal"]
+
+
 def test_an_unreadable_file_is_kept_with_its_refusal(client: Any) -> None:
     preview = upload(client, "nonsense", "x.txt")
     assert "x.txt: has no header" in preview["refusal"]

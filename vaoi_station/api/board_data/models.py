@@ -46,6 +46,11 @@ class ImportOptions(Strict):
         max_length=40,
         description="With `repeat`: from the outermost boards to the edges of the panel, mm, as `0x5`.",
     )
+    sizes: str | None = Field(
+        default=None,
+        max_length=40_000,
+        description="Table of body sizes, in TOML: `[[package]]` with `pattern` and `size`.",
+    )
     join: str | None = Field(
         default=None, pattern=PREVIEW_ID, description="Id of another preview, whose file has bodies and outline."
     )

@@ -156,9 +156,9 @@ class Previews:
     def _imported(self, preview: Preview) -> Preview:
         options = preview.options
         join = self.get(options.join).file if options.join is not None else None
-        given = options.model_dump(exclude={"join"})
+        given = options.model_dump(exclude={"join", "sizes"}) | {"join": join, "size_table": options.sizes}
         try:
-            reply = (self._import or import_limited)(ImportTask(file=preview.file, join=join, **given))
+            reply = (self._import or import_limited)(ImportTask(file=preview.file, **given))
         except VaoiError as error:
             # Messages name files; the folder is of no use to the caller.
             text = str(error.message).replace(f"{preview.file.parent}/", "")

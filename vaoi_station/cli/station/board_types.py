@@ -71,6 +71,13 @@ def import_board_data(
     file: Annotated[Path, typer.Argument(help="A file of a CAD system or placement machine.")],
     side: Annotated[str, typer.Option(help="The side that is up in the line, top or bottom.")] = "top",
     name: Annotated[str | None, typer.Option(help="Name of the board type; by default the design's.")] = None,
+    format: Annotated[str | None, typer.Option(help="Format of the file, as of `vaoi import`.")] = None,
+    units: Annotated[str | None, typer.Option(help="Centroid file: mm, inch or mil.")] = None,
+    columns: Annotated[str | None, typer.Option(help="Centroid file: columns, as of `vaoi import`.")] = None,
+    delimiter: Annotated[str | None, typer.Option(help="Centroid file: one character.")] = None,
+    step: Annotated[str | None, typer.Option(help="ODB++, IPC-2581: the step, a board or a panel.")] = None,
+    join: Annotated[Path | None, typer.Option(help="Take bodies, outline and marks from this file.")] = None,
+    sizes: Annotated[Path | None, typer.Option(help="TOML table of body sizes by package name.")] = None,
     confirm: Annotated[bool, typer.Option("--confirm", help="Store the board type; else only show it.")] = False,
     replace: Annotated[
         bool, typer.Option("--replace", help="Replace a board type of the same name; its version is kept.")
@@ -83,8 +90,13 @@ def import_board_data(
     from vaoi_station.errors import InputError, StateError, VaoiError
     from vaoi_station.library.board_data import StationImport
 
-    options = {"side": side, "name": name}
-    preview = StationImport.upload(_client(station, key_file, ca), file, options)
+    client = _client(station, key_file, ca)
+    options: dict[str, object] = {"side": side, "name": name, "format": format, "units": units, "columns": columns}
+    options |= {"delimiter": delimiter, "step": step, "sizes": sizes}
+    bodies = None if join is None else StationImport.upload(client, join, {})
+    if bodies is not None:
+        options["join"] = bodies.document["id"]
+    preview = StationImport.upload(client, file, options)
     found = preview.document.get("found")
     if found is None:
         raise InputError(preview.document["refusal"])
@@ -105,6 +117,8 @@ def import_board_data(
                 action="Give another --name, or --replace.",
                 code="changed",
             ) from error
+        if bodies is not None:
+            bodies.discard()
         typer.echo(f"{stored.name}: stored; it can be armed.")
     else:
         typer.echo(f"picture: {station.rstrip('/')}{preview.document['picture']}")
