@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
+from collections.abc import Sequence
 from datetime import datetime
 from typing import Annotated
 
@@ -21,7 +22,7 @@ from vaoi_station.runs.archive.run_history import Wanted
 from vaoi_station.runs.states.decision_schemas import RunCounts
 from vaoi_station.runs.states.height_schemas import HeightList
 from vaoi_station.runs.states.run_ids import in_utc, utc
-from vaoi_station.runs.states.schemas import LeaseStatus, RunDetail
+from vaoi_station.runs.states.schemas import LeaseStatus, RunDetail, RunSummary
 from vaoi_station.runs.states.tables import IN_MEMORY
 from vaoi_station.store.history.run_search import RunFilter
 
@@ -169,6 +170,7 @@ def _add_lists(routes: APIRouter, services: Services) -> None:
         """
         response.headers["Cache-Control"] = LIVE
         if read_id is not None or wanted != RunFilter():
+            runs: Sequence[RunSummary]
             async with searches.take(caller_of(request).name):
                 if read_id is not None:
                     runs, more = await searches.ask(kept.with_id, read_id, wanted, limit, before)
