@@ -12,6 +12,7 @@ from playwright.sync_api import Page, expect
 from tests.api.web.contrast import contrast
 from vaoi_station.model import Status
 from vaoi_station.runs.states.schemas import Reason, Unseen
+from vaoi_station.runs.states.tables import StationState
 
 pytestmark = pytest.mark.browser
 
@@ -54,6 +55,35 @@ def test_a_failed_board_stays_until_somebody_decides(page: Page, served: Any) ->
     expect(page.locator("#state-word")).to_have_text("Ready")
     assert station.kept.history.made[run].choice == "film-again"
     expect(page.locator("#counts")).to_have_text("Today23good1with reservations1failed0missed")
+
+
+def test_an_open_decision_stays_while_further_boards_come(page: Page, served: Any) -> None:
+    station = served.station
+    station.arm("demo-board")
+    run = fail(station, "SN-47")
+    page.goto(served.url)
+    page.get_by_role("button", name="Film again").click()
+    page.get_by_label("Your name").fill("Ada")
+    station.state = StationState.FILMING
+    station.publish("station", state="filming")
+    expect(page.locator("#state-word")).to_have_text("Filming")
+    expect(page.get_by_label("Your name")).to_have_value("Ada")
+    page.get_by_role("button", name="Cancel").click()
+    page.get_by_role("button", name="Film again").click()
+    station.state = StationState.ARMED
+    station.film(board_id="SN-48")
+    expect(page.locator("#board-name")).to_have_text("SN-48")
+    fail(station, "SN-49", Status.DEGRADED)
+    expect(page.locator("#order")).to_contain_text("SN-49")
+    expect(page.locator("#decision button").first).to_have_text("SN-47: Film again")
+    station.kept.history.decide(run, "use", "Bob", "It was decided on another page.")
+    expect(page.locator("#decision")).to_have_count(0)
+    page.get_by_role("button", name="Use it anyway").click()
+    station.film(board_id="SN-50")
+    expect(page.locator("#board-name")).to_have_text("SN-50")
+    expect(page.locator("#decision button").first).to_have_text("SN-49: Use it anyway")
+    page.get_by_role("button", name="Cancel").click()
+    expect(page.locator("#actions button")).to_have_count(0)
 
 
 def test_missed_boards_and_the_last_twenty_are_shown(page: Page, served: Any) -> None:

@@ -46,12 +46,13 @@ export class LastBoard {
     if (this.#run) setText(this.#part("age"), texts.ago((now_ms - Date.parse(this.#run.finished)) / 1000));
   }
 
-  // `open`: the board that needs a decision, or null.
-  async show(summary, open, now_ms) {
+  // `runs`: the last boards, oldest first; `open`: the one that needs a decision, or null.
+  async show(runs, open, now_ms) {
+    const summary = runs.at(-1);
     if (!summary) return;
     const other = open && open.id !== summary.id;
     this.#root.classList.toggle("other-board", Boolean(other));
-    this.#decisions.show(open ?? summary, other ? (short(open.board_id) ?? clock(open.started)) : "");
+    this.#decisions.show(open ?? summary, other ? (short(open.board_id) ?? clock(open.started)) : "", runs);
     const seen = `${summary.id} ${summary.frames_available} ${summary.decision?.decided}`;
     if (seen === this.#seen) return;
     const run = await rest.run(summary.id);

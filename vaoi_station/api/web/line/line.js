@@ -86,7 +86,7 @@ export class LineView {
     await this.boards.refresh(now, this.#station.time_ms());
     const open = this.#showSituation();
     this.strip.show(this.boards);
-    await this.last.show(this.boards.runs.at(-1) ?? null, open, this.#station.time_ms());
+    await this.last.show(this.boards.runs, open, this.#station.time_ms());
   }
 
   async #decided() {

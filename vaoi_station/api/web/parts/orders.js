@@ -85,14 +85,16 @@ export function boardOrder(run, last = true) {
 }
 
 // One word, one sign and one order. `boards`: the last ones, and the times of missed ones. `stale`: no data come from the station.
+// `board`: the one that needs a decision, also while word and order speak of the station.
 export function situation(now, boards, now_ms, stale) {
   const state = stale || !now ? "unknown" : stateOf(now);
   const quiet = QUIET.includes(state);
-  const open = quiet ? openBoard(boards.runs, now_ms) : null;
+  const undecided = openBoard(boards.runs, now_ms);
+  const open = quiet ? undecided : null;
   const missed = quiet && !open && missedLast(boards, now_ms);
   const shown = open ? (open.run.verdict === "degraded" ? "degraded" : "failed") : missed ? "missed" : state;
   const order = open ? boardOrder(open.run, open.last) : missed ? texts.orders.missed : stateOrder(state, now);
-  return { state, shown, tone: TONES[shown] ?? "", word: texts.words[shown], order, board: open?.run ?? null };
+  return { state, shown, tone: TONES[shown] ?? "", word: texts.words[shown], order, board: undecided?.run ?? null };
 }
 
 // Whether the board that came last was missed, a short time ago.

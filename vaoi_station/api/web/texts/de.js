@@ -130,7 +130,6 @@ export const texts = {
   decided: { "film-again": (name) => `Wird neu aufgenommen (${name})`, use: (name) => `Genutzt, entschieden von ${name}` },
   yourName: "Ihr Name",
   reason: "Grund",
-  confirm: "Bestätigen",
   cancel: "Abbrechen",
   open: "Alle Bilder",
   noMosaic: "Kein Bild",

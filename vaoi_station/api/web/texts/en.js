@@ -136,7 +136,6 @@ export const texts = {
   decided: { "film-again": (name) => `To be filmed again (${name})`, use: (name) => `Used, decided by ${name}` },
   yourName: "Your name",
   reason: "Reason",
-  confirm: "Confirm",
   cancel: "Cancel",
   open: "All pictures",
   noMosaic: "No picture",
