@@ -77,6 +77,7 @@ class HeldStation(StationCoordinator):
         self.armed: ArmedWith | None = None
         self.reasons, self.warnings, self.held_back = [tuple[Reason, ...]()] * 3
         self.lost: tuple[int, ...] = ()
+        self.despite_lost = False  # whether the order accepts boards without lost cameras
         self.next_try: str | None = None
         self.types = HeldTypes({"demo-board": BoardType.model_validate(BOARD)})
         self.board_type_history = HeldHistory(self.types)  # type: ignore[assignment]
@@ -161,7 +162,7 @@ class HeldStation(StationCoordinator):
     def snapshot(self) -> StationSnapshot:
         if self.broken:
             raise RuntimeError("a secret path /etc/passwd")
-        done = self._finished()
+        done, held = self._finished(), (*(() if self.despite_lost else self._lost_cameras()), *self.held_back)
         camera = [CameraStatus(camera=i, name=f"cam{i}", connected=i not in self.lost) for i in range(CAMERAS)]
         ring = RingStatus(path="ring", size_bytes=1, bays=(), leases=())
         worker = ProcessStatus(name="worker 0", pid=1, alive=True, restarts=0, heartbeat_age_s=0.1)
@@ -172,8 +173,7 @@ class HeldStation(StationCoordinator):
             name="test", state=self.state, since=NOW, reasons=self.reasons,
             warnings=self.warnings, set_aside=self.storage.set_aside(),
             armed_with=self.armed, cameras=tuple(camera), all_cameras_ready=not self.lost,
-            line_held=self.held_back, controller="ok",
-            line_ready=self.state == "armed" and not self.lost and not self.held_back,
+            line_held=held, controller="ok", line_ready=self.state == "armed" and not held,
             processes=(acquisition, worker), ring=ring, versions=VERSIONS,
             retention=Retention(runs_in_memory=3, lease_s=600, frames="a while", results="always", events="always"),
             last_run=done[-1].id if done else None, filming=None, last_event=len(self.log), boards_missed=0,
@@ -182,11 +182,12 @@ class HeldStation(StationCoordinator):
     def lose(self, *cameras: int) -> None:
         """Cameras that are not ready from now on."""
         self.lost = cameras
-        self.reasons = tuple(
-            Reason(code="camera-lost", message=f"Camera cam{k} is not connected.", action="Check its cable.")
-            for k in cameras
-        )
+        self.reasons = self._lost_cameras()
         self.publish("camera", "Cameras were lost, or are back.")
+
+    def _lost_cameras(self) -> tuple[Reason, ...]:
+        text = "Camera cam{} is not connected."
+        return tuple(Reason(code="camera-lost", message=text.format(k), action="Check its cable.") for k in self.lost)
 
     def arm(
         self,
@@ -202,6 +203,7 @@ class HeldStation(StationCoordinator):
             raise DeviceError("The array is not complete.", action="Check its cable.", code="camera-lost")
         if self.state == StationState.FILMING and passing == "refuse":
             raise StateError("A board is passing.", action="Wait until it has left, then arm again.")
+        self.despite_lost = allow_lost_cameras
         self.armed = ArmedWith(board_type=board_type, board_id=board_id, job_id=job_id, runs_left=runs)
         self.state = StationState.ARMED
         self.publish("station", "Armed.", state="armed")

@@ -10,6 +10,8 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page, expect
 
+from vaoi_station.runs.states.schemas import Reason
+
 pytestmark = pytest.mark.browser
 MUCH_LATER_S = 60
 
@@ -94,12 +96,32 @@ def test_arming_without_a_lost_camera_takes_a_second_press(page: Page, served: A
     expect(page.locator("#state-word")).to_have_text("Not armed")
     expect(page.locator("#arm")).to_have_text("Arm without this camera")
     page.locator("#arm").click()
-    expect(page.locator("#state-word")).to_have_text("Camera missing")
-    expect(page.locator("#state-shape")).to_have_attribute("data-mark", "lacking")
-    expect(page.locator("#state-word")).to_have_css("color", "rgb(122, 75, 0)")
+    expect(page.locator("#state-word")).to_have_text("Ready")
+    expect(page.locator("#armed-with")).to_have_text("Armed for demo-board, without camera cam2")
+    expect(page.locator("#why")).to_have_class("warned")
+    served.station.held_back = (Reason(code="storage-full", message="The data disk is full."),)
+    served.station.publish("line", "Boards are held back.")
+    expect(page.locator("#state-word")).to_have_text("Hold")
+    expect(page.locator("#order")).to_have_text("Hold the next board back. Call the administrator: data disk.")
+    served.station.held_back = ()
     served.station.lose()
     expect(page.locator("#state-word")).to_have_text("Ready")
+    expect(page.locator("#armed-with")).to_have_text("Armed for demo-board")
     expect(page.locator("#arm")).to_have_text("Disarm: hold")
+
+
+def test_a_camera_that_is_lost_holds_the_next_board_back(page: Page, served: Any) -> None:
+    served.station.arm("demo-board")
+    page.goto(served.url)
+    expect(page.locator("#state-word")).to_have_text("Ready")
+    served.station.held_back = (Reason(code="line-filming", message="A board is in the barrier."),)
+    served.station.lose(2)
+    expect(page.locator("#state-word")).to_have_text("Camera missing")
+    expect(page.locator("#order")).to_have_text("Hold the next board back. Check the camera's cable.")
+    expect(page.locator("#state-shape")).to_have_attribute("data-mark", "lacking")
+    expect(page.locator("#state-word")).to_have_css("color", "rgb(122, 75, 0)")
+    page.locator("#why").click()
+    expect(page.locator("#reasons li")).to_have_count(2)
 
 
 def test_arming_works_by_keyboard_alone(page: Page, served: Any) -> None:

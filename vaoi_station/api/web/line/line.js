@@ -31,6 +31,9 @@ const PAGE = `
 <section id="history" aria-labelledby="strip-title"></section>
 <form id="controls"></form>`;
 
+// The lost cameras without which boards are filmed, because a person has accepted it.
+const without = (now) => (now.line_ready ? now.cameras.filter((c) => !c.connected).map((c) => texts.camera(c.name)) : []);
+
 export class LineView {
   name = "line-view";
   #station;
@@ -105,7 +108,7 @@ export class LineView {
     document.body.classList.remove("caution", "fault");
     if (shown.tone) document.body.classList.add(shown.tone);
     this.#sound(shown);
-    const armed = !stale && now?.armed_with ? texts.armedWith(now.armed_with) : "";
+    const armed = !stale && now?.armed_with ? texts.armedWith(now.armed_with, without(now)) : "";
     setText(this.#part("armed-with"), armed);
     return shown.board;
   }
@@ -118,14 +121,15 @@ export class LineView {
   }
 
   #showDetails(now) {
-    const held = now.state === "armed" && !now.line_ready && now.all_cameras_ready;
+    const held = now.state === "armed" ? now.line_held : [];
     const say = (reason) => `${reason.message} ${reason.action}`.trim();
-    showLines(this.#part("reasons"), [...(held ? now.line_held : now.reasons).map(say), ...this.#nextTries(now)]);
+    const lines = new Set([...held, ...now.reasons].map(say)); // a lost camera is among both
+    showLines(this.#part("reasons"), [...lines, ...this.#nextTries(now)]);
     showLines(this.#part("warnings"), now.warnings.map(say));
     this.arming.showSetAside(now.set_aside ?? []);
     const any = this.#part("reasons").children.length + this.#part("warnings").children.length > 0 || !this.#part("set-aside").hidden;
     this.#part("why").hidden = !any;
-    this.#part("why").classList.toggle("warned", now.warnings.length > 0);
+    this.#part("why").classList.toggle("warned", now.warnings.length > 0 || without(now).length > 0);
     if (!any) this.#openDetails(false);
   }
 

@@ -52,8 +52,11 @@ const TONES = { blocked: "caution", lacking: "caution", held: "caution", degrade
 const QUIET = ["armed", "idle"]; // states in which the order may speak of a board that has passed
 const OLD_MS = 30 * 60 * 1000;
 
+// Why the next board must wait, without the board that is passing: it needs no order. Cameras that were accepted as lost are not among it.
+const heldBy = (now) => now.line_held.filter((reason) => reason.code !== "line-filming");
+
 function stateOf(now) {
-  if (now.state === "armed" && !now.line_ready) return now.all_cameras_ready ? "held" : "lacking";
+  if (now.state === "armed" && !now.line_ready) return heldBy(now)[0]?.code === "camera-lost" ? "lacking" : "held";
   return now.state in texts.words ? now.state : "unknown";
 }
 
@@ -108,8 +111,8 @@ function stateOrder(state, now) {
   const hold = texts.orders[state];
   if (state === "armed" && now.warnings.some((w) => w.code === "board-id-uncertain")) return texts.extra.identify;
   if (!["faulted", "lacking", "held"].includes(state)) return hold;
-  const causes = state === "held" && now.line_held.length ? now.line_held : now.reasons;
-  const group = causes.length ? stationGroup(causes[0].code) : "engineer";
+  const causes = state === "faulted" ? now.reasons : heldBy(now);
+  const group = causes.length ? stationGroup(causes[0].code) : state === "faulted" ? "engineer" : "wait";
   if (group === "none") return texts.orders.held;
   return group === "engineer" && state === "faulted" ? hold : `${texts.orders.held} ${texts.extra[group]}`;
 }

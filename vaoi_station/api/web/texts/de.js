@@ -98,8 +98,8 @@ export const texts = {
   arm: "Aktivieren",
   armAnyway: "Ohne diese Kamera",
   disarm: "Deaktivieren: halten",
-  armedWith: (armed) =>
-    [`Aktiv für ${armed.board_type}`, armed.board_id && `Nr. ${armed.board_id}`, armed.job_id && `Auftrag ${armed.job_id}`]
+  armedWith: (armed, lost) =>
+    [`Aktiv für ${armed.board_type}`, armed.board_id && `Nr. ${armed.board_id}`, armed.job_id && `Auftrag ${armed.job_id}`, lost.length && `ohne ${lost.join(", ")}`]
       .filter(Boolean)
       .join(", "),
   armedFor: (type) => `Aktiv für ${type}.`,

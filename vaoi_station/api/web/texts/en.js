@@ -103,8 +103,8 @@ export const texts = {
   arm: "Arm",
   armAnyway: "Arm without this camera",
   disarm: "Disarm: hold",
-  armedWith: (armed) =>
-    [`Armed for ${armed.board_type}`, armed.board_id && `board ${armed.board_id}`, armed.job_id && `job ${armed.job_id}`]
+  armedWith: (armed, lost) =>
+    [`Armed for ${armed.board_type}`, armed.board_id && `board ${armed.board_id}`, armed.job_id && `job ${armed.job_id}`, lost.length && `without ${lost.join(", ")}`]
       .filter(Boolean)
       .join(", "),
   armedFor: (type) => `Armed for ${type}.`,
