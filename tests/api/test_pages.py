@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from vaoi_station.api.problems import KINDS
 from vaoi_station.model import ReasonCode
+
+CODES = Path(__file__).parents[2] / "docs" / "codes.md"
+"""The list of all codes; tests/project/test_codes.py compares it with the package."""
 
 
 @pytest.mark.parametrize(
@@ -49,13 +53,23 @@ def test_pages_are_not_in_the_openapi_document(client: Any) -> None:
     assert all(path.startswith("/api/v1/") or path in ("/healthz", "/readyz") for path in paths)
 
 
+def codes_of_boards() -> set[str]:
+    """Return the codes of reasons of a run and of its identity, without those that have an order by their family."""
+    sections = re.split(r"^## ", CODES.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    tables = [s for s in sections if s.startswith(("Reasons of a run", "Reasons of an identity"))]
+    assert len(tables) == 2
+    cells = re.findall(r"^\| (`.+?) \|", "".join(tables), re.MULTILINE)
+    codes = {code for cell in cells for code in re.findall("`(.+?)`", cell)}
+    return {code for code in codes if not code.startswith(("stitch-", "trigger-"))}
+
+
 def test_the_page_has_an_order_for_every_reason(client: Any) -> None:
     """An operator cannot act on a sentence about fiducials or overlaps alone."""
     groups = re.search(r"const BOARD_GROUPS = {\n(.*?)\n};", client.get("/web/parts/orders.js").text, re.DOTALL)
     assert groups
     named = re.findall(r'"([a-z-]+)"', groups[1])
     assert len(named) == len(set(named))
-    assert {code.value for code in ReasonCode} <= set(named)
+    assert {code.value for code in ReasonCode} | codes_of_boards() <= set(named)
     for language in ("en", "de"):
         texts = client.get(f"/web/texts/{language}.js").text
         orders = re.search(r"  boardOrders: {\n(.*?)\n  }},?".replace("}}", "}"), texts, re.DOTALL)

@@ -32,6 +32,9 @@ const BOARD_GROUPS = {
   marks: ["fiducial-missing", "fiducial-off-place", "local-fiducial-unusable", "board-unplaced", "bad-board-doubtful"],
   light: ["no-texture", "light-dark", "overlap-blank", "overlap-exposure"],
   place: ["components-unseen"],
+  identify: [
+    "board-id-differs", "next-machine-differs", "codes-disagree", "product-differs", "code-unread", "identity-not-read", "board-id-uncertain",
+  ],
   camera: ["wrong-rows", "camera-displaced", "lens-differs", "not-explained"],
   type: [
     "overlap-repetitive", "rows-repetitive", "no-board-type", "too-few-fiducials", "fiducial-size", "fiducial-wrong", "scale-wrong",

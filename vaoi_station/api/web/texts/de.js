@@ -84,6 +84,7 @@ export const texts = {
     marks: "Passmarken säubern, neu aufnehmen.",
     light: "Licht und Glas prüfen, neu aufnehmen.",
     place: "Lage prüfen, neu aufnehmen.",
+    identify: "Nummer und Etikett prüfen.",
     camera: "Techniker rufen: Kameras.",
     type: "Techniker rufen: Typdaten.",
   },

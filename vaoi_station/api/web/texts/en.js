@@ -88,6 +88,7 @@ export const texts = {
     marks: "Clean its fiducials. Film it again.",
     light: "Check light and glass. Film it again.",
     place: "Check its place. Film it again.",
+    identify: "Identify the board.",
     camera: "Call the engineer: cameras.",
     type: "Call the engineer: board type.",
   },
