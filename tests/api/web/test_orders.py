@@ -43,9 +43,10 @@ def provoke(station: Any, state: str, code: str) -> None:
     """Bring the held station into a state of the table."""
     reason = (Reason(code=code, message=f"Message of {code}.", action="Action."),) if code else ()
     station.lost = (1,) if state == "lacking" else ()
-    station.held_back = reason if state == "held" else ()
+    held = state == "held" or code == "belt-stopped"
+    station.held_back = reason if held else ()
     station.warnings = reason if code == "board-id-uncertain" else ()
-    station.reasons = reason if state not in ("held",) and not station.warnings else ()
+    station.reasons = () if held or station.warnings else reason
     station.state = StationState.ARMED if state in ("lacking", "held") else StationState(state)
     station.publish("station", state=station.state)
 

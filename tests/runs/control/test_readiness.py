@@ -116,7 +116,7 @@ def test_a_board_in_the_barrier_holds_the_next_one_back_before_its_first_pulse_t
     stopped = replace(health(True, True), passing=True, belt_stopped=True)
     for state in (StationState.ARMED, StationState.FILMING):
         (reason,) = readiness.held_back(replace(READY, state=state, health=stopped), CAMERAS)
-        assert (reason.code, "the belt does not move" in reason.message) == ("line-filming", True)
+        assert (reason.code, "the belt does not move" in reason.message) == ("belt-stopped", True)
 
 
 @pytest.mark.parametrize("code", ["not-armed-again", "workers-starting", "thread-lost"])

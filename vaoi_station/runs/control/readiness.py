@@ -55,7 +55,7 @@ _BY_STATE = {
 }
 _PASSING = Reason(code="line-filming", message="A board is in the barrier.", action="Wait until it left.")
 _STOPPED = Reason(
-    code="line-filming",
+    code="belt-stopped",
     message="A board is in the barrier or under the cameras, and the belt does not move.",
     action="Start the belt. If it runs, check its encoder and the cable (vaoi doctor); disarm to end the run.",
 )
@@ -64,7 +64,7 @@ _STANDING = Reason(
     message="A board has been in the light barrier since before the line was armed: it is not filmed.",
     action="Take it out and let it in again. If there is none, clean and align the barrier (vaoi doctor).",
 )
-EXPECTED = frozenset({"line-not-armed", "line-filming"})
+EXPECTED = frozenset({"line-not-armed", "line-filming", "belt-stopped"})
 """Codes with which a board must wait although nothing is wrong."""
 
 

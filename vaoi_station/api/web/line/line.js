@@ -10,6 +10,7 @@ import { Strip } from "./strip.js";
 
 const SOON_MS = 5000; // attempts that are due sooner are not shown
 const QUIET_MS = 60_000; // without any event, the state is asked for after this time: a day may have ended
+const PASSING_MS = 5000; // the same while a board passes: a belt that stops is no event
 const PAGE = `
 <section id="band" aria-labelledby="state-word">
   <div id="state" role="status" aria-live="polite">
@@ -78,7 +79,9 @@ export class LineView {
   tick() {
     this.last.tick(this.#station.time_ms());
     this.#showSituation(); // a failed board is shown for a limited time
-    if (performance.now() - this.#shownAt > QUIET_MS && !this.#station.stale) this.#refresh();
+    const { now, stale } = this.#station;
+    const passing = now?.line_held.some((reason) => ["line-filming", "belt-stopped"].includes(reason.code));
+    if (performance.now() - this.#shownAt > (passing ? PASSING_MS : QUIET_MS) && !stale) this.#refresh();
   }
 
   async show(now) {
@@ -121,7 +124,7 @@ export class LineView {
   }
 
   #showDetails(now) {
-    const held = now.state === "armed" ? now.line_held : [];
+    const held = now.line_held.filter((reason) => now.state === "armed" || reason.code === "belt-stopped");
     const say = (reason) => `${reason.message} ${reason.action}`.trim();
     const lines = new Set([...held, ...now.reasons].map(say)); // a lost camera is among both
     showLines(this.#part("reasons"), [...lines, ...this.#nextTries(now)]);

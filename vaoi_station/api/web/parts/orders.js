@@ -5,9 +5,12 @@ import { clock, texts } from "../texts/texts.js";
 // What a reason of the station asks for, besides holding boards back.
 const GROUPS = {
   camera: ["camera-lost", "camera-absent"],
-  controller: ["controller-silent", "controller-not-ready", "controller-reset", "foreign-device"],
+  controller: [
+    "controller-silent", "controller-not-ready", "controller-reset", "controller-safe", "foreign-device", "port-absent", "port-lost",
+  ],
   wait: ["acquisition-lost", "workers-starting", "devices-silent", "thread-lost", "worker-lost", "line-filming"],
   board: ["board-in-barrier"],
+  belt: ["belt-stopped"],
   none: ["ring-full", "memory-short", "line-not-armed"],
 };
 const DISK = /^(storage|database|store$)/;
@@ -113,6 +116,7 @@ function missedLast(boards, now_ms) {
 function stateOrder(state, now) {
   const hold = texts.orders[state];
   if (state === "armed" && now.warnings.some((w) => w.code === "board-id-uncertain")) return texts.extra.identify;
+  if (state === "filming" && heldBy(now)[0]?.code === "belt-stopped") return `${hold} ${texts.extra.belt}`;
   if (!["faulted", "lacking", "held"].includes(state)) return hold;
   const causes = state === "faulted" ? now.reasons : heldBy(now);
   const group = causes.length ? stationGroup(causes[0].code) : state === "faulted" ? "engineer" : "wait";

@@ -76,6 +76,7 @@ export const texts = {
     engineer: "Techniker rufen.",
     identify: "Mit ihrer Nummer neu aktivieren.",
     board: "Platine aus der Lichtschranke nehmen.",
+    belt: "Band starten.",
   },
   boardOrders: {
     again: "Herausnehmen, neu aufnehmen.",

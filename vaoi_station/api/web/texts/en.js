@@ -79,6 +79,7 @@ export const texts = {
     engineer: "Call the engineer.",
     identify: "Arm again with its id.",
     board: "Take the board out of the barrier.",
+    belt: "Start the belt.",
   },
   // What to do about a board whose pictures are not good, by the group of a reason's cause.
   boardOrders: {
