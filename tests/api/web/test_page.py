@@ -10,10 +10,17 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page, expect
 
+from vaoi_station.model import Status
 from vaoi_station.runs.states.schemas import Reason
+from vaoi_station.runs.states.tables import StationState
 
 pytestmark = pytest.mark.browser
 MUCH_LATER_S = 60
+COUNT_TONES = """
+window.tones = 0;
+const start = OscillatorNode.prototype.start;
+OscillatorNode.prototype.start = function (...when) { window.tones += 1; return start.apply(this, when); };
+"""
 
 
 def test_a_fault_is_shown_by_word_sign_colour_and_order(page: Page, served: Any) -> None:
@@ -31,6 +38,40 @@ def test_a_fault_is_shown_by_word_sign_colour_and_order(page: Page, served: Any)
     expect(page.locator("#reasons li")).to_have_text(["Camera 2 does not answer. Check the cable of camera 2."])
     page.keyboard.press("Enter")
     expect(page.locator("#details")).to_be_hidden()
+
+
+def test_title_and_tone_follow_the_station_in_every_view(page: Page, served: Any) -> None:
+    station = served.station
+    page.add_init_script(COUNT_TONES)
+    station.arm("demo-board")
+    page.goto(f"{served.url}/#/boards")
+    expect(page).to_have_title("Ready – test")
+    assert page.evaluate("tones") == 0
+    station.fault("camera-absent", "Camera 2 does not answer.", "Check the cable of camera 2.")
+    expect(page).to_have_title("Fault – test")
+    assert page.evaluate("tones") == 1
+    station.reasons = ()
+    station.arm("demo-board")
+    expect(page).to_have_title("Ready – test")
+    run = station.film(finish=False, board_id="SN-47")
+    station.finish(run, Status.FAILED)
+    expect(page).to_have_title("Board failed – test")
+    assert page.evaluate("tones") == 2
+    for state, title in [("arming", "Arming"), ("blocked", "Memory full"), ("armed", "Board failed")] * 2:
+        station.state = StationState(state)
+        station.publish("station", state=state)
+        expect(page).to_have_title(f"{title} – test")
+    assert page.evaluate("tones") == 2, "a board is announced once"
+    station.fault("camera-absent", "Camera 2 does not answer.", "Check the cable of camera 2.")
+    expect(page).to_have_title("Fault – test")
+    assert page.evaluate("tones") == 3, "each fault is"
+    page.locator("#sound").click()
+    station.reasons = ()
+    station.arm("demo-board")
+    expect(page).to_have_title("Board failed – test")
+    station.fault("camera-absent", "Camera 2 does not answer.", "Check the cable of camera 2.")
+    expect(page).to_have_title("Fault – test")
+    assert page.evaluate("tones") == 3, "the sound is off"
 
 
 def test_a_late_retry_is_shown_with_its_time(page: Page, served: Any) -> None:

@@ -4,6 +4,7 @@ import { RecentBoards } from "./line/recent_boards.js";
 import { $, make, setText } from "./parts/elements.js";
 import { Live } from "./parts/live.js";
 import { loggedIn } from "./parts/login.js";
+import { situation } from "./parts/orders.js";
 import * as rest from "./parts/rest.js";
 import * as sound from "./parts/sound.js";
 import { changeLanguage, fillIn, language, texts } from "./texts/texts.js";
@@ -22,9 +23,10 @@ function showSound() {
   $("sound").setAttribute("aria-pressed", sound.isOn());
 }
 
-// What every view may use: the newest state, the station's clock, and whether both are out of date.
+// What every view may use: the newest state, what it means, the station's clock, and whether all are out of date.
 export const station = {
   now: null,
+  situation: null,
   stale: false,
   offset_ms: 0,
   time_ms: () => Date.now() + station.offset_ms,
@@ -108,7 +110,23 @@ async function route() {
   fillIn(view.root);
   view.open?.();
   view.onAge?.(station.stale);
-  if (station.now) rest.unattended(view.show(station.now));
+  showSituation();
+  if (station.now) rest.unattended(showNow(view));
+}
+
+async function showNow(shown) {
+  await shown.show(station.now);
+  await shown.showBoards?.();
+}
+
+// Title and tone are those of the station in every view: the operator may have left the line's.
+function showSituation() {
+  const shown = situation(station.now, station.boards, station.time_ms(), station.stale);
+  station.situation = shown;
+  document.title = station.now ? `${shown.word} – ${station.now.name}` : shown.word;
+  for (const tone of ["caution", "fault"]) document.body.classList.toggle(tone, shown.tone === tone);
+  sound.announce(shown);
+  view?.onSituation?.(shown);
 }
 
 // Said in place of a view whose files have not come. It is tried again by each heartbeat; the button loads the whole page.
@@ -136,7 +154,12 @@ async function refresh() {
       station.now = await rest.station();
       setText($("name"), station.now.name);
       document.body.classList.remove("waiting");
-      await view?.show(station.now);
+      showSituation();
+      const shown = rest.unattended(Promise.resolve(view?.show(station.now)));
+      await rest.unattended(station.boards.refresh(station.now, station.time_ms()));
+      showSituation();
+      await shown;
+      await view?.showBoards?.();
     } while (again);
   } catch (error) {
     if (!(error instanceof rest.Refusal) && !(error instanceof TypeError)) throw error;
@@ -155,6 +178,7 @@ function showAge(old, seconds) {
   setText($("stale-text"), old ? texts.old : "");
   if (was && !old) refresh();
   if (was !== old) view?.onAge?.(old);
+  showSituation(); // a failed board is shown for a limited time
   view?.tick?.();
 }
 

@@ -1,8 +1,6 @@
 // The operator's view: one word, one order, the last board, the last twenty, and one button.
 import { make, setText, showLines } from "../parts/elements.js";
-import { situation } from "../parts/orders.js";
 import { draw } from "../parts/signs.js";
-import { alarm } from "../parts/sound.js";
 import { clock, texts } from "../texts/texts.js";
 import { Arming } from "./arming.js";
 import { LastBoard } from "./last_board.js";
@@ -40,7 +38,6 @@ export class LineView {
   #station;
   #refresh;
   #again = 0;
-  #sounded = ""; // the fault or failed board for which the tone was played
   #shownAt = 0;
 
   constructor(station, refresh) {
@@ -73,26 +70,24 @@ export class LineView {
 
   onAge(old) {
     this.arming.enable(!old);
-    this.#showSituation();
   }
 
   tick() {
     this.last.tick(this.#station.time_ms());
-    this.#showSituation(); // a failed board is shown for a limited time
     const { now, stale } = this.#station;
     const passing = now?.line_held.some((reason) => ["line-filming", "belt-stopped"].includes(reason.code));
     if (performance.now() - this.#shownAt > (passing ? PASSING_MS : QUIET_MS) && !stale) this.#refresh();
   }
 
-  async show(now) {
+  show(now) {
     this.#shownAt = performance.now();
     this.arming.show(now);
-    this.#showSituation();
     this.#showDetails(now);
-    await this.boards.refresh(now, this.#station.time_ms());
-    const open = this.#showSituation();
+  }
+
+  async showBoards() {
     this.strip.show(this.boards);
-    await this.last.show(this.boards.runs, open, this.#station.time_ms());
+    await this.last.show(this.boards.runs, this.#station.situation.board, this.#station.time_ms());
   }
 
   async #decided() {
@@ -100,27 +95,14 @@ export class LineView {
     await this.#refresh();
   }
 
-  #showSituation() {
+  onSituation(shown) {
     const { now, stale } = this.#station;
-    const shown = situation(now, this.boards, this.#station.time_ms(), stale);
     draw(this.#part("state-shape"), shown.shown);
     this.#part("state-shape").dataset.state = shown.state;
     setText(this.#part("state-word"), shown.word);
     setText(this.#part("order"), shown.order);
-    document.title = now ? `${shown.word} – ${now.name}` : shown.word;
-    document.body.classList.remove("caution", "fault");
-    if (shown.tone) document.body.classList.add(shown.tone);
-    this.#sound(shown);
     const armed = !stale && now?.armed_with ? texts.armedWith(now.armed_with, without(now)) : "";
     setText(this.#part("armed-with"), armed);
-    return shown.board;
-  }
-
-  // Once for a fault or a failed board, however many boards pass meanwhile.
-  #sound(shown) {
-    const subject = shown.tone === "fault" ? (shown.board?.id ?? shown.shown) : "";
-    if (subject && subject !== this.#sounded) alarm();
-    if (subject || shown.shown !== "filming") this.#sounded = subject;
   }
 
   #showDetails(now) {

@@ -55,7 +55,7 @@ export function boardGroup(reason) {
 }
 
 const TONES = { blocked: "caution", lacking: "caution", held: "caution", degraded: "caution", missed: "caution", faulted: "fault", failed: "fault", unknown: "stale" };
-const QUIET = ["armed", "idle"]; // states in which the order may speak of a board that has passed
+export const QUIET = ["armed", "idle"]; // states in which the order may speak of a board that has passed
 const OLD_MS = 30 * 60 * 1000;
 
 // Why the next board must wait, without the board that is passing: it needs no order. Cameras that were accepted as lost are not among it.
