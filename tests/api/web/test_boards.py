@@ -11,6 +11,8 @@ from playwright.sync_api import Page, expect
 
 from tests.api.web.contrast import contrast
 from vaoi_station.model import Status
+from vaoi_station.runs.states.made_with import Origin
+from vaoi_station.runs.states.run_ids import utc
 from vaoi_station.runs.states.schemas import Reason, Unseen
 from vaoi_station.runs.states.tables import StationState
 
@@ -84,6 +86,57 @@ def test_an_open_decision_stays_while_further_boards_come(page: Page, served: An
     expect(page.locator("#decision button").first).to_have_text("SN-49: Use it anyway")
     page.get_by_role("button", name="Cancel").click()
     expect(page.locator("#actions button")).to_have_count(0)
+
+
+def test_a_verdict_that_the_codes_lower_is_shown_at_once(page: Page, served: Any) -> None:
+    station = served.station
+    station.arm("demo-board")
+    page.goto(served.url)
+    run = station.film(board_id="SN-47")
+    expect(page.locator("#verdict-word")).to_have_text("Pictures good")
+    expect(page.locator("#counts .count-ok")).to_have_text("1")
+    differs = Reason(code="board-id-differs", message="The board's code states 'SN-46'.")
+    lowered = {"verdict": Status.DEGRADED, "reasons": (differs,)}
+    station.filmed[run] = station.filmed[run].model_copy(update=lowered)
+    station.kept.identities.read(run, "demo;SN-46")
+    expect(page.locator("#verdict-word")).to_have_text("Pictures with reservations")
+    expect(page.locator("#order")).to_have_text("Board SN-47: Identify the board.")
+    expect(page.locator("#counts .count-ok")).to_have_text("0")
+
+
+def test_runs_of_another_station_are_no_boards_of_this_line(page: Page, served: Any) -> None:
+    station = served.station
+    station.arm("demo-board")
+    asked: list[str] = []
+    page.on("request", lambda request: asked.append(request.url) if "/api/v1/runs" in request.url else None)
+    page.goto(served.url)
+    expect(page.locator("#counts")).to_be_visible()
+    settled(page, station)
+    asked.clear()
+    settled(page, station)
+    assert asked == [], "without any run, nothing is new"
+    station.film(board_id="SN-1")
+    for n in range(25):
+        run = fail(station, f"OTHER-{n}")
+        update = {"origin": Origin(station="other", exported=utc(), imported=utc())}
+        station.filmed[run] = station.filmed[run].model_copy(update=update)
+    page.reload()
+    expect(page.locator("#board-name")).to_have_text("SN-1")
+    expect(page.locator("#state-word")).to_have_text("Ready")
+    expect(page.locator("#strip li")).to_have_count(1)
+    settled(page, station)
+    asked.clear()
+    settled(page, station)
+    assert asked == []
+
+
+def settled(page: Page, station: Any) -> None:
+    """Wait until the page has shown a further event."""
+    for state, word in (("arming", "Arming"), ("armed", "Ready")):
+        station.state = StationState(state)
+        with page.expect_response("**/api/v1/station"):
+            station.publish("station", state=state)
+        expect(page.locator("#state-word")).to_have_text(word)
 
 
 def test_missed_boards_and_the_last_twenty_are_shown(page: Page, served: Any) -> None:

@@ -53,7 +53,8 @@ export class LastBoard {
     const other = open && open.id !== summary.id;
     this.#root.classList.toggle("other-board", Boolean(other));
     this.#decisions.show(open ?? summary, other ? (short(open.board_id) ?? clock(open.started)) : "", runs);
-    const seen = `${summary.id} ${summary.frames_available} ${summary.decision?.decided}`;
+    const { id, frames_available, decision, verdict: word, reasons } = summary; // the codes of a board are read after its result
+    const seen = JSON.stringify([id, frames_available, decision?.decided, word, reasons]);
     if (seen === this.#seen) return;
     const run = await rest.run(summary.id);
     const changed = this.#run?.id !== run.id;

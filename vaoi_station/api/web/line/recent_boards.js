@@ -4,12 +4,30 @@ import * as rest from "../parts/rest.js";
 export const SHOWN = 20;
 const READ_AGAIN_MS = 5 * 60 * 1000; // another day may have begun, events may have been lost
 const OPEN_MS = 30 * 60 * 1000; // so long a board without pictures is shown; see parts/orders.js
+const NEW = 3; // runs that are asked for when one has finished
+const MOST_PAGES = 5; // so many pages of imported runs are looked through for those of this line
+
+// Imported runs are of another line: nobody has to decide about them here.
+const isOwn = (run) => !run.origin;
+
+async function ownRuns(filter) {
+  const found = [];
+  let before = null;
+  for (let n = 0; n < MOST_PAGES && found.length < SHOWN && (n === 0 || before); n++) {
+    const page = await rest.runs({ limit: SHOWN, ...filter, ...(before ? { before } : {}) });
+    found.push(...page.runs.filter(isOwn));
+    before = page.next;
+  }
+  return found;
+}
 
 export class RecentBoards {
   runs = []; // oldest first: the last ones, and older ones without pictures
   missed = []; // times at which boards passed without pictures
   counts = null;
   #readAt = -Infinity;
+  #lastRun = null; // the station's `last_run` when the runs were read
+  #changed = false; // the verdict of a run that was read may have changed
   #newestEvent = 0;
 
   readAgain() {
@@ -18,35 +36,51 @@ export class RecentBoards {
 
   // Read what is new.
   async refresh(now, now_ms) {
-    if (performance.now() - this.#readAt > READ_AGAIN_MS) {
-      this.#readAt = performance.now();
+    const last = now.last_run ?? null;
+    if (performance.now() - this.#readAt > READ_AGAIN_MS) await this.#readAll(now_ms);
+    else if (last !== this.#lastRun) await this.#readNew(last, now_ms);
+    if (this.#changed) await this.#readChanged();
+    this.#lastRun = last;
+  }
+
+  async #readAll(now_ms) {
+    this.#readAt = performance.now(); // before the replies: what happens meanwhile asks for another reading
+    try {
       const since = new Date(now_ms - OPEN_MS).toISOString();
-      const pages = await Promise.all([{}, { verdict: "failed", since }, { verdict: "none", since }].map((filter) => rest.runs({ limit: SHOWN, ...filter })));
+      const found = await Promise.all([{}, { verdict: "failed", since }, { verdict: "none", since }].map(ownRuns));
       this.counts = await rest.counts();
       this.runs = [];
-      this.#add(pages.flatMap((page) => page.runs));
-    } else if (now.last_run !== this.#lastFinished()) {
-      const known = new Set(this.runs.map((run) => run.id));
-      const found = (await rest.runs({ limit: 3 })).runs.filter((run) => run.finished && !known.has(run.id));
-      if (found.length === 3 || !found.length) {
-        this.readAgain(); // more boards came than were asked for
-        await this.refresh(now, now_ms);
-        return;
-      }
-      for (const run of found) this.#count(run.verdict ?? "failed");
-      this.#add(found);
+      this.#add(found.flat());
+    } catch (error) {
+      this.readAgain();
+      throw error;
     }
   }
 
+  async #readNew(last, now_ms) {
+    const known = new Set(this.runs.map((run) => run.id));
+    const newest = (await rest.runs({ limit: NEW })).runs;
+    const found = newest.filter((run) => run.finished && !known.has(run.id));
+    if (found.length === NEW || !newest.some((run) => run.id === last && run.finished)) {
+      await this.#readAll(now_ms); // more boards came than were asked for
+      return;
+    }
+    for (const run of found.filter(isOwn)) this.#count(run.verdict ?? "failed");
+    this.#add(found);
+  }
+
+  async #readChanged() {
+    this.#changed = false;
+    const verdicts = new Map(this.runs.map((run) => [run.id, run.verdict]));
+    this.#add(await ownRuns({}));
+    if (this.runs.some((run) => verdicts.has(run.id) && verdicts.get(run.id) !== run.verdict)) this.counts = await rest.counts();
+  }
+
   #add(runs) {
-    const all = new Map([...this.runs, ...runs.filter((run) => run.finished)].map((run) => [run.id, run]));
+    const all = new Map([...this.runs, ...runs.filter((run) => run.finished && isOwn(run))].map((run) => [run.id, run]));
     const sorted = [...all.values()].sort((a, b) => (a.id < b.id ? -1 : 1)); // ids are in the order of the boards
     const old = sorted.slice(0, -SHOWN).filter((run) => run.verdict !== "ok" && run.verdict !== "degraded");
     this.runs = [...old.slice(-SHOWN), ...sorted.slice(-SHOWN)];
-  }
-
-  #lastFinished() {
-    return this.runs.reduce((last, run) => (!last || run.finished > last.finished ? run : last), null)?.id ?? null;
   }
 
   #count(verdict) {
@@ -57,6 +91,7 @@ export class RecentBoards {
     if (event.number <= this.#newestEvent) return;
     this.#newestEvent = event.number;
     if (event.kind === "board-missed") this.missed = [...this.missed, event.time].slice(-SHOWN);
+    if (event.kind === "identity") this.#changed = true;
     if (event.kind === "board-missed" || event.kind === "decision") this.readAgain();
   }
 
