@@ -200,7 +200,8 @@ class HeldStation(StationCoordinator):
     ) -> StationSnapshot:
         self.board_type(board_type)
         if self.lost and not allow_lost_cameras:
-            raise DeviceError("The array is not complete.", action="Check its cable.", code="camera-lost")
+            action = "Check its cable. To film boards without it, arm with allow_lost_cameras."
+            raise DeviceError("The array is not complete.", action=action, code="camera-lost")
         if self.state == StationState.FILMING and passing == "refuse":
             raise StateError("A board is passing.", action="Wait until it has left, then arm again.")
         self.despite_lost = allow_lost_cameras

@@ -77,3 +77,13 @@ def test_the_page_has_an_order_for_every_reason(client: Any) -> None:
         assert set(re.findall(r"^    ([a-z]+): ", orders[1], re.MULTILINE)) == set(
             re.findall(r"^  ([a-z]+): \[", groups[1], re.MULTILINE)
         )
+
+
+@pytest.mark.parametrize("language", ["en", "de"])
+def test_the_page_words_refusals_that_exist(client: Any, language: str) -> None:
+    found = re.search(r"  refusals: {\n(.*?)\n  },", client.get(f"/web/texts/{language}.js").text, re.DOTALL)
+    assert found
+    worded = re.findall(r"^    \"?([a-z-]+)\"?: ", found[1], re.MULTILINE)
+    assert len(worded) == len(found[1].splitlines())
+    listed = CODES.read_text(encoding="utf-8")
+    assert [code for code in worded if f"`{code}`" not in listed] == ["other"]

@@ -139,6 +139,17 @@ def test_word_and_order_are_large_and_nothing_is_clipped(
         box = page.locator("#arm").bounding_box()
         assert box is not None
         assert box["y"] + box["height"] <= height
+    served.station.lost = (1,)
+    page.locator("#arm").click()
+    expect(page.locator("#answer summary")).to_be_visible()
+    assert page.evaluate(CLIPPED) == []
+    box = page.locator("#answer").bounding_box()
+    assert box is not None
+    assert box["y"] + box["height"] <= height
+    served.station.lost = ()
+    provoke(served.station, "arming", "")
+    expect(page.locator("#answer")).to_be_empty()
+    provoke(served.station, "idle", "")
     # A board without pictures keeps its place, with its buttons, while later boards are good; then its form.
     served.station.film()
     expect(page.locator("#last")).to_have_class("other-board")

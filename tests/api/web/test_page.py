@@ -8,7 +8,7 @@ from datetime import UTC, datetime, timedelta
 from typing import Any
 
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Browser, Page, expect
 
 from vaoi_station.model import Status
 from vaoi_station.runs.states.schemas import Reason
@@ -133,7 +133,8 @@ def test_arming_without_a_lost_camera_takes_a_second_press(page: Page, served: A
     expect(page.locator("#board-type")).to_have_value("demo-board")
     served.station.lose(2)
     page.locator("#arm").click()
-    expect(page.locator("#answer")).to_have_text("The array is not complete. Check its cable.")
+    expect(page.locator("#answer")).to_contain_text("A camera is missing. Check its cable.")
+    expect(page.locator("body")).not_to_contain_text("allow_lost_cameras")
     expect(page.locator("#state-word")).to_have_text("Not armed")
     expect(page.locator("#arm")).to_have_text("Arm without this camera")
     page.locator("#arm").click()
@@ -196,13 +197,38 @@ def test_a_scanner_enters_the_board_id_and_arms(page: Page, served: Any) -> None
     expect(page.locator("#board-id")).to_have_value("")
 
 
-def test_a_refusal_is_shown_with_its_action(page: Page, served: Any) -> None:
+def test_a_refusal_is_said_in_the_language_of_the_page(browser: Browser, served: Any) -> None:
+    types = dict(served.station.types)
+    for language, said in (("en", "This type is not stored"), ("de", "Dieser Typ ist nicht mehr gespeichert.")):
+        served.station.types.update(types)
+        page = browser.new_page(locale=language)
+        page.set_default_timeout(20_000)
+        page.goto(served.url)
+        expect(page.locator("#board-type")).to_have_value("demo-board")
+        served.station.types.clear()
+        page.locator("#arm").click()
+        expect(page.locator("#answer")).to_contain_text(said)
+        sentence = page.get_by_text("There is no board type 'demo-board'.")
+        expect(sentence).to_be_hidden()
+        page.locator("#answer summary").press("Enter")
+        expect(sentence).to_be_visible()
+        served.station.state = StationState.BLOCKED
+        served.station.publish("station", state="blocked")
+        expect(page.locator("#answer")).to_be_empty()
+        served.station.disarm()
+        page.close()
+
+
+def test_a_refused_decision_is_said_in_the_words_of_the_page(page: Page, served: Any) -> None:
+    run = served.station.film(verdict=Status.FAILED, board_id="SN-47")
     page.goto(served.url)
-    expect(page.locator("#board-type")).to_have_value("demo-board")
-    served.station.types.clear()
-    page.locator("#arm").click()
-    expect(page.locator("#answer")).to_have_text("There is no board type 'demo-board'. Teach it.")
-    expect(page.locator("#state-word")).to_have_text("Not armed")
+    page.get_by_role("button", name="Use it anyway").click()
+    del served.station.filmed[run]
+    page.get_by_label("Your name").fill("Ada")
+    page.get_by_label("Reason").fill("It is a sample.")
+    page.keyboard.press("Enter")
+    expect(page.locator("#decision-answer")).to_contain_text("The station has refused it. Call the engineer.")
+    expect(page.get_by_text("There is no run")).to_be_hidden()
 
 
 def test_old_data_are_marked_until_new_data_come(page: Page, station: Any, serve: Callable[..., Any]) -> None:

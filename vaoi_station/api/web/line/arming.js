@@ -1,5 +1,5 @@
 // Arm and disarm, with the board type and the board's id (typed, or scanned: a scanner ends with Enter).
-import { make, setText } from "../parts/elements.js";
+import { make, setText, showRefusal } from "../parts/elements.js";
 import * as rest from "../parts/rest.js";
 import { kept, keep } from "../parts/settings.js";
 import { texts } from "../texts/texts.js";
@@ -12,7 +12,7 @@ const PART = `
 <label for="board-id" data-text="boardId"></label>
 <input id="board-id" maxlength="200" autocomplete="off" spellcheck="false">
 <button type="submit" id="arm"></button>
-<p id="answer" role="alert"></p>`;
+<div id="answer" role="alert"></div>`;
 
 export class Arming {
   #form;
@@ -47,6 +47,10 @@ export class Arming {
 
   get #id() {
     return this.#form.querySelector("#board-id");
+  }
+
+  get #answer() {
+    return this.#form.querySelector("#answer");
   }
 
   get #button() {
@@ -102,7 +106,7 @@ export class Arming {
       if (types.some((type) => type.name === chosen)) this.#type.value = chosen;
       this.#showButton();
     } catch (error) {
-      this.#say(error instanceof rest.Refusal ? error.message : texts.noAnswer, true);
+      this.#refuse(error);
     }
   }
 
@@ -111,7 +115,9 @@ export class Arming {
     if (type && type !== this.#armed) this.#type.value = type;
     this.#armed = type;
     if (now.all_cameras_ready) this.#lost = false;
-    if (now.state !== this.#state && performance.now() - this.#said > 1000) this.#say("", false); // it spoke of the state before
+    const refused = this.#answer.classList.contains("refused");
+    // It spoke of the state before, unless it says that a command has brought this one.
+    if (now.state !== this.#state && (refused || performance.now() - this.#said > 1000)) this.#say("");
     this.#state = now.state;
     this.#showButton();
   }
@@ -137,25 +143,38 @@ export class Arming {
   }
 
   async #command(call, done) {
-    this.#say("", false);
+    this.#say("");
     try {
       await call();
-      this.#say(done, false);
+      this.#say(done);
       this.#lost = false;
       this.#id.value = "";
     } catch (error) {
-      this.#say(error instanceof rest.Refusal ? error.message : texts.noAnswer, true);
+      this.#refuse(error);
       this.#lost = error instanceof rest.Refusal && error.code === "camera-lost";
     }
     this.#showButton();
     await this.#onDone();
   }
 
-  #say(text, refused) {
-    const answer = this.#form.querySelector("#answer");
-    setText(answer, text);
-    answer.classList.toggle("refused", refused && text !== "");
+  #say(text) {
+    setText(this.#answer, text);
+    this.#answer.classList.remove("refused");
+    this.#endLater();
+  }
+
+  #refuse(error) {
+    showRefusal(this.#answer, error);
+    this.#answer.classList.add("refused");
+    this.#endLater();
+  }
+
+  // A message ends by itself, unless somebody reads the station's sentence.
+  #endLater() {
     this.#said = performance.now();
-    if (text) setTimeout(() => performance.now() - this.#said >= SAID_MS - 50 && this.#say("", false), SAID_MS);
+    if (!this.#answer.textContent) return;
+    setTimeout(() => {
+      if (performance.now() - this.#said >= SAID_MS - 50 && !this.#answer.querySelector("[open]")) this.#say("");
+    }, SAID_MS);
   }
 }

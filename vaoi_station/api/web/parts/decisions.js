@@ -1,5 +1,5 @@
 // What a person decides about a board whose pictures are not good: film it again, or use them. Kept with the run.
-import { make } from "./elements.js";
+import { make, showRefusal } from "./elements.js";
 import { short } from "./orders.js";
 import * as rest from "./rest.js";
 import { keep, kept } from "./settings.js";
@@ -58,7 +58,7 @@ export class Decisions {
       id: "decision-reason", required: true, maxLength: 400, value: choice === "film-again" && first ? first.cause || first.code : "",
     });
     const cancel = make("button", { type: "button", textContent: texts.cancel });
-    const answer = make("p", { id: "decision-answer" });
+    const answer = make("div", { id: "decision-answer" });
     answer.setAttribute("role", "alert");
     const form = make("form", { id: "decision" },
       make("label", { htmlFor: name.id, textContent: texts.yourName }), name,
@@ -74,7 +74,7 @@ export class Decisions {
         this.#close();
         this.#onDecided();
       } catch (error) {
-        answer.textContent = error instanceof rest.Refusal ? error.message : texts.noAnswer;
+        showRefusal(answer, error);
       }
     });
     this.#root.replaceChildren(form);

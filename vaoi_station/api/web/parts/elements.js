@@ -1,4 +1,7 @@
 // Small helpers to make and change elements.
+import { texts } from "../texts/texts.js";
+import { Refusal } from "./rest.js";
+
 export const $ = (id) => document.getElementById(id);
 
 export function make(name, fields = {}, ...children) {
@@ -17,4 +20,14 @@ export function showLines(list, lines) {
   if (wanted === list.dataset.shown) return;
   list.dataset.shown = wanted;
   list.replaceChildren(...lines.map((line) => make("li", { textContent: line })));
+}
+
+// Why a press had no effect, in the operator's words. The station's own sentence is for programs and engineers: it is behind "Why?".
+export function showRefusal(element, error) {
+  if (!(error instanceof Refusal)) {
+    element.replaceChildren(texts.noAnswer);
+    return;
+  }
+  const why = make("details", { className: "refusal" }, make("summary", { textContent: texts.why }), make("p", { textContent: error.detail }));
+  element.replaceChildren(`${texts.refusals[error.code] ?? texts.refusals.other} `, why);
 }

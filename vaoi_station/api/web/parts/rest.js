@@ -4,6 +4,7 @@ const api = "/api/v1";
 export class Refusal extends Error {
   constructor(problem) {
     super(`${problem.detail} ${problem.action}`.trim());
+    this.detail = problem.detail;
     this.status = problem.status;
     this.code = problem.code;
     this.errors = problem.errors ?? [];

@@ -110,6 +110,27 @@ export const texts = {
   acknowledge: (file) => `${file} bestätigen`,
   acknowledged: (file) => `Die Warnung vor ${file} wurde bestätigt.`,
 
+  refusals: {
+    "camera-lost": "Eine Kamera fehlt. Kabel prüfen.",
+    "unknown-board-type": "Dieser Typ ist nicht mehr gespeichert. Anderen wählen.",
+    "board-type-retired": "Dieser Typ wird nicht mehr aufgenommen. Anderen wählen.",
+    "invalid-input": "Typ oder Nummer ist für die Station unbrauchbar. Techniker rufen.",
+    "no-reference": "Dieser Typ hat keine Referenz. Techniker rufen.",
+    "reference-unusable": "Die Referenz dieses Typs ist unbrauchbar. Techniker rufen.",
+    "ring-full": "Der Speicher ist voll. Warten, dann noch einmal drücken.",
+    "wrong-state": "Jetzt nicht möglich. Anweisung oben befolgen, dann noch einmal drücken.",
+    "arming-failed": "Die Geräte haben nicht rechtzeitig geantwortet. Noch einmal drücken.",
+    "disarming-failed": "Die Geräte haben nicht rechtzeitig geantwortet. Noch einmal drücken.",
+    "acquisition-lost": "Die Kameras werden gestartet. Warten, dann noch einmal drücken.",
+    busy: "Die Station ist beschäftigt. Noch einmal drücken.",
+    device: "Ein Gerät antwortet nicht. Anweisung oben befolgen, dann noch einmal drücken.",
+    "missing-scope": "Dieser Schlüssel erlaubt das nicht. Mit einem anderen anmelden.",
+    "no-key": "Die Anmeldung ist beendet. Neu anmelden.",
+    "not-stored": "Die Baugruppe ist noch nicht auf der Platte. Später noch einmal versuchen.",
+    "run-forgotten": "Diese Baugruppe ist nicht mehr aufbewahrt.",
+    other: "Die Station hat es abgelehnt. Techniker rufen.",
+  },
+
   lastBoard: "Letzte Baugruppe",
   verdicts: {
     ok: "Bilder gut",

@@ -115,6 +115,28 @@ export const texts = {
   acknowledge: (file) => `Acknowledge ${file}`,
   acknowledged: (file) => `The warning about ${file} was acknowledged.`,
 
+  // Why a press had no effect, by the code of the refusal; another code has the last text.
+  refusals: {
+    "camera-lost": "A camera is missing. Check its cable.",
+    "unknown-board-type": "This type is not stored any more. Choose another one.",
+    "board-type-retired": "This type is no longer filmed. Choose another one.",
+    "invalid-input": "The station cannot use this type or id. Call the engineer.",
+    "no-reference": "This type has no reference. Call the engineer.",
+    "reference-unusable": "The reference of this type is unusable. Call the engineer.",
+    "ring-full": "All memory is in use. Wait, then press again.",
+    "wrong-state": "Not possible now. Follow the order above, then press again.",
+    "arming-failed": "The devices did not respond in time. Press again.",
+    "disarming-failed": "The devices did not respond in time. Press again.",
+    "acquisition-lost": "The cameras are being started. Wait, then press again.",
+    busy: "The station is busy. Press again.",
+    device: "A device does not respond. Follow the order above, then press again.",
+    "missing-scope": "This key does not permit it. Log in with another one.",
+    "no-key": "The login has ended. Log in again.",
+    "not-stored": "The board is not on disk yet. Try again later.",
+    "run-forgotten": "This board is not kept any more.",
+    other: "The station has refused it. Call the engineer.",
+  },
+
   // the last board
   lastBoard: "Last board",
   verdicts: {
