@@ -1,19 +1,51 @@
-"""The reply of the service while the station cannot be started yet: the cause, with status 503."""
+"""The reply of the service while the station cannot be started yet: the cause, with status 503.
+
+A browser, which may be the only program of a panel, gets a page that asks again by itself.
+"""
 
 from __future__ import annotations
 
 import socket
 from collections.abc import Iterable
+from html import escape
 
 from fastapi import FastAPI, Response
 from fastapi.requests import Request
+from fastapi.responses import FileResponse, HTMLResponse
 
 from vaoi_station.api.hosts import allowed_names
 from vaoi_station.api.listener.certificate import CertificateFiles
+from vaoi_station.api.pages import WEB
 from vaoi_station.api.problems import problem_response
-from vaoi_station.api.request_guard import RequestGuard
+from vaoi_station.api.request_guard import API, RequestGuard
 from vaoi_station.api.web_server import WebServer
 from vaoi_station.errors import VaoiError
+
+AGAIN_S = 5
+"""Time after which a browser asks again, s."""
+STYLE = "/web/style.css"
+_PAGE = """<!doctype html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<meta name="color-scheme" content="light dark">
+<meta http-equiv="refresh" content="{again_s}">
+<title>Not started</title>
+<link rel="stylesheet" href="{style}">
+</head>
+<body>
+<main class="not-started">
+<h1>Not started</h1>
+<p>Hold boards back. Call the administrator.</p>
+<h1 lang="de">Nicht gestartet</h1>
+<p lang="de">Baugruppen zurückhalten. Verwalter rufen.</p>
+<h2>{code}</h2>
+<p class="cause">{cause}</p>
+</main>
+</body>
+</html>
+"""
 
 
 class WaitingPage:
@@ -47,13 +79,26 @@ class WaitingPage:
     def _app(self) -> FastAPI:
         app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
 
+        @app.get(STYLE)
+        async def style() -> FileResponse:
+            return FileResponse(WEB / "style.css", headers={"Cache-Control": "no-cache"})
+
         # Every method and address has the same reply, so that no caller takes it for a reply of the station.
         @app.api_route("/{path:path}", methods=["GET", "HEAD", "POST", "PUT", "DELETE"])
         async def waiting(request: Request) -> Response:
             error = self._error
             assert error is not None
+            if "text/html" in request.headers.get("accept", "") and not request.url.path.startswith(API):
+                return _page(error)
             detail = f"The station is not started yet: {error.message}"
             return problem_response(request.url.path, error.code, detail, status=503, action=error.action)
 
         app.add_middleware(RequestGuard, names=allowed_names(self._names))
         return app
+
+
+def _page(error: VaoiError) -> HTMLResponse:
+    """Return the page for a browser, which loads it again until the station is there."""
+    cause = escape(f"{error.message} {error.action}".strip())
+    content = _PAGE.format(again_s=AGAIN_S, style=STYLE, code=escape(error.code), cause=cause)
+    return HTMLResponse(content, status_code=503, headers={"Cache-Control": "no-store"})
