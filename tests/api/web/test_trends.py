@@ -44,6 +44,9 @@ def test_trends_say_what_changed_and_a_point_opens_its_board(page: Page, served:
     page.locator("#compare-choice").select_option(mark)
     expect(page.locator("#changes li").first).to_contain_text("Seams between cameras 0-1")
     expect(page.locator("#changes li").first).to_contain_text("worse")
+    page.reload()
+    expect(page.locator("#changes li").first).to_contain_text("worse")
+    expect(page.locator("#compare-choice")).to_have_value(mark or "")
     if PICTURES:
         page.screenshot(path=Path(PICTURES) / "page-trends.png")
     page.locator("#changes a").first.press("Enter")

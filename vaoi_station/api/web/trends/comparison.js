@@ -19,28 +19,33 @@ const PART = `
 export class Comparison {
   #marks = [];
   #type = "";
+  #wanted; // the choice of the person, or of the address: its mark may not have come yet
   #asked = 0;
 
   constructor(choice) {
     this.root = make("section", { id: "compare" });
     this.root.innerHTML = PART;
     this.choice = this.root.querySelector("select");
-    this.choice.addEventListener("change", () => rest.unattended(this.#show()));
-    this.#offer(choice);
+    this.choice.addEventListener("change", () => {
+      this.#wanted = this.choice.value;
+      rest.unattended(this.#show());
+    });
+    this.#wanted = choice;
+    this.#offer();
   }
 
   // `marks`: what changed in the span that is shown; each may be compared with before.
   async show(marks, type) {
     [this.#marks, this.#type] = [marks, type];
-    this.#offer(this.choice.value);
+    this.#offer();
     await this.#show();
   }
 
-  #offer(chosen) {
+  #offer() {
     const options = Object.entries(texts.trends.choices).map(([value, textContent]) => make("option", { value, textContent }));
     const marks = this.#marks.map((mark) => make("option", { value: mark.time, textContent: texts.trends.sinceMark(texts.trends.kinds[mark.kind], moment(mark.time)) }));
     this.choice.replaceChildren(...options, ...marks);
-    this.choice.value = chosen;
+    this.choice.value = this.#wanted;
     if (!this.choice.value) this.choice.value = "day";
   }
 
