@@ -7,6 +7,7 @@ import { settingField } from "./setting_field.js";
 
 const NAME = /^[A-Za-z0-9_-]+$/;
 const same = (a, b) => JSON.stringify(a) === JSON.stringify(b);
+const byNumber = (a, b) => a.match(/\d+$/)[0] - b.match(/\d+$/)[0]; // keys of elements
 const at = (values, key) => key.split(".").reduce((inside, part) => inside?.[part], values);
 
 export async function open(root) {
@@ -167,7 +168,7 @@ class SettingsPage {
 
   // A fault names the place in the new file, in which removed elements are gone: the place of its field.
   #fieldOf(key) {
-    for (const prefix of [...this.#changes.keys()].filter((k) => this.#changes.get(k) === null && /\.\d+$/.test(k)).sort()) {
+    for (const prefix of [...this.#changes.keys()].filter((k) => this.#changes.get(k) === null && /\.\d+$/.test(k)).sort(byNumber)) {
       const [, base, gone] = prefix.match(/^(.*)\.(\d+)$/);
       const found = key.match(new RegExp(`^${base.replaceAll(".", "\\.")}\\.(\\d+)(.*)$`));
       if (found && Number(found[1]) >= Number(gone)) key = `${base}.${Number(found[1]) + 1}${found[2]}`;
