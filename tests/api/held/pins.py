@@ -35,10 +35,15 @@ class HeldDecisions:
         self._station = station
         self.made: dict[str, Decision] = {}
         self.missed = 0
+        self.most_scanned = 10_000
+        """Number of runs that one search looks through."""
 
     def find(self, wanted: RunFilter, limit: int, before: str | None) -> tuple[list[Any], str | None]:
-        found = [run for run in self._station.runs(1000, before) if RunHistory.admits(wanted, run)]
-        return found[:limit], found[limit - 1].id if len(found) > limit else None
+        scanned = self._station.runs(self.most_scanned, before)
+        found = [run for run in scanned if RunHistory.admits(wanted, run)]
+        if len(found) > limit:
+            return found[:limit], found[limit - 1].id
+        return found, scanned[-1].id if len(scanned) == self.most_scanned else None
 
     def counts(self, since: datetime) -> RunCounts:
         verdicts = [run.verdict for run in self._station.runs(1000)]

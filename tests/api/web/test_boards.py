@@ -211,6 +211,31 @@ def test_the_station_filters_the_list_and_a_file_has_it(page: Page, served: Any,
     expect(page.locator("#list-answer")).to_have_text("No boards match.")
 
 
+def test_a_search_goes_on_until_a_board_is_found_and_a_cut_file_says_so(
+    page: Page, served: Any, tmp_path: Path
+) -> None:
+    station = served.station
+    fail(station, "SN-OLD")
+    first = station.filmed[station.film(board_id="SN-2")]
+    for n in range(4_999):
+        run = f"r{n + 3:06d}"
+        station.filmed[run] = first.model_copy(update={"id": run})
+    station.kept.history.most_scanned = 2_000
+    page.goto(f"{served.url}/#/boards?verdict=failed")
+    expect(page.locator("#list tbody tr")).to_have_count(1)
+    expect(page.locator("#more")).to_be_hidden()
+    page.get_by_label("Verdict").select_option("degraded")
+    page.get_by_role("button", name="Show").click()
+    expect(page.locator("#list-answer")).to_have_text("No boards match.")
+    page.goto(f"{served.url}/#/boards")
+    expect(page.locator("#list tbody tr")).to_have_count(100)
+    with page.expect_download() as saved:
+        page.locator("#save").click()
+    expect(page.locator("#list-answer")).to_contain_text("The file has the newest 5,000 boards.")
+    saved.value.save_as(tmp_path / "boards.csv")
+    assert len((tmp_path / "boards.csv").read_text(encoding="utf-8-sig").splitlines()) == 5_001
+
+
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_texts_have_enough_contrast_and_targets_are_large(page: Page, served: Any, scheme: Any) -> None:
     fail(served.station, "SN-1", Status.DEGRADED)

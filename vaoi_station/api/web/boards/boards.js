@@ -52,6 +52,7 @@ export class BoardsView {
   name = "boards-view";
   #query;
   #next = null;
+  #turn = 0; // counts the readings: a later one, or the end of the view, ends the one before
 
   constructor(_station, query) {
     this.#query = new URLSearchParams(query);
@@ -137,14 +138,20 @@ export class BoardsView {
 
   async #load() {
     const more = this.root.querySelector("#more");
+    const turn = ++this.#turn;
     more.disabled = true;
     try {
-      const { runs, next } = await this.#page(this.#next, PAGE_RUNS);
-      this.#next = next ?? null;
-      this.root.querySelector("tbody").append(...runs.map((run) => this.#row(run)));
-      const none = !this.root.querySelector("tbody").children.length && !next;
-      setText(this.root.querySelector("#list-answer"), none ? texts.nothingFound : "");
+      let found;
+      do {
+        found = await this.#page(this.#next, PAGE_RUNS);
+        if (turn !== this.#turn) return;
+        this.#next = found.next ?? null;
+        if (!found.runs.length && this.#next) setText(this.root.querySelector("#list-answer"), texts.searching);
+      } while (!found.runs.length && this.#next); // one request looks through a bounded number of runs
+      this.root.querySelector("tbody").append(...found.runs.map((run) => this.#row(run)));
+      setText(this.root.querySelector("#list-answer"), this.root.querySelector("tbody").children.length ? "" : texts.nothingFound);
     } catch (error) {
+      if (turn !== this.#turn) return;
       this.#next = null;
       setText(this.root.querySelector("#list-answer"), error instanceof rest.Refusal ? error.message : texts.noAnswer);
     }
@@ -164,17 +171,21 @@ export class BoardsView {
   }
 
   async #save() {
-    const lines = [Object.keys(COLUMNS)];
+    const boards = [];
+    let before = null;
     try {
-      for (let before = null; lines.length <= MOST_SAVED; ) {
+      do {
         const { runs, next } = await this.#page(before, 500);
-        lines.push(...runs.map((run) => [run.started, ...Object.entries(COLUMNS).slice(1).map(([, text]) => text(run))]));
-        if (!(before = next)) break;
-      }
+        boards.push(...runs.map((run) => [run.started, ...Object.entries(COLUMNS).slice(1).map(([, text]) => text(run))]));
+        before = next;
+      } while (before && boards.length < MOST_SAVED);
     } catch (error) {
       setText(this.root.querySelector("#list-answer"), error instanceof rest.Refusal ? error.message : texts.noAnswer);
       return;
     }
+    const cut = before || boards.length > MOST_SAVED;
+    setText(this.root.querySelector("#list-answer"), cut ? texts.cut(number(MOST_SAVED)) : "");
+    const lines = [Object.keys(COLUMNS), ...boards.slice(0, MOST_SAVED)];
     const file = new Blob(["\ufeff", lines.map((cells) => cells.map(quoted).join(",")).join("\r\n")], { type: "text/csv" });
     const link = make("a", { href: URL.createObjectURL(file), download: "boards.csv" });
     link.click();
@@ -182,6 +193,10 @@ export class BoardsView {
   }
 
   async show() {}
+
+  close() {
+    this.#turn++;
+  }
 }
 
 // Midnight of today plus `days` days, also where a day of summer time has not 24 hours.

@@ -174,6 +174,8 @@ export const texts = {
   more: "Weitere",
   csv: "Als CSV sichern",
   nothingFound: "Keine Baugruppe passt dazu.",
+  searching: "Wird gesucht …",
+  cut: (n) => `Die Datei hat die neuesten ${n} Baugruppen. Für ältere einen früheren Zeitraum wählen.`,
   columns: {
     started: "Zeit", board_id: "Nummer", read_id: "Gelesene Nummer", board_type: "Typ", verdict: "Urteil", frames: "Einzelbilder", reasons: "Gründe", decision: "Entscheid",
     ready_ms: "Ergebnis nach, ms",

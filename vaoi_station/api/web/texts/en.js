@@ -183,6 +183,8 @@ export const texts = {
   more: "More",
   csv: "Save as CSV",
   nothingFound: "No boards match.",
+  searching: "Searching …",
+  cut: (n) => `The file has the newest ${n} boards. For older ones, choose an earlier span.`,
   columns: {
     started: "Time", board_id: "Board", read_id: "Read id", board_type: "Type", verdict: "Verdict", frames: "Frames", reasons: "Reasons", decision: "Decision",
     ready_ms: "Result after, ms",
