@@ -169,7 +169,7 @@ export class Arming {
     this.#endLater();
   }
 
-  // A message ends by itself, unless somebody reads the station's sentence.
+  // A message ends by itself, unless a person reads the station's sentence.
   #endLater() {
     this.#said = performance.now();
     if (!this.#answer.textContent) return;

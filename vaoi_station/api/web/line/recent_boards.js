@@ -5,9 +5,9 @@ export const SHOWN = 20;
 const READ_AGAIN_MS = 5 * 60 * 1000; // another day may have begun, events may have been lost
 const OPEN_MS = 30 * 60 * 1000; // so long a board without pictures is shown; see parts/orders.js
 const NEW = 3; // runs that are asked for when one has finished
-const MOST_PAGES = 5; // so many pages of imported runs are looked through for those of this line
+const MOST_PAGES = 5; // pages of runs that are looked through for those of this line, among imported ones
 
-// Imported runs are of another line: nobody has to decide about them here.
+// Imported runs are of another line: they need no decision here.
 const isOwn = (run) => !run.origin;
 
 async function ownRuns(filter) {
