@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +18,9 @@ from vaoi_station import RecordedRun, StitchedRun, open_recording
 from vaoi_station.files import read_calibration, write_calibration, write_recording
 from vaoi_station.model import RecordingHead
 from vaoi_station.plant.archive import Archive, RunLabel
+from vaoi_station.plant.restitch.software import software
+from vaoi_station.plant.restitch.task import RunTask, read_outcome, restitch_run
+from vaoi_station.plant.restitch.terms import Terms
 from vaoi_station.simulation import Twin, read_scenario, scenario_path
 from vaoi_station.simulation.recording_writer import write_passage
 
@@ -94,3 +98,11 @@ def filmed_again(recording: Path, run: str) -> Iterator[Path]:
         (folder / "recording.json").unlink()  # It is a link to that of the recording.
         (folder / "recording.json").write_text(json.dumps(head | {"x_run": run}), encoding="utf-8")
         yield folder
+
+
+def outcome_of(archive: Archive, run: str, scratch: Path, terms: Terms | None = None) -> dict[str, Any]:
+    """Stitch an archived run again in this process, and return the document of its outcome."""
+    packed = restitch_run(RunTask(archive.url, archive.run(run).key, terms or Terms(software())))
+    assert isinstance(packed, bytes), packed
+    (scratch / "run.json.gz").write_bytes(packed)
+    return read_outcome(scratch / "run.json.gz")

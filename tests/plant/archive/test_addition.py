@@ -131,3 +131,55 @@ def test_a_damaged_manifest_comes_back_from_the_recording(tmp_path: Path, record
 def test_a_name_that_no_folder_can_have_is_refused(tmp_path: Path, recording: Path) -> None:
     with pytest.raises(InputError, match="takes 270 bytes as the name of a folder, must be at most 255"):
         Archive.create(tmp_path / "archive").add(recording, station="线" * 30)
+
+
+def placed(recording: Path, data: Path, run: str) -> Path:
+    """Copy a recording into the data of a station that placed it against the reference `taught`."""
+    folder = Path(shutil.copytree(recording, data / "recordings" / run))
+    made = {"method": "auto", "reference": "taught"}
+    record = {"id": run, "started": "2026-03-01T08:00:00.125Z", "verdict": "ok", "made_with": made}
+    (folder / "run.json").write_text(json.dumps(record))
+    head = json.loads((folder / "recording.json").read_text())
+    (folder / "recording.json").write_text(json.dumps(head | {"x_run": run}))
+    return folder
+
+
+def test_the_reference_of_a_run_is_stored_once_and_comes_back(tmp_path: Path, recording: Path) -> None:
+    runs = [placed(recording, tmp_path / "data", name) for name in ("a", "b")]
+    taught = Path(shutil.copytree(recording, tmp_path / "data" / "references" / "taught"))
+    archive = Archive.create(tmp_path / "archive")
+    a = archive.add(runs[0])
+    before = len(list(archive.storage.entries("blobs")))
+    b = archive.add(runs[1])
+    assert a.reference == b.reference is not None
+    assert len(list(archive.storage.entries("blobs"))) == before + 2, "its head and record"
+    restored = archive.extract("b", tmp_path / "restored" / "b")
+    assert sorted(path.name for path in (restored / "reference" / "frames").iterdir()) == [
+        "c00_r000.tiff", "c00_r001.tiff", "c01_r000.tiff",
+    ]  # fmt: skip
+    assert (restored / "reference" / "board.json").read_bytes() == (taught / "board.json").read_bytes()
+    assert Archive.create(tmp_path / "second").add(restored).reference == b.reference, "it is added from there again"
+    assert archive.prune(grace_s=0.0, dry=True).blobs == 0
+
+
+def test_a_reference_that_was_archived_stays(tmp_path: Path, recording: Path) -> None:
+    run = placed(recording, tmp_path / "data", "a")
+    archive = Archive.create(tmp_path / "archive")
+    assert archive.add(run).reference is None, "it is gone"
+    taught = Path(shutil.copytree(recording, tmp_path / "data" / "references" / "taught"))
+    added = archive.add(run)
+    assert added.reference is not None
+    assert archive.run("a") == added
+    shutil.rmtree(taught)
+    assert archive.add(run) == added
+    record = json.loads((run / "run.json").read_text())
+    (run / "run.json").write_text(json.dumps(record | {"verdict": "degraded"}))
+    lowered = archive.add(run)
+    assert (lowered.verdict, lowered.reference) == ("degraded", added.reference)
+
+
+def test_a_reference_that_is_incomplete_is_not_archived(tmp_path: Path, recording: Path) -> None:
+    run = placed(recording, tmp_path / "data", "a")
+    taught = Path(shutil.copytree(recording, tmp_path / "data" / "references" / "taught"))
+    (taught / "frames" / "c00_r001.png").unlink()
+    assert Archive.create(tmp_path / "archive").add(run).reference is None

@@ -8,25 +8,19 @@ from pathlib import Path
 
 import pytest
 
-from tests.plant.conftest import add_runs
+from tests.plant.conftest import add_runs, outcome_of
 from vaoi_station import RecordedRun, StitchedRun
 from vaoi_station.errors import InputError, StateError
 from vaoi_station.files.results import stitch_document
 from vaoi_station.model import Status
 from vaoi_station.plant.archive import Archive
 from vaoi_station.plant.restitch.software import software
-from vaoi_station.plant.restitch.task import RunFault, RunTask, Terms, _with_verdict, read_outcome, restitch_run
-
-
-def outcome(archive: Archive, run: str, tmp_path: Path, terms: Terms | None = None) -> dict[str, object]:
-    packed = restitch_run(RunTask(archive.url, archive.run(run).key, terms or Terms(software())))
-    assert isinstance(packed, bytes), packed
-    (tmp_path / "run.json.gz").write_bytes(packed)
-    return read_outcome(tmp_path / "run.json.gz")
+from vaoi_station.plant.restitch.task import RunFault, RunTask, _with_verdict, read_outcome, restitch_run
+from vaoi_station.plant.restitch.terms import Terms
 
 
 def test_the_result_is_that_of_the_station(stored: Archive, stitched: StitchedRun, tmp_path: Path) -> None:
-    document = outcome(stored, "r1", tmp_path)
+    document = outcome_of(stored, "r1", tmp_path)
     ours, theirs = json.loads(json.dumps(document["result"])), json.loads(json.dumps(stitch_document(stitched.result)))
     for result in (ours, theirs):
         del result["quality"]["timings_ms"]
@@ -55,7 +49,7 @@ def test_verdict_of_the_run_holds_for_both_results(
 
 
 def test_another_calibration_is_used(stored: Archive, moved_calibration: Path, tmp_path: Path) -> None:
-    document = outcome(stored, "r0", tmp_path, Terms(software(), calibration=moved_calibration.read_bytes()))
+    document = outcome_of(stored, "r0", tmp_path, Terms(software(), calibration=moved_calibration.read_bytes()))
     tables = document["tables"]
     assert isinstance(tables, dict)
     moved = tables["cameras"]["y_px"]

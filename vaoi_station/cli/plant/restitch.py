@@ -37,7 +37,10 @@ def restitch(
     verdict: Annotated[str | None, typer.Option(help="Only runs with this verdict: ok, degraded or failed.")] = None,
     calibration: Annotated[Path | None, typer.Option(help="Use this calibration [that of each run].")] = None,
     board: Annotated[Path | None, typer.Option(help="Use this board type, a file [that of each run].")] = None,
-    method: Annotated[Literal["auto", "fiducials", "features"], typer.Option(help="Use this evidence.")] = "auto",
+    method: Annotated[
+        Literal["auto", "fiducials", "features", "reference"] | None,
+        typer.Option(help="Use this evidence [that of each run]."),
+    ] = None,
     memory: Annotated[
         int, typer.Option(min=300, max=1_000_000, help="With --workers: limit of the memory of each, MB.")
     ] = 2000,
@@ -85,7 +88,7 @@ def _content(path: Path | None) -> bytes | None:
 
 
 def _show(summary: Summary, out: Path) -> None:
-    from vaoi_station.plant.restitch.session import REPORT, TABLES
+    from vaoi_station.plant.restitch.session import FAULTS, REPORT, TABLES, UNEQUAL
 
     changes = summary.changes
     typer.echo(f"{summary.done} of {summary.runs} runs stitched, {summary.stitched} by this call → {out / TABLES}")
@@ -96,5 +99,7 @@ def _show(summary: Summary, out: Path) -> None:
                 f"station {camera.station}, camera {camera.camera}: displacement changed by {camera.size_px:.3f} px in "
                 f"{camera.changed} of {camera.runs} runs"
             )
+    for note, runs in summary.unequal.items():
+        typer.echo(f"{len(runs)} runs were stitched otherwise than by their station (see {out / UNEQUAL}): {note}")
     if summary.left_out:
-        typer.echo(f"{len(summary.left_out)} left out; see {out / 'left-out.json'}")
+        typer.echo(f"{len(summary.left_out)} left out; see {out / FAULTS}")

@@ -5,19 +5,21 @@ from __future__ import annotations
 import time
 import zlib
 from collections.abc import Iterator
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 
 from vaoi_station.errors import DeviceError, InputError, NotFoundError
 from vaoi_station.files import Recording, open_recording, read_board_type, read_calibration, read_stitch
-from vaoi_station.files.documents import parse, read_json
+from vaoi_station.files.documents import parse
 from vaoi_station.files.images import read_image
 from vaoi_station.model import Status
 from vaoi_station.plant.archive.frames import encode_frame
 from vaoi_station.plant.archive.manifest import (
+    ArchivedReference,
     ArchivedRun,
     Blob,
     DocumentBlob,
@@ -27,6 +29,7 @@ from vaoi_station.plant.archive.manifest import (
     digest_of,
     frames_digest,
 )
+from vaoi_station.plant.archive.station_record import RUN_FILE, StationRecord, read_record
 from vaoi_station.plant.archive.storage import Storage
 
 FILES: dict[DocumentKind, str] = {
@@ -35,9 +38,11 @@ FILES: dict[DocumentKind, str] = {
     "board_type": "board.json",
     "result": "result.json",
     "light_program": "light_program.json",
-    "run": "run.json",
+    "run": RUN_FILE,
 }
 """The files of a recording that an archive keeps besides the frames."""
+REFERENCE = "reference"
+"""Folder of the reference in a recording that was restored; a station keeps its references in one folder for all."""
 _NEEDED: tuple[DocumentKind, ...] = ("head", "calibration", "board_type")
 _SHARED: tuple[DocumentKind, ...] = ("calibration", "board_type", "light_program")
 """Documents that many runs have. They are stored as they are, because releases of zlib write different bytes."""
@@ -61,26 +66,17 @@ class Documents(NamedTuple):
     light_program: Path | None = None
 
 
-class _Identity(BaseModel):
-    """What an archive needs of the identity of a board."""
+@dataclass(frozen=True)
+class _Content:
+    """The files of a recording, or of a reference, that an archive keeps."""
 
-    state: str
-    board_id: str | None = None
+    paths: dict[DocumentKind, Path]
+    recording: Recording
 
-
-class _RunRecord(BaseModel):
-    """What an archive needs of run.json, the record of a station."""
-
-    id: str
-    started: str
-    board_id: str | None = None
-    verdict: Status | None = None
-    identity: _Identity | None = None
-
-    @property
-    def serial(self) -> str | None:
-        """Id of the board: that of its code, or that with which the line was armed."""
-        return (self.identity.board_id if self.identity else None) or self.board_id
+    def store(self, storage: Storage) -> tuple[dict[DocumentKind, DocumentBlob], tuple[FrameBlob, ...]]:
+        """Store everything, and return the blobs of the documents and of the frames."""
+        frames = tuple(_store_frames(storage, self.recording))
+        return {kind: _store_document(storage, kind, path) for kind, path in self.paths.items()}, frames
 
 
 def add(storage: Storage, folder: Path, given: Documents, station: str, label: RunLabel) -> ArchivedRun:
@@ -91,7 +87,8 @@ def add(storage: Storage, folder: Path, given: Documents, station: str, label: R
     read_calibration(paths["calibration"])
     # Everything is read before anything is written: a document that is invalid leaves no blobs behind.
     verdict = read_stitch(paths["result"]).status if "result" in paths else None
-    record = _record(paths["run"]) if "run" in paths else None
+    record = read_record(folder)
+    reference = _reference(folder, record)
     cameras = recording.head.cameras
     frames = [(i, j) for i in range(len(cameras)) for j in range(recording.head.rows)]
     known = label.run or (record.id if record else None)
@@ -110,12 +107,13 @@ def add(storage: Storage, folder: Path, given: Documents, station: str, label: R
     draft = parse(ArchivedRun, content, folder)
     began_s = time.monotonic()
     storage.write(draft.draft_key, draft.text().encode())
-    stored = tuple(_store_frames(storage, recording))
+    documents, stored = _Content(paths, recording).store(storage)
     run = draft.model_copy(
         update={
             "run": known or frames_digest(stored),
-            "documents": {kind: _store_document(storage, kind, path) for kind, path in paths.items()},
+            "documents": documents,
             "frames": stored,
+            "reference": reference and _store_reference(storage, *reference),
         }
     )
     if time.monotonic() - began_s > LONGEST_S:
@@ -144,15 +142,39 @@ def _paths(folder: Path, given: Documents) -> dict[DocumentKind, Path]:
     return paths
 
 
-def _record(path: Path) -> _RunRecord:
-    """Read run.json; InputError if the codes of the board were still to be read, which may lower the verdict."""
-    record = parse(_RunRecord, read_json(path), path)
-    if record.identity is not None and record.identity.state == "pending":
-        raise InputError(
-            f"{path}: identity.state is 'pending': the verdict is not final until the codes of the board are read.",
-            action="Add the run when its station has read them; copy the recording again if this is a copy.",
-        )
-    return record
+def _reference(folder: Path, record: StationRecord | None) -> tuple[str, _Content] | None:
+    """Return name and files of the reference against which the run was placed; None if it has none, or it is gone."""
+    name = record.made_with.reference if record and record.made_with else None
+    if name is None or Path(name).name != name:
+        return None
+    for directory in (folder / REFERENCE, folder.parent.parent / "references" / name):
+        try:
+            return name, _Content(_paths(directory, Documents()), open_recording(directory))
+        except (NotFoundError, InputError):
+            continue  # The station has deleted it, or is about to.
+    return None
+
+
+def _store_reference(storage: Storage, name: str, content: _Content) -> ArchivedReference | None:
+    """Store a reference; None if its station deletes it meanwhile."""
+    directory = content.recording.directory
+    known = _STORED.get((storage.url, directory))
+    if known is not None and all(_is_there(storage, blob) for blob in known.blobs):
+        return known
+    try:
+        documents, frames = content.store(storage)
+    except InputError:
+        return None
+    head = content.recording.head
+    if len(frames) < len(head.cameras) * head.rows - len(head.missing):
+        return None
+    _STORED.clear()
+    _STORED[storage.url, directory] = stored = ArchivedReference(run=name, documents=documents, frames=frames)
+    return stored
+
+
+_STORED: dict[tuple[str, Path], ArchivedReference] = {}
+"""The reference that this process stored last: all runs of a board type have the same, whose files never change."""
 
 
 def _store_document(storage: Storage, kind: DocumentKind, path: Path) -> DocumentBlob:
@@ -180,10 +202,16 @@ def _store_frames(storage: Storage, recording: Recording) -> Iterator[FrameBlob]
 
 
 def _store_blob(storage: Storage, blob: Blob, content: bytes) -> None:
-    """Write a blob, unless it is there with its full size, and young enough that nothing removes it meanwhile."""
-    entry = storage.entry(blob.key)
-    if entry is None or entry.size != blob.bytes or (datetime.now(UTC) - entry.changed).total_seconds() > REWRITE_S:
+    if not _is_there(storage, blob):
         storage.write(blob.key, content)
+
+
+def _is_there(storage: Storage, blob: Blob) -> bool:
+    """Return whether a blob is there with its full size, and young enough that nothing removes it meanwhile."""
+    entry = storage.entry(blob.key)
+    if entry is None or entry.size != blob.bytes:
+        return False
+    return (datetime.now(UTC) - entry.changed).total_seconds() <= REWRITE_S
 
 
 def _store_manifest(storage: Storage, run: ArchivedRun) -> ArchivedRun:
@@ -196,8 +224,16 @@ def _store_manifest(storage: Storage, run: ArchivedRun) -> ArchivedRun:
         # A damaged manifest is written again: the recording is what it was made from.
         storage.write(run.key, content)
         return run
-    if written == content or _is_same(storage, before, run):
+    # A reference is deleted when its board type has another one: what was archived once stays.
+    run = run.model_copy(update={"reference": before.reference or run.reference})
+    content, known = run.text().encode(), before.model_copy(update={"reference": run.reference})
+    if written == content:
         return before
+    if _is_same(storage, known, run):
+        if known != before:
+            storage.write(run.key, known.text().encode())
+        return known
+    before = known
     if not _differs_by_record(storage, before, run):
         raise InputError(
             f"{storage.url}: has another run under the id {run.run} of station {run.station!r}.",

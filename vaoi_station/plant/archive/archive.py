@@ -84,7 +84,9 @@ class Archive:
         What the archive has already is not written again. Of a run that it has with a worse verdict nothing changes.
 
         Documents that are not given are `result.json`, `calibration.json`, `board.json` and `light_program.json` of the
-        recording. Without calibration or board type the recording is refused; the others may be absent.
+        recording. Without calibration or board type the recording is refused; the others may be absent. The reference
+        against which a station placed the board is taken from `reference` in the recording, or from the station's
+        references, if the recording is among the station's.
 
         Raises:
             InputError: the recording or a document is invalid, or the archive has another run under this id.
@@ -112,8 +114,8 @@ class Archive:
     def extract(self, run: ArchivedRun | str, folder: Path) -> Path:
         """Write a run to a new folder as the station would read it, and return the folder.
 
-        It has `recording.json`, frames, `calibration.json`, `board.json`, and `result.json`, `light_program.json` and
-        `run.json` where the archive has them.
+        It has `recording.json`, frames, `calibration.json`, `board.json`, and `result.json`, `light_program.json`,
+        `run.json` and `reference` where the archive has them.
 
         Raises:
             InputError: the folder exists, or a blob is damaged.

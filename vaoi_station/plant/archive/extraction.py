@@ -9,22 +9,29 @@ from vaoi_station.errors import InputError, NotFoundError
 from vaoi_station.files.atomic_directory import new_directory
 from vaoi_station.files.documents import write_bytes
 from vaoi_station.files.images import Image, write_image
-from vaoi_station.plant.archive.addition import FILES
+from vaoi_station.plant.archive.addition import FILES, REFERENCE
 from vaoi_station.plant.archive.frames import decode_frame
-from vaoi_station.plant.archive.manifest import ArchivedRun, Blob, DocumentBlob, FrameBlob, digest_of
+from vaoi_station.plant.archive.manifest import ArchivedReference, ArchivedRun, Blob, DocumentBlob, FrameBlob, digest_of
 from vaoi_station.plant.archive.storage import Storage
 
 
 def extract(storage: Storage, run: ArchivedRun, folder: Path) -> Path:
     """Write a run to a new folder; see `Archive.extract`."""
     with new_directory(folder) as draft:
-        for kind, blob in run.documents.items():
-            write_bytes(draft / FILES[kind], read_document(storage, run, blob), durable=False)
-        for frame in run.frames:
-            # Uncompressed, because it is read soon, and often.
-            path = draft / "frames" / f"c{frame.camera:02d}_r{frame.row:03d}.tiff"
-            write_image(path, read_frame(storage, run, frame))
+        _write(storage, run, run, draft)
+        if run.reference is not None:
+            _write(storage, run, run.reference, draft / REFERENCE)
     return folder
+
+
+def _write(storage: Storage, run: ArchivedRun, content: ArchivedRun | ArchivedReference, folder: Path) -> None:
+    """Write documents and frames of a run, or of its reference, to a folder."""
+    for kind, blob in content.documents.items():
+        write_bytes(folder / FILES[kind], read_document(storage, run, blob), durable=False)
+    for frame in content.frames:
+        # Uncompressed, because it is read soon, and often.
+        path = folder / "frames" / f"c{frame.camera:02d}_r{frame.row:03d}.tiff"
+        write_image(path, read_frame(storage, run, frame))
 
 
 def read_document(storage: Storage, run: ArchivedRun, blob: DocumentBlob) -> bytes:

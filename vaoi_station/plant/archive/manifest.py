@@ -76,6 +76,19 @@ class FrameBlob(Blob):
     row: Annotated[Whole, Field(ge=0)]
 
 
+class ArchivedReference(Strict):
+    """The run against which the station placed the board, as the directory of its reference has it."""
+
+    run: str
+    documents: dict[DocumentKind, DocumentBlob]
+    frames: tuple[FrameBlob, ...]
+
+    @property
+    def blobs(self) -> tuple[Blob, ...]:
+        """All blobs of the reference, which later runs of the board type have too."""
+        return (*self.documents.values(), *self.frames)
+
+
 class ArchivedRun(Strict):
     """One run of an archive, as its manifest states it."""
 
@@ -95,6 +108,8 @@ class ArchivedRun(Strict):
     """Number of pixels of all frames."""
     documents: dict[DocumentKind, DocumentBlob]
     frames: tuple[FrameBlob, ...]
+    reference: ArchivedReference | None = None
+    """None: the station used none, or it was deleted before the run was archived."""
 
     @property
     def key(self) -> str:
@@ -109,7 +124,7 @@ class ArchivedRun(Strict):
     @property
     def blobs(self) -> tuple[Blob, ...]:
         """All blobs of the run; one may be there twice."""
-        return (*self.documents.values(), *self.frames)
+        return (*self.documents.values(), *self.frames, *(self.reference.blobs if self.reference else ()))
 
     @property
     def bytes(self) -> int:

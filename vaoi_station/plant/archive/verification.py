@@ -38,7 +38,8 @@ def verify(storage: Storage, selection: RunSelection, on_fault: OnFault, under_w
         found.faults += 1
         on_fault(fault)
 
-    # Shared documents are read once; frames are hardly ever shared, and their digests would take memory.
+    # Shared documents and references are read once; the frames of runs are hardly ever shared, and their digests would
+    # take memory.
     sound: set[str] = set()
     recordings = SameRecordings()
     for run in catalogue.runs(storage, selection, report):
@@ -52,7 +53,7 @@ def verify(storage: Storage, selection: RunSelection, on_fault: OnFault, under_w
                 )
             )
         before = found.faults
-        documents = {blob.sha256 for blob in run.documents.values()}
+        shared = {blob.sha256 for blob in (*run.documents.values(), *(run.reference.blobs if run.reference else ()))}
         for blob in run.blobs:
             if blob.sha256 in sound:
                 continue
@@ -62,7 +63,7 @@ def verify(storage: Storage, selection: RunSelection, on_fault: OnFault, under_w
                 report(ArchiveFault.of(error))
                 continue
             found.blobs += 1
-            if blob.sha256 in documents:
+            if blob.sha256 in shared:
                 sound.add(blob.sha256)
         found.damaged_runs += found.faults > before
     now = datetime.now(UTC)

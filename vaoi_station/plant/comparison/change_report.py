@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -13,20 +14,29 @@ from vaoi_station.reporting.drawing.scales import number
 from vaoi_station.reporting.drawing.svg import tag, text
 
 
-def write_changes(path: Path, changes: Changes, terms: list[tuple[str, str]], left_out: list[str]) -> None:
+def write_changes(
+    path: Path, changes: Changes, terms: list[tuple[str, str]], left_out: list[str], unequal: Sequence[str] = ()
+) -> None:
     """Write the comparison as a file. The file is complete, or it is not written at all."""
-    write_bytes(path, render_changes(changes, terms, left_out).encode())
+    write_bytes(path, render_changes(changes, terms, left_out, unequal).encode())
 
 
-def render_changes(changes: Changes, terms: list[tuple[str, str]], left_out: list[str]) -> str:
+def render_changes(
+    changes: Changes, terms: list[tuple[str, str]], left_out: list[str], unequal: Sequence[str] = ()
+) -> str:
     """Return the comparison as an HTML document.
 
     Args:
         changes: the comparison.
         terms: name and value of everything that the runs were stitched with.
         left_out: what was left out, and why, in sentences.
+        unequal: which runs were not stitched with all that their station used, in sentences.
     """
-    sections = [_numbers(changes, terms), _left_out(left_out), _cameras(changes), _boards(changes), _parts(changes)]
+    sections = [_numbers(changes, terms), _listed("left-out", "Left out", "", left_out)]
+    if unequal:
+        lead = "These runs may have changed because their archive does not have all that their stations used."
+        sections.append(_listed("unequal", "Stitched otherwise than by the station", lead, unequal))
+    sections += [_cameras(changes), _boards(changes), _parts(changes)]
     # "</script>" inside a text would end the element; an escaped "<" cannot.
     content = json.dumps(asdict(changes), allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
     data = tag("script", content, type="application/json", id="changes")
@@ -53,9 +63,9 @@ def _numbers(changes: Changes, terms: list[tuple[str, str]]) -> Section:
     return Section("numbers", "Key numbers", "A verdict stands as former → new, with its number of runs.", columns)
 
 
-def _left_out(left_out: list[str]) -> Section:
-    body = tag("ul", *(tag("li", text(line)) for line in left_out)) if left_out else tag("p", "Nothing.", class_="none")
-    return Section("left-out", "Left out", "", body)
+def _listed(name: str, title: str, lead: str, lines: Sequence[str]) -> Section:
+    body = tag("ul", *(tag("li", text(line)) for line in lines)) if lines else tag("p", "Nothing.", class_="none")
+    return Section(name, title, lead, body)
 
 
 def _cameras(changes: Changes) -> Section:

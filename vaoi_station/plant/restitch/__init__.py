@@ -6,6 +6,6 @@ command. So neither a worker, nor the scheduler, nor the command must live on fo
 
 from vaoi_station.plant.restitch.cluster import ClusterOptions
 from vaoi_station.plant.restitch.session import Session, Summary, restitch
-from vaoi_station.plant.restitch.task import Terms
+from vaoi_station.plant.restitch.terms import Terms
 
 __all__ = ["ClusterOptions", "Session", "Summary", "Terms", "restitch"]

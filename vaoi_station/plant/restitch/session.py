@@ -14,11 +14,13 @@ from vaoi_station.plant.archive import RunSelection
 from vaoi_station.plant.comparison import Changes, compare, write_changes
 from vaoi_station.plant.restitch.cluster import ClusterOptions, cluster_address
 from vaoi_station.plant.restitch.dispatch import Dispatch
-from vaoi_station.plant.restitch.task import RunTask, Terms, read_outcome
+from vaoi_station.plant.restitch.task import RunTask, read_outcome
+from vaoi_station.plant.restitch.terms import Terms
 from vaoi_station.plant.selected_runs import select_runs
 from vaoi_station.plant.tables import Tables, write_tables
 
 HEAD, TABLES, REPORT, FAULTS = "restitch.json", "tables", "report.html", "left-out.json"
+UNEQUAL = "unequal.json"
 
 
 @dataclass(frozen=True)
@@ -33,6 +35,8 @@ class Summary:
     """Number of runs that this call has stitched."""
     left_out: tuple[str, ...]
     """Runs, archives' faults and workers that were left out, and why."""
+    unequal: dict[str, list[str]]
+    """Runs that were not stitched with all that their station used, by the reason."""
     changes: Changes
 
 
@@ -47,6 +51,7 @@ class Session:
     progress: Callable[[int, int], None] = lambda _done, _runs: None
     report: Callable[[str], None] = lambda _text: None
     left_out: list[str] = field(default_factory=list)
+    unequal: dict[str, list[str]] = field(default_factory=dict)
 
     def leave_out(self, text: str) -> None:
         """Note and report what is left out."""
@@ -85,9 +90,11 @@ def restitch(session: Session, options: ClusterOptions) -> Summary:
         session.left_out += dispatch.refused_workers
     write_tables(session.out / TABLES, _done(session, files))
     changes = compare(session.out / TABLES)
-    write_changes(session.out / REPORT, changes, _terms(session), session.left_out)
+    write_changes(session.out / REPORT, changes, _terms(session), session.left_out, _unequal(session))
     write_json(session.out / FAULTS, session.left_out)
-    return Summary(len(tasks), finished, finished - (len(tasks) - len(todo)), tuple(session.left_out), changes)
+    write_json(session.out / UNEQUAL, session.unequal)
+    stitched = finished - (len(tasks) - len(todo))
+    return Summary(len(tasks), finished, stitched, tuple(session.left_out), session.unequal, changes)
 
 
 def _claim(session: Session) -> None:
@@ -114,13 +121,22 @@ def _claim(session: Session) -> None:
 
 def _done(session: Session, files: dict[RunTask, Path]) -> Iterator[Tables]:
     """Yield the tables of every stitched run, in the order of the tasks."""
-    for path in files.values():
+    for task, path in files.items():
         if not path.is_file():
             continue
         try:
-            yield read_outcome(path)["tables"]
+            outcome = read_outcome(path)
         except InputError as error:
             session.leave_out(str(error))
+            continue
+        for note in outcome["notes"]:
+            session.unequal.setdefault(note, []).append(task.key)
+        yield outcome["tables"]
+
+
+def _unequal(session: Session) -> list[str]:
+    """Return for each reason how many runs were not stitched with all that their station used."""
+    return [f"{len(runs)} runs, the first is {runs[0]}: {note}" for note, runs in session.unequal.items()]
 
 
 def _terms(session: Session) -> list[tuple[str, str]]:

@@ -10,47 +10,25 @@ import tempfile
 import time
 from contextlib import suppress
 from dataclasses import dataclass
-from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
 from vaoi_station.errors import InputError, NotFoundError, StateError
 from vaoi_station.files import read_stitch
-from vaoi_station.files.documents import write_bytes
 from vaoi_station.files.results import stitch_document
 from vaoi_station.model import Status, Stitch
 from vaoi_station.plant.archive import Archive
 from vaoi_station.plant.archive.catalogue import read_manifest
 from vaoi_station.plant.archive.manifest import ArchivedRun
+from vaoi_station.plant.restitch.opening import open_archived
 from vaoi_station.plant.restitch.software import software
+from vaoi_station.plant.restitch.terms import Terms
 from vaoi_station.plant.tables import RunKey, Tables, result_tables
-from vaoi_station.stitching.method import MethodName
 from vaoi_station.stitching.recordings.offline import stitch_frames
-from vaoi_station.stitching.recordings.opening import OpenedRun, open_run
+from vaoi_station.stitching.recordings.opening import OpenedRun
 from vaoi_station.stitching.recordings.origin import with_origin
 
 FORMAT, VERSION = "vaoi-restitched-run", 1
-
-
-@dataclass(frozen=True)
-class Terms:
-    """With what runs are stitched; None: with what the archive has for each run."""
-
-    software: str
-    calibration: bytes | None = None
-    """Content of a calibration.json."""
-    board_type: bytes | None = None
-    """Content of a board.json."""
-    method: MethodName = "auto"
-
-    def document(self) -> dict[str, Any]:
-        """Return what identifies the terms, as a JSON object."""
-        digests = {"calibration": self.calibration, "board_type": self.board_type}
-        return {
-            "software": self.software,
-            "method": self.method,
-            **{name: content and sha256(content).hexdigest() for name, content in digests.items()},
-        }
 
 
 @dataclass(frozen=True)
@@ -92,7 +70,7 @@ def _restitch(task: RunTask) -> bytes:
     with tempfile.TemporaryDirectory(prefix="run-", dir=_scratch()) as scratch:
         folder = archive.extract(run, Path(scratch) / "run")
         extracted_s = time.monotonic()
-        opened = _open(folder, Path(scratch), task.terms)
+        opened, notes = open_archived(folder, Path(scratch), task.terms)
         reference = opened.reference.recording.frame if opened.reference else None
         result = stitch_frames(opened.setup, opened.recording.head, opened.recording.frame, reference)
         result = with_origin(result, opened.recording, opened.calibration, opened.setup.board_type)
@@ -107,7 +85,7 @@ def _restitch(task: RunTask) -> bytes:
     }
     tables = _tables(run, former, result, opened)
     document = {"format": FORMAT, "version": VERSION, "run": run.run, "station": run.station, "time": run.time}
-    document |= {"tables": tables, "result": stitch_document(result), "cost": cost}
+    document |= {"tables": tables, "result": stitch_document(result), "notes": notes, "cost": cost}
     text = json.dumps(document, allow_nan=False, separators=(",", ":"))
     return gzip.compress(text.encode(), compresslevel=1, mtime=0)
 
@@ -152,16 +130,6 @@ def _with_verdict(verdict: Status | None, former: Stitch, result: Stitch) -> tup
         return former, result
     lowered = max(verdict, result.status, key=order.index)
     return former.model_copy(update={"status": verdict}), result.model_copy(update={"status": lowered})
-
-
-def _open(folder: Path, scratch: Path, terms: Terms) -> OpenedRun:
-    """Open a run with other documents where the terms state them."""
-    paths: dict[str, Path | None] = {}
-    for name, content in (("calibration", terms.calibration), ("board", terms.board_type)):
-        paths[name] = None if content is None else scratch / f"{name}.json"
-        if content is not None:
-            write_bytes(scratch / f"{name}.json", content, durable=False)
-    return open_run(folder, calibration=paths["calibration"], board=paths["board"], method=terms.method)
 
 
 def _scratch() -> str | None:

@@ -33,6 +33,7 @@ from vaoi_station.runs.states.schemas import (
 )
 from vaoi_station.runs.states.tables import FINISHED, IN_MEMORY
 from vaoi_station.runs.states.timeline_schemas import BarrierTiming, RowTiming, Timeline
+from vaoi_station.stitching.recordings.stitch_terms import StitchTerms
 from vaoi_station.version import __version__
 
 
@@ -89,15 +90,16 @@ def detail_of(progress: Progress) -> RunDetail:
 
 def made_with(order: Order) -> MadeWith:
     """Return the documents with which the runs of an order are made, and the present state of the clock."""
-    clock, reference = clock_state(), order.reference
+    clock, reference, setup = clock_state(), order.reference, order.setup
     return MadeWith(
         configuration=order.configuration_digest,
         board_type=order.board_type_digest,
         board_type_revision=order.board_type.revision,
         board_type_state=order.board_type.state,
-        method=order.setup.method,
+        method=setup.method,
         reference=reference.run if reference else None,
         reference_digest=reference.digest if reference else None,
+        terms=None if order.line is None else StitchTerms.of(order.line, setup.visibility, setup.channels),
         clock_synchronised=clock.synchronised,
         clock_max_error_s=clock.max_error_s,
         time_zone=clock.time_zone,

@@ -6,6 +6,7 @@ from pydantic import BaseModel, ConfigDict
 
 from vaoi_station.config import MethodName
 from vaoi_station.model.board_type import BoardTypeState
+from vaoi_station.stitching.recordings.stitch_terms import StitchTerms
 
 
 class MadeWith(BaseModel):
@@ -25,6 +26,8 @@ class MadeWith(BaseModel):
     """Id of the run against which the board was placed; None: without a reference."""
     reference_digest: str | None = None
     """Digest of the files of the reference."""
+    terms: StitchTerms | None = None
+    """What the station knew of line and lights; None for runs of earlier versions."""
     clock_synchronised: bool | None = None
     """Whether the machine's clock was kept right by a time server when the document was made; None: not known."""
     clock_max_error_s: float | None = None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from vaoi_station.line_config import Line
+from vaoi_station.line_config import ExpectedBoard, Line
 from vaoi_station.model import BoardType
 
 
@@ -32,18 +32,26 @@ def turned_by(rotation_deg: int | None) -> Expectation:
 
 def expectation_of(line: Line, board_type: BoardType) -> Expectation:
     """Derive the expectation from the line: the leading edge at the first pulse, and the rail or centre line."""
-    expected = line.expected_board
+    return expectation_at(leading_edge_mm(line), line.conveyor_mm_s, line.expected_board, board_type)
+
+
+def leading_edge_mm(line: Line) -> float:
+    """Return where the leading edge of a board is at the first pulse: its tester coordinate along the motion."""
+    # The barrier detects the leading edge. The board then travels on until the first pulse.
+    return line.barrier_mm + line.conveyor_mm_s[_along(line.conveyor_mm_s)] * line.start_delay_s
+
+
+def expectation_at(
+    leading_mm: float, conveyor_mm_s: tuple[float, float], expected: ExpectedBoard, board_type: BoardType
+) -> Expectation:
+    """Derive the expectation from the place of the leading edge at the first pulse, and what the line states."""
     low, high = board_type.extent()
     size = (high - low) * board_type.mm_per_unit
     width, height = (float(v) for v in (size if expected.rotation_deg % 180 == 0 else size[::-1]))
-    # The belt is taken to run along the tester axis that is nearer to its velocity.
-    along = 0 if abs(line.conveyor_mm_s[0]) > abs(line.conveyor_mm_s[1]) else 1
+    along = _along(conveyor_mm_s)
     length, across = (width, height) if along == 0 else (height, width)
-    velocity = line.conveyor_mm_s[along]
-    # The barrier detects the leading edge. The board then travels on until the first pulse.
-    leading = line.barrier_mm + velocity * line.start_delay_s
     corner: list[float | None] = [None, None]
-    corner[along] = leading - length if velocity > 0 else leading
+    corner[along] = leading_mm - length if conveyor_mm_s[along] > 0 else leading_mm
     if expected.rail_mm is not None:
         corner[1 - along] = expected.rail_mm
     elif expected.center_mm is not None:
@@ -55,3 +63,8 @@ def expectation_of(line: Line, board_type: BoardType) -> Expectation:
         corner_mm=(corner[0], corner[1]),
         tolerance_mm=expected.tolerance_mm,
     )
+
+
+def _along(conveyor_mm_s: tuple[float, float]) -> int:
+    """Return the tester axis along which the belt is taken to run: the one that is nearer to its velocity."""
+    return 0 if abs(conveyor_mm_s[0]) > abs(conveyor_mm_s[1]) else 1

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from vaoi_station.errors import InputError
@@ -14,6 +14,7 @@ from vaoi_station.stitching.matching.evidence import FrameKey
 from vaoi_station.stitching.method import MethodName
 from vaoi_station.stitching.recordings.offline import Frames
 from vaoi_station.stitching.recordings.reference_directory import StoredReference, open_reference, with_reference
+from vaoi_station.stitching.recordings.stitch_terms import StitchTerms
 from vaoi_station.stitching.work import StitchSetup, TaskRunner
 
 
@@ -52,6 +53,7 @@ def open_run(
     reference: Path | None = None,
     method: MethodName = "auto",
     rotation_deg: int | None = None,
+    terms: StitchTerms | None = None,
 ) -> OpenedRun:
     """Open a recording for stitching.
 
@@ -62,6 +64,7 @@ def open_run(
         reference: directory of a reference, made by `vaoi teach`.
         method: name of the method, which selects the evidence to use.
         rotation_deg: expected rotation of the board, 0, 90, 180 or 270; by default that of the recording.
+        terms: what the station knew of line and lights; by default only the expected rotation is known.
 
     Raises:
         InputError: the inputs do not fit together, for example by the number of cameras, the board type has too few
@@ -86,6 +89,13 @@ def open_run(
         method=method,
         lights=head.lights or (),
     )
+    if terms is not None and board_type is not None:
+        setup = replace(
+            setup,
+            expectation=terms.expectation(board_type),
+            visibility=terms.visibility,
+            channels=terms.channels,
+        )
     stored = _open_reference(reference, setup)
     return OpenedRun(recording, known, calibration_path, board_path, stored, with_reference(setup, stored))
 
