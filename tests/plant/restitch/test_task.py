@@ -83,10 +83,15 @@ def test_other_software_is_refused(stored: Archive) -> None:
         restitch_run(task)
 
 
+FLIPPED = gzip.compress(bytes(range(256)) * 9, mtime=0)
+FLIPPED = FLIPPED[:10] + bytes([FLIPPED[10] ^ 0b110]) + FLIPPED[11:]
+"""The bits say that the block is of a type that there is not."""
+
+
 @pytest.mark.parametrize(
     "content",
-    [b"", gzip.compress(b"{"), gzip.compress(b"[]"), gzip.compress(b'{"format": "vaoi-restitched-run"}')],
-    ids=["empty", "no JSON", "no object", "no version"],
+    [b"", FLIPPED, gzip.compress(b"{"), gzip.compress(b"[]"), gzip.compress(b'{"format": "vaoi-restitched-run"}')],
+    ids=["empty", "a flipped bit", "no JSON", "no object", "no version"],
 )
 def test_a_damaged_file_is_refused_with_what_to_do(content: bytes, tmp_path: Path) -> None:
     (tmp_path / "r.json.gz").write_bytes(content)
