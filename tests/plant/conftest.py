@@ -100,9 +100,15 @@ def filmed_again(recording: Path, run: str) -> Iterator[Path]:
         yield folder
 
 
+def task_of(archive: Archive, run: str, terms: Terms | None = None) -> RunTask:
+    """Return the task of an archived run; by default to stitch it as its station did."""
+    found = archive.run(run)
+    return RunTask(archive.url, found.key, found.digest, terms or Terms(software()))
+
+
 def outcome_of(archive: Archive, run: str, scratch: Path, terms: Terms | None = None) -> dict[str, Any]:
     """Stitch an archived run again in this process, and return the document of its outcome."""
-    packed = restitch_run(RunTask(archive.url, archive.run(run).key, terms or Terms(software())))
+    packed = restitch_run(task_of(archive, run, terms))
     assert isinstance(packed, bytes), packed
     (scratch / "run.json.gz").write_bytes(packed)
     return read_outcome(scratch / "run.json.gz")

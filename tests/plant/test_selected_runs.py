@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.plant.conftest import add_runs, filmed_again
+from vaoi_station.errors import InputError
 from vaoi_station.plant.archive import Archive, RunLabel, RunSelection
 from vaoi_station.plant.archive.storage import LocalStorage
 from vaoi_station.plant.selected_runs import select_runs
@@ -20,7 +21,7 @@ def test_runs_are_found_once_and_in_order(recording: Path, tmp_path: Path) -> No
             first.add(folder, station=station, label=RunLabel(run=run, time="2026-11-01T10:00:00Z"))
     second = Archive.open(shutil.copytree(tmp_path / "a", tmp_path / "b"))
     found = select_runs([first.url, second.url, first.url], RunSelection(), pytest.fail)
-    assert [(url, key.rpartition("/")[2]) for url, key in found] == [(first.url, "r2.json"), (first.url, "r1.json")]
+    assert [(url, key.rpartition("/")[2]) for url, key, _ in found] == [(first.url, "r2.json"), (first.url, "r1.json")]
 
 
 def test_different_runs_with_one_id_are_named(recording: Path, tmp_path: Path) -> None:
@@ -38,7 +39,8 @@ def test_one_recording_in_several_places_counts_once_and_is_named(recording: Pat
         archive.add(recording, station=station, label=RunLabel(run=run, time="2026-11-01T10:00:00Z"))
     first, same_id, other_id = (archive.url for archive in archives)
     reported: list[str] = []
-    assert select_runs([first, other_id], RunSelection(), reported.append) == [(first, "runs/x/2026-11-01/r1.json")]
+    (found,) = select_runs([first, other_id], RunSelection(), reported.append)
+    assert (found.archive, found.key) == (first, "runs/x/2026-11-01/r1.json")
     assert f"r2.json: is the same recording as {first}/runs/x/2026-11-01/r1.json" in reported[0]
     assert select_runs([first, same_id], RunSelection(), reported.append) == []
     assert f"two runs have this id, and differ: {first}/runs/x/2026-11-01/r1.json, {same_id}/runs/w" in reported[1]
@@ -56,5 +58,20 @@ def test_each_run_of_a_station_that_replays_a_recording_is_read_once(
 
     monkeypatch.setattr(LocalStorage, "read", counted)
     found = select_runs([archive.url], RunSelection(), pytest.fail)
-    assert sorted(key for key in reads if key != "archive.json") == sorted(key for _, key in found)
+    assert sorted(key for key in reads if key != "archive.json") == sorted(run.key for run in found)
     assert len(found) == 8
+
+
+def test_an_archive_that_cannot_be_used_is_named_and_the_others_are_used(recording: Path, tmp_path: Path) -> None:
+    archives = [Archive.create(tmp_path / name) for name in "ab"]
+    for archive, run in zip(archives, ("r1", "r2"), strict=True):
+        archive.add(recording, station="s", label=RunLabel(run=run, time="2026-11-01T10:00:00Z"))
+    marker = tmp_path / "b" / "archive.json"
+    marker.write_text(marker.read_text().replace("1", "9"))
+    reported: list[str] = []
+    urls = [str(tmp_path / name) for name in ("absent", "a", "b")]
+    assert [run.archive for run in select_runs(urls, RunSelection(), reported.append)] == [urls[1]]
+    assert f"{urls[0]}: is no archive" in reported[0]
+    assert "version is 9" in reported[1]
+    with pytest.raises(InputError, match="is no archive"):
+        select_runs([urls[0], urls[2]], RunSelection(), reported.append)

@@ -134,7 +134,7 @@ def _archive(case: Path, folder: Path, runs: int) -> tuple[Archive, list[RunTask
     for n in range(runs):
         label = RunLabel(run=f"r{n}", time="2026-01-01T00:00:00Z")
         run = archive.add(case, result=folder / "result.json", station="bench", label=label)
-        tasks.append(RunTask(archive.url, run.key, terms))
+        tasks.append(RunTask(archive.url, run.key, run.digest, terms))
     return archive, tasks
 
 

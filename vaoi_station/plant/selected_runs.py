@@ -3,11 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from hashlib import sha256
 from typing import NamedTuple
 
+from vaoi_station.errors import VaoiError
 from vaoi_station.plant.archive import Archive, RunSelection
 from vaoi_station.plant.archive.same_recordings import SameRecordings, recording_of
+
+
+class SelectedRun(NamedTuple):
+    """A run of which one archive is to be read."""
+
+    archive: str
+    key: str
+    """Place of its manifest."""
+    manifest: str
+    """Digest of its manifest: it tells the run from any other under its id, and from itself before a change."""
 
 
 class _Found(NamedTuple):
@@ -15,7 +25,7 @@ class _Found(NamedTuple):
 
     archive: Archive
     key: str
-    digest: bytes
+    digest: str
     """Digest of its manifest."""
     recording: str
     """Digest of its recording."""
@@ -28,24 +38,34 @@ class _Found(NamedTuple):
 
 def select_runs(
     archives: Sequence[str], selection: RunSelection, leave_out: Callable[[str], None]
-) -> list[tuple[str, str]]:
-    """Return the archive and the key of every selected run, by station, day and id.
+) -> list[SelectedRun]:
+    """Return every selected run, by station, day and id.
 
     What cannot be used is reported to `leave_out`. A run that several archives have is returned once; if they differ,
     or have it under several stations or days, none is returned, because which of them is meant is not known. A
     recording that was archived under several ids is returned once, and the others are reported.
 
+    Of several archives one that is absent, or newer than the software, is reported, and the others are used.
+
     Raises:
-        InputError: an archive cannot be opened.
+        VaoiError: no archive can be used.
     """
     # Keys and digests only: the manifests of a plant's runs would not fit into memory.
     found: dict[str, list[_Found]] = {}
-    for url in dict.fromkeys(archives):
-        archive = Archive.open(url)
-        for run in archive.runs(selection, lambda fault: leave_out(str(fault))):
-            digest = sha256(run.text().encode()).digest()
-            found.setdefault(run.run, []).append(_Found(archive, run.key, digest, recording_of(run)))
-    recordings, chosen = SameRecordings(), list[tuple[str, str]]()
+    failures: list[VaoiError] = []
+    given = dict.fromkeys(archives)
+    for url in given:
+        try:
+            archive = Archive.open(url)
+            for run in archive.runs(selection, lambda fault: leave_out(str(fault))):
+                found.setdefault(run.run, []).append(_Found(archive, run.key, run.digest, recording_of(run)))
+        except VaoiError as error:
+            failures.append(error)
+    if failures and len(failures) == len(given):
+        raise failures[0]
+    for failure in failures:
+        leave_out(str(failure))
+    recordings, chosen = SameRecordings(), list[SelectedRun]()
     for same in sorted(found.values(), key=lambda same: same[0].key):
         first = same[0]
         if len({(run.key, run.digest) for run in same}) > 1:
@@ -60,5 +80,5 @@ def select_runs(
                 "that is wrong from its archive."
             )
         else:
-            chosen.append((first.archive.url, first.key))
+            chosen.append(SelectedRun(first.archive.url, first.key, first.digest))
     return chosen

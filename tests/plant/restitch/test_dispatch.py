@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 import signal
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from distributed import LocalCluster
 
-from tests.plant.conftest import add_runs
+from tests.plant.conftest import add_runs, task_of
 from vaoi_station import RecordedRun
 from vaoi_station.errors import StateError
 from vaoi_station.plant.archive import Archive
@@ -23,7 +24,7 @@ from vaoi_station.plant.restitch.task import RunTask, read_outcome
 def test_a_killed_worker_costs_no_run(board: RecordedRun, cluster: ClusterOptions, tmp_path: Path) -> None:
     archive = Archive.create(tmp_path / "archive")
     add_runs(archive, board.directory, 12)
-    tasks = [RunTask(archive.url, run.key, Terms(software())) for run in archive.runs()]
+    tasks = [task_of(archive, run.run) for run in archive.runs()]
     assert cluster.scheduler is not None
     kept: list[RunTask] = []
     faults: list[str] = []
@@ -60,7 +61,7 @@ def test_a_scheduler_that_is_restarted_goes_on_with_what_is_not_done(stored: Arc
             silence_logs=50,
         )
 
-    tasks = [RunTask(stored.url, run.key, Terms(software())) for run in stored.runs()]
+    tasks = [task_of(stored, run.run) for run in stored.runs()]
     kept: list[RunTask] = []
     reported: list[str] = []
     running = [start(0)]
@@ -86,8 +87,8 @@ def test_a_scheduler_that_is_restarted_goes_on_with_what_is_not_done(stored: Arc
 def test_a_run_that_cannot_be_stitched_does_not_stop_the_others(
     stored: Archive, cluster: ClusterOptions, tmp_path: Path
 ) -> None:
-    good, other = (RunTask(stored.url, run.key, Terms(software())) for run in list(stored.runs())[:2])
-    absent = RunTask(stored.url, good.key.replace("r0", "r9"), good.terms)
+    good, other = (task_of(stored, run.run) for run in list(stored.runs())[:2])
+    absent = replace(good, key=good.key.replace("r0", "r9"))
     kept: list[RunTask] = []
     faults: list[str] = []
     assert cluster.scheduler is not None
@@ -100,7 +101,7 @@ def test_a_run_that_cannot_be_stitched_does_not_stop_the_others(
 
 
 def test_without_a_usable_worker_the_wait_is_bounded(stored: Archive, cluster: ClusterOptions) -> None:
-    task = RunTask(stored.url, stored.run("r0").key, Terms("vaoi_station 0.0.1"))
+    task = task_of(stored, "r0", Terms("vaoi_station 0.0.1"))
     dispatch = Dispatch("vaoi_station 0.0.1", lambda *_: None, lambda _: None, lambda _: None)
     assert cluster.scheduler is not None
     with pytest.raises(StateError, match=r"No usable worker for 0\.2 s; 1 runs are left\. worker tcp://"):

@@ -11,6 +11,8 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
+from tests.plant.conftest import filmed_again
+from vaoi_station import RecordedRun
 from vaoi_station.errors import InputError
 from vaoi_station.plant.archive import Archive, RunLabel, RunSelection
 from vaoi_station.plant.restitch import ClusterOptions, Session, Terms, restitch
@@ -97,7 +99,23 @@ def test_a_damaged_file_of_a_run_is_left_out_with_what_to_do(
 ) -> None:
     chosen = RunSelection(until="2026-11-01")
     restitch(session(selection=chosen), cluster)
-    (path,) = (tmp_path / "out").rglob("r0.json.gz")
+    (path,) = (tmp_path / "out").rglob("r0-*.json.gz")
     path.write_bytes(b"nothing")
     summary = restitch(session(selection=chosen), cluster)
     assert "Delete it and repeat the command" in summary.left_out[0]
+
+
+def test_another_run_under_the_same_id_is_not_taken_for_done(
+    session: Callable[..., Session], stored: Archive, cluster: ClusterOptions, board: RecordedRun, tmp_path: Path
+) -> None:
+    chosen = RunSelection(until="2026-11-01")
+    assert restitch(session(selection=chosen), cluster).stitched == 1
+    other = Archive.create(tmp_path / "other")
+    label = RunLabel(run="r0", time="2026-11-01T10:00:00Z", serial="another board")
+    with filmed_again(board.directory, "r0") as folder:
+        other.add(folder, station="line 0", label=label)
+    assert other.run("r0").key == stored.run("r0").key
+    again = restitch(session(other, selection=chosen), cluster)
+    assert (again.done, again.stitched) == (1, 1)
+    assert set(pq.read_table(tmp_path / "out" / "tables" / "runs")["board_id"].to_pylist()) == {"another board"}
+    assert restitch(session(selection=chosen), cluster).stitched == 0

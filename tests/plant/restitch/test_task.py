@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import gzip
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from tests.plant.conftest import add_runs, outcome_of
+from tests.plant.conftest import add_runs, outcome_of, task_of
 from vaoi_station import RecordedRun, StitchedRun
 from vaoi_station.errors import InputError, StateError
 from vaoi_station.files.results import stitch_document
 from vaoi_station.model import Status
 from vaoi_station.plant.archive import Archive
 from vaoi_station.plant.restitch.software import software
-from vaoi_station.plant.restitch.task import RunFault, RunTask, _with_verdict, read_outcome, restitch_run
+from vaoi_station.plant.restitch.task import RunFault, _with_verdict, read_outcome, restitch_run
 from vaoi_station.plant.restitch.terms import Terms
 
 
@@ -58,7 +59,7 @@ def test_another_calibration_is_used(stored: Archive, moved_calibration: Path, t
 
 def test_a_board_type_that_fits_nothing_is_a_fault(stored: Archive) -> None:
     terms = Terms(software(), board_type=b'{"name": "bare"}')
-    fault = restitch_run(RunTask(stored.url, stored.run("r0").key, terms))
+    fault = restitch_run(task_of(stored, "r0", terms))
     assert isinstance(fault, RunFault)
 
 
@@ -70,15 +71,21 @@ def test_a_missing_and_a_damaged_blob_are_named(board: RecordedRun, tmp_path: Pa
     path = tmp_path / "archive" / blob.key
     content = path.read_bytes()
     path.write_bytes(content[:100] + bytes([content[100] ^ 1]) + content[101:])
-    task = RunTask(archive.url, run.key, Terms(software()))
+    task = task_of(archive, "r0")
     assert "r0" in str(restitch_run(task))
     assert blob.sha256 in str(restitch_run(task))
     path.unlink()
     assert "is missing" in str(restitch_run(task))
 
 
+def test_a_run_that_was_replaced_after_its_selection_is_a_fault(stored: Archive) -> None:
+    fault = restitch_run(replace(task_of(stored, "r0"), manifest="0" * 16))
+    assert isinstance(fault, RunFault)
+    assert "was replaced after the run was selected" in fault.message
+
+
 def test_other_software_is_refused(stored: Archive) -> None:
-    task = RunTask(stored.url, stored.run("r0").key, Terms("vaoi_station 0.0.1"))
+    task = task_of(stored, "r0", Terms("vaoi_station 0.0.1"))
     with pytest.raises(StateError, match=r"must have vaoi_station 0\.0\.1"):
         restitch_run(task)
 

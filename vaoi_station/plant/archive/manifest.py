@@ -136,6 +136,11 @@ class ArchivedRun(Strict):
         document = self.model_dump(mode="json", exclude_none=True)
         return json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
+    @property
+    def digest(self) -> str:
+        """Digest of the manifest, 16 hex digits: equal runs have equal ones."""
+        return digest_of(self.text().encode())[:16]
+
 
 def manifest_key(station: str, time: str, run: str) -> str:
     """Return the place of a manifest: by station and day, so that a selection lists only what it needs."""

@@ -89,7 +89,7 @@ def write_dataset(
     tally = Counter[str]()
     opened: dict[str, Archive] = {}
     with new_directory(out) as draft, FORMATS[terms.format](draft, names, terms.document()) as writer:
-        for done, (url, key) in enumerate(chosen):
+        for done, (url, key, _) in enumerate(chosen):
             progress(done, len(chosen))
             with tempfile.TemporaryDirectory(prefix="vaoi-crops-") as scratch:
                 spool = Path(scratch) / "crops"

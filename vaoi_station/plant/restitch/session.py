@@ -71,8 +71,8 @@ def restitch(session: Session, options: ClusterOptions) -> Summary:
     options.check()
     _claim(session)
     chosen = select_runs(session.archives, session.selection, session.leave_out)
-    tasks = [RunTask(url, key, session.terms) for url, key in chosen]
-    files = {task: session.out / f"{task.key}.gz" for task in tasks}
+    tasks = [RunTask(*run, session.terms) for run in chosen]
+    files = {task: session.out / task.file for task in tasks}
     todo = [task for task in tasks if not files[task].is_file()]
     finished = len(tasks) - len(todo)
     session.progress(finished, len(tasks))

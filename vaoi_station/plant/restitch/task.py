@@ -34,11 +34,17 @@ FORMAT, VERSION = "vaoi-restitched-run", 1
 
 @dataclass(frozen=True)
 class RunTask:
-    """One run to be stitched: archive and key of its manifest. It is sent to a worker."""
+    """One run to be stitched: archive, key and digest of its manifest. It is sent to a worker."""
 
     archive: str
     key: str
+    manifest: str
     terms: Terms
+
+    @property
+    def file(self) -> str:
+        """Place of its outcome: that of another run under its id, or of its former manifest, has another name."""
+        return f"{self.key.removesuffix('.json')}-{self.manifest}.json.gz"
 
 
 @dataclass(frozen=True)
@@ -68,6 +74,10 @@ def _restitch(task: RunTask) -> bytes:
     began_s, began_cpu_s = time.monotonic(), time.process_time()
     archive = Archive.open(task.archive)
     run = read_manifest(archive.storage, task.key)
+    if run.digest != task.manifest:
+        raise InputError(
+            f"{archive.url}/{task.key}: was replaced after the run was selected.", action="Repeat the command."
+        )
     with tempfile.TemporaryDirectory(prefix="run-", dir=_scratch()) as scratch:
         folder = archive.extract(run, Path(scratch) / "run")
         extracted_s = time.monotonic()
