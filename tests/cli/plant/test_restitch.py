@@ -40,3 +40,17 @@ def test_a_fault_of_an_archive_gives_exit_code_1(vaoi: Callable[..., Any], archi
     assert str(manifest) in done.err
     assert "0 of 0 runs stitched" in done.out
     assert len(json.loads((tmp_path / "out" / "left-out.json").read_text())) == 1
+
+
+def test_a_board_type_is_for_the_runs_of_its_name(
+    vaoi: Callable[..., Any], archive: Archive, recording: Path, tmp_path: Path
+) -> None:
+    board = json.loads((recording / "board.json").read_text())
+    (tmp_path / "board.json").write_text(json.dumps(board | {"name": "other"}))
+    out = tmp_path / "out"
+    done = vaoi("restitch", archive.url, "--out", out, "--board", tmp_path / "board.json", *NOWHERE)
+    assert (done.code, "0 of 0 runs stitched" in done.out) == (0, True), done.err
+    done = vaoi(
+        "restitch", archive.url, "--out", out, "--board", tmp_path / "board.json", "--board-type", "demo", *NOWHERE
+    )
+    assert done.code == 3, "the run of the type demo is to be stitched"

@@ -57,6 +57,19 @@ def test_another_calibration_is_used(stored: Archive, moved_calibration: Path, t
     assert moved[4] - moved[1] == pytest.approx(-0.2, abs=0.03)
 
 
+def test_another_board_type_holds_for_the_new_result_only(stored: Archive, board: RecordedRun, tmp_path: Path) -> None:
+    document = json.loads((board.directory / "board.json").read_text(encoding="utf-8"))
+    first, second, *others = document["components"]
+    moved = first | {"center": [first["center"][0] + 1.0, first["center"][1]]}
+    changed = json.dumps(document | {"components": [moved, *others]}).encode()
+    tables = outcome_of(stored, "r0", tmp_path, Terms(software(), board_type=changed))["tables"]
+    parts = tables["components"]
+    x_mm = {(r, c): x for r, c, x in zip(parts["result"], parts["component"], parts["x_mm"], strict=True)}
+    assert ("former", second["ref"]) in x_mm
+    assert ("new", second["ref"]) not in x_mm
+    assert abs(x_mm["new", first["ref"]] - x_mm["former", first["ref"]]) == pytest.approx(1.0, abs=0.01)
+
+
 def test_a_board_type_that_fits_nothing_is_a_fault(stored: Archive) -> None:
     terms = Terms(software(), board_type=b'{"name": "bare"}')
     fault = restitch_run(task_of(stored, "r0", terms))

@@ -36,7 +36,10 @@ def restitch(
     station: Station = None,
     verdict: Annotated[str | None, typer.Option(help="Only runs with this verdict: ok, degraded or failed.")] = None,
     calibration: Annotated[Path | None, typer.Option(help="Use this calibration [that of each run].")] = None,
-    board: Annotated[Path | None, typer.Option(help="Use this board type, a file [that of each run].")] = None,
+    board: Annotated[
+        Path | None,
+        typer.Option(help="Use this board type, a file, for the runs of its name or --board-type [that of each run]."),
+    ] = None,
     method: Annotated[
         Literal["auto", "fiducials", "features", "reference"] | None,
         typer.Option(help="Use this evidence [that of each run]."),
@@ -61,12 +64,14 @@ def restitch(
 
     options = ClusterOptions(scheduler, workers, memory, dashboard, patience)
     options.check()
-    selection = run_selection(board_type, since, until, station, verdict)
     # Read here, so that a fault of these files is reported once, and before any run is stitched.
     if calibration is not None:
         read_calibration(calibration)
     if board is not None:
-        read_board_type(board)
+        # Unless stated otherwise it replaces that of its name: other runs show other boards.
+        name = read_board_type(board).name
+        board_type = board_type or name
+    selection = run_selection(board_type, since, until, station, verdict)
     terms = Terms(software(), _content(calibration), _content(board), method)
     typer.echo(f"software: {terms.software}")
     if dashboard is not None and scheduler is None:

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from vaoi_station.errors import InputError, NotFoundError, StateError
-from vaoi_station.files import read_stitch
+from vaoi_station.files import read_board_type, read_stitch
 from vaoi_station.files.results import stitch_document
 from vaoi_station.model import Status, Stitch
 from vaoi_station.plant.archive import Archive
@@ -87,6 +87,7 @@ def _restitch(task: RunTask) -> bytes:
         result = with_origin(result, opened.recording, opened.calibration, opened.setup.board_type)
         path = folder / "result.json"
         former = read_stitch(path) if path.is_file() else None
+        tables = _tables(run, former, result, opened)
     cost = {
         "extract_s": round(extracted_s - began_s, 4),
         "stitch_s": round(time.monotonic() - extracted_s, 4),
@@ -94,7 +95,6 @@ def _restitch(task: RunTask) -> bytes:
         "rss_mb": round(int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 1e6, 1),
         "process": os.getpid(),
     }
-    tables = _tables(run, former, result, opened)
     document = {"format": FORMAT, "version": VERSION, "run": run.run, "station": run.station, "time": run.time}
     document |= {"tables": tables, "result": stitch_document(result), "notes": notes, "cost": cost}
     text = json.dumps(document, allow_nan=False, separators=(",", ":"))
@@ -121,13 +121,15 @@ def read_outcome(path: Path) -> dict[str, Any]:
 def _tables(run: ArchivedRun, former: Stitch | None, result: Stitch, opened: OpenedRun) -> Tables:
     """Return the rows of both results; those of the former one come first."""
     key = RunKey(run.station, run.run, run.time, run.board_type, run.serial)
-    board_type, head = opened.setup.board_type, opened.recording.head
+    head = opened.recording.head
     if former is not None:
         former, result = _with_verdict(run.verdict, former, result)
-    tables = result_tables(key, "new", result, board_type, head)
+    tables = result_tables(key, "new", result, opened.setup.board_type, head)
     if former is None:
         return tables
-    earlier = result_tables(key, "former", former, board_type, head)
+    # The components of the former result are those of the board type with which it was made.
+    own = read_board_type(opened.recording.directory / "board.json")
+    earlier = result_tables(key, "former", former, own, head)
     return {name: {c: earlier[name][c] + values for c, values in table.items()} for name, table in tables.items()}
 
 
