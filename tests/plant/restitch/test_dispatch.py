@@ -8,14 +8,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from distributed import LocalCluster
+from distributed import Future, LocalCluster
 
 from tests.plant.conftest import add_runs, task_of
 from vaoi_station import RecordedRun
 from vaoi_station.errors import StateError
 from vaoi_station.plant.archive import Archive
 from vaoi_station.plant.restitch import ClusterOptions, Terms
-from vaoi_station.plant.restitch.cluster import connection
+from vaoi_station.plant.restitch.cluster import cluster_address, connection
 from vaoi_station.plant.restitch.dispatch import Dispatch
 from vaoi_station.plant.restitch.software import software
 from vaoi_station.plant.restitch.task import RunTask, read_outcome
@@ -107,3 +107,72 @@ def test_without_a_usable_worker_the_wait_is_bounded(stored: Archive, cluster: C
     with pytest.raises(StateError, match=r"No usable worker for 0\.2 s; 1 runs are left\. worker tcp://"):
         dispatch.work(cluster.scheduler, [task], cluster.patience_s, workers_patience_s=0.2)
     assert len(dispatch.refused_workers) == 2
+
+
+def test_a_worker_that_loses_its_share_costs_no_run(
+    board: RecordedRun, cluster: ClusterOptions, tmp_path: Path
+) -> None:
+    archive = Archive.create(tmp_path / "archive")
+    add_runs(archive, board.directory, 8)
+    kept: list[RunTask] = []
+    reported: list[str] = []
+    assert cluster.scheduler is not None
+    with connection(cluster.scheduler, cluster.patience_s) as client:
+        before = client.run(os.getcwd)
+        for n, address in enumerate(before):
+            # Each worker has a mount point of its own, to which the relative path of the archive leads.
+            (tmp_path / f"machine{n}").mkdir()
+            (tmp_path / f"machine{n}" / "share").symlink_to(tmp_path / "archive")
+            client.run(os.chdir, str(tmp_path / f"machine{n}"), workers=[address])
+        tasks = [replace(task_of(archive, run.run), archive="share") for run in archive.runs()]
+
+        def keep(task: RunTask, _: bytes) -> None:
+            kept.append(task)
+            (tmp_path / "machine1" / "share").unlink(missing_ok=True)
+
+        try:
+            dispatch = Dispatch(software(), keep, pytest.fail, reported.append)
+            dispatch.work(cluster.scheduler, tasks, cluster.patience_s)
+        finally:
+            for address, folder in before.items():
+                client.run(os.chdir, folder, workers=[address])
+    assert sorted(t.key for t in kept) == sorted(t.key for t in tasks)
+    assert len(dispatch.refused_workers) == 1
+    assert "share: is no archive" in dispatch.refused_workers[0]
+
+
+def test_a_worker_that_is_killed_before_its_outcome_is_fetched_costs_no_wait(
+    stored: Archive, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tasks = [task_of(stored, run.run) for run in stored.runs()]
+    kept: list[RunTask] = []
+    killed: list[int] = []
+    result = Future.result
+
+    def killing(future: Future[object], timeout: float | None = None) -> object:
+        if not killed:
+            killed.extend(future.client.run(os.getpid).values())
+            os.kill(killed[0], signal.SIGKILL)
+        return result(future, timeout=timeout)
+
+    monkeypatch.setattr(Future, "result", killing)
+    with cluster_address(ClusterOptions(workers=1)) as address:
+        Dispatch(software(), lambda task, _: kept.append(task), pytest.fail, pytest.fail).work(address, tasks, 120)
+    assert len(killed) == 1
+    assert sorted(t.key for t in kept) == sorted(t.key for t in tasks), "without another scheduler"
+
+
+def test_the_only_worker_may_be_killed_in_mid_run(stored: Archive) -> None:
+    tasks = [task_of(stored, run.run) for run in stored.runs()]
+    kept: list[RunTask] = []
+
+    with cluster_address(ClusterOptions(workers=1)) as address, connection(address, 120) as client:
+
+        def keep(task: RunTask, _: bytes) -> None:
+            kept.append(task)
+            if len(kept) == 1:
+                (process,) = client.run(os.getpid).values()
+                os.kill(process, signal.SIGKILL)
+
+        Dispatch(software(), keep, pytest.fail, pytest.fail).work(address, tasks, 120)
+    assert sorted(t.key for t in kept) == sorted(t.key for t in tasks)

@@ -16,7 +16,7 @@ from vaoi_station.files.results import stitch_document
 from vaoi_station.model import Status
 from vaoi_station.plant.archive import Archive
 from vaoi_station.plant.restitch.software import software
-from vaoi_station.plant.restitch.task import RunFault, _with_verdict, read_outcome, restitch_run
+from vaoi_station.plant.restitch.task import RunFault, UnseenArchive, _with_verdict, read_outcome, restitch_run
 from vaoi_station.plant.restitch.terms import Terms
 
 
@@ -89,6 +89,19 @@ def test_a_missing_and_a_damaged_blob_are_named(board: RecordedRun, tmp_path: Pa
     assert blob.sha256 in str(restitch_run(task))
     path.unlink()
     assert "is missing" in str(restitch_run(task))
+
+
+def test_an_archive_that_is_not_seen_is_no_fault_of_the_run(board: RecordedRun, tmp_path: Path) -> None:
+    archive = Archive.create(tmp_path / "archive")
+    add_runs(archive, board.directory, 1)
+    task = task_of(archive, "r0")
+    assert isinstance(restitch_run(task), bytes)
+    (tmp_path / "archive").rename(tmp_path / "elsewhere")
+    unseen = restitch_run(task)
+    assert isinstance(unseen, UnseenArchive)
+    assert "is no archive" in unseen.message
+    (tmp_path / "elsewhere").rename(tmp_path / "archive")
+    assert isinstance(restitch_run(task), bytes)
 
 
 def test_a_run_that_was_replaced_after_its_selection_is_a_fault(stored: Archive) -> None:

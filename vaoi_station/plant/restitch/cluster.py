@@ -1,16 +1,14 @@
-"""The cluster: one on this machine, or a scheduler somewhere; and which of its workers may be used."""
+"""The cluster: one on this machine, or a scheduler somewhere."""
 
 from __future__ import annotations
 
 import asyncio
-import hashlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from vaoi_station.errors import InputError, StateError
-from vaoi_station.plant.restitch.software import software
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -116,58 +114,3 @@ async def _greet(address: str) -> None:
         comm.abort()
     if known.get("type") != "Scheduler":
         raise ValueError(f"{address} is a {known.get('type')}")
-
-
-class Crew:
-    """The workers that may be used: those with the stated software. Others are reported once and not used.
-
-    A worker is admitted by an abstract resource, which every task needs. So Dask itself gives tasks to admitted workers
-    only, one at a time, and to those that join or come back as soon as they are admitted.
-    """
-
-    def __init__(self, client: Client, stated: str, report: Callable[[str], None]) -> None:
-        self._client, self._stated, self._report = client, stated, report
-        self._judged: dict[str, str] = {}
-        """Local directory of each worker that was asked, by address. No two processes have the same."""
-        self.admitted: set[str] = set()
-        """Addresses of the workers that are there and may be used."""
-        self.refused: list[str] = []
-        """Why each other worker is not used."""
-
-    @property
-    def resource(self) -> str:
-        """Name of the resource."""
-        return f"vaoi-{hashlib.sha256(self._stated.encode()).hexdigest()[:16]}"
-
-    def update(self) -> None:
-        """Find out which workers are there, and admit or refuse the new ones."""
-        workers = self._client.scheduler_info()["workers"]
-        present = {address: str(worker["local_directory"]) for address, worker in workers.items()}
-        # A worker that is started again under its address has no resource, and maybe other software.
-        self._judged = {address: known for address, known in self._judged.items() if present.get(address) == known}
-        self.admitted &= self._judged.keys()
-        new = sorted(present.keys() - self._judged.keys())
-        if not new:
-            return
-        replies = self._client.run(_admit, self._stated, self.resource, workers=new, on_error="return")
-        for address in new:
-            reply: Any = replies.get(address)
-            if isinstance(reply, OSError) or reply is None:
-                continue  # it has just gone; if not, the next call tries it again
-            self._judged[address] = present[address]
-            if reply == self._stated:
-                self.admitted.add(address)
-            else:
-                # A worker without this package, or with one too old for this question, replies with an exception.
-                has = reply if isinstance(reply, str) else f"no usable software ({type(reply).__name__}: {reply})"
-                line = f"worker {address} is not used: it has {has}, but must have {self._stated}."
-                if line not in self.refused:
-                    self.refused.append(line)
-                    self._report(line)
-
-
-async def _admit(stated: str, name: str, dask_worker: Any) -> str:
-    """Run on a worker: give it the resource if it has the stated software; return its software."""
-    if (own := software()) == stated:
-        await dask_worker.set_resources(**{name: 1})
-    return own

@@ -5,28 +5,33 @@ from __future__ import annotations
 import threading
 import time
 import uuid
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from vaoi_station.errors import StateError, VaoiError
-from vaoi_station.plant.restitch.cluster import Crew, connection
-from vaoi_station.plant.restitch.task import RunFault, RunTask, restitch_run
+from vaoi_station.plant.restitch.cluster import connection
+from vaoi_station.plant.restitch.crew import Crew
+from vaoi_station.plant.restitch.task import RunFault, RunTask, UnseenArchive, restitch_run
 
 if TYPE_CHECKING:
     from distributed import Client
+
+_T = TypeVar("_T")
 
 AHEAD = 2
 """Number of runs per worker that the scheduler knows: one in work, one that follows without a pause."""
 RETRIES = 2
 """Number of further attempts at a run whose storage did not answer."""
+MOST_UNSEEN = 8
+"""Number of attempts at a run whose workers do not see its archive."""
 _LOOK_S = 1.0
 """Pause between two searches for workers that have joined or come back."""
-
-
 _REPLY_S = 60.0
-"""Longest wait for a reply of scheduler and workers. A new worker first imports the software."""
+"""Longest wait for a reply of the scheduler."""
+_RECEIPT_S = 5.0, 60.0
+"""First and longest wait for an outcome that a worker has: the worker may have ended before it was fetched."""
 
 
 class _SchedulerLostError(Exception):
@@ -46,6 +51,8 @@ class Dispatch:
         self._software, self._keep, self._leave_out, self._report = software, keep, leave_out, report
         self.refused_workers: list[str] = []
         self._waiting: deque[RunTask] = deque()
+        self._unseen: Counter[RunTask] = Counter()
+        """How often a worker did not see the archive of a run."""
 
     def work(
         self, address: str, tasks: Sequence[RunTask], patience_s: float, workers_patience_s: float | None = None
@@ -62,11 +69,12 @@ class Dispatch:
             StateError: the scheduler, or any usable worker, is absent for too long.
         """
         self._waiting.extend(tasks)
+        archives = dict.fromkeys(task.archive for task in tasks)
         left = -1
         while self._waiting:
             try:
                 with connection(address, patience_s) as client:
-                    crew = Crew(client, self._software, self._report)
+                    crew = Crew(client, self._software, archives, self._report)
                     try:
                         self._work(client, crew, patience_s if workers_patience_s is None else workers_patience_s)
                     finally:
@@ -85,6 +93,8 @@ class Dispatch:
     def _work(self, client: Client, crew: Crew, patience_s: float) -> None:
         finished: SimpleQueue[Any] = SimpleQueue()
         given: dict[Any, RunTask] = {}
+        late: Counter[Any] = Counter()
+        unassigned: set[Any] = set()
         looked_s, seen_s = 0.0, time.monotonic()
         try:
             while self._waiting or given:
@@ -93,7 +103,10 @@ class Dispatch:
                     raise _SchedulerLostError
                 if now_s - looked_s >= _LOOK_S:
                     looked_s = now_s
-                    _ask(crew)
+                    _in_time(crew.update)
+                    found = _in_time(lambda: _unassigned(client, given))
+                    self._take_back(client, given, found & unassigned)
+                    unassigned = found
                 seen_s = now_s if crew.admitted else seen_s
                 if now_s - seen_s > patience_s:
                     raise _without_workers(crew, patience_s, len(self._waiting) + len(given))
@@ -106,35 +119,67 @@ class Dispatch:
                     future = finished.get(timeout=_LOOK_S / 4)
                 except Empty:
                     continue
-                if future in given:
-                    self._receive(future, given)
+                if future in given and not self._receive(future, given, crew, late):
+                    future.add_done_callback(finished.put)
         finally:
             # Also after Ctrl-C: what was given and not received is done again, by this call or the next.
             self._waiting.extendleft(reversed(given.values()))
             if given and client.status == "running":
                 client.cancel(list(given), force=True)
 
-    def _receive(self, future: Any, given: dict[Any, RunTask]) -> None:
-        """Keep the outcome of a run, or leave the run out."""
+    def _take_back(self, client: Client, given: dict[Any, RunTask], futures: set[Any]) -> None:
+        """Take back runs that no worker has, so that they are given anew."""
+        if futures:
+            self._waiting.extendleft([given.pop(future) for future in futures])
+            client.cancel(list(futures), force=True)
+
+    def _receive(self, future: Any, given: dict[Any, RunTask], crew: Crew, late: Counter[Any]) -> bool:
+        """Keep the outcome of a run, or leave the run out; return False if the outcome cannot be fetched yet."""
+        try:
+            outcome = self._outcome(future, given[future], min(_RECEIPT_S[0] * 2 ** late[future], _RECEIPT_S[1]))
+        except TimeoutError:
+            # Its worker has ended before the outcome was fetched: Dask repeats the run as soon as there is an
+            # admitted worker. Or the network is slow.
+            late[future] += 1
+            return False
+        task = given.pop(future)
+        future.release()
+        if isinstance(outcome, UnseenArchive):
+            crew.doubt(outcome.worker)
+            _in_time(crew.update)
+            self._again(task, outcome)
+        elif isinstance(outcome, RunFault):
+            self._leave_out(outcome.message)
+        else:
+            self._keep(task, outcome)
+        return True
+
+    def _again(self, task: RunTask, outcome: UnseenArchive) -> None:
+        """Give a run to another worker, unless too many have not seen its archive."""
+        self._unseen[task] += 1
+        if self._unseen[task] < MOST_UNSEEN:
+            self._waiting.appendleft(task)
+        else:
+            self._leave_out(outcome.message)
+
+    @staticmethod
+    def _outcome(future: Any, task: RunTask, wait_s: float) -> bytes | RunFault | UnseenArchive:
+        """Return the outcome of a run; TimeoutError if it cannot be fetched in time."""
         from distributed.comm.core import CommClosedError
 
-        task = given[future]
         try:
-            outcome = future.result(timeout=60)
+            outcome: bytes | RunFault | UnseenArchive = future.result(timeout=wait_s)
         except VaoiError as error:  # of a storage or disk, after the last attempt
-            outcome = RunFault(str(error))
+            return RunFault(str(error))
         except Exception as error:
+            if isinstance(error, TimeoutError) and future.status != "error":
+                raise
             # Dask has lost the connection, or has given a run up; any other exception is a fault of the software.
             if future.status in {"lost", "cancelled"} or isinstance(error, CommClosedError):
                 raise _SchedulerLostError from error
             text = str(error).partition("\n")[0]
-            outcome = RunFault(f"{task.archive}/{task.key}: {type(error).__name__}: {text}")
-        del given[future]
-        future.release()
-        if isinstance(outcome, RunFault):
-            self._leave_out(outcome.message)
-        else:
-            self._keep(task, outcome)
+            return RunFault(f"{task.archive}/{task.key}: {type(error).__name__}: {text}")
+        return outcome
 
 
 def _submit(client: Client, task: RunTask, resource: str) -> Any:
@@ -143,26 +188,38 @@ def _submit(client: Client, task: RunTask, resource: str) -> Any:
     return client.submit(restitch_run, task, key=key, resources={resource: 1}, retries=RETRIES, pure=False)
 
 
-def _ask(crew: Crew) -> None:
-    """Update the crew. A scheduler that does not reply in time counts as gone."""
+def _unassigned(client: Client, given: dict[Any, RunTask]) -> set[Any]:
+    """Return the runs that are not done and that no worker has.
+
+    When the last worker of a resource ends, Dask keeps its tasks; and it gives them to no worker that gets the resource
+    after it has joined.
+    """
+    if not given:
+        return set()
+    assigned = {key for keys in client.processing().values() for key in keys}
+    return {future for future in given if future.status in {"pending", "lost"} and future.key not in assigned}
+
+
+def _in_time(call: Callable[[], _T]) -> _T:
+    """Return what a call returns that asks the scheduler. One that does not reply in time counts as gone."""
+    results: list[_T] = []
     failures: list[Exception] = []
 
-    def update() -> None:
+    def perform() -> None:
         try:
-            crew.update()
+            results.append(call())
         except Exception as error:  # noqa: BLE001  (raised again below, in the thread that waits)
             failures.append(error)
 
     # Dask's calls have no bound where a scheduler hangs; a daemon thread is left behind then.
-    thread = threading.Thread(target=update, name="vaoi-crew", daemon=True)
+    thread = threading.Thread(target=perform, name="vaoi-dispatch", daemon=True)
     thread.start()
     thread.join(_REPLY_S)
-    if thread.is_alive():
-        raise _SchedulerLostError
-    if failures:
-        if isinstance(failures[0], OSError | TimeoutError):
-            raise _SchedulerLostError from failures[0]
+    if failures and not isinstance(failures[0], OSError | TimeoutError):
         raise failures[0]
+    if not results:
+        raise _SchedulerLostError from (failures[0] if failures else None)
+    return results[0]
 
 
 def _without_workers(crew: Crew, patience_s: float, runs: int) -> StateError:

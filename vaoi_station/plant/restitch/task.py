@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from vaoi_station.errors import InputError, NotFoundError, StateError
+from vaoi_station.errors import DeviceError, InputError, NotFoundError, StateError
 from vaoi_station.files import read_board_type, read_stitch
 from vaoi_station.files.results import stitch_document
 from vaoi_station.model import Status, Stitch
@@ -54,7 +54,16 @@ class RunFault:
     message: str
 
 
-def restitch_run(task: RunTask) -> bytes | RunFault:
+@dataclass(frozen=True)
+class UnseenArchive:
+    """A worker that does not see the archive of a run: another one may."""
+
+    message: str
+    worker: str
+    """Address of the worker; empty outside of one."""
+
+
+def restitch_run(task: RunTask) -> bytes | RunFault | UnseenArchive:
     """Stitch one run, and return its file: packed JSON with tables, result and cost.
 
     Raises:
@@ -64,21 +73,39 @@ def restitch_run(task: RunTask) -> bytes | RunFault:
     if software() != task.terms.software:
         raise StateError(f"This worker has {software()}, but must have {task.terms.software}.")
     try:
-        return _restitch(task)
+        if task.archive not in _OPENED:
+            _OPENED[task.archive] = Archive.open(task.archive)
+        return _restitch(_OPENED[task.archive], task)
     except (InputError, NotFoundError) as error:
         # A value, not an exception: Dask would repeat the task, with the same outcome.
-        return RunFault(str(error))
+        return _unseen(task.archive) or RunFault(str(error))
+    except DeviceError:
+        _OPENED.pop(task.archive, None)
+        raise
 
 
-def _restitch(task: RunTask) -> bytes:
+_OPENED: dict[str, Archive] = {}
+"""The archives that this process has opened: to open an object store takes almost as long as to stitch a run."""
+
+
+def _unseen(url: str) -> UnseenArchive | None:
+    """Return whether it is the archive that this process does not see, for example because a share is not mounted."""
+    try:
+        Archive.open(url)
+    except InputError as error:
+        _OPENED.pop(url, None)
+        return UnseenArchive(str(error), _worker("address") or "")
+    return None
+
+
+def _restitch(archive: Archive, task: RunTask) -> bytes:
     began_s, began_cpu_s = time.monotonic(), time.process_time()
-    archive = Archive.open(task.archive)
     run = read_manifest(archive.storage, task.key)
     if run.digest != task.manifest:
         raise InputError(
             f"{archive.url}/{task.key}: was replaced after the run was selected.", action="Repeat the command."
         )
-    with tempfile.TemporaryDirectory(prefix="run-", dir=_scratch()) as scratch:
+    with tempfile.TemporaryDirectory(prefix="run-", dir=_worker("local_directory")) as scratch:
         folder = archive.extract(run, Path(scratch) / "run")
         extracted_s = time.monotonic()
         opened, notes = open_archived(folder, Path(scratch), task.terms)
@@ -145,10 +172,13 @@ def _with_verdict(verdict: Status | None, former: Stitch, result: Stitch) -> tup
     return former.model_copy(update={"status": verdict}), result.model_copy(update={"status": lowered})
 
 
-def _scratch() -> str | None:
-    """Return the directory of this worker, which Dask removes also after a kill; None outside of a worker."""
+def _worker(name: str) -> str | None:
+    """Return the address or the directory of this worker; Dask removes the directory also after a kill.
+
+    Outside of a worker there is neither.
+    """
     from distributed import get_worker
 
     with suppress(ValueError):
-        return str(get_worker().local_directory)
+        return str(getattr(get_worker(), name))
     return None
