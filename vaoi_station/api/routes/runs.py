@@ -206,7 +206,7 @@ def _content(run: RunDetail) -> bytes:
 def _add_decision(routes: APIRouter, services: Services) -> None:
     """Add the route for what a person decides about a run."""
     coordinator, ask, kept = services.coordinator, services.commands.ask, services.coordinator.kept
-    # Between the check of If-Match and the decision nobody else may decide.
+    # Between the check of If-Match and the decision no other caller may decide.
     deciding = asyncio.Lock()
 
     @routes.put("/{run}/decision", response_model=RunDetail)

@@ -335,7 +335,7 @@ class LineControl:
         self._events.add("run", f"Frames evicted to make room for {room_for}.", state=RunState.GONE, run=run)
 
     def tick(self, health: messages.Health | None) -> None:
-        """Arm the line again for an order that nobody cancelled, when memory and cameras allow it."""
+        """Arm the line again for an order that was not cancelled, when memory and cameras allow it."""
         order = self.orders.order
         if order is None or not self.orders.wants_more or self._machine.state is not StationState.IDLE:
             return

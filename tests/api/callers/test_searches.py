@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
+from vaoi_station.api.callers.searches import SEARCHES_OF_CALLER
 from vaoi_station.api.event_hub import COMMAND_THREADS
-from vaoi_station.api.routes.searches import SEARCHES_OF_CALLER
 
 PATIENCE_S = 20.0
 
