@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.board_data.readers import samples
+from tests.board_data.readers.test_unix_compress import compressed
 from vaoi_station.board_data.readers.odb import is_odb, read_odb
 from vaoi_station.errors import InputError
 
@@ -37,6 +38,10 @@ def test_folder_tar_and_compressed_members(tmp_path: Path) -> None:
             info.size = len(packed)
             tar.addfile(info, io.BytesIO(packed))
     assert [(p.ref, p.origin) for p in read_odb(tmp_path / "b.tgz").parts] == expected
+    with zipfile.ZipFile(tmp_path / "c.zip", "w") as zipped:
+        for name, text in samples.ODB.items():
+            zipped.writestr(f"{name}.Z", compressed(text.encode()))
+    assert [(p.ref, p.origin) for p in read_odb(tmp_path / "c.zip").parts] == expected
 
 
 def test_a_compressed_member_is_read_to_its_end_or_refused(tmp_path: Path) -> None:
@@ -83,7 +88,7 @@ def test_the_step_with_most_components_or_the_chosen_one(tmp_path: Path) -> None
         (PROFILE, "UNITS=MM\nS P 0\nOB 0 0 I\nOC 0 40 nan 40 N\nOE\n", "line 4: 'OC 0 40 nan 40 N' must have 4"),
         (PACKAGES, "UNITS=MM\nPKG R 0 -2 -1 2 1;\nCR 0 0 nan\n", "line 3: 'CR 0 0 nan' must have 3 numbers"),
         (TOP, "UNITS=CUBIT\n", "UNITS is 'CUBIT', but must be MM or INCH"),
-        (TOP, "\x1f\x9dabc", "compressed by Unix compress"),
+        (TOP, "\x1f\x9d\x90\x01\x03\x02\x01", r"components: is no valid file of compress \(\.Z\): names entry"),
     ],
 )
 def test_wrong_files_are_refused(name: str, text: str, message: str, tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ from pathlib import Path
 from vaoi_station.board_data.contours import arc_points, circle_points
 from vaoi_station.board_data.design import XY, Design, Mark, Part, Side, box_around, normalised
 from vaoi_station.board_data.panels import Step, note_on_panels, panel_of
+from vaoi_station.board_data.readers import unix_compress
 from vaoi_station.board_data.readers.odb_features import outer_layers, pad_marks
 from vaoi_station.board_data.readers.odb_repeats import datum_of, has_repeats, repeats_of
 from vaoi_station.board_data.source_text import (
@@ -140,10 +141,8 @@ def _lines(archive: Archive, name: str) -> list[str] | None:
         if len(inflated) > MOST_BYTES:
             raise InputError.field(where, "its size", f"more than {MOST_BYTES} bytes", f"at most {MOST_BYTES} bytes")
         data = inflated
-    elif data[:2] == b"\x1f\x9d":
-        raise InputError(
-            f"{where}: is compressed by Unix compress (.Z). Unpack it with `uncompress`, or export version 8."
-        )
+    elif data[:2] == unix_compress.MAGIC:
+        data = unix_compress.decompress(data, where, MOST_BYTES)
     return decode(data, where).splitlines()
 
 
