@@ -25,6 +25,8 @@ from vaoi_station.errors import InputError
         ("SOD323", (1.7, 1.25)),
         ("TSSOP-16", (4.4, 5.0)),
         ("LQFP-64", (10.0, 10.0)),
+        ("PinHeader_1x05_P2.54mm_Vertical", (2.54, 12.7)),
+        ("Fiducial_0.75mm_Mask1.5mm", (0.75, 0.75)),
     ],
 )
 def test_names_of_packages_carry_their_size(package: str, size: tuple[float, float]) -> None:

@@ -28,6 +28,11 @@ _IPC_7351 = re.compile(r"(?:^|[^A-Z])(?:[A-Z]{2,5}\d{2,3}P)(\d{2,4})X(\d{2,4})X(
 _IPC_CHIP = re.compile(r"(?:CAP|RES|IND|LED|DIO|FUS)[CM](\d{2})(\d{2})X", re.IGNORECASE)
 """IPC-7351: `CAPC1608X87`: length and width in tenths of a millimetre."""
 
+_HEADER = re.compile(r"Pin(?:Header|Socket)_(\d{1,3})x(\d{1,3})_P(\d+(?:\.\d+)?)mm", re.IGNORECASE)
+"""KiCad: `PinHeader_1x05_P2.54mm`: pins along x and along y, and their pitch."""
+_FIDUCIAL = re.compile(r"Fiducial_?(\d+(?:\.\d+)?)mm", re.IGNORECASE)
+"""KiCad: `Fiducial_0.75mm_Mask1.5mm`: the diameter of the copper."""
+
 
 def size_of(package: str, table: Table) -> Size | None:
     """Return the size of a body by the name of its package, at rotation 0, mm; None if the name says nothing."""
@@ -36,6 +41,10 @@ def size_of(package: str, table: Table) -> Size | None:
     for pattern, unit in ((_METRIC, 0.1), (_IPC_CHIP, 0.1), (_IPC_7351, 0.01)):
         if found := pattern.search(package):
             return _plausible(float(found[1]) * unit, float(found[2]) * unit)
+    if found := _HEADER.search(package):
+        return _plausible(int(found[1]) * float(found[3]), int(found[2]) * float(found[3]))
+    if found := _FIDUCIAL.search(package):
+        return _plausible(float(found[1]), float(found[1]))
     return next((size for pattern, size in table if pattern.search(package)), None)
 
 

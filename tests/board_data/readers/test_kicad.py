@@ -66,6 +66,14 @@ def test_pads_state_that_they_are_fiducials() -> None:
     assert {p.ref: p.mark_kind for p in design.parts} == {"U1": None, "FID1": "global"}
 
 
+def test_a_logo_has_the_size_of_its_silkscreen() -> None:
+    text = """(kicad_pcb (footprint "L:Logo" (layer "B.Cu") (at 10 -10) (property "Reference" "G1")
+        (fp_poly (pts (xy 0 0) (xy 4 0) (xy 4 3)) (layer "B.SilkS"))))"""
+    (part,) = read_kicad(text.encode(), PATH).parts
+    assert part.box is not None
+    assert part.box.size == (4, 3)
+
+
 def test_an_outline_of_a_footprint_without_a_place_is_left_out() -> None:
     text = """(kicad_pcb (footprint "L:F" (layer "F.Cu")
         (fp_line (start 0 0) (end 1 0) (layer "Edge.Cuts"))))"""

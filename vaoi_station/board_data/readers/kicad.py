@@ -132,7 +132,10 @@ def _text(footprint: Node, kind: str) -> str:
 
 
 def _body(footprint: Node, rotation: float, side: Side) -> Box | None:
-    """Return the body: the drawing of the fabrication layer, else the courtyard without its margin, else the pads."""
+    """Return the body: the drawing of the fabrication layer, else the courtyard without its margin, else the pads.
+
+    What has neither, such as a logo, has its silkscreen.
+    """
     layer = "B" if side == "bottom" else "F"
     drawn = box_around(p for piece in _drawing(footprint, "fp_", f"{layer}.Fab") for p in piece)
     if drawn is not None:
@@ -140,7 +143,8 @@ def _body(footprint: Node, rotation: float, side: Side) -> Box | None:
     courtyard = box_around(p for piece in _drawing(footprint, "fp_", f"{layer}.CrtYd") for p in piece)
     if courtyard is not None:
         return courtyard.shrunk(COURTYARD_MARGIN_MM)
-    return box_around(p for pad in every(footprint, "pad") for p in _pad_corners(pad, rotation))
+    pads = box_around(p for pad in every(footprint, "pad") for p in _pad_corners(pad, rotation))
+    return pads or box_around(p for piece in _drawing(footprint, "fp_", f"{layer}.SilkS") for p in piece)
 
 
 def _pad_corners(pad: Node, rotation: float) -> list[XY]:
