@@ -106,3 +106,16 @@ def test_one_of_two_runs_with_one_id_is_removed_by_its_station(archive: Archive,
     archive.add(recording, station="two", label=RunLabel(run="a"))
     assert archive.prune(RunSelection(station="two"), ids=frozenset({"a"})).runs == 1
     assert [(run.station, run.run) for run in archive.runs()] == [("one", "a"), ("one", "b")]
+
+
+@pytest.mark.parametrize("place", ["blobs", "blobs/blobs", "runs/blobs/a"])
+def test_an_archive_may_have_the_name_of_one_of_its_folders(recording: Path, place: str) -> None:
+    made = Archive.create(f"memory://{place}")
+    made.add(recording, label=RunLabel(run="a"))
+    made.storage.write("blobs/00/" + "0" * 64, b"left over")
+    before = blobs_of(made)
+    assert made.prune(grace_s=AT_ONCE_S).blobs == 1
+    assert blobs_of(made) == before - 1
+    made.prune(RunSelection(), grace_s=AT_ONCE_S)
+    assert [entry.key for entry in made.storage.entries("")] == ["archive.json"]
+    made.storage.delete("archive.json")

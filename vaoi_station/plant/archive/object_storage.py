@@ -62,7 +62,7 @@ class FsspecStorage:
         return f"{self._root}/{key}".rstrip("/")
 
     def _entry(self, info: dict[str, Any]) -> Entry:
-        key = str(info["name"]).rpartition(f"{self._root.strip('/')}/")[2]
+        key = str(info["name"]).strip("/").removeprefix(f"{self._root.strip('/')}/")
         changed = info.get("LastModified") or info.get("mtime") or info.get("created")
         if isinstance(changed, int | float):
             changed = datetime.fromtimestamp(changed, UTC)
