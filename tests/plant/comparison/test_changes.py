@@ -6,8 +6,10 @@ from pathlib import Path
 
 import pytest
 
+from vaoi_station import RecordedRun, StitchedRun
 from vaoi_station.plant.comparison import Changes, compare
-from vaoi_station.plant.tables import write_tables
+from vaoi_station.plant.comparison.change_report import render_changes
+from vaoi_station.plant.tables import RunKey, result_tables, write_tables
 
 
 def test_the_displaced_camera_comes_first_with_its_size(changes: Changes) -> None:
@@ -37,3 +39,19 @@ def test_a_data_set_without_runs_has_no_changes(tmp_path: Path) -> None:
     write_tables(tmp_path / "it's empty", [])
     none = compare(tmp_path / "it's empty")
     assert (none.runs, none.views, none.boards, none.cameras, none.components) == (0, 0, (), (), ())
+
+
+def test_cameras_without_a_sigma_are_not_counted_as_changed(
+    board: RecordedRun, stitched: StitchedRun, tmp_path: Path
+) -> None:
+    runs = []
+    for name in ("former", "new"):
+        key = RunKey("line 1", "r0", "2026-11-01T10:00:00Z", "small")
+        tables = result_tables(key, name, stitched.result, board.board_type, stitched.recording.head)
+        for axis in "xy":
+            tables["cameras"][f"sigma_{axis}_px"] = [None] * 3
+        runs.append(tables)
+    write_tables(tmp_path / "tables", runs)
+    changes = compare(tmp_path / "tables")
+    assert [(camera.runs, camera.changed, camera.sigma_px) for camera in changes.cameras] == [(1, 0, None)] * 3
+    assert "None of 1" not in render_changes(changes, [], [])

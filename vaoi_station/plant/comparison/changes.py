@@ -187,7 +187,7 @@ GROUP BY station, run
 """
 
 _CAMERAS = """
-SELECT station, camera, count(*), sum((hypot(x, y) > sigma)::INT)::BIGINT, avg(x), avg(y), avg(turn),
+SELECT station, camera, count(*), count(*) FILTER (hypot(x, y) > sigma), avg(x), avg(y), avg(turn),
        hypot(avg(x), avg(y)) AS size, sqrt(avg(sigma * sigma)), hypot(avg(view_x), avg(view_y)) AS view
 FROM displacements GROUP BY station, camera
 ORDER BY greatest(size, coalesce(view, 0)) DESC, station, camera
