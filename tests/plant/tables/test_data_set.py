@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import signal
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -56,4 +59,20 @@ def test_a_failure_keeps_the_older_data_set(runs: list[Tables], tmp_path: Path) 
     assert contents(tmp_path / "tables") == before
     write_tables(tmp_path / "tables", [])
     assert pq.read_table(tmp_path / "tables" / "runs").num_rows == 0, "readers find every table"
+    assert [p.name for p in tmp_path.iterdir()] == ["tables"]
+
+
+_KILLED = """
+import os, signal, sys
+from pathlib import Path
+from vaoi_station.plant.tables import write_tables
+write_tables(Path(sys.argv[1]), (os.kill(os.getpid(), signal.SIGKILL) for _ in range(1)))
+"""
+
+
+def test_what_a_killed_call_leaves_is_removed_by_the_next(tmp_path: Path) -> None:
+    killed = subprocess.run([sys.executable, "-c", _KILLED, str(tmp_path / "tables")], check=False)
+    assert killed.returncode == -signal.SIGKILL
+    assert len(list(tmp_path.iterdir())) == 1, "the draft"
+    write_tables(tmp_path / "tables", [])
     assert [p.name for p in tmp_path.iterdir()] == ["tables"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Iterable
+from glob import escape
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,8 @@ def write_tables(directory: Path, runs: Iterable[Tables], most_rows: int = MOST_
     Equal runs in equal order give equal bytes. The tables of all runs are never in memory together.
     """
     draft_of = directory.with_name(f".{directory.name}.new")
-    shutil.rmtree(draft_of, ignore_errors=True)  # of a call that was killed
+    for left in (draft_of, *directory.parent.glob(f".{escape(draft_of.name)}.*")):
+        shutil.rmtree(left, ignore_errors=True)  # of a call that was killed
     with new_directory(draft_of) as draft:
         for table in TABLES:
             (draft / table).mkdir()
