@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from vaoi_station.plant.archive.catalogue import Place, places, runs
@@ -30,3 +31,19 @@ def test_folders_of_other_programs_are_reported_once_and_runs_are_read(tmp_path:
     assert list(runs(storage, RunSelection(until="9999-12-31"), faults.append)) == [run]
     [fault] = faults
     assert "runs/s/@eaDir: is no day" in fault.what
+
+
+def test_selected_runs_that_are_half_written_are_reported(tmp_path: Path) -> None:
+    storage = LocalStorage(tmp_path)
+    run = ArchivedRun(
+        run="r", station="s", time="2026-03-01T08:00:00Z", board_type="t", pixels=8, documents={}, frames=()
+    )
+    storage.write(run.draft_key, run.text().encode())
+    faults: list[ArchiveFault] = []
+    assert not list(runs(storage, RunSelection(), faults.append))
+    assert not faults, "its addition may be under way"
+    os.utime(tmp_path / run.draft_key, (0, 0))
+    assert not list(runs(storage, RunSelection(board_type="other"), faults.append))
+    assert not faults, "it is of another board type"
+    assert not list(runs(storage, RunSelection(), faults.append))
+    assert "run s/r is half written: its addition began at 1970-01-01" in faults[0].what

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import unquote
@@ -11,9 +12,13 @@ from urllib.parse import unquote
 from vaoi_station.errors import InputError, NotFoundError, VaoiError
 from vaoi_station.files.documents import check_format, parse, refuse_duplicate_keys
 from vaoi_station.plant.archive.fault import ArchiveFault, OnFault
-from vaoi_station.plant.archive.manifest import RUNS, ArchivedRun
+from vaoi_station.plant.archive.manifest import DRAFTS, RUNS, ArchivedRun
 from vaoi_station.plant.archive.selection import RunSelection
 from vaoi_station.plant.archive.storage import Storage
+
+
+UNDER_WAY_S = 3600.0
+"""A run that was begun less than this ago may be under way."""
 
 
 class Place(NamedTuple):
@@ -33,8 +38,10 @@ def places(storage: Storage) -> Iterator[Place]:
                 yield Place(f"{RUNS}/{folder}/{day}/{name}", unquote(folder), day, name.removesuffix(".json"))
 
 
-def runs(storage: Storage, selection: RunSelection, on_fault: OnFault) -> Iterator[ArchivedRun]:
-    """Yield the selected runs; see `Archive.runs`."""
+def runs(
+    storage: Storage, selection: RunSelection, on_fault: OnFault, under_way_s: float = UNDER_WAY_S
+) -> Iterator[ArchivedRun]:
+    """Yield the selected runs, and report those that are half written; see `Archive.runs`."""
     found = list(_admitted(storage, selection, on_fault))
     same: dict[str, list[Place]] = {}
     for place in found:
@@ -54,6 +61,28 @@ def runs(storage: Storage, selection: RunSelection, on_fault: OnFault) -> Iterat
             continue
         if admitted:
             yield run
+    for fault in _half_written(storage, selection, under_way_s):
+        on_fault(fault)
+
+
+def _half_written(storage: Storage, selection: RunSelection, under_way_s: float) -> Iterator[ArchiveFault]:
+    """Yield the selected runs whose addition began more than `under_way_s` ago and did not end."""
+    now = datetime.now(UTC)
+    for draft in storage.entries(DRAFTS):
+        if (now - draft.changed).total_seconds() <= under_way_s:
+            continue
+        try:
+            if not selection.admits(parse(ArchivedRun, read_document(storage, draft.key), draft.key)):
+                continue
+        except NotFoundError:
+            continue  # Its addition has just ended.
+        except VaoiError:
+            pass  # It is damaged: which run was meant is not known.
+        yield ArchiveFault(
+            f"{storage.url}: run {draft.key.removeprefix(f'{DRAFTS}/').removesuffix('.json')} is half written: "
+            f"its addition began at {draft.changed:%Y-%m-%d %H:%M} UTC and did not end.",
+            "Add it again, which goes on where it ended, or remove what is there by `vaoi archive prune`.",
+        )
 
 
 def _admitted(storage: Storage, selection: RunSelection, on_fault: OnFault) -> Iterator[Place]:

@@ -8,14 +8,11 @@ from datetime import UTC, datetime
 from vaoi_station.errors import VaoiError
 from vaoi_station.plant.archive import catalogue
 from vaoi_station.plant.archive.extraction import read_blob
+from vaoi_station.plant.archive.catalogue import UNDER_WAY_S
 from vaoi_station.plant.archive.fault import ArchiveFault, OnFault
-from vaoi_station.plant.archive.manifest import DRAFTS
 from vaoi_station.plant.archive.same_recordings import SameRecordings, recording_of
 from vaoi_station.plant.archive.selection import RunSelection
 from vaoi_station.plant.archive.storage import Storage
-
-UNDER_WAY_S = 3600.0
-"""A run that was begun less than this ago may be under way."""
 
 
 @dataclass
@@ -42,7 +39,7 @@ def verify(storage: Storage, selection: RunSelection, on_fault: OnFault, under_w
     # take memory.
     sound: set[str] = set()
     recordings = SameRecordings()
-    for run in catalogue.runs(storage, selection, report):
+    for run in catalogue.runs(storage, selection, report, under_way_s):
         found.runs += 1
         address = f"{storage.url}/{run.key}"
         if (other := recordings.earlier(address, recording_of(run))) is not None:
@@ -67,15 +64,6 @@ def verify(storage: Storage, selection: RunSelection, on_fault: OnFault, under_w
                 sound.add(blob.sha256)
         found.damaged_runs += found.faults > before
     now = datetime.now(UTC)
-    for draft in storage.entries(DRAFTS):
-        if (now - draft.changed).total_seconds() > under_way_s:
-            report(
-                ArchiveFault(
-                    f"{storage.url}: run {draft.key.removeprefix(f'{DRAFTS}/').removesuffix('.json')} is half written: "
-                    f"its addition began at {draft.changed:%Y-%m-%d %H:%M} UTC and did not end.",
-                    "Add it again, which goes on where it ended, or remove what is there by `vaoi archive prune`.",
-                )
-            )
     for left in storage.leftovers():
         if (now - left.changed).total_seconds() > under_way_s:
             report(
