@@ -22,7 +22,7 @@ def test_outcomes_are_counted_by_run_and_process(tmp_path: Path) -> None:
     outcomes = _Outcomes(tmp_path)
     for process, key in ((1, "a"), (2, "b"), (1, "b")):
         document = {"format": FORMAT, "version": VERSION, "cost": {"process": process, "rss_mb": 300.0, "cpu_s": 0.5}}
-        outcomes.keep(RunTask("x", key, Terms("s")), gzip.compress(json.dumps(document).encode()))
+        outcomes.keep(RunTask("x", key, "0" * 64, Terms("s")), gzip.compress(json.dumps(document).encode()))
     assert outcomes.keys == {"a": 1, "b": 2}
     assert outcomes.rss_mb == {1: [300, 300], 2: [300]}
 
