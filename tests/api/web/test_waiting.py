@@ -25,7 +25,10 @@ def test_a_browser_waits_with_the_station(browser: Browser, station: Any, serve:
             expect(page.locator("h1").first).to_have_text("Not started")
             expect(page.get_by_text("Baugruppen zurückhalten. Verwalter rufen.")).to_be_visible()
             expect(page.locator(".cause")).to_have_text("There is no memory. Lower ring.runs.")
-            assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+            assert page.evaluate("[...document.querySelectorAll('h1, p')].every((e) => e.scrollWidth <= e.clientWidth)")
+            cause = page.locator(".cause").bounding_box()
+            assert cause is not None
+            assert cause["y"] + cause["height"] <= 480
             waiting.report(DeviceError("The disk is full.", action="Free space.", code="storage-full"))
             expect(page.locator(".cause")).to_have_text("The disk is full. Free space.")
     again = serve(station, port)
