@@ -117,6 +117,25 @@ def test_both_languages_have_the_same_texts(page: Page, served: Any) -> None:
 
 
 @pytest.mark.browser
+def test_frames_that_did_not_come_prove_no_trigger(page: Page, served: Any) -> None:
+    page.goto(served.url)
+    said = page.evaluate("""async () => {
+        const { texts } = await import("/web/texts/en.js");
+        const camera = (proven, max_residual_us) => ({ camera: 1, proven, max_residual_us });
+        return [
+            { proven: true, cameras: [camera(true)] },
+            { proven: false, cameras: [camera(false)] },
+            { proven: true, cameras: [camera(true, 3.25)] },
+        ].map(texts.trigger);
+    }""")
+    assert said == [
+        "no frame to confirm",
+        "not confirmed for camera 1",
+        "all frames match their pulses within 3.3 µs",
+    ]
+
+
+@pytest.mark.browser
 @pytest.mark.parametrize(
     ("width", "height", "letters"), [(800, 480, 36), (1024, 768, 44), (1280, 800, 56), (1920, 1080, 75)]
 )
@@ -139,6 +158,9 @@ def test_word_and_order_are_large_and_nothing_is_clipped(
         box = page.locator("#arm").bounding_box()
         assert box is not None
         assert box["y"] + box["height"] <= height
+        word, actions = (page.locator(name).bounding_box() for name in ("#verdict-word", "#actions"))
+        if word is not None and actions is not None:
+            assert word["y"] + word["height"] <= actions["y"] + 1, "the buttons do not cover the verdict"
     served.station.lost = (1,)
     page.locator("#arm").click()
     expect(page.locator("#answer summary")).to_be_visible()
