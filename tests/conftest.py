@@ -103,6 +103,10 @@ class Cases:
         figures: dict[str, Any] = json.loads(self._once(f"{name}-{content}.score", run).read_bytes())
         return figures
 
+    def with_truth(self, name: str) -> Path:
+        """Return the folder of a case with its truth, for a program that scores."""
+        return self._source(name)
+
     def truth(self, name: str) -> dict[str, Any]:
         """Read the truth of a case; copies do not carry it."""
         truth: dict[str, Any] = json.loads((self._source(name) / "truth.json").read_text(encoding="utf-8"))
