@@ -11,6 +11,7 @@ from vaoi_station.identity.comparison import compare
 from vaoi_station.model import BoardCode, BoardIdentity, BoardReading, Status
 from vaoi_station.model.board_identity import IdentityDocument, IdentityState, ReportedId
 from vaoi_station.runs.archive.run_history import RunHistory
+from vaoi_station.runs.archive.storage_watch import StorageFigures
 from vaoi_station.runs.states.decision_schemas import Choice, Decision, RunCounts
 from vaoi_station.runs.states.identity_schemas import IdentitySummary
 from vaoi_station.runs.states.run_ids import utc
@@ -141,6 +142,9 @@ class HeldStorage:
     def set_aside(self) -> tuple[SetAsideFile, ...]:
         found = self.files.items()
         return tuple(SetAsideFile(file=name, code="database-damaged", acknowledged=known) for name, known in found)
+
+    def figures(self) -> StorageFigures:
+        return StorageFigures(50_000_000_000, 1_000_000, 0, "")
 
     def acknowledge(self, file: str) -> None:
         if file not in self.files:

@@ -34,6 +34,9 @@ def test_metrics_show_state_runs_cameras_and_processes(client: Any) -> None:
     assert shown["vaoi_process_resident_bytes", 'process="station"'] > 10e6
     assert shown["vaoi_process_open_fds", 'process="station"'] >= 3
     assert 0 < shown["vaoi_process_age_seconds", 'process="station"'] < 86400
+    assert shown["vaoi_data_free_bytes", ""] > 0
+    assert shown["vaoi_database_bytes", ""] > 0
+    assert shown["vaoi_storage_trouble", 'code="storage-full"'] == 0
     assert sum(name == "vaoi_camera_connected" for name, _ in shown) == 3
 
 

@@ -8,6 +8,7 @@ from typing import Any, cast
 
 import pytest
 
+from vaoi_station.errors import DeviceError
 from vaoi_station.runs.archive import storage_watch as module
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.storage_watch import StorageWatch
@@ -22,8 +23,14 @@ class Acknowledgements:
         self.acknowledged |= {Path(name)}
 
 
+class Sizes:
+    def used_bytes(self) -> int:
+        return 4096
+
+
 @dataclass
 class Storage:
+    retention: Sizes = field(default_factory=Sizes)
     database: Acknowledgements = field(default_factory=Acknowledgements)
     trouble: StorageTrouble | None = None
     notices: tuple[StorageTrouble, ...] = ()
@@ -67,6 +74,20 @@ def test_a_trouble_is_published_once_and_is_a_warning_while_it_lasts(
     storage.trouble = None
     watch.tick()
     assert (watch.warnings(), events.codes) == ((), ["storage-full", "storage-back"])
+
+
+def test_figures_name_the_trouble_and_the_sizes(
+    watch: StorageWatch, storage: Storage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    storage.free_bytes, storage.trouble = 5, StorageTrouble("storage-full", "The disk is full.", "Free space.")
+    watch.tick()
+    assert watch.figures() == (5, 4096, 3, "storage-full")
+
+    def unreadable() -> int:
+        raise DeviceError("It is not open.")
+
+    monkeypatch.setattr(storage.retention, "used_bytes", unreadable)
+    assert watch.figures().database_bytes is None
 
 
 def test_what_happened_to_the_database_stays_a_warning(watch: StorageWatch, storage: Storage, events: Events) -> None:

@@ -15,9 +15,11 @@ from vaoi_station.api.http_caching import LIVE
 from vaoi_station.api.routes.services import Services
 from vaoi_station.push.delivery import Delivery
 from vaoi_station.runs.archive.run_statistics import LATENCY_BOUNDS_S, RunFigures
+from vaoi_station.runs.archive.storage_watch import StorageFigures
 from vaoi_station.runs.states.schemas import StationSnapshot
 from vaoi_station.runs.states.storage_schemas import ArchiveStatus
 from vaoi_station.runs.states.tables import StationState
+from vaoi_station.store.storage_trouble import CODES
 
 MEDIA_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 _PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
@@ -43,7 +45,11 @@ def router(services: Services) -> APIRouter:
     async def get_metrics() -> Response:
         snapshot = await ask(coordinator.snapshot)
         deliveries = () if services.push is None else services.push.deliveries()
-        text = await ask(lambda: as_text(metrics_of(snapshot, coordinator.run_figures(), deliveries)))
+        text = await ask(
+            lambda: as_text(
+                (*metrics_of(snapshot, coordinator.run_figures(), deliveries), *_storage(coordinator.storage.figures()))
+            )
+        )
         return Response(text, media_type=MEDIA_TYPE, headers={"Cache-Control": LIVE})
 
     return routes
@@ -81,6 +87,19 @@ def metrics_of(
         *_receivers(deliveries),
         *_archive(snapshot.retention.archive),
     )  # fmt: skip
+
+
+def _storage(figures: StorageFigures) -> Iterable[Metric]:
+    """Yield the metrics of the data disk; what is not known has no value."""
+    sizes = (
+        ("vaoi_data_free_bytes", "Free space of the data disk.", figures.free_bytes),
+        ("vaoi_database_bytes", "Size of the database without its free pages.", figures.database_bytes),
+    )
+    for name, text, size in sizes:
+        yield _metric(name, "gauge", text, *(() if size is None else (({}, float(size)),)))
+    yield _metric("vaoi_runs_unstored", "gauge", "Finished runs that are in memory only.", ({}, figures.unstored))
+    yield _metric("vaoi_storage_trouble", "gauge", "1 for the present trouble of the storage, 0 for all others.",
+                  *(({"code": code}, code == figures.trouble) for code in sorted(CODES)))  # fmt: skip
 
 
 def _archive(status: ArchiveStatus | None) -> Iterable[Metric]:

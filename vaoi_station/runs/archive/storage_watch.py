@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
+from typing import NamedTuple
 
+from vaoi_station.errors import DeviceError
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.states.schemas import Reason
 from vaoi_station.runs.states.storage_schemas import SetAsideFile
@@ -11,6 +14,19 @@ from vaoi_station.store import StorageTrouble, Store
 
 LOW_BYTES = 500_000_000
 """Space on the data disk below which the station warns."""
+
+
+class StorageFigures(NamedTuple):
+    """Sizes of the storage at one moment; None: not known."""
+
+    free_bytes: int | None
+    """Free space of the data disk."""
+    database_bytes: int | None
+    """Size of the database without its free pages."""
+    unstored: int
+    """Number of finished runs that are in memory only."""
+    trouble: str
+    """Code of the trouble because of which results are not written; empty if they are."""
 
 
 class StorageWatch:
@@ -54,6 +70,16 @@ class StorageWatch:
         count = self._count_unstored()
         waiting = f" {count} finished runs wait in memory." if count else ""
         return Reason(code=trouble.code, message=trouble.message + waiting, action=trouble.action)
+
+    def figures(self) -> StorageFigures:
+        """Return the sizes of the storage. Callable from any thread."""
+        used = None
+        with suppress(DeviceError):  # the database cannot be read at present
+            used = self._store.retention.used_bytes()
+        trouble = self._trouble
+        return StorageFigures(
+            self._store.free_bytes, used, self._count_unstored(), "" if trouble is None else trouble.code
+        )
 
     def warnings(self) -> tuple[Reason, ...]:
         """Return a warning for each present trouble, for each event that lost or moved data, and for low disk space."""
