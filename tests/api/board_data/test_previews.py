@@ -101,6 +101,19 @@ def test_the_size_of_all_is_limited(kept: Previews, monkeypatch: pytest.MonkeyPa
     assert not first.file.exists()
 
 
+def test_the_size_of_all_replies_is_limited(kept: Previews, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ten replies of the largest size would take 320 MB of the station's memory."""
+    first = upload(kept)
+    assert first.reply is not None
+    monkeypatch.setattr(module, "MOST_REPLIES", int(3.5 * (len(first.reply.board_type) + len(first.reply.picture))))
+    second, third = upload(kept), upload(kept)
+    assert [p.id for p in kept.list()] == [first.id, second.id, third.id]
+    kept.change(third.id, ImportOptions(repeat="2x2", pitch="60x50"))
+    assert [p.id for p in kept.list()] == [second.id, third.id]
+    fourth = upload(kept)
+    assert [p.id for p in kept.list()] == [third.id, fourth.id]
+
+
 def test_a_broken_upload_and_the_end_leave_no_file(kept: Previews) -> None:
     with pytest.raises(ConnectionError), kept.uploading("x") as (_, broken):
         raise ConnectionError

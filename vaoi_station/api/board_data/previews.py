@@ -23,6 +23,8 @@ from vaoi_station.runs.states.run_ids import utc
 MOST_PREVIEWS = 10
 MOST_BYTES = 512 * 2**20
 """Size of all uploaded files together."""
+MOST_REPLIES = 64 * 2**20
+"""Size of all replies together, in characters: the station keeps them in memory. One has at most half of it."""
 AGE_S = 3600.0
 """A preview that was not used for this time is deleted."""
 
@@ -38,6 +40,11 @@ class Preview:
     used: float = 0.0
     reply: ImportReply | None = None
     refusal: VaoiError | None = None
+
+    @property
+    def reply_size(self) -> int:
+        """Number of characters of the reply; its overview is small."""
+        return 0 if self.reply is None else len(self.reply.board_type) + len(self.reply.picture)
 
 
 @dataclass
@@ -97,6 +104,7 @@ class Previews:
             if preview_id not in self._files.kept:
                 raise _unknown(preview_id)
             self._files.kept[preview_id] = preview
+            self._bound(preview_id)
         return preview
 
     def list(self) -> tuple[Preview, ...]:
@@ -181,7 +189,8 @@ class Previews:
 
     def _too_many(self) -> bool:
         kept = self._files.kept.values()
-        return len(kept) > MOST_PREVIEWS or sum(preview.size_bytes for preview in kept) > MOST_BYTES
+        sizes, replies = (sum(values) for values in ((p.size_bytes for p in kept), (p.reply_size for p in kept)))
+        return len(kept) > MOST_PREVIEWS or sizes > MOST_BYTES or replies > MOST_REPLIES
 
     def _delete(self, preview_id: str) -> None:
         preview = self._files.kept.pop(preview_id, None)
