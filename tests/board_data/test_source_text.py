@@ -101,6 +101,13 @@ def test_a_damaged_byte_of_an_archive_is_a_refusal(kind: str, tmp_path: Path) ->
                 archive.read(name)
 
 
+def test_a_member_without_a_name_is_read(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "a.zip", "w") as zipped:
+        zipped.writestr(zipfile.ZipInfo(""), "x")
+    with open_archive(tmp_path / "a.zip") as archive:
+        assert list(archive.names()) == [""]
+
+
 def test_a_damaged_archive_is_named(tmp_path: Path) -> None:
     (tmp_path / "a.zip").write_bytes(b"PK\x03\x04 no zip")
     with pytest.raises(InputError, match=r"a\.zip: is no readable folder, zip or tar file"):  # noqa: SIM117

@@ -24,12 +24,11 @@ from fastapi.testclient import TestClient
 
 from tests.api.held.setup_files import setup_files
 from tests.api.held_station import HeldStation
+from tests.fuzz.board_targets import board_archive, board_data, import_options, odb_design, unix_compressed
 from vaoi_station.acquisition.controller.protocol.framing import PAYLOAD_LONGEST, FrameReader, Message, encode
 from vaoi_station.acquisition.controller.protocol.link import Link
 from vaoi_station.api import create_app
-from vaoi_station.board_data import Options, read_design, to_board_type
 from vaoi_station.config import read_config
-from vaoi_station.errors import VaoiError
 from vaoi_station.files import read_board_type, read_calibration
 from vaoi_station.files.access_keys import KeyFile
 from vaoi_station.files.images import encode_png
@@ -56,30 +55,6 @@ def controller(data: bytes, folder: Path) -> None:
         link.receive(piece, now_s)
         FrameReader().feed(piece + framed)
         link.outgoing(now_s)
-
-
-def board_data(data: bytes, folder: Path) -> None:
-    """Read the bytes as board data of a CAD system: as they are, and as two files of an ODB++ design.
-
-    These are the component layer of a board, and the header of a panel of such boards.
-    """
-    path, job, panel = folder / "b.txt", folder / "job", folder / "panel"
-    layer = Path("steps", "s", "layers", "comp_+_top", "components")
-    members = {path: data, job / "matrix" / "matrix": b"", job / layer: data, panel / "matrix" / "matrix": b""}
-    members |= {panel / layer: b"UNITS=MM\nCMP 0 1 1 0 N R1 10k;\n", panel / "steps" / "panel" / "stephdr": data}
-    for name, content in members.items():
-        name.parent.mkdir(parents=True, exist_ok=True)
-        name.write_bytes(content)
-    errors = []
-    files: list[tuple[Path, str | None]] = [(path, None), (job, None)]
-    files += [(file, "panel") for file, mark in ((path, b"<StepRepeat"), (panel, b"STEP-REPEAT")) if mark in data]
-    for file, step in files:
-        try:
-            to_board_type(read_design(file, Options(step=step)), "top")
-        except VaoiError as error:
-            errors.append(error)
-    if errors:
-        raise errors[0]
 
 
 @cache
@@ -184,6 +159,10 @@ TARGETS: dict[str, Target] = {
     "scenario": _file("scenario.toml", read_scenario),
     "board": _file("board.json", read_board_type),
     "board-data": board_data,
+    "board-archive": board_archive,
+    "board-options": import_options,
+    "odb-design": odb_design,
+    "unix-compress": unix_compressed,
     "calibration": _file("calibration.json", read_calibration),
     "layout": _file("layout.json", read_layout),
     "result": _file("result.json", read_stitch),

@@ -89,16 +89,25 @@ OF_PERSONS = ImportLimits(
 """Limits of an import on the command line or in a program: a person waits, and may end it."""
 
 
+def import_file(task: ImportTask) -> ImportReply:
+    """Import a file.
+
+    Raises:
+        VaoiError: the file or an option is refused.
+    """
+    table = TableOptions.parse(task.units, task.columns, task.delimiter)
+    grid = Grid.parse(task.repeat, task.pitch, task.rotate, task.border)
+    options = Options(task.format, table, task.step, _sizes(task), grid)
+    design = read_design(task.file, options, task.join, task.side)
+    board, notes = to_board_type(design, task.side, task.name)
+    document = board.model_dump_json(exclude_none=True)
+    return ImportReply(overview=overview(design, board, notes), board_type=document, picture=board_picture(board))
+
+
 def run_import(task: ImportTask) -> ImportReply:
     """Import a file; a refusal is part of the reply."""
     try:
-        table = TableOptions.parse(task.units, task.columns, task.delimiter)
-        grid = Grid.parse(task.repeat, task.pitch, task.rotate, task.border)
-        options = Options(task.format, table, task.step, _sizes(task), grid)
-        design = read_design(task.file, options, task.join, task.side)
-        board, notes = to_board_type(design, task.side, task.name)
-        document = board.model_dump_json(exclude_none=True)
-        return ImportReply(overview=overview(design, board, notes), board_type=document, picture=board_picture(board))
+        return import_file(task)
     except VaoiError as error:
         return ImportReply(refusal=error.message, action=error.action)
     except MemoryError:

@@ -206,7 +206,8 @@ def _zip(path: Path, zipped: zipfile.ZipFile) -> Archive:
         _limited(path, info.filename, len(data))
         return data
 
-    infos = [info for info in zipped.infolist() if not info.is_dir()]
+    # Not `is_dir`, which fails for an empty name.
+    infos = [info for info in zipped.infolist() if not info.filename.endswith("/")]
     names = [_checked(path, len(infos), info.filename) for info in infos]
     return Archive(path, {n: (lambda info=i: read(info)) for n, i in zip(names, infos, strict=True)})  # type: ignore[misc]
 

@@ -41,7 +41,7 @@ def is_odb(path: Path) -> bool:
     """Return whether a folder or an archive has the structure of an ODB++ design."""
     try:
         with open_archive(path) as archive:
-            return any(re.search(r"(^|/)matrix/matrix(\.z)?$", name) for name in archive.names())
+            return any(re.search(r"(^|/)matrix/matrix(\.g?z)?$", name) for name in archive.names())
     except InputError:
         # Of a damaged archive the names before the damage show what it was; `read_odb` then refuses it as damaged.
         return any(re.search(r"(^|/)(matrix|steps|symbols|misc|fonts)/", name) for name in names_before_damage(path))
@@ -116,7 +116,7 @@ def _repeats_steps(archive: Archive, name: str) -> bool:
 def _root(archive: Archive, path: Path) -> str:
     """Return the folder of the design within the archive."""
     for name in archive.names():
-        if found := re.match(r"(.*?)matrix/matrix(\.z)?$", name):
+        if found := re.match(r"(.*?)matrix/matrix(\.g?z)?$", name):
             return found[1]
     raise InputError(f"{path}: has no file matrix/matrix; it is no ODB++ design.")
 
