@@ -22,7 +22,7 @@ WRITTEN = base64.b85decode(
 
 
 def compressed(data: bytes, widest: int = 16, clear_every: int = 10**9) -> bytes:
-    """Write LZW as compress does, but empty the table after as many codes."""
+    """Write LZW as compress does, but empty the table after `clear_every` codes."""
     bits, at, group, width, known = 0, 0, 0, 9, 257
     table = {bytes([n]): n for n in range(256)}
 
