@@ -16,7 +16,6 @@ from vaoi_station.plant.archive.manifest import DRAFTS, RUNS, ArchivedRun
 from vaoi_station.plant.archive.selection import RunSelection
 from vaoi_station.plant.archive.storage import Storage
 
-
 UNDER_WAY_S = 3600.0
 """A run that was begun less than this ago may be under way."""
 

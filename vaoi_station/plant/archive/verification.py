@@ -7,8 +7,8 @@ from datetime import UTC, datetime
 
 from vaoi_station.errors import VaoiError
 from vaoi_station.plant.archive import catalogue
-from vaoi_station.plant.archive.extraction import read_blob
 from vaoi_station.plant.archive.catalogue import UNDER_WAY_S
+from vaoi_station.plant.archive.extraction import read_blob
 from vaoi_station.plant.archive.fault import ArchiveFault, OnFault
 from vaoi_station.plant.archive.same_recordings import SameRecordings, recording_of
 from vaoi_station.plant.archive.selection import RunSelection
