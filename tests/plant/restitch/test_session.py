@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import signal
+import subprocess
+import sys
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +18,7 @@ import pytest
 
 from tests.plant.conftest import filmed_again
 from vaoi_station import RecordedRun
+from vaoi_station.child_environment import child_environment
 from vaoi_station.errors import InputError
 from vaoi_station.plant.archive import Archive, RunLabel, RunSelection
 from vaoi_station.plant.restitch import ClusterOptions, Session, Terms, restitch
@@ -119,3 +125,31 @@ def test_another_run_under_the_same_id_is_not_taken_for_done(
     assert (again.done, again.stitched) == (1, 1)
     assert set(pq.read_table(tmp_path / "out" / "tables" / "runs")["board_id"].to_pylist()) == {"another board"}
     assert restitch(session(selection=chosen), cluster).stitched == 0
+
+
+def test_ctrl_c_ends_the_command_and_leaves_a_state_that_goes_on(
+    stored: Archive, cluster: ClusterOptions, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "vaoi_station", "restitch", stored.url, "--out", str(out)]
+    process = subprocess.Popen(
+        [*command, "--workers", "1"],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True, env=child_environment(),
+    )  # fmt: skip
+    deadline = time.monotonic() + 120
+    while not list(out.rglob("*.json.gz")):
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to the command and its workers
+    _, said = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "Repeat the command to go on." in said
+    assert "Traceback" not in said
+    done = len(list(out.rglob("*.json.gz")))
+    assert cluster.scheduler is not None
+    again = subprocess.run(
+        [*command, "--scheduler", cluster.scheduler, "--patience", "120"],
+        capture_output=True, text=True, check=False, env=child_environment(),
+    )  # fmt: skip
+    assert (again.returncode, f"4 of 4 runs stitched, {4 - done} by this call" in again.stdout) == (0, True), again

@@ -70,6 +70,7 @@ def cluster_address(options: ClusterOptions) -> Iterator[str]:
             # Without an address Dask's pages would be served on port 8787 of all interfaces, or fail if that is taken.
             dashboard_address=options.dashboard or _ANY_PORT,
             worker_dashboard_address=_ANY_PORT,
+            preload=["vaoi_station.plant.restitch.worker_setup"],
             silence_logs=40,  # errors only: the outcome of every run is reported here
         )
         stack.enter_context(local)
