@@ -6,11 +6,13 @@ import json
 import shutil
 import zlib
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
-from vaoi_station.errors import InputError, NotFoundError
-from vaoi_station.plant.archive import Archive, RunLabel
+from vaoi_station.errors import DeviceError, InputError, NotFoundError
+from vaoi_station.plant.archive import Archive, RunLabel, addition
+from vaoi_station.runs.handover.paced_storage import PacedStorage
 
 
 def test_the_same_run_again_changes_nothing(tmp_path: Path, recording: Path) -> None:
@@ -183,3 +185,22 @@ def test_a_reference_that_is_incomplete_is_not_archived(tmp_path: Path, recordin
     taught = Path(shutil.copytree(recording, tmp_path / "data" / "references" / "taught"))
     (taught / "frames" / "c00_r001.png").unlink()
     assert Archive.create(tmp_path / "archive").add(run).reference is None
+
+
+def test_an_addition_whose_manifest_waits_too_long_is_given_up(
+    tmp_path: Path, recording: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    archive = Archive.create(tmp_path / "archive")
+    kept = archive.add(recording, label=RunLabel(run="before"))
+    now_s, writes = [0.0], list[int]()
+
+    def pace(size: int) -> None:
+        writes.extend([size] if size else [])
+        # The draft is written first, then the manifest: the archive has the blobs.
+        now_s[0] = 7 * 3600.0 if len(writes) > 1 else 0.0
+
+    monkeypatch.setattr(addition, "time", SimpleNamespace(monotonic=lambda: now_s[0]))
+    with pytest.raises(DeviceError, match="run after took 25200 s, more than 21600 s"):
+        Archive(PacedStorage(archive.storage, pace)).add(recording, label=RunLabel(run="after"))
+    assert len(writes) == 2
+    assert list(archive.runs()) == [kept]

@@ -14,8 +14,9 @@ from vaoi_station.errors import InputError, NotFoundError
 if TYPE_CHECKING:
     from vaoi_station.plant.archive.fault import OnFault
 
-SAFE_GRACE_HOURS = 18.0
-"""Shortest age that is safe while runs are added: an addition of at most 6 h relies on blobs younger than 12 h."""
+SAFE_GRACE_HOURS = 19.0
+"""Shortest age that is safe while runs are added: an addition of at most 6 h relies on blobs younger than 12 h,
+and the clocks of machines and storage may differ by 1 h."""
 FAULTS = 1
 """Exit code if something of an archive could not be used; the rest was done."""
 app = typer.Typer(
@@ -146,7 +147,7 @@ def prune(
         float, typer.Option(min=0.0, help="Keep blobs without a run that were written less than this ago.")
     ] = 24.0,
     nothing_added: Annotated[
-        bool, typer.Option("--nothing-added", help="State that no run is being added: allows less than 18 hours.")
+        bool, typer.Option("--nothing-added", help="State that no run is being added: allows less than 19 hours.")
     ] = False,
     confirm: Annotated[bool, typer.Option("--confirm", help="Remove; without it, only count.")] = False,
 ) -> None:

@@ -116,15 +116,28 @@ def add(storage: Storage, folder: Path, given: Documents, station: str, label: R
             "reference": reference and _store_reference(storage, *reference),
         }
     )
-    if time.monotonic() - began_s > LONGEST_S:
+    _refuse_late(storage, run, began_s)
+    known_before = storage.entry(run.key) is not None
+    kept = _store_manifest(storage, run)
+    try:
+        # Again, because a station may have let the manifest wait for hours, until no board was under way.
+        _refuse_late(storage, run, began_s)
+    except DeviceError:
+        if not known_before:
+            storage.delete(run.key)
+        raise
+    storage.delete(draft.draft_key)
+    return kept
+
+
+def _refuse_late(storage: Storage, run: ArchivedRun, began_s: float) -> None:
+    """Raise DeviceError if an addition takes so long that blobs which it found there may be removed meanwhile."""
+    if (taken_s := time.monotonic() - began_s) > LONGEST_S:
         raise DeviceError(
-            f"{storage.url}: run {run.run} took {time.monotonic() - began_s:.0f} s, more than {LONGEST_S:.0f} s.",
+            f"{storage.url}: run {run.run} took {taken_s:.0f} s, more than {LONGEST_S:.0f} s.",
             action="Use a faster connection; adding the run again goes on where this ended.",
             code="archive-absent",
         )
-    kept = _store_manifest(storage, run)
-    storage.delete(draft.draft_key)
-    return kept
 
 
 def _paths(folder: Path, given: Documents) -> dict[DocumentKind, Path]:
