@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
+import threading
 from pathlib import Path
 
 from vaoi_station.plant.archive.catalogue import Place, places, runs
-from vaoi_station.plant.archive.fault import ArchiveFault
+from vaoi_station.plant.archive.fault import ArchiveFault, ignore_fault
 from vaoi_station.plant.archive.manifest import ArchivedRun
 from vaoi_station.plant.archive.selection import RunSelection
 from vaoi_station.plant.archive.storage import LocalStorage
@@ -47,3 +48,22 @@ def test_selected_runs_that_are_half_written_are_reported(tmp_path: Path) -> Non
     assert not faults, "it is of another board type"
     assert not list(runs(storage, RunSelection(), faults.append))
     assert "run s/r is half written: its addition began at 1970-01-01" in faults[0].what
+
+
+def test_manifests_are_read_many_at_a_time_and_yielded_in_order(tmp_path: Path) -> None:
+    class Slow(LocalStorage):
+        """A storage whose reads end only when another one has begun."""
+
+        both = threading.Barrier(2)
+
+        def read(self, key: str) -> bytes:
+            self.both.wait(timeout=60)
+            return super().read(key)
+
+    storage = Slow(tmp_path)
+    for n in range(200):
+        run = ArchivedRun(
+            run=f"r{n:03d}", station="s", time="2026-03-01T08:00:00Z", board_type="t", pixels=8, documents={}, frames=()
+        )
+        storage.write(run.key, run.text().encode())
+    assert [run.run for run in runs(storage, RunSelection(), ignore_fault)] == [f"r{n:03d}" for n in range(200)]

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
@@ -16,6 +18,8 @@ from vaoi_station.plant.archive.manifest import DRAFTS, RUNS, ArchivedRun
 from vaoi_station.plant.archive.selection import RunSelection
 from vaoi_station.plant.archive.storage import Storage
 
+READERS = 16
+"""Number of manifests that are read at a time."""
 UNDER_WAY_S = 3600.0
 """A run that was begun less than this ago may be under way."""
 
@@ -45,13 +49,13 @@ def runs(
     same: dict[str, list[Place]] = {}
     for place in found:
         same.setdefault(place.run, []).append(place)
-    for place in found:
-        if len(same[place.run]) > 1:
-            if place is same[place.run][0]:
-                on_fault(ArchiveFault.of(several(storage, same[place.run])))
-            continue
+    for places_of in same.values():
+        if len(places_of) > 1:
+            on_fault(ArchiveFault.of(several(storage, places_of)))
+    single = [place for place in found if len(same[place.run]) == 1]
+    for manifest in _read_ahead(storage, single):
         try:
-            run = read_manifest(storage, place.key)
+            run = manifest.result()
             admitted = selection.admits(run)
         except NotFoundError:
             continue  # It was pruned meanwhile.
@@ -62,6 +66,20 @@ def runs(
             yield run
     for fault in _half_written(storage, selection, under_way_s):
         on_fault(fault)
+
+
+def _read_ahead(storage: Storage, found: Iterable[Place]) -> Iterator[Future[ArchivedRun]]:
+    """Read manifests, many at a time, and yield them in the same order: an object store replies after many ms."""
+    under_way: deque[Future[ArchivedRun]] = deque()
+    pool = ThreadPoolExecutor(READERS, "vaoi-manifests")
+    try:
+        for place in found:
+            under_way.append(pool.submit(read_manifest, storage, place.key))
+            if len(under_way) >= 4 * READERS:
+                yield under_way.popleft()
+        yield from under_way
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
 def _half_written(storage: Storage, selection: RunSelection, under_way_s: float) -> Iterator[ArchiveFault]:

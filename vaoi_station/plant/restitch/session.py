@@ -72,14 +72,13 @@ def restitch(session: Session, options: ClusterOptions) -> Summary:
     _claim(session)
     chosen = select_runs(session.archives, session.selection, session.leave_out)
     tasks = [RunTask(*run, session.terms) for run in chosen]
-    files = {task: session.out / task.file for task in tasks}
-    todo = [task for task in tasks if not files[task].is_file()]
+    todo = [task for task in tasks if not (session.out / task.file).is_file()]
     finished = len(tasks) - len(todo)
     session.progress(finished, len(tasks))
 
     def keep(task: RunTask, content: bytes) -> None:
         nonlocal finished
-        write_bytes(files[task], content)
+        write_bytes(session.out / task.file, content)
         finished += 1
         session.progress(finished, len(tasks))
 
@@ -88,7 +87,7 @@ def restitch(session: Session, options: ClusterOptions) -> Summary:
             dispatch = Dispatch(session.terms.software, keep, session.leave_out, session.report)
             dispatch.work(address, todo, options.patience_s)
         session.left_out += dispatch.refused_workers
-    write_tables(session.out / TABLES, _done(session, files))
+    write_tables(session.out / TABLES, _done(session, tasks))
     changes = compare(session.out / TABLES)
     write_changes(session.out / REPORT, changes, _terms(session), session.left_out, _unequal(session))
     write_json(session.out / FAULTS, session.left_out)
@@ -119,9 +118,10 @@ def _claim(session: Session) -> None:
     write_json(path, document | {"id": uuid.uuid4().hex})
 
 
-def _done(session: Session, files: dict[RunTask, Path]) -> Iterator[Tables]:
+def _done(session: Session, tasks: list[RunTask]) -> Iterator[Tables]:
     """Yield the tables of every stitched run, in the order of the tasks."""
-    for task, path in files.items():
+    for task in tasks:
+        path = session.out / task.file
         if not path.is_file():
             continue
         try:
