@@ -17,7 +17,7 @@ class SelectedRun(NamedTuple):
     key: str
     """Place of its manifest."""
     manifest: str
-    """Digest of its manifest: it distinguishes the run from any other under its id, and from itself before a change."""
+    """Digest of its manifest: any other run under its id has another one, and so has the run before a change."""
 
 
 class _Found(NamedTuple):
