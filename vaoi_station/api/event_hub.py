@@ -1,7 +1,6 @@
-"""Blocking calls in bounded thread pools, and one listener that wakes all waiting requests.
+"""One listener that wakes all requests that wait for events.
 
-Commands and pictures have separate pools, so that a burst of pictures does not delay arming. Long polls and event
-streams hold no thread: one listener waits for the next event and wakes them.
+Long polls and event streams hold no thread: the listener waits for the next event and wakes them.
 """
 
 from __future__ import annotations
@@ -9,15 +8,12 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
-from functools import partial
 from typing import TypeVar
 
-import anyio
-import anyio.to_thread
-
 from vaoi_station.api.callers.seats import Seats
+from vaoi_station.api.callers.thread_limit import ThreadLimit
 from vaoi_station.errors import StateError
 from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.runs.states.schemas import EventRecord
@@ -35,22 +31,6 @@ RETRY_S = 1.0
 """Pause after a read of events that has failed, s."""
 LISTEN_S = 1.0
 """Longest time the listener waits for an event. A stop that publishes no event takes effect within this time."""
-
-
-class ThreadLimit:
-    """A limited number of threads that run blocking calls."""
-
-    def __init__(self, threads: int) -> None:
-        self._limiter = anyio.CapacityLimiter(threads)
-
-    async def ask(self, call: Callable[..., T], *args: object) -> T:
-        """Run a blocking call in a thread of the pool. If all threads are busy, wait until one is free."""
-        return await anyio.to_thread.run_sync(partial(call, *args), limiter=self._limiter)
-
-    async def listen(self, call: Callable[..., T], *args: object) -> T:
-        """Run a blocking call that changes nothing. If the request is cancelled, do not wait for the call's end."""
-        task = partial(call, *args)
-        return await anyio.to_thread.run_sync(task, limiter=self._limiter, abandon_on_cancel=True)
 
 
 class EventHub:

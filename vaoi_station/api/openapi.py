@@ -17,10 +17,10 @@ from pydantic import BaseModel
 
 from vaoi_station.api.access.scopes import scope_needed
 from vaoi_station.api.callers.repeated_requests import HEADER
+from vaoi_station.api.callers.thread_limit import ThreadLimit
 from vaoi_station.api.description import headers, refusals, schemas
 from vaoi_station.api.description.examples import add_examples
 from vaoi_station.api.description.older import downgraded
-from vaoi_station.api.event_hub import ThreadLimit
 from vaoi_station.api.http_caching import REVALIDATE, conditional_response
 from vaoi_station.api.problems import Fault, Problem
 from vaoi_station.api.rest_models import Heartbeat

@@ -35,7 +35,7 @@ from vaoi_station.api.access.access_control import AccessControl
 from vaoi_station.api.callers.caller import caller_in, set_caller
 from vaoi_station.api.callers.repeated_requests import RepeatedRequests
 from vaoi_station.api.callers.seats import Seats
-from vaoi_station.api.event_hub import ThreadLimit
+from vaoi_station.api.callers.thread_limit import ThreadLimit
 from vaoi_station.api.hosts import addressed, allowed_names
 from vaoi_station.api.problems import STREAM, problem_response
 from vaoi_station.errors import BusyError, InputError

@@ -11,7 +11,7 @@ import logging
 from collections import deque
 from collections.abc import AsyncIterator, Awaitable, Callable
 
-from vaoi_station.api.event_hub import ThreadLimit
+from vaoi_station.api.callers.thread_limit import ThreadLimit
 from vaoi_station.errors import InternalError, VaoiError
 from vaoi_station.runs.batches.batch_job import CutPart
 from vaoi_station.runs.batches.batches import Batch, BatchPart

@@ -8,7 +8,7 @@ from urllib.parse import quote
 
 from fastapi import APIRouter, Depends, Query, Request, Response
 
-from vaoi_station.api.event_hub import ThreadLimit
+from vaoi_station.api.callers.thread_limit import ThreadLimit
 from vaoi_station.api.http_caching import LIVE, REVALIDATE, conditional_response, require_unchanged
 from vaoi_station.api.parameters import BoardTypeName, IfMatch, RunId
 from vaoi_station.api.rest_models import CorrectionRequest

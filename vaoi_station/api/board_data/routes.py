@@ -19,7 +19,7 @@ from vaoi_station.api.board_data.models import (
 from vaoi_station.api.board_data.previews import Previews
 from vaoi_station.api.callers.caller import caller_in
 from vaoi_station.api.callers.seats import Seats
-from vaoi_station.api.event_hub import ThreadLimit
+from vaoi_station.api.callers.thread_limit import ThreadLimit
 from vaoi_station.api.http_caching import LIVE, REVALIDATE, conditional_response, require_unchanged
 from vaoi_station.api.parameters import BOARD_TYPE_NAME, IfMatch, IfNoneMatch
 from vaoi_station.api.routes.board_types import document_of, present_document

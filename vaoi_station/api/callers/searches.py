@@ -13,7 +13,7 @@ from fastapi import Request
 
 from vaoi_station.api.callers.caller import caller_of
 from vaoi_station.api.callers.seats import QueuedSeats
-from vaoi_station.api.event_hub import ThreadLimit
+from vaoi_station.api.callers.thread_limit import ThreadLimit
 
 T = TypeVar("T")
 THREADS = 2

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 
 from vaoi_station.api.callers.picture_seats import PICTURE_THREADS, PictureSeats
 from vaoi_station.api.callers.searches import Searches
-from vaoi_station.api.event_hub import COMMAND_THREADS, EventHub, ThreadLimit
+from vaoi_station.api.callers.thread_limit import ThreadLimit
+from vaoi_station.api.event_hub import COMMAND_THREADS, EventHub
 from vaoi_station.push.push_service import PushService
 from vaoi_station.runs.control.coordinator import StationCoordinator
 

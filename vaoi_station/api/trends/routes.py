@@ -11,7 +11,7 @@ from pydantic import AwareDatetime
 
 from vaoi_station.api.callers.caller import caller_of
 from vaoi_station.api.callers.seats import QueuedSeats
-from vaoi_station.api.event_hub import ThreadLimit
+from vaoi_station.api.callers.thread_limit import ThreadLimit
 from vaoi_station.api.http_caching import LIVE
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import InputError
