@@ -105,6 +105,7 @@ def test_without_a_usable_worker_the_wait_is_bounded(stored: Archive, cluster: C
     dispatch = Dispatch("vaoi_station 0.0.1", lambda *_: None, lambda _: None, lambda _: None)
     assert cluster.scheduler is not None
     with connection(cluster.scheduler, cluster.patience_s) as client:
+        client.wait_for_workers(2, timeout=120)  # The test before may have killed one.
         client.run(software)  # The first time takes long on a busy machine.
     with pytest.raises(StateError, match=r"No usable worker for 0\.2 s; 1 runs are left\. worker tcp://"):
         dispatch.work(cluster.scheduler, [task], cluster.patience_s, workers_patience_s=0.2)
@@ -120,6 +121,7 @@ def test_a_worker_that_loses_its_share_costs_no_run(
     reported: list[str] = []
     assert cluster.scheduler is not None
     with connection(cluster.scheduler, cluster.patience_s) as client:
+        client.wait_for_workers(2, timeout=120)  # The test before may have killed one.
         before = client.run(os.getcwd)
         client.run(software)  # The first time takes long on a busy machine.
         for n, address in enumerate(before):
