@@ -1,4 +1,4 @@
-"""The line in every order of requests and faults: no order is lost, no bay leaks, nobody waits without end."""
+"""The line in every order of requests and faults: no order is lost, no bay leaks, no caller waits without end."""
 
 from __future__ import annotations
 
@@ -131,7 +131,7 @@ def test_no_order_is_lost_and_no_bay_leaks(
             self.waiting: list[Completion] = []
             self.requests: list[tuple[Completion, Order, int | None]] = []
             self.intended = resumed
-            """Whether boards are to be filmed: somebody armed without a limit, and nobody cancelled it since."""
+            """Whether boards are to be filmed: armed without a limit, and not cancelled since."""
             self.held: deque[str] = deque()
 
         def _worker_reply(self, job: Any, reply: Any) -> None:
@@ -285,7 +285,7 @@ def test_no_order_is_lost_and_no_bay_leaks(
         # --- what holds always, and when everything has come to rest
 
         @invariant()
-        def an_order_that_nobody_cancelled_is_in_force(self) -> None:
+        def an_order_that_was_not_cancelled_is_in_force(self) -> None:
             if hasattr(self, "core"):
                 assert not self.intended or self.core.line.orders.order is not None
 
@@ -328,7 +328,7 @@ def test_no_order_is_lost_and_no_bay_leaks(
             assert all(completion.done() for completion in self.waiting)
             assert self.requests == []
             assert self.core.memory.available() == BAYS - self.core.line.has_grant
-            self.an_order_that_nobody_cancelled_is_in_force()
+            self.an_order_that_was_not_cancelled_is_in_force()
 
     run_state_machine_as_test(
         LineMachine, settings=settings(max_examples=400 if LONG else 80, stateful_step_count=50, deadline=None)
