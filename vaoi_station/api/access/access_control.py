@@ -14,6 +14,7 @@ from __future__ import annotations
 import ipaddress
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from http.cookies import CookieError, SimpleCookie
 from typing import Any
 
@@ -77,10 +78,11 @@ class AccessControl:
             return problem_response(path, "missing-scope", detail)
         return None
 
-    def log_in(self, scope: Scope, key: AccessKey) -> str:
-        """Begin the login of a page, name its key in the audit log, and return the token of its cookie."""
-        set_caller(scope, _with_key(caller_in(scope).address, key))
-        return self.sessions.begin(key)
+    def log_in(self, scope: Scope, key: AccessKey) -> tuple[Caller, str]:
+        """Begin the login of a page, name its key in the audit log, and return caller and token of its cookie."""
+        caller = self._logged_in(scope, Headers(scope=scope), caller_in(scope).address, key)
+        set_caller(scope, caller)
+        return caller, self.sessions.begin(key)
 
     def _still_known(self, caller: Caller) -> bool:
         """Return whether the key of a caller is the same as when its request began; a reply may last for hours."""
@@ -123,11 +125,19 @@ class AccessControl:
         if (token := session_token(headers)) is not None:
             key = self.sessions.key_of(token, self.keys.entries())
             if key is not None:
-                return _with_key(address, key), True
-        forwarded = any(name in headers for name in _FORWARDED)
-        if self._open_loopback and not forwarded and _is_loopback(scope):
+                return self._logged_in(scope, headers, address, key), True
+        if self._is_open(scope, headers):
             return Caller(address, scopes=OPEN_SCOPES), False
         return None, False
+
+    def _is_open(self, scope: Scope, headers: Headers) -> bool:
+        """Return whether the caller may do without a key: it is on this machine, and that is open."""
+        return self._open_loopback and not any(name in headers for name in _FORWARDED) and _is_loopback(scope)
+
+    def _logged_in(self, scope: Scope, headers: Headers, address: str, key: AccessKey) -> Caller:
+        """Return the caller of a page that has logged in. A login takes nothing away that is permitted without one."""
+        caller = _with_key(address, key)
+        return replace(caller, scopes=caller.scopes | OPEN_SCOPES) if self._is_open(scope, headers) else caller
 
 
 def still_known(scope: Scope) -> bool:

@@ -112,13 +112,12 @@ def router(services: Services, access: AccessControl) -> APIRouter:
         key = await ask(keys.find, login.key.strip())
         if key is None:
             return problem_response(request.url.path, "no-key", "The key is not valid.")
-        state = SessionState(key=key.name, scopes=sorted({"read", *key.scopes}))
+        caller, token = access.log_in(request.scope, key)
+        state = SessionState(key=key.name, scopes=sorted(caller.scopes))
         answer = Response(state.model_dump_json(), media_type="application/json", headers={"Cache-Control": LIVE})
         # Behind a proxy the station itself sees no TLS; the proxy states it.
         tls = "https" in (request.url.scheme, request.headers.get("x-forwarded-proto"))
-        answer.set_cookie(
-            COOKIE, access.log_in(request.scope, key), max_age=SESSION_S, httponly=True, samesite="strict", secure=tls
-        )
+        answer.set_cookie(COOKIE, token, max_age=SESSION_S, httponly=True, samesite="strict", secure=tls)
         return answer
 
     @routes.delete("/session", status_code=204)

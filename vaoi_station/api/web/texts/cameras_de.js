@@ -26,7 +26,7 @@ export const cameras = {
   levels: { warning: "Warnung", fault: "Störung" },
   trial: {
     title: "Eine Kamera einstellen",
-    help: "Bei unscharfer Linie: Impulse nacheinander mit diesen Einstellungen, um das Objektiv zu drehen und Licht und Belichtung zu wählen. Nichts davon bleibt: Es endet beim Scharfschalten, beim Verlassen dieser Seite oder nach 10 Minuten ohne Änderung. Ein leeres Feld nimmt den Wert der Station.",
+    help: "Solange die Linie deaktiviert ist: Impulse nacheinander mit diesen Einstellungen, um das Objektiv zu drehen und Licht und Belichtung zu wählen. Nichts davon bleibt: Es endet beim Scharfschalten, beim Verlassen dieser Seite oder nach 10 Minuten ohne Änderung. Ein leeres Feld nimmt den Wert der Station.",
     camera: "Kamera",
     fields: { light: "Licht", on_us: "Leuchtdauer, µs", exposure_us: "Belichtung, µs", gain_db: "Verstärkung, dB" },
     start: "Impulse beginnen",
@@ -36,8 +36,8 @@ export const cameras = {
     ofBest: "% der besten Schärfe",
     alt: "Bild mit den Einstellungen der Probe",
     taken: (light, on, exposure, gain) => `${[light, on && `${on} µs`].filter(Boolean).join(", ")}; Belichtung ${exposure} µs, Verstärkung ${gain} dB`,
-    onlyDisarmed: "Schalten Sie die Linie unscharf, um eine Kamera einzustellen.",
-    endedByArming: "Beendet: Die Linie wurde scharf geschaltet. Die Station hat wieder ihre eigenen Einstellungen.",
+    onlyDisarmed: "Deaktivieren Sie die Linie, um eine Kamera einzustellen.",
+    endedByArming: "Beendet: Die Linie wurde aktiviert. Die Station hat wieder ihre eigenen Einstellungen.",
     endedByTime: "Beendet nach 10 Minuten ohne Änderung. Die Station hat wieder ihre eigenen Einstellungen.",
   },
 };

@@ -209,7 +209,7 @@ export const setup = {
   keyName: "Name of the program or person",
   keyNameHelp: "Letters, digits and . _ - (at most 64)",
   scopes: "It may",
-  scopeMeans: { read: "state, results and pictures", operate: "arm, disarm, hold boards, decide", teach: "board types and references", admin: "everything, with keys and calibration" },
+  scopeMeans: { read: "state, results and pictures", operate: "arm, disarm, hold boards, decide", teach: "board types and references", admin: "keys, calibration and settings" },
   makeKey: "Make the key",
   noScope: "Choose at least one scope.",
   secretOf: (name) => `The key ${name}`,

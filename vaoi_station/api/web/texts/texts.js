@@ -23,12 +23,15 @@ export function fillIn(root) {
   for (const element of root.querySelectorAll("[data-label]")) element.setAttribute("aria-label", named(element.dataset.label));
 }
 
-export const number = (value, digits = 0) => value.toLocaleString(language, { minimumFractionDigits: digits, maximumFractionDigits: digits });
-export const clock = (time) => new Date(time).toLocaleTimeString(language, { hour: "2-digit", minute: "2-digit", second: "2-digit" });
-export const moment = (time) => new Date(time).toLocaleString(language, { dateStyle: "short", timeStyle: "medium" });
+// English stands for every country: British dates name the month, and hours run to 24, as on the axes.
+const locale = { en: "en-GB", de: "de-DE" }[language];
+
+export const number = (value, digits = 0) => value.toLocaleString(locale, { minimumFractionDigits: digits, maximumFractionDigits: digits });
+export const clock = (time) => new Date(time).toLocaleTimeString(locale, { hour: "2-digit", minute: "2-digit", second: "2-digit" });
+export const moment = (time) => new Date(time).toLocaleString(locale, { dateStyle: "medium", timeStyle: "medium" });
 
 // The label of a time on an axis whose labels lie `step_s` apart.
 export function tick(time, step_s) {
   const form = step_s >= 86400 ? { day: "2-digit", month: "2-digit" } : { hour: "2-digit", minute: "2-digit", hourCycle: "h23" };
-  return new Date(time).toLocaleString(language, form);
+  return new Date(time).toLocaleString(locale, form);
 }

@@ -32,7 +32,7 @@ export const settings = {
   then: "Danach neu starten:",
   hiddenInFile: (n) => (n === 1 ? "1 verborgener Wert steht als … in der Datei: vor der Benutzung ganz eingeben." : `${n} verborgene Werte stehen als … in der Datei: vor der Benutzung ganz eingeben.`),
   saved: (backup, command) => `Geschrieben${backup ? `; die bisherige Datei bleibt als ${backup}` : ""}. Sie gilt nach einem Neustart: ${command}`,
-  restartHelp: "Alles in dieser Datei wird beim Start gelesen. Ein Neustart beendet die laufende Baugruppe und gibt alle Bilder im Speicher frei: erst unscharf schalten und die letzte Baugruppe abwarten.",
+  restartHelp: "Alles in dieser Datei wird beim Start gelesen. Ein Neustart beendet die laufende Baugruppe und gibt alle Bilder im Speicher frei: erst deaktivieren und die letzte Baugruppe abwarten.",
   between: "Zwischen Tabellen",
   meanings: {
     "name": "Name der Station.",
