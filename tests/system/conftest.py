@@ -12,6 +12,7 @@ import pytest
 from vaoi_station.config import CameraConfig, ReplayConfig, RingConfig, SimulationConfig, StationConfig
 from vaoi_station.files import write_board_type, write_calibration
 from vaoi_station.runs.control.coordinator import StationCoordinator
+from vaoi_station.runs.states.schemas import RunDetail
 from vaoi_station.simulation import Twin, read_scenario, scenario_path
 from vaoi_station.simulation.recording_writer import write_passage
 from vaoi_station.station import Station
@@ -100,6 +101,18 @@ def until_state(coordinator: StationCoordinator, state: str) -> None:
         assert time.monotonic() < deadline, coordinator.snapshot()
         records = coordinator.events(seen, 1.0)
         seen = records[-1].number if records else seen
+
+
+def film_one(coordinator: StationCoordinator, board_type: str = "small") -> RunDetail:
+    """Film one board, and return its run when it has ended."""
+    seen, deadline = coordinator.snapshot().last_event, time.monotonic() + TIMEOUT_S
+    coordinator.arm(board_type, runs=1)
+    while True:
+        assert time.monotonic() < deadline, coordinator.snapshot()
+        for record in coordinator.events(seen, 1.0):
+            seen = record.number
+            if record.kind == "run" and record.run and record.state in ("ready", "degraded", "failed"):
+                return coordinator.run(record.run)
 
 
 @pytest.fixture

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tests.system.conftest import config_of, until_state
+from tests.system.conftest import config_of, film_one, until_state
 from vaoi_station.config import MethodName, ReplayConfig, StationConfig
 from vaoi_station.errors import StateError
 from vaoi_station.files import open_recording, read_calibration, write_calibration
@@ -23,18 +22,6 @@ from vaoi_station.stitching.recordings.offline import stitch_frames
 from vaoi_station.stitching.recordings.opening import open_run
 
 TIMEOUT_S = 150.0
-
-
-def filmed(coordinator: StationCoordinator) -> RunDetail:
-    """Return the next run."""
-    seen, deadline = coordinator.snapshot().last_event, time.monotonic() + TIMEOUT_S
-    coordinator.arm("small", runs=1)
-    while True:
-        assert time.monotonic() < deadline, coordinator.snapshot()
-        for record in coordinator.events(seen, 1.0):
-            seen = record.number
-            if record.kind == "run" and record.run and record.state in ("ready", "degraded", "failed"):
-                return coordinator.run(record.run)
 
 
 def used(stitch: Stitch) -> dict[str, int]:
@@ -102,14 +89,14 @@ def test_later_boards_are_placed_against_a_reference_as_offline(
     station: StationCoordinator, shared_config: StationConfig, recordings: tuple[Path, Path], twin: Twin,
     method: MethodName,
 ) -> None:  # fmt: skip
-    first = filmed(station)
+    first = film_one(station)
     assert station.teach_reference("small", first.id)
     status = station.reference("small")
     assert (status.run, status.usable, status.fault) == (first.id, True, None)
     assert (status.cameras, status.rows, status.calibration) == (first.cameras, first.rows, first.calibration)
     assert 0 < status.frames <= first.counts.ok
     station.set_method("small", method)
-    second = filmed(station)
+    second = film_one(station)
     stitch = station.stitch(second.id)
     assert (stitch.method, stitch.quality["reference"]) == (method, first.id)
     assert stitch.status is Status.OK, stitch.reasons
@@ -127,12 +114,12 @@ def test_a_reference_survives_a_restart_but_not_another_calibration(
 ) -> None:
     with Station(config) as life:
         wait_state(life.coordinator, "idle")
-        first = filmed(life.coordinator)
+        first = film_one(life.coordinator)
         life.coordinator.teach_reference("small", first.id)
     with Station(config) as life:
         wait_state(life.coordinator, "idle")
         assert life.coordinator.reference("small").usable
-        again = filmed(life.coordinator)
+        again = film_one(life.coordinator)
         assert life.coordinator.stitch(again.id).quality["reference"] == first.id
     calibration = read_calibration(config.calibration)
     moved = [np.array([[1, 0, 0.4], [0, 1, 0], [0, 0, 1]]) @ m for m in calibration.camera_matrices]
@@ -145,7 +132,7 @@ def test_a_reference_survives_a_restart_but_not_another_calibration(
         assert status.fault is not None
         assert "another calibration: camera 0 differs by 0.40 px" in status.fault.message
         seen = station.snapshot().last_event
-        later = filmed(station)
+        later = film_one(station)
         (reason,) = [r for r in later.reasons if r.code == "reference-unusable"]
         assert reason.action == "Teach the reference again with the present calibration."
         assert "reference-unusable" in {record.code for record in station.events(seen)}

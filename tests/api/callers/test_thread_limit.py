@@ -12,15 +12,17 @@ from vaoi_station.api.callers.thread_limit import ThreadLimit
 
 def test_a_pool_runs_no_more_calls_at_a_time_than_it_has_threads() -> None:
     running, most, guard = 0, 0, threading.Lock()
+    pair = threading.Barrier(2)
 
     def call(number: int) -> int:
         nonlocal running, most
         with guard:
             running += 1
             most = max(most, running)
-        time.sleep(0.02)
+        pair.wait(20)  # Passed only by two at the same time.
         with guard:
             running -= 1
+        pair.wait(20)  # The next two begin after both have ended.
         return number
 
     async def ask_all() -> list[int]:

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from tests.plant.conftest import outcome_of
-from tests.system.conftest import config_of, until_state
+from tests.system.conftest import config_of, film_one, until_state
 from vaoi_station.config import ArchiveConfig, MethodName, ReplayConfig
 from vaoi_station.model import Stitch
 from vaoi_station.model.board_type import Visibility
@@ -26,24 +26,12 @@ TIMEOUT_S = 150.0
 METHODS: tuple[MethodName, ...] = ("auto", "fiducials", "features", "reference")
 
 
-def film(station: StationCoordinator) -> str:
-    """Return the id of the next run, when it has ended."""
-    seen, deadline = station.snapshot().last_event, time.monotonic() + TIMEOUT_S
-    station.arm("small", runs=1)
-    while True:
-        assert time.monotonic() < deadline, station.snapshot()
-        for record in station.events(seen, 1.0):
-            seen = record.number
-            if record.kind == "run" and record.run and record.state in ("ready", "degraded", "failed"):
-                return record.run
-
-
 def until_added(station: StationCoordinator, runs: int) -> None:
     deadline = time.monotonic() + TIMEOUT_S
     while (status := station.kept.archive_status()) is None or status.added < runs:
         assert time.monotonic() < deadline, status
         assert status is None or not status.refused, status
-        time.sleep(0.05)
+        station.events(station.snapshot().last_event, 0.1)  # The archive itself reports no addition.
 
 
 @pytest.fixture(scope="module")
@@ -66,17 +54,17 @@ def filmed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Archive, dict[str,
     results: dict[str, tuple[str, Stitch]] = {}
     with Station(config) as started:
         until_state(started.coordinator, "idle")
-        started.coordinator.teach_reference("small", film(started.coordinator), confirm_orientation=True)
+        started.coordinator.teach_reference("small", film_one(started.coordinator).id, confirm_orientation=True)
         until_added(started.coordinator, 1)  # A station counts what it has added itself.
     # So that some components are seen too little: the result shows what the station asks for.
     with Station(config.model_copy(update={"visibility": Visibility(views=3)})) as started:
         station = started.coordinator
         until_state(station, "idle")
-        for method in METHODS:
+        for count, method in enumerate(METHODS, 1):
             station.set_method("small", method)
-            run = film(station)
+            run = film_one(station).id
             results[method] = run, station.stitch(run)
-        until_added(station, len(METHODS))
+            until_added(station, count)  # Boards that follow at once would need the memory of its frames.
     return archive, results
 
 
