@@ -127,6 +127,12 @@ def test_a_near_copy_of_the_frame_before_is_never_right(seed: int, monkeypatch: 
     outcome = judge(seed)
     assert (outcome.status, outcome.finds) == ("degraded", ())
     assert any("fit neither the frames before and after them" in reason for reason in outcome.reasons)
+    film_of = film(spoilt)
+    (wrong,) = (key for key, source in film_of.filmed.items() if key != source)
+    result, _ = judging.stitched(film_of)
+    assert result.image_matrices[wrong[0]][wrong[1]] is None, "no picture is cut out of it"
+    assert result.components is not None
+    assert all(wrong != (camera, row) for views in result.components.values() for camera, row, *_ in views)
 
 
 def test_a_mistake_beyond_its_limit_is_the_reason_that_nothing_is_expected(plain: Drawing) -> None:

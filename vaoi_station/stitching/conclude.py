@@ -129,7 +129,7 @@ def conclude(
     # Before rows are left out: a dark row has no links, so nothing but the belt's nominal speed places it.
     if prior.lights:
         lights = RowLights(prior.lights, prior.channels)
-        findings = replace(findings, dark=dark_lights(findings.scene, lights, findings.confirmed))
+        findings = replace(findings, dark=dark_lights(findings.scene, lights, findings.checked.confirmed))
     findings = _without_unknown_rows(findings)
     status, reasons = decide_verdict(findings)
     quality = quality_document(findings) | _provenance(prior, stages)

@@ -38,11 +38,11 @@ def build_result(
 
 
 def _image_matrices(findings: Findings) -> Iterator[tuple[NDArray[Any] | None, ...]]:
-    """Yield for each camera i the matrices M_ij of all rows j; None for a row without any good frame."""
-    rows, placed = findings.adjusted.motion.rows_from_tester, findings.placed
-    for camera in findings.scene.cameras:
+    """Yield for each camera i the matrices M_ij of all rows j; None for a frame that has no place on the board."""
+    rows = findings.adjusted.motion.rows_from_tester
+    for i, camera in enumerate(findings.scene.cameras):
         matrices = _read_only(camera.image_from_row.matrix @ rows)
-        yield tuple(m if there else None for m, there in zip(matrices, placed, strict=True))
+        yield tuple(m if findings.places(i, j) else None for j, m in enumerate(matrices))
 
 
 def _component_views(findings: Findings) -> dict[str, tuple[tuple[int, int, float, float], ...]] | None:

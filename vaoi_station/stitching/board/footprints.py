@@ -96,14 +96,18 @@ class FootprintViews:
         order = np.argsort(point, kind="stable")
         return FootprintViews(point[order], *(values[order] for values in others))
 
+    @property
+    def frames(self) -> list[FrameKey]:
+        """Camera and row of each of the k views."""
+        return list(zip(self.camera.tolist(), self.row.tolist(), strict=True))
+
     def without_rows(self, rows: Sequence[int]) -> FootprintViews:
         """Return the views in all rows except the given ones."""
         return self._where(~np.isin(self.row, rows))
 
     def without_frames(self, frames: Collection[FrameKey]) -> FootprintViews:
         """Return the views in all frames except the given ones."""
-        keys = zip(self.camera.tolist(), self.row.tolist(), strict=True)
-        return self._where(np.array([key not in frames for key in keys], np.bool_)) if frames else self
+        return self._where(np.array([key not in frames for key in self.frames], np.bool_)) if frames else self
 
     def without_points(self, points: Sequence[int]) -> FootprintViews:
         """Return the views of all points except the given ones."""

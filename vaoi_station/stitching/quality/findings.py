@@ -148,8 +148,7 @@ class Findings:
     @cached_property
     def views(self) -> FootprintViews | None:
         """Views of the components, or of two corners of the board if it has none, in frames that may show them."""
-        every = self._every_view
-        return every.without_frames(self.checked.refuted) if every is not None else None
+        return self._every_view and self._every_view.without_frames(self._misplaced)
 
     @cached_property
     def _every_view(self) -> FootprintViews | None:
@@ -167,7 +166,9 @@ class Findings:
         if self.plane is None or self.cad_matrix is None:
             return {}
         at = self.own_places.of_boards, self.adjusted.motion.rows_from_tester, self.surface
-        return read_bad_marks(MarkedPanel(self.plane.board_type, self.cad_matrix, *at), self.scene, self.confirmed)
+        return read_bad_marks(
+            MarkedPanel(self.plane.board_type, self.cad_matrix, *at), self.scene, self.checked.confirmed
+        )
 
     @cached_property
     def skipped_parts(self) -> frozenset[str]:
@@ -188,39 +189,31 @@ class Findings:
         """One confirmed frame for each fiducial that a frame shows with its bare rim, by number; empty without C."""
         if self.plane is None or self.cad_matrix is None:
             return {}
-        board_type, rows = self.plane.board_type, self.adjusted.motion.rows_from_tester
-        at = self.plane.cad(self.plane.fiducials)
-        views = FootprintViews.of(at, self.cad_matrix, self.scene.cameras, rows, self.surface)
-        return frames_of_marks(board_type, views, self.scene.cameras, self.confirmed)
+        rows, marks = self.adjusted.motion.rows_from_tester, self.plane.cad(self.plane.fiducials)
+        views = FootprintViews.of(marks, self.cad_matrix, self.scene.cameras, rows, self.surface)
+        return frames_of_marks(self.plane.board_type, views, self.scene.cameras, self.checked.confirmed)
 
     @cached_property
     def checked(self) -> CheckedFrames:
         """Which good frames fit the board's motion, and which contradict it."""
-        left_out = self.mapping and self.mapping.left_out
-        present, beside = frozenset(self.scene.present), left_out.links if left_out else None
-        return check_frames(present, self.copies, self.method, self.adjusted, beside)
-
-    @property
-    def confirmed(self) -> frozenset[FrameKey]:
-        """The good frames whose pictures fit the board's motion: by their links, or by points with CAD coordinates."""
-        return self.checked.confirmed
+        beside = self.mapping.left_out.links if self.mapping and self.mapping.left_out else None
+        return check_frames(frozenset(self.scene.present), self.copies, self.method, self.adjusted, beside)
 
     @cached_property
     def unconfirmed(self) -> tuple[FrameKey, ...]:
-        """The good frames, in order, that should show the centre of a component but do not fit the board's motion."""
-        views = self._every_view
-        seen = set() if views is None else set(zip(views.camera.tolist(), views.row.tolist(), strict=True))
-        return tuple(sorted((seen & set(self.scene.present)) - self.confirmed))
+        """The good frames, in order, that contradict their row, or show a component without fitting the board."""
+        seen = set(self._every_view.frames if self._every_view else ()) & set(self.scene.present)
+        # A copy of a frame beside the board is no loss, and without noise equals it by right.
+        return tuple(sorted((seen - self.checked.confirmed) | (self.checked.refuted - self.copies)))
 
     @cached_property
     def unseen(self) -> tuple[UnseenComponent, ...]:
         """The components of which the good frames show less than is asked for; empty without C."""
         if self.plane is None or self.cad_matrix is None:
             return ()
-        rows = self.adjusted.motion.rows_from_tester
+        rows, frames = self.adjusted.motion.rows_from_tester, SeenFrames(self.scene.present, self.checked.confirmed)
         parts = placed_parts(self.plane, self.cad_matrix, self.own_places.matrices)
         board = FilmedBoard(self.plane.board_type, parts, self.cad_matrix, self.scene.cameras, rows, self.surface)
-        frames = SeenFrames(self.scene.present, self.confirmed)
         unseen = find_unseen(board, frames, self.problem.velocity_mm_s, self.visibility)
         return tuple(part for part in unseen if part.address not in self.skipped_parts)
 
@@ -236,6 +229,15 @@ class Findings:
         """For each row, whether it has at least one good frame. A row without good frames has no image matrices."""
         rows = {row for _, row in self.scene.present}
         return tuple(j in rows for j in range(self.rows))
+
+    def places(self, camera: int, row: int) -> bool:
+        """Return whether a frame has a matrix: its row is placed, and its picture does not contradict it."""
+        return self.placed[row] and (camera, row) not in self._misplaced
+
+    @cached_property
+    def _misplaced(self) -> frozenset[FrameKey]:
+        """The frames that should show the board, but show another part of it."""
+        return self.checked.refuted & frozenset(self.unconfirmed)
 
     @cached_property
     def connected_groups(self) -> list[np.ndarray]:
@@ -308,7 +310,7 @@ class Findings:
         If it is large, a camera has moved, or the board has a shape that the surface model cannot express.
         """
         every = (np.flatnonzero(self.seam_of_link == i) for i in range(len(self.scene.cameras) - 1))
-        found = [seam_px(self.problem, self.adjusted, mine, _SEAM_LINKS) for mine in every]
+        found = (seam_px(self.problem, self.adjusted, mine, _SEAM_LINKS) for mine in every)
         return {(i, i + 1): px for i, px in enumerate(found) if px is not None}
 
     @cached_property

@@ -66,8 +66,8 @@ def quality_document(f: Findings) -> dict[str, Any]:
         "pivot_mm": [_rounded(float(v)) for v in a.motion.pivot],
         "row_covariance": [[[_significant(v) for v in r] for r in c] for c in rows.tolist()],
         "matrix_sigma_px": [
-            [pair if placed else None for pair, placed in zip(camera, f.placed, strict=True)]
-            for camera in np.round(matrix_sigmas(f.scene.cameras, a.motion.pivot, rows), 4).tolist()
+            [pair if f.places(i, j) else None for j, pair in enumerate(camera)]
+            for i, camera in enumerate(np.round(matrix_sigmas(f.scene.cameras, a.motion.pivot, rows), 4).tolist())
         ],
         # The views of a board without components are those of its corners, which must not be listed as components.
         "component_covariance_px2": sigma.to_json() if f.plane and f.plane.board_type.components else {},

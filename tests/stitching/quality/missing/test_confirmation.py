@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,8 +11,13 @@ from tests.hostile.judging import judge
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.adjustment.observations import Observations
+from vaoi_station.stitching.adjustment.problem import REFERENCE, FiducialPoints
 from vaoi_station.stitching.matching.evidence import Links, Task
-from vaoi_station.stitching.quality.missing.confirmation import confirmed_beside, confirmed_by_links
+from vaoi_station.stitching.quality.missing.confirmation import (
+    confirmed_beside,
+    confirmed_by_links,
+    confirmed_by_points,
+)
 
 STEP_MM = 10.0
 MOTION = Motion(np.zeros(3), np.array([(0.0, 0.0), (-STEP_MM, 0.0), (-2 * STEP_MM, 0.0)]), np.zeros(2))
@@ -53,6 +60,29 @@ def test_a_number_or_a_share_of_links_must_fit(weight: list[float], confirmed: b
     links = observed((ROWS, ways(*[STEP_MM] * len(weight))))
     both = {(0, 0), (0, 1)}
     assert confirmed_by_links(links, np.array(weight)) == (both if confirmed else set(), both if decided else set())
+
+
+@pytest.mark.parametrize(
+    ("which", "residual_px", "confirmed", "decided"),
+    [
+        ([0], [0.01], True, False),  # one mark of the board
+        ([0], [50.0], False, False),
+        ([REFERENCE] * 2, [0.01] * 2, False, False),
+        ([REFERENCE] * 6, [0.01] * 3 + [50.0] * 3, True, True),
+        ([REFERENCE] * 6, [0.01] * 2 + [50.0] * 4, False, True),
+        ([0] + [REFERENCE] * 6, [0.01] + [50.0] * 6, True, True),
+    ],
+)
+def test_points_confirm_a_frame_by_their_residuals(
+    which: list[int], residual_px: list[float], confirmed: bool, decided: bool
+) -> None:
+    count = len(which)
+    points = replace(
+        FiducialPoints.empty(), row=np.full(count, 3), camera=np.full(count, 1), which=np.array(which),
+        sigma_mm=np.full(count, 0.001), px_per_mm=np.full(count, 20.0),
+    )  # fmt: skip
+    found = confirmed_by_points(points, np.column_stack([residual_px, np.zeros(count)]))
+    assert found == ({(1, 3)} if confirmed else set(), {(1, 3)} if decided else set())
 
 
 @pytest.mark.parametrize(

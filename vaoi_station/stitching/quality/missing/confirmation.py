@@ -7,7 +7,7 @@ component counts as seen in it.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +23,7 @@ from vaoi_station.stitching.method import Method
 _USED = 0.1
 """Weight above which a link counts as used."""
 _LEAST_FITTING, _LEAST_SHARE, _DECIDING = 3, 0.5, 5
-"""Least number and share of a frame's links that must fit the board's motion; number of links that decides it.
+"""Least number and share of a frame's links or points that must fit; number of them that decides it.
 
 In sound frames of recordings and twin, a share of 0.7 or more fits. In a picture of another row, up to 7 of 31 fit by
 chance: a board has equal parts at equal distances."""
@@ -76,11 +76,10 @@ def check_frames(
         beside: the links beside the board, which the adjustment left out; None if it left out none.
     """
     points, possible = adjusted.problem.fiducials, present - copies
-    frames = set[FrameKey]() if points is None else confirmed_by_points(points, adjusted.fiducial_px)
-    decided = set[FrameKey]()
+    frames, decided = confirmed_by_points(points, adjusted.fiducial_px) if points is not None else (set(), set())
     if method.links:
-        fitting, decided = confirmed_by_links(adjusted.problem.links, adjusted.weight)
-        frames |= fitting
+        fitting, with_links = confirmed_by_links(adjusted.problem.links, adjusted.weight)
+        frames, decided = frames | fitting, decided | with_links
         if beside is not None:
             frames |= confirmed_beside(beside, adjusted.motion, possible - frames - decided)
     elif method.marks:
@@ -98,12 +97,15 @@ def confirmed_by_links(links: Observations, weight: NDArray[np.float64]) -> tupl
         weight: (k,) their robust weights in the adjustment.
     """
     frames = _fits(links, weight > _USED)
-    fitting = {key for key, one in frames.items() if one.enough}
-    return fitting, {key for key, one in frames.items() if one.every >= _DECIDING}
+    return _enough(frames), _decided(frames)
 
 
-def confirmed_by_points(points: FiducialPoints, residual_px: NDArray[np.float64]) -> set[FrameKey]:
-    """Return the frames that points with CAD coordinates confirm: one mark of the board, or points of the reference.
+def confirmed_by_points(
+    points: FiducialPoints, residual_px: NDArray[np.float64]
+) -> tuple[set[FrameKey], set[FrameKey]]:
+    """Return the frames that points with CAD coordinates confirm, and those with enough of them to decide it.
+
+    One mark of the board confirms a frame, or points of the reference.
 
     Args:
         points: the k points.
@@ -118,7 +120,7 @@ def confirmed_by_points(points: FiducialPoints, residual_px: NDArray[np.float64]
         elif fit:
             marked.add((camera, row))
     # Parts at equal distances let single points of the reference fit by chance.
-    return marked | {key for key, one in frames.items() if one.enough}
+    return marked | _enough(frames), _decided(frames)
 
 
 def confirmed_beside(beside: Observations, motion: Motion, undecided: Collection[FrameKey]) -> set[FrameKey]:
@@ -144,6 +146,14 @@ def confirmed_beside(beside: Observations, motion: Motion, undecided: Collection
         for key, one in _fits(links, fits).items()
         if key in undecided and one.fitting >= _DECIDING and one.fitting >= _BESIDE_SHARE * one.every
     }
+
+
+def _enough(frames: Mapping[FrameKey, _Fits]) -> set[FrameKey]:
+    return {key for key, one in frames.items() if one.enough}
+
+
+def _decided(frames: Mapping[FrameKey, _Fits]) -> set[FrameKey]:
+    return {key for key, one in frames.items() if one.every >= _DECIDING}
 
 
 def _fits(links: Observations, fit: NDArray[np.bool_]) -> dict[FrameKey, _Fits]:
