@@ -15,6 +15,8 @@ Side = Literal["top", "bottom"]
 XY = tuple[float, float]
 LEAST_DRAWING = 0.5
 """A drawing of a body is at least this share of its pins, along both axes."""
+KICAD_COURTYARD_MM = 0.25
+"""Usual distance of a courtyard from body and pads (KiCad library convention F5.3)."""
 SizeFrom = Literal["file", "table", "guess"]
 MarkKind = Literal["global", "local", "panel", "bad-board"]
 FoundBy = Literal["element", "attribute", "package", "name", "place"]
@@ -40,6 +42,11 @@ class Box:
     def mirrored(self) -> Box:
         """Return the box with x reversed, as it is seen from the other side."""
         return Box((-self.high[0], self.low[1]), (-self.low[0], self.high[1]))
+
+    def contains(self, other: Box, margin: float) -> bool:
+        """Return whether another box lies within this one, with a margin on every side."""
+        below = all(a + margin <= b for a, b in zip(self.low, other.low, strict=True))
+        return below and all(b + margin <= a for a, b in zip(self.high, other.high, strict=True))
 
     def shrunk(self, margin: float) -> Box:
         """Return the box without a margin on every side; at least a tenth of each side remains."""

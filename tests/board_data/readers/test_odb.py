@@ -69,6 +69,19 @@ def test_every_file_has_its_own_unit(tmp_path: Path) -> None:
     assert parts["C1"].rotation == 270
 
 
+def test_courtyards_of_kicad_are_no_bodies_but_hulls_are(tmp_path: Path) -> None:
+    """A hull touches the pins, as R's does here; the courtyard of J leaves 0.2 mm around them."""
+    packages = samples.ODB[PACKAGES].replace("OE\nCE\n", "OE\nCE\nPIN 1 T 1 0 0 U U\nRC 0.2 -1.8 7.6 3.6\n")
+    sizes = {}
+    for program in ("KiCad EDA 9.0.2", "Another"):
+        info = f"UNITS=MM\nSAVE_APP={program}\n"
+        design = read_odb(write(tmp_path, **{PACKAGES: packages, "job/misc/info": info}))
+        sizes[program] = {part.ref: part.box and part.box.size for part in design.parts}
+    assert sizes["Another"]["J1"] == pytest.approx((8, 4))
+    assert sizes["KiCad EDA 9.0.2"]["J1"] == pytest.approx((7.5, 3.5))
+    assert sizes["KiCad EDA 9.0.2"]["R1"] == sizes["Another"]["R1"] == pytest.approx((2, 1.2))
+
+
 def test_the_step_with_most_components_or_the_chosen_one(tmp_path: Path) -> None:
     panel = {"job/steps/panel/layers/comp_+_top/components": "UNITS=MM\nCMP 0 1 1 0 N P1 x ;\n"}
     path = write(tmp_path, **panel)

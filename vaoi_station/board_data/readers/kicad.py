@@ -11,14 +11,23 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from vaoi_station.board_data.contours import arc_points, arc_through, circle_points, join
-from vaoi_station.board_data.design import XY, Box, Design, Mark, MarkKind, Part, Side, box_around, normalised, rotated
+from vaoi_station.board_data.design import (
+    KICAD_COURTYARD_MM,
+    XY,
+    Box,
+    Design,
+    Mark,
+    MarkKind,
+    Part,
+    Side,
+    box_around,
+    normalised,
+    rotated,
+)
 from vaoi_station.board_data.marks import kind_by_name
 from vaoi_station.board_data.readers.sexpr import Node, every, first, numbers, parse_sexpr, text_of
 from vaoi_station.board_data.source_text import decode
 from vaoi_station.errors import InputError
-
-COURTYARD_MARGIN_MM = 0.25
-"""Usual distance of a courtyard from body and pads (KiCad library convention F5.3)."""
 
 _MARK_PROPERTIES: dict[str, MarkKind] = {"pad_prop_fiducial_glob": "global", "pad_prop_fiducial_loc": "local"}
 
@@ -142,7 +151,7 @@ def _body(footprint: Node, rotation: float, side: Side) -> Box | None:
         return drawn
     courtyard = box_around(p for piece in _drawing(footprint, "fp_", f"{layer}.CrtYd") for p in piece)
     if courtyard is not None:
-        return courtyard.shrunk(COURTYARD_MARGIN_MM)
+        return courtyard.shrunk(KICAD_COURTYARD_MM)
     pads = box_around(p for pad in every(footprint, "pad") for p in _pad_corners(pad, rotation))
     return pads or box_around(p for piece in _drawing(footprint, "fp_", f"{layer}.SilkS") for p in piece)
 

@@ -2,7 +2,7 @@
 
 A package is drawn as seen from the side of the part. A part on the bottom is mirrored in x first. Then the part turns
 clockwise as seen from the top, on either side. Every file states a unit. Source: ODB++ specification 8.1; KiCad's
-export and its board file agree in this.
+export and its board file agree in this. KiCad writes courtyards as outlines of packages.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from functools import cache
 from pathlib import Path
 
 from vaoi_station.board_data.contours import arc_points, circle_points
-from vaoi_station.board_data.design import XY, Design, Mark, Part, Side, box_around, normalised
+from vaoi_station.board_data.design import KICAD_COURTYARD_MM, XY, Box, Design, Mark, Part, Side, box_around, normalised
 from vaoi_station.board_data.panels import Step, note_on_panels, panel_of
 from vaoi_station.board_data.readers import unix_compress
 from vaoi_station.board_data.readers.odb_features import outer_layers, pad_marks
@@ -33,6 +33,8 @@ from vaoi_station.board_data.source_text import (
 from vaoi_station.errors import InputError
 
 _UNITS = {"MM": 1.0, "INCH": 25.4}
+_LEAST_COURTYARD_MM = 0.05
+"""A courtyard is at least this far from every pin; KiCad's libraries have 0.15 and more."""
 _MARK_ATTRIBUTES = (".fiducial_name", ".fiducial_rotation")
 _LAYERS: tuple[tuple[Side, str], ...] = (("top", "comp_+_top"), ("bottom", "comp_+_bot"))
 
@@ -150,8 +152,17 @@ def _lines(archive: Archive, name: str) -> list[str] | None:
 class _Package:
     name: str
     points: list[XY]
-    height: float | None = None
+    pins: list[XY]
     pad: float | None = None
+    """Largest extent of its first pin."""
+
+    def box(self, by_kicad: bool) -> Box | None:
+        """Return the box of the body; None if the package has none."""
+        outline, pins = box_around(self.points), box_around(self.pins)
+        # KiCad writes the courtyard. Where a footprint has none it writes a hull of everything, which touches the pins.
+        if by_kicad and outline is not None and pins is not None and outline.contains(pins, _LEAST_COURTYARD_MM):
+            return outline.shrunk(KICAD_COURTYARD_MM)
+        return outline
 
 
 class _File:
@@ -185,11 +196,12 @@ def _design(archive: Archive, root: str, path: Path, name: str) -> Design:
     """Return a step without what it repeats. Its header is not read: a wrong value there changes no board."""
     folder, default = f"{root}steps/{name}", _default_mm(archive, root)
     packages = _packages(_file(archive, path, f"{folder}/eda/data", default))
+    by_kicad = _by_kicad(archive, root)
     parts: list[Part] = []
     for side, layer in _LAYERS:
         file = _file(archive, path, f"{folder}/layers/{layer}/components", default)
         if file is not None:
-            parts += _components(file, side, packages)
+            parts += _components(file, side, packages, by_kicad)
     marks: list[Mark] = []
     for side, layer in outer_layers(_lines(archive, f"{root}matrix/matrix") or []).items():
         copper = _file(archive, path, f"{folder}/layers/{layer}/features", default)
@@ -205,8 +217,12 @@ def _file(archive: Archive, path: Path, name: str, default: float | None) -> _Fi
     return None if lines is None else _File(f"{path}: {name}", lines, default)
 
 
+def _by_kicad(archive: Archive, root: str) -> bool:
+    return any(re.match(r"\s*SAVE_APP\s*=\s*KiCad\b", line) for line in _lines(archive, f"{root}misc/info") or ())
+
+
 def _packages(file: _File | None) -> list[_Package]:
-    """Return the packages in the order of their numbers, with the outline of their bodies, mm."""
+    """Return the packages in the order of their numbers, with the outline of their bodies and pins, mm."""
     found: list[_Package] = []
     in_pin = False
     for number, line in enumerate(file.lines if file else [], 1):
@@ -215,7 +231,7 @@ def _packages(file: _File | None) -> list[_Package]:
             continue
         if words[0] == "PKG" and len(words) >= 7:
             box = [v * file.mm for v in file.numbers(number, words[3:], 4)]
-            found.append(_Package(words[1], []))
+            found.append(_Package(words[1], [], []))
             found[-1].points = [(box[0], box[1]), (box[2], box[3])]
             in_pin, outlined = False, False
         elif not found:
@@ -225,6 +241,7 @@ def _packages(file: _File | None) -> list[_Package]:
         elif words[0] in ("RC", "CR", "SQ", "OB", "OS", "OC"):
             points = _outline_points(file, number, words)
             if in_pin:
+                found[-1].pins += points
                 box_of_pad = box_around(points)
                 if box_of_pad and found[-1].pad is None:
                     found[-1].pad = max(box_of_pad.size)
@@ -248,7 +265,7 @@ def _outline_points(file: _File, number: int, words: list[str]) -> list[XY]:
     return [(v[0], v[1])]
 
 
-def _components(file: _File, side: Side, packages: list[_Package]) -> Iterator[Part]:
+def _components(file: _File, side: Side, packages: list[_Package], by_kicad: bool) -> Iterator[Part]:
     """Yield the parts of a component layer."""
     names: dict[str, str] = {}
     for number, line in enumerate(file.lines, 1):
@@ -263,9 +280,9 @@ def _components(file: _File, side: Side, packages: list[_Package]) -> Iterator[P
                 f"{file.where}, line {number}: {line[:80]!r} must be CMP package x y rotation mirror name part."
             )
         index, x, y, clockwise = file.numbers(number, words[1:], 4)
-        package = packages[int(index)] if 0 <= index < len(packages) else _Package("", [])
+        package = packages[int(index)] if 0 <= index < len(packages) else _Package("", [], [])
         attributes = dict(_attributes(tail, names))
-        box = box_around(package.points)
+        box = package.box(by_kicad)
         if box is not None and side == "bottom":
             box = box.mirrored()
         height = number_of(attributes.get(".comp_height"))
