@@ -69,6 +69,15 @@ def test_a_calibration_that_no_longer_holds_is_a_reason(filmed: Any, push: tuple
     assert result.reasons
 
 
+def test_a_displaced_camera_that_looks_like_a_larger_board_is_named(filmed: Any) -> None:
+    """To two cameras, 0.5 px along the array looks like a board that lies higher."""
+    result = filmed.stitched(calibration=camera_moved(filmed.calibration, 0, 0.5 / filmed.setup.cameras[0].px_per_mm))
+    (reason,) = (r for r in result.reasons if "larger than its CAD data" in r)
+    assert "or camera 0 is displaced by (-0.5" in reason
+    assert "or camera 1 is displaced by (+0.5" in reason
+    assert "which explains it as well" in reason
+
+
 @pytest.mark.parametrize("camera", [0, 1])
 @pytest.mark.parametrize("push", [(2, 0), (0, 3), (-7, 0), (9, 0), (-18, 0), (0, 30), (36, 0), (-60, 0)])
 def test_a_camera_that_was_pushed_is_never_ok(filmed: Any, camera: int, push: tuple[int, int]) -> None:

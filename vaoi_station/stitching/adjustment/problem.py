@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.geometry import Camera
+from vaoi_station.geometry.displacement import PARAMETERS
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.adjustment.observations import Ints, Observations
@@ -125,6 +126,18 @@ class CameraEstimate:
     """(3n,) px⁻¹, the product of `information` and the displacements that fit the run best without any prior."""
     rivals: tuple[int, ...] = ()
     """Cameras that may have moved instead of those with a displacement."""
+
+    def alone(self, camera: int) -> Floats:
+        """Return the displacements (n, 3) px that fit the run best if only this camera has moved."""
+        displacement_px = np.zeros_like(self.displacement_px)
+        own = slice(PARAMETERS * camera, PARAMETERS * (camera + 1))
+        displacement_px[camera] = np.linalg.lstsq(self.information[own, own], self.vector[own], rcond=None)[0]
+        return displacement_px
+
+    def fit(self, displacement_px: Floats) -> float:
+        """Return by how much displacements (n, 3) px reduce χ² of the run, without any prior on them."""
+        d = displacement_px.ravel()
+        return float(2 * d @ self.vector - d @ self.information @ d)
 
 
 @dataclass(frozen=True, eq=False)

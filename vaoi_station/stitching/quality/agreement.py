@@ -42,6 +42,8 @@ _PLAINLY = 4.0
 """A fiducial is named as wrong only if leaving out any other fiducial gives a χ² that is larger by at least this
 factor."""
 
+_C_COLUMNS = slice(3, 5)
+"""Columns of (a, b) of C in the covariance of a row, behind the row's own three unknowns."""
 _LEAST_REJECTED, _USED, _MOSTLY, _REJECTED_PX = 6, 0.1, 0.5, 0.3
 """Least number of links of a seam from which most can be rejected, weight above which one is used, their share, and the
 residual of rejected links, px, that shows that the cameras disagree; a smaller one shows nothing."""
@@ -78,7 +80,7 @@ def fiducial_reasons(
             out.append(Reason(ReasonCode.FIDUCIAL_OFF_PLACE, text))
     scale = float(np.hypot(*adjusted.similarity[:2])) / plane.board_type.mm_per_unit - 1
     if abs(scale) > _SCALE_LIMIT:
-        out.append(_scale_reason(plane, scale, px_per_mm))
+        out.append(_scale_reason(plane, scale, px_per_mm, _displaced_instead(adjusted, plane)))
     out += _surface_reasons(adjusted.surface_mm)
     # A wrong fiducial is searched only if another check fails, since correct data contain none.
     if out:
@@ -331,7 +333,28 @@ def _fit_without(n: int, plane: BoardPlane, places: dict[int, Floats]) -> tuple[
     return cost, float(np.hypot(*(fit(cad[n]) - places[n])))
 
 
-def _scale_reason(plane: BoardPlane, scale: float, px_per_mm: float) -> Reason:
+def _displaced_instead(adjusted: AdjustmentResult, plane: BoardPlane) -> str:
+    """Return a clause that names each camera whose displacement alone would give the board the size of its CAD data.
+
+    To two cameras, one of them displaced along the array looks like a board that lies higher and is larger.
+    """
+    estimate, c = adjusted.cameras, adjusted.similarity
+    if estimate is None or c is None:
+        return ""
+    named = []
+    # C follows the displacements linearly; its first two unknowns (a, b) hold the scale.
+    follow = np.linalg.solve(estimate.covariance, estimate.cross[0, _C_COLUMNS].T).T
+    for camera in range(len(estimate.displacement_px)):
+        instead = estimate.alone(camera)
+        changed = c[:2] + follow @ (instead - estimate.displacement_px).ravel()
+        sized = abs(float(np.hypot(*changed)) / plane.board_type.mm_per_unit - 1) <= _SCALE_LIMIT
+        if sized and estimate.fit(instead) >= estimate.fit(estimate.displacement_px):
+            x, y, _ = instead[camera]
+            named.append(f"camera {camera} is displaced by ({x:+.2f}, {y:+.2f}) px against its calibration")
+    return f"; or {', or '.join(named)}, which explains it as well" if named else ""
+
+
+def _scale_reason(plane: BoardPlane, scale: float, px_per_mm: float, displaced: str) -> Reason:
     apart_mm = float(np.hypot(*np.ptp(plane.fiducials, axis=0))) * plane.board_type.mm_per_unit
     off_mm = abs(scale) * apart_mm
     return Reason(
@@ -339,5 +362,5 @@ def _scale_reason(plane: BoardPlane, scale: float, px_per_mm: float) -> Reason:
         f"the board appears {scale:+.2%} larger than its CAD data (limit {_SCALE_LIMIT:.2%}), {off_mm:.2f} mm "
         f"({off_mm * px_per_mm:.1f} px) over its fiducials: a fiducial is not at its CAD position, the CAD data are "
         "scaled, the calibration is wrong, the board lies above or below the calibrated plane, or it is of another "
-        "type",
+        f"type{displaced}",
     )

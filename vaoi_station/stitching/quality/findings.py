@@ -325,9 +325,7 @@ class Findings:
         # If the run does not show a displacement clearly, none is reported: σ of the positions includes it. The
         # covariance is not used for this decision: it is large where two explanations name different cameras, although
         # both are displaced.
-        d = estimate.displacement_px.ravel()
-        explained = float(2 * d @ estimate.vector - d @ estimate.information @ d)
-        if explained < _SIGNIFICANT**2:
+        if estimate.fit(estimate.displacement_px) < _SIGNIFICANT**2:
             return ()
         # An error that the calibration leaves at the seams looks like a displacement.
         limits = [max(DISPLACED_PX, _SIGNIFICANT * seam_sigma_px(camera)) for camera in self.calibrated]
