@@ -176,6 +176,12 @@ def test_stated_bits_are_the_scale(tmp_path: Path) -> None:
     assert brightest(deep(tmp_path / "full", [[300], [200]], bits=16), 0, 0) == 300
 
 
+def test_an_estimate_of_the_bits_is_stated(tmp_path: Path, recording: Recording) -> None:
+    assert deep(tmp_path, [[4000, 10], [10, 10]]).estimated_bits == 12
+    assert deep(tmp_path / "stated", [[4000, 10], [10, 10]], bits=14).estimated_bits is None
+    assert recording.estimated_bits is None, "its frames have 8 bits"
+
+
 def test_a_value_beyond_the_stated_bits_is_refused(tmp_path: Path) -> None:
     recording = deep(tmp_path, [[4096], [200]], bits=12)
     with pytest.raises(InputError, match=r"c00_r000.*pixel value 4096, but recording.json says 12 bits \(limit 4095\)"):

@@ -46,6 +46,14 @@ class Recording:
         image = self._read(camera, row)
         return image if image is None or image.dtype == np.uint8 else self._at_full_scale(image, camera, row)
 
+    @property
+    def estimated_bits(self) -> int | None:
+        """Used bits of 16-bit pixels, by an estimate; None if `recording.json` states them, or for frames of 8 bits."""
+        unstated = [i for i, camera in enumerate(self.head.cameras) if camera.bits is None]
+        first = (next((j for j in range(self.head.rows) if (i, j) not in self.head.missing), None) for i in unstated)
+        frames = (self._read(i, j) for i, j in zip(unstated, first, strict=True) if j is not None)
+        return self._estimated_bits if any(f is not None and f.dtype == np.uint16 for f in frames) else None
+
     @cached_property
     def _estimated_bits(self) -> int:
         """The number of used bits of 16-bit pixels, by the brightest pixel of frames from all parts of the recording.

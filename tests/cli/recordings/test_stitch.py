@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from vaoi_station.files import read_stitch
@@ -43,6 +44,18 @@ def test_calibration_and_board_type_of_other_directories(
     assert vaoi("stitch", small_recording, "--out", tmp_path / "own.json").code == 0
     first, second = (read_stitch(path).model_dump(mode="json") for path in (out, tmp_path / "own.json"))
     assert first["cad_matrix"] == second["cad_matrix"]
+
+
+def test_an_estimated_depth_of_16_bit_frames_is_stated(vaoi: Any, recording: Path, tmp_path: Path) -> None:
+    for path in (recording / "frames").iterdir():
+        write_image(path, read_image(path).astype(np.uint16) << 4)
+    estimated = vaoi("stitch", recording, "--out", tmp_path / "estimated.json")
+    assert "frames use 12 of 16 bits, by an estimate: state cameras[].bits in recording.json" in estimated.out
+    edit(recording / "recording.json", lambda d: [camera.update(bits=12) for camera in d["cameras"]])
+    assert "bits" not in vaoi("stitch", recording, "--out", tmp_path / "stated.json").out
+    first, second = (read_stitch(tmp_path / name) for name in ("estimated.json", "stated.json"))
+    assert (first.quality["estimated_bits"], "estimated_bits" in second.quality) == (12, False)
+    assert first.model_dump()["components"] == second.model_dump()["components"]
 
 
 def test_without_a_board_type_frames_are_placed_and_a_reason_is_given(

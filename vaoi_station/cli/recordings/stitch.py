@@ -41,7 +41,7 @@ def stitch(
     from vaoi_station.stitching.baseline.paper_method import stitch_by_paper
     from vaoi_station.stitching.recordings.offline import stitch_frames
     from vaoi_station.stitching.recordings.opening import open_run
-    from vaoi_station.stitching.recordings.origin import with_origin
+    from vaoi_station.stitching.recordings.origin import ESTIMATED_BITS, with_origin
 
     # The paper's method does not use this kind of evidence, but opening a run requires one.
     evidence = cast("MethodName", "auto" if method is Method.PAPER else method.value)
@@ -63,5 +63,7 @@ def stitch(
     typer.echo(f"{result.status}: {recording.head.rows} rows × {len(recording.head.cameras)} cameras → {out}")
     if sigma is not None:
         typer.echo(f"standard deviation of positions: {sigma:.3f} px (worst corner of the board)")
+    if (bits := result.quality.get(ESTIMATED_BITS)) is not None:
+        typer.echo(f"frames use {bits} of 16 bits, by an estimate: state cameras[].bits in recording.json")
     for reason in result.reasons:
         typer.echo(f"- {reason}")

@@ -21,6 +21,8 @@ from vaoi_station.model.board_type import OF_IMPORT
 
 KEY = "recording"
 """Key under which the origin is stored in `quality`."""
+ESTIMATED_BITS = "estimated_bits"
+"""Key of `quality` for `Recording.estimated_bits`."""
 CAD_TERMS = frozenset({"unit", "y_axis", "side", "fiducials"})
 """Keys of a board type on which C depends. Other keys, such as the components, may change between stitching and
 cutting."""
@@ -44,9 +46,11 @@ class Origin(Strict):
 
 
 def with_origin(result: Stitch, recording: Recording, calibration: Calibration, board_type: BoardType | None) -> Stitch:
-    """Return the result with its origin added."""
+    """Return the result with its origin added, and with the scale of its grey levels if that had to be estimated."""
     origin = _origin(recording, calibration, board_type, _typical_frame(recording))
-    return result.model_copy(update={"quality": {**result.quality, KEY: origin.model_dump(mode="json")}})
+    bits = recording.estimated_bits
+    scale = {} if bits is None else {ESTIMATED_BITS: bits}
+    return result.model_copy(update={"quality": {**result.quality, KEY: origin.model_dump(mode="json"), **scale}})
 
 
 def check_origin(
