@@ -13,7 +13,8 @@ import pytest
 from vaoi_station.errors import InputError
 from vaoi_station.files import read_stitch, write_stitch
 from vaoi_station.files.documents import read_json
-from vaoi_station.files.results import component_tables, stitch_document, stitch_text
+from vaoi_station.files.results import component_tables, read_heights, stitch_document, stitch_text
+from vaoi_station.model import BoardType
 
 Write = Callable[..., Path]
 EYE = np.eye(3).tolist()
@@ -99,3 +100,30 @@ def test_tables_of_components_are_read_alone() -> None:
     tables = {"heights_mm": {"U1": 1.5}, "component_covariance_px2": {"U1": [[0, 1, 0.1, 0.0, 0.1]]}}
     text = json.dumps({"quality": {**tables, "heights": "none", "height_sigma_mm": None}})
     assert component_tables(text) == tables
+
+
+PARTS = BoardType.model_validate(
+    {"name": "b", "components": [{"ref": ref, "center": [1, 1], "width": 1, "height": 1} for ref in ("U1", "C7")]}
+)
+MEASURED = {"height_mm": 1.4, "sigma_mm": 0.01, "views": 4}
+INTERVAL = {"height_mm": None, "sigma_mm": None, "views": 2, "low_mm": 0.3, "high_mm": 1.9}
+
+
+def test_measured_heights_are_read_from_files_and_replies(write: Write) -> None:
+    entries = {"U1": MEASURED, "C7": INTERVAL}
+    for document in (entries, {"heights": entries}):
+        assert read_heights(write(document), PARTS) == {"U1": (1.4, 0.01)}
+
+
+@pytest.mark.parametrize(
+    ("document", "words"),
+    [
+        ([1], "holds a list, must be an object of heights by component"),
+        ({"U9": MEASURED}, "has a height of 'U9', which board type 'b' does not have"),
+        ({"U1": MEASURED | {"sigma_mm": -1}}, "U1: sigma_mm: Input should be greater than 0"),
+        ({"U1": 1.4}, "U1: the document: Input should be a valid dictionary"),
+    ],
+)
+def test_other_documents_are_not_heights(write: Write, document: Any, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        read_heights(write(document), PARTS)

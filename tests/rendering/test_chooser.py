@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
@@ -55,7 +57,15 @@ def test_the_top_plane_is_at_the_measured_height_and_its_error_counts(make: Any)
 def test_a_part_without_a_height_is_answered_in_the_plane_of_the_board(make: Any) -> None:
     found = chosen(make(), plane="top")
     assert {(x.view.plane, x.view.height_mm) for x in found.chosen} == {("board", 0.0)}
-    assert "U4 has no height" in (found.remark or "")
+    assert "U4 has no height: the run measured none" in (found.remark or "")
+
+
+def test_without_a_working_distance_images_lie_on_the_board(make: Any) -> None:
+    s = make()
+    cameras = tuple(replace(camera, working_distance_mm=None) for camera in s.cameras)
+    found = chosen(SimpleNamespace(**{**vars(s), "cameras": cameras}), {"heights_mm": {"U4": 1.5}}, plane="top")
+    assert {x.view.plane for x in found.chosen} == {"board"}
+    assert "no working_distance_mm" in (found.remark or "")
 
 
 def test_a_difference_is_rendered_with_equal_exposures(make: Any) -> None:

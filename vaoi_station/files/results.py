@@ -4,16 +4,26 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+from pydantic import BaseModel, Field
 from pydantic_core import from_json
 
+from vaoi_station.errors import InputError
 from vaoi_station.files.documents import check_format, parse, read_json, write_json
-from vaoi_station.model import Stitch
+from vaoi_station.model import BoardType, Finite, Stitch
+from vaoi_station.model.known_height import Heights
 
 _OF_COMPONENTS = ("component_sigma_px", "component_covariance_px2", "heights_mm", "height_sigma_mm")
 _LARGE = (*_OF_COMPONENTS, "link_pairs")
 _LEFT_OUT_IF_NONE = ("surface", "components", "camera_matrices", "local_matrices", "board_matrices", "skipped_boards")
+
+
+class _Height(BaseModel):
+    """What is read of an entry of a document of heights."""
+
+    height_mm: Annotated[Finite, Field(ge=-1000, le=1000)] | None = None
+    sigma_mm: Annotated[Finite, Field(gt=0, le=1000)] | None = None
 
 
 def read_stitch(path: Path) -> Stitch:
@@ -21,6 +31,31 @@ def read_stitch(path: Path) -> Stitch:
     data = read_json(path)
     check_format(data, path, "vaoi-stitch", 1)
     return parse(Stitch, data, path)
+
+
+def read_heights(path: Path, board_type: BoardType) -> Heights:
+    """Read the heights that `vaoi heights` or a station measured; intervals are left out.
+
+    Raises:
+        InputError: the file is not such a document, or has a component that the board type does not have.
+    """
+    data = read_json(path)
+    # A station's reply has them under one key.
+    entries = data.get("heights", data) if isinstance(data, dict) else data
+    if not isinstance(entries, dict):
+        raise InputError(f"{path}: holds a {type(entries).__name__}, must be an object of heights by component.")
+    found = {ref: parse(_Height, entry, f"{path}: {ref}") for ref, entry in entries.items()}
+    for ref in found:
+        if board_type.component(ref) is None:
+            raise InputError(
+                f"{path}: has a height of {ref!r}, which board type {board_type.name!r} does not have.",
+                action="Use the heights of a run of this board type.",
+            )
+    return {
+        ref: (height.height_mm, height.sigma_mm)
+        for ref, height in found.items()
+        if height.height_mm is not None and height.sigma_mm is not None
+    }
 
 
 def stitch_document(stitch: Stitch) -> dict[str, Any]:

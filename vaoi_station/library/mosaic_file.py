@@ -11,7 +11,9 @@ from vaoi_station.errors import DeviceError
 from vaoi_station.files import open_recording, read_board_type, read_calibration, read_stitch
 from vaoi_station.files.documents import write_json
 from vaoi_station.files.pyramids import PyramidLayout, refuse_existing
+from vaoi_station.files.results import read_heights
 from vaoi_station.library.stitched_run import check_result
+from vaoi_station.model.known_height import with_heights
 from vaoi_station.mosaic import MosaicGrid, MosaicPlan, choose_frames, make_plan
 from vaoi_station.mosaic.frames import frames_of_head
 from vaoi_station.mosaic.grid import Region
@@ -39,6 +41,7 @@ class MosaicOrder:
     exposure_us: float | None = None
     hdr: bool = False
     flatfield: Path | None = None
+    heights: Path | None = None
     region: Region | None = None
 
     @property
@@ -63,6 +66,8 @@ def write_board(order: MosaicOrder) -> Iterator[str]:
     stitch = read_stitch(order.result)
     check_result(stitch, head.rows, cameras, order.result)
     check_origin(stitch, recording, known, board_type, order.result)
+    if order.heights is not None:
+        stitch = with_heights(stitch, read_heights(order.heights, board_type))
     fields = FlatFields.open(order.flatfield) if order.flatfield else FlatFields.none()
     choice = choose_frames(frames_of_head(head), light=order.light, exposure_us=order.exposure_us, hdr=order.hdr)
     fields.check(head.cameras, None if choice.light is None else (choice.light,))

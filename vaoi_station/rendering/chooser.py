@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import BoardType, Component, Stitch
-from vaoi_station.rendering.body_height import BodyHeight, body_height, plane_remark
+from vaoi_station.model.known_height import BodyHeight, body_height
 from vaoi_station.rendering.difference import subtract
 from vaoi_station.rendering.request import ImageRequest
 from vaoi_station.rendering.selection import ChosenView, FrameFacts, Measure, select
@@ -107,3 +107,21 @@ def render_chosen(choice: ChosenView, frame: NDArray[Any], other: NDArray[Any] |
     if choice.minus is None or other is None:
         return image
     return subtract(image, render(choice.minus.view, other), choice.ratio)
+
+
+def plane_remark(part: Component, height: BodyHeight | None, cameras_know: bool) -> str | None:
+    """Return why images that were requested in the plane of the body's top lie on the board; None if they do not.
+
+    `cameras_know` is whether the calibration states the working distance of the cameras.
+    """
+    if not cameras_know:
+        return (
+            "The calibration states no working_distance_mm, so a height has no known effect: the images are right in "
+            "the plane of the board."
+        )
+    if height is None:
+        return (
+            f"{part.address} has no height: the run measured none, and the board type states no body_height. Its "
+            "images are right in the plane of the board."
+        )
+    return None

@@ -64,6 +64,19 @@ def test_frames_of_one_light_are_merged(vaoi: Any, recording: Path, result: Path
     assert "light is 'blue', but must be one of the lights of the run: 'even', 'left'" in said.err
 
 
+@pytest.mark.parametrize("options", [("--hdr",), ("--plane", "top")])
+def test_measured_heights_give_the_plane(
+    vaoi: Any, small_recording: Path, result: Path, tmp_path: Path, options: Any
+) -> None:
+    """The same one in merged pictures as in those of the top plane."""
+    (tmp_path / "h.json").write_text(json.dumps({"U1": {"height_mm": 1.375, "sigma_mm": 0.02, "views": 4}}))
+    options = (*options, "--component", "U1", "--heights", tmp_path / "h.json")
+    said = vaoi("cut", small_recording, "--result", result, *options, "--out", tmp_path)
+    assert (said.code, said.err) == (0, "")
+    listing = json.loads((tmp_path / "U1.json").read_text())
+    assert {entry.get("plane_height_mm", entry.get("height_mm")) for entry in listing} == {1.375}
+
+
 @pytest.mark.parametrize("form", ["tiff", "png", "jpeg"])
 def test_formats_of_a_region(vaoi: Any, small_recording: Path, result: Path, tmp_path: Path, form: str) -> None:
     options = ("--region", 5, 5, 12, 9, "--hdr", "--format", form, "--px-per-mm", 5)

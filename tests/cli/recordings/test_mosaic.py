@@ -54,6 +54,7 @@ def test_region_and_resolution(vaoi: Any, small_recording: Path, result: Path, t
         (("--region", 900, 900, 901, 901), "region is '900, 900, 901, 901', but must be on the board"),
         (("--px-per-mm", 1000), "px_per_mm is 1000.0, but must be small enough for 1000 megapixels"),
         (("--flatfield", "nowhere"), "flatfield.json: there is no such file"),
+        (("--hdr", "--heights", "nowhere.json"), "nowhere.json: there is no such file"),
     ],
 )
 def test_wrong_options_are_refused_and_nothing_is_written(

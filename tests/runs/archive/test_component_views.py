@@ -115,11 +115,3 @@ def test_only_usable_frames_or_allowed_ones_are_served(
     else:
         with pytest.raises(error, match=r"Frame \(0, 1\).*: cable\."):
             component_views.refuse_unusable(frame, "Frame (0, 1)", allowed)
-
-
-def test_measured_heights_replace_those_of_the_links(rig: Any) -> None:
-    result = finished_run(rig).result
-    quality = {**result.quality, "heights_mm": {"U1": 1.0, "U2": 2.0}, "height_sigma_mm": {"U1": 0.2, "U2": 0.3}}
-    found = component_views.with_heights(result.model_copy(update={"quality": quality}), {"U1": (1.25, 0.01)})
-    assert found.quality["heights_mm"] == {"U1": 1.25, "U2": 2.0}
-    assert found.quality["height_sigma_mm"] == {"U1": 0.01, "U2": 0.3}

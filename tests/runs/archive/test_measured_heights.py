@@ -7,14 +7,18 @@ import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from tests.heights.conftest import Filmed, make_film
 from vaoi_station.errors import GoneError, InternalError, StateError
 from vaoi_station.heights.estimates import PartMeasure
+from vaoi_station.model import CameraHead
+from vaoi_station.photometry.flat_fields import FlatFieldDocument, FlatFields, write_flat_fields
 from vaoi_station.runs.archive.measured_heights import MeasuredHeights
 from vaoi_station.runs.workers.heights_job import HeightsJob
 from vaoi_station.runs.workers.jobs import Priority
@@ -34,6 +38,7 @@ class Station:
         self.free.set()
         self.fault: Exception | None = None
         self.events: list[dict[str, Any]] = []
+        self.flat_fields: Path | None = None
         frames = tuple(SimpleNamespace(camera=0, row=j, slot=j, usable=j != 1) for j in range(3))
         self.finished = SimpleNamespace(
             detail=SimpleNamespace(id="r1", frames=frames),
@@ -73,7 +78,7 @@ class Station:
         kept = SimpleNamespace(document=self.stored.get, save=self.save)
         archive: Any = SimpleNamespace(get=lambda run: self.finished, heights=kept)
         events: Any = self
-        return MeasuredHeights(archive, self.lease, self.render, self.bay_of, events)
+        return MeasuredHeights(archive, self.lease, self.render, self.bay_of, events, self.flat_fields)
 
 
 @pytest.fixture
@@ -101,6 +106,23 @@ def test_heights_are_measured_once_from_usable_frames_under_a_lease(station: Sta
     assert {job.priority for job in station.jobs} == {Priority.RENDER}
     assert set(combined.parts) == {"U1", "U2"}
     assert station.held == 1
+
+
+@pytest.mark.parametrize(("lights", "used"), [(("left",), False), (("left", "right"), True)])
+def test_flat_fields_are_used_where_they_fit(station: Station, tmp_path: Path, lights: Any, used: bool) -> None:
+    """Heights are measured without them otherwise: that they do not fit is said elsewhere."""
+    head, camera = station.finished.head, station.finished.cameras[0]
+    size = {"width": camera.width_px, "height": camera.height_px}
+    head.cameras = [CameraHead(**size, exposure_us=250.0)]
+    fields = [
+        {"camera": 0, "light": light, "file": f"fields/{light}.tiff", "level": 1.0, "rows": 4} for light in lights
+    ]
+    document = {"format": "vaoi-flatfield", "version": 1, "cameras": [size | {"read": 1, "shot": 0.02}]}
+    flats = {(0, light): np.ones((camera.height_px, camera.width_px), np.float32) for light in lights}
+    write_flat_fields(tmp_path, FlatFields(FlatFieldDocument.model_validate(document | {"fields": fields}), flats))
+    station.flat_fields = tmp_path
+    assert station.heights().document("r1") == CONTENT
+    assert {job.flat_fields for job in station.jobs[:-1]} == {tmp_path if used else None}
 
 
 def test_stored_heights_need_no_frames(station: Station) -> None:

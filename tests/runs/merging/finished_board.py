@@ -70,7 +70,11 @@ class Merging:
             view_calculator=ViewCalculator(board_type, stitch, cameras),
             head=RecordingHead.model_validate(head | {"trigger_period_s": 0.1, "conveyor_mm_s": (0.0, 100.0)}),
         )
-        self.access = MergedAccess(lambda _: self.finished, self._lease, self._recorded, self._render, flat_fields)
+        self.heights: dict[str, tuple[float, float]] | None = None
+        """Measured heights of components and their standard deviations, mm."""
+        self.access = MergedAccess(
+            lambda _: self.finished, self._lease, self._recorded, self._render, flat_fields, lambda _: self.heights
+        )
 
     @contextmanager
     def _lease(self, run: str, purpose: str) -> Iterator[Any]:

@@ -88,6 +88,21 @@ def test_a_region_has_its_bodies_in_the_planes_of_their_tops(merging: Merging) -
     assert merging.jobs[1].bodies == ()
 
 
+def test_heights_that_were_measured_give_the_planes(merging: Merging) -> None:
+    """In place of those of the board type, of a component as of the bodies in a region."""
+    board_type = merging.finished.board_type
+    (u1, *others) = board_type.components
+    solid = u1.model_copy(update={"body_height": 1.5})
+    merging.finished.board_type = board_type.model_copy(update={"components": (solid, *others)})
+    merging.heights = {"U1": (0.75, 0.02)}
+    assert merging.access.pictures("r1", MergeRequest("U1"))[-1].plane_height_mm == 0.75
+    low, high = (of(board_type.footprint(u1), 0) for of in (np.min, np.max))
+    merging.access.image("r1", MergeRequest(region=(*low.tolist(), *high.tolist()), px_per_mm=4), None, "npy")
+    assert [body.body.height_mm for body in merging.jobs[-1].bodies] == [0.75]
+    merging.heights = None
+    assert merging.access.pictures("r1", MergeRequest("U1"))[-1].plane_height_mm == 1.5
+
+
 @pytest.mark.parametrize(
     ("wanted", "error", "message"),
     [

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import threading
+from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,6 +17,7 @@ import tifffile
 from tests.mosaic.conftest import DARK, SIZE, Film, Filmed, board, film
 from vaoi_station.errors import InputError
 from vaoi_station.model import CameraHead, FrameRecord, Verdict
+from vaoi_station.model.known_height import Heights
 from vaoi_station.photometry.flat_fields import FlatFieldDocument, FlatFields, write_flat_fields
 from vaoi_station.runs.mosaics.mosaics import MOST_PLANS, Download, Mosaics
 from vaoi_station.runs.mosaics.picture_names import PictureName, parse_name
@@ -25,7 +27,11 @@ __all__ = ["board", "film"]
 
 
 def mosaics_of(
-    board: Filmed, jobs: list[Any], started: threading.Event | None = None, flat_fields: Path | None = None
+    board: Filmed,
+    jobs: list[Any],
+    started: threading.Event | None = None,
+    flat_fields: Path | None = None,
+    heights: Callable[[str], Heights | None] = lambda run: None,
 ) -> Mosaics:
     """Mosaics of the run "r1", whose jobs are performed at once and are noted in `jobs`."""
     keys = [(f.camera, f.row) for f in board.taken]
@@ -40,6 +46,7 @@ def mosaics_of(
         board_type=board.board_type,
         cameras=board.cameras,
         stitch=board.stitch,
+        result=board.stitch,
         head=SimpleNamespace(
             cameras=[CameraHead(width=e.width_px, height=e.height_px, exposure_us=250.0) for e in board.cameras], rows=0
         ),
@@ -56,7 +63,7 @@ def mosaics_of(
     def held(run: str, purpose: str) -> Any:
         return nullcontext(SimpleNamespace(number=0, generation=1))
 
-    return Mosaics(archive, held, render, flat_fields)  # type: ignore[arg-type]
+    return Mosaics(archive, held, render, flat_fields, heights)  # type: ignore[arg-type]
 
 
 def test_run_with_one_light_and_one_exposure_has_one_mosaic(board: Filmed) -> None:
@@ -99,6 +106,17 @@ def test_new_flat_fields_make_new_plans(board: Filmed, tmp_path: Path) -> None:
     assert sum(isinstance(job, PlanJob) for job in jobs) == 2
 
 
+def test_measured_heights_make_new_plans_where_bodies_are_raised(film: Film) -> None:
+    run, jobs = film(exposures=(250.0, 50.0)), list[Any]()
+    part, known = run.board_type.components[0].address, dict[str, tuple[float, float]]()
+    mosaics = mosaics_of(run, jobs, heights=lambda _: known or None)
+    before = [mosaics._plan("r1", PictureName(hdr=hdr)) for hdr in (False, True)]
+    known[part] = 1.25, 0.02
+    plain, hdr = (mosaics._plan("r1", PictureName(hdr=hdr)) for hdr in (False, True))
+    assert plain is before[0]
+    assert 1.25 in {body.height_mm for body in hdr.bodies} - {body.height_mm for body in before[1].bodies}
+
+
 def test_plan_is_made_once_though_several_callers_ask(board: Filmed) -> None:
     jobs: list[Any] = []
     may_go = threading.Event()
@@ -120,7 +138,7 @@ def test_plan_is_made_once_though_several_callers_ask(board: Filmed) -> None:
 def test_plans_are_kept_up_to_a_number(board: Filmed) -> None:
     mosaics = mosaics_of(board, [])
     for n in range(MOST_PLANS + 3):
-        mosaics._plans[f"old{n}", PictureName(), 0] = SimpleNamespace()  # type: ignore[assignment]
+        mosaics._plans[f"old{n}", PictureName(), 0, False] = SimpleNamespace()  # type: ignore[assignment]
     mosaics.tile("r1", PictureName(), 4, (0, 0, 32, 32), "jpg")
     assert len(mosaics._plans) == MOST_PLANS
 

@@ -29,6 +29,9 @@ def cut(
     ] = None,
     calibration: Annotated[Path | None, typer.Option(help="Use this calibration [CASE/calibration.json].")] = None,
     board: Annotated[Path | None, typer.Option(help="Use this board type [CASE/board.json].")] = None,
+    heights: Annotated[
+        Path | None, typer.Option(help="Take the heights of bodies from this file (of `vaoi heights`).")
+    ] = None,
     px_per_mm: Annotated[
         float | None, typer.Option(min=0.1, max=1000, help="Resolution of the images [that of the cameras].")
     ] = None,
@@ -83,7 +86,7 @@ def cut(
     )  # fmt: skip
     if hdr:
         options.refuse_with_hdr(wanted)
-    opened = Case.open(case, result, calibration, board)
+    opened = Case.open(case, result, calibration, board, heights)
     parts = opened.board_type.components if all_components else _named(opened.board_type, component or ())
     if hdr:
         cut_merged(

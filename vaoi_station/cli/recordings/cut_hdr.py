@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from vaoi_station.errors import InputError
 from vaoi_station.files import Recording, open_recording, read_board_type, read_calibration, read_stitch
 from vaoi_station.files.documents import write_bytes, write_json
+from vaoi_station.files.results import read_heights
 from vaoi_station.geometry import Camera
 from vaoi_station.hdr import Exposed, MergedPicture, merge_views
 from vaoi_station.hdr.bodies import bodies_in, merge_region, views_of_bodies
@@ -24,7 +25,7 @@ from vaoi_station.hdr.row_levels import at_level, row_levels
 from vaoi_station.hdr.tone_mapping import ToneCurve
 from vaoi_station.library.stitched_run import check_result
 from vaoi_station.model import BoardType, Component, RecordingHead, Stitch
-from vaoi_station.model.known_height import known_height_mm
+from vaoi_station.model.known_height import known_height_mm, with_heights
 from vaoi_station.model.light_program import usual_light
 from vaoi_station.photometry import FlatFields, NoiseModel, Taken, noise_from_frames
 from vaoi_station.rendering import View, ViewCalculator
@@ -46,8 +47,13 @@ class Case:
     stitch: Stitch
 
     @classmethod
-    def open(cls, case: Path, result: Path, calibration: Path | None, board: Path | None) -> Case:
-        """Open a recording; refuse a result that belongs to another one."""
+    def open(
+        cls, case: Path, result: Path, calibration: Path | None, board: Path | None, heights: Path | None = None
+    ) -> Case:
+        """Open a recording; refuse a result that belongs to another one.
+
+        `heights` is a file of `vaoi heights`; its heights replace those of the result.
+        """
         recording = open_recording(case)
         head = recording.head
         known = read_calibration(calibration or case / "calibration.json", head.cameras)
@@ -56,7 +62,8 @@ class Case:
         stitch = read_stitch(result)
         check_result(stitch, head.rows, cameras, result)
         check_origin(stitch, recording, known, board_type, result)
-        return cls(recording, board_type, cameras, stitch)
+        measured = {} if heights is None else read_heights(heights, board_type)
+        return cls(recording, board_type, cameras, with_heights(stitch, measured))
 
     @cached_property
     def frame(self) -> Callable[[int, int], NDArray[Any] | None]:

@@ -25,6 +25,9 @@ def mosaic(
     flatfield: Annotated[
         Path | None, typer.Option(help="Use the flat fields that `vaoi flatfield` wrote to this directory.")
     ] = None,
+    heights: Annotated[
+        Path | None, typer.Option(help="With --hdr: take the heights of bodies from this file (of `vaoi heights`).")
+    ] = None,
     region: Annotated[
         tuple[float, float, float, float] | None,
         typer.Option(help="Two opposite corners X0 Y0 X1 Y1 in CAD coordinates [the whole board]."),
@@ -44,6 +47,7 @@ def mosaic(
         exposure_us=exposure,
         hdr=hdr,
         flatfield=flatfield,
+        heights=heights,
         region=region,
     )
     for line in write_board(order):

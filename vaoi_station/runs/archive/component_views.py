@@ -13,6 +13,7 @@ from vaoi_station.errors import NotFoundError, StateError
 from vaoi_station.files.results import component_tables
 from vaoi_station.geometry import apply
 from vaoi_station.model import BoardType, Component, FrameRecord, Stitch, Verdict
+from vaoi_station.model.known_height import Heights, with_heights
 from vaoi_station.rendering import ChosenImages, ChosenView, FrameFacts, ImageRequest, ViewCalculator, choose_images
 from vaoi_station.rendering.selection import Measure
 from vaoi_station.runs.archive.finished_runs import FinishedRun
@@ -61,10 +62,6 @@ def _tester_mm(stitch: Stitch | None, part: Component) -> tuple[float, float] | 
     return float(x), float(y)
 
 
-Heights = Mapping[str, tuple[float, float]]
-"""Measured heights of components and their standard deviations, mm, by address."""
-
-
 def images_of_component(
     finished: FinishedRun, ref: str, wanted: ImageRequest, measure: Measure, heights_mm: Heights | None = None
 ) -> ChosenImages:
@@ -109,17 +106,6 @@ def image_of_component(
             code="no-such-image",
         )
     return chosen[k]
-
-
-def with_heights(result: Stitch, heights_mm: Heights) -> Stitch:
-    """Return a result with heights in place of those that follow from its links."""
-    columns = {"heights_mm": 0, "height_sigma_mm": 1}
-    changed = {}
-    for key, column in columns.items():
-        table = result.quality.get(key)
-        own = table if isinstance(table, dict) else {}
-        changed[key] = {**own, **{ref: values[column] for ref, values in heights_mm.items()}}
-    return result.model_copy(update={"quality": {**result.quality, **changed}})
 
 
 @lru_cache(_RUNS)

@@ -12,10 +12,13 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable
 from contextlib import AbstractContextManager
+from pathlib import Path
 from typing import Any
 
-from vaoi_station.errors import BusyError, GoneError, NotFoundError, StateError
+from vaoi_station.errors import BusyError, GoneError, NotFoundError, StateError, VaoiError
 from vaoi_station.heights.estimates import open_places
+from vaoi_station.model import RecordingHead
+from vaoi_station.photometry import FlatFields
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive, FinishedRun
 from vaoi_station.runs.run.memory import Bay
@@ -44,6 +47,7 @@ class MeasuredHeights:
         render: Callable[[PictureJob, str], Any],
         bay_of: Callable[[str], Bay],
         events: EventLog,
+        flat_fields: Path | None = None,
     ) -> None:
         """Store the archive of runs and functions.
 
@@ -53,9 +57,10 @@ class MeasuredHeights:
             render: has a worker perform a job with this name in messages, and returns the reply's value.
             bay_of: returns the bay of a run without a lease.
             events: the event log.
+            flat_fields: directory of the station's flat fields.
         """
         self._archive, self._lease, self._render, self._bay_of = archive, lease, render, bay_of
-        self._events = events
+        self._events, self._flat_fields = events, flat_fields
         self._known: OrderedDict[str, bytes] = OrderedDict()
         self._memory = threading.Lock()
         """Guards `_known`; never held while a worker or the disk is awaited."""
@@ -122,20 +127,34 @@ class MeasuredHeights:
         run, board_type, head = finished.detail.id, finished.board_type, finished.head
         stitch = finished.stitch or finished.result
         slots = {(f.camera, f.row): f.slot for f in finished.detail.frames if f.usable and f.slot is not None}
-        lights = (head.lights or ()) if head is not None else ()
+        lights, fields = (head.lights or ()) if head is not None else (), self._fitting_fields(head)
         parts: dict[str, Any] = {}
         while len(parts) < len(board_type.components) and not self.queue.stopping:
             some = board_type.components[len(parts) : len(parts) + _SLICE_PARTS]
             slim = board_type.model_copy(update={"components": some})
             job = HeightsJob(
-                run, bay.number, bay.generation, slim, stitch, finished.cameras, lights, slots, priority=priority
-            )
+                run, bay.number, bay.generation, slim, stitch, finished.cameras, lights, slots, fields,
+                priority=priority,
+            )  # fmt: skip
             parts |= self._render(job, "heights")
         if self.queue.stopping:
             raise StateError("The station is stopping; the heights were not measured.")
         combine = CombineHeightsJob(run, bay.number, bay.generation, board_type, stitch, parts, priority=priority)
         content: bytes = self._render(combine, "table of heights")
         return content
+
+    def _fitting_fields(self, head: RecordingHead | None) -> Path | None:
+        """Return the directory of the flat fields if they are those of the run's cameras and lights, else None.
+
+        Heights can be measured without them. That they do not fit is a warning of each run and of `vaoi doctor`.
+        """
+        if self._flat_fields is None or head is None:
+            return None
+        try:
+            FlatFields.peek(self._flat_fields).check_head(head)
+        except VaoiError:
+            return None
+        return self._flat_fields
 
     def _measure_after(self, run: str) -> None:
         """Measure the heights of a run that has just ended, if it can have any."""

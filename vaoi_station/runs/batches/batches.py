@@ -21,8 +21,9 @@ from vaoi_station.errors import GoneError, InputError, NotFoundError, VaoiError
 from vaoi_station.files.results import component_tables
 from vaoi_station.hdr.encoding import MergedFormat
 from vaoi_station.model import Component
+from vaoi_station.model.known_height import Heights, with_heights
 from vaoi_station.rendering import choose_images
-from vaoi_station.runs.archive.component_views import Heights, frame_facts, with_heights
+from vaoi_station.runs.archive.component_views import frame_facts
 from vaoi_station.runs.archive.finished_runs import FinishedRun
 from vaoi_station.runs.batches.batch_job import (
     MEDIA,

@@ -103,8 +103,9 @@ class StationCoordinator:
         parts.archive.on_announced = lambda run, until_s: self._inbox.post(self._core.announced, run, until_s)
         requests = PictureRequests(parts.workers)
         access = self._frames = FrameAccess(self._inbox, self._core, ring, parts.archive, requests)
-        self.mosaics = Mosaics(parts.archive, access.lease, requests.render, parts.config.flat_fields)
-        self.heights = MeasuredHeights(parts.archive, access.lease, requests.render, access.bay_of, parts.events)
+        common, fields = (parts.archive, access.lease, requests.render), parts.config.flat_fields
+        self.heights = MeasuredHeights(*common, access.bay_of, parts.events, fields)
+        self.mosaics = Mosaics(*common, fields, self.heights.known)
         made = self.heights, access.kept_mosaics(parts.config, self.mosaics, parts.events)
         self.kept = KeptRuns(parts.config, parts.archive, parts.events, access, *made, requests.render)
         access.heights, parts.watch.on_checked = self.heights.known, self.kept.trends.checked

@@ -192,7 +192,9 @@ class FrameAccess:
         def recorded(run: str, camera: int, row: int) -> Path | None:
             return self.recorded(run, camera, row)
 
-        return MergedAccess(self._archive.get, self.lease, recorded, self._requests.render, config.flat_fields)
+        return MergedAccess(
+            self._archive.get, self.lease, recorded, self._requests.render, config.flat_fields, self.heights
+        )
 
     def batches(self, merged: MergedAccess) -> BatchAccess:
         """Return the access to batches of pictures, of which `merged` makes those that are merged."""

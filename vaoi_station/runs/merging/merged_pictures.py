@@ -22,7 +22,7 @@ from vaoi_station.hdr.merging import distinct_exposures, exposure_groups
 from vaoi_station.hdr.parts import region_component, views_on_top
 from vaoi_station.hdr.row_levels import at_level
 from vaoi_station.model import FrameRecord
-from vaoi_station.model.known_height import known_height_mm
+from vaoi_station.model.known_height import Heights, known_height_mm, with_heights
 from vaoi_station.model.light_program import usual_light
 from vaoi_station.photometry import FieldMaps, FlatFields, NoiseModel, Taken
 from vaoi_station.rendering import View
@@ -65,8 +65,12 @@ class MergedChoice:
         return self.frames[0].view
 
 
-def merged_pictures(finished: FinishedRun, wanted: MergeRequest) -> tuple[MergedChoice, ...]:
+def merged_pictures(
+    finished: FinishedRun, wanted: MergeRequest, heights_mm: Heights | None = None
+) -> tuple[MergedChoice, ...]:
     """Return the merged pictures of a request: the m_v pictures by their rows, and last that of all frames.
+
+    `heights_mm` are heights of components that replace those of the result, which follow from few links.
 
     Raises:
         InputError: not exactly one of component and region is given, or the region is off the board or too large.
@@ -81,7 +85,7 @@ def merged_pictures(finished: FinishedRun, wanted: MergeRequest) -> tuple[Merged
     height = 0.0
     if wanted.component is not None:
         part = component_of(board_type, wanted.component)
-        height = known_height_mm(part, board_type, finished.result)
+        height = known_height_mm(part, board_type, with_heights(finished.result, heights_mm or {}))
     else:
         assert wanted.region is not None, "checked above"
         resolution = wanted.px_per_mm or float(np.mean([c.px_per_mm for c in finished.cameras]))
@@ -157,10 +161,12 @@ class MergedAccess:
     """Function that submits a job and waits for its reply: here an encoded picture, or the levels of rows."""
     flat_fields: Path | None
     """Directory of the station's flat fields."""
+    heights: Callable[[str], Heights | None] = lambda _run: None
+    """Function that returns the measured heights of a run; None while there are none."""
 
     def pictures(self, run: str, wanted: MergeRequest) -> tuple[MergedChoice, ...]:
         """Return the merged pictures of a request; see `merged_pictures`."""
-        return merged_pictures(self.get(run), wanted)
+        return merged_pictures(self.get(run), wanted, self.heights(run))
 
     def image(
         self, run: str, wanted: MergeRequest, k: int | None, format: MergedFormat, *, sigma: bool = False
@@ -211,7 +217,7 @@ class MergedAccess:
             return ()
         finished, of = self.get(run), {(f.view.camera, f.view.row): f for f in frames}
         view = frames[0].view
-        bodies = bodies_in(view, finished.board_type, finished.result)
+        bodies = bodies_in(view, finished.board_type, with_heights(finished.result, self.heights(run) or {}))
         return tuple(
             MergedBody(body, tuple(of[v.camera, v.row]._replace(view=v) for v in views if (v.camera, v.row) in of))
             for body, views in views_of_bodies(finished.view_calculator, bodies, view.px_per_mm)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 
 from vaoi_station.errors import InputError, StateError
 from vaoi_station.files.pyramids import TILE_PX, PyramidLayout, write_pyramid
+from vaoi_station.model.known_height import Heights, with_heights
 from vaoi_station.mosaic import MosaicGrid, MosaicPlan, TakenFrame, TileRenderer, choose_frames, distinct_exposures_us
 from vaoi_station.mosaic.deep_zoom import Box
 from vaoi_station.mosaic.grid import Region
@@ -62,16 +64,32 @@ class _Access(NamedTuple):
 class Mosaics:
     """Renders mosaics of runs. Methods may be called from any thread."""
 
-    def __init__(self, archive: Archive, lease: Lease, render: Render, flat_fields: Path | None = None) -> None:
-        """Create it; `flat_fields` is the directory of the station's flat fields."""
+    def __init__(
+        self,
+        archive: Archive,
+        lease: Lease,
+        render: Render,
+        flat_fields: Path | None = None,
+        heights: Callable[[str], Heights | None] = lambda _run: None,
+    ) -> None:
+        """Create it.
+
+        Args:
+            archive: the finished runs.
+            lease: keeps the frames of a run in memory in a `with` block.
+            render: has a worker perform a job, and returns the reply's value.
+            flat_fields: directory of the station's flat fields.
+            heights: returns the measured heights of a run; None while there are none.
+        """
         self._archive, self._render = archive, render
         self._callers = _Access(lease, Priority.RENDER)
-        self._flat_fields = flat_fields
+        self._flat_fields, self._heights = flat_fields, heights
         self.board_checks = BoardChecks(archive, lease, render)
         """Board types laid over these runs."""
         self._lock = threading.Lock()
-        self._plans: OrderedDict[tuple[str, PictureName, int], _Planned] = OrderedDict()
-        """By run, name and date of the flat fields, which may be replaced while the run is in memory."""
+        self._plans: OrderedDict[tuple[str, PictureName, int, bool], _Planned] = OrderedDict()
+        """By run, name, date of the flat fields, which may be replaced while the run is in memory, and whether the
+        heights of bodies were measured, which HDR lays in the planes of their tops."""
 
     def names(self, run: str) -> tuple[PictureName, ...]:
         """Return the mosaics of a run: of every light, and of every exposure and HDR where exposures differ."""
@@ -199,7 +217,7 @@ class Mosaics:
 
     def _plan(self, run: str, name: PictureName) -> MosaicPlan:
         """Return the plan of a mosaic; a worker makes it if there is none. Other callers wait meanwhile."""
-        key = run, name, changed_ns(self._flat_fields)
+        key = run, name, changed_ns(self._flat_fields), name.hdr and self._heights(run) is not None
         with self._lock:
             planned = self._plans.setdefault(key, _Planned())
             self._plans.move_to_end(key)
@@ -215,6 +233,9 @@ class Mosaics:
         projector = self._projector(finished)
         base = MosaicGrid.of_board(finished.board_type, projector.px_per_mm, most_px=float("inf"))
         run, stitch = finished.detail.id, finished.stitch or finished.result
+        if name.hdr:
+            # The complete result has heights of its own, from its links.
+            stitch = with_heights(finished.result, self._heights(run) or {})
         if self._flat_fields is not None and finished.head is not None:
             # Refused here, before a worker is asked.
             lights = [choice.light] if choice.light is not None else None

@@ -7,22 +7,26 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from numpy.typing import NDArray
 
 from vaoi_station.geometry import Camera
 from vaoi_station.heights.comparison import heights_document
+from vaoi_station.heights.equalised_frames import equalised_frames
 from vaoi_station.heights.estimates import PartMeasure, combine_parts, measure_part, open_places
 from vaoi_station.heights.part_grids import Frames
 from vaoi_station.model import BoardType, Stitch
 from vaoi_station.runs.workers.jobs import FramesJob, Priority
+from vaoi_station.runs.workers.merge_job import opened_fields
 from vaoi_station.stitching.matching.evidence import FrameKey
 
 SLICE_S = 0.03
 """Time after the first component in which further ones are begun, so that no other job waits for long.
 
-The first component is not counted: with it, frames of 16 bits or colour are converted, which later components use.
+The first component is not counted: with it, frames of 16 bits or colour are converted, and frames are divided by flat
+fields, which later components use.
 """
 
 
@@ -44,6 +48,8 @@ class HeightsJob(FramesJob):
     """Name of the light of every row; empty if all rows have one."""
     slots: Mapping[FrameKey, int]
     """Slots of the usable frames."""
+    flat_fields: Path | None = None
+    """Directory of the flat fields by which frames are divided."""
     priority: Priority = Priority.RENDER
     request: int = 0
 
@@ -55,6 +61,8 @@ class HeightsJob(FramesJob):
             return None if slot is None else frame(slot)
 
         places, frames = open_places(self.board_type, self.stitch, self.cameras), Frames(pixels)
+        if self.flat_fields is not None:
+            frames = Frames(equalised_frames(pixels, opened_fields(self.flat_fields), self.lights))
         found: dict[str, PartMeasure] = {}
         ends_s = math.inf
         for component in self.board_type.components:
