@@ -45,6 +45,9 @@ class Workers:
         self.jobs: list[Any] = []
         self.open: list[str] = []
 
+    def busy(self) -> bool:
+        return False
+
     def submit(self, job: Any) -> None:
         self.jobs.append(job)
 

@@ -27,13 +27,14 @@ from vaoi_station.runs.archive.run_statistics import RunFigures
 from vaoi_station.runs.control.core import Core, Parts
 from vaoi_station.runs.control.inbox import Inbox
 from vaoi_station.runs.control.inbox_events import InboxEvents
-from vaoi_station.runs.control.pictures import FrameAccess, PictureRequests, ViewRequest
+from vaoi_station.runs.control.pictures import FrameAccess, ViewRequest
 from vaoi_station.runs.control.station_events import StationEvents
 from vaoi_station.runs.control.status import renew_permit, snapshot_of, status_line
 from vaoi_station.runs.control.teaching import BoardTypeService, ReferenceTeaching
 from vaoi_station.runs.host.gc_policy import GcPolicy
 from vaoi_station.runs.lighting.lighting import Lighting
 from vaoi_station.runs.mosaics.mosaics import Mosaics
+from vaoi_station.runs.pictures.picture_requests import PictureRequests
 from vaoi_station.runs.run.leases import OWN
 from vaoi_station.runs.run.order import Order, Passing
 from vaoi_station.runs.run.reference_store import ReferenceStore
@@ -101,8 +102,8 @@ class StationCoordinator:
         self._gc_policy = GcPolicy()
         self._core, self.storage = Core(parts), parts.archive.storage
         parts.archive.on_announced = lambda run, until_s: self._inbox.post(self._core.announced, run, until_s)
-        requests = PictureRequests(parts.workers)
-        access = self._frames = FrameAccess(self._inbox, self._core, ring, parts.archive, requests)
+        requests, busy = PictureRequests(parts.workers.submit), parts.workers.busy
+        access = self._frames = FrameAccess(self._inbox, self._core, ring, parts.archive, requests, busy)
         common, fields = (parts.archive, access.lease, requests.render), parts.config.flat_fields
         self.heights = MeasuredHeights(*common, access.bay_of, parts.events, fields)
         self.mosaics = Mosaics(*common, fields, self.heights.known)
@@ -124,6 +125,7 @@ class StationCoordinator:
         """Start the coordinator's thread."""
         self._gc_policy.start()
         self._inbox.start()
+        self._frames.small.start()
         self.kept.start()
 
     @property

@@ -7,7 +7,7 @@ import time
 from vaoi_station.acquisition.process.messages import Report
 from vaoi_station.runs.control.core import Core
 from vaoi_station.runs.control.inbox import Inbox
-from vaoi_station.runs.control.pictures import PictureRequests
+from vaoi_station.runs.pictures.picture_requests import PictureRequests
 from vaoi_station.runs.workers.jobs import Job, PictureJob, Reply
 
 

@@ -7,11 +7,8 @@ pixels. Of a run that is no longer in memory, frames are read from its recording
 from __future__ import annotations
 
 import itertools
-import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Future
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,7 +16,7 @@ from numpy.typing import NDArray
 
 from vaoi_station.acquisition.ring.ring import Ring
 from vaoi_station.config import StationConfig
-from vaoi_station.errors import DeviceError, GoneError, NotFoundError, StateError
+from vaoi_station.errors import GoneError, NotFoundError, StateError
 from vaoi_station.files.images import read_kept_image
 from vaoi_station.model import FrameRecord
 from vaoi_station.rendering import ChosenImages, ChosenView, ImageRequest, Measures, View, measure
@@ -27,21 +24,20 @@ from vaoi_station.runs.archive import component_views
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.batches.batches import BatchAccess
-from vaoi_station.runs.control.active_runs import Workers
 from vaoi_station.runs.control.core import Core
 from vaoi_station.runs.control.inbox import Inbox
 from vaoi_station.runs.merging.merged_pictures import MergedAccess
 from vaoi_station.runs.mosaics.kept_mosaics import DIRECTORY as MOSAICS
 from vaoi_station.runs.mosaics.kept_mosaics import KeptMosaics
 from vaoi_station.runs.mosaics.mosaics import Mosaics
+from vaoi_station.runs.pictures.picture_requests import PictureRequests
+from vaoi_station.runs.pictures.small_pictures import SmallPictures
 from vaoi_station.runs.run.leases import OWN, Lease
 from vaoi_station.runs.run.memory import Bay
 from vaoi_station.runs.states.schemas import ImageFormat, RunDetail
 from vaoi_station.runs.states.tables import FINISHED
-from vaoi_station.runs.workers.jobs import PictureJob, Priority, RenderJob, Reply
+from vaoi_station.runs.workers.jobs import Priority, RenderJob
 
-RENDER_LIMIT_S = 60.0
-"""Longest wait of a caller for a rendered picture."""
 SMALL_PX = 100_000
 """Largest number of pixels of a small picture: rendered and encoded, it takes no longer than a link."""
 
@@ -54,63 +50,23 @@ class ViewRequest(NamedTuple):
     images: ImageRequest
 
 
-class PictureRequests:
-    """Sends render jobs to the workers, and passes each reply to the caller that waits for it.
-
-    Jobs and replies are matched by a request number. Methods may be called from any thread.
-    """
-
-    def __init__(self, workers: Workers) -> None:
-        self._workers = workers
-        self._numbers = itertools.count(1)
-        self._lock = threading.Lock()
-        self._pending: dict[int, Future[Reply]] = {}
-
-    def render(self, job: PictureJob, name: str) -> Any:
-        """Submit a picture job, wait for its reply, and return its value: of a render job the encoded picture.
-
-        Args:
-            job: the job; this method sets its request number.
-            name: name of the picture for the message of a refusal.
-
-        Raises:
-            DeviceError: no worker rendered the picture within `RENDER_LIMIT_S`.
-            VaoiError: the worker refused the job.
-        """
-        # Two callers may request the same picture at the same time: only the number distinguishes their jobs.
-        numbered = replace(job, request=next(self._numbers))  # type: ignore[type-var]  # all of them are dataclasses
-        pending: Future[Reply] = Future()
-        with self._lock:
-            self._pending[numbered.request] = pending
-        try:
-            self._workers.submit(numbered)
-            reply = pending.result(RENDER_LIMIT_S)
-        except TimeoutError:
-            raise DeviceError(
-                f"No worker rendered image {name} within {RENDER_LIMIT_S:.0f} s.",
-                action="Check the state of the workers.",
-            ) from None
-        finally:
-            with self._lock:
-                del self._pending[numbered.request]
-        if reply.error is not None:
-            raise reply.error
-        return reply.value
-
-    def complete(self, job: PictureJob, reply: Reply) -> None:
-        """Pass a worker's reply to the caller that waits for it. If the caller no longer waits, drop the reply."""
-        with self._lock:
-            pending = self._pending.get(job.request)
-            if pending is not None:
-                pending.set_result(reply)
-
-
 class FrameAccess:
     """Reads frames and temporary images of runs; each access takes a lease. Methods may be called from any thread."""
 
-    def __init__(self, inbox: Inbox, core: Core, ring: Ring, archive: Archive, requests: PictureRequests) -> None:
+    def __init__(
+        self,
+        inbox: Inbox,
+        core: Core,
+        ring: Ring,
+        archive: Archive,
+        requests: PictureRequests,
+        busy: Callable[[], bool],
+    ) -> None:
+        """Connect the parts. `busy` returns whether no worker is idle."""
         self._inbox, self._core, self._ring = inbox, core, ring
         self._archive, self._requests = archive, requests
+        self.small = SmallPictures(ring, busy)
+        """The pictures that the station process renders itself."""
         self.recorded: Callable[[str, int, int], Path | None] = lambda _run, _camera, _row: None
         """Function that returns the file of a frame (run, camera, row) in the run's recording; None if no recording of
         the run is kept. It raises GoneError if the recording does not have the frame."""
@@ -135,14 +91,19 @@ class FrameAccess:
         return read_kept_image(file), record
 
     def image(self, detail: RunDetail, wanted: ViewRequest, format: ImageFormat) -> bytes:
-        """Have a worker render one temporary image, and return it as an encoded file."""
+        """Render one temporary image, in a worker or in this thread, and return it as an encoded file."""
         finished = self._archive.get(detail.id)
         name = f"{wanted.ref}/{wanted.k}"
         measure, heights = self._measured_by(detail), self._heights(detail.id, wanted.images)
         choice = component_views.image_of_component(finished, wanted.ref, wanted.k, wanted.images, measure, heights)
+        if detail.bay is not None and detail.generation is not None and detail.frames_available:
+            own = self.small.render(_job(detail, choice, format, (detail.bay, detail.generation)))
+            if own is not None:
+                return own
         try:
             with self.lease(detail.id, f"image {name}") as bay:
-                picture: bytes = self._requests.render(_job(detail, choice, format, bay), name)
+                job = _job(detail, choice, format, (bay.number, bay.generation))
+                picture: bytes = self._requests.render(job, name)
                 return picture
         except GoneError:
             # A difference needs both of its frames.
@@ -150,7 +111,7 @@ class FrameAccess:
             files = [self.recorded(detail.id, view.camera, view.row) for view in needed]
             if None in files:
                 raise
-        recorded: bytes = self._requests.render(_job(detail, choice, format, None, files), name)
+        recorded: bytes = self._requests.render(_job(detail, choice, format, (0, 0), files), name)
         return recorded
 
     def images(self, detail: RunDetail, ref: str, wanted: ImageRequest) -> ChosenImages:
@@ -245,17 +206,23 @@ class FrameAccess:
 
 
 def _job(
-    detail: RunDetail, choice: ChosenView, format: ImageFormat, bay: Bay | None, files: Sequence[Path | None] = ()
+    detail: RunDetail,
+    choice: ChosenView,
+    format: ImageFormat,
+    place: tuple[int, int],
+    files: Sequence[Path | None] = (),
 ) -> RenderJob:
-    """Make the job that renders an image from frames in a bay of the ring, or from files of its frames."""
+    """Make the job that renders an image from frames in a bay of the ring, or from files of its frames.
+
+    `place` is number and generation of the bay.
+    """
     record = frame_record(detail, choice.view.camera, choice.view.row)
     assert record.slot is not None, "views are of whole frames"
-    number, generation = (0, 0) if bay is None else (bay.number, bay.generation)
-    minus = None if choice.minus is None else _job(detail, choice.minus, format, bay, files[1:])
+    minus = None if choice.minus is None else _job(detail, choice.minus, format, place, files[1:])
     file = files[0] if files else None
     small = file is None and minus is None and choice.view.width * choice.view.height <= SMALL_PX
     return RenderJob(
-        detail.id, number, generation, record.slot, choice.view, format, file=file, minus=minus, ratio=choice.ratio,
+        detail.id, *place, record.slot, choice.view, format, file=file, minus=minus, ratio=choice.ratio,
         priority=Priority.SMALL_RENDER if small else Priority.RENDER,
     )  # fmt: skip
 

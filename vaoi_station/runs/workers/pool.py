@@ -19,7 +19,7 @@ import threading
 import time
 from pathlib import Path
 
-from vaoi_station.errors import BusyError, InternalError, StateError, VaoiError
+from vaoi_station.errors import InternalError, StateError, VaoiError
 from vaoi_station.runs.host.message_pipe import PipeEndedError, wait_for
 from vaoi_station.runs.states.schemas import ProcessStatus
 from vaoi_station.runs.workers.jobs import (
@@ -39,7 +39,7 @@ from vaoi_station.runs.workers.jobs import (
     WorkerStarting,
     check_after,
 )
-from vaoi_station.runs.workers.queues import MAX_PICTURES, JobQueues
+from vaoi_station.runs.workers.queues import JobQueues
 from vaoi_station.runs.workers.worker import Queued, Worker, start_process
 from vaoi_station.runs.workers.worker_events import WorkerEvents
 from vaoi_station.supervised_thread import SupervisedThread
@@ -101,6 +101,11 @@ class WorkerPool:
         with self._lock:
             return any(w.ready for w in self._workers) and all(w.ready or w.restarts for w in self._workers)
 
+    def busy(self) -> bool:
+        """Return whether no worker is idle."""
+        # Without the lock: while it is held, jobs are pickled, and the answer may be out of date anyway.
+        return not any(worker.idle and not worker.overdue for worker in self._workers)
+
     def submit(self, job: Job) -> None:
         """Queue a job; its reply is reported by `WorkerEvents.worker_reply`. A job of a closed run is refused."""
         with self._lock:
@@ -113,14 +118,7 @@ class WorkerPool:
     def _refusal(self, job: Job) -> VaoiError | None:
         if self._stopping:
             return StateError("The station is stopping; its workers take no more jobs.")
-        single = (Priority.SMALL_RENDER, Priority.RENDER)
-        if job.priority in single and sum(map(self._queues.waiting, single)) >= MAX_PICTURES:
-            return BusyError(
-                f"{MAX_PICTURES} pictures wait for a worker already, which is the limit.",
-                action="Request fewer pictures at a time, or request this one again in a moment.",
-                code="pictures-busy",
-            )
-        return None
+        return self._queues.refusal(job)
 
     def open_run(self, opening: OpenRun) -> None:
         """Announce a run to the pool, before its first job is submitted."""

@@ -12,6 +12,7 @@ import itertools
 from collections import defaultdict, deque
 from collections.abc import Iterator, Sequence
 
+from vaoi_station.errors import BusyError
 from vaoi_station.runs.workers.jobs import (
     ConcludeJob,
     GatherJob,
@@ -45,6 +46,17 @@ class JobQueues:
     def waiting(self, priority: Priority) -> int:
         """Return the number of waiting jobs of one priority."""
         return sum(len(queue) for queue in self._queues[priority].values())
+
+    def refusal(self, job: Job) -> BusyError | None:
+        """Return why a job is not taken: too many pictures wait. None if it is taken."""
+        single = (Priority.SMALL_RENDER, Priority.RENDER)
+        if job.priority not in single or sum(map(self.waiting, single)) < MAX_PICTURES:
+            return None
+        return BusyError(
+            f"{MAX_PICTURES} pictures wait for a worker already, which is the limit.",
+            action="Request fewer pictures at a time, or request this one again in a moment.",
+            code="pictures-busy",
+        )
 
     def add(self, queued: Queued) -> bool:
         """Append a job to its queue. Return False if the job is of a run that is not open."""

@@ -239,32 +239,42 @@ class WorkerRuntime:
         return [found for task, found in self._runs[job.run].evidence.items() if task not in job.excluded]
 
     def _render(self, job: RenderJob) -> bytes:
-        if isinstance(job, MergeJob):
-            if job.file is not None:
-                return merge(job, self._ring.frame)
-            return self._guarded(job.bay, job.generation, lambda: merge(job, self._ring.frame))
-        picture = self._picture(job)
-        if job.minus is not None:
-            picture = subtract(picture, self._picture(job.minus), job.ratio)
-        return encode(picture, job.format)
-
-    def _picture(self, job: RenderJob) -> NDArray[Any]:
-        """Render the picture of a job, without the one that is subtracted."""
+        if not isinstance(job, MergeJob):
+            return render_picture(job, self._ring)
         if job.file is not None:
-            return render(job.view, read_kept_image(job.file))
-        frame = self._ring.frame(job.slot)
-        return self._guarded(job.bay, job.generation, lambda: render(job.view, frame))
+            return merge(job, self._ring.frame)
+        return self._guarded(job.bay, job.generation, lambda: merge(job, self._ring.frame))
 
     def _guarded(self, bay: int, generation: int, work: Callable[[], T]) -> T:
-        """Call `work`, which reads frames of a bay, and return its value. Raise GoneError if the bay has a later run.
+        return _guarded(self._ring, bay, generation, work)
 
-        Frames are read without a copy and without a lock. Therefore the generation of the bay is checked before and
-        after: a value from frames that were overwritten meanwhile is discarded.
-        """
-        self._ring.check_generation(bay, generation)
-        value = work()
-        self._ring.check_generation(bay, generation)
-        return value
+
+def render_picture(job: RenderJob, ring: Ring) -> bytes:
+    """Render and encode the picture of a job; raise GoneError if the memory of its frame has a later run."""
+    picture = _picture(job, ring)
+    if job.minus is not None:
+        picture = subtract(picture, _picture(job.minus, ring), job.ratio)
+    return encode(picture, job.format)
+
+
+def _picture(job: RenderJob, ring: Ring) -> NDArray[Any]:
+    """Render the picture of a job, without the one that is subtracted."""
+    if job.file is not None:
+        return render(job.view, read_kept_image(job.file))
+    frame = ring.frame(job.slot)
+    return _guarded(ring, job.bay, job.generation, lambda: render(job.view, frame))
+
+
+def _guarded(ring: Ring, bay: int, generation: int, work: Callable[[], T]) -> T:
+    """Call `work`, which reads frames of a bay, and return its value. Raise GoneError if the bay has a later run.
+
+    Frames are read without a copy and without a lock. Therefore the generation of the bay is checked before and after:
+    a value from frames that were overwritten meanwhile is discarded.
+    """
+    ring.check_generation(bay, generation)
+    value = work()
+    ring.check_generation(bay, generation)
+    return value
 
 
 def _reply_of(job: Job, work: Callable[[], Any]) -> Reply:

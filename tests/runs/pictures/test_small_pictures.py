@@ -1,0 +1,86 @@
+"""Small pictures are rendered by the station process while no worker is idle, with the same bytes as by a worker."""
+
+from __future__ import annotations
+
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vaoi_station.errors import GoneError
+from vaoi_station.rendering import ImageRequest
+from vaoi_station.runs.pictures import small_pictures as module
+from vaoi_station.runs.pictures.small_pictures import SEATS
+from vaoi_station.runs.workers.jobs import RenderJob, Reply
+from vaoi_station.runs.workers.worker_runtime import WorkerRuntime, render_picture
+
+FINE = ImageRequest.of({"px_per_mm": 277})
+
+
+@pytest.fixture
+def run(rig: Any) -> str:
+    """A finished run with pixels; all workers are busy, and the station process has loaded what it renders with."""
+    grant = rig.arm()
+    rig.board(grant)
+    rig.result_of(grant.run)
+    random = np.random.default_rng(0)
+    for frame in rig.coordinator.run(grant.run).frames:
+        memory = rig.ring.memory(frame.slot)
+        memory[:] = random.integers(0, 256, memory.shape)
+    rig.workers.all_busy = True
+    assert rig.coordinator._frames.small.loaded.wait(60)
+    return str(grant.run)
+
+
+def jobs(rig: Any) -> list[RenderJob]:
+    return [job for job in rig.workers.done if isinstance(job, RenderJob)]
+
+
+@pytest.mark.parametrize("format", ["png", "jpeg", "tiff", "npy"])
+def test_the_bytes_are_those_of_a_worker(rig: Any, run: str, format: Any) -> None:
+    own = rig.coordinator.image(run, "U1", 0, format=format)
+    assert jobs(rig) == []
+    rig.workers.all_busy = False
+    assert rig.coordinator.image(run, "U1", 0, format=format) == b"picture"
+    [job] = jobs(rig)
+    with WorkerRuntime(str(rig.ring.path)) as worker:
+        [reply] = worker.replies(job)
+    assert isinstance(reply, Reply)
+    assert reply.value == own
+
+
+def test_a_large_picture_waits_for_a_worker(rig: Any, run: str) -> None:
+    assert rig.coordinator.image(run, "U1", 0, FINE) == b"picture"
+    [job] = jobs(rig)
+    assert job.view.width * job.view.height > 100_000
+
+
+def test_no_more_than_its_seats_are_rendered_at_a_time(rig: Any, run: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    began, go_on = threading.Semaphore(0), threading.Event()
+
+    def slow(job: Any, ring: Any) -> bytes:
+        began.release()
+        assert go_on.wait(60)
+        return render_picture(job, ring)
+
+    monkeypatch.setattr(module, "render_picture", slow)
+    with ThreadPoolExecutor(SEATS) as callers:
+        drawn = [callers.submit(rig.coordinator.image, run, "U1", 0) for _ in range(SEATS)]
+        for _ in drawn:
+            assert began.acquire(timeout=60)
+        assert rig.coordinator.image(run, "U1", 0) == b"picture"
+        go_on.set()
+        assert all(d.result(60).startswith(b"\x89PNG") for d in drawn)
+
+
+def test_frames_that_were_released_give_no_picture(rig: Any, run: str) -> None:
+    rig.coordinator.release(run)
+    with pytest.raises(GoneError, match="no longer in memory"):
+        rig.coordinator.image(run, "U1", 0)
+
+
+def test_memory_that_a_later_board_has_is_left_to_the_ordinary_way(rig: Any, run: str) -> None:
+    rig.ring.renew(rig.coordinator.run(run).bay)
+    assert rig.coordinator.image(run, "U1", 0) == b"picture", "a worker finds out by itself, or reads a recording"

@@ -1,0 +1,59 @@
+"""Small pictures that the station process renders itself, straight from the ring, while no worker is idle.
+
+A small picture takes a millisecond, and its caller would wait for links of a row that are under way in all workers. The
+caller's own thread makes it: OpenCV and compiled loops release the GIL, so that the coordinator's thread goes on.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+
+import numpy as np
+
+from vaoi_station.acquisition.ring.ring import Ring
+from vaoi_station.errors import GoneError
+from vaoi_station.runs.workers.jobs import Priority, RenderJob
+from vaoi_station.runs.workers.worker_runtime import render_picture
+
+SEATS = 2
+"""Largest number of pictures that the station process renders at a time; workers render the others."""
+
+
+class SmallPictures:
+    """Renders small pictures in the threads of their callers. Methods may be called from any thread."""
+
+    def __init__(self, ring: Ring, busy: Callable[[], bool]) -> None:
+        """Store the ring that holds the frames, and a function that returns whether no worker is idle."""
+        self._ring, self._busy = ring, busy
+        self._seats = threading.BoundedSemaphore(SEATS)
+        self.loaded = threading.Event()
+        """Set when the compiled functions are loaded."""
+
+    def start(self) -> None:
+        """Load the compiled functions in a thread of their own; until they are loaded, workers render all pictures."""
+        threading.Thread(target=self._load, name="small-pictures", daemon=True).start()
+
+    def render(self, job: RenderJob) -> bytes | None:
+        """Return the encoded picture of a job with its place in the ring; None if a worker has to render it.
+
+        No lease is needed: the generation of the bay is checked after the pixels were read, as in workers.
+        """
+        if job.priority is not Priority.SMALL_RENDER or not self.loaded.is_set() or not self._busy():
+            return None
+        if not self._seats.acquire(blocking=False):
+            return None
+        try:
+            return render_picture(job, self._ring)
+        except GoneError:
+            return None  # the frame may be in a recording, which the caller looks up
+        finally:
+            self._seats.release()
+
+    def _load(self) -> None:
+        from vaoi_station.geometry.shifting import shift
+
+        frame = np.zeros((4, 4), np.uint8)
+        frame.flags.writeable = False
+        shift(frame, np.eye(3), 1, np.empty(4, np.uint8), (0, 2, 2, 2), True)
+        self.loaded.set()
