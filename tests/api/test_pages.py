@@ -53,13 +53,18 @@ def test_pages_are_not_in_the_openapi_document(client: Any) -> None:
     assert all(path.startswith("/api/v1/") or path in ("/healthz", "/readyz") for path in paths)
 
 
+def codes_of(*titles: str) -> set[str]:
+    """Return the codes that some sections of the list have."""
+    sections = re.split(r"^## ", CODES.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    tables = [s for s in sections if s.startswith(titles)]
+    assert len(tables) == len(titles)
+    cells = re.findall(r"^\| (`.+?) \|", "".join(tables), re.MULTILINE)
+    return {code for cell in cells for code in re.findall("`(.+?)`", cell)}
+
+
 def codes_of_boards() -> set[str]:
     """Return the codes of reasons of a run and of its identity, without those that have an order by their family."""
-    sections = re.split(r"^## ", CODES.read_text(encoding="utf-8"), flags=re.MULTILINE)
-    tables = [s for s in sections if s.startswith(("Reasons of a run", "Reasons of an identity"))]
-    assert len(tables) == 2
-    cells = re.findall(r"^\| (`.+?) \|", "".join(tables), re.MULTILINE)
-    codes = {code for cell in cells for code in re.findall("`(.+?)`", cell)}
+    codes = codes_of("Reasons of a run", "Reasons of an identity")
     return {code for code in codes if not code.startswith(("stitch-", "trigger-"))}
 
 
@@ -87,3 +92,12 @@ def test_the_page_words_refusals_that_exist(client: Any, language: str) -> None:
     assert len(worded) == len(found[1].splitlines())
     listed = CODES.read_text(encoding="utf-8")
     assert [code for code in worded if f"`{code}`" not in listed] == ["other"]
+
+
+def test_german_pages_translate_every_reason_and_only_known_refusals(client: Any) -> None:
+    texts = client.get("/web/texts/translated_de.js").text
+    groups = dict(re.findall(r"^  (reasons|refusals): {\n(.*?)^  },", texts, re.MULTILINE | re.DOTALL))
+    reasons, refusals = (re.findall(r'^    "?([a-z-]+)"?: "', groups[name], re.MULTILINE) for name in groups)
+    assert len(reasons) == len(set(reasons))
+    assert set(reasons) == {code.value for code in ReasonCode} | codes_of("Reasons of a run", "Reasons of an identity")
+    assert set(refusals) <= codes_of("Refusals of requests")

@@ -283,4 +283,11 @@ def test_nothing_is_clipped(browser: Browser, served: Any, language: str, scheme
             page.locator(f"#to-{name}").click()
             expect(page.locator(f"#tab-{name} > *").first).to_be_visible()
             assert page.evaluate(WIDER) == [], (width, name)
+    if language == "de":
+        page.locator("#to-report").click()
+        reason = page.locator("#verdict-reasons li")
+        expect(reason).to_contain_text("Zwischen zwei Teilen des Laufs fehlen brauchbare Einzelbilder.")
+        expect(reason.locator("[lang=en]")).to_be_hidden()
+        reason.locator("summary").press("Enter")
+        expect(reason.locator("[lang=en]")).to_have_text("Rows are lost.")
     context.close()

@@ -103,11 +103,11 @@ def test_every_group_of_reasons_shows_the_order_of_the_guide(page: Page, served:
 
 @pytest.mark.browser
 def test_both_languages_have_the_same_texts(page: Page, served: Any) -> None:
-    """The meanings of settings are of the configuration model, which has them in English."""
+    """The meanings of settings, and what is translated by its code, have their English words from the station."""
     page.goto(served.url)
     english, german = page.evaluate("""async () => {
         const keys = (object, path) => Object.entries(object).flatMap(([key, value]) =>
-            key === "meanings" ? [] :
+            ["meanings", "translated"].includes(key) ? [] :
                 typeof value === "object" ? keys(value, `${path}${key}.`) : [`${path}${key}: ${typeof value}`]);
         const modules = await Promise.all([import("/web/texts/en.js"), import("/web/texts/de.js")]);
         return modules.map((module) => keys(module.texts, "").sort());
@@ -121,12 +121,8 @@ def test_frames_that_did_not_come_prove_no_trigger(page: Page, served: Any) -> N
     page.goto(served.url)
     said = page.evaluate("""async () => {
         const { texts } = await import("/web/texts/en.js");
-        const camera = (proven, max_residual_us) => ({ camera: 1, proven, max_residual_us });
-        return [
-            { proven: true, cameras: [camera(true)] },
-            { proven: false, cameras: [camera(false)] },
-            { proven: true, cameras: [camera(true, 3.25)] },
-        ].map(texts.trigger);
+        const proof = (proven) => ({ proven, cameras: [{ camera: 1, proven }] });
+        return [texts.trigger(proof(true), ""), texts.trigger(proof(false), ""), texts.trigger(proof(true), "3.3")];
     }""")
     assert said == [
         "no frame to confirm",

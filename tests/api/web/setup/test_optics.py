@@ -53,6 +53,10 @@ def test_a_line_is_planned_from_what_the_station_knows(page: Page, engineer: Any
     page.keyboard.press("Tab")
     expect(page.locator(".answer.refused")).to_contain_text("distance_min_mm is 900")
     expect(page.locator("#optics-distance_min_mm")).to_have_attribute("aria-invalid", "true")
+    page.evaluate("localStorage.setItem('vaoi-language', 'de')")
+    page.reload()  # the address has the values
+    expect(page.locator(".answer.refused")).to_contain_text("im Widerspruch zu anderen Werten: Kleinster Abstand")
+    expect(page.locator(".answer.refused [lang=en]")).to_be_hidden()
 
 
 def test_the_example_of_the_paper_violates_two_constraints_and_remedies_mend_them(

@@ -1,5 +1,5 @@
 // The comparison of a board with another one: which, and how: a slider between both, or blinking.
-import { make, setText } from "../parts/elements.js";
+import { make, saidOf, setText } from "../parts/elements.js";
 import * as rest from "../parts/rest.js";
 import { texts } from "../texts/texts.js";
 
@@ -69,7 +69,7 @@ export class Comparison {
     const asked = ++this.#asked;
     const chosen = this.#state.get("with");
     this.#part("with-run").hidden = this.#part("with").value !== "run";
-    let [other, mosaics, answer] = [null, [], ""];
+    let [other, mosaics, answer, refused] = [null, [], "", null];
     if (chosen) {
       try {
         const id = await this.#idOf(chosen);
@@ -79,7 +79,9 @@ export class Comparison {
         else if (other.id === this.#run.id) [other, answer] = [null, texts.board.itself];
       } catch (error) {
         if (!(error instanceof rest.Refusal)) throw error;
-        answer = error.code === "no-reference" ? texts.board.noOther.reference : error.status === 404 ? texts.notFound : error.message;
+        if (error.code === "no-reference") answer = texts.board.noOther.reference;
+        else if (error.status === 404) answer = texts.notFound;
+        else refused = error;
       }
     }
     if (other) {
@@ -89,6 +91,7 @@ export class Comparison {
     if (asked !== this.#asked) return; // overtaken by a later choice
     [this.#other, this.#mosaics] = [other, mosaics];
     setText(this.#part("compare-answer"), answer);
+    if (refused) this.#part("compare-answer").replaceChildren(...saidOf(refused));
     this.#begin();
   }
 

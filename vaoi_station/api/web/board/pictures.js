@@ -1,5 +1,5 @@
 // The pictures of one part: which frames show it, under which light, and one of them large, beside that of another board.
-import { make, setText } from "../parts/elements.js";
+import { make, saidOf, setText } from "../parts/elements.js";
 import * as rest from "../parts/rest.js";
 import { number, texts } from "../texts/texts.js";
 import { heightText } from "./colours.js";
@@ -134,7 +134,7 @@ export class Pictures {
       this.#views = [];
       this.#at("stage").hidden = true;
       this.#at("pictures").replaceChildren();
-      this.#say(error.message);
+      this.#at("pictures-note").replaceChildren(...saidOf(error));
     }
   }
 
@@ -202,7 +202,7 @@ export class Pictures {
 
   async #loadOther() {
     const [turn, run] = [this.#turn, this.#other.run];
-    let [views, answer] = [[], ""];
+    let [views, answer, refused] = [[], "", null];
     if (run && this.#views.length) {
       if (!run.frames_available && !run.recording) answer = texts.board.otherPicturesGone;
       else {
@@ -211,13 +211,14 @@ export class Pictures {
           if (!views.length) answer = texts.board.otherHasNone;
         } catch (error) {
           if (!(error instanceof rest.Refusal)) throw error;
-          answer = error.message;
+          refused = error;
         }
       }
     }
     if (turn !== this.#turn || run !== this.#other.run) return;
     this.#other.views = views;
     setText(this.#at("other-facts"), answer);
+    if (refused) this.#at("other-facts").replaceChildren(...saidOf(refused));
     this.#showOther();
   }
 

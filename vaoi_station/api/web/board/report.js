@@ -1,17 +1,26 @@
 // The report of a board in words and figures: why its verdict is what it is.
 import { identityOf } from "../parts/identity.js";
-import { make } from "../parts/elements.js";
+import { make, said } from "../parts/elements.js";
 import { moment, number, texts } from "../texts/texts.js";
 
 export function showReport(root, run, { parts, overlay }) {
-  const reasons = run.reasons.map((reason) => make("li", { textContent: `${reason.message} ${reason.action}`.trim() }));
+  const reasons = run.reasons.map((reason) => make("li", {}, ...said(`${reason.message} ${reason.action}`.trim(), translatedReason(reason))));
   root.replaceChildren(
     make("ul", { id: "verdict-reasons" }, ...reasons),
     make("dl", { id: "facts" }, ...lines([...facts(run), ...figures(parts, overlay)])),
   );
 }
 
-const lines = (found) => found.flatMap(([name, value]) => [make("dt", { textContent: name }), make("dd", { textContent: value })]);
+// By its cause, or its code.
+const translatedReason = ({ cause, code }) => texts.translated.reasons[cause] ?? texts.translated.reasons[code];
+
+// The largest residual of the proof in µs; "" if no frame has one.
+function within(proof) {
+  const residuals = proof.cameras.map((camera) => camera.max_residual_us).filter((us) => us != null);
+  return residuals.length ? number(Math.max(...residuals), 1) : "";
+}
+
+const lines = (found) => found.flatMap(([name, value]) => [make("dt", { textContent: name }), make("dd", {}, ...[value].flat())]);
 
 function facts(run) {
   const { ok, incomplete, missing, unproven } = run.counts;
@@ -25,7 +34,7 @@ function facts(run) {
     [names.frames, texts.frames(ok, incomplete, missing, unproven, run.rows, run.cameras)],
     ...(run.unseen?.length ? [[names.unseen, texts.unseen(run.unseen)]] : []),
     ...(run.skipped_boards?.length ? [[names.skipped, run.skipped_boards.join(", ")]] : []),
-    ...(run.proof ? [[names.trigger, texts.trigger(run.proof)]] : []),
+    ...(run.proof ? [[names.trigger, texts.trigger(run.proof, within(run.proof))]] : []),
     ...(run.belt ? [[names.belt, texts.belt(number(Math.hypot(...run.belt.measured_mm_s), 2), number(run.belt.ratio * 100, 2))]] : []),
     ...(run.timings?.ready_after_last_frame_ms == null ? [] : [[names.result, texts.resultAfter(number(run.timings.ready_after_last_frame_ms))]]),
     [names.software, `${run.software.station}`],
@@ -47,7 +56,7 @@ function figures(parts, overlay) {
     if (seam) found.push([texts.board.worstSeam, `${number(seam.residual_px, 3)} px (${seam.a.join("/")} – ${seam.b.join("/")})`]);
   }
   const without = overlay.links.filter((pair) => !pair.used);
-  if (without.length) found.push([texts.board.unlinked, [...new Set(without.map((pair) => `${pair.a.join("/")} – ${pair.b.join("/")}: ${pair.why}`))].slice(0, 12).join("; ")]);
+  if (without.length) found.push([texts.board.unlinked, said([...new Set(without.map((pair) => `${pair.a.join("/")} – ${pair.b.join("/")}: ${pair.why}`))].slice(0, 12).join("; "))]);
   const marks = overlay.fiducials.map((mark) => `${mark.name}: ${mark.residual_px == null ? texts.board.notFoundMark : `${number(mark.residual_px, 3)} px`}`);
   if (marks.length) found.push([texts.board.fiducials, marks.join(", ")]);
   return found;

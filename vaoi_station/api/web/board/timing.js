@@ -1,5 +1,5 @@
 // When everything of a run happened: barrier, pulses, LEDs, exposures, transfer and stitching of every row, drawn to scale.
-import { make } from "../parts/elements.js";
+import { make, saidOf } from "../parts/elements.js";
 import * as rest from "../parts/rest.js";
 import { svg, titled } from "../parts/svg.js";
 import { number, texts } from "../texts/texts.js";
@@ -25,12 +25,12 @@ export async function timing(root, run) {
   try {
     const timeline = await rest.timeline(run.id);
     const rows = rowsOf(timeline);
-    if (!rows.length) throw new rest.Refusal({ detail: texts.board.noTimes, action: "", status: 404 });
+    if (!rows.length) return root.replaceChildren(make("p", { className: "note", textContent: texts.board.noTimes }));
     const width = Math.max(root.clientWidth - 30, LEAST_WIDTH_PX);
     root.replaceChildren(keys(), drawing(timeline, rows, width), table(timeline, rows));
   } catch (error) {
     if (!(error instanceof rest.Refusal)) throw error;
-    root.replaceChildren(make("p", { className: "note", textContent: error.message }));
+    root.replaceChildren(make("p", { className: "note" }, ...saidOf(error)));
   }
 }
 

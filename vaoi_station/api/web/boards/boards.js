@@ -1,6 +1,6 @@
 // The list of boards: filters that the station applies, reasons, decisions, and a file for spreadsheets.
 import { quoted } from "../parts/csv.js";
-import { $, make, setText } from "../parts/elements.js";
+import { make, saidOf, setText } from "../parts/elements.js";
 import { readId } from "../parts/identity.js";
 import * as rest from "../parts/rest.js";
 import { draw } from "../parts/signs.js";
@@ -153,7 +153,7 @@ export class BoardsView {
     } catch (error) {
       if (turn !== this.#turn) return;
       this.#next = null;
-      setText(this.root.querySelector("#list-answer"), error instanceof rest.Refusal ? error.message : texts.noAnswer);
+      this.root.querySelector("#list-answer").replaceChildren(...saidOf(error));
     }
     more.disabled = false;
     more.hidden = !this.#next;
@@ -180,7 +180,7 @@ export class BoardsView {
         before = next;
       } while (before && boards.length < MOST_SAVED);
     } catch (error) {
-      setText(this.root.querySelector("#list-answer"), error instanceof rest.Refusal ? error.message : texts.noAnswer);
+      this.root.querySelector("#list-answer").replaceChildren(...saidOf(error));
       return;
     }
     const cut = before || boards.length > MOST_SAVED;

@@ -1,6 +1,6 @@
 // A card for each camera: its newest frame, sharpness, histogram, state of the device, drift, and what the doctor finds.
 import { histogram, sharpnessMap, BLUR_LIMIT_PX, DARK_LIMIT, SATURATED_LIMIT } from "../parts/camera_card.js";
-import { make, setText } from "../parts/elements.js";
+import { make, said, saidOf, setText } from "../parts/elements.js";
 import * as rest from "../parts/rest.js";
 import { moment, number, texts } from "../texts/texts.js";
 import { Trial } from "./trial.js";
@@ -87,16 +87,16 @@ class Card {
     const words = texts.cameras;
     const tiles = frame?.tiles.filter((tile) => tile.blur_px != null && tile.blur_px > BLUR_LIMIT_PX).length ?? 0;
     const lines = [
-      ...(camera.message ? [camera.message] : []),
+      ...(camera.message ? [{ english: camera.message }] : []),
       ...(frame && frame.saturated > SATURATED_LIMIT ? [words.tooBright(percent(frame.saturated, 1))] : []),
       ...(frame && frame.high < DARK_LIMIT ? [words.tooDark(percent(frame.high))] : []),
       ...(tiles ? [words.soft(tiles)] : []),
-      ...findings.map((finding) => `${finding.message} ${finding.action}`.trim()),
+      ...findings.map((finding) => ({ english: `${finding.message} ${finding.action}`.trim() })),
     ];
     const wanted = JSON.stringify(lines);
     if (this.remarks.dataset.shown === wanted) return;
     this.remarks.dataset.shown = wanted;
-    this.remarks.replaceChildren(...lines.map((text) => make("li", { textContent: text })));
+    this.remarks.replaceChildren(...lines.map((line) => make("li", {}, ...(line.english ? said(line.english) : [line]))));
   }
 }
 
@@ -181,7 +181,7 @@ export class CamerasView {
       setText(answer, `${words.found(wrong.length, found.findings.length)} (${moment(found.created)})`);
       this.root.querySelector("#doctor-findings").replaceChildren(...wrong.map((finding) => this.#finding(finding)));
     } catch (error) {
-      setText(answer, error instanceof rest.Refusal ? error.message : texts.noAnswer);
+      answer.replaceChildren(...saidOf(error));
     }
     button.disabled = false;
   }
@@ -190,7 +190,7 @@ export class CamerasView {
     const where = [finding.check, finding.subject].filter(Boolean).join(", ");
     return make("li", { className: finding.level },
       make("strong", { textContent: `${texts.cameras.levels[finding.level]}: ${where}` }),
-      make("p", { textContent: finding.message }),
-      make("p", { className: "remedy", textContent: finding.action }));
+      make("p", {}, ...said(finding.message)),
+      make("p", { className: "remedy" }, ...said(finding.action)));
   }
 }

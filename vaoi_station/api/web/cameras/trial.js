@@ -1,6 +1,6 @@
 // Settings of one camera on trial while the line is disarmed: pulses one after the other, a focus figure that is legible from the lens.
 import { histogram, sharpnessMap } from "../parts/camera_card.js";
-import { make, setText } from "../parts/elements.js";
+import { make, saidOf, setText } from "../parts/elements.js";
 import * as rest from "../parts/rest.js";
 import { number, texts } from "../texts/texts.js";
 
@@ -114,7 +114,7 @@ export class Trial {
         return;
       }
       // A setting that is refused can be corrected in the form; the next pulse tries it.
-      if (!PASSING.includes(error.code)) setText(this.answer, error instanceof TypeError ? texts.noAnswer : error.message);
+      if (!PASSING.includes(error.code)) this.answer.replaceChildren(...saidOf(error));
       pause = AGAIN_MS;
     }
     if (turn === this.#turn) this.#timer = setTimeout(() => rest.unattended(this.#follow(turn)), pause);

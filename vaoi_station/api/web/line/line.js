@@ -21,8 +21,8 @@ const PAGE = `
 </section>
 <section id="details" hidden aria-labelledby="details-title">
   <h2 id="details-title" data-text="technical"></h2>
-  <ul id="reasons"></ul>
-  <ul id="warnings"></ul>
+  <ul id="reasons" lang="en"></ul>
+  <ul id="warnings" lang="en"></ul>
   <p id="set-aside" hidden></p>
   <button type="button" id="close-details" data-text="close"></button>
 </section>

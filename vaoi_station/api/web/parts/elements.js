@@ -1,5 +1,5 @@
 // Small helpers to make and change elements.
-import { texts } from "../texts/texts.js";
+import { language, texts } from "../texts/texts.js";
 import { Refusal } from "./rest.js";
 
 export const $ = (id) => document.getElementById(id);
@@ -22,12 +22,28 @@ export function showLines(list, lines) {
   list.replaceChildren(...lines.map((line) => make("li", { textContent: line })));
 }
 
+// What the station says, which is English. On a page in another language a translation stands first, and its own words behind
+// "Details"; without a translation they are marked as English, so that screen readers pronounce them right.
+export function said(sentence, translation = "") {
+  if (language === "en") return [sentence];
+  const original = make("span", { lang: "en", textContent: sentence });
+  if (!translation) return [original];
+  return [`${translation} `, make("details", { className: "original" }, make("summary", { textContent: texts.details }), original)];
+}
+
+// The same of a request that had no effect. A page that knows more of the cause gives the refusal a `translation`.
+export function saidOf(error) {
+  if (!(error instanceof Refusal)) return [texts.noAnswer];
+  const { refusals, refused } = texts.translated;
+  return said(error.message, error.translation ?? refusals[error.code] ?? refused);
+}
+
 // Why a press had no effect, in the operator's words. The station's own sentence is for programs and engineers: it is behind "Why?".
 export function showRefusal(element, error) {
   if (!(error instanceof Refusal)) {
     element.replaceChildren(texts.noAnswer);
     return;
   }
-  const why = make("details", { className: "refusal" }, make("summary", { textContent: texts.why }), make("p", { textContent: error.detail }));
+  const why = make("details", { className: "refusal" }, make("summary", { textContent: texts.why }), make("p", { lang: "en", textContent: error.detail }));
   element.replaceChildren(`${texts.refusals[error.code] ?? texts.refusals.other} `, why);
 }

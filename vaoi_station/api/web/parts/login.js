@@ -1,6 +1,6 @@
 // Log the page in with a key, once. The station keeps the login as a cookie that scripts cannot read.
 import * as rest from "./rest.js";
-import { make } from "./elements.js";
+import { make, saidOf } from "./elements.js";
 import { texts } from "../texts/texts.js";
 
 // The elements are made only where they are needed: a page on the station's own machine has no login.
@@ -47,8 +47,7 @@ export async function loggedIn(live) {
         offerLogOut();
         done();
       } catch (error) {
-        const refused = error instanceof rest.Refusal;
-        answer.textContent = !refused ? texts.noAnswer : error.code === "no-key" ? texts.wrongKey : error.message;
+        answer.replaceChildren(...(error.code === "no-key" ? [texts.wrongKey] : saidOf(error)));
         key.select();
       }
     });

@@ -1,5 +1,5 @@
 // Calibration: print the board, film it, let the station measure its marks, judge, accept or try again.
-import { make } from "../parts/elements.js";
+import { make, said } from "../parts/elements.js";
 import * as rest from "../parts/rest.js";
 import { keep, kept } from "../parts/settings.js";
 import { moment, number, texts } from "../texts/texts.js";
@@ -226,9 +226,9 @@ class Calibration {
       bar.setAttribute("aria-label", title);
       return [section(title, bar, make("p", { textContent: t.trialProgress(trial.frames_read, trial.frames) }))];
     }
-    const refused = trial.message ? make("p", { className: "answer refused", textContent: `${trial.message} ${trial.action ?? ""}`.trim() }) : "";
+    const refused = trial.message ? make("p", { className: "answer refused" }, ...said(`${trial.message} ${trial.action ?? ""}`.trim(), t.trialRefused)) : "";
     const figures = trial.cameras.length ? table(t.trialColumns, trial.cameras.map((c) => [
-      c.name, t.ofAll(c.used, c.marks), ...[[c.residual_px, 3], [c.corner_sigma_px, 3], [c.distortion_px, 3], [c.changed_px, 2]].map(([value, digits]) => (value == null ? "–" : number(value, digits))), c.refusal ?? t.good,
+      c.name, t.ofAll(c.used, c.marks), ...[[c.residual_px, 3], [c.corner_sigma_px, 3], [c.distortion_px, 3], [c.changed_px, 2]].map(([value, digits]) => (value == null ? "–" : number(value, digits))), make("span", {}, ...(c.refusal ? said(c.refusal, t.refusedCamera) : [t.good])),
     ])) : "";
     const against = trial.shift_mm ? facts([
       [t.inForce, trial.in_force_created ? moment(trial.in_force_created) : "–"], [t.boardShift, t.millimetres(trial.shift_mm.map((v) => number(v, 3)).join(" / "))], [t.turn, `${number(trial.turned_deg, 4)}°`],
@@ -248,6 +248,6 @@ class Calibration {
       return "";
     }, this.#answer, { className: "primary", id: "accept" }), make("a", { className: "button", href: requests.trialCalibration, download: "calibration.json", textContent: t.download }), discard) : make("div", { className: "buttons" }, discard);
     const written = trial.state === "accepted" ? make("p", { className: "answer done", textContent: t.acceptedAs(trial.accepted_as, trial.backup) }) : "";
-    return [section(title, refused, written, figures, make("ul", { className: "warnings" }, ...trial.notes.map((textContent) => make("li", { textContent }))), against, orders, make("div", { className: "pictures" }, ...pictures))];
+    return [section(title, refused, written, figures, make("ul", { className: "warnings" }, ...trial.notes.map((note) => make("li", {}, ...said(note)))), against, orders, make("div", { className: "pictures" }, ...pictures))];
   }
 }

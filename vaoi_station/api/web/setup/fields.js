@@ -1,5 +1,5 @@
 // Pieces of forms that the pages under "Set up" share.
-import { make, setText } from "../parts/elements.js";
+import { make, saidOf, setText } from "../parts/elements.js";
 import { Refusal } from "../parts/rest.js";
 import { texts } from "../texts/texts.js";
 
@@ -63,7 +63,8 @@ export async function attempt(control, work, answer) {
     return true;
   } catch (error) {
     if (!(error instanceof Refusal) && !(error instanceof TypeError) && !(error instanceof Wrong)) throw error;
-    write(error instanceof TypeError ? texts.noAnswer : error.message, "refused");
+    write(error instanceof Wrong ? error.message : "", "refused");
+    if (!(error instanceof Wrong)) answer.replaceChildren(...saidOf(error));
     reveal(answer);
     return false;
   } finally {

@@ -1,6 +1,6 @@
 // The marks of a board type: fiducials that place it, marks of a panel, and bad-board marks. The data name them, or a person names a part.
 import { make } from "../parts/elements.js";
-import { number, texts } from "../texts/texts.js";
+import { entered, number, texts } from "../texts/texts.js";
 import { button, choice, input, labelled, tick, Wrong } from "./fields.js";
 import { address, mmPerUnit } from "./geometry.js";
 
@@ -55,7 +55,7 @@ function namedPart(type, add) {
   const options = make("datalist", { id: "mark-parts" }, ...parts.map((part) => make("option", { value: address(part) })));
   const ref = input("part", "", { maxLength: 80 });
   ref.setAttribute("list", options.id);
-  const diameter = input("diameter", String(+(1 / mmPerUnit(type)).toPrecision(4)), { inputMode: "decimal" });
+  const diameter = input("diameter", entered(+(1 / mmPerUnit(type)).toPrecision(4)), { inputMode: "decimal" });
   const shape = choice("shape", Object.fromEntries(SHAPES.map((name) => [name, t.shapes[name]])), "circle");
   const boards = [...new Set(parts.map((part) => part.panel).filter((panel) => panel != null))];
   const kind = choice("kind", { fiducial: t.kinds.fiducial, "bad-board": t.kinds.badBoard }, "fiducial");

@@ -1,7 +1,7 @@
 // A board type laid over a filmed board: checked by the station, moved by hand, stored as a draft.
-import { make } from "../parts/elements.js";
+import { make, said } from "../parts/elements.js";
 import * as rest from "../parts/rest.js";
-import { moment, number, texts } from "../texts/texts.js";
+import { entered, moment, number, texts } from "../texts/texts.js";
 import { bodies, svg, titled } from "./drawing.js";
 import { answerLine, attempt, button, choice, facts, input, labelled, say, section, tick, Wrong } from "./fields.js";
 import { middle, mmPerUnit, moved, mover, outlineOf } from "./geometry.js";
@@ -137,7 +137,7 @@ class Overlay {
     this.#layer.setAttribute("transform", `matrix(${[a[0] - o[0], a[1] - o[1], b[0] - o[0], b[1] - o[1], ...o].join(" ")})`);
     this.#layer.dataset.x = this.#move.x;
     for (const name of ["x", "y", "turn"]) {
-      if (document.activeElement !== this.#fields[name]) this.#fields[name].value = String(+this.#move[name].toFixed(4));
+      if (document.activeElement !== this.#fields[name]) this.#fields[name].value = entered(+this.#move[name].toFixed(4));
     }
   }
 
@@ -224,7 +224,7 @@ class Overlay {
       await this.show();
       return t.storedDraft;
     }, this.#answer, { className: "primary", id: "correct" }) : "";
-    this.#found.replaceChildren(lines, make("ul", { className: "warnings" }, ...found.warnings.map((w) => make("li", { textContent: w.message }))),
+    this.#found.replaceChildren(lines, make("ul", { className: "warnings" }, ...found.warnings.map((w) => make("li", {}, ...said(w.message)))),
       make("div", { className: "buttons" }, correct), make("figure", {}, make("a", { href: picture.src, target: "_blank" }, picture), make("figcaption", { textContent: t.checkPicture })));
   }
 }

@@ -1,5 +1,5 @@
 // A file that was uploaded: what it would make, drawn to scale; its options are corrected, and it is confirmed.
-import { make } from "../parts/elements.js";
+import { make, said } from "../parts/elements.js";
 import { number, texts } from "../texts/texts.js";
 import { boardDrawing } from "./drawing.js";
 import { answerLine, attempt, button, choice, facts, input, labelled, section, Wrong } from "./fields.js";
@@ -47,7 +47,7 @@ class Preview {
 
   #foundOf(found) {
     const t = texts.setup;
-    const missing = found.missing.map((m) => make("li", { textContent: t.missing[m.what]?.(m.count, found.boards) ?? m.message }));
+    const missing = found.missing.map((m) => make("li", {}, ...(m.what in t.missing ? [t.missing[m.what](m.count, found.boards)] : said(m.message))));
     return section(t.found, facts([
       [t.format, found.format], [t.size, t.millimetres(found.size_mm.map((v) => number(v, 2)).join(" × "))],
       [t.componentsOf, t.partsOf(found.components, found.parts_top, found.parts_bottom)], [t.fiducialCount, String(found.fiducials)],
@@ -56,7 +56,7 @@ class Preview {
       [t.notFitted, found.not_fitted ? String(found.not_fitted) : ""],
       [t.unit, found.table ? `${found.table.unit} (${found.table.unit_from})` : ""],
     ]), missing.length ? make("h4", { textContent: t.missingTitle }) : "", make("ul", { className: "warnings" }, ...missing),
-    found.check.length ? make("details", {}, make("summary", { textContent: t.toCheck(found.check.length) }), make("ul", {}, ...found.check.map((textContent) => make("li", { textContent })))) : "");
+    found.check.length ? make("details", {}, make("summary", { textContent: t.toCheck(found.check.length) }), make("ul", {}, ...found.check.map((line) => make("li", {}, ...said(line))))) : "");
   }
 
   // Side, name, for a centroid file its unit and columns, and which panel the board is of. Every change is imported anew

@@ -1,5 +1,5 @@
 // "Set up": the wizards of the engineer, one beside the other. Each is loaded when it is opened.
-import { make, setText } from "../parts/elements.js";
+import { make, saidOf } from "../parts/elements.js";
 import * as rest from "../parts/rest.js";
 import { fillIn, texts } from "../texts/texts.js";
 import { rightsFor } from "./rights.js";
@@ -45,10 +45,10 @@ export class SetupView {
       fillIn(this.body);
     } catch (error) {
       if (!(error instanceof rest.Refusal) && !(error instanceof TypeError)) throw error;
-      const said = make("p", { className: "answer refused" });
-      said.setAttribute("role", "alert");
-      this.body.replaceChildren(said);
-      setText(said, error instanceof rest.Refusal ? error.message : texts.noAnswer);
+      const answer = make("p", { className: "answer refused" });
+      answer.setAttribute("role", "alert");
+      this.body.replaceChildren(answer);
+      answer.replaceChildren(...saidOf(error));
     }
   }
 

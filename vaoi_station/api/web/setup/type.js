@@ -1,5 +1,5 @@
 // One board type: its drawing, state and revision, marks, earlier versions, and its reference run.
-import { make } from "../parts/elements.js";
+import { make, said } from "../parts/elements.js";
 import * as rest from "../parts/rest.js";
 import { moment, number, texts } from "../texts/texts.js";
 import { boardDrawing } from "./drawing.js";
@@ -89,8 +89,9 @@ class Type {
     const t = texts.setup;
     const good = runs.filter((run) => run.verdict === "ok" && run.frames_available);
     const run = choice("run", Object.fromEntries(good.map((r) => [r.id, t.runOf(r.board_id ?? r.id, moment(r.started))])), good[0]?.id ?? "");
-    const now = reference ? [t.referenceIs(reference.run, moment(reference.taught), reference.frames), reference.fault ? ` ${reference.fault.message} ${reference.fault.action}` : ""].join("") : t.noReference;
-    return section(t.referenceTitle, make("p", { textContent: now }), good.length ? labelled(t.run, run) : make("p", { className: "help", textContent: t.noGoodRun }),
+    const fault = reference?.fault ? [" ", ...said(`${reference.fault.message} ${reference.fault.action}`, texts.translated.refusals["reference-unusable"])] : [];
+    const now = reference ? [t.referenceIs(reference.run, moment(reference.taught), reference.frames), ...fault] : [t.noReference];
+    return section(t.referenceTitle, make("p", {}, ...now), good.length ? labelled(t.run, run) : make("p", { className: "help", textContent: t.noGoodRun }),
       make("div", { className: "buttons" },
         good.length ? this.#order(t.teach, () => requests.teach(this.#name, run.value), t.taught) : "",
         reference ? this.#order(t.forget, () => requests.forget(this.#name), t.forgotten, { className: "plain" }) : ""));

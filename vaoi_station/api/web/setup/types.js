@@ -55,7 +55,7 @@ class Types {
     const columns = texts.setup.typeColumns;
     const rows = types.map((type) => [
       make("a", { href: typeAddress(type.name), textContent: type.name }), type.revision ?? "",
-      make("span", { className: `state ${type.state}`, textContent: type.fault ? type.fault.message : texts.setup.states[type.state] ?? type.state }),
+      make("span", { className: `state ${type.state}`, ...(type.fault ? { lang: "en" } : {}), textContent: type.fault ? type.fault.message : texts.setup.states[type.state] ?? type.state }),
       texts.setup.sides[type.side] ?? type.side, String(type.components), String(type.fiducials),
     ]);
     const known = types.length ? table(columns, rows) : make("p", { textContent: texts.setup.noTypes });

@@ -82,10 +82,10 @@ export const board = {
   notFoundMark: "nicht gefunden",
 
   times: {
-    barrier: "Schranke", pulse: "Puls", led: "LED", exposure: "Belichtung", transfer: "Übertragung", waiting: "Warten", stitch: "Stitchen", result: "Ergebnis",
+    barrier: "Schranke", pulse: "Impuls", led: "LED", exposure: "Belichtung", transfer: "Übertragung", waiting: "Warten", stitch: "Stitchen", result: "Ergebnis",
   },
-  timingOf: (rows) => `Schranke, Pulse, Belichtungen, Übertragung und Stitchen von ${rows} Reihen über der Zeit`,
-  timeColumns: ["Reihe", "Puls, s", "Licht", "LED, µs", "Belichtung, µs", "Bilder nach, ms", "Gestitcht nach, ms"],
+  timingOf: (rows) => `Schranke, Impulse, Belichtungen, Übertragung und Stitchen von ${rows} Reihen über der Zeit`,
+  timeColumns: ["Reihe", "Impuls, s", "Licht", "LED, µs", "Belichtung, µs", "Bilder nach, ms", "Gestitcht nach, ms"],
   readyAt: (s, ms) => `Ergebnis ${s} s nachdem die Baugruppe die Schranke erreicht hat, ${ms} ms nach dem letzten Bild.`,
   noTimes: "Die Zeiten dieses Laufs wurden nicht behalten.",
 

@@ -7,7 +7,7 @@ export const cameras = {
   noFrame: "Kein Bild im Speicher. Eine Baugruppe durchlaufen lassen.",
   noEdges: "Keine Kanten: Unschärfe nicht messbar.",
   blur: "px Unschärfe (gut: unter 1,3)",
-  alt: (row) => `Neuestes Bild, Zeile ${row}`,
+  alt: (row) => `Neuestes Einzelbild, Reihe ${row}`,
   histogram: (low, high, saturated) => `1 % der Pixel unter ${low}, 99 % unter ${high}, ${saturated} gesättigt`,
   tooBright: (share) => `Zu hell: ${share} der Pixel sind gesättigt (Grenze 0,5 %).`,
   tooDark: (share) => `Dunkel: 99 % der Pixel liegen unter ${share} (mindestens 35 %).`,

@@ -5,6 +5,7 @@ import { lights } from "./lights_de.js";
 import { optics } from "./setup/optics_de.js";
 import { settings } from "./setup/settings_de.js";
 import { setup } from "./setup_de.js";
+import { translated } from "./translated_de.js";
 import { trends } from "./trends_de.js";
 
 export const texts = {
@@ -14,6 +15,7 @@ export const texts = {
   optics,
   settings,
   setup,
+  translated,
   trends,
   line: "Linie",
   boards: "Baugruppen",
@@ -36,6 +38,7 @@ export const texts = {
   loading: "Wird geladen …",
   why: "Warum?",
   close: "Schließen",
+  details: "Einzelheiten (englisch)",
   technical: "Einzelheiten für den Techniker (englisch)",
 
   words: {
@@ -203,9 +206,8 @@ export const texts = {
     const size = `${rows} Reihen × ${cameras} Kameras`;
     return lost.length ? `${ok} von ${all} gut (${lost.join(", ")}), ${size}` : `alle ${all} gut, ${size}`;
   },
-  trigger: (proof) => {
-    const worst = proof.cameras.map((c) => c.max_residual_us).filter((r) => r != null);
-    if (proof.proven && worst.length) return `alle Bilder passen auf ${Math.max(...worst).toFixed(1)} µs zu ihren Pulsen`;
+  trigger: (proof, within) => {
+    if (proof.proven && within) return `alle Einzelbilder passen auf ${within} µs zu ihren Impulsen`;
     const cameras = proof.cameras.filter((c) => !c.proven).map((c) => c.camera);
     return cameras.length ? `nicht bestätigt für Kamera ${cameras.join(", ")}` : "kein Bild zu bestätigen";
   },

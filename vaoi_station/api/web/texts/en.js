@@ -15,6 +15,7 @@ export const texts = {
   settings,
   setup,
   trends,
+  translated: { refused: "", reasons: {}, refusals: {} }, // what the station says is English
   // frame of all pages
   line: "Line",
   boards: "Boards",
@@ -37,6 +38,7 @@ export const texts = {
   loading: "Loading …",
   why: "Why?",
   close: "Close",
+  details: "Details",
   technical: "Details for the engineer",
 
   // the word and the order of every state
@@ -214,9 +216,8 @@ export const texts = {
     const size = `${rows} rows × ${cameras} cameras`;
     return lost.length ? `${ok} of ${all} good (${lost.join(", ")}), ${size}` : `all ${all} good, ${size}`;
   },
-  trigger: (proof) => {
-    const worst = proof.cameras.map((c) => c.max_residual_us).filter((r) => r != null);
-    if (proof.proven && worst.length) return `all frames match their pulses within ${Math.max(...worst).toFixed(1)} µs`;
+  trigger: (proof, within) => {
+    if (proof.proven && within) return `all frames match their pulses within ${within} µs`;
     const cameras = proof.cameras.filter((c) => !c.proven).map((c) => c.camera);
     return cameras.length ? `not confirmed for camera ${cameras.join(", ")}` : "no frame to confirm";
   },

@@ -192,6 +192,8 @@ export const setup = {
   limitNames: { working_distance_mm: "Distance of the cameras", center_tolerance_mm: "Accuracy of nominal centres", residual_limit_px: "Largest residual", mark_accuracy_um: "Accuracy of the marks (σ)", flatness_um: "Flatness of the board (σ)" },
   notNumber: (name, value) => `${name} is “${value}”; it must be a number.`,
   trialStates: { reading: "Reads the frames", fitting: "Finds the marks and fits", judged: "4. Judge it", refused: "Refused", accepted: "Accepted" },
+  trialRefused: "Not all cameras could be calibrated.",
+  refusedCamera: "refused:",
   trialOf: (run, row, time) => `run ${run}, row ${row}, ${time}`,
   trialProgress: (n, all) => `${n} of ${all} cameras read. This goes on if the page is closed.`,
   trialColumns: ["Camera", "Marks", "Residual, px", "σ at corner, px", "Distortion, px", "Changed, px", "Finding"],

@@ -27,6 +27,8 @@ export function fillIn(root) {
 const locale = { en: "en-GB", de: "de-DE" }[language];
 
 export const number = (value, digits = 0) => value.toLocaleString(locale, { minimumFractionDigits: digits, maximumFractionDigits: digits });
+// A value in a field, as a person would enter it in this language.
+export const entered = (value) => value.toLocaleString(locale, { maximumSignificantDigits: 9, useGrouping: false });
 export const clock = (time) => new Date(time).toLocaleTimeString(locale, { hour: "2-digit", minute: "2-digit", second: "2-digit" });
 export const moment = (time) => new Date(time).toLocaleString(locale, { dateStyle: "medium", timeStyle: "medium" });
 

@@ -1,5 +1,5 @@
 // How the figures of boards develop: a chart per figure, what changed meanwhile, and the comparison of two spans.
-import { make, setText } from "../parts/elements.js";
+import { make, saidOf, setText } from "../parts/elements.js";
 import * as rest from "../parts/rest.js";
 import { moment, texts } from "../texts/texts.js";
 import { Chart } from "./chart.js";
@@ -104,7 +104,7 @@ export class TrendsView {
     try {
       found = await rest.trends(query);
     } catch (error) {
-      setText(this.root.querySelector("#trend-answer"), error instanceof rest.Refusal ? error.message : texts.noAnswer);
+      this.root.querySelector("#trend-answer").replaceChildren(...saidOf(error));
       return;
     }
     if (asked !== this.#asked) return; // overtaken by a later choice

@@ -1,6 +1,6 @@
 // Optics: the plan of a line as a form, drawn to scale, with every constraint and what would mend those that are violated.
 import { make } from "../../parts/elements.js";
-import { language, texts } from "../../texts/texts.js";
+import { entered, language, texts } from "../../texts/texts.js";
 import { answerLine, attempt, facts, input, labelled, say, section, table, Wrong } from "../fields.js";
 import * as requests from "../requests.js";
 import { lineDrawing } from "./line_drawing.js";
@@ -28,8 +28,6 @@ const shown = (value, unit = "") => {
   return unit ? `${text} ${unit}` : text;
 };
 
-// As a person would enter it in this language.
-const entered = (value) => value.toLocaleString(language, { maximumSignificantDigits: 9, useGrouping: false });
 const plain = (textContent, onclick) => make("button", { type: "button", textContent, onclick });
 
 export async function open(root, path, query) {
@@ -113,6 +111,13 @@ class Optics {
     return Object.fromEntries(given);
   }
 
+  // Which field is meant: of a limit the place, of a contradiction the name in the message.
+  #refuse(error) {
+    const wrong = ALL.filter((name) => error.errors?.some((e) => e.where.endsWith(`.${name}`)) || error.message.includes(`: ${name} `));
+    this.#mark(wrong);
+    if (wrong.length) error.translation = texts.optics.wrong(wrong.map((name) => texts.optics.names[name]));
+  }
+
   #mark(names) {
     for (const name of ALL) {
       if (names.includes(name)) this.#fields[name].setAttribute("aria-invalid", "true");
@@ -132,8 +137,7 @@ class Optics {
       try {
         if (!missing.length) plan = await requests.opticsPlan(values);
       } catch (error) {
-        // Which field is meant: of a limit the place, of a contradiction the name in the message.
-        if (turn === this.#turn) this.#mark(ALL.filter((name) => error.errors?.some((e) => e.where.endsWith(`.${name}`)) || error.message.includes(`: ${name} `)));
+        if (turn === this.#turn) this.#refuse(error);
         throw error;
       }
       if (turn !== this.#turn) return;

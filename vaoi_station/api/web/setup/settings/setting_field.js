@@ -20,7 +20,7 @@ export function settingField(key, setting, value, onChange) {
   const meaning = t.meanings?.[setting.key] ?? setting.description;
   control.id = `setting-${key.replaceAll(/[^A-Za-z0-9_.-]/g, "_")}`;
   const field = labelled(name, control, { unit: setting.unit ?? "", help: [meaning, t.limits(setting), form].filter(Boolean).join(" – ") });
-  const fault = make("p", { className: "fault", id: `${control.id}-fault`, hidden: true });
+  const fault = make("p", { className: "fault", lang: "en", id: `${control.id}-fault`, hidden: true });
   control.setAttribute("aria-describedby", `${control.id}-help ${fault.id}`);
   field.append(fault);
   control.addEventListener("change", () => onChange(() => read(setting, name, control.value.trim())));

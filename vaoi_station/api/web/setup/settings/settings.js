@@ -1,5 +1,5 @@
 // Settings: station.toml as a form. Every change is checked by the station, which shows the lines that change; then the file is saved or taken.
-import { make } from "../../parts/elements.js";
+import { make, said } from "../../parts/elements.js";
 import { texts } from "../../texts/texts.js";
 import { answerLine, attempt, button, input, labelled, section, Wrong } from "../fields.js";
 import * as requests from "../requests.js";
@@ -41,7 +41,7 @@ class SettingsPage {
     const { path, writable, pending, faults, hidden, restart, install } = content;
     const notes = [
       ...(writable ? [] : [[t.readOnly, make("code", { textContent: install })]]), ...(pending.length ? [[t.pending(pending, restart)]] : []),
-      ...(hidden.length ? [[t.hidden(hidden)]] : []), ...(faults.length ? [[t.faulty, ` ${faults.map((f) => `${f.key}: ${f.message}`).join("; ")}`]] : []),
+      ...(hidden.length ? [[t.hidden(hidden)]] : []), ...(faults.length ? [[t.faulty, " ", ...said(faults.map((f) => `${f.key}: ${f.message}`).join("; "))]] : []),
     ];
     this.#root.replaceChildren(make("h2", { textContent: texts.setup.pages.settings }), make("p", { className: "help", textContent: t.help(path) }),
       make("ul", { className: "warnings" }, ...notes.map((note) => make("li", {}, ...note))), this.#answer, make("div", { className: "two even settings" }, this.#form(), this.#side));
@@ -216,8 +216,8 @@ class SettingsPage {
     const diff = make("pre", { className: "diff", tabIndex: 0 }, ...lines);
     diff.setAttribute("role", "group");
     diff.setAttribute("aria-label", t.changes);
-    const faults = this.#faults().map((fault) => make("li", {}, make("button", { type: "button", className: "plain", textContent: `${fault.key || t.between}: ${fault.message}`, onclick: () => this.#goTo(fault.place) })));
-    const notes = proposal.notes.map((note) => make("li", { textContent: `${note.key}: ${note.message}` }));
+    const faults = this.#faults().map((fault) => make("li", {}, make("button", { type: "button", className: "plain", onclick: () => this.#goTo(fault.place) }, `${fault.key || t.between}: `, ...said(fault.message))));
+    const notes = proposal.notes.map((note) => make("li", {}, `${note.key}: `, ...said(note.message)));
     const sound = !proposal.faults.length;
     const orders = make("div", { className: "buttons" });
     if (sound && this.#state.writable) orders.append(button(t.save, () => this.#save(), this.#answer, { className: "primary", id: "save-settings" }));

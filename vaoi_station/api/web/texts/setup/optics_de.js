@@ -42,6 +42,7 @@ export const optics = {
     cameras: "Breite aller Bilder", "highest place": "Höchster Platz der Kameras", "lowest place": "Tiefster Platz der Kameras", "depth of field": "Schärfentiefe", diffraction: "Beugung",
     "motion blur": "Bewegungsunschärfe", exposure: "Belichtung", "frame rate": "Impulse je Sekunde", "pulse period": "Belichtung und Auslesen im Takt", links: "Datenrate der Leitungen",
   },
+  wrong: (names) => `Unmöglich oder im Widerspruch zu anderen Werten: ${names.join(", ")}.`,
   met: "erfüllt",
   violated: "verletzt",
   notChecked: (names) => `offen: ohne ${names.join(", ")}`,

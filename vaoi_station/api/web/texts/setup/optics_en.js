@@ -42,6 +42,7 @@ export const optics = {
     cameras: "Width of all frames", "highest place": "Highest place of the cameras", "lowest place": "Lowest place of the cameras", "depth of field": "Depth of field", diffraction: "Diffraction",
     "motion blur": "Motion blur", exposure: "Exposure", "frame rate": "Pulses per second", "pulse period": "Exposure and read-out in the period", links: "Data rate of the links",
   },
+  wrong: (names) => `Impossible, or contradicting other values: ${names.join(", ")}.`,
   met: "met",
   violated: "violated",
   notChecked: (names) => `open: ${names.join(", ")} not given`,
