@@ -10,7 +10,9 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page, expect
 
+from tests.api.held.programs import healthy, station_config
 from tests.api.web.test_views import examine
+from vaoi_station.runs.lighting.program_check import LightPrograms
 
 FOUND_NOTHING = re.compile("The station can film with this program|Nothing was found against")
 pytestmark = pytest.mark.browser
@@ -21,8 +23,15 @@ PROGRAM = ({"light": "even", "exposure_us": (400.0,)}, {"light": "left", "on_us"
 def test_a_program_is_edited_checked_and_stored(page: Page, engineer: Any, fits: Any) -> None:
     station = engineer.station
     page.goto(f"{engineer.url}/#/setup/programs")
+    expect(page.get_by_text("This board type has no program, and neither has the station.")).to_be_visible()
+    expect(page.locator("#no-program tbody tr")).to_have_text(["0even2002500", "1left1202500"])
+    expect(page.locator(".answer.done")).to_be_hidden()
+    expect(page.get_by_role("button", name="Store the program")).to_be_hidden()
+    assert examine(page) == []
+    page.get_by_role("button", name="Begin a program").press("Enter")
+    expect(page.get_by_label("Light, row 0")).to_be_focused()
     expect(page.locator("#steps tbody tr")).to_have_count(2)
-    expect(page.get_by_text("There is no program: the lights of the station in turn")).to_be_visible()
+    expect(page.get_by_text("What you enter is not stored yet.")).to_be_visible()
     expect(page.get_by_label("Exposure, µs, row 1")).to_have_attribute("placeholder", "250")
     page.get_by_label("Exposure, µs, row 0").fill("400")
     page.get_by_label("Exposure, µs, row 1").fill("9000")
@@ -55,6 +64,16 @@ def test_a_program_is_edited_checked_and_stored(page: Page, engineer: Any, fits:
     fits("programs", ".program-timeline")
 
 
+def test_without_lights_the_page_says_that_all_rows_are_filmed_alike(page: Page, engineer: Any) -> None:
+    dark = station_config(3, controller={"backend": "serial", "lights": {}})
+    engineer.station.lighting.programs = LightPrograms(dark, (8.0,) * 3, lambda: healthy(3))
+    page.goto(f"{engineer.url}/#/setup/programs")
+    expect(page.get_by_text("The station states no lights: every row is filmed alike")).to_be_visible()
+    expect(page.locator("#steps")).to_be_hidden()
+    page.get_by_role("button", name="Begin a program").click()
+    expect(page.get_by_label("Light, row 0")).to_be_focused()
+
+
 def test_rows_are_moved_by_the_keyboard_and_cameras_have_values_of_their_own(page: Page, engineer: Any) -> None:
     station = engineer.station
     known = station.types["demo-board"]
@@ -85,8 +104,14 @@ def test_rows_are_moved_by_the_keyboard_and_cameras_have_values_of_their_own(pag
     assert station.types["demo-board"] == known
     page.reload()
     page.goto(f"{engineer.url}/#/setup/programs/demo-board")
+    page.get_by_role("button", name="Begin a program").click()
     page.get_by_role("button", name="Store the program").click()
     expect(page.locator(".answer.done").last).to_contain_text("Stored.")
     page.get_by_role("button", name="Without a program of its own").click()
     expect(page.get_by_text("This board type has no program of its own any more.")).to_be_visible()
+    page.get_by_role("button", name="Begin a program").click()
+    for _ in range(2):
+        page.get_by_role("button", name="Delete row 0").press("Enter")
+    expect(page.get_by_role("button", name="Begin a program")).to_be_focused()
+    expect(page.locator("#steps")).to_be_hidden()
     assert station.types["demo-board"] == known

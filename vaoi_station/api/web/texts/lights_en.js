@@ -7,9 +7,11 @@ export const lights = {
   origins: {
     request: "What you enter is not stored yet.",
     "board-type": "The program of this board type.",
-    station: "This board type has no program: its rows are filmed with the program of the station, shown here.",
-    cameras: "There is no program: the lights of the station in turn, with the exposures of the cameras, shown here.",
+    station: "This board type has no program. Its rows are filmed with the program of the station:",
+    cameras: "This board type has no program, and neither has the station. Rows are filmed with the lights of the station in turn, and with the exposures of the cameras:",
   },
+  begin: "Begin a program",
+  noLights: "The station states no lights: every row is filmed alike, with what the cameras have in station.toml.",
   timeline: "To scale",
   timelineAlt: (steps, period) => `${steps} rows, one every ${period}. Below, each row enlarged: the time for which its LEDs are on and its cameras expose, and the blur limit.`,
   row: (n) => `Row ${n}`,

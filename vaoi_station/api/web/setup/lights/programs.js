@@ -1,7 +1,7 @@
 // Light programs: what the rows of a board type are filmed with, as a table and to scale, checked by the station with every change.
-import { make, setText } from "../../parts/elements.js";
+import { make, said, saidOf, setText } from "../../parts/elements.js";
 import * as rest from "../../parts/rest.js";
-import { number, texts } from "../../texts/texts.js";
+import { entered, number, texts } from "../../texts/texts.js";
 import { answerLine, attempt, button, choice, labelled, section, table, Wrong } from "../fields.js";
 import * as requests from "../requests.js";
 import { StepTable } from "./steps.js";
@@ -22,6 +22,8 @@ class Programs {
   #answer = answerLine();
   #finding = make("div", { className: "finding" });
   #origin = make("p");
+  #none = make("div", { id: "no-program" });
+  #editor = make("div");
   #drawing = make("div");
   #limits = make("div");
   #type = null;
@@ -52,7 +54,8 @@ class Programs {
     const store = button(t.store, () => this.#store(), this.#answer, { className: "primary", id: "store-program" });
     const discard = button(t.discard, async () => this.#shown(this.#type.program), this.#answer);
     const without = button(t.without, () => this.#remove(), this.#answer, { className: "plain", id: "remove-program" });
-    const program = section(t.program, this.#origin, this.#steps.root, this.#finding, make("div", { className: "buttons" }, store, discard, without), this.#answer);
+    this.#editor.append(this.#steps.root, this.#finding, make("div", { className: "buttons" }, store, discard, without));
+    const program = section(t.program, this.#origin, this.#none, this.#editor, this.#answer);
     this.#root.replaceChildren(title, make("p", { className: "help", textContent: t.help }), labelled(t.boardType, chosen), program, section(t.timeline, this.#drawing), section(t.limits, this.#limits));
     await this.#shown(this.#type.program);
     this.#takeTrial(query);
@@ -72,13 +75,22 @@ class Programs {
     this.#steps.check = check;
   }
 
-  // Show a program; without one, what the rows are filmed with at present.
+  // Show a program, or that there is none.
   async #shown(program) {
     const check = await requests.checkProgram(this.#type.name, program ?? []);
     if (this.#closed) return;
     this.#steps.check = check;
-    this.#steps.show(program?.length ? program : check.steps.map((step) => fewest(step, check)));
+    this.#steps.show(program ?? []);
     this.#show(check, program?.length ? "board-type" : check.origin);
+  }
+
+  // A new program begins as what the rows are filmed with without one.
+  #begin() {
+    const { check } = this.#steps;
+    this.#editor.hidden = false;
+    this.#steps.show(check.steps.length ? check.steps.map((step) => fewest(step, check)) : [{ light: check.lights[0]?.name ?? "" }]);
+    this.#steps.root.querySelector("tbody select, tbody input").focus();
+    rest.unattended(this.#check());
   }
 
   // The settings of the page "Cameras", which led here, become one more row.
@@ -122,28 +134,44 @@ class Programs {
       return check;
     } catch (error) {
       if (!(error instanceof rest.Refusal)) throw error;
-      this.#refuse(error.message); // a value that no station takes, such as a negative time
+      this.#refuse(...saidOf(error)); // a value that no station takes, such as a negative time
       return null;
     }
   }
 
-  #refuse(message) {
-    this.#finding.replaceChildren(make("p", { className: "answer refused", textContent: message }));
+  #refuse(...words) {
+    this.#finding.replaceChildren(make("p", { className: "answer refused" }, ...words));
   }
 
   #show(check, origin) {
     const t = texts.lights;
     setText(this.#origin, t.origins[origin]);
+    const own = origin === "request" || origin === "board-type";
+    const left = !own && this.#editor.contains(document.activeElement);
+    this.#editor.hidden = !own;
+    this.#none.replaceChildren(...(own ? [] : this.#offer(check)));
+    if (left) this.#none.querySelector("button").focus();
     this.#drawing.replaceChildren(check.steps.length ? timeline(check) : "");
     const found = check.faults.map((fault) => {
       const where = t.where(fault.step ?? null, fault.camera === undefined ? undefined : check.cameras[fault.camera].name);
-      return make("li", {}, where ? make("strong", { textContent: `${where}: ` }) : "", `${fault.message} ${fault.action ?? ""}`.trim());
+      return make("li", {}, where ? make("strong", { textContent: `${where}: ` }) : "", ...said(`${fault.message} ${fault.action ?? ""}`.trim()));
     });
     const head = check.usable ? make("p", check.unchecked.length ? { className: "answer", textContent: t.usableSoFar } : { className: "answer done", textContent: t.usable }) : make("p", { className: "answer refused", textContent: t.faults(found.length) });
     const unchecked = check.unchecked.length ? [make("p", { textContent: t.unchecked }), list(check.unchecked)] : [];
     this.#finding.replaceChildren(head, found.length ? make("ul", { className: "warnings" }, ...found) : "", ...unchecked);
     this.#finding.dataset.usable = check.usable;
     this.#showLimits(check);
+  }
+
+  // In place of the editor: what rows are filmed with instead, and a beginning.
+  #offer(check) {
+    const t = texts.lights;
+    const [first] = check.cameras;
+    const each = (values, key) => (values.every((value) => value === values[0]) ? entered(values[0] ?? first[key]) : values.map(entered).join(" / "));
+    const rows = check.steps.map((step, n) => [String(n), step.light, step.on_us === undefined ? "" : entered(step.on_us), each(step.exposures_us, "exposure_us"), each(step.gains_db, "gain_db")]);
+    const begin = make("button", { type: "button", id: "begin-program", className: "primary", textContent: t.begin });
+    begin.addEventListener("click", () => this.#begin());
+    return [rows.length ? table(t.columns.slice(0, -1), rows) : make("p", { textContent: t.noLights }), make("div", { className: "buttons" }, begin)];
   }
 
   #showLimits(check) {
@@ -176,7 +204,7 @@ class Programs {
   }
 }
 
-const list = (lines) => make("ul", { className: "warnings" }, ...lines.map((textContent) => make("li", { textContent })));
+const list = (lines) => make("ul", { className: "warnings" }, ...lines.map((line) => make("li", {}, ...said(line))));
 
 // A step with those values only that are not the station's, as a person would write it.
 function fewest(step, check) {

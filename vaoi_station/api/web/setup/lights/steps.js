@@ -1,6 +1,6 @@
 // The rows of a light program as a table that can be edited. An empty field takes the value of the station.
 import { make } from "../../parts/elements.js";
-import { number, texts } from "../../texts/texts.js";
+import { entered, number, texts } from "../../texts/texts.js";
 import { choice, input, tick, Wrong } from "../fields.js";
 
 const PER_CAMERA = ["exposure_us", "gain_db"];
@@ -138,7 +138,7 @@ export class StepTable {
   #number(key, n, value, camera = null) {
     const t = texts.lights;
     const name = t[NAMES[key]];
-    const field = input(key, value === undefined ? "" : String(value), { inputMode: "decimal" });
+    const field = input(key, value === undefined ? "" : entered(value), { inputMode: "decimal" });
     if (camera !== null) field.dataset.camera = camera;
     return this.#labelled(field, key, camera === null ? t.ofRow(name, n) : t.ofCamera(name, n, this.cameras[camera].name));
   }
