@@ -283,6 +283,11 @@ def test_nothing_is_clipped(browser: Browser, served: Any, language: str, scheme
             page.locator(f"#to-{name}").click()
             expect(page.locator(f"#tab-{name} > *").first).to_be_visible()
             assert page.evaluate(WIDER) == [], (width, name)
+            expect(page.locator(f"#to-{name}")).to_be_in_viewport(ratio=1)
+            expect(page.locator(f"#tab-{name} > *").first).to_be_in_viewport()
+        page.locator("main").evaluate("e => e.scrollTo(0, 0)")
+        expect(page.locator("#tabs")).to_be_in_viewport(ratio=1)
+        assert page.locator("#zoom-view").evaluate("e => e.clientHeight") >= 240, "whatever the legend says"
     if language == "de":
         page.locator("#to-report").click()
         reason = page.locator("#verdict-reasons li")

@@ -1,7 +1,7 @@
 // One board: the whole board to zoom into, the pictures of its parts, the report, the times of its steps, and files to take.
 import { Decisions } from "../parts/decisions.js";
-import { make, setText } from "../parts/elements.js";
-import { boardOrder } from "../parts/orders.js";
+import { make, saidOf, setText } from "../parts/elements.js";
+import { boardAdvice } from "../parts/orders.js";
 import * as rest from "../parts/rest.js";
 import { draw } from "../parts/signs.js";
 import { fillIn, texts } from "../texts/texts.js";
@@ -68,7 +68,10 @@ export class BoardView {
       tab.setAttribute("aria-controls", `tab-${name}`);
       this.#part(`tab-${name}`).setAttribute("aria-labelledby", tab.id);
       this.#part(`tab-${name}`).tabIndex = 0; // it is scrolled by keyboard
-      tab.addEventListener("click", () => this.#open(name));
+      tab.addEventListener("click", () => {
+        this.#open(name);
+        this.#part(`tab-${name}`).scrollIntoView(); // on narrow screens it is below the whole board
+      });
       return tab;
     });
     this.#part("tabs").append(...tabs);
@@ -108,7 +111,7 @@ export class BoardView {
       if (!(error instanceof rest.Refusal)) throw error;
       this.root.classList.add("unknown");
       draw(this.#part("verdict-shape"), "unknown");
-      setText(this.#part("board-title"), error.status === 404 ? texts.notFound : error.message);
+      this.#part("board-title").replaceChildren(...(error.status === 404 ? [texts.notFound] : saidOf(error)));
       return;
     }
     const seen = `${run.state} ${run.frames_available} ${run.recording} ${run.decision?.decided} ${JSON.stringify(run.identity)}`;
@@ -127,7 +130,7 @@ export class BoardView {
     this.#decisions.show(run);
     setText(this.#part("board-title"), `${run.board_id ?? texts.noId}: ${texts.verdicts[verdict]}`);
     const decided = run.decision && `${texts.decided[run.decision.choice](run.decision.name)}: ${run.decision.reason}`;
-    setText(this.#part("board-order"), decided ?? (verdict === "ok" || verdict === "none" ? "" : boardOrder(run)));
+    setText(this.#part("board-order"), decided ?? (verdict === "ok" || verdict === "none" ? "" : boardAdvice(run)));
     showReport(this.#part("tab-report"), run, { parts: [], overlay: null });
   }
 

@@ -86,11 +86,15 @@ export function short(id) {
 // Without pictures because frames did not come: what was not found in the rest says nothing about type, direction or fiducials.
 const LOST_FRAMES = ["frames-missing", "frames-incomplete"];
 
-export function boardOrder(run, last = true) {
+// What is to be done with a board, without naming it.
+export function boardAdvice(run) {
   const lost = run.verdict !== "degraded" && run.reasons.some((reason) => LOST_FRAMES.includes(reason.code));
-  const group = run.reasons.length && !lost ? boardGroup(run.reasons[0]) : "again";
+  return texts.boardOrders[run.reasons.length && !lost ? boardGroup(run.reasons[0]) : "again"];
+}
+
+function boardOrder(run, last) {
   const say = run.verdict === "degraded" ? texts.doubtfulPicturesOf : texts.noPicturesOf;
-  return say(texts.boardOf(short(run.board_id), last ? "" : clock(run.started)), texts.boardOrders[group]);
+  return say(texts.boardOf(short(run.board_id), last ? "" : clock(run.started)), boardAdvice(run));
 }
 
 // One word, one sign and one order. `boards`: the last ones, and the times of missed ones. `stale`: no data come from the station.

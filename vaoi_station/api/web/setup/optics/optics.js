@@ -42,6 +42,7 @@ class Optics {
   #drawn = make("div");
   #found = make("div", { className: "column" });
   #mended = make("div", { className: "column" });
+  #page = make("div", { className: "two optics unplanned" });
   #fields = {};
   #turn = 0; // an answer to an earlier request is not shown
 
@@ -62,8 +63,9 @@ class Optics {
       make("fieldset", {}, make("legend", { textContent: t.groups[group] }), make("div", { className: "fields" }, ...names.map((name) => this.#field(name))))));
     form.addEventListener("submit", (event) => event.preventDefault());
     const starts = ["station", "paper"].map((of) => plain(of === "station" ? t.ofStation : t.ofPaper, () => this.#begin(of)));
+    this.#page.append(make("div", { className: "column plan" }, this.#drawn, this.#found), make("div", { className: "column" }, form, this.#mended));
     this.#root.replaceChildren(make("h2", { textContent: texts.setup.pages.optics }), make("p", { className: "help", textContent: t.help }), make("div", { className: "buttons" }, ...starts), this.#answer,
-      make("div", { className: "two" }, make("div", { className: "column" }, this.#drawn, this.#found), make("div", { className: "column" }, form, this.#mended)));
+      this.#page);
     const given = ALL.filter((name) => query.has(name));
     if (!given.length) return this.#begin("station");
     for (const name of given) this.#fields[name].value = Number.isFinite(Number(query.get(name))) ? entered(Number(query.get(name))) : query.get(name);
@@ -141,6 +143,7 @@ class Optics {
         throw error;
       }
       if (turn !== this.#turn) return;
+      this.#page.classList.toggle("unplanned", !plan);
       if (plan) this.#showPlan(plan);
       else for (const place of [this.#drawn, this.#found, this.#mended]) place.replaceChildren();
     }, this.#answer);
