@@ -121,15 +121,17 @@ class HeldPins:
         found = [run for run in map(self._station.run, runs[:limit]) if RunHistory.admits(wanted, run)]
         return tuple(found), runs[limit - 1] if len(runs) > limit else None
 
-    def shown(self, document: Any) -> Any:
+    def shown(self, document: Any, figures: bool = False) -> Any:
         decision = self.history.made.get(document.id)
         known = document.id in {*self.identities.readings, *self.identities.pending}
         identity = IdentitySummary.of(self.identities.document(document.id)) if known else None
-        changes = {"pinned": document.id in self._pins, "decision": decision, "identity": identity}
+        changes: dict[str, Any] = {"pinned": document.id in self._pins, "decision": decision, "identity": identity}
+        if figures:
+            changes["figures"] = self.trends.figures([document.id]).get(document.id)
         return document.model_copy(update=changes)
 
-    def all_shown(self, documents: tuple[Any, ...]) -> tuple[Any, ...]:
-        return tuple(self.shown(document) for document in documents)
+    def all_shown(self, documents: tuple[Any, ...], figures: bool = False) -> tuple[Any, ...]:
+        return tuple(self.shown(document, figures) for document in documents)
 
 
 class HeldStorage:

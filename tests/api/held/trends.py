@@ -61,6 +61,9 @@ class HeldTrends:
             series=tuple(series_of_groups(groups, wanted)), marks=marks, **common,
         )  # fmt: skip
 
+    def figures(self, runs: Sequence[str]) -> dict[str, dict[str, float]]:
+        return {row.run: dict(row.figures) for row in self.rows if row.run in runs}
+
     def compared(self, before: Span, now: Span) -> TrendComparison:
         earlier, later = self._of(before), self._of(now)
         return TrendComparison(

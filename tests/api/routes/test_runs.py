@@ -10,6 +10,8 @@ import pytest
 
 from vaoi_station.files.results import stitch_document
 from vaoi_station.model import Status, Stitch
+from vaoi_station.runs.states.run_ids import utc
+from vaoi_station.store.history.board_figures import BoardRow
 
 RUNS = "/api/v1/runs"
 
@@ -240,3 +242,15 @@ def test_runs_are_found_by_the_id_that_was_read(client: Any, station: Any) -> No
     rest = client.get(RUNS, params={"read_id": "A", "before": page["next"]}).json()
     assert ([r["id"] for r in rest["runs"]], "next" in rest) == ([runs[0]], False)
     assert client.get(RUNS, params={"read_id": "C"}).json()["runs"] == []
+
+
+@pytest.mark.parametrize("wanted", [{}, {"verdict": "ok"}])
+def test_figures_are_shown_to_those_who_ask(client: Any, station: Any, wanted: dict[str, str]) -> None:
+    figures = {"sigma_px": 0.05, "seam_px:0-1": 0.1}
+    run = station.film()
+    station.kept.trends.rows.append(BoardRow(run, utc(), "demo-board", figures))
+    (plain,) = client.get(RUNS, params=wanted).json()["runs"]
+    (asked,) = client.get(RUNS, params={**wanted, "figures": True}).json()["runs"]
+    assert "figures" not in plain
+    assert asked == {**plain, "figures": figures}
+    assert client.get(f"{RUNS}/{run}", params={"figures": True}).json()["figures"] == figures

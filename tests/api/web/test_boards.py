@@ -15,8 +15,17 @@ from vaoi_station.runs.states.made_with import Origin
 from vaoi_station.runs.states.run_ids import utc
 from vaoi_station.runs.states.schemas import Reason, Unseen
 from vaoi_station.runs.states.tables import StationState
+from vaoi_station.store.history.board_figures import BoardRow
 
 pytestmark = pytest.mark.browser
+FIGURES = {
+    "unseen_parts": "3",
+    "sigma_px": "0.123",
+    "residual_px": "0.061",
+    "seam_px": "0.310",
+    "slip_percent": "-1.50",
+}
+"""What the list shows of a board, by column."""
 
 
 def fail(station: Any, board_id: str, verdict: Status = Status.FAILED, **fields: Any) -> str:
@@ -172,15 +181,35 @@ def test_parts_that_were_not_seen_are_hatched_in_the_picture(page: Page, served:
 
 
 def test_the_station_filters_the_list_and_a_file_has_it(page: Page, served: Any, tmp_path: Path) -> None:
-    served.station.film(board_id="=SUM(1)")
-    fail(served.station, "SN-2")
+    station = served.station
+    first = station.film(board_id="=SUM(1)")
+    fail(station, "SN-2")
+    station.kept.mosaics.keep(first)
+    figures = {"unseen_parts": 3, "sigma_px": 0.1234, "residual_px": 0.0612, "slip_percent": -1.5}
+    seams = {"seam_px:0-1": 0.2, "seam_px:1-2": 0.31}
+    station.kept.trends.rows.append(BoardRow(first, utc(), "demo-board", {**figures, **seams}))
     page.goto(f"{served.url}/#/boards")
     expect(page.locator("#list tbody tr")).to_have_count(2)
+    shown = page.locator("#list tbody tr").last
+    for name, text in FIGURES.items():
+        expect(shown.locator(f"td.{name}")).to_have_text(text)
+    expect(shown.locator("img")).not_to_have_js_property("naturalWidth", 0)
+    expect(page.locator("#list tbody img")).to_have_count(1)
+    page.set_viewport_size({"width": 800, "height": 480})
+    page.locator("#list").evaluate("list => list.scrollTo(2000, 0)")
+    expect(shown.locator("td.decision")).to_be_in_viewport()
+    expect(shown.get_by_role("link")).to_be_in_viewport(ratio=1)
+    page.set_viewport_size({"width": 1280, "height": 800})
     with page.expect_download() as saved:
         page.locator("#save").click()
     saved.value.save_as(tmp_path / "boards.csv")
     text = (tmp_path / "boards.csv").read_text(encoding="utf-8-sig")
     assert text.splitlines()[0].startswith('"started","board_id"')
+    assert all(f'"{value}"' in text.splitlines()[2] for value in FIGURES.values())
+    page.goto(f"{served.url}/#/board/{first}?tab=report")
+    expect(page.locator("#facts")).to_contain_text("Residual of the links0.061 px")
+    expect(page.locator("#facts")).to_contain_text("Seams between cameras0-1: 0.200 px, 1-2: 0.310 px")
+    page.goto(f"{served.url}/#/boards")
     assert '"\'=SUM(1)"' in text
     page.get_by_label("Span").select_option("yesterday")
     expect(page.locator("#list-answer")).to_have_text("No boards match.")

@@ -41,11 +41,16 @@ def test_figures_outlive_their_run(make_rig: Callable[..., Any], store: Store) -
     rig.board(grant)
     rig.result_of(grant.run)
     trends = rig.coordinator.kept.trends
+    shown = rig.coordinator.kept.all_shown
 
     def figures() -> set[str]:
         return {series.figure for series in trends.trends(EVER, (), 100).series}
 
     rig.wait_for(lambda: {"lost_frames", "drift_px"} <= figures(), "the figures of run and check")
+    assert shown(rig.coordinator.runs())[0].figures is None
+    of_run = shown(rig.coordinator.runs(), True)[0].figures
+    assert of_run["lost_frames"] == 0
+    assert {name.partition(":")[0] for name in of_run} == figures()
     store.retention.forget_details([grant.run]).result(10)
     store.database.write(lambda c: c.execute("DELETE FROM calibration_checks")).result(10)
     store.retention.forget_runs([grant.run]).result(10)

@@ -28,6 +28,7 @@ from vaoi_station.store.history.run_search import RunFilter
 
 Moment = Annotated[AwareDatetime | None, Query(description="A time with its zone, RFC 3339.")]
 Cursor = Annotated[str | None, Query(description="Id of a run.", min_length=1, max_length=64)]
+Figures = Annotated[bool, Query(description="Whether figures are wanted, as `trends` has them.")]
 Holder = Annotated[str, Query(description="Name of the holder.", min_length=1, max_length=80)]
 
 
@@ -75,9 +76,9 @@ def router(services: Services) -> APIRouter:
         return _detail(request, await ask(kept.shown, run), LIVE)
 
     @routes.get("/{run}", response_model=RunDetail)
-    async def get_run(request: Request, run: RunId) -> Response:
+    async def get_run(request: Request, run: RunId, figures: Figures = False) -> Response:
         """Return one run, also while it is filmed, with the verdict of every frame."""
-        return _detail(request, await ask(kept.shown, await ask(coordinator.run, run)))
+        return _detail(request, await ask(kept.shown, await ask(coordinator.run, run), figures))
 
     @routes.get("/{run}/matrices", response_model=Matrices)
     async def get_matrices(request: Request, run: RunId) -> Response:
@@ -161,6 +162,7 @@ def _add_lists(routes: APIRouter, services: Services) -> None:
             str | None,
             Query(description="Id that was read from a board, or reported.", min_length=1, max_length=200),
         ] = None,
+        figures: Figures = False,
     ) -> RunPage:
         """List runs, newest first; `next` is the cursor of the next page.
 
@@ -176,10 +178,10 @@ def _add_lists(routes: APIRouter, services: Services) -> None:
                     runs, more = await searches.ask(kept.with_id, read_id, wanted, limit, before)
                 else:
                     runs, more = await searches.ask(kept.history.find, wanted, limit, before)
-                return RunPage(runs=list(await searches.ask(kept.all_shown, tuple(runs))), next=more)
+                return RunPage(runs=list(await searches.ask(kept.all_shown, tuple(runs), figures)), next=more)
         # One more than requested shows whether there is a further page.
         found = await ask(coordinator.runs, limit + 1, before)
-        shown = await ask(kept.all_shown, found[:limit])
+        shown = await ask(kept.all_shown, found[:limit], figures)
         return RunPage(runs=list(shown), next=found[limit - 1].id if len(found) > limit else None)
 
     @routes.get("/counts", dependencies=[Depends(searches.hold)])

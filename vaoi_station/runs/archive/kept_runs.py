@@ -162,18 +162,24 @@ class KeptRuns:
         self._archive.retention.unpin(run)
         self._events.add("run", "The run was unpinned.", run=run)
 
-    def shown(self, document: R) -> R:
+    def shown(self, document: R, figures: bool = False) -> R:
         """Return the document of a run with `pinned`, `recording`, `decision` and `identity` filled in."""
-        return self.all_shown((document,))[0]
+        return self.all_shown((document,), figures)[0]
 
-    def all_shown(self, documents: tuple[R, ...]) -> tuple[R, ...]:
-        """Return documents of runs with `pinned`, `recording`, `decision` and `identity` filled in."""
+    def all_shown(self, documents: tuple[R, ...], figures: bool = False) -> tuple[R, ...]:
+        """Return documents of runs with `pinned`, `recording`, `decision`, `identity`, and `figures` if asked for."""
         pins, decisions = self._archive.retention.pins(), self.history.decisions(documents)
+        known = self.trends.figures([document.id for document in documents]) if figures else {}
 
         def filled(document: R) -> R:
             run = document.id
             recording = self.recordings.path_of(run) is not None
-            update = {"pinned": run in pins, "recording": recording, "decision": decisions.get(run)}
+            update = {
+                "pinned": run in pins,
+                "recording": recording,
+                "decision": decisions.get(run),
+                "figures": known.get(run),
+            }
             return document.model_copy(update=update)
 
         return self.identities.shown(tuple(map(filled, documents)))

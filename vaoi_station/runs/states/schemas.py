@@ -296,6 +296,8 @@ class RunSummary(Schema):
     """Which board the run shows by its code; None if boards of its type have no codes."""
     origin: Origin | None = None
     """The station that filmed an imported run; None for runs of this station."""
+    figures: dict[str, float] | None = None
+    """Its figures by their names in `trends`, those of a part as `seam_px:0-1`; None if not asked for or not known."""
 
     @property
     def identity_decided(self) -> bool:

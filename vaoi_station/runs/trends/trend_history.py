@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 
 from vaoi_station.drift.checks import RunCheck
-from vaoi_station.errors import StateError
+from vaoi_station.errors import DeviceError, StateError
 from vaoi_station.model import Stitch
 from vaoi_station.runs.states.schemas import RunDetail
 from vaoi_station.runs.trends.comparison import compare
@@ -114,6 +114,13 @@ class TrendHistory:
             marks=tuple(_mark(mark) for mark in marks[-MOST_MARKS:]),
             complete=whole,
         )
+
+    def figures(self, runs: Sequence[str]) -> dict[str, dict[str, float]]:
+        """Return the figures of runs by run id and `key_of`; runs of which none are kept one by one are left out."""
+        try:
+            return {row.run: dict(row.figures) for row in self._figures.boards(runs)}
+        except DeviceError:
+            return {}  # The disk cannot be read: runs are shown without them.
 
     def compared(self, before: Span, now: Span) -> TrendComparison:
         """Return which figures changed between two spans of one board type, or of all."""

@@ -3,11 +3,14 @@ import { identityOf } from "../parts/identity.js";
 import { make, said } from "../parts/elements.js";
 import { moment, number, texts } from "../texts/texts.js";
 
+const SEAM = "seam_px:"; // and the numbers of two cameras
+const figureNames = texts.trends.figures;
+
 export function showReport(root, run, { parts, overlay }) {
   const reasons = run.reasons.map((reason) => make("li", {}, ...said(`${reason.message} ${reason.action}`.trim(), translatedReason(reason))));
   root.replaceChildren(
     make("ul", { id: "verdict-reasons" }, ...reasons),
-    make("dl", { id: "facts" }, ...lines([...facts(run), ...figures(parts, overlay)])),
+    make("dl", { id: "facts" }, ...lines([...facts(run), ...figures(run.figures ?? {}, parts, overlay)])),
   );
 }
 
@@ -32,28 +35,28 @@ function facts(run) {
     [names.run, run.id],
     ...(run.finished ? [[names.since, moment(run.finished)]] : []),
     [names.frames, texts.frames(ok, incomplete, missing, unproven, run.rows, run.cameras)],
-    ...(run.unseen?.length ? [[names.unseen, texts.unseen(run.unseen)]] : []),
+    ...(run.unseen?.length ? [[figureNames.unseen_parts, texts.unseen(run.unseen)]] : []),
     ...(run.skipped_boards?.length ? [[names.skipped, run.skipped_boards.join(", ")]] : []),
     ...(run.proof ? [[names.trigger, texts.trigger(run.proof, within(run.proof))]] : []),
-    ...(run.belt ? [[names.belt, texts.belt(number(Math.hypot(...run.belt.measured_mm_s), 2), number(run.belt.ratio * 100, 2))]] : []),
-    ...(run.timings?.ready_after_last_frame_ms == null ? [] : [[names.result, texts.resultAfter(number(run.timings.ready_after_last_frame_ms))]]),
+    ...(run.belt ? [[figureNames.belt_mm_s, `${number(Math.hypot(...run.belt.measured_mm_s), 2)} mm/s`], [figureNames.slip_percent, `${number(100 * (run.belt.ratio - 1), 2)} %`]] : []),
+    ...(run.timings?.ready_after_last_frame_ms == null ? [] : [[figureNames.ready_ms, `${number(run.timings.ready_after_last_frame_ms)} ms`]]),
     [names.software, `${run.software.station}`],
   ];
 }
 
-// The figures behind the verdict, from what is drawn over the board.
-function figures(parts, overlay) {
+// The figures behind the verdict: those that the trends have too, and what is drawn over the board.
+function figures(known, parts, overlay) {
   const found = [];
   const worst = parts.filter((part) => part.sigma_px != null).sort((a, b) => b.sigma_px - a.sigma_px)[0];
-  if (worst) found.push([texts.board.worstSigma, `${number(worst.sigma_px, 3)} px, ${number(worst.sigma_mm * 1000, 1)} µm (${worst.address})`]);
+  if (worst) found.push([figureNames.sigma_px, `${number(worst.sigma_px, 3)} px, ${number(worst.sigma_mm * 1000, 1)} µm (${worst.address})`]);
+  if (known.residual_px != null) found.push([figureNames.residual_px, `${number(known.residual_px, 3)} px`]);
+  const seams = Object.entries(known).filter(([name]) => name.startsWith(SEAM));
+  if (seams.length) found.push([figureNames.seam_px, seams.map(([name, px]) => `${name.slice(SEAM.length)}: ${number(px, 3)} px`).join(", ")]);
   if (!overlay) return found;
   const linked = overlay.links.filter((pair) => pair.used);
   if (linked.length) {
     const used = linked.reduce((sum, pair) => sum + pair.used, 0);
-    const rms = Math.sqrt(linked.reduce((sum, pair) => sum + pair.used * pair.rms_px ** 2, 0) / used);
-    found.push([texts.board.linkFit, texts.board.linkFigures(number(used), linked.length, number(rms, 3))]);
-    const seam = linked.filter((pair) => pair.a[0] !== pair.b[0]).sort((a, b) => b.residual_px - a.residual_px)[0];
-    if (seam) found.push([texts.board.worstSeam, `${number(seam.residual_px, 3)} px (${seam.a.join("/")} – ${seam.b.join("/")})`]);
+    found.push([texts.board.links, texts.board.linkFigures(number(used), linked.length)]);
   }
   const without = overlay.links.filter((pair) => !pair.used);
   if (without.length) found.push([texts.board.unlinked, said([...new Set(without.map((pair) => `${pair.a.join("/")} – ${pair.b.join("/")}: ${pair.why}`))].slice(0, 12).join("; "))]);

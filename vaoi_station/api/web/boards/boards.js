@@ -35,18 +35,39 @@ function sign(name) {
   return shape;
 }
 
+// A figure of a run, as the trends name it.
+const figure = (name, digits) => (run) => (run.figures?.[name] == null ? "" : number(run.figures[name], digits));
+
+// The largest of the seams, each of which is a figure of its own.
+function worstSeam({ figures }) {
+  const seams = Object.entries(figures ?? {}).filter(([name]) => name.startsWith("seam_px:"));
+  return seams.length ? number(Math.max(...seams.map(([, px]) => px)), 3) : "";
+}
+
 // What each column shows of a run, as text; the file has the same.
 const COLUMNS = {
   started: (run) => moment(run.started),
   board_id: (run) => run.board_id ?? "",
-  read_id: (run) => readId(run.identity),
-  board_type: (run) => run.board_type,
   verdict: (run) => texts.verdicts[run.verdict ?? (run.finished ? "failed" : "none")],
-  frames: (run) => texts.framesOf(run.counts.ok, run.rows * run.cameras),
   reasons: (run) => [...new Set(run.reasons.map((reason) => reason.cause || reason.code))].join(", "),
-  decision: (run) => (run.decision ? `${texts.decided[run.decision.choice](run.decision.name)}: ${run.decision.reason}` : ""),
+  frames: (run) => texts.framesOf(run.counts.ok, run.rows * run.cameras),
+  unseen_parts: figure("unseen_parts", 0),
+  sigma_px: figure("sigma_px", 3),
+  residual_px: figure("residual_px", 3),
+  seam_px: worstSeam,
+  slip_percent: figure("slip_percent", 2),
   ready_ms: (run) => (run.timings?.ready_after_last_frame_ms == null ? "" : number(run.timings.ready_after_last_frame_ms)),
+  board_type: (run) => run.board_type,
+  read_id: (run) => readId(run.identity),
+  decision: (run) => (run.decision ? `${texts.decided[run.decision.choice](run.decision.name)}: ${run.decision.reason}` : ""),
 };
+
+// The small picture that is kept of a board; a run without one has none.
+function thumbnail(run) {
+  const picture = make("img", { src: rest.keptPicture(run), alt: "", loading: "lazy", width: 72, height: 48 });
+  picture.addEventListener("error", () => picture.remove());
+  return make("td", { className: "thumbnail" }, picture);
+}
 
 export class BoardsView {
   name = "boards-view";
@@ -64,7 +85,8 @@ export class BoardsView {
     this.#span().append(...Object.entries(texts.spans).map(([value, textContent]) => make("option", { value, textContent })));
     this.#span().addEventListener("change", () => this.#fillSpan());
     for (const name of ["since", "until"]) this.#field(name).addEventListener("input", () => (this.#span().value = "other"));
-    this.root.querySelector("thead").append(make("tr", {}, ...Object.values(texts.columns).map((textContent) => make("th", { scope: "col", textContent }))));
+    const heads = Object.keys(COLUMNS).map((name) => make("th", { scope: "col", className: name, textContent: texts.columns[name], title: texts.trends.figures[name] ?? "" }));
+    this.root.querySelector("thead").append(make("tr", {}, make("td"), ...heads));
     this.root.querySelector("#filters").addEventListener("submit", (event) => {
       event.preventDefault();
       const hash = `#/boards?${this.#stated()}`;
@@ -124,7 +146,7 @@ export class BoardsView {
   }
 
   async #page(before, limit) {
-    const query = { limit };
+    const query = { limit, figures: true };
     for (const name of FILTERS) if (this.#query.get(name)) query[name] = this.#query.get(name);
     if (before) query.before = before;
     return rest.runs(query);
@@ -167,7 +189,7 @@ export class BoardsView {
       if (name === "verdict") cell.prepend(sign(verdict));
       return cell;
     });
-    return make("tr", { className: verdict }, ...cells);
+    return make("tr", { className: verdict }, thumbnail(run), ...cells);
   }
 
   async #save() {

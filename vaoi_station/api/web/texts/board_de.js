@@ -74,10 +74,7 @@ export const board = {
   otherHasNone: "Sie hat kein Bild dieses Bauteils unter diesem Licht.",
   beside: "Daneben:",
 
-  worstSigma: "Größtes σ",
-  linkFit: "Verbindungen",
-  linkFigures: (used, pairs, rms) => `${used} zwischen ${pairs} Paaren von Einzelbildern, ${rms} px rms`,
-  worstSeam: "Schlechteste Naht",
+  linkFigures: (used, pairs) => `${used} zwischen ${pairs} Paaren von Einzelbildern`,
   unlinked: "Ohne Verbindungen",
   notFoundMark: "nicht gefunden",
 

@@ -78,10 +78,7 @@ export const board = {
   beside: "Beside it:",
 
   // report
-  worstSigma: "Largest σ",
-  linkFit: "Links",
-  linkFigures: (used, pairs, rms) => `${used} between ${pairs} pairs of frames, ${rms} px rms`,
-  worstSeam: "Worst seam",
+  linkFigures: (used, pairs) => `${used} between ${pairs} pairs of frames`,
   unlinked: "Without links",
   notFoundMark: "not found",
 

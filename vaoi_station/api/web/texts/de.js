@@ -181,7 +181,8 @@ export const texts = {
   cut: (n) => `Die Datei hat die neuesten ${n} Baugruppen. Für ältere einen früheren Zeitraum wählen.`,
   columns: {
     started: "Zeit", board_id: "Nummer", read_id: "Gelesene Nummer", board_type: "Typ", verdict: "Urteil", frames: "Einzelbilder", reasons: "Gründe", decision: "Entscheid",
-    ready_ms: "Ergebnis nach, ms",
+    ready_ms: "Ergebnis nach, ms", unseen_parts: "Nicht gesehen", sigma_px: "σ, px", residual_px: "Residuum, px", seam_px: "Schlechteste Naht, px",
+    slip_percent: "Schlupf, %",
   },
   framesOf: (ok, all) => `${ok} von ${all}`,
 
@@ -194,7 +195,7 @@ export const texts = {
   component: "Bauteil",
   facts: {
     board: "Nummer", identity: "Identität", run: "Lauf", type: "Typ", job: "Auftrag", since: "Fertig", frames: "Einzelbilder", trigger: "Auslösung",
-    unseen: "Nicht gesehen", skipped: "Übersprungene Baugruppen (durchgestrichen)", belt: "Band", result: "Ergebnis", software: "Software",
+    unseen: "Nicht gesehene Bauteile", skipped: "Übersprungene Baugruppen (durchgestrichen)", software: "Software",
   },
   frames: (ok, incomplete, missing, unproven, rows, cameras) => {
     const all = ok + incomplete + missing + unproven;
@@ -211,8 +212,6 @@ export const texts = {
     const cameras = proof.cameras.filter((c) => !c.proven).map((c) => c.camera);
     return cameras.length ? `nicht bestätigt für Kamera ${cameras.join(", ")}` : "kein Bild zu bestätigen";
   },
-  belt: (speed, ratio) => `${speed} mm/s, ${ratio} % des Sollwerts`,
-  resultAfter: (ms) => `${ms} ms nach dem letzten Bild`,
   unseen: (list) => {
     const named = list.slice(0, 40).map((c) => texts.unseenOption(c)).join(", ");
     return list.length > 40 ? `${named} und ${list.length - 40} weitere` : named;

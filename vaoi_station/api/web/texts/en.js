@@ -189,7 +189,7 @@ export const texts = {
   cut: (n) => `The file has the newest ${n} boards. For older ones, choose an earlier span.`,
   columns: {
     started: "Time", board_id: "Board", read_id: "Read id", board_type: "Type", verdict: "Verdict", frames: "Frames", reasons: "Reasons", decision: "Decision",
-    ready_ms: "Result after, ms",
+    ready_ms: "Result after, ms", unseen_parts: "Parts not seen", sigma_px: "σ, px", residual_px: "Residual, px", seam_px: "Worst seam, px", slip_percent: "Slip, %",
   },
   framesOf: (ok, all) => `${ok} of ${all}`,
 
@@ -204,7 +204,7 @@ export const texts = {
   component: "Component",
   facts: {
     board: "Board", identity: "Identity", run: "Run", type: "Type", job: "Job", since: "Finished", frames: "Frames", trigger: "Trigger",
-    unseen: "Not seen", skipped: "Skipped boards (crossed out)", belt: "Belt", result: "Result", software: "Software",
+    unseen: "Parts not seen", skipped: "Skipped boards (crossed out)", software: "Software",
   },
   frames: (ok, incomplete, missing, unproven, rows, cameras) => {
     const all = ok + incomplete + missing + unproven;
@@ -221,8 +221,6 @@ export const texts = {
     const cameras = proof.cameras.filter((c) => !c.proven).map((c) => c.camera);
     return cameras.length ? `not confirmed for camera ${cameras.join(", ")}` : "no frame to confirm";
   },
-  belt: (speed, ratio) => `${speed} mm/s, ${ratio} % of nominal`,
-  resultAfter: (ms) => `${ms} ms after the last frame`,
   unseen: (list) => {
     const named = list.slice(0, 40).map((c) => texts.unseenOption(c)).join(", ");
     return list.length > 40 ? `${named}, and ${list.length - 40} more` : named;

@@ -13,9 +13,9 @@ export const trends = {
   incomplete: "Nicht alle Werte oder Änderungen sind gezeigt. Kürzeren Zeitraum oder einen Baugruppentyp wählen.",
   help: "Pfeiltasten gehen von Baugruppe zu Baugruppe, Enter öffnet die Baugruppe.",
   figures: {
-    residual_px: "Residuum der Verbindungen", seam_px: "Nähte zwischen Kameras", sigma_px: "σ des schlechtesten Teils",
+    residual_px: "Residuum der Verbindungen", seam_px: "Nähte zwischen Kameras", sigma_px: "σ des schlechtesten Bauteils",
     belt_mm_s: "Bandgeschwindigkeit", slip_percent: "Schlupf des Bands", brightness_percent: "Helligkeit je Kamera und Licht",
-    drift_px: "Drift der Kameras", ready_ms: "Ergebnis nach dem letzten Bild", lost_frames: "Verlorene Bilder", unseen_parts: "Nicht gesehene Teile",
+    drift_px: "Drift der Kameras", ready_ms: "Ergebnis nach dem letzten Bild", lost_frames: "Verlorene Bilder", unseen_parts: "Nicht gesehene Bauteile",
   },
   units: {
     residual_px: "px", seam_px: "px", sigma_px: "px", belt_mm_s: "mm/s", slip_percent: "%", brightness_percent: "% der ersten Baugruppen",
