@@ -12,6 +12,7 @@ import pytest
 
 from vaoi_station.errors import DeviceError, InputError, NotFoundError
 from vaoi_station.plant.archive import Archive, RunLabel, addition
+from vaoi_station.plant.archive.frames import frame_codec
 from vaoi_station.runs.handover.paced_storage import PacedStorage
 
 
@@ -120,6 +121,15 @@ def test_a_run_that_another_zlib_compressed_is_the_same(
     monkeypatch.setattr(zlib, "compress", lambda content, _level: compress(content, 0))
     assert archive.add(recording) == first
     assert [run.documents for run in archive.runs()] == [first.documents]
+
+
+def test_a_run_whose_frames_another_release_compressed_is_the_same(
+    tmp_path: Path, recording: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    archive = Archive.create(tmp_path / "archive")
+    first = archive.add(recording, station="line 1", label=RunLabel("one"))
+    monkeypatch.setattr(frame_codec, "_step", lambda _: 2)
+    assert archive.add(recording, station="line 1", label=RunLabel("one")) == first
 
 
 def test_a_damaged_manifest_comes_back_from_the_recording(tmp_path: Path, recording: Path) -> None:

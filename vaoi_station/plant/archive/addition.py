@@ -10,6 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 from pydantic import ValidationError
 
 from vaoi_station.errors import DeviceError, InputError, NotFoundError
@@ -17,7 +18,7 @@ from vaoi_station.files import Recording, open_recording, read_board_type, read_
 from vaoi_station.files.documents import parse
 from vaoi_station.files.images import read_image
 from vaoi_station.model import Status
-from vaoi_station.plant.archive.frames import encode_frame
+from vaoi_station.plant.archive.frames import decode_frame, encode_frame
 from vaoi_station.plant.archive.manifest import (
     ArchivedReference,
     ArchivedRun,
@@ -276,14 +277,23 @@ def _differs_by_record(storage: Storage, before: ArchivedRun, run: ArchivedRun) 
 
 
 def _is_same(storage: Storage, before: ArchivedRun, run: ArchivedRun) -> bool:
-    """Return whether two runs differ at most in how their documents are compressed: releases of zlib differ."""
-    if before.model_copy(update={"documents": run.documents}) != run or before.documents.keys() != run.documents.keys():
+    """Return whether two runs differ at most in how they are compressed: releases of zlib and of this code differ."""
+    stored = before.model_copy(update={"documents": run.documents, "frames": run.frames})
+    if stored != run or before.documents.keys() != run.documents.keys() or len(before.frames) != len(run.frames):
         return False
     pairs = [(before.documents[kind], run.documents[kind]) for kind in run.documents]
+    frames = zip(before.frames, run.frames, strict=True)
     try:
-        return all(old == new or _content(storage, old) == _content(storage, new) for old, new in pairs)
-    except (NotFoundError, zlib.error):
+        return all(old == new or _content(storage, old) == _content(storage, new) for old, new in pairs) and all(
+            old == new or _same_frame(storage, old, new) for old, new in frames
+        )
+    except (NotFoundError, ValueError, zlib.error):
         return False
+
+
+def _same_frame(storage: Storage, one: FrameBlob, other: FrameBlob) -> bool:
+    first, second = (decode_frame(storage.read(blob.key)) for blob in (one, other))
+    return (one.camera, one.row) == (other.camera, other.row) and np.array_equal(first, second)
 
 
 def _content(storage: Storage, blob: DocumentBlob) -> bytes:

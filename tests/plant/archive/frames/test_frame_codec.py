@@ -98,5 +98,5 @@ def test_damage_is_noticed(name: str) -> None:
 
 
 def test_a_newer_frame_is_named() -> None:
-    with pytest.raises(ValueError, match="version 2, this software reads 1"):
-        decode_frame(b"VFR2" + encode_frame(PICTURES["black"])[4:])
+    with pytest.raises(ValueError, match="version 3, this software reads 2"):
+        decode_frame(b"VFR3" + encode_frame(PICTURES["black"])[4:])

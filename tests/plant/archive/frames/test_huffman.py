@@ -5,7 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vaoi_station.plant.archive.frames.huffman import LONGEST, SYMBOLS, code_lengths, codes_of, decoding_table
+from vaoi_station.plant.archive.frames.huffman import (
+    LONGEST,
+    SYMBOLS,
+    code_lengths,
+    codes_of,
+    decoding_table,
+    packed_lengths,
+    unpacked_lengths,
+)
 
 COUNTS = {
     "even": np.full(SYMBOLS, 5),
@@ -31,3 +39,10 @@ def test_the_mean_length_is_near_the_entropy() -> None:
     counts = np.rint(1e5 * 0.8 ** np.arange(SYMBOLS)).astype(np.int64) + 1
     share = counts / counts.sum()
     assert (share * code_lengths(counts)).sum() < -(share * np.log2(share)).sum() + 0.08
+
+
+def test_lengths_of_codes_come_back_and_impossible_ones_are_refused() -> None:
+    lengths = np.stack([code_lengths(counts.astype(np.int64)) for counts in COUNTS.values()])[:2]
+    assert np.array_equal(unpacked_lengths(packed_lengths(lengths), 2), lengths)
+    with pytest.raises(ValueError, match="head of a plane is invalid"):
+        unpacked_lengths(packed_lengths(lengths + 4), 2)

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.files.images import Image
+from vaoi_station.plant.archive.frames.former_planes import decode_former_plane
 from vaoi_station.plant.archive.frames.plane_codec import decode_plane, encode_plane
 
-_MAGIC = b"VFR1"
+_MAGIC, _FORMER = b"VFR2", b"VFR1"
 _HEAD = struct.Struct("<4sBBIIII")
 """Magic, bytes per sample, channels, height, width, CRC-32 of the pixels, bytes of the list of levels."""
 _MOST_PIXELS = 1 << 30
@@ -36,17 +37,23 @@ def decode_frame(content: bytes) -> Image:
     if len(content) < _HEAD.size:
         raise ValueError("too short for a frame")
     magic, size, channels, height, width, checksum, listed = _HEAD.unpack_from(content)
-    if magic[:3] == _MAGIC[:3] and magic != _MAGIC:
+    if magic[:3] == _MAGIC[:3] and magic not in (_MAGIC, _FORMER):
         raise ValueError(
             f"the frame has version {magic[3:].decode(errors='replace')}, this software reads {_MAGIC[3:].decode()}"
         )
-    if magic != _MAGIC or size not in (1, 2) or channels not in (1, 3) or not 0 < height * width <= _MOST_PIXELS:
+    if (
+        magic[:3] != _MAGIC[:3]
+        or size not in (1, 2)
+        or channels not in (1, 3)
+        or not 0 < height * width <= _MOST_PIXELS
+    ):
         raise ValueError("not a frame of this format")
     at = _HEAD.size + listed
+    decode = decode_plane if magic == _MAGIC else decode_former_plane
     planes = []
     for _ in range(channels):
         end = at + 4 + int.from_bytes(content[at : at + 4], "little")
-        planes.append(decode_plane(content[at + 4 : end], (height, width)))
+        planes.append(decode(content[at + 4 : end], (height, width)))
         at = end
     image = _joined(planes, np.uint8 if size == 1 else np.uint16)
     if listed:

@@ -85,3 +85,29 @@ def decoding_table(lengths: NDArray[np.uint8]) -> NDArray[np.uint16]:
             for at in range(np.int64(codes[symbol]), 1 << LONGEST, 1 << length):
                 table[at] = symbol << 4 | length
     return table
+
+
+def decoding_tables(lengths: NDArray[np.uint8]) -> NDArray[np.int16]:
+    """Return the tables of all kinds one after the other, with signed residuals · 16 + length.
+
+    Symbols of large residuals stay as they are.
+    """
+    tables = np.concatenate([decoding_table(one) for one in lengths])
+    symbol = (tables >> 4).astype(np.int16)
+    signed = np.where(symbol < DIRECT, (symbol >> 1) ^ -(symbol & 1), symbol)
+    return np.asarray(signed << 4 | (tables & 15).astype(np.int16), np.int16)
+
+
+def packed_lengths(lengths: NDArray[np.uint8]) -> bytes:
+    """Return the lengths of the codes of all kinds, two to a byte."""
+    flat = lengths.reshape(-1)
+    return (flat[::2] | flat[1::2] << 4).tobytes()
+
+
+def unpacked_lengths(content: bytes, kinds: int) -> NDArray[np.uint8]:
+    """Undo `packed_lengths`; ValueError if a length is impossible."""
+    nibbles = np.frombuffer(content, np.uint8)
+    lengths = np.stack([nibbles & 15, nibbles >> 4], -1).reshape(kinds, SYMBOLS)
+    if lengths.max() > LONGEST:
+        raise ValueError("the head of a plane is invalid")
+    return lengths
