@@ -99,8 +99,7 @@ class StationCoordinator:
         self._inbox = Inbox(self._tick, after=lambda: renew_permit(self._core, parts, processes, self.faults()))
         self.thread = self._inbox.thread
         """The coordinator's thread."""
-        self._gc_policy = GcPolicy()
-        self._core, self.storage = Core(parts), parts.archive.storage
+        self._gc_policy, self._core, self.storage = GcPolicy(), Core(parts), parts.archive.storage
         parts.archive.on_announced = lambda run, until_s: self._inbox.post(self._core.announced, run, until_s)
         requests, busy = PictureRequests(parts.workers.submit), parts.workers.busy
         access = self._frames = FrameAccess(self._inbox, self._core, ring, parts.archive, requests, busy)
