@@ -34,6 +34,11 @@ _WIDTHS = 2.0 ** np.arange(-2, 8)
 _SHARE_OF_WIDTH = np.exp(-0.5 / _WIDTHS**2) / _WIDTHS
 _SHARE_OF_WIDTH /= _SHARE_OF_WIDTH.sum()
 """Share of each in the mixture, for one degree of freedom: 1/width² has the distribution χ² of one."""
+_OF_ONE_AXIS = 1 / 2
+"""Scale of the t distribution of x, y or turn by itself, in units of the scale of that of all three together.
+
+A camera then moves far three quarters as often as by the distribution of all three. With more, σ of the many boards
+under cameras that have not moved would be too large (docs/measured/uncertainty.md)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,8 +127,9 @@ def spread_of_unseen_motion(
 
     The estimate is the maximum of the probability, with the curvature there. For a camera that hardly any link
     compares with its neighbours, this is the curvature of the prior of a camera that was not moved, although the heavy
-    tails of the prior allow a motion that no link would show. Here each camera's displacement has its whole
-    distribution, as a mixture of normal distributions, while those of the others keep theirs.
+    tails of the prior allow a motion that no link would show. Here each of x, y and turn of a camera has its whole
+    distribution, as a mixture of normal distributions, while all others keep theirs. One by one, because a camera may
+    move along one of them alone: that the links show no motion along the other two is no evidence against it.
 
     Args:
         information: (3n, 3n) px⁻², normal matrix of the displacements, without their prior.
@@ -136,26 +142,21 @@ def spread_of_unseen_motion(
         (3n, 3n) px², to be added to the covariance of the displacements.
     """
     n = len(displacement_px)
-    spread = np.zeros_like(information)
-    whole = information + np.diag(np.repeat(weight, PARAMETERS))
-    unit = np.eye(PARAMETERS)
-    for i in range(n):
-        own = slice(PARAMETERS * i, PARAMETERS * (i + 1))
-        rest = np.delete(np.arange(PARAMETERS * n), np.arange(own.start, own.stop))
-        follow = information[own, rest] @ np.linalg.inv(whole[np.ix_(rest, rest)])
-        alone = information[own, own] - follow @ information[rest, own]
-        right = vector[own] - follow @ vector[rest]
-        width = (_WIDTHS * still_px[i]) ** 2
-        covariance = np.linalg.inv(alone + unit / width[:, None, None])
-        moved = covariance @ right
-        evidence = moved @ right - np.linalg.slogdet(unit + alone * width[:, None, None])[1]
+    weights, scale = np.repeat(weight, PARAMETERS), np.repeat(_OF_ONE_AXIS * still_px, PARAMETERS)
+    whole = information + np.diag(weights)
+    spread = np.zeros(PARAMETERS * n)
+    for k, estimate in enumerate(displacement_px.ravel()):
+        rest = np.delete(np.arange(PARAMETERS * n), k)
+        follow = information[k, rest] @ np.linalg.inv(whole[np.ix_(rest, rest)])
+        alone = float(information[k, k] - follow @ information[rest, k])
+        right = float(vector[k] - follow @ vector[rest])
+        width = (_WIDTHS * scale[k]) ** 2
+        variance = 1 / (alone + 1 / width)
+        evidence = variance * right**2 - np.log1p(alone * width)
         share = _SHARE_OF_WIDTH * np.exp((evidence - evidence.max()) / 2)
-        share /= share.sum()
-        apart = moved - displacement_px[i]
-        mixed = np.einsum("k,kij->ij", share, covariance + apart[:, :, None] * apart[:, None, :])
-        size, axes = np.linalg.eigh(mixed - np.linalg.inv(alone + unit * weight[i]))
-        spread[own, own] = axes @ np.diag(np.maximum(size, 0.0)) @ axes.T
-    return spread
+        mixed = share @ (variance + (variance * right - estimate) ** 2) / share.sum()
+        spread[k] = max(float(mixed) - 1 / (alone + weights[k]), 0.0)
+    return np.diag(spread)
 
 
 def prior_weights(displacement_px: Floats, still_px: float | Floats) -> Floats:
