@@ -24,6 +24,7 @@ from fastapi.testclient import TestClient
 
 from tests.api.held.setup_files import setup_files
 from tests.api.held_station import HeldStation
+from tests.fuzz import station_targets
 from tests.fuzz.board_targets import board_archive, board_data, import_options, odb_design, unix_compressed
 from vaoi_station.acquisition.controller.protocol.framing import PAYLOAD_LONGEST, FrameReader, Message, encode
 from vaoi_station.acquisition.controller.protocol.link import Link
@@ -169,6 +170,13 @@ TARGETS: dict[str, Target] = {
     "keys": _file("keys.json", lambda path: KeyFile(path).entries()),
     "recording": recording,
     "package": package,
+    "backup": station_targets.backup,
+    "history": station_targets.history,
+    "database": station_targets.database,
+    "gvcp": station_targets.gvcp_reply,
+    "push-state": station_targets.push_state,
+    "webhooks": station_targets.webhooks,
+    "ring": station_targets.ring,
     "rest": rest,
     "query": query,
 }

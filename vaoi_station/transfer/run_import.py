@@ -14,6 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from pydantic import BaseModel
+
 from vaoi_station.config import KeepConfig, read_config
 from vaoi_station.errors import DeviceError, InputError
 from vaoi_station.files.atomic_directory import new_directory, remove_directory
@@ -133,14 +135,21 @@ def _read(package: Path, folder: Path, manifest: dict[str, Any]) -> _Package:
     origin = Origin(station=str(manifest.get("station", "")), exported=str(manifest.get("made", "")), imported=utc())
     gone = in_state(detail, RunState.GONE)
     marked = gone.model_copy(update={"origin": origin, "stored": True, "pinned": False, "recording": False})
+    _stored(marked, f"{package}: {RUN_FILE}")
     calibration, board_type = _text(package, folder, CALIBRATION_FILE), _text(package, folder, BOARD_FILE)
-    parse(Calibration, json.loads(calibration), f"{package}: {CALIBRATION_FILE}")
+    known = parse(Calibration, json.loads(calibration), f"{package}: {CALIBRATION_FILE}")
     parse(BoardType, json.loads(board_type), f"{package}: {BOARD_FILE}")
     _refuse_other_digest(package, CALIBRATION_FILE, calibration, detail.calibration)
     if detail.made_with is not None:
         _refuse_other_digest(package, BOARD_FILE, board_type, detail.made_with.board_type)
     recorded = (folder / RECORDING_FILE).is_file()
     head = _head(package, folder, recorded)
+    if len(head.cameras) != len(known.camera_matrices):
+        raise InputError(
+            f"{package}: its recording has {len(head.cameras)} cameras, but its {CALIBRATION_FILE} has "
+            f"{len(known.camera_matrices)}.",
+            action="Export the run again.",
+        )
     if recorded:
         _check_frames(package, folder)
     result = _optional(package, folder, RESULT_FILE)
@@ -152,8 +161,8 @@ def _read(package: Path, folder: Path, manifest: dict[str, Any]) -> _Package:
     size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()) if recorded else 0
     configuration = _optional(package, folder, CONFIGURATION_FILE)
     return _Package(
-        marked, calibration, board_type, head, result, timeline, _heights(package, folder),
-        _identity(package, folder), configuration, size,
+        marked, calibration, board_type, _stored(head, f"{package}: {HEAD_FILE}"), result, timeline,
+        _heights(package, folder), _identity(package, folder), configuration, size,
     )  # fmt: skip
 
 
@@ -169,19 +178,28 @@ def _heights(package: Path, folder: Path) -> str | None:
     if (text := _optional(package, folder, HEIGHTS_FILE)) is None:
         return None
     heights = parse(HeightList, json.loads(text), f"{package}: {HEIGHTS_FILE}", action="Export the run again.")
-    return heights.model_dump_json(exclude_none=True)
+    return _stored(heights, f"{package}: {HEIGHTS_FILE}", exclude_none=True)
 
 
-def _head(package: Path, folder: Path, recorded: bool) -> str:
-    """Return the head of the run's recording as JSON; packages of earlier versions have it only with frames."""
+def _stored(document: BaseModel, place: str, *, exclude_none: bool = False) -> str:
+    """Return the text that is stored of a document; InputError if it could not be read again.
+
+    Texts such as "nan" are accepted as numbers, but JSON has none for them.
+    """
+    text = document.model_dump_json(exclude_none=exclude_none)
+    parse(type(document), json.loads(text), place, action="Export the run again.")
+    return text
+
+
+def _head(package: Path, folder: Path, recorded: bool) -> RecordingHead:
+    """Return the head of the run's recording; packages of earlier versions have it only with frames."""
     name = HEAD_FILE if (folder / HEAD_FILE).is_file() else RECORDING_FILE
     if name == RECORDING_FILE and not recorded:
         raise InputError(
             f"{package}: has no {HEAD_FILE}, because an earlier version has written it.",
             action="Export the run again with this version, or unpack it with --out.",
         )
-    head = parse(RecordingHead, read_json(folder / name), f"{package}: {name}")
-    return head.model_dump_json()
+    return parse(RecordingHead, read_json(folder / name), f"{package}: {name}")
 
 
 def _check_frames(package: Path, folder: Path) -> None:

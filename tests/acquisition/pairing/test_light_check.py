@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -71,3 +72,4 @@ def test_frames_state_the_exposure_and_gain_of_their_row() -> None:
         5: "its frame states a gain of 0.3 dB, but the light program has 0.6 dB",
     }
     assert contradicted_frames(1, [stating(0, 5.0)], ()) == {}
+    assert list(contradicted_frames(1, [stating(0, math.nan), stating(2, 100.0, math.nan)], program)) == [0, 2]

@@ -20,7 +20,7 @@ from vaoi_station.acquisition.ring.ring_file import (
     remove_leftovers,
     start_ticks,
 )
-from vaoi_station.acquisition.ring.ring_layout import HEADER, FrameShape
+from vaoi_station.acquisition.ring.ring_layout import HEADER, PAGE_BYTES, FrameShape
 from vaoi_station.errors import BusyError, InputError, NotFoundError, StateError
 
 LAYOUT = RingLayout(3, 2, (FrameShape(40, 30, "Mono8"), FrameShape(64, 20, "Mono16")))
@@ -141,6 +141,17 @@ def test_another_layout_version_or_size_is_refused(path: Path) -> None:
         content[8] = 99
         copy.write_bytes(content)
         with pytest.raises(InputError, match="layout_version is 99"):
+            Ring.attach(copy)
+
+
+@pytest.mark.parametrize(("field", "value"), [("cameras", 0xFFFFFFFF), ("camera_table", 1 << 63), ("camera_table", 1)])
+def test_a_header_that_contradicts_its_file_is_refused(path: Path, field: str, value: int) -> None:
+    with Ring.create(path, LAYOUT):
+        copy = path.with_name("copy.ring")
+        page = np.frombuffer(path.read_bytes()[:PAGE_BYTES], dtype=HEADER).copy()
+        page[field] = value
+        copy.write_bytes(page.tobytes() + path.read_bytes()[PAGE_BYTES:])
+        with pytest.raises(InputError):
             Ring.attach(copy)
 
 

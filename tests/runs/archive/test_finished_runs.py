@@ -61,6 +61,23 @@ def test_results_and_records_survive_a_restart_and_frames_do_not(
     later.close()
 
 
+@pytest.mark.parametrize(("column", "table"), [("timeline", "runs"), ("head", "runs"), ("document", "documents")])
+def test_a_run_of_which_a_part_is_damaged_is_refused_as_such(
+    make_rig: Callable[..., Any], store: Store, column: str, table: str
+) -> None:
+    rig = make_rig()
+    rig.ready()
+    grant = rig.arm()
+    rig.board(grant)
+    rig.result_of(grant.run)
+    damaged = f"UPDATE {table} SET {column} = '{{}}'" + (", packed_timeline = NULL" if column == "timeline" else "")
+    store.database.write(lambda c: c.execute(damaged)).result(10)
+    archive = Archive(store, EventLog(store))
+    with pytest.raises(DeviceError, match="cannot be read") as refusal:
+        archive.get(grant.run)
+    assert refusal.value.code == "record-unreadable"
+
+
 def test_frames_from_before_a_restart_are_gone(make_rig: Callable[..., Any]) -> None:
     first = make_rig(runs=2)
     first.ready()

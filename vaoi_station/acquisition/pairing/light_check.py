@@ -66,13 +66,14 @@ def _stated_contradiction(stated: StatedExposure, camera: int, row: int, program
     """Return what a frame states if the program has something else for its row; an empty text otherwise."""
     expected = program[row % len(program)]
     must_us, must_db = expected.exposures_us[camera], expected.gains_db[camera]
-    # Steps are at least two tolerances apart in one of the two (`filming_plan`): a frame fits one step at most.
-    if abs(stated.exposure_us - must_us) >= stated_tolerance_us(must_us):
+    # Steps are at least two tolerances apart in one of the two (`filming_plan`): a frame fits one step at most. What a
+    # frame states may be no number (NaN), which is not below any limit.
+    if not abs(stated.exposure_us - must_us) < stated_tolerance_us(must_us):
         return (
             f"its frame states an exposure of {stated.exposure_us:g} µs, but the light program has {must_us:g} µs: the "
             "camera's sequencer is at another row"
         )
-    if stated.gain_db is not None and abs(stated.gain_db - must_db) >= STATED_TOLERANCE_DB:
+    if stated.gain_db is not None and not abs(stated.gain_db - must_db) < STATED_TOLERANCE_DB:
         return (
             f"its frame states a gain of {stated.gain_db:g} dB, but the light program has {must_db:g} dB: the camera's "
             "sequencer is at another row"

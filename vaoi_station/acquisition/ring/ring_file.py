@@ -131,10 +131,14 @@ def read_layout(handle: int, path: Path) -> tuple[RingLayout, NDArray[Any]]:
     header = np.frombuffer(page, dtype=HEADER)
     if (found := int(header["layout_version"][0])) != LAYOUT_VERSION:
         raise InputError.field(path, "layout_version", found, str(LAYOUT_VERSION), "Use matching versions.")
-    table = os.pread(handle, int(header["cameras"][0]) * CAMERA_RECORD.itemsize, int(header["camera_table"][0]))
+    size, table_bytes = os.fstat(handle).st_size, int(header["cameras"][0]) * CAMERA_RECORD.itemsize
+    # The header may be that of another program: no memory is taken by numbers that contradict the size of the file.
+    if (end := int(header["camera_table"][0]) + table_bytes) > size:
+        raise InputError(f"{path}: has {size} bytes, but its header states cameras up to byte {end}.")
+    table = os.pread(handle, table_bytes, int(header["camera_table"][0]))
     layout = RingLayout.read(header, np.frombuffer(table, dtype=CAMERA_RECORD))
-    if os.fstat(handle).st_size != layout.file_bytes:
-        raise InputError(f"{path}: has {os.fstat(handle).st_size} bytes, but its header states {layout.file_bytes}.")
+    if size != layout.file_bytes:
+        raise InputError(f"{path}: has {size} bytes, but its header states {layout.file_bytes}.")
     return layout, header
 
 

@@ -381,19 +381,20 @@ class Archive:
         return {row.id: stored_documents.summary(replace(row, state=self._state_of(row))) for row in rows}
 
     def _parsed(self, row: RunRow) -> FinishedRun:
-        calibration = Calibration.model_validate_json(self._store.document(row.calibration_digest))
-        result, timeline = self._store.result(row.id), self._store.timeline(row.id)
-        head = RecordingHead.model_validate_json(row.head) if row.head else None
-        return FinishedRun(
-            detail=in_state(stored_documents.detail(row), self._state_of(row)),
-            finish_number=row.finish_number or 0,
-            board_type=BoardType.model_validate_json(self._store.document(row.board_type_digest)),
-            cameras=calibration.cameras(head.cameras) if head else (),
-            stitch=without_components(Stitch.model_validate_json(result)) if result else None,
-            document=result,
-            timeline=Timeline.model_validate_json(timeline) if timeline else _EMPTY,
-            head=head,
-        )
+        with stored_documents.readable(row.id):
+            calibration = Calibration.model_validate_json(self._store.document(row.calibration_digest))
+            result, timeline = self._store.result(row.id), self._store.timeline(row.id)
+            head = RecordingHead.model_validate_json(row.head) if row.head else None
+            return FinishedRun(
+                detail=in_state(stored_documents.detail(row), self._state_of(row)),
+                finish_number=row.finish_number or 0,
+                board_type=BoardType.model_validate_json(self._store.document(row.board_type_digest)),
+                cameras=calibration.cameras(head.cameras) if head else (),
+                stitch=without_components(Stitch.model_validate_json(result)) if result else None,
+                document=result,
+                timeline=Timeline.model_validate_json(timeline) if timeline else _EMPTY,
+                head=head,
+            )
 
 
 _EMPTY = Timeline(frames_settled_s=(), tasks=(), last_frame_s=0.0, ready_s=None)

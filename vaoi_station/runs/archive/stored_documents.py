@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any, TypeVar
 
@@ -114,12 +116,8 @@ def in_state(document: R, state: RunState) -> R:
 
 def detail(row: RunRow) -> RunDetail:
     """Return the document of a stored run; DeviceError if it cannot be read."""
-    try:
+    with readable(row.id):
         return RunDetail.model_validate_json(row.detail)
-    except ValidationError as error:
-        raise DeviceError(
-            f"Run {row.id}: {_UNREADABLE.message}", action=_UNREADABLE.action, code=_UNREADABLE.code
-        ) from error
 
 
 def summary(row: RunRow) -> RunSummary:
@@ -152,6 +150,17 @@ def announcement(detail: RunDetail) -> str:
     message = "; ".join(reason.message for reason in detail.reasons) or "The matrices are available."
     ms = detail.timings.ready_after_last_frame_ms if detail.timings else None
     return message if ms is None else f"{message} {ms:.0f} ms after the last frame."
+
+
+@contextmanager
+def readable(run: str) -> Iterator[None]:
+    """Raise DeviceError if a document of this run cannot be read in the `with` block, or contradicts another one."""
+    try:
+        yield
+    except (ValidationError, IndexError) as error:  # IndexError: a camera that the calibration does not have
+        raise DeviceError(
+            f"Run {run}: {_UNREADABLE.message}", action=_UNREADABLE.action, code=_UNREADABLE.code
+        ) from error
 
 
 def forgotten(run: str) -> GoneError:

@@ -50,7 +50,7 @@ class CalibrationWatch:
         known = [
             check
             for text in checks.documents(self.digest, FIRST_CHECKS, LATEST_CHECKS)
-            if (check := _parsed(text)) is not None
+            if (check := _parsed(text, len(self._names))) is not None
         ]
         self._first, self._latest = known[:FIRST_CHECKS], deque(known[FIRST_CHECKS:], LATEST_CHECKS)
         # A board type may pause for more runs than are evaluated or stored; its baselines stay those of its first runs.
@@ -235,9 +235,12 @@ def _moment(check: RunCheck, camera: CameraCheck) -> CameraMoment:
     )
 
 
-def _parsed(text: str) -> RunCheck | None:
-    """Return a stored check; None if another version wrote it in a way that cannot be read."""
+def _parsed(text: str, cameras: int) -> RunCheck | None:
+    """Return a stored check; None if it is damaged or of another version. No row may prevent the station's start."""
     try:
-        return RunCheck.model_validate_json(text)
+        check = RunCheck.model_validate_json(text)
     except ValidationError:
         return None
+    named = (*check.rivals, *(lamp.camera for lamp in check.lamps))
+    fits = len(check.cameras) == cameras and all(0 <= camera < cameras for camera in named)
+    return check if fits else None

@@ -50,12 +50,16 @@ def test_a_camera_is_free_only_if_it_reports_so(
 
 
 def test_a_serial_number_ends_with_a_zero_or_after_16_bytes() -> None:
-    registers = bytearray(8 + 248)
+    registers = bytearray(struct.pack(">HHHH", 0, 3, 248, 1) + bytes(248))
     registers[8 + 0x24 : 8 + 0x28] = bytes([192, 168, 7, 31])
     registers[8 + 0xD8 : 8 + 0xE8] = b"21433566\0garbage"
-    assert gvcp.parse_discovery(bytes(registers)) == gvcp.DiscoveredCamera("192.168.7.31", "21433566")
+    assert gvcp.discovered(bytes(registers), 1) == gvcp.DiscoveredCamera("192.168.7.31", "21433566")
+    assert gvcp.discovered(bytes(registers), 2) is None, "the reply to another request"
+    assert gvcp.discovered(bytes(registers[:-1]), 1) is None
     registers[8 + 0xD8 : 8 + 0xE8] = b"0123456789ABCDEF"
-    assert gvcp.parse_discovery(bytes(registers)).serial == "0123456789ABCDEF"
+    found = gvcp.discovered(bytes(registers), 1)
+    assert found is not None
+    assert found.serial == "0123456789ABCDEF"
 
 
 def test_without_a_camera_nothing_replies() -> None:

@@ -114,8 +114,10 @@ def discover(wait_s: float = DISCOVERY_S) -> tuple[DiscoveredCamera, ...]:
     return tuple(sorted(found, key=lambda camera: socket.inet_aton(camera.address)))
 
 
-def parse_discovery(datagram: bytes) -> DiscoveredCamera:
-    """Read address and serial number from a reply to DISCOVERY."""
+def discovered(datagram: bytes, request_id: int) -> DiscoveredCamera | None:
+    """Return address and serial number from a reply to DISCOVERY; None for every other datagram."""
+    if not is_reply(datagram, _DISCOVERY, request_id) or len(datagram) < _DISCOVERY_REPLY_BYTES:
+        return None
     serial = datagram[_SERIAL_OFFSET : _SERIAL_OFFSET + 16].split(b"\0")[0].decode("ascii", "replace")
     return DiscoveredCamera(socket.inet_ntoa(datagram[_ADDRESS_OFFSET : _ADDRESS_OFFSET + 4]), serial)
 
@@ -124,9 +126,8 @@ def _received(client: socket.socket, request_id: int) -> list[DiscoveredCamera]:
     received = []
     with contextlib.suppress(BlockingIOError):  # nothing more at present
         while True:
-            datagram = client.recv(1024)
-            if is_reply(datagram, _DISCOVERY, request_id) and len(datagram) >= _DISCOVERY_REPLY_BYTES:
-                received.append(parse_discovery(datagram))
+            if (camera := discovered(client.recv(1024), request_id)) is not None:
+                received.append(camera)
     return received
 
 
