@@ -163,6 +163,22 @@ int rename(const char *from, const char *to) {
   return result;
 }
 
+int link(const char *from, const char *to) {
+  pthread_mutex_lock(&lock);
+  int result = REAL(link)(from, to);
+  if (result == 0 && below(to)) entry(0, 0, "link %lu %s\n", inode(to), to);
+  pthread_mutex_unlock(&lock);
+  return result;
+}
+
+int linkat(int at, const char *from, int to_at, const char *to, int flags) {
+  pthread_mutex_lock(&lock);
+  int result = REAL(linkat)(at, from, to_at, to, flags);
+  if (result == 0 && below(to)) entry(0, 0, "link %lu %s\n", inode(to), to);
+  pthread_mutex_unlock(&lock);
+  return result;
+}
+
 #define REMOVE(name)                                                    \
   int name(const char *path) {                                          \
     pthread_mutex_lock(&lock);                                          \

@@ -37,7 +37,7 @@ def read_record(record: bytes) -> Iterator[Entry]:
         elif kind == "remove":
             words = (kind, rest)
         else:
-            words = (kind, *rest.split(" ", 1)) if kind in ("make", "folder") else (kind, *rest.split())
+            words = (kind, *rest.split(" ", 1)) if kind in ("make", "link", "folder") else (kind, *rest.split())
         length = int(words[3]) if kind == "write" else 0
         yield Entry(words, record[at : at + length], at + length)
         at += length
@@ -115,7 +115,7 @@ class Disk:
 
 def _apply(names: dict[str, str], change: tuple[str, ...]) -> None:
     kind, first, *rest = change
-    if kind == "make":
+    if kind in ("make", "link"):
         names[rest[0]] = first
     elif kind == "folder":
         names[rest[0]] = f"d{first}"

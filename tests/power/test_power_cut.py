@@ -16,9 +16,8 @@ import pytest
 from tests.needs import LONG, need
 from tests.power.replay import Disk, Entry, read_record
 from vaoi_station.errors import VaoiError
-from vaoi_station.files import read_board_type
 from vaoi_station.files.access_keys import KeyFile
-from vaoi_station.store import Database, Store
+from vaoi_station.store import BoardTypeDirectory, Database, Store
 
 HERE = Path(__file__).parent
 CUTS = 400 if LONG else 20
@@ -72,7 +71,8 @@ def cut_at(recorded: Recorded, seed: int, target: Path) -> int:
 
 def broken(root: Path, promises: Sequence[Promise]) -> list[str]:
     """Return what is not as it was promised."""
-    names = {kind: [p.name for p in promises if p.kind == kind] for kind in ("run", "board-type", "key", "no-key")}
+    kinds = "run", "pin", "no-pin", "decision", "board-type", "no-board-type", "key", "no-key", "armed"
+    names = {kind: [p.name for p in promises if p.kind == kind] for kind in kinds}
     found = []
     with closing(Store(Database(root / "data" / "station.db"))) as store:
         found += [notice.message for notice in store.notices]
@@ -82,17 +82,33 @@ def broken(root: Path, promises: Sequence[Promise]) -> list[str]:
             row = store.run(run)
             if row is None or row.state != "ready" or run not in (store.result(run) or ""):
                 found.append(f"run {run}: {row}")
+        pins, decisions = store.retention.pins(), store.decisions.documents(names["decision"])
+        found += [f"the pin of {run} is lost" for run in set(names["pin"]) - set(names["no-pin"]) - pins]
+        found += [f"the pin of {run} is back" for run in set(names["no-pin"]) & pins]
+        found += [f"the decision about {run} is lost" for run in names["decision"] if run not in decisions.get(run, "")]
+        found += _standing(store.standing.get("armed"), names["armed"])
+    types = BoardTypeDirectory(root / "board-types")
     for name in names["board-type"]:
         try:
-            read_board_type(root / "board-types" / f"{name}.json")
+            types.get(name)
         except VaoiError as error:
             found.append(str(error))
+    found += [f"board type {name} is back" for name in names["no-board-type"] if types.path_of(name).exists()]
+    found += [f"board type {name} has no version" for name in names["no-board-type"] if name not in types.deleted()]
     try:
         keys = {key.name for key in KeyFile(root / "data" / "keys.json").entries()}
     except VaoiError as error:
         return [*found, str(error)]
     found += [f"key {name} is lost" for name in set(names["key"]) - keys]
     return found + [f"key {name} is back" for name in set(names["no-key"]) & keys]
+
+
+def _standing(document: str | None, promised: Sequence[str]) -> list[str]:
+    """Return what is wrong with the standing order; the one after the last promised may be there already."""
+    last = promised[-1] if promised else "None"
+    following = "None" if last != "None" else str(int(promised[-2]) + 10) if len(promised) > 1 else "7"
+    expected = [None if number == "None" else f'{{"board_type": "b{number}"}}' for number in (last, following)]
+    return [] if document in expected else [f"the standing order is {document}, not {' or '.join(map(str, expected))}"]
 
 
 def test_everything_that_was_promised_survives_a_power_cut(recorded: Recorded, tmp_path: Path) -> None:
