@@ -48,6 +48,22 @@ def test_the_frame_that_shows_a_point_nearest_to_its_middle_is_chosen(workshop: 
     np.testing.assert_array_equal(number, np.where(none, -1, off.argmin(1)))
 
 
+def test_a_frame_of_little_contrast_is_taken_where_no_other_shows_the_point(workshop: Any) -> None:
+    s, noise = scene(workshop), np.random.default_rng(3)
+    points = noise.uniform((-12, -28), (46, 12), (400, 2))
+    near = FrameArrays.of(s, MOTION).nearest(points)
+    faint = 0
+    frames = {
+        key: PreparedFrame(noise.integers(0, 10 if n == faint else 100, (160, 200)).astype(np.uint8))
+        for n, key in enumerate(s.present)
+    }
+    number = FrameArrays.of(Scene(s.cameras, s.present, frames.__getitem__), MOTION).nearest(points)
+    others = tuple(key for n, key in enumerate(s.present) if n != faint)
+    elsewhere = FrameArrays.of(Scene(s.cameras, others, frames.__getitem__), MOTION).nearest(points)
+    np.testing.assert_array_equal(number, np.where(elsewhere >= 0, elsewhere + 1, near))
+    assert 0 < (number == faint).sum() < (near == faint).sum()
+
+
 def test_projected_points_match_the_camera_model(workshop: Any) -> None:
     s = scene(workshop)
     frames = FrameArrays.of(s, MOTION)

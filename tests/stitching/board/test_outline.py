@@ -11,6 +11,7 @@ import pytest
 from vaoi_station.geometry import apply
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment.motion import Motion, nominal_motion
+from vaoi_station.stitching.board.orientation import measure_outline_contrast
 from vaoi_station.stitching.board.outline import OutlineShift, measure_outline_shift
 from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
 from vaoi_station.stitching.matching.scene import Scene
@@ -42,6 +43,39 @@ def scene(
     picture += np.random.default_rng(0).normal(0, 2, picture.shape)
     frame = PreparedFrame(workshop.digitised(picture))
     return Scene((camera,), ((0, 0),), lambda key: frame)
+
+
+def exposed(workshop: Any, exposures: dict[tuple[float, float], float]) -> Scene:
+    """One frame of the board at rest from each camera centre, mm, at this share of the usual exposure."""
+    cameras = tuple(workshop.camera(center, size_px=(440, 320)) for center in exposures)
+    y, x = np.mgrid[:320, :440].astype(float)
+    frames = {}
+    for n, (camera, share) in enumerate(zip(cameras, exposures.values(), strict=True)):
+        cad = apply(np.linalg.inv(PLACED), camera.ground(np.stack([x, y], -1).reshape(-1, 2))).reshape(320, 440, 2)
+        inside = ((cad >= 0) & (cad <= (28.0, 20.0))).all(-1)
+        spots = ((np.floor(cad[..., 0] / 1.7) + np.floor(cad[..., 1] / 1.3)) % 3 == 0) * 25.0
+        levels = share * cv2.GaussianBlur(np.where(inside, 80.0 + spots, 20.0), (0, 0), 0.8)
+        noise = np.random.default_rng(n).normal(0, 1, levels.shape)
+        frames[n, 0] = PreparedFrame(workshop.digitised(levels + noise))
+    return Scene(cameras, tuple(sorted(frames)), frames.__getitem__)
+
+
+@pytest.mark.parametrize("share", [0.02, 50.0])
+def test_the_outline_is_seen_in_frames_that_are_well_exposed(workshop: Any, share: float) -> None:
+    """Most of it lies nearest to the centre of a frame that is almost black, or saturated everywhere."""
+    mixed = exposed(workshop, {(0.0, 0.0): share, (6.0, 0.0): 1.0})
+    contrast = measure_outline_contrast(board(), PLACED, mixed, STILL)
+    assert contrast is not None
+    assert contrast.visible
+    assert contrast.contrast > 30
+    found, alone = (
+        measure_outline_shift(board(), moved(0.3, -0.2), s, STILL)
+        for s in (mixed, exposed(workshop, {(6.0, 0.0): 1.0}))
+    )
+    assert found is not None
+    assert alone is not None
+    assert found.pieces >= alone.pieces
+    assert found.mm == pytest.approx([-0.3, 0.2], abs=0.05)
 
 
 def moved(x_mm: float, y_mm: float) -> Any:

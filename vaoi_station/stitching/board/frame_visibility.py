@@ -18,6 +18,8 @@ from vaoi_station.stitching.matching.scene import Scene
 
 _MARGIN_MM = 1.0
 """Least distance of a point from the border of its best frame."""
+_FAINT = 1 / 3
+"""A frame whose grey levels scatter less than this share of those of another frame is exposed too short or too long."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,8 +65,25 @@ class FrameArrays:
         )
 
     def nearest(self, board_mm: Floats) -> Ints:
-        """Return for each board point (k, 2) the number of the frame that shows it nearest to its centre; −1: none."""
-        return _nearest(np.ascontiguousarray(board_mm), self._poses, self.view_mm, self.size_px)
+        """Return for each board point (k, 2) the number of the frame that shows it nearest to its centre; −1: none.
+
+        A frame that is almost black or saturated everywhere shows no edges: it is taken for points that no other frame
+        shows. A program may give every row and camera its own exposure.
+        """
+        points, faint, contrast = (
+            np.ascontiguousarray(board_mm),
+            np.zeros(len(self.frame), np.bool_),
+            dict[int, float](),
+        )
+        chosen = first = _nearest(points, self._poses, self.view_mm, self.size_px, faint)
+        # Only frames that are chosen are looked at: their pixels are read next in any case.
+        while new := set(np.unique(chosen[chosen >= 0]).tolist()) - set(contrast):
+            contrast |= {n: self.scene.prepared(self.scene.present[n]).contrast for n in new}
+            least = _FAINT * max(contrast.values())
+            faint[[n for n, found in contrast.items() if found < least]] = True
+            better = _nearest(points, self._poses, self.view_mm, self.size_px, faint) if faint.any() else first
+            chosen = np.where(better >= 0, better, first)
+        return chosen
 
     def project(self, number: Ints, board_mm: Floats) -> Floats:
         """Project board points (k, s, 2) to raw pixels, s points each to one of k frames.
@@ -105,12 +124,14 @@ class _Poses(NamedTuple):
 
 
 @compiled
-def _nearest(board_mm: Floats, poses: _Poses, view_mm: Floats, size_px: Floats) -> Ints:
+def _nearest(board_mm: Floats, poses: _Poses, view_mm: Floats, size_px: Floats, faint: NDArray[np.bool_]) -> Ints:
     frame, rows, image_from_row, radial, lens = poses
     chosen = np.full(len(board_mm), -1)
     for k in range(len(board_mm)):
         best = np.inf
         for n in range(len(frame)):
+            if faint[n]:
+                continue
             i, d = frame[n, 0], rows[frame[n, 1]]
             x = d[0, 0] * board_mm[k, 0] + d[0, 1] * board_mm[k, 1] + d[0, 2]
             y = d[1, 0] * board_mm[k, 0] + d[1, 1] * board_mm[k, 1] + d[1, 2]

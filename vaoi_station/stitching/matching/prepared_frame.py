@@ -17,8 +17,8 @@ from vaoi_station.stitching.matching.patch_tables import KERNEL, KERNEL_REACH, K
 
 _COARSE_WIDTH_PX = 150
 """Smallest width of `PreparedFrame.coarse`."""
-
-
+_SAMPLED_PX = 16
+"""Distance of the pixels from which the contrast is computed."""
 _FAR_PX = 30_000
 """Largest coordinate of a polygon that OpenCV fills without overflow."""
 
@@ -46,6 +46,11 @@ class PreparedFrame:
     def quarter(self) -> NDArray[np.uint8]:
         """The grey frame reduced by 4 in width and height: means of 4×4 pixels."""
         return read_only(quarter_size(self.grey))
+
+    @cached_property
+    def contrast(self) -> float:
+        """Standard deviation of the grey levels, from a sample of the pixels."""
+        return float(self.grey[::_SAMPLED_PX, ::_SAMPLED_PX].std())
 
     @cached_property
     def copies(self) -> dict[int, NDArray[np.uint8]]:
