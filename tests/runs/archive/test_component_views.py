@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import pytest
 
-from vaoi_station.errors import NotFoundError, StateError
-from vaoi_station.model import BoardType, FrameRecord, RecordingHead, Status, Stitch, Verdict
-from vaoi_station.rendering import ImageRequest, Measures, View
+from vaoi_station.errors import InputError, NotFoundError, StateError
+from vaoi_station.model import BoardType, Component, FrameRecord, RecordingHead, Status, Stitch, Verdict
+from vaoi_station.rendering import ImageRequest, Measures, View, ViewCalculator
 from vaoi_station.runs.archive import component_views
 from vaoi_station.runs.archive.finished_runs import FinishedRun
 
@@ -93,6 +94,37 @@ def test_views_and_components_that_do_not_exist_are_refused_with_their_numbers(r
     assert component_views.component_of(board_type, "U1").ref == "U1"
     with pytest.raises(NotFoundError, match="no component 'R99'"):
         component_views.component_of(board_type, "R99")
+
+
+def test_neighbours_are_chosen_together_as_they_are_alone(rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that is refused, because its picture would be too large, prevents none of its neighbours."""
+    finished = finished_run(rig)
+    sizes = {f"R{n}": 0.5 + 0.1 * n for n in range(20)} | {"R5": 900.0}
+    parts = [{"ref": ref, "center": (10, 10), "width": mm, "height": mm} for ref, mm in sizes.items()]
+    board_type = BoardType.model_validate({**finished.board_type.model_dump(), "components": parts})
+    finished = replace(finished, board_type=board_type)
+    calls, compute_all = list[int](), ViewCalculator.compute_all
+
+    def counted(calculator: ViewCalculator, parts: Sequence[Component], **options: Any) -> Any:
+        calls.append(len(parts))
+        return compute_all(calculator, parts, **options)
+
+    monkeypatch.setattr(ViewCalculator, "compute_all", counted)
+    for wanted in (ImageRequest(), ImageRequest.of({"px_per_mm": 40})):
+        alone = ImageRequest.of({**wanted.options(), "measure": True})  # type: ignore[typeddict-item]
+        calls.clear()
+        for ref in sizes:
+            if (ref, wanted.framing.px_per_mm) == ("R5", 40):
+                with pytest.raises(InputError):
+                    component_views.images_of_component(finished, ref, wanted, unmeasured)
+                continue
+            [together, single] = [
+                component_views.images_of_component(finished, ref, request, unmeasured).chosen
+                for request in (wanted, alone)
+            ]
+            assert [c.view.matrix.tolist() for c in together] == [c.view.matrix.tolist() for c in single]
+        if wanted == ImageRequest():
+            assert [n for n in calls if n > 1] == [8, 8, 4]
 
 
 @pytest.mark.parametrize(

@@ -11,19 +11,19 @@ from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
+from functools import cached_property
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from pydantic_core import to_json
 
 from vaoi_station.errors import GoneError, InputError, NotFoundError, VaoiError
-from vaoi_station.files.results import component_tables
 from vaoi_station.hdr.encoding import MergedFormat
 from vaoi_station.model import Component
 from vaoi_station.model.known_height import Heights, with_heights
 from vaoi_station.rendering import choose_images
-from vaoi_station.runs.archive.component_views import frame_facts
+from vaoi_station.runs.archive.component_views import frame_facts, tables_of
 from vaoi_station.runs.archive.finished_runs import FinishedRun
 from vaoi_station.runs.batches.batch_job import (
     MEDIA,
@@ -57,22 +57,34 @@ class BatchPart:
     image: int = 0
 
 
-@dataclass(frozen=True)
-class Batch:
-    """A batch that can be cut: the components in their order, and the set-up that all parts share."""
+class Prepared(NamedTuple):
+    """What all parts of a batch need."""
 
-    run: str
-    request: BatchRequest
-    components: tuple[Component, ...]
     setup: bytes
     """Pickled `BatchSetup`."""
     quality: Mapping[str, Mapping[str, Any]]
     """Entries of the result's quality that have one value per component."""
+
+
+@dataclass(frozen=True)
+class Batch:
+    """A batch that can be cut: the components in their order, and what all parts share."""
+
+    run: str
+    request: BatchRequest
+    components: tuple[Component, ...]
+    prepare: Callable[[], Prepared]
+    """Function that makes what all parts need; the head is sent before it is called."""
     recorded: bool
     """Whether frames are read from the run's recording."""
     modified_s: int
     head: Member
     """The first file: what the batch is of."""
+
+    @cached_property
+    def prepared(self) -> Prepared:
+        """What all parts need."""
+        return self.prepare()
 
     def parts(self) -> list[BatchPart]:
         """Return the parts of the batch, in the order of the components."""
@@ -150,9 +162,6 @@ class BatchAccess:
             choose_images(
                 calculator, part, (finished.board_type, result), (slots, facts), request.images, lambda _: None
             )
-        quality = component_tables(finished.text)
-        if on_top:
-            quality = quality | {key: result.quality[key] for key in ("heights_mm", "height_sigma_mm")}
         detail = finished.detail
         modified_s = int(datetime.fromisoformat(detail.finished or detail.started).timestamp())
         setup = BatchSetup(
@@ -169,9 +178,15 @@ class BatchAccess:
             address="" if request.region else address,
             query=query,
         )
-        packed = pickle.dumps(setup, pickle.HIGHEST_PROTOCOL)
+
+        def prepare() -> Prepared:
+            quality = tables_of(finished)
+            if on_top:
+                quality = {**quality, **{key: result.quality[key] for key in ("heights_mm", "height_sigma_mm")}}
+            return Prepared(pickle.dumps(setup, pickle.HIGHEST_PROTOCOL), quality)
+
         head = _head(finished, request, len(components), resolution)
-        return Batch(run, request, components, packed, quality, bool(files), modified_s, head)
+        return Batch(run, request, components, prepare, bool(files), modified_s, head)
 
     def cut(self, batch: Batch, part: BatchPart) -> tuple[CutPart, BatchPart | None]:
         """Have a part cut. Return its members, and what remains of it.
@@ -182,12 +197,13 @@ class BatchAccess:
         """
         if batch.request.hdr:
             return self._merge(batch, part.components[0]), None
+        setup, tables = batch.prepared
         addresses = {c.address for c in part.components}
         quality = {
             key: {address: figures[address] for address in addresses & figures.keys()}
-            for key, figures in batch.quality.items()
+            for key, figures in tables.items()
         }
-        job = BatchJob(batch.run, 0, 0, batch.setup, part.components, quality, Resume(0, part.image), batch.recorded)
+        job = BatchJob(batch.run, 0, 0, setup, part.components, quality, Resume(0, part.image), batch.recorded)
         name = f"{part.components[0].address} of a batch"
         if batch.recorded:
             found = self.render(job, name)
