@@ -53,8 +53,10 @@ def figures(small_run: PrerenderedRun, tmp_path_factory: pytest.TempPathFactory)
     return measure_rest(small_run, 2, folder, folder)
 
 
-def test_pictures_are_fetched_while_boards_are_filmed(figures: RestFigures) -> None:
+def test_pictures_are_fetched_while_boards_are_filmed_and_while_not(figures: RestFigures) -> None:
     assert figures.picture.count > 0
+    assert figures.idle.count > 0
+    assert "(goal 4 ms, 15 ms)" in figures.lines()[1]
     assert 0 < figures.picture.p50_ms <= figures.picture.p99_ms <= figures.picture.max_ms
     assert all(0 < ms < math.inf for ms in figures.ready_ms.values())
     assert len(figures.ready_ms) == 3
@@ -70,5 +72,5 @@ def test_all_pictures_of_a_run_are_read_four_times(figures: RestFigures) -> None
 def test_figures_fit_into_json_and_lines(figures: RestFigures) -> None:
     json.dumps(figures.document(), allow_nan=False)
     assert [line.split()[0] for line in figures.lines()] == [
-        "component", "large", *["matrices"] * 3, *["batch"] * 4, "load",
+        "pictures", "pictures", "large", *["matrices"] * 3, *["batch"] * 4, "load",
     ]  # fmt: skip

@@ -128,14 +128,15 @@ def _get(connection: HTTPConnection, path: str, until_s: float, stop: Event) -> 
 
 def _read(port: int, path: str) -> tuple[float, float, float, bool]:
     connection = HTTPConnection("127.0.0.1", port, timeout=REPLY_LIMIT_S)
-    memory, size, tail, first_s = memoryview(bytearray(_READ)), 0, b"", 0.0
+    size, tail, first_s = 0, b"", 0.0
     began_s = time.monotonic()
     connection.request("GET", path)
     answer = connection.getresponse()
-    while (count := answer.readinto(memory)) and time.monotonic() < began_s + BATCH_LIMIT_S:
+    # One piece of the answer at a time: `readinto` would return only when its memory is full.
+    while (piece := answer.read1(_READ)) and time.monotonic() < began_s + BATCH_LIMIT_S:
         first_s = first_s or time.monotonic()
-        size += count
-        tail = (tail + bytes(memory[:count]))[-_TAIL:]
+        size += len(piece)
+        tail = (tail + piece)[-_TAIL:]
     ended_s = time.monotonic()
     connection.close()
     return (first_s - began_s) * 1e3, ended_s - began_s, size / 1e6, b'"complete":true' in tail

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import statistics
+import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
@@ -32,13 +33,19 @@ from vaoi_station.station import Station
 LARGE_CALLERS, LARGE_PX_PER_MM = 8, 277
 """Callers of large pictures, and their resolution."""
 _LARGEST_PX = 16_000_000
+IDLE_S = 3.0
+"""Time for which pictures are fetched while nothing is filmed."""
+PICTURE_GOALS_MS = 4, 15
+"""Goals of a single picture while a board is filmed: median and 99th percentile."""
+FIRST_BYTE_GOAL_MS, BATCH_GOAL_S = 50, 3
+"""Goals of all pictures of a run in one request."""
 _BATCHES = ("format=raw", "format=raw", "format=jpeg", "format=jpeg")
 _HOLDER = "vaoi bench"
 
 
 @dataclass(frozen=True)
 class PictureTimes:
-    """Times from the request of a picture to its last byte, while a board was filmed."""
+    """Times from the request of a picture to its last byte."""
 
     count: int
     p50_ms: float
@@ -64,10 +71,12 @@ class RestFigures:
     """What callers of the REST interface wait, and what they cost the next board. Times are wall time."""
 
     components: int
+    idle: PictureTimes
+    """Single pictures of components, one after another over one connection, while nothing is filmed."""
     picture: PictureTimes
-    """Single pictures of components of the board before, one after another over one connection."""
+    """The same of the board before, while a board is filmed."""
     large: PictureTimes
-    """Large pictures of `LARGE_CALLERS` callers."""
+    """Large pictures of `LARGE_CALLERS` callers, while a board is filmed."""
     ready_ms: dict[str, float]
     """Time from the last frame to the matrices: of a board alone, one with a caller of pictures, one with callers of
     large pictures."""
@@ -82,10 +91,15 @@ class RestFigures:
         return document
 
     def lines(self) -> list[str]:
-        """Return the figures as lines of text."""
+        """Return the figures as lines of text, with their goals."""
+        p50, p99 = PICTURE_GOALS_MS
         shown = [
-            f"{name:20s} p50 {t.p50_ms:.1f} ms, p99 {t.p99_ms:.1f} ms, max {t.max_ms:.1f} ms of {t.count}"
-            for name, t in (("component pictures", self.picture), ("large pictures", self.large))
+            f"{name} p50 {t.p50_ms:.1f} ms, p99 {t.p99_ms:.1f} ms, max {t.max_ms:.1f} ms of {t.count}{goal}"
+            for name, t, goal in (
+                ("pictures while nothing is filmed", self.idle, ""),
+                ("pictures while a board is filmed", self.picture, f" (goal {p50} ms, {p99} ms)"),
+                ("large pictures meanwhile        ", self.large, ""),
+            )
         ]
         alone = self.ready_ms["alone"]
         shown += [
@@ -94,8 +108,10 @@ class RestFigures:
         ]
         for b in self.batches:
             size = f"{b.mbytes:.1f} MB in {b.total_s:.2f} s{'' if b.complete else ', incomplete'}"
-            memory = f"station {b.memory_mb['station']:.0f} MB"
-            shown.append(f"batch {b.query:14s} first byte {b.first_byte_ms:.0f} ms, {size}, {memory}")
+            grown = b.memory_mb["station"] - self.memory_before_mb["station"]
+            goals = f"(goal {FIRST_BYTE_GOAL_MS} ms, {BATCH_GOAL_S} s)"
+            memory = f"station {grown:+.0f} MB (goal flat)"
+            shown.append(f"batch {b.query:14s} first byte {b.first_byte_ms:.0f} ms, {size} {goals}, {memory}")
         return [*shown, f"load before {self.load_before:.1f}"]
 
 
@@ -135,7 +151,11 @@ def _measured(
     coordinator.hold(first.id, _HOLDER, "measures callers")
     base = f"/api/v1/runs/{first.id}"
     pictures, crops = picture_paths(base, coordinator.components(first.id), run.board_type)
-    report(f"A board passes while a caller fetches {len(pictures)} pictures one by one.")
+    report(f"A caller fetches some of {len(pictures)} pictures one by one, while nothing is filmed.")
+    with callers(port, pictures, 1) as fetched:
+        threading.Event().wait(IDLE_S)
+    idle = picture_times([f.ms for f in fetched])
+    report("A board passes while a caller fetches these pictures.")
     second, single = _with_callers(coordinator, first, port, pictures, 1)
     report(f"A board passes while {LARGE_CALLERS} callers fetch pictures of {LARGE_PX_PER_MM} px/mm.")
     third, several = _with_callers(coordinator, second, port, crops, LARGE_CALLERS)
@@ -148,6 +168,7 @@ def _measured(
         batches.append(BatchTimes(query, *_rounded(found), found.complete, _memory_mb(pids)))
     return RestFigures(
         components=len(parts),
+        idle=idle,
         picture=single,
         large=several,
         ready_ms={
