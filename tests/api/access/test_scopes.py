@@ -19,6 +19,7 @@ EXPECTED = {
         "POST /keys",
         "POST /settings/check",
         "PUT /settings",
+        "POST /calibration/marks",
         "DELETE /calibration/trial",
         "POST /calibration/trial",
         "POST /calibration/trial/accept",

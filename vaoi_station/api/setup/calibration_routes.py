@@ -11,6 +11,7 @@ from vaoi_station.api.callers.thread_limit import ThreadLimit
 from vaoi_station.api.http_caching import LIVE
 from vaoi_station.api.routes.services import Services
 from vaoi_station.api.setup.design import nominal_values_missing
+from vaoi_station.api.setup.found_marks import FoundMarks, MarksRequest, find_marks
 from vaoi_station.api.setup.models import ArtworkOptions, CalibrationTrial, TrialRequest
 from vaoi_station.api.setup.station_files import StationFiles
 from vaoi_station.api.setup.trials import Trials
@@ -43,7 +44,7 @@ def router(services: Services, files: StationFiles) -> APIRouter:
     routes = APIRouter(prefix="/calibration", tags=["setup"])
     trials, ask = Trials(services.coordinator, files), services.commands.ask
     # One trial at a time, in a thread of its own: commands do not wait for it.
-    making = ThreadLimit(1)
+    making, searching = ThreadLimit(1), ThreadLimit(1)
     under_way = set[asyncio.Task[None]]()
 
     def board(options: ArtworkOptions) -> tuple[Board, str]:
@@ -67,6 +68,15 @@ def router(services: Services, files: StationFiles) -> APIRouter:
         layout = (await ask(board, options))[0].layout
         text = layout.model_dump_json(exclude_none=True)
         return Response(text, media_type="application/json", headers={"Cache-Control": LIVE})
+
+    @routes.post("/marks")
+    async def find_calibration_marks(response: Response, wanted: MarksRequest) -> FoundMarks:
+        """Search one frame of a run for the marks of a calibration board: whether the camera shows what it should.
+
+        One frame at a time is searched, so that boards are not held up.
+        """
+        response.headers["Cache-Control"] = LIVE
+        return await searching.ask(find_marks, services.coordinator, files, wanted)
 
     @routes.get("/trial", response_model_exclude_none=True)
     async def get_calibration_trial(response: Response) -> CalibrationTrial:

@@ -48,6 +48,13 @@ def test_a_calibration_is_filmed_followed_judged_and_accepted(
     expect(page.get_by_label("Run")).to_have_value(run)
     page.get_by_label("Row in which").fill("0")
     expect(page.locator(".frames img").first).not_to_have_js_property("naturalWidth", 0)
+    expect(page.locator(".frames strong").last).to_have_text("23 marks, at least 10 expected")
+    expect(page.locator(".found-marks circle")).to_have_count(67)
+    engineer.station.film(board_id="next")  # a board that passes is chosen at once
+    expect(page.locator("select[name=run]")).not_to_have_value(run)
+    expect(page.locator(".frames .few").first).to_have_text("0 marks, at least 9 expected")
+    page.get_by_label("Run").select_option(run)
+    page.get_by_label("Row in which").fill("0")
     page.get_by_text("Limits and accuracy").click()
     page.get_by_label("Largest residual").fill("many")
     page.locator("#calibrate").click()

@@ -1,6 +1,7 @@
 // Calibration: print the board, film it, let the station measure its marks, judge, accept or try again.
 import { make, said } from "../parts/elements.js";
 import * as rest from "../parts/rest.js";
+import { svg } from "../parts/svg.js";
 import { keep, kept } from "../parts/settings.js";
 import { moment, number, texts } from "../texts/texts.js";
 import { answerLine, attempt, button, choice, facts, input, labelled, section, table, tick, Wrong } from "./fields.js";
@@ -9,6 +10,7 @@ import * as requests from "./requests.js";
 const POLL_MS = 500;
 const FILES = ["pdf", "svg", "gbr"];
 const UNDER_WAY = ["reading", "fitting"];
+const UNFINISHED = ["filming", "stitching"];
 
 // What is missing is named as the fields of this page are.
 const localised = (error) => (error.code === "nominal-values-missing" ? new Wrong(texts.setup.nominalMissing) : error);
@@ -19,6 +21,13 @@ function readEntered() {
   } catch {
     return {};
   }
+}
+
+// Rings over a frame, where it shows marks.
+function svgOfMarks({ width, height, found }) {
+  const picture = svg("svg", { class: "found-marks", viewBox: `0 0 ${width} ${height}`, "aria-hidden": "true" });
+  picture.append(...found.map(([cx, cy]) => svg("circle", { cx: cx + 0.5, cy: cy + 0.5, r: Math.min(width, height) / 30 })));
+  return picture;
 }
 
 export async function open(root, _, query) {
@@ -41,6 +50,7 @@ class Calibration {
   #row = input("row", "0", { type: "range", min: 0, max: 0 });
   #runs = [];
   #shown = "";
+  #searched = 0; // counts the searches for marks: a later one ends the one before
   #closed = false;
 
   constructor(root, query) {
@@ -53,13 +63,13 @@ class Calibration {
 
   async show() {
     const t = texts.setup;
-    const { runs } = await rest.runs({ limit: 30 });
-    this.#runs = runs.filter((run) => run.finished && (run.frames_available || run.recording));
+    await this.#readRuns();
     const limits = make("details", {}, make("summary", { textContent: t.limits }), make("div", { className: "fields" }, ...this.#limitFields()));
     this.#root.replaceChildren(make("h2", { textContent: t.pages.calibration }), this.#answer, this.#judged,
       make("div", { className: "two even" }, section(t.printBoard, make("p", { className: "help", textContent: t.printHelp }), this.#artwork(), this.#drawn),
         make("div", { className: "column" }, section(t.filmBoard, make("p", { className: "help", textContent: t.filmHelp }), this.#choice()),
           section(t.calibrate, this.#layoutField(), limits, make("div", { className: "buttons" }, button(t.beginTrial, () => this.#begin(), this.#answer, { className: "primary", id: "calibrate" }))))));
+    this.#row.addEventListener("change", () => this.#showFrames());
     this.#draw();
     this.#showFrames();
     rest.unattended(this.#follow()); // not awaited: the page is open at once, and can be closed meanwhile
@@ -69,12 +79,12 @@ class Calibration {
     const t = texts.setup;
     const field = (name, text, value, unit = "") => {
       this.#board[name] = this.#remembered(input(name, value, { inputMode: "decimal" }));
-      this.#board[name].addEventListener("change", () => this.#draw());
+      this.#board[name].addEventListener("change", () => this.#redraw());
       return labelled(text, this.#board[name], { unit });
     };
     const light = tick("light_marks", t.lightMarks);
     this.#board.light_marks = this.#remembered(light.querySelector("input"));
-    this.#board.light_marks.addEventListener("change", () => this.#draw());
+    this.#board.light_marks.addEventListener("change", () => this.#redraw());
     return make("div", { className: "fields", id: "artwork" }, field("columns", t.marksAcross, "5"), field("rows", t.marksDown, "4"), field("mark_mm", t.markSize, "2", "mm"),
       field("tolerance_mm", t.edgeDistance, "3", "mm"), field("pitch_mm", t.pitch, "", "mm"), field("px_per_mm", t.resolution, "", "px/mm"), light);
   }
@@ -92,6 +102,11 @@ class Calibration {
 
   #options() {
     return Object.fromEntries(Object.entries(this.#board).map(([name, field]) => [name, field.type === "checkbox" ? field.checked || "" : field.value.trim().replace(",", ".")]));
+  }
+
+  #redraw() {
+    this.#draw();
+    this.#showFrames(); // other marks are searched
   }
 
   // The drawing is what is printed. A refusal says which value is missing.
@@ -120,12 +135,11 @@ class Calibration {
 
   #choice() {
     const t = texts.setup;
-    if (!this.#runs.length) return make("p", { textContent: t.noFrames });
+    if (!this.#runs.length) return make("p", { id: "film-choice", textContent: t.noFrames });
     const before = this.#runs.find((run) => run.id === this.#query.get("run"));
     this.#run = choice("run", Object.fromEntries(this.#runs.map((run) => [run.id, t.runOf(run.board_id ?? run.id, moment(run.started))])), (before ?? this.#runs[0]).id);
     this.#run.addEventListener("change", () => this.#showFrames(true));
-    this.#row.addEventListener("change", () => this.#showFrames());
-    return make("div", {}, labelled(t.run, this.#run), labelled(t.row, this.#row), make("p", { id: "row-shown" }), make("div", { className: "frames" }));
+    return make("div", { id: "film-choice" }, labelled(t.run, this.#run), labelled(t.row, this.#row), make("p", { id: "row-shown" }), make("div", { className: "frames" }));
   }
 
   // The frames of the row, so that a person sees whether every camera shows the board.
@@ -136,12 +150,52 @@ class Calibration {
     if (this.#shown) history.replaceState(null, "", `#/setup/calibration?${new URLSearchParams({ run: run.id, row: this.#row.value })}`);
     this.#shown = run.id;
     this.#root.querySelector("#row-shown").textContent = texts.setup.rowOf(this.#row.value, run.rows);
-    this.#root.querySelector(".frames").replaceChildren(...Array.from({ length: run.cameras }, (_, camera) => {
+    const figures = Array.from({ length: run.cameras }, (_, camera) => {
       const picture = make("img", { src: requests.frame(run.id, camera, this.#row.value), alt: texts.setup.frameOf(camera, this.#row.value) });
-      const name = make("figcaption", { textContent: texts.setup.frameOf(camera, this.#row.value) });
-      picture.onerror = () => (name.textContent += texts.unloadable);
-      return make("figure", {}, picture, name);
-    }));
+      const name = make("figcaption", {}, make("span", { textContent: texts.setup.frameOf(camera, this.#row.value) }), make("strong"));
+      picture.onerror = () => (name.firstChild.textContent += texts.unloadable);
+      return make("figure", {}, make("div", { className: "marked" }, picture), name);
+    });
+    this.#root.querySelector(".frames").replaceChildren(...figures);
+    rest.unattended(this.#findMarks(run, figures));
+  }
+
+  // The marks over the frames, one after the other, and how many of those that are expected: what is laid wrongly is seen before a trial.
+  async #findMarks(run, figures) {
+    const turn = ++this.#searched;
+    const { pitch_mm, px_per_mm } = this.#options();
+    const wanted = { run: run.id, row: Number(this.#row.value), layout: this.#layout ?? (await requests.layout(this.#options())), pitch_mm: Number(pitch_mm) || null, px_per_mm: Number(px_per_mm) || null };
+    for (const [camera, figure] of figures.entries()) {
+      if (turn !== this.#searched || this.#closed) return;
+      const marks = await requests.findMarks({ ...wanted, camera }).catch((error) => {
+        if (error instanceof rest.Refusal) return null; // this frame never arrived
+        throw error;
+      });
+      if (!marks) continue;
+      const count = figure.querySelector("strong");
+      count.textContent = texts.setup.marksFound(marks.found.length, marks.expected);
+      count.className = marks.found.length < marks.expected ? "few" : "";
+      figure.firstChild.append(svgOfMarks(marks));
+    }
+  }
+
+  // A board that has passed is shown at once: it is laid, filmed and watched without a press on this page.
+  onEvent(event) {
+    if (event.kind === "run" && !UNFINISHED.includes(event.state) && !this.#runs.some((run) => run.id === event.run)) rest.unattended(this.#offerNew());
+  }
+
+  async #offerNew() {
+    const known = this.#runs[0]?.id;
+    await this.#readRuns();
+    if (this.#closed || this.#runs[0]?.id === known) return;
+    this.#query.delete("run");
+    this.#root.querySelector("#film-choice").replaceWith(this.#choice());
+    this.#showFrames(true);
+  }
+
+  async #readRuns() {
+    const { runs } = await rest.runs({ limit: 30 });
+    this.#runs = runs.filter((run) => run.finished && (run.frames_available || run.recording));
   }
 
   #rowBefore(run) {

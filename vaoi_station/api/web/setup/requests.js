@@ -33,6 +33,7 @@ export const previewed = (id) => call("GET", `${previews}/${part(id)}/board-type
 const numbers = (options) => new URLSearchParams(stated(options));
 export const artwork = (file, options) => `/api/v1/calibration/artwork/${file}?${numbers(options)}`;
 export const layout = (options) => call("GET", `/calibration/layout?${numbers(options)}`);
+export const findMarks = (wanted) => call("POST", "/calibration/marks", stated(wanted));
 export const trial = () => call("GET", "/calibration/trial");
 export const beginTrial = (wanted) => call("POST", "/calibration/trial", stated(wanted));
 export const discardTrial = () => call("DELETE", "/calibration/trial");

@@ -176,6 +176,7 @@ export const setup = {
   row: "Reihe, in der jede Kamera ihre Marken sieht",
   rowOf: (row, rows) => `Reihe ${row} von 0 bis ${rows - 1}`,
   frameOf: (camera, row) => `Kamera ${camera}, Reihe ${row}`,
+  marksFound: (n, expected) => `${n} Marken, mindestens ${expected} erwartet`,
   calibrate: "3. Kalibrieren",
   beginTrial: "Kalibrieren",
   nominalMissing: "station.toml nennt nicht, wo die Kameras sind: tragen Sie Kameraabstand und Auflösung ein.",

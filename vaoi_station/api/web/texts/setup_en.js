@@ -181,6 +181,7 @@ export const setup = {
   row: "Row in which every camera sees its marks",
   rowOf: (row, rows) => `Row ${row} of 0 to ${rows - 1}`,
   frameOf: (camera, row) => `camera ${camera}, row ${row}`,
+  marksFound: (n, expected) => `${n} marks, at least ${expected} expected`,
   calibrate: "3. Calibrate",
   beginTrial: "Calibrate",
   nominalMissing: "station.toml does not state where the cameras are: enter the distance of the cameras and their resolution.",
