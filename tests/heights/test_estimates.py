@@ -10,6 +10,9 @@ import pytest
 
 from vaoi_station.errors import StateError
 from vaoi_station.heights.estimates import edge_weights, measure_heights
+from vaoi_station.simulation import Twin, read_scenario, scenario_path
+from vaoi_station.stitching.recordings.offline import stitch_frames
+from vaoi_station.stitching.work import StitchSetup
 
 
 def test_every_body_is_measured_within_its_standard_deviation(filmed: Any) -> None:
@@ -44,6 +47,25 @@ def test_a_body_without_texture_has_no_narrow_height(film: Any) -> None:
     assert height.height_mm is None or (height.sigma_mm or 0.0) > 0.2
     if height.low_mm is not None and height.high_mm is not None:
         assert height.low_mm <= 1.5 <= height.high_mm
+
+
+def test_a_body_of_which_all_tiles_are_edges_has_no_sure_height() -> None:
+    """A SOT-23 at 18 px/mm: two rows of tiles see a mixture of body, leads and board, half as high as the body."""
+    twin = Twin(read_scenario(scenario_path("small")))
+    passage = twin.passage(2)
+    head, frames = passage.head(), passage.render_all()
+    cameras = twin.calibration.cameras(head.cameras)
+    setup = StitchSetup(cameras, head.conveyor_mm_s, head.trigger_period_s, twin.board_type)
+    result = stitch_frames(setup, head, lambda i, j: frames.get((i, j)))
+    small = {part.ref: part for part in twin.parts if part.package.name == "SOT-23"}
+    chosen = tuple(c for c in twin.board_type.components if c.ref in small)
+    board_type = twin.board_type.model_copy(update={"components": chosen})
+    found = measure_heights(board_type, result, cameras, lambda i, j: frames.get((i, j)))
+    for ref, part in small.items():
+        height = found[ref]
+        if height.height_mm is not None and height.sigma_mm is not None:
+            assert abs(height.height_mm - part.body_height_mm) < 3 * height.sigma_mm, ref
+            assert height.sigma_mm > 0.2
 
 
 def test_one_view_gives_no_height(filmed: Any) -> None:
