@@ -30,6 +30,14 @@ from vaoi_station.errors import InputError
         ("b.rar", b"Rar!\x1a\x07\x01\x00", "is a RAR archive"),
         ("b.png", b"\x89PNG\r\n\x1a\n", "is a picture"),
         ("b.d356", b"C  from a CAD system\nP  JOB   b\nP  UNITS CUST 0\n", "is an IPC-D-356 netlist"),
+        (
+            "b.kicad_pcb",
+            b"A fake board\nfor a test",
+            "is no board of KiCad, as its name says; it begins with 'A fake b",
+        ),
+        ("b.brd", b"ref,x,y\nR1,1,2\n", "is no board of EAGLE, as its name says; it begins with 'ref,x,y'"),
+        ("b.mnb", b"", "is empty"),
+        ("b.kicad_pcb", b"\n \n", "is empty"),
         ("b.step", b"ISO-10303-21;\nHEADER;", "is a 3-D model"),
     ],
 )

@@ -36,13 +36,26 @@ _KINDS: tuple[tuple[re.Pattern[bytes], str, str], ...] = tuple(
     )
 )
 
+_BY_NAME = {".kicad_pcb": "board of KiCad", ".brd": "board of EAGLE", ".gencad": "GenCAD file", ".cvg": "IPC-2581 file"}
+"""What files are by their names, which no centroid file has."""
+_BEGINNING = 40
+
 
 def refuse_foreign(path: Path, head: bytes) -> None:
-    """Raise InputError if a file, of which `head` is the beginning, is of a known kind that is no board data."""
+    """Raise InputError if a file, of which `head` is the beginning, is of a known kind that is no board data.
+
+    A file whose name promises another format than a centroid file is refused, too.
+    """
     head = head.removeprefix(b"\xef\xbb\xbf").lstrip(b" \t\r\n")
     found = next(((what, action) for pattern, what, action in _KINDS if pattern.match(head)), None)
     if found is not None:
         raise InputError(f"{path}: is {found[0]}, not board data.", action=found[1])
+    if (promised := _BY_NAME.get(path.suffix.lower())) is not None:
+        beginning = head[:_BEGINNING].decode("utf-8", "replace").partition("\n")[0].rstrip()
+        raise InputError(
+            f"{path}: is no {promised}, as its name says; it begins with {beginning!r}.",
+            action="Export it again. If it is a centroid file, state --format centroid.",
+        )
 
 
 def refuse_archive(path: Path, archive: Archive) -> None:

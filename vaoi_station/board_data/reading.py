@@ -92,6 +92,8 @@ def _read(path: Path, options: Options) -> Design:
         with open_archive(path) as archive:
             refuse_archive(path, archive)
     data = read_bytes(path)
+    if not data.strip():
+        raise InputError(f"{path}: is empty.", action="Export it again.")
     head = head_of(data)
     chosen = options.format or next((name for name, is_it in _BY_HEAD if is_it(head)), None)
     if chosen is None:
