@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import os
+import shutil
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -69,6 +70,11 @@ class PyramidLayout:
         tiles = sum(math.prod(self.grid(level)) for level in range(self.levels))
         return tiles * math.prod(self.tile_shape) * self.dtype.itemsize
 
+    @property
+    def bytes_needed(self) -> int:
+        """Largest number of bytes on the disk while it is written: the file, and a third of it for its reductions."""
+        return self.bytes * 4 // 3
+
 
 MakeTile = Callable[[int, int], NDArray[Any]]
 """Returns the tile in this column and row of the largest picture, of the layout's tile shape."""
@@ -107,15 +113,25 @@ def write_pyramid(path: Path, layout: PyramidLayout, tile: MakeTile) -> None:
     except FileExistsError as error:
         raise _exists(path) from error
     except OSError as error:
-        free = os.statvfs(path.parent).f_bavail * os.statvfs(path.parent).f_frsize
-        raise DeviceError(
-            f"{path}: cannot be written ({error.strerror or error}): the file takes {layout.bytes * 4 / 3e6:.0f} MB "
-            f"while it is written, {free / 1e6:.0f} MB are free.",
-            action="Free space, choose another disk, or give a lower resolution.",
-            code="disk-full",
-        ) from error
+        raise _no_room(path, layout, f"cannot be written ({error.strerror or error})") from error
     finally:
         draft.unlink(missing_ok=True)
+
+
+def refuse_without_room(path: Path, layout: PyramidLayout, left_free: int) -> None:
+    """Raise DeviceError if a file would leave less than `left_free` bytes of its disk free while it is written."""
+    if shutil.disk_usage(path.parent).free < layout.bytes_needed + left_free:
+        raise _no_room(path, layout, f"is not written, since {left_free / 1e6:.0f} MB must stay free")
+
+
+def _no_room(path: Path, layout: PyramidLayout, what: str) -> DeviceError:
+    free = shutil.disk_usage(path.parent).free
+    return DeviceError(
+        f"{path}: {what}: the file takes {layout.bytes_needed / 1e6:.0f} MB while it is written, {free / 1e6:.0f} MB "
+        "are free.",
+        action="Free space, choose another disk, or give a lower resolution.",
+        code="disk-full",
+    )
 
 
 def refuse_existing(path: Path) -> None:

@@ -45,6 +45,7 @@ class HeldMosaics(Mosaics):
             board_type=self._station.types["demo-board"],
             cameras=self._station.cameras,
             stitch=self._station.stitch(run),
+            result=self._station.stitch(run),
             text=self._station.stitch_text(run),
             head=None,
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import threading
 from collections.abc import Callable
 from contextlib import nullcontext
@@ -15,7 +16,7 @@ import pytest
 import tifffile
 
 from tests.mosaic.conftest import DARK, SIZE, Film, Filmed, board, film
-from vaoi_station.errors import InputError
+from vaoi_station.errors import BusyError, DeviceError, InputError
 from vaoi_station.model import CameraHead, FrameRecord, Verdict
 from vaoi_station.model.known_height import Heights
 from vaoi_station.photometry.flat_fields import FlatFieldDocument, FlatFields, write_flat_fields
@@ -204,6 +205,38 @@ def _plan(board: Filmed) -> Any:
 
 
 def test_too_large_a_file_is_refused_with_its_size(board: Filmed) -> None:
-    with pytest.raises(InputError, match="64 megapixels"):
+    with pytest.raises(InputError, match="300 megapixels"):
         mosaics_of(board, []).grid("r1", PictureName(), Download(None, 900.0))
     assert np.prod([mosaics_of(board, []).grid("r1", PictureName()).width]) == 520
+
+
+def test_a_file_without_room_is_refused_with_numbers(
+    board: Filmed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    free = shutil.disk_usage(tmp_path).free
+    monkeypatch.setattr("vaoi_station.runs.mosaics.mosaics.LEFT_FREE", free)
+    with pytest.raises(DeviceError, match=r"the file takes \d+ MB while it is written, \d+ MB are free") as refused:
+        mosaics_of(board, []).write("r1", PictureName(), Download(None, 4.0), tmp_path / "b.tif")
+    assert refused.value.code == "disk-full"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_one_large_file_is_made_at_a_time(board: Filmed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("vaoi_station.runs.mosaics.mosaics.LARGE_PX", 100)
+    began, may_go, whole = threading.Event(), threading.Event(), Download(None, 4.0)
+
+    class Jobs(list[Any]):
+        def append(self, job: Any) -> None:
+            super().append(job)
+            began.set()
+
+    mosaics = mosaics_of(board, Jobs(), may_go)
+    first = threading.Thread(target=mosaics.write, args=("r1", PictureName(), whole, tmp_path / "a.tif"))
+    first.start()
+    assert began.wait(30)
+    with pytest.raises(BusyError, match="there is one at a time"):
+        mosaics.write("r1", PictureName(), whole, tmp_path / "b.tif")
+    may_go.set()
+    first.join(60)
+    mosaics.write("r1", PictureName(), whole, tmp_path / "b.tif")
+    assert (tmp_path / "a.tif").read_bytes() == (tmp_path / "b.tif").read_bytes()

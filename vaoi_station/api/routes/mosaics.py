@@ -223,7 +223,11 @@ def router(services: Services) -> APIRouter:
             float | None, Query(description="Resolution; default: that of the cameras.", ge=0.1, le=500)
         ] = None,
     ) -> Response:
-        """Return a mosaic, or a region of it, as one file, at most 64 megapixels. The header Range selects bytes."""
+        """Return a mosaic, or a region of it, as one file, at most 300 megapixels. The header Range selects bytes.
+
+        It is sent when it is complete. 503 `disk-full`: the disk has no room for it; 503 `busy`: another file of more
+        than 64 megapixels is being made.
+        """
         name, download = parse_name(picture), _download((x0, y0, x1, y1), px_per_mm)
         # Not /tmp, which is memory on Debian 13: the file may be larger than a gigabyte.
         folder = tempfile.TemporaryDirectory(prefix="vaoi-mosaic-", dir=LARGE_FILES if LARGE_FILES.is_dir() else None)

@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vaoi_station.errors import InputError, StateError
-from vaoi_station.files.pyramids import TILE_PX, PyramidLayout, write_pyramid
+from vaoi_station.errors import BusyError, InputError, StateError
+from vaoi_station.files.pyramids import TILE_PX, PyramidLayout, refuse_without_room, write_pyramid
 from vaoi_station.model.known_height import Heights, with_heights
 from vaoi_station.mosaic import MosaicGrid, MosaicPlan, TakenFrame, TileRenderer, choose_frames, distinct_exposures_us
 from vaoi_station.mosaic.deep_zoom import Box
@@ -33,8 +33,12 @@ from vaoi_station.runs.workers.mosaic_jobs import PlanJob, TileJob
 
 MOST_PLANS = 8
 """Number of plans that are kept; one of a board of 400 × 410 mm takes 2 MB per layer."""
-MOST_DOWNLOAD_PX = 64_000_000
-"""Largest number of pixels of a mosaic that is sent as one file."""
+MOST_DOWNLOAD_PX = 300_000_000
+"""Largest number of pixels of a file that is sent; a board of 400 × 410 mm at 40 px/mm has 262 million."""
+LARGE_PX = 64_000_000
+"""Number of pixels from which on one file is made at a time: the largest takes 1.9 GB of the disk with HDR."""
+LEFT_FREE = 1_000_000_000
+"""Least number of bytes that a file leaves free on the disk, which recordings may need meanwhile."""
 
 
 class Download(NamedTuple):
@@ -86,7 +90,7 @@ class Mosaics:
         self._flat_fields, self._heights = flat_fields, heights
         self.board_checks = BoardChecks(archive, lease, render)
         """Board types laid over these runs."""
-        self._lock = threading.Lock()
+        self._lock, self._large = threading.Lock(), threading.Lock()
         self._plans: OrderedDict[tuple[str, PictureName, int, bool], _Planned] = OrderedDict()
         """By run, name, date of the flat fields, which may be replaced while the run is in memory, and whether the
         heights of bodies were measured, which HDR lays in the planes of their tops."""
@@ -166,9 +170,32 @@ class Mosaics:
         return picture, reduction
 
     def write(self, run: str, name: PictureName, download: Download, path: Path) -> None:
-        """Write a mosaic as a pyramidal TIFF, as `vaoi mosaic` does."""
+        """Write a mosaic as a pyramidal TIFF, as `vaoi mosaic` does, tile by tile.
+
+        Raises:
+            BusyError: another file of more than `LARGE_PX` is being made.
+            DeviceError: the disk has no room for it.
+            GoneError: the frames are no longer in memory, or were displaced by those of a board meanwhile.
+            InputError: it is too large, off the board, or no frame shows it.
+        """
         # Refused first what is refused without frames: a plan that cannot be made would displace another one.
         grid = self.grid(run, name, download)
+        pixels = grid.width * grid.height
+        if pixels <= LARGE_PX:
+            self._write(run, name, grid, path)
+            return
+        if not self._large.acquire(blocking=False):
+            raise BusyError(
+                f"another file of a whole board is being made; of more than {LARGE_PX / 1e6:.0f} megapixels, and this "
+                f"one has {pixels / 1e6:.0f}, there is one at a time.",
+                action="Try again later, or ask for a lower resolution or a region.",
+            )
+        try:
+            self._write(run, name, grid, path)
+        finally:
+            self._large.release()
+
+    def _write(self, run: str, name: PictureName, grid: MosaicGrid, path: Path) -> None:
         plan = self._plan(run, name)
         finished = self._archive.get(run)
         renderer = TileRenderer(plan, self._projector(finished), grid)
@@ -187,6 +214,8 @@ class Mosaics:
         layout = PyramidLayout(
             grid.width, grid.height, sample.dtype, 3 if colour else 1, nodata, grid.px_per_mm, f"run {run}, {name}"
         )
+
+        refuse_without_room(path, layout, LEFT_FREE)
 
         def tile(x: int, y: int) -> NDArray[Any]:
             whole = np.full(layout.tile_shape, np.nan if plan.hdr else NODATA, layout.dtype)
