@@ -76,7 +76,7 @@ class FrameArrays:
             dict[int, float](),
         )
         chosen = first = _nearest(points, self._poses, self.view_mm, self.size_px, faint)
-        # The contrast of chosen frames only is computed: their pixels are read next in any case.
+        # Only the contrast of frames that are chosen is computed: their pixels are read next in any case.
         while new := set(np.unique(chosen[chosen >= 0]).tolist()) - set(contrast):
             contrast |= {n: self.scene.prepared(self.scene.present[n]).contrast for n in new}
             least = _FAINT * max(contrast.values())
