@@ -67,7 +67,8 @@ def run_json(rendered: RenderedBoard, lost: Mapping[Cell, tuple[str, str]] | Non
     for camera in range(CAMERAS):
         for row in range(rendered.rows):
             verdict, cause = given.get((camera, row), ("ok", ""))
-            frames.append({"camera": camera, "row": row, "verdict": verdict, "cause": cause})
+            taken = {"light": rendered.metadata.lights[row], "exposure_us": 250.0}
+            frames.append({"camera": camera, "row": row, "verdict": verdict, "cause": cause, **taken})
     return {"id": "r1", "state": "ready", "verdict": "ok", "reasons": [], "frames": frames, "timings": None}
 
 

@@ -21,6 +21,7 @@ from vaoi_station.config import read_config
 from vaoi_station.files import open_recording
 
 ROOT = Path(__file__).resolve().parents[2]
+SCENARIOS = ROOT / "vaoi_station" / "simulation" / "scenarios"
 pytestmark = pytest.mark.aravis
 
 
@@ -86,6 +87,29 @@ def test_faults_are_reported_with_their_cause_and_affect_no_other_frame(tmp_path
     assert any("the controller was reset" in words for words in boards[4]["reasons"])
     assert {r["fault"] for r in report["recoveries"]} == {"kill", "stall", "reset"}
     assert all(r["ready_after_s"] <= 12.0 for r in report["recoveries"])
+
+
+def test_every_frame_of_a_light_program_is_lit_as_its_row(tmp_path: Path, films: Path) -> None:
+    """Three lights in turn and a short exposure: the pins of the chip, the pixels and the statements of the station."""
+    code, report, output = rig_run(tmp_path, films, "--scenario", "light", "--boards", "1")
+    assert (code, report["failings"]) == (0, []), output
+    [board] = report["boards"]
+    assert board["status"] == "ok"
+    assert board["ok"] == board["proven"] == 2 * board["rows_due"] > 0
+    assert (board["wrong"], board["mislit"], board["notes"]) == ([], [], [])
+
+
+def test_an_encoder_spaces_the_rows_of_a_belt_that_slows_down(tmp_path: Path, films: Path) -> None:
+    """Pixels are rendered for the places that the counts give; rows by the clock would lie closer together."""
+    paced = (SCENARIOS / "small.toml").read_text().replace("[line]", "[line]\nencoder_counts_per_mm = 20.0", 1)
+    paced += "\n[[belt.changes]]\nat_s = 0.5\nfor_s = 0.4\nfactor = 0.5\n"
+    (tmp_path / "paced.toml").write_text(paced)
+    options = ("--scenario", str(tmp_path / "paced.toml"), "--boards", "1")
+    code, report, output = rig_run(tmp_path, films, *options)
+    assert (code, report["failings"]) == (0, []), output
+    [board] = report["boards"]
+    assert board["status"] == "ok"
+    assert board["ok"] == board["proven"] == report["cameras"] * board["rows_due"] > 0
 
 
 def test_boards_closer_than_the_tail_are_all_accounted_for(tmp_path: Path, films: Path) -> None:

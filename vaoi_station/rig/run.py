@@ -22,7 +22,7 @@ from vaoi_station.rig.line.assembly import Devices, prepare_boards
 from vaoi_station.rig.line.faults import Fault, followers, with_belt_faults
 from vaoi_station.rig.line.feeder import BoardFeeder
 from vaoi_station.rig.line.rendered_boards import RenderedBoard
-from vaoi_station.rig.line.scenarios import min_interval_s
+from vaoi_station.rig.line.scenarios import lighting_of, min_interval_s
 from vaoi_station.rig.scoring.cpu_load import CpuLoadMeter
 from vaoi_station.rig.scoring.rig_report import BoardScore, Load, Recovery, RigReport
 from vaoi_station.rig.scoring.ring_check import RingCheck, attach, bays_to_check, check_bay
@@ -224,7 +224,7 @@ def _score_boards(
     resolution = [camera.px_per_mm for camera in Twin(scenario).cameras]
     started_s = {run["id"]: _to_monotonic_s(run["started"]) for run in record.runs}
     by_id = {run["id"]: run for run in record.runs}
-    scores = []
+    scores, lighting = [], lighting_of(scenario)
     for passage in passages:
         run = run_of(passage, record.runs, started_s)
         evidence = BoardEvidence(
@@ -234,6 +234,7 @@ def _score_boards(
             record.ring_checks.get(run) if run else None,
             resolution,
             record.board_ids[passage.board],
+            lighting,
         )
         scores.append(score(evidence, injector.outages))
     return tuple(scores)

@@ -30,8 +30,8 @@ def test_the_names_of_the_document_are_stable() -> None:
     assert set(Recovery.model_fields) == {"fault", "back_s", "ready_after_s"}
     assert set(BoardScore.model_fields) == {
         "board", "run", "state", "status", "reasons", "cameras", "rows", "rows_due", "ok", "incomplete", "missing",
-        "proven", "wrong", "affected", "innocent", "unnamed", "unfilmed", "pulse_off_us", "sent_late_ms", "notes",
-        "deviation", "ready_after_last_frame_ms", "links_open", "armed_id", "board_id", "held_s",
+        "proven", "wrong", "mislit", "affected", "innocent", "unnamed", "unfilmed", "pulse_off_us", "sent_late_ms",
+        "notes", "deviation", "ready_after_last_frame_ms", "links_open", "armed_id", "board_id", "held_s",
     }  # fmt: skip
 
 
@@ -48,6 +48,7 @@ def test_unknown_fields_are_refused(known: RenderedBoard) -> None:
         ({"proven": 11}, False, False),
         ({"wrong": ("camera 0, row 0: noise",)}, False, False),
         ({"innocent": ((0, 1),)}, False, False),
+        ({"mislit": ("camera 0, row 1: …",)}, False, False),
         ({"unnamed": ((0, 1),)}, False, False),
         ({"notes": ("late",)}, False, False),
         ({"status": "degraded"}, True, False),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -10,7 +11,7 @@ from hypothesis import strategies as st
 
 from tests.rig.known_boards import CAMERAS, PERIOD_NS, ROWS, evidence_of, passage_of, run_json, scored
 from vaoi_station.rig.line.rendered_boards import RenderedBoard
-from vaoi_station.rig.line.virtual_line import FrameOutcome
+from vaoi_station.rig.line.virtual_line import FrameOutcome, Lighting
 from vaoi_station.rig.scoring.score import IN_FLIGHT_S, RUN_MATCH_S, BoardEvidence, Outage, run_of, score
 
 
@@ -73,6 +74,28 @@ def test_pixels_of_another_row_are_reported(known: RenderedBoard) -> None:
     assert board.wrong == ("camera 0, row 3: it is the frame of camera 0, row 2",)
     assert board.proven == board.ok - 1
     assert not board.sound
+
+
+@pytest.mark.parametrize(
+    ("stated", "words"),
+    [
+        ({}, ()),
+        ({"light": "left"}, ("camera 1, row 3: the station states the light 'left', lit was 'ring'",)),
+        ({"exposure_us": 60.0}, ("camera 1, row 3: the station states 60.0 µs of light, it was 250.0 µs",)),
+        ({"exposure_us": None}, ("camera 1, row 3: the station states None µs of light, it was 250.0 µs",)),
+        ({"light": "left", "verdict": "missing"}, ()),
+    ],
+)
+def test_a_light_that_the_chip_did_not_fire_is_reported(
+    known: RenderedBoard, stated: dict[str, Any], words: tuple[str, ...]
+) -> None:
+    run = run_json(known)
+    for frame in run["frames"]:
+        frame.update(stated if (frame["camera"], frame["row"]) == (1, 3) else {})
+    lighting = Lighting({"left": (1,), "ring": (0,)}, (300.0,) * CAMERAS)
+    board = score(replace(evidence_of(known), run=run, lighting=lighting), ())
+    assert board.mislit == words
+    assert board.sound == (not words and "verdict" not in stated)
 
 
 def test_pixels_that_were_overwritten_meanwhile_prove_nothing(known: RenderedBoard) -> None:

@@ -58,6 +58,7 @@ def test_figures_at_their_limits_pass(known: RenderedBoard) -> None:
         ({"proven": 10}, "board 0: 2 frame(s) reported as whole are not in the ring"),
         ({"wrong": ("camera 0, row 3: noise",)}, "board 0: camera 0, row 3: noise"),
         ({"notes": ("fired twice",)}, "board 0: fired twice"),
+        ({"mislit": ("camera 1, row 2: the station states …",)}, "board 0: camera 1, row 2: the station states …"),
         ({"innocent": ((1, 2),)}, "board 0: camera 1, row 2 is not whole, and no fault was injected"),
         ({"unnamed": ((1, 2),)}, "board 0: camera 1, row 2 is not whole, and the station reports no cause"),
         ({"unfilmed": 3}, "board 0: the station does not list 3 frame(s) that were fired"),

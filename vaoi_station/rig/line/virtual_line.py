@@ -72,6 +72,11 @@ class Lighting:
         """Return the name of the light that was on; None: no LED was on, or the LEDs do not form one light."""
         return next((name for name, channels in self.channels.items() if channels == pulse.channels), None)
 
+    def exposure_us(self, pulse: Pulse, camera: int, row: int) -> float:
+        """Return for how long the LEDs of a pulse lit the frame that a camera takes by the program of a row, µs."""
+        step = row_of(self.program, row)
+        return min(pulse.on_us, self.exposures_us[camera] if step is None else step.exposures_us[camera])
+
     def brightness(self, pulse: Pulse, camera: int, row: int | None = None) -> float:
         """Return the brightness of a camera's frame, relative to the frame that was rendered.
 

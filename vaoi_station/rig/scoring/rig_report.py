@@ -53,6 +53,8 @@ class BoardScore(Strict):
     """Number of complete frames whose pixels all equal the frame rendered for that camera and row; None: unchecked."""
     wrong: tuple[str, ...]
     """Descriptions of frames whose pixels differ from the rendered frame."""
+    mislit: tuple[str, ...] = ()
+    """Descriptions of frames whose light or exposure the station states otherwise than the chip fired them."""
     affected: tuple[AffectedFrame, ...]
     innocent: tuple[tuple[int, int], ...]
     """(camera, row) of incomplete or missing frames without an injected fault."""
@@ -78,7 +80,7 @@ class BoardScore(Strict):
     def sound(self) -> bool:
         """Whether no frame is in a wrong row, no frame is lost without a fault, and every loss has a cause."""
         proven = self.proven is None or self.proven == self.ok
-        return proven and not (self.wrong or self.innocent or self.unnamed or self.notes)
+        return proven and not (self.wrong or self.mislit or self.innocent or self.unnamed or self.notes)
 
     @property
     def faultless(self) -> bool:

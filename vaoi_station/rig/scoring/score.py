@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from vaoi_station.demo.truth_comparison import compare_with_truth
-from vaoi_station.rig.line.virtual_line import BoardPassage, FrameOutcome
+from vaoi_station.rig.line.virtual_line import BoardPassage, FrameOutcome, Lighting
 from vaoi_station.rig.scoring.rig_report import LATE_MS, AffectedFrame, BoardScore
 from vaoi_station.rig.scoring.ring_check import RingCheck
 
@@ -20,6 +20,8 @@ IN_FLIGHT_S = 0.2
 """Longest time from a pulse to the last packet of its frames, s.
 
 An outage that begins within this time after a pulse may still lose frames of the pulse."""
+_EXPOSED_SHARE = 0.02
+"""Largest difference of a stated exposure from the real one, as a share of it."""
 _OUTCOME_TEXTS: dict[FrameOutcome, str] = {
     "ignored": "the camera ignored the pulse",
     "hit": "packets were lost",
@@ -57,6 +59,8 @@ class BoardEvidence:
     px_per_mm: Sequence[float]
     armed_id: str | None = None
     """Board id with which the station was armed for this board; None if it was not armed for it."""
+    lighting: Lighting | None = None
+    """The lights and the program of the rig; None: what frames were taken with is not compared."""
 
 
 def score(evidence: BoardEvidence, outages: Sequence[Outage]) -> BoardScore:
@@ -90,6 +94,7 @@ def score(evidence: BoardEvidence, outages: Sequence[Outage]) -> BoardScore:
         missing=counts["missing"],
         proven=len(check.proven & whole) if check and check.valid else None,
         wrong=tuple(f"camera {c}, row {r}: {text}" for (c, r), text in sorted(wrong.items())),
+        mislit=tuple(_mislit(passage, run, evidence.lighting)),
         affected=tuple(affected),
         innocent=tuple(cell for cell in sorted(verdicts) if cell not in whole and cell not in reasons),
         unnamed=tuple(cell for cell, (verdict, cause) in sorted(verdicts.items()) if verdict != "ok" and not cause),
@@ -155,6 +160,25 @@ def _sent_late_ms(passage: BoardPassage) -> float | None:
 def _affected_frame(cell: Cell, verdicts: tuple[str, str], done: str) -> AffectedFrame:
     verdict, cause = verdicts
     return AffectedFrame(camera=cell[0], row=cell[1], verdict=verdict, cause=cause, done=done)
+
+
+def _mislit(passage: BoardPassage, run: Mapping[str, Any] | None, lighting: Lighting | None) -> Iterator[str]:
+    """Yield a text for each complete frame whose light or exposure the station states otherwise than the chip fired it.
+
+    The chip's pulses are those of its pins: which LEDs were on, and for how long.
+    """
+    for frame in run["frames"] if run and lighting else ():
+        camera, row = frame["camera"], frame["row"]
+        if frame["verdict"] != "ok" or row >= len(passage.fired):
+            continue
+        assert lighting is not None, "there are no frames without it"
+        pulse = passage.fired[row].pulse
+        light, exposure_us = lighting.light_of(pulse), lighting.exposure_us(pulse, camera, row)
+        stated, stated_us = frame.get("light"), frame.get("exposure_us")
+        if stated != light:
+            yield f"camera {camera}, row {row}: the station states the light {stated!r}, lit was {light!r}"
+        if stated_us is None or abs(stated_us - exposure_us) > _EXPOSED_SHARE * exposure_us:
+            yield f"camera {camera}, row {row}: the station states {stated_us} µs of light, it was {exposure_us:.1f} µs"
 
 
 def _unfilmed(passage: BoardPassage, verdicts: Mapping[Cell, object]) -> int:

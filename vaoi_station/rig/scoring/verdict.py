@@ -58,7 +58,7 @@ def _board_failings(board: BoardScore, hurt: set[int]) -> Iterator[str]:
     if board.run is None:
         yield f"{where} has no run"
         return
-    for words in (*board.wrong, *board.notes):
+    for words in (*board.wrong, *board.mislit, *board.notes):
         yield f"{where}: {words}"
     if board.proven is None:
         yield f"{where}: its pixels could not be checked"
