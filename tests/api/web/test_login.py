@@ -5,19 +5,21 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
 from tests.api.conftest import Served
 from tests.api.held_station import HeldStation
+from tests.api.web.test_views import SIZES, examine
 from tests.peers.certificates import make_certificate
 from vaoi_station.api.access.access_control import AccessControl
 from vaoi_station.api.access.audit import AuditLog
 from vaoi_station.files.access_keys import KeyFile
 
 pytestmark = pytest.mark.browser
+SCHEMES: tuple[Literal["light", "dark"], ...] = ("light", "dark")
 
 
 class Closed(NamedTuple):
@@ -45,11 +47,33 @@ def log_in(page: Page, url: str, secret: str) -> None:
     page.get_by_role("button", name="Log in").click()
 
 
+def fits(page: Page) -> None:
+    """Assert that the login is wholly shown at every size, and that axe finds nothing in light and dark."""
+    for width, height in SIZES:
+        page.set_viewport_size({"width": width, "height": height})
+        clipped = page.evaluate(
+            "[...document.querySelectorAll('#login, #login *')].filter((e) => e.scrollWidth > e.clientWidth + 1)"
+            ".map((e) => e.id || e.tagName)"
+        )
+        assert clipped == [], width
+        expect(page.locator("#login button")).to_be_in_viewport(ratio=1)
+    for scheme in SCHEMES:
+        page.emulate_media(color_scheme=scheme)
+        assert examine(page) == [], scheme
+
+
 def test_a_wrong_key_is_refused_and_the_right_one_leads_to_the_page(page: Page, closed: Closed) -> None:
     log_in(page, closed.served.url, "vaoi_0123456789ab_wrong")
     expect(page.locator("#login-answer")).to_have_text(re.compile("This key is not valid"))
     expect(page.locator("main")).to_be_hidden()
     expect(page.locator("#stale")).to_be_hidden()
+    fits(page)
+    page.evaluate("localStorage.setItem('vaoi-language', 'de')")
+    page.reload()
+    expect(page.locator("#login")).to_be_visible()
+    fits(page)
+    page.evaluate("localStorage.setItem('vaoi-language', 'en')")
+    page.reload()
     page.get_by_label("Key").fill(closed.keys.create("operator", ["operate"]).secret)
     page.keyboard.press("Enter")
     expect(page.locator("#state-word")).to_have_text("Not armed")

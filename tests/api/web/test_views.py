@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +11,8 @@ import pytest
 from playwright.sync_api import Browser, Page, expect
 
 from vaoi_station.model import Status
+from vaoi_station.runs.states.schemas import Reason
+from vaoi_station.runs.states.tables import StationState
 
 pytestmark = pytest.mark.browser
 AXE = Path(__file__).parent / "vendor" / "axe-core" / "axe.min.js"
@@ -36,6 +40,18 @@ WIDE = """() => {
 """The elements whose contents are wider than they are: pages scroll downwards only."""
 
 
+CONTROLS = """[...document.querySelectorAll(
+    "main :is(a[href], button, input, select, textarea, summary, [tabindex='0'])"
+)].filter((e) => e.checkVisibility() && !e.disabled && e.tabIndex >= 0)"""
+HEADER_CONTROLS = 12
+"""More than the entries of the navigation, which come first."""
+WATCH_FOCUS = """() => {
+    window.reached = new Set();
+    document.addEventListener("focusin", ({ target }) => reached.add(target));
+    document.activeElement.blur();
+}"""
+
+
 @pytest.mark.parametrize("language", ["en", "de"])
 def test_every_view_fits_and_everyone_can_use_it(browser: Browser, served: Any, language: str) -> None:
     served.station.kept.trends.fill(150)
@@ -56,8 +72,50 @@ def test_every_view_fits_and_everyone_can_use_it(browser: Browser, served: Any, 
             page.emulate_media(color_scheme=scheme)
             if violations := examine(page):
                 found[f"{path} {scheme}"] = violations
+        if language == "en" and (missing := unreached(page)):
+            found[f"{path} by keyboard"] = missing
+    page.goto(served.url)
+    for name, look in line_looks(page, served).items():
+        look()
+        if wide := page.evaluate(WIDE):
+            found[name] = wide
+        for scheme in ("light", "dark") if language == "en" else ():
+            page.emulate_media(color_scheme=scheme)
+            if violations := examine(page):
+                found[f"{name} {scheme}"] = violations
+        if language == "en" and (missing := unreached(page)):
+            found[f"{name} by keyboard"] = missing
     context.close()
     assert found == {}
+
+
+def line_looks(page: Page, served: Any) -> dict[str, Callable[[], None]]:
+    """Return how the operator's view comes to look otherwise than at rest, in this order."""
+    station = served.station
+    shown = page.locator("#state-shape")
+
+    def decide() -> None:
+        page.locator("#decisions button").first.click()
+        expect(page.locator("#decision-name")).to_be_visible()
+
+    def fault() -> None:
+        page.locator("#decision [type=button]").last.click()
+        station.fault("camera-absent", "Camera 2 does not answer.", "Check its cable.")
+        expect(shown).to_have_attribute("data-state", "faulted")
+        page.locator("#why").click()
+
+    def hold() -> None:
+        page.locator("#close-details").click()
+        station.reasons, station.state = (), StationState.ARMED
+        station.held_back = (Reason(code="devices-silent", message="No report for 2 s."),)
+        station.publish("station", state="armed")
+        expect(shown).to_have_attribute("data-state", "held")
+
+    def lose() -> None:
+        served.stop()
+        expect(page.locator("body")).to_have_class(re.compile("stale"))
+
+    return {"decision": decide, "fault": fault, "held": hold, "stale": lose}
 
 
 def examine(page: Page) -> list[str]:
@@ -66,6 +124,15 @@ def examine(page: Page) -> list[str]:
         page.evaluate(AXE.read_text(encoding="utf-8"))
     violations = page.evaluate("axe.run().then((found) => found.violations)")
     return [f"{v['id']}: {v['help']}: {[node['target'] for node in v['nodes'][:3]]}" for v in violations]
+
+
+def unreached(page: Page) -> list[str]:
+    """Go through the whole page by the tabulator; return the controls in sight that it does not reach."""
+    page.evaluate(WATCH_FOCUS)
+    for _ in range(page.evaluate(f"{CONTROLS}.length") + HEADER_CONTROLS):
+        page.keyboard.press("Tab")
+    names: list[str] = page.evaluate(f"{CONTROLS}.filter((e) => !reached.has(e)).map((e) => e.outerHTML.slice(0, 120))")
+    return names
 
 
 def test_boards_back_to_back_leave_no_memory_behind(page: Page, served: Any) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Browser, expect
 
+from tests.api.web.test_views import examine
 from vaoi_station.api.routes.waiting_page import WaitingPage
 from vaoi_station.api.web_server import open_listener
 from vaoi_station.errors import DeviceError
@@ -29,6 +30,9 @@ def test_a_browser_waits_with_the_station(browser: Browser, station: Any, serve:
             cause = page.locator(".cause").bounding_box()
             assert cause is not None
             assert cause["y"] + cause["height"] <= 480
+            for scheme in ("light", "dark"):
+                page.emulate_media(color_scheme=scheme)
+                assert examine(page) == [], scheme
             waiting.report(DeviceError("The disk is full.", action="Free space.", code="storage-full"))
             expect(page.locator(".cause")).to_have_text("The disk is full. Free space.")
     again = serve(station, port)

@@ -30,7 +30,6 @@ _PAGE = """<!doctype html>
 <meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <meta name="color-scheme" content="light dark">
-<meta http-equiv="refresh" content="{again_s}">
 <title>Not started</title>
 <link rel="stylesheet" href="{style}">
 </head>
@@ -100,5 +99,5 @@ class WaitingPage:
 def _page(error: VaoiError) -> HTMLResponse:
     """Return the page for a browser, which loads it again until the station is there."""
     cause = escape(f"{error.message} {error.action}".strip())
-    content = _PAGE.format(again_s=AGAIN_S, style=STYLE, code=escape(error.code), cause=cause)
-    return HTMLResponse(content, status_code=503, headers={"Cache-Control": "no-store"})
+    content = _PAGE.format(style=STYLE, code=escape(error.code), cause=cause)
+    return HTMLResponse(content, status_code=503, headers={"Cache-Control": "no-store", "Refresh": str(AGAIN_S)})

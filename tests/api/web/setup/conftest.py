@@ -14,7 +14,7 @@ from tests.api.board_data.test_previews import import_here
 from tests.api.conftest import Served
 from tests.api.held.setup_files import setup_files
 from tests.api.held_station import HeldStation
-from tests.api.web.test_views import examine
+from tests.api.web.test_views import examine, unreached
 from vaoi_station.api.access.access_control import AccessControl
 from vaoi_station.api.access.audit import AuditLog
 from vaoi_station.api.board_data import previews
@@ -93,6 +93,7 @@ def fits(page: Page) -> Fits:
                     page.screenshot(path=Path(WHERE) / f"{name}-{language}-{width}.png")
                 assert page.evaluate(CLIPPED) == [], (name, language, width)
             assert examine(page) == [], (name, language)
+            assert language == "de" or unreached(page) == [], name
         page.emulate_media(color_scheme="light")
         page.evaluate("localStorage.setItem('vaoi-language', 'en')")
         page.set_viewport_size({"width": 1280, "height": 800})

@@ -14,6 +14,8 @@ from vaoi_station.api.setup.trials import Trials
 from vaoi_station.files.layouts import Layout
 
 pytestmark = pytest.mark.browser
+FITTED_MS = 100_000
+"""Longest time for a fit, which takes seconds on a machine without other load."""
 
 
 def test_a_calibration_is_filmed_followed_judged_and_accepted(
@@ -71,7 +73,7 @@ def test_a_calibration_is_filmed_followed_judged_and_accepted(
         page.route("**/calibration/trial", lambda route: route.abort())
     page.unroute("**/calibration/trial")  # an answer that was lost ends nothing
     may_end.set()
-    expect(page.get_by_role("heading", name="4. Judge it")).to_be_visible()
+    expect(page.get_by_role("heading", name="4. Judge it")).to_be_visible(timeout=FITTED_MS)
     expect(page.locator(".pictures img")).to_have_count(2)
     fits("calibration", "#accept", lambda: page.evaluate(PICTURES))
     page.locator("#accept").click()
@@ -103,7 +105,7 @@ def test_an_array_without_nominal_values_is_calibrated_by_what_is_entered(
     expect(page.get_by_label("Run")).to_have_value(run)
     page.get_by_label("Row in which").fill("0")
     page.locator("#calibrate").click()
-    expect(page.get_by_role("heading", name="4. Judge it")).to_be_visible()
+    expect(page.get_by_role("heading", name="4. Judge it")).to_be_visible(timeout=FITTED_MS)
 
 
 def test_the_layout_of_another_board_is_chosen_and_left_again(page: Page, admin: str) -> None:

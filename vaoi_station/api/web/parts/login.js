@@ -31,17 +31,19 @@ export async function loggedIn(live) {
   const form = make("form", { id: "login" }, make("h2", { textContent: texts.logInTitle }),
     make("label", { htmlFor: "key", textContent: texts.key }), key, make("button", { textContent: texts.logIn }), answer,
     make("p", { textContent: texts.logInHelp }));
+  const place = make("div", {}, form);
+  place.setAttribute("role", "main"); // the other one is hidden
   const main = document.querySelector("main");
   live.pause();
   main.hidden = true;
-  main.before(form);
+  main.before(place);
   key.focus();
   await new Promise((done) => {
     form.addEventListener("submit", async (event) => {
       event.preventDefault();
       try {
         await rest.logIn(key.value);
-        form.remove();
+        place.remove();
         main.hidden = false;
         live.resume();
         offerLogOut();
