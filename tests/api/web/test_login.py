@@ -5,21 +5,20 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
 from tests.api.conftest import Served
 from tests.api.held_station import HeldStation
-from tests.api.web.test_views import SIZES, examine
+from tests.api.web.test_views import SCHEMES, SIZES, examine
 from tests.peers.certificates import make_certificate
 from vaoi_station.api.access.access_control import AccessControl
 from vaoi_station.api.access.audit import AuditLog
 from vaoi_station.files.access_keys import KeyFile
 
 pytestmark = pytest.mark.browser
-SCHEMES: tuple[Literal["light", "dark"], ...] = ("light", "dark")
 
 
 class Closed(NamedTuple):

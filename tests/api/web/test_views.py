@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import pytest
 from playwright.sync_api import Browser, Page, expect
@@ -16,6 +16,7 @@ from vaoi_station.runs.states.tables import StationState
 
 pytestmark = pytest.mark.browser
 AXE = Path(__file__).parent / "vendor" / "axe-core" / "axe.min.js"
+SCHEMES: tuple[Literal["light", "dark"], ...] = ("light", "dark")
 SIZES = ((800, 480), (1024, 768), (1280, 800), (1920, 1080))
 VIEWS = {
     "/": "#verdict-word:not(:empty)",
@@ -60,31 +61,29 @@ def test_every_view_fits_and_everyone_can_use_it(browser: Browser, served: Any, 
     context = browser.new_context(locale=language, has_touch=True)
     page = context.new_page()
     found: dict[str, Any] = {}
-    for path, complete in VIEWS.items():
-        page.goto(served.url + path)
-        page.locator(complete).first.wait_for()
+
+    def check(name: str) -> None:
         for width, height in SIZES:
             page.set_viewport_size({"width": width, "height": height})
             if wide := page.evaluate(WIDE):
-                found[f"{path} at {width} × {height}"] = wide
+                found[f"{name} at {width} × {height}"] = wide
         # The texts of the other language are as long, but their elements the same.
-        for scheme in ("light", "dark") if language == "en" else ():
-            page.emulate_media(color_scheme=scheme)
-            if violations := examine(page):
-                found[f"{path} {scheme}"] = violations
-        if language == "en" and (missing := unreached(page)):
-            found[f"{path} by keyboard"] = missing
+        if language == "en":
+            for scheme in SCHEMES:
+                page.emulate_media(color_scheme=scheme)
+                if violations := examine(page):
+                    found[f"{name} {scheme}"] = violations
+            if missing := unreached(page):
+                found[f"{name} by keyboard"] = missing
+
+    for path, complete in VIEWS.items():
+        page.goto(served.url + path)
+        page.locator(complete).first.wait_for()
+        check(path)
     page.goto(served.url)
     for name, look in line_looks(page, served).items():
         look()
-        if wide := page.evaluate(WIDE):
-            found[name] = wide
-        for scheme in ("light", "dark") if language == "en" else ():
-            page.emulate_media(color_scheme=scheme)
-            if violations := examine(page):
-                found[f"{name} {scheme}"] = violations
-        if language == "en" and (missing := unreached(page)):
-            found[f"{name} by keyboard"] = missing
+        check(name)
     context.close()
     assert found == {}
 
