@@ -81,7 +81,7 @@ def ring(data: bytes, folder: Path) -> None:
     path = folder / "vaoi-other.ring"
     path.write_bytes(data)
     if len(data) >= PAGE_BYTES:
-        # Behind a wrong length nothing else is read.
+        # A file of a wrong length is refused before anything else is read.
         wanted = int(np.frombuffer(data[:PAGE_BYTES], dtype=HEADER)["file_bytes"][0])
         if len(data) < wanted < LARGEST_RING:
             with path.open("r+b") as file:
