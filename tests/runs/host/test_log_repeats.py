@@ -49,3 +49,18 @@ def test_memory_is_bounded() -> None:
     for n in range(3 * log_repeats.MOST_KEYS):
         logged(limit, "run %s", n, level=logging.INFO)
     assert len(limit._texts) <= log_repeats.MOST_KEYS
+
+
+def test_texts_that_never_come_again_do_not_pile_up() -> None:
+    """Every board has texts of its own: the station would grow over its first thousand boards."""
+    clock = Clock()
+    limit = RepeatLimit(clock)
+    for _ in range(SAME_TEXT + 3):
+        logged(limit, "too many open files")
+    for n in range(500):
+        clock.now_s += 1.0
+        logged(limit, "run %s", n, level=logging.INFO)
+    assert len(limit._texts) <= WINDOW_S + 2
+    text = logged(limit, "too many open files")
+    assert text is not None
+    assert "3 more" in text, "what was dropped is still stated"

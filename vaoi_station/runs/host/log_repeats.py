@@ -7,12 +7,15 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import islice
 
 WINDOW_S = 60.0
 SAME_TEXT, SAME_TEMPLATE = 5, 100
 """Largest numbers of records within `WINDOW_S` that are logged.
 
 The first is for records with the same text, the second for warnings that differ only in their values."""
+ENDED_AT_ONCE = 8
+"""Number of the oldest windows that are examined with each record, so that those that have ended do not pile up."""
 MOST_KEYS = 2000
 """Largest number of windows in memory; beyond it, the oldest windows are closed first."""
 
@@ -59,6 +62,10 @@ class RepeatLimit(logging.Filter):
 
 def _count(windows: dict[_Key, _Window], key: _Key, now: float, limit: int) -> tuple[int, bool]:
     """Count a record; return how many the previous window dropped, and whether this record is within the limit."""
+    # Most texts name a run and never come again. A window that has dropped records stays: it is to state their number.
+    for old in list(islice(windows, ENDED_AT_ONCE)):
+        if old != key and not windows[old].dropped and now - windows[old].since_s >= WINDOW_S:
+            del windows[old]
     window, dropped = windows.get(key), 0
     if window is None or now - window.since_s >= WINDOW_S:
         dropped = window.dropped if window else 0
