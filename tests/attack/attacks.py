@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import secrets
 import socket
 import threading
+import zipfile
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
@@ -18,6 +20,10 @@ OUTSIDE = "X-Forwarded-For: 192.0.2.66\r\n"
 """Header with which a request counts as one from outside, so that it needs a key."""
 
 
+PREVIEWS = "/api/v1/board-data/previews?side=top&name=foreign&filename="
+"""Where board data of CAD systems are uploaded; the name of the file follows."""
+GROWN = 100_000_000
+"""Bytes that an upload becomes when it is unpacked."""
 CORNERS = 10_000
 """Corners of the large board types, which have a tenth as many fiducials and half as many components."""
 
@@ -221,6 +227,57 @@ def kept_pictures(target: Target, stop: threading.Event) -> None:
     hold(target, stop, get(f"/api/v1/runs/{target.run}/mosaics/kept.jpg"), 80)
 
 
+def searches(target: Target, stop: threading.Event) -> None:
+    """Search all runs for a reason that none has, which reads the whole history, on many connections."""
+    hold(target, stop, get("/api/v1/runs?limit=500&reason=of-no-run&since=2017-01-01T00:00:00Z"), 80)
+
+
+def component_lists(target: Target, stop: threading.Event) -> None:
+    """Ask for all components of a run with all of their views, and read nothing."""
+    hold(target, stop, get(f"/api/v1/runs/{target.run}/components"), 80)
+
+
+def public_documents(target: Target, stop: threading.Event) -> None:
+    """Ask from outside for documents that need no key, and read nothing."""
+    hold(target, stop, b"".join(get(f"/api/v1/{name}", OUTSIDE) for name in ("openapi-3.0.json", "openapi.json")), 256)
+
+
+def health_checks(target: Target, stop: threading.Event) -> None:
+    """Ask from outside whether the station is ready, as fast as it answers."""
+    ask(target, stop, lambda: get("/readyz", OUTSIDE))
+
+
+def unread_batches(target: Target, stop: threading.Event) -> None:
+    """Ask for the pictures of all components in one archive, and read nothing."""
+    hold(target, stop, get(f"/api/v1/runs/{target.run}/images?container=zip"), 80)
+
+
+def board_checks(target: Target, stop: threading.Event) -> None:
+    """Ask for the check of a board type by a run's pictures, drawn over them, on many connections."""
+    hold(target, stop, get(f"/api/v1/runs/{target.run}/board-check/picture"), 80)
+
+
+def slow_uploads(target: Target, stop: threading.Event) -> None:
+    """Announce large files of board data and send them byte by byte."""
+    hold(target, stop, post("POST", PREVIEWS + "b.txt", b"#", 50_000_000), 200, b" ")
+
+
+def uploads_that_grow(target: Target, stop: threading.Event) -> None:
+    """Upload archives of 100 kB whose content is a thousand times as large."""
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("job/matrix/matrix", bytes(GROWN))
+    body = content.getvalue()
+    ask(target, stop, lambda: post("POST", PREVIEWS + "job.zip", body))
+
+
+def many_uploads(target: Target, stop: threading.Event) -> None:
+    """Upload pick-and-place files with 20,000 parts, one after the other."""
+    lines = [f"R{i},{i % 200},{i // 200},0,top,0603,10k" for i in range(CORNERS * 2)]
+    body = "\n".join(["Ref,X,Y,Rotation,Side,Package,Value", *lines]).encode()
+    ask(target, stop, lambda: post("POST", PREVIEWS + "b.csv", body))
+
+
 ATTACKS: dict[str, Attack] = {
     attack.__name__: attack
     for attack in (
@@ -242,5 +299,14 @@ ATTACKS: dict[str, Attack] = {
         examinations,
         camera_frames,
         kept_pictures,
+        searches,
+        component_lists,
+        public_documents,
+        health_checks,
+        unread_batches,
+        board_checks,
+        slow_uploads,
+        uploads_that_grow,
+        many_uploads,
     )
 }

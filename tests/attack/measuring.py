@@ -59,9 +59,9 @@ def attacked(target: Target, attack: Attack | None) -> Iterator[None]:
 
 def experience(client: Client, seconds: float, pause_s: float = 0.1) -> Experience:
     """Ask for the last run, its matrices and the metrics for a time; every request has a connection of its own."""
-    noted, end = Experience(), time.monotonic() + seconds
-    missed = client.get("/station")["boards_missed"]
-    waiting = threading.Event()
+    noted, missed = Experience(), client.get("/station")["boards_missed"]
+    # The time begins here: on a busy computer the first request may take longer than all of it.
+    waiting, end = threading.Event(), time.monotonic() + seconds
     while time.monotonic() < end:
         try:
             run = client.get("/runs/latest")

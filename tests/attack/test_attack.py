@@ -28,6 +28,7 @@ def test_an_honest_caller_is_served_during_an_attack(
 ) -> None:
     # Of the full size one takes a second of computing, which would go on after the end of the test.
     monkeypatch.setattr(attacks, "CORNERS", 500)
+    monkeypatch.setattr(attacks, "GROWN", 1_000_000)
     with attacked(Target(served.port, "r000001"), ATTACKS[name]):
         noted = experience(Client(served.url), 0.3, pause_s=0.02)
         if not noted.waits_s and not noted.refused:  # on a busy computer the first request may take longer than that
