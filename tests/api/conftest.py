@@ -35,9 +35,10 @@ class Served:
         access: AccessControl | None = None,
         certificate: Certificate | None = None,
         files: StationFiles | None = None,
+        push: PushService | None = None,
     ) -> None:
         self.station = station
-        self.app = create_app(station, access=access, files=files)
+        self.app = create_app(station, access=access, push=push, files=files)
         self._socket = open_listener("127.0.0.1", port, "test")
         self.port = self._socket.getsockname()[1]
         tls = None if certificate is None else CertificateFiles(*certificate)

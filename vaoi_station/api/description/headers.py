@@ -42,13 +42,13 @@ CONDITIONAL = frozenset(
         "get_board_type", "put_board_type", "list_components", "get_component", "get_component_image", "get_frame",
         "list_merged", "get_merged_image", "get_matrices", "get_heights", "get_run", "get_latest_run",
         "wait_for_next_run", "pin_run", "list_mosaics", "get_dzi", "get_dzi_tile", "get_iiif", "get_iiif_tile",
-        "check_board_type", "get_board_check_picture",
+        "check_board_type", "get_board_check_picture", "get_kept_mosaic", "get_overlay", "get_timeline",
     }
 )  # fmt: skip
 """Operations whose answers carry an ETag; those that read give 304 to a caller that has the content already."""
 _TAGGED = CONDITIONAL | {
     "get_method", "set_method", "forget_method", "get_reference", "teach_reference", "get_webhook", "put_webhook",
-    "set_board_type_state", "decide_about_run",
+    "set_board_type_state", "confirm_import", "decide_about_run",
 }  # fmt: skip
 UNCHANGED = {"description": "The caller has the same content already (If-None-Match)."}
 
