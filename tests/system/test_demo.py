@@ -16,6 +16,8 @@ from typing import Any
 import cv2
 import pytest
 
+from tests.clients import compiled_csharp, run_csharp
+from tests.needs import need
 from tests.processes import ends_within
 from vaoi_station.demo.client import Client
 from vaoi_station.demo.demo_report import DemoReport
@@ -123,7 +125,51 @@ def test_service_ends_when_its_demo_is_killed(start: Start) -> None:
         assert ends_within(pid, TIMEOUT_S), f"process {pid} outlived its demo"
 
 
-def until_board(process: subprocess.Popen[str], count: int) -> tuple[str, list[int]]:
+def guide(language: str) -> str:
+    """Return the sample of the guide for tester authors in one language, as it is printed."""
+    text = (ROOT / "docs" / "rest.md").read_text(encoding="utf-8")
+    [found] = re.findall(rf"^```{language}\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+    return str(found)
+
+
+def test_the_guide_runs_as_printed_against_the_demo_while_boards_come(start: Start, tmp_path: Path) -> None:
+    """In every language, with the board type and the component that the guide names."""
+    need("curl", "cc", "curl/curl.h")
+    program = compiled_csharp(tmp_path)
+    process = start("--port", "0")
+    address, _ = until_board(process, 1, "demo")
+    client = Client(address)
+
+    def run(*command: str) -> str:
+        environment = os.environ | {"VAOI_STATION": address}
+        done = subprocess.run(
+            command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=TIMEOUT_S, check=False
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    run("sh", "-eu", "-c", guide("sh"))
+    for name in ("U1.png", "U1.jpg"):
+        assert cv2.imread(str(tmp_path / name)) is not None
+    (tmp_path / "tester.py").write_text(guide("python"), encoding="utf-8")
+    said = run(sys.executable, "tester.py", "demo", "U1")
+    assert re.search(r"^run \S+: ok\n  camera \d row \d+: \d+ x \d+, mean ", said)
+    done = run_csharp(program, address, "demo", "U1")
+    assert done.returncode == 0, done.stderr
+    assert re.match(r"run \S+: ok\n  C: scale 1.00\n  camera \d row \d+: \d+ x \d+, grey level \d+ in", done.stdout)
+    pictures, components = map(int, re.findall(r"best pictures: (\d+) of (\d+) components", done.stdout)[0])
+    assert pictures == components == len(client.get("/board-types/demo")["components"])
+    assert cv2.imread(str(tmp_path / "0.png")) is not None
+    (tmp_path / "tester.c").write_text(guide("c"), encoding="utf-8")
+    run("cc", "-Wall", "-Wextra", "-Werror", "tester.c", "-o", "tester", "-lcurl")
+    client.post("/station/arm", board_type="demo", runs=1)  # no later board takes its memory
+    board = client.get("/runs/next", timeout=60)["id"]
+    assert re.fullmatch(r"\d+ x \d+, \d+ bytes per line, \d+ bytes\n", run("./tester", board, "U1"))
+    process.terminate()
+    process.communicate(timeout=TIMEOUT_S)
+
+
+def until_board(process: subprocess.Popen[str], count: int, board_type: str = "small") -> tuple[str, list[int]]:
     """Wait until `count` boards are reported; return the service's address and the ids of its processes."""
     assert process.stdout is not None
     address = ""
@@ -132,7 +178,7 @@ def until_board(process: subprocess.Popen[str], count: int) -> tuple[str, list[i
             address = found[1]
         if line.startswith(f"board {count}: ok"):
             station: dict[str, Any] = Client(address).get("/station")
-            assert station["armed_with"]["board_type"] == "small"
+            assert station["armed_with"]["board_type"] == board_type
             children = [p["pid"] for p in station["processes"]]
             return address, [parent_of(children[0]), *children]
     raise AssertionError(process.stderr.read() if process.stderr else "")

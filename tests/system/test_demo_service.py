@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 import os
-import re
 import signal
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import cv2
 import httpx2
 import pytest
 
-from tests.clients import bare_connection, compiled_csharp, make_plain_calls, run_csharp
-from tests.needs import need
+from tests.clients import bare_connection, make_plain_calls
 from tests.system.conftest import config_of
 from vaoi_station.config import ReplayConfig
 from vaoi_station.demo.client import Client
@@ -100,42 +95,6 @@ def test_arming_again_while_a_board_passes_is_refused_and_the_board_is_filmed(cl
     assert (refusal.code, refusal.message) == ("wrong-state", "The station is filming; arm is not possible now.")
     run = result_of(client, begun)
     assert (run["verdict"], run["job_id"], run["counts"]["missing"]) == ("ok", job, 0)
-
-
-def guide(language: str) -> str:
-    """Return the sample of the guide for tester authors in one language, as it is printed."""
-    text = (Path(__file__).parents[2] / "docs" / "rest.md").read_text(encoding="utf-8")
-    [found] = re.findall(rf"^```{language}\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
-    return str(found)
-
-
-def run_sample(command: list[str], client: Client, directory: Path) -> str:
-    environment = os.environ | {"VAOI_STATION": client.address}
-    done = subprocess.run(
-        command, cwd=directory, env=environment, capture_output=True, text=True, timeout=TIMEOUT_S, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
-
-
-def test_the_guide_runs_as_printed_while_boards_come(client: Client, tmp_path: Path) -> None:
-    """On a station that knows nothing of the guide, also if a board passes at any moment."""
-    need("curl")
-    run_sample(["sh", "-eu", "-c", guide("sh")], client, tmp_path)
-    for name in ("U1.png", "U1.jpg"):
-        assert cv2.imread(str(tmp_path / name)) is not None
-    (tmp_path / "tester.py").write_text(guide("python"), encoding="utf-8")
-    said = run_sample([sys.executable, "tester.py", "small", "U1"], client, tmp_path)
-    assert re.search(r"^run \S+: ok\n  camera \d row \d+: \d+ x \d+, mean ", said)
-
-
-def test_the_csharp_client_reads_a_board(client: Client, tmp_path: Path) -> None:
-    done = run_csharp(compiled_csharp(tmp_path), client.address, "small", "U1")
-    assert done.returncode == 0, done.stderr
-    assert re.match(r"run \S+: ok\n  C: scale 1.00\n  camera \d row \d+: \d+ x \d+, grey level \d+ in", done.stdout)
-    pictures, components = map(int, re.findall(r"best pictures: (\d+) of (\d+) components", done.stdout)[0])
-    assert pictures == components == len(client.get("/board-types/small")["components"])
-    assert cv2.imread(str(tmp_path / "0.png")) is not None
 
 
 def test_the_calls_for_labview_work_over_a_bare_connection(client: Client) -> None:

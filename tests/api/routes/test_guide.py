@@ -17,7 +17,12 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.api.conftest import Served
+from tests.api.held_station import HeldStation
 from tests.needs import need
+from vaoi_station.api.access.access_control import AccessControl
+from vaoi_station.api.access.audit import AuditLog
+from vaoi_station.files.access_keys import KeyFile
 from vaoi_station.files.images import read_image
 
 GUIDE = Path(__file__).parents[3] / "docs" / "rest.md"
@@ -27,6 +32,24 @@ def sample(language: str) -> str:
     found = re.findall(rf"^```{language}\n(.*?)^```", GUIDE.read_text(), re.MULTILINE | re.DOTALL)
     assert len(found) == 1
     return str(found[0])
+
+
+class Keyed(Served):
+    """A station, and the key with which the samples call it; empty if they need none."""
+
+    key = ""
+
+
+@pytest.fixture(params=["open", "guarded"])
+def served(request: pytest.FixtureRequest, station: HeldStation, tmp_path: Path) -> Iterator[Keyed]:
+    """A station that callers on its own machine reach without a key, and one that needs one."""
+    keys, audit = KeyFile(tmp_path / "keys.json"), AuditLog(tmp_path / "audit.jsonl")
+    guarded = request.param == "guarded"
+    served = Keyed(station, access=AccessControl(keys, audit, open_loopback=not guarded))
+    served.key = keys.create("guide", ["operate"]).secret if guarded else ""
+    yield served
+    served.stop()
+    audit.close()
 
 
 @contextmanager
@@ -55,7 +78,7 @@ def boards_pass(served: Any, count: int) -> Iterator[None]:
 
 
 def run(command: list[str], served: Any, directory: Path) -> str:
-    environment = {**os.environ, "VAOI_STATION": served.url, "PYTHONWARNINGS": "error"}
+    environment = {**os.environ, "VAOI_STATION": served.url, "VAOI_KEY": served.key, "PYTHONWARNINGS": "error"}
     done = subprocess.run(
         command, cwd=directory, env=environment, capture_output=True, text=True, timeout=60, check=False
     )
