@@ -192,16 +192,22 @@ def _emit(which: NDArray[np.uint16], large: NDArray[np.uint16], codes: NDArray[n
 
 
 @inlined
-def _residual(entry, ahead):  # type: ignore[no-untyped-def]
-    """Return the residual of an entry of the decoder's tables, and the number of its bits among those read ahead."""
-    used, error = entry & 15, entry >> 4
+def _residual(entry, ahead, bits, word):  # type: ignore[no-untyped-def]
+    """Return the residual of an entry of the decoder's tables, what is left of the bits, and whether it took `word`.
+
+    `ahead` has the bits that were read ahead, `bits` their number, `word` those that follow.
+    """
+    used, error = np.uint64(entry & 15), entry >> 4
+    ahead, bits, took = ahead >> used, bits - used, np.uint64(0)
     if error >= DIRECT:
+        took = np.uint64(bits < _WORD)
+        ahead, bits = ahead | word << bits, bits + took * _WORD
         large = error - DIRECT
         rest = DIRECT_BITS - 1 + (large >> 1)
-        unsigned = ((2 | (large & 1)) << rest) | np.int64((ahead >> np.uint64(used)) & np.uint64((1 << rest) - 1))
-        used = used + rest
+        unsigned = ((2 | (large & 1)) << rest) | np.int64(ahead & np.uint64((1 << rest) - 1))
+        ahead, bits = ahead >> np.uint64(rest), bits - np.uint64(rest)
         error = -(unsigned >> 1) - 1 if unsigned & 1 else unsigned >> 1
-    return error, np.uint64(used)
+    return error, ahead, bits, took
 
 
 @compiled
@@ -236,26 +242,25 @@ def _decode(
             fill_context(out, q, stride, model, other)
         w, v = np.int64(out[p - 1]), np.int64(out[q - 1])
         for k in range(m):
-            # The next word may be there already, for a part: the same bits once more change nothing.
-            ahead |= np.uint64(words[at]) << bits
-            fresh = np.uint64(bits < _WORD)
-            at, bits = at + fresh, bits + fresh * _WORD
-            error, used = _residual(
-                np.int64(tables[_index(np.uint64(kind[k]) << np.uint64(LONGEST) | ahead & _CODE)]), ahead
-            )
+            if k & 1 == 0:
+                # 32 bits hold the codes of two pixels. The next word may be there already, for a part: the same bits
+                # once more change nothing.
+                ahead |= np.uint64(words[at]) << bits
+                fresh = np.uint64(bits < _WORD)
+                at, bits = at + fresh, bits + fresh * _WORD
+                other_ahead |= np.uint64(words[other_at]) << other_bits
+                fresh = np.uint64(other_bits < _WORD)
+                other_at, other_bits = other_at + fresh, other_bits + fresh * _WORD
+            entry = np.int64(tables[_index(np.uint64(kind[k]) << np.uint64(LONGEST) | ahead & _CODE)])
+            error, ahead, bits, took = _residual(entry, ahead, bits, np.uint64(words[at]))
+            at += took
             w = ((np.int32(left[k] * np.int32(w) + above[k]) >> np.int32(FRACTION_BITS)) + error) & 0xFFFF
             out[_index(p + k)] = w
-            ahead, bits = ahead >> used, bits - used
-            other_ahead |= np.uint64(words[other_at]) << other_bits
-            fresh = np.uint64(other_bits < _WORD)
-            other_at, other_bits = other_at + fresh, other_bits + fresh * _WORD
-            error, used = _residual(
-                np.int64(tables[_index(np.uint64(other_kind[k]) << np.uint64(LONGEST) | other_ahead & _CODE)]),
-                other_ahead,
-            )
+            entry = np.int64(tables[_index(np.uint64(other_kind[k]) << np.uint64(LONGEST) | other_ahead & _CODE)])
+            error, other_ahead, other_bits, took = _residual(entry, other_ahead, other_bits, np.uint64(words[other_at]))
+            other_at += took
             v = ((np.int32(other_left[k] * np.int32(v) + other_above[k]) >> np.int32(FRACTION_BITS)) + error) & 0xFFFF
             out[_index(q + k)] = v
-            other_ahead, other_bits = other_ahead >> used, other_bits - used
         out[p + m], out[q + m] = w, v
         if at > ends[0] + 1 or other_at > ends[1] + 1:
             return False
