@@ -132,6 +132,20 @@ def test_a_run_whose_frames_another_release_compressed_is_the_same(
     assert archive.add(recording, station="line 1", label=RunLabel("one")) == first
 
 
+def test_a_damaged_document_is_replaced_when_another_run_has_it(tmp_path: Path, recording: Path) -> None:
+    archive = Archive.create(tmp_path / "archive")
+    first = archive.add(recording, label=RunLabel("one"))
+    shared = first.documents["board_type"]
+    path = tmp_path / "archive" / shared.key
+    damaged = bytearray(path.read_bytes())
+    damaged[5] ^= 1
+    path.write_bytes(damaged)
+    assert archive.add(recording, label=RunLabel("two")).documents["board_type"] == shared
+    faults: list[object] = []
+    archive.verify(on_fault=faults.append)
+    assert not [fault for fault in faults if "blob" in str(fault)]
+
+
 def test_a_damaged_manifest_comes_back_from_the_recording(tmp_path: Path, recording: Path) -> None:
     archive = Archive.create(tmp_path / "archive")
     first = archive.add(recording)
