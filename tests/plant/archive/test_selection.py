@@ -21,6 +21,8 @@ RUN = ArchivedRun(
         (RunSelection(), True),
         (RunSelection(station="line [1]"), True),
         (RunSelection(station="line*", board_type="psu-?"), True),
+        (RunSelection(station="line [?]"), True),
+        (RunSelection(board_type="psu-[7]"), False),
         (RunSelection(board_type="psu"), False),
         (RunSelection(since="2026-03-02", until="2026-03-02"), True),
         (RunSelection(until="2026-03-01"), False),

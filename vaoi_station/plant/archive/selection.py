@@ -34,8 +34,8 @@ class RunSelection:
     def admits(self, run: ArchivedRun) -> bool:
         """Return whether a run is meant."""
         return (
-            _matches(run.board_type, self.board_type)
-            and _matches(run.station, self.station)
+            _fits(run.board_type, self.board_type)
+            and _fits(run.station, self.station)
             and (self.verdict is None or run.verdict is self.verdict)
             and (self.since is None or moment(run.time, "time") >= moment(self.since, "since"))
             and (self.until is None or moment(run.time, "time") < _end(self.until))
@@ -45,7 +45,7 @@ class RunSelection:
         """Return whether runs of a station and day (YYYY-MM-DD) can be meant."""
         first, last = moment(day, "day"), _end(day)
         return (
-            _matches(station, self.station)
+            _fits(station, self.station)
             and (self.since is None or last > moment(self.since, "since"))
             and (self.until is None or first < _end(self.until))
         )
@@ -73,6 +73,11 @@ def _end(text: str) -> datetime:
     return start.replace(hour=23, minute=59, second=59) if start.year == 9999 else start + timedelta(days=1)
 
 
-def _matches(name: str, pattern: str | None) -> bool:
-    # A name may contain the characters of patterns.
-    return pattern is None or name == pattern or fnmatchcase(name, pattern)
+def matches(name: str, pattern: str) -> bool:
+    """Return whether a name is meant by itself or by a pattern with * and ?, which the name itself may contain."""
+    # A bracket is one of a name, as in "line [2]"; fnmatch would take it as the beginning of a set of characters.
+    return name == pattern or fnmatchcase(name, pattern.replace("[", "[[]"))
+
+
+def _fits(name: str, pattern: str | None) -> bool:
+    return pattern is None or matches(name, pattern)
