@@ -18,9 +18,10 @@ from vaoi_station import RecordedRun, StitchedRun, open_recording
 from vaoi_station.files import read_calibration, write_calibration, write_recording
 from vaoi_station.model import RecordingHead
 from vaoi_station.plant.archive import Archive, RunLabel
-from vaoi_station.plant.restitch.software import software
 from vaoi_station.plant.restitch.task import RunTask, read_outcome, restitch_run
 from vaoi_station.plant.restitch.terms import Terms
+from vaoi_station.plant.workers import ClusterOptions, cluster_address
+from vaoi_station.plant.workers.software import software
 from vaoi_station.simulation import Twin, read_scenario, scenario_path
 from vaoi_station.simulation.recording_writer import write_passage
 
@@ -79,6 +80,13 @@ def stored(board: RecordedRun, tmp_path_factory: pytest.TempPathFactory) -> Arch
     archive = Archive.create(tmp_path_factory.mktemp("stored") / "archive")
     add_runs(archive, board.directory, 4)
     return archive
+
+
+@pytest.fixture(scope="session")
+def cluster() -> Iterator[ClusterOptions]:
+    """Return the options by which a call uses the two worker processes of the session, over TCP."""
+    with cluster_address(ClusterOptions(workers=2)) as address:
+        yield ClusterOptions(scheduler=address, patience_s=120)
 
 
 def add_runs(archive: Archive, recording: Path, runs: int) -> None:

@@ -7,7 +7,7 @@ import signal
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,11 +18,11 @@ import numpy as np
 from vaoi_station.errors import InternalError
 from vaoi_station.plant.archive import Archive, RunLabel
 from vaoi_station.plant.restitch import ClusterOptions, Terms
-from vaoi_station.plant.restitch.cluster import cluster_address
-from vaoi_station.plant.restitch.dispatch import Dispatch
-from vaoi_station.plant.restitch.software import software
 from vaoi_station.plant.restitch.task import RunTask, read_outcome, restitch_run
 from vaoi_station.plant.tables import write_tables
+from vaoi_station.plant.workers.cluster import cluster_address
+from vaoi_station.plant.workers.dispatch import Dispatch
+from vaoi_station.plant.workers.software import software
 from vaoi_station.stitching.recordings.offline import stitch_frames
 from vaoi_station.stitching.recordings.opening import open_run
 
@@ -44,12 +44,14 @@ class PlantFigures:
     """CPU time of one run in a worker, median."""
     archive_kb: float
     """Size of one run in the archive."""
+    ratio: float
+    """Compression of its frames, of their pixels."""
     outcome_kb: float
     """Size of the file of one stitched run."""
     tables_kb: float
     """Size of its rows in the Parquet tables."""
     rss_mb: tuple[float, float]
-    """Memory of a worker: median of the second and of the last tenth of its runs, largest of the workers."""
+    """Memory of a worker that has twice this number of runs: median of the second and of the last tenth of them."""
     kills: int
     lost: int
     """Number of runs without an outcome when workers were killed."""
@@ -63,6 +65,26 @@ class PlantFigures:
             "two_against_one": round(self.one_worker_s / self.two_workers_s, 3),
             "overhead": round(self.one_worker_s / self.direct_s - 1, 4),
         }
+
+    def lines(self) -> Iterator[str]:
+        """Yield a table in Markdown: each figure with its goal."""
+        early, late = self.rss_mb
+        yield "| figure | measured | goal |"
+        yield "|---|---|---|"
+        yield f"| {self.runs} runs in one process, without Dask | {self.direct_s:.1f} s | |"
+        overhead = 100 * (self.one_worker_s / self.direct_s - 1)
+        yield f"| by one worker | {self.one_worker_s:.1f} s: {overhead:+.1f} % | at most +5 % |"
+        ratio = self.one_worker_s / self.two_workers_s
+        yield f"| by two workers | {self.two_workers_s:.1f} s: {ratio:.2f} times as fast | at least 1.8 times |"
+        kills = f"{self.kills} workers killed, one after every {KILL_EVERY} runs: runs lost, twice"
+        yield f"| {kills} | {self.lost}, {self.twice} | 0, 0 |"
+        memory = f"{early:.0f}, {late:.0f} MB: {100 * (late / early - 1):+.1f} %"
+        yield f"| memory of a worker over {2 * self.runs} runs: second tenth, last tenth | {memory} | flat |"
+        yield f"| CPU per run | {self.task_cpu_s:.2f} s | |"
+        sizes = (
+            f"{self.archive_kb / 1e3:.1f} MB ({self.ratio:.2f} : 1), {self.outcome_kb:.0f} kB, {self.tables_kb:.0f} kB"
+        )
+        yield f"| one run in the archive, its file, its tables | {sizes} | |"
 
 
 @dataclass
@@ -101,21 +123,22 @@ def measure_plant(case: Path, runs: int, report: Callable[[str], None]) -> Plant
         report("one worker")
         one_s, one = _cluster(folder, 1, tasks)
         report("two workers")
-        two_s, two = _cluster(folder, 2, tasks)
+        two_s, _ = _cluster(folder, 2, tasks)
         report(f"two workers, one is killed after every {KILL_EVERY} runs")
         kills, killed = _killed(folder, tasks)
         write_tables(folder / "tables", [read_outcome(folder / "outcome.json.gz")["tables"]])
-        early, late = zip(*(_tenths(rss_mb) for rss_mb in two.rss_mb.values()), strict=True)
+        stored = archive.run("r0")
         return PlantFigures(
             runs=runs,
             direct_s=round(direct_s, 3),
             one_worker_s=round(one_s, 3),
             two_workers_s=round(two_s, 3),
             task_cpu_s=round(float(np.median(one.cpu_s)), 4),
-            archive_kb=round(archive.run("r0").bytes / 1e3, 1),
+            archive_kb=round(stored.bytes / 1e3, 1),
+            ratio=round(_frame_bytes(case) / sum(frame.bytes for frame in stored.frames), 3),
             outcome_kb=round(one.size / 1e3, 1),
             tables_kb=round(sum(p.stat().st_size for p in (folder / "tables").rglob("*.parquet")) / 1e3, 1),
-            rss_mb=(max(early), max(late)),
+            rss_mb=_tenths(max(one.rss_mb.values(), key=len)),
             kills=kills,
             lost=runs - len(killed.keys),
             twice=sum(count > 1 for count in killed.keys.values()),
@@ -139,14 +162,24 @@ def _archive(case: Path, folder: Path, runs: int) -> tuple[Archive, list[RunTask
 
 
 def _cluster(folder: Path, workers: int, tasks: list[RunTask]) -> tuple[float, _Outcomes]:
-    """Return the wall time of all runs on workers that have already had runs."""
+    """Return the wall time of all runs on workers that have already had runs; one worker has them a second time."""
     outcomes = _Outcomes(folder)
     with cluster_address(ClusterOptions(workers=workers)) as address:
         # Imports, and the machine code of each process.
         _dispatch(_Outcomes(folder)).work(address, tasks[: 4 * workers], _PATIENCE_S)
         began_s = time.perf_counter()
         _dispatch(outcomes).work(address, tasks, _PATIENCE_S)
-        return time.perf_counter() - began_s, outcomes
+        taken_s = time.perf_counter() - began_s
+        if workers == 1:
+            _dispatch(outcomes).work(address, tasks, _PATIENCE_S)  # for its memory
+        return taken_s, outcomes
+
+
+def _frame_bytes(case: Path) -> int:
+    """Return the size of all pixels of a recording."""
+    recording = open_run(case).recording
+    frames = (recording.frame(i, j) for i in range(len(recording.head.cameras)) for j in range(recording.head.rows))
+    return sum(frame.nbytes for frame in frames if frame is not None)
 
 
 def _killed(folder: Path, tasks: list[RunTask]) -> tuple[int, _Outcomes]:
@@ -166,15 +199,15 @@ def _killed(folder: Path, tasks: list[RunTask]) -> tuple[int, _Outcomes]:
     return kills, outcomes
 
 
-def _dispatch(outcomes: _Outcomes, then: Callable[[], None] = lambda: None) -> Dispatch:
+def _dispatch(outcomes: _Outcomes, then: Callable[[], None] = lambda: None) -> Dispatch[RunTask]:
     def keep(task: RunTask, content: bytes) -> None:
         outcomes.keep(task, content)
         then()
 
-    def fail(text: str) -> None:
+    def fail(_: RunTask, text: str) -> None:
         raise InternalError(f"vaoi bench --plant: {text}")
 
-    return Dispatch(software(), keep, fail, lambda _: None)
+    return Dispatch(software(), restitch_run, keep, fail, lambda _: None)
 
 
 def _tenths(values: list[float]) -> tuple[float, float]:

@@ -10,6 +10,8 @@ from typing import Any
 import pytest
 
 from vaoi_station.plant.archive import Archive
+from vaoi_station.plant.workers import ClusterOptions, cluster_address, crew
+from vaoi_station.plant.workers.cluster import connection
 
 NOWHERE = ("--scheduler", "tcp://127.0.0.1:1", "--patience", "1")
 
@@ -39,6 +41,27 @@ def test_a_fault_of_an_archive_gives_exit_code_1(vaoi: Callable[..., Any], archi
     assert done.code == 1, "without a run to do, no scheduler is needed"
     assert str(manifest) in done.err
     assert "0 of 0 runs stitched" in done.out
+    assert len(json.loads((tmp_path / "out" / "left-out.json").read_text())) == 1
+
+
+def pretend_to_be_old() -> None:
+    """Run on a worker: have it state the software of a former release."""
+    setattr(crew, "software", lambda: "vaoi_station 0.0.1")  # noqa: B010  (not a name that the module exports)
+
+
+def test_a_worker_with_other_software_is_named_and_the_exit_code_says_so(
+    vaoi: Callable[..., Any], archive: Archive, tmp_path: Path
+) -> None:
+    with cluster_address(ClusterOptions(workers=2)) as address, connection(address, 120) as client:
+        client.wait_for_workers(2, timeout=120)
+        link = client.dashboard_link
+        other, _ = client.scheduler_info()["workers"]
+        client.run(pretend_to_be_old, workers=[other])
+        done = vaoi("restitch", archive.url, "--out", tmp_path / "out", "--scheduler", address, "--patience", "120")
+    assert done.code == 1, done.err
+    assert f"worker {other} is not used: it has vaoi_station 0.0.1, but must have" in done.err
+    assert "1 of 1 runs stitched" in done.out
+    assert f"dashboard: {link}" in done.out
     assert len(json.loads((tmp_path / "out" / "left-out.json").read_text())) == 1
 
 

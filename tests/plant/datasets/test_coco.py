@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vaoi_station.files.images import read_image
+from vaoi_station.files.images import encode_png, read_image
 from vaoi_station.plant.datasets import Crop
 from vaoi_station.plant.datasets.coco import CocoWriter
 
@@ -18,7 +18,8 @@ NAME = '2/R1.0 µ"x'
 
 def crop(outline: Any, package: str | None = "0402") -> Crop:
     pixels = np.arange(12, dtype=np.uint8).reshape(3, 4)
-    return Crop(pixels, {"component": NAME, "package": package}, None if outline is None else np.array(outline))
+    facts = {"component": NAME, "package": package, "width_px": 4, "height_px": 3}
+    return Crop(encode_png(pixels), facts, None if outline is None else np.array(outline))
 
 
 def test_images_annotations_and_categories(tmp_path: Path) -> None:

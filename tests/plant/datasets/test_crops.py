@@ -9,7 +9,7 @@ import pytest
 
 from vaoi_station import StitchedRun
 from vaoi_station.errors import InputError, StateError
-from vaoi_station.model import Status
+from vaoi_station.model import Component, Status
 from vaoi_station.plant.archive import Archive
 from vaoi_station.plant.datasets import Crop, CropOptions
 from vaoi_station.plant.datasets.crops import crops_of
@@ -73,3 +73,12 @@ def test_what_a_run_does_not_have_is_refused(boards: Archive, tmp_path: Path) ->
     (folder / "result.json").write_text(text.replace('"cad_matrix": [', '"cad_matrix": null, "x_old": [', 1))
     with pytest.raises(StateError, match="run r1: its result has no CAD mapping"):
         list(crops_of(run, folder, CropOptions()))
+
+
+@pytest.mark.parametrize(
+    ("wanted", "admitted"),
+    [("X[1]", True), ("X[?]", True), ("X*", True), ("X1", False), ("2/X[1]", True), ("2/*", True)],
+)
+def test_brackets_belong_to_the_name(wanted: str, admitted: bool) -> None:
+    part = Component(ref="X[1]", panel="2", center=(0.0, 0.0), width=1.0, height=1.0)
+    assert CropOptions((wanted,)).admits(part) is admitted

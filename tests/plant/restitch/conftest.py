@@ -1,23 +1,15 @@
-"""A local cluster of two worker processes over TCP, shared by the session, and what a call writes."""
+"""What a call of `vaoi restitch` works on."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from vaoi_station.plant.archive import Archive, RunSelection
-from vaoi_station.plant.restitch import ClusterOptions, Session, Terms
-from vaoi_station.plant.restitch.cluster import cluster_address
-from vaoi_station.plant.restitch.software import software
-
-
-@pytest.fixture(scope="session")
-def cluster() -> Iterator[ClusterOptions]:
-    """Return the options by which a call uses the session's cluster."""
-    with cluster_address(ClusterOptions(workers=2)) as address:
-        yield ClusterOptions(scheduler=address, patience_s=120)
+from vaoi_station.plant.restitch import Session, Terms
+from vaoi_station.plant.workers.software import software
 
 
 @pytest.fixture

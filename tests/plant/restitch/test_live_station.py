@@ -16,7 +16,7 @@ from vaoi_station.model import Stitch
 from vaoi_station.model.board_type import Visibility
 from vaoi_station.plant.archive import Archive
 from vaoi_station.plant.restitch import Terms
-from vaoi_station.plant.restitch.software import software
+from vaoi_station.plant.workers.software import software
 from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.simulation import Twin, read_scenario, scenario_path
 from vaoi_station.simulation.recording_writer import write_passage

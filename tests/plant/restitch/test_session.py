@@ -21,7 +21,7 @@ from vaoi_station.child_environment import child_environment
 from vaoi_station.errors import InputError
 from vaoi_station.plant.archive import Archive, RunLabel, RunSelection
 from vaoi_station.plant.restitch import ClusterOptions, Session, Terms, restitch
-from vaoi_station.plant.restitch.software import software
+from vaoi_station.plant.workers.software import software
 
 
 def test_a_call_writes_data_set_and_report_and_goes_on(

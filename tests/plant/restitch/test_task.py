@@ -15,9 +15,10 @@ from vaoi_station.errors import InputError, StateError
 from vaoi_station.files.results import stitch_document
 from vaoi_station.model import Status
 from vaoi_station.plant.archive import Archive
-from vaoi_station.plant.restitch.software import software
-from vaoi_station.plant.restitch.task import RunFault, UnseenArchive, _with_verdict, read_outcome, restitch_run
+from vaoi_station.plant.restitch.task import _with_verdict, read_outcome, restitch_run
 from vaoi_station.plant.restitch.terms import Terms
+from vaoi_station.plant.workers.run_work import RunFault, UnseenArchive
+from vaoi_station.plant.workers.software import software
 
 
 def test_the_result_is_that_of_the_station(stored: Archive, stitched: StitchedRun, tmp_path: Path) -> None:

@@ -11,9 +11,14 @@ from vaoi_station.cli.plant.restitch import INCOMPLETE
 from vaoi_station.cli.plant.selection import (
     Archives,
     BoardTypeName,
+    Dashboard,
+    Memory,
+    Patience,
+    Scheduler,
     Since,
     Station,
     Until,
+    Workers,
     progress_bar,
     run_selection,
     verdicts_of,
@@ -39,13 +44,20 @@ def dataset(
     align: Align = "cad",
     px_per_mm: Annotated[float | None, typer.Option(help="Resolution [that of the cameras].")] = None,
     limit: Annotated[int | None, typer.Option(help="Largest number of crops of a component of a run [all].")] = None,
+    scheduler: Scheduler = None,
+    workers: Workers = None,
+    memory: Memory = 2000,
+    dashboard: Dashboard = None,
+    patience: Patience = 30.0,
 ) -> None:
     """Cut components out of archived runs, with everything that is known about each crop.
 
-    Splits are by board, never by crop. Equal selections give equal bytes. Exit code 1: runs were left out by a fault,
+    Splits are by board, never by crop. Equal selections give equal bytes, with any number of workers; without
+    --scheduler and --workers the work is done by this process. Exit code 1: runs were left out by a fault,
     which is named.
     """
-    from vaoi_station.plant.datasets import CropOptions, DatasetTerms, Splits, write_dataset
+    from vaoi_station.plant.datasets import CropOptions, DatasetTerms, Listener, Splits, write_dataset
+    from vaoi_station.plant.workers import ClusterOptions
     from vaoi_station.rendering import ImageOptions, ImageRequest
 
     images = ImageOptions(light=light, margin_mm=margin, align=align, px_per_mm=px_per_mm, limit=limit)
@@ -56,8 +68,11 @@ def dataset(
         verdicts_of(verdict),
         format_,
     )
+    here = scheduler is None and workers is None
+    cluster = None if here else ClusterOptions(scheduler, workers, memory, dashboard, patience)
     with progress_bar("runs") as progress:
-        summary = write_dataset(archives, terms, out, progress, lambda text: typer.echo(text, err=True))
+        listener = Listener(progress, lambda text: typer.echo(text, err=True), typer.echo)
+        summary = write_dataset(archives, terms, out, cluster, listener)
     counts = ", ".join(f"{split} {count}" for split, count in summary.crops.items())
     typer.echo(f"{sum(summary.crops.values())} crops of {summary.runs} runs ({counts}) → {out}")
     if summary.empty:

@@ -10,9 +10,14 @@ import typer
 from vaoi_station.cli.plant.selection import (
     Archives,
     BoardTypeName,
+    Dashboard,
+    Memory,
+    Patience,
+    Scheduler,
     Since,
     Station,
     Until,
+    Workers,
     progress_bar,
     run_selection,
 )
@@ -28,8 +33,8 @@ INTERRUPTED = 130
 def restitch(
     archives: Archives,
     out: Annotated[Path, typer.Option(help="Directory of the data set; that of an earlier call goes on.")],
-    scheduler: Annotated[str | None, typer.Option(help="Use the workers of this Dask scheduler.")] = None,
-    workers: Annotated[int | None, typer.Option(help="Use this number of processes of this machine.")] = None,
+    scheduler: Scheduler = None,
+    workers: Workers = None,
     board_type: BoardTypeName = None,
     since: Since = None,
     until: Until = None,
@@ -44,15 +49,9 @@ def restitch(
         Literal["auto", "fiducials", "features", "reference"] | None,
         typer.Option(help="Use this evidence [that of each run]."),
     ] = None,
-    memory: Annotated[
-        int, typer.Option(min=300, max=1_000_000, help="With --workers: limit of the memory of each, MB.")
-    ] = 2000,
-    dashboard: Annotated[
-        str | None, typer.Option(help="With --workers: serve Dask's dashboard here, such as 127.0.0.1:8787.")
-    ] = None,
-    patience: Annotated[
-        float, typer.Option(min=1, max=3600, help="Longest wait for the scheduler and for usable workers, s.")
-    ] = 30.0,
+    memory: Memory = 2000,
+    dashboard: Dashboard = None,
+    patience: Patience = 30.0,
 ) -> None:
     """Stitch archived runs again; write a Parquet data set, and a report of what changed.
 
@@ -60,7 +59,7 @@ def restitch(
     """
     from vaoi_station.files import read_board_type, read_calibration
     from vaoi_station.plant.restitch import ClusterOptions, Session, Terms, restitch
-    from vaoi_station.plant.restitch.software import software
+    from vaoi_station.plant.workers.software import software
 
     options = ClusterOptions(scheduler, workers, memory, dashboard, patience)
     options.check()
@@ -74,10 +73,10 @@ def restitch(
     selection = run_selection(board_type, since, until, station, verdict)
     terms = Terms(software(), _content(calibration), _content(board), method)
     typer.echo(f"software: {terms.software}")
-    if dashboard is not None and scheduler is None:
-        typer.echo(f"dashboard: http://{dashboard}/status")
     with progress_bar("runs") as progress:
-        session = Session(archives, selection, terms, out, progress, lambda text: typer.echo(text, err=True))
+        session = Session(
+            archives, selection, terms, out, progress, lambda text: typer.echo(text, err=True), typer.echo
+        )
         try:
             summary = restitch(session, options)
         except KeyboardInterrupt:

@@ -1,4 +1,4 @@
-"""The options by which commands select runs of archives, and a bar that shows their progress."""
+"""The options by which commands select runs of archives and a cluster, and a bar that shows their progress."""
 
 from __future__ import annotations
 
@@ -19,6 +19,15 @@ BoardTypeName = Annotated[
 Since = Annotated[str | None, typer.Option(help="Only runs from this day or time (UTC) on.")]
 Until = Annotated[str | None, typer.Option(help="Only runs up to this day (included), or before this time (UTC).")]
 Station = Annotated[str | None, typer.Option(help="Only runs of this station, a name or a pattern with * and ?.")]
+Scheduler = Annotated[str | None, typer.Option(help="Use the workers of this Dask scheduler.")]
+Workers = Annotated[int | None, typer.Option(help="Use this number of processes of this machine.")]
+Memory = Annotated[int, typer.Option(min=300, max=1_000_000, help="With --workers: limit of the memory of each, MB.")]
+Dashboard = Annotated[
+    str | None, typer.Option(help="With --workers: serve Dask's dashboard here, such as 127.0.0.1:8787.")
+]
+Patience = Annotated[
+    float, typer.Option(min=1, max=3600, help="Longest wait for the scheduler and for usable workers, s.")
+]
 
 
 def run_selection(

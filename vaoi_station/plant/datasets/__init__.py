@@ -5,7 +5,7 @@ board; equal selections give equal bytes.
 """
 
 from vaoi_station.plant.datasets.crops import Crop, CropOptions
-from vaoi_station.plant.datasets.session import FORMATS, DatasetSummary, DatasetTerms, write_dataset
+from vaoi_station.plant.datasets.session import FORMATS, DatasetSummary, DatasetTerms, Listener, write_dataset
 from vaoi_station.plant.datasets.splits import Splits
 
-__all__ = ["FORMATS", "Crop", "CropOptions", "DatasetSummary", "DatasetTerms", "Splits", "write_dataset"]
+__all__ = ["FORMATS", "Crop", "CropOptions", "DatasetSummary", "DatasetTerms", "Listener", "Splits", "write_dataset"]

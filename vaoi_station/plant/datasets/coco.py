@@ -14,7 +14,6 @@ from typing import IO, Any
 
 import numpy as np
 
-from vaoi_station.files.images import encode_png
 from vaoi_station.plant.datasets.crops import Crop
 
 _LISTS = ("images", "annotations")
@@ -59,8 +58,8 @@ class CocoWriter:
         self._images += 1
         # References may contain any characters: files have numbers, and the entry has the reference unchanged.
         name = f"{self._images:09d}.png"
-        (self._directory / split / name).write_bytes(encode_png(crop.pixels))
-        height, width = crop.pixels.shape[:2]
+        (self._directory / split / name).write_bytes(crop.png)
+        width, height = crop.facts["width_px"], crop.facts["height_px"]
         image = {"id": self._images, "file_name": name, "width": width, "height": height, "attributes": crop.facts}
         self._list(split, "images", image)
         if crop.outline_px is None:

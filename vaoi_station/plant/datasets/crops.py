@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +13,11 @@ from numpy.typing import NDArray
 
 from vaoi_station.errors import StateError
 from vaoi_station.files import open_recording, read_board_type, read_calibration, read_stitch
+from vaoi_station.files.images import decode, encode_png
 from vaoi_station.geometry import apply
 from vaoi_station.model import BoardType, Component, Stitch
 from vaoi_station.plant.archive.manifest import ArchivedRun
+from vaoi_station.plant.archive.selection import matches
 from vaoi_station.rendering import ChosenImages, ChosenView, ImageRequest, ViewCalculator, choose_all, measure
 from vaoi_station.rendering.chooser import render_chosen
 from vaoi_station.rendering.description import component_covariances, describe
@@ -31,24 +32,32 @@ class CropOptions:
     """Which components are cut out, and which of their pictures."""
 
     components: tuple[str, ...] = ("*",)
-    """Patterns with * and ?, of references or addresses."""
+    """References or addresses, or patterns of them with * and ?."""
     images: ImageRequest = field(default_factory=ImageRequest)
 
     def admits(self, part: Component) -> bool:
         """Return whether a component is wanted."""
-        return any(fnmatchcase(name, p) for p in self.components for name in (part.ref, part.address))
+        names = (part.ref, part.address)
+        return any(matches(name, wanted) for wanted in self.components for name in names)
 
 
 @dataclass(frozen=True, eq=False)
 class Crop:
     """One picture of a component."""
 
-    pixels: NDArray[Any]
-    """(height, width) or (height, width, 3) blue-green-red."""
+    png: bytes
+    """The picture, encoded where it was cut out."""
     facts: dict[str, Any]
     """Everything that is known about it, as JSON values; docs/plant.md lists them."""
     outline_px: NDArray[np.float64] | None
     """Corners (4, 2) of the footprint, px from the upper left corner of the crop; None: no component is there."""
+
+    @property
+    def pixels(self) -> NDArray[Any]:
+        """Pixels (height, width) or (height, width, 3) blue-green-red."""
+        image = decode(self.png)
+        assert image is not None  # encoded by this software
+        return image
 
     @property
     def category(self) -> str:
@@ -93,7 +102,7 @@ def crops_of(run: ArchivedRun, folder: Path, options: CropOptions) -> Iterator[C
         frame = pixels(*at)
         for images, choice in by_frame[at]:
             yield Crop(
-                render_chosen(choice, frame),
+                encode_png(render_chosen(choice, frame)),
                 _facts(run, board_type, result, images, choice),
                 _outline(board_type, images.part, choice),
             )

@@ -1,26 +1,28 @@
-"""One call of `vaoi dataset`: the selected runs, one after the other, into one data set."""
+"""One call of `vaoi dataset`: the selected runs, in their order, into one data set."""
 
 from __future__ import annotations
 
-import pickle
+import itertools
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from vaoi_station.errors import DeviceError, InputError, NotFoundError, StateError
+from vaoi_station.errors import DeviceError
 from vaoi_station.files.atomic_directory import new_directory, refuse_existing
 from vaoi_station.model import Status
-from vaoi_station.plant.archive import Archive, RunSelection
-from vaoi_station.plant.archive.catalogue import read_manifest
-from vaoi_station.plant.archive.manifest import ArchivedRun
+from vaoi_station.plant.archive import RunSelection
 from vaoi_station.plant.datasets.coco import CocoWriter
-from vaoi_station.plant.datasets.crops import Crop, CropOptions, crops_of
+from vaoi_station.plant.datasets.crop_task import CropTask, crop_run, crops_from
+from vaoi_station.plant.datasets.crops import CropOptions
+from vaoi_station.plant.datasets.in_order import InOrder
 from vaoi_station.plant.datasets.splits import Splits
 from vaoi_station.plant.datasets.webdataset import WebDatasetWriter
 from vaoi_station.plant.selected_runs import select_runs
+from vaoi_station.plant.workers import ClusterOptions, Dispatch, cluster_address, dashboard_link
+from vaoi_station.plant.workers.software import software
 
 FORMATS: dict[str, type[CocoWriter | WebDatasetWriter]] = {"coco": CocoWriter, "webdataset": WebDatasetWriter}
 
@@ -49,6 +51,15 @@ class DatasetTerms:
 
 
 @dataclass(frozen=True)
+class Listener:
+    """Receives the numbers of done and of all runs, sentences on faults, and other ones."""
+
+    progress: Callable[[int, int], None] = lambda _done, _runs: None
+    report: Callable[[str], None] = lambda _text: None
+    inform: Callable[[str], None] = lambda _text: None
+
+
+@dataclass(frozen=True)
 class DatasetSummary:
     """How a call ended."""
 
@@ -68,71 +79,86 @@ def write_dataset(
     archives: Sequence[str],
     terms: DatasetTerms,
     out: Path,
-    progress: Callable[[int, int], None] = lambda _done, _runs: None,
-    report: Callable[[str], None] = lambda _text: None,
+    cluster: ClusterOptions | None = None,
+    listener: Listener | None = None,
 ) -> DatasetSummary:
     """Write the crops of all selected runs to a new directory, which is complete or not there.
 
+    Args:
+        archives: their addresses.
+        terms: what the data set is made of. Equal ones give equal bytes, also on clusters of different sizes.
+        out: the directory.
+        cluster: where components are cut out; None: in this process, one run after the other.
+        listener: what receives progress and faults.
+
     Raises:
         InputError: the directory exists, or an archive cannot be opened.
+        StateError: scheduler or workers do not answer.
     """
     refuse_existing(out)
+    listener = listener or Listener()
+    if cluster is not None:
+        cluster.check()
     left_out: list[str] = []
 
     def leave_out(text: str) -> None:
         left_out.append(text)
-        report(text)
+        listener.report(text)
 
     chosen = select_runs(archives, terms.selection, leave_out)
+    own = software()
+    tasks = [CropTask(*run, number, own, terms.crops, terms.verdicts) for number, run in enumerate(chosen)]
     names = [name for name, _ in terms.splits.shares]
-    counts = dict.fromkeys(names, 0)
-    tally = Counter[str]()
-    opened: dict[str, Archive] = {}
-    with new_directory(out) as draft, FORMATS[terms.format](draft, names, terms.document()) as writer:
-        for done, (url, key, _) in enumerate(chosen):
-            progress(done, len(chosen))
-            with tempfile.TemporaryDirectory(prefix="vaoi-crops-") as scratch:
-                spool = Path(scratch) / "crops"
-                try:
-                    if url not in opened:
-                        opened[url] = Archive.open(url)
-                    archive = opened[url]
-                    run = read_manifest(archive.storage, key)
-                    if run.verdict not in terms.verdicts:
-                        tally["other"] += 1
-                        continue
-                    folder = archive.extract(run, Path(scratch) / "run")
-                    # All crops of a run or none: a data set with a part of a run would depend on where it failed.
-                    number = _write_spool(spool, crops_of(run, folder, terms.crops))
-                except (DeviceError, InputError, NotFoundError, StateError) as error:
-                    leave_out(str(error))
-                    continue
-                split = terms.splits.of_board(board_key(run))
-                tally["runs"] += 1
-                for crop in _read_spool(spool, number):
-                    writer.add(split, crop)
-                    counts[split] += 1
-                    tally["empty"] += crop.outline_px is None
-        progress(len(chosen), len(chosen))
+    counts, tally = dict.fromkeys(names, 0), Counter[str]()
+    with (
+        tempfile.TemporaryDirectory(prefix="vaoi-crops-") as early,
+        new_directory(out) as draft,
+        FORMATS[terms.format](draft, names, terms.document()) as writer,
+    ):
+
+        def take(content: bytes) -> None:
+            board, crops = crops_from(content)
+            tally["other" if crops is None else "runs"] += 1
+            split = terms.splits.of_board(board)
+            for crop in crops or ():
+                writer.add(split, crop)
+                counts[split] += 1
+                tally["empty"] += crop.outline_px is None
+
+        ordered = InOrder(Path(early), take)
+        done = itertools.count(1)
+        listener.progress(0, len(tasks))
+
+        def keep(task: CropTask, content: bytes | None) -> None:
+            ordered.put(task.number, content)
+            listener.progress(next(done), len(tasks))
+
+        def give_up(task: CropTask, text: str) -> None:
+            leave_out(text)
+            keep(task, None)
+
+        if cluster is None:
+            _work_here(tasks, keep, give_up)
+        elif tasks:
+            with cluster_address(cluster) as address:
+                if link := dashboard_link(address, cluster.patience_s):
+                    listener.inform(f"dashboard: {link}")
+                dispatch = Dispatch(own, crop_run, keep, give_up, listener.report)
+                dispatch.work(address, tasks, cluster.patience_s)
+            left_out += dispatch.refused_workers
     return DatasetSummary(tally["runs"], counts, tally["empty"], tally["other"], tuple(left_out))
 
 
-def board_key(run: ArchivedRun) -> str:
-    """Return what stands for the board of a run: its id, also at other stations; without one, the run itself."""
-    return f"board {run.serial}" if run.serial else f"run {run.station}/{run.run}"
-
-
-def _write_spool(path: Path, crops: Iterable[Crop]) -> int:
-    """Write crops to a temporary file, as those of a run may be more than fit into memory; return their number."""
-    number = 0
-    with path.open("wb") as file:
-        for crop in crops:
-            pickle.dump(crop, file)
-            number += 1
-    return number
-
-
-def _read_spool(path: Path, number: int) -> Iterator[Crop]:
-    with path.open("rb") as file:
-        for _ in range(number):
-            yield pickle.load(file)
+def _work_here(
+    tasks: Sequence[CropTask], keep: Callable[[CropTask, bytes], None], give_up: Callable[[CropTask, str], None]
+) -> None:
+    for task in tasks:
+        try:
+            outcome = crop_run(task)
+        except DeviceError as error:
+            give_up(task, str(error))
+            continue
+        if isinstance(outcome, bytes):
+            keep(task, outcome)
+        else:
+            give_up(task, outcome.message)

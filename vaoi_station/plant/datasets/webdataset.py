@@ -11,7 +11,6 @@ from types import TracebackType
 from typing import Any
 
 from vaoi_station.files.documents import write_json
-from vaoi_station.files.images import encode_png
 from vaoi_station.plant.datasets.coco import outline_document
 from vaoi_station.plant.datasets.crops import Crop
 
@@ -56,7 +55,7 @@ class WebDatasetWriter:
         outline = None if crop.outline_px is None else outline_document(crop)
         facts = {**crop.facts, "category": crop.category, "outline": outline}
         text = json.dumps(facts, ensure_ascii=False, allow_nan=False).encode()
-        for suffix, content in (("png", encode_png(crop.pixels)), ("json", text)):
+        for suffix, content in (("png", crop.png), ("json", text)):
             # Neither time nor owner: equal crops give equal bytes.
             member = tarfile.TarInfo(f"{key}.{suffix}")
             member.size, member.mode = len(content), 0o644

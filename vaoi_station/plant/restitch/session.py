@@ -12,12 +12,11 @@ from vaoi_station.errors import InputError
 from vaoi_station.files.documents import check_format, read_json, write_bytes, write_json
 from vaoi_station.plant.archive import RunSelection
 from vaoi_station.plant.comparison import Changes, compare, write_changes
-from vaoi_station.plant.restitch.cluster import ClusterOptions, cluster_address
-from vaoi_station.plant.restitch.dispatch import Dispatch
-from vaoi_station.plant.restitch.task import RunTask, read_outcome
+from vaoi_station.plant.restitch.task import RunTask, read_outcome, restitch_run
 from vaoi_station.plant.restitch.terms import Terms
 from vaoi_station.plant.selected_runs import select_runs
 from vaoi_station.plant.tables import Tables, write_tables
+from vaoi_station.plant.workers import ClusterOptions, Dispatch, cluster_address, dashboard_link
 
 HEAD, TABLES, REPORT, FAULTS = "restitch.json", "tables", "report.html", "left-out.json"
 UNEQUAL = "unequal.json"
@@ -42,7 +41,10 @@ class Summary:
 
 @dataclass
 class Session:
-    """What a call works on. `progress` receives the numbers of done and of all runs, `report` a sentence."""
+    """What a call works on.
+
+    `progress` receives the numbers of done and of all runs, `report` a sentence on a fault, `inform` any other one.
+    """
 
     archives: list[str]
     selection: RunSelection
@@ -50,6 +52,7 @@ class Session:
     out: Path
     progress: Callable[[int, int], None] = lambda _done, _runs: None
     report: Callable[[str], None] = lambda _text: None
+    inform: Callable[[str], None] = lambda _text: None
     left_out: list[str] = field(default_factory=list)
     unequal: dict[str, list[str]] = field(default_factory=dict)
 
@@ -82,9 +85,14 @@ def restitch(session: Session, options: ClusterOptions) -> Summary:
         finished += 1
         session.progress(finished, len(tasks))
 
+    def leave_out(_: RunTask, text: str) -> None:
+        session.leave_out(text)
+
     if todo:
         with cluster_address(options) as address:
-            dispatch = Dispatch(session.terms.software, keep, session.leave_out, session.report)
+            if link := dashboard_link(address, options.patience_s):
+                session.inform(f"dashboard: {link}")
+            dispatch = Dispatch(session.terms.software, restitch_run, keep, leave_out, session.report)
             dispatch.work(address, todo, options.patience_s)
         session.left_out += dispatch.refused_workers
     write_tables(session.out / TABLES, _done(session, tasks))

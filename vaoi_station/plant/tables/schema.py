@@ -82,7 +82,7 @@ TABLES: dict[str, tuple[Column, ...]] = {
         *_KEY,
         Column("component", "text", "address: reference, on a panel `panel/reference`"),
         Column("package", "text", "package, as the board type names it"),
-        Column("x_mm", "real", "place of the centre, tester coordinates"),
+        Column("x_mm", "real", "place of the centre, tester coordinates: C of the CAD place, not measured in pictures"),
         Column("y_mm", "real", "the same, y"),
         Column("sigma_px", "real", "σ of its position, worst view"),
         Column("height_mm", "real", "height above the board"),

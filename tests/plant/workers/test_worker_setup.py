@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 
-from vaoi_station.plant.restitch.cluster import ClusterOptions, connection
+from vaoi_station.plant.workers.cluster import ClusterOptions, connection
 
 
 def test_workers_of_this_machine_ignore_the_key(cluster: ClusterOptions) -> None:

@@ -7,7 +7,7 @@ import socket
 import pytest
 
 from vaoi_station.errors import InputError, StateError
-from vaoi_station.plant.restitch.cluster import ClusterOptions, connection
+from vaoi_station.plant.workers.cluster import ClusterOptions, connection, dashboard_link
 
 
 @pytest.mark.parametrize(
@@ -30,3 +30,10 @@ def test_the_wait_for_a_scheduler_is_bounded() -> None:
         address = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
         with pytest.raises(StateError, match=r"no scheduler answers within 0\.5 s"), connection(address, 0.5):
             pass
+
+
+def test_the_link_to_the_dashboard_is_that_of_the_port_that_dask_got(cluster: ClusterOptions) -> None:
+    assert cluster.scheduler is not None
+    link = dashboard_link(cluster.scheduler, cluster.patience_s)
+    with connection(cluster.scheduler, cluster.patience_s) as client:
+        assert link == client.dashboard_link

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from vaoi_station.errors import VaoiError
 from vaoi_station.plant.archive import Archive
-from vaoi_station.plant.restitch.software import software
+from vaoi_station.plant.workers.software import software
 
 if TYPE_CHECKING:
     from distributed import Client

@@ -11,9 +11,9 @@ from types import SimpleNamespace
 from typing import Any
 
 from vaoi_station.plant.archive import Archive
-from vaoi_station.plant.restitch.cluster import ClusterOptions, connection
-from vaoi_station.plant.restitch.crew import Crew, Reply
-from vaoi_station.plant.restitch.software import software
+from vaoi_station.plant.workers.cluster import ClusterOptions, connection
+from vaoi_station.plant.workers.crew import Crew, Reply
+from vaoi_station.plant.workers.software import software
 
 
 def until(crew: Crew, reached: Callable[[], bool]) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from vaoi_station.plant.restitch.software import software
+from vaoi_station.plant.workers.software import software
 
 
 def test_version_sources_and_libraries_are_stated() -> None:

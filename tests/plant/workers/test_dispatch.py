@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,10 +16,20 @@ from vaoi_station import RecordedRun
 from vaoi_station.errors import StateError
 from vaoi_station.plant.archive import Archive
 from vaoi_station.plant.restitch import ClusterOptions, Terms
-from vaoi_station.plant.restitch.cluster import cluster_address, connection
-from vaoi_station.plant.restitch.dispatch import Dispatch
-from vaoi_station.plant.restitch.software import software
-from vaoi_station.plant.restitch.task import RunTask, read_outcome
+from vaoi_station.plant.restitch.task import RunTask, read_outcome, restitch_run
+from vaoi_station.plant.workers.cluster import cluster_address, connection
+from vaoi_station.plant.workers.dispatch import Dispatch
+from vaoi_station.plant.workers.software import software
+
+
+def refuse(task: RunTask, text: str) -> None:
+    """Fail: no run may be left out."""
+    pytest.fail(f"{task.key}: {text}")
+
+
+def note(faults: list[str]) -> Callable[[RunTask, str], None]:
+    """Return a function that notes why a run is left out."""
+    return lambda _task, text: faults.append(text)
 
 
 def test_a_killed_worker_costs_no_run(board: RecordedRun, cluster: ClusterOptions, tmp_path: Path) -> None:
@@ -38,7 +49,7 @@ def test_a_killed_worker_costs_no_run(board: RecordedRun, cluster: ClusterOption
             os.kill(process, signal.SIGKILL)
         processes.append(process)
 
-    dispatch = Dispatch(software(), keep, faults.append, lambda _: None)
+    dispatch = Dispatch(software(), restitch_run, keep, note(faults), lambda _: None)
     dispatch.work(cluster.scheduler, tasks, cluster.patience_s)
     assert sorted(t.key for t in kept) == sorted(t.key for t in tasks), "no run is lost, and none comes twice"
     assert not faults
@@ -77,7 +88,7 @@ def test_a_scheduler_that_is_restarted_goes_on_with_what_is_not_done(stored: Arc
         running.append(start(int(address.rpartition(":")[2])))
 
     try:
-        Dispatch(software(), keep, pytest.fail, report).work(address, tasks, 120)
+        Dispatch(software(), restitch_run, keep, refuse, report).work(address, tasks, 120)
     finally:
         running[-1].close()
     assert sorted(t.key for t in kept) == sorted(t.key for t in tasks)
@@ -92,7 +103,7 @@ def test_a_run_that_cannot_be_stitched_does_not_stop_the_others(
     kept: list[RunTask] = []
     faults: list[str] = []
     assert cluster.scheduler is not None
-    Dispatch(software(), lambda task, _: kept.append(task), faults.append, lambda _: None).work(
+    Dispatch(software(), restitch_run, lambda task, _: kept.append(task), note(faults), lambda _: None).work(
         cluster.scheduler, [absent, good, other], cluster.patience_s
     )
     assert {t.key for t in kept} == {good.key, other.key}
@@ -102,7 +113,7 @@ def test_a_run_that_cannot_be_stitched_does_not_stop_the_others(
 
 def test_without_a_usable_worker_the_wait_is_bounded(stored: Archive, cluster: ClusterOptions) -> None:
     task = task_of(stored, "r0", Terms("vaoi_station 0.0.1"))
-    dispatch = Dispatch("vaoi_station 0.0.1", lambda *_: None, lambda _: None, lambda _: None)
+    dispatch = Dispatch("vaoi_station 0.0.1", restitch_run, lambda *_: None, refuse, lambda _: None)
     assert cluster.scheduler is not None
     with connection(cluster.scheduler, cluster.patience_s) as client:
         client.wait_for_workers(2, timeout=120)  # The test before may have killed one.
@@ -136,7 +147,7 @@ def test_a_worker_that_loses_its_share_costs_no_run(
             (tmp_path / "machine1" / "share").unlink(missing_ok=True)
 
         try:
-            dispatch = Dispatch(software(), keep, pytest.fail, reported.append)
+            dispatch = Dispatch(software(), restitch_run, keep, refuse, reported.append)
             dispatch.work(cluster.scheduler, tasks, cluster.patience_s)
         finally:
             for address, folder in before.items():
@@ -162,7 +173,9 @@ def test_a_worker_that_is_killed_before_its_outcome_is_fetched_costs_no_wait(
 
     monkeypatch.setattr(Future, "result", killing)
     with cluster_address(ClusterOptions(workers=1)) as address:
-        Dispatch(software(), lambda task, _: kept.append(task), pytest.fail, pytest.fail).work(address, tasks, 120)
+        Dispatch(software(), restitch_run, lambda task, _: kept.append(task), refuse, pytest.fail).work(
+            address, tasks, 120
+        )
     assert len(killed) == 1
     assert sorted(t.key for t in kept) == sorted(t.key for t in tasks), "without another scheduler"
 
@@ -179,5 +192,5 @@ def test_the_only_worker_may_be_killed_in_mid_run(stored: Archive) -> None:
                 (process,) = client.run(os.getpid).values()
                 os.kill(process, signal.SIGKILL)
 
-        Dispatch(software(), keep, pytest.fail, pytest.fail).work(address, tasks, 120)
+        Dispatch(software(), restitch_run, keep, refuse, pytest.fail).work(address, tasks, 120)
     assert sorted(t.key for t in kept) == sorted(t.key for t in tasks)

@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from vaoi_station.errors import InputError, StateError
 
@@ -35,14 +35,14 @@ class ClusterOptions:
         """Raise InputError unless exactly one of scheduler and workers is given, within its limits."""
         if (self.scheduler is None) == (self.workers is None):
             raise InputError(
-                "vaoi restitch: --scheduler and --workers exclude each other, and one of them is needed.",
+                "The cluster: --scheduler and --workers exclude each other, and one of them is needed.",
                 action="Give --workers N for processes of this machine, or --scheduler tcp://HOST:8786.",
             )
         if self.workers is not None and not 1 <= self.workers <= MOST_WORKERS:
-            raise InputError.field("vaoi restitch", "--workers", self.workers, f"from 1 to {MOST_WORKERS}")
+            raise InputError.field("the cluster", "--workers", self.workers, f"from 1 to {MOST_WORKERS}")
         if self.scheduler is not None and "://" not in self.scheduler:
             raise InputError.field(
-                "vaoi restitch", "--scheduler", self.scheduler, "an address such as tcp://10.0.0.5:8786"
+                "the cluster", "--scheduler", self.scheduler, "an address such as tcp://10.0.0.5:8786"
             )
 
 
@@ -70,7 +70,7 @@ def cluster_address(options: ClusterOptions) -> Iterator[str]:
             # Without an address Dask's pages would be served on port 8787 of all interfaces, or fail if that is taken.
             dashboard_address=options.dashboard or _ANY_PORT,
             worker_dashboard_address=_ANY_PORT,
-            preload=["vaoi_station.plant.restitch.worker_setup"],
+            preload=["vaoi_station.plant.workers.worker_setup"],
             silence_logs=40,  # errors only: the outcome of every run is reported here
         )
         stack.enter_context(local)
@@ -87,23 +87,47 @@ def connection(address: str, patience_s: float) -> Iterator[Client]:
     from distributed import Client
 
     try:
-        # Dask's own wait is not bounded where a port accepts connections and never replies.
-        asyncio.run(asyncio.wait_for(_greet(address), patience_s))
+        _identity(address, patience_s)
         client = Client(address, timeout=patience_s, set_as_default=False)
-    except (OSError, TimeoutError, ValueError) as error:  # ValueError: an unknown protocol
-        raise StateError(
-            f"{address}: no scheduler answers within {patience_s:g} s ({type(error).__name__}).",
-            action="Check address and firewall, start it with `dask scheduler`, then repeat the command: what is done "
-            "stays done.",
-            code="scheduler-absent",
-        ) from error
+    except (OSError, TimeoutError) as error:
+        raise _no_answer(address, patience_s, error) from error
     try:
         yield client
     finally:
         client.close(timeout=2)
 
 
-async def _greet(address: str) -> None:
+def dashboard_link(address: str, patience_s: float) -> str | None:
+    """Return the address of a scheduler's dashboard; None if it serves none.
+
+    Raises:
+        StateError: the scheduler does not answer in time.
+    """
+    from distributed.comm.addressing import get_address_host
+
+    port = _identity(address, patience_s).get("services", {}).get("dashboard")
+    return f"http://{get_address_host(address)}:{port}/status" if port else None
+
+
+def _identity(address: str, patience_s: float) -> dict[str, Any]:
+    """Return what a scheduler states of itself; StateError if none answers in time."""
+    try:
+        # Dask's own wait is not bounded where a port accepts connections and never replies.
+        return asyncio.run(asyncio.wait_for(_greet(address), patience_s))
+    except (OSError, TimeoutError, ValueError) as error:  # ValueError: an unknown protocol
+        raise _no_answer(address, patience_s, error) from error
+
+
+def _no_answer(address: str, patience_s: float, error: Exception) -> StateError:
+    return StateError(
+        f"{address}: no scheduler answers within {patience_s:g} s ({type(error).__name__}).",
+        action="Check address and firewall, start it with `dask scheduler`, then repeat the command: what is done "
+        "stays done.",
+        code="scheduler-absent",
+    )
+
+
+async def _greet(address: str) -> dict[str, Any]:
     """Connect to a scheduler until it replies; a wait for it is bounded by the caller."""
     from distributed.comm.core import connect
     from distributed.core import send_recv
@@ -115,3 +139,4 @@ async def _greet(address: str) -> None:
         comm.abort()
     if known.get("type") != "Scheduler":
         raise ValueError(f"{address} is a {known.get('type')}")
+    return dict(known)

@@ -8,17 +8,18 @@ import uuid
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from vaoi_station.errors import StateError, VaoiError
-from vaoi_station.plant.restitch.cluster import connection
-from vaoi_station.plant.restitch.crew import Crew
-from vaoi_station.plant.restitch.task import RunFault, RunTask, UnseenArchive, restitch_run
+from vaoi_station.plant.workers.cluster import connection
+from vaoi_station.plant.workers.crew import Crew
+from vaoi_station.plant.workers.run_work import ArchivedTask, Outcome, RunFault, UnseenArchive
 
 if TYPE_CHECKING:
     from distributed import Client
 
 _T = TypeVar("_T")
+_Task = TypeVar("_Task", bound=ArchivedTask)
 
 AHEAD = 2
 """Number of runs per worker that the scheduler knows: one in work, one that follows without a pause."""
@@ -38,24 +39,26 @@ class _SchedulerLostError(Exception):
     """The connection to the scheduler has ended."""
 
 
-class Dispatch:
+class Dispatch(Generic[_Task]):
     """The work on a list of runs, also if workers or the scheduler are replaced meanwhile."""
 
     def __init__(
         self,
         software: str,
-        keep: Callable[[RunTask, bytes], None],
-        leave_out: Callable[[str], None],
+        perform: Callable[[_Task], Outcome],
+        keep: Callable[[_Task, bytes], None],
+        leave_out: Callable[[_Task, str], None],
         report: Callable[[str], None],
     ) -> None:
-        self._software, self._keep, self._leave_out, self._report = software, keep, leave_out, report
+        self._software, self._perform = software, perform
+        self._keep, self._leave_out, self._report = keep, leave_out, report
         self.refused_workers: list[str] = []
-        self._waiting: deque[RunTask] = deque()
-        self._unseen: Counter[RunTask] = Counter()
+        self._waiting: deque[_Task] = deque()
+        self._unseen: Counter[tuple[str, str]] = Counter()
         """How often a worker did not see the archive of a run."""
 
     def work(
-        self, address: str, tasks: Sequence[RunTask], patience_s: float, workers_patience_s: float | None = None
+        self, address: str, tasks: Sequence[_Task], patience_s: float, workers_patience_s: float | None = None
     ) -> None:
         """Work on all tasks. A scheduler that has ended is waited for, and given what is not done.
 
@@ -92,7 +95,7 @@ class Dispatch:
 
     def _work(self, client: Client, crew: Crew, patience_s: float) -> None:
         finished: SimpleQueue[Any] = SimpleQueue()
-        given: dict[Any, RunTask] = {}
+        given: dict[Any, _Task] = {}
         late: Counter[Any] = Counter()
         unassigned: set[Any] = set()
         looked_s, seen_s = 0.0, time.monotonic()
@@ -112,7 +115,7 @@ class Dispatch:
                     raise _without_workers(crew, patience_s, len(self._waiting) + len(given))
                 while self._waiting and len(given) < AHEAD * len(crew.admitted):
                     task = self._waiting.popleft()
-                    future = _submit(client, task, crew.resource)
+                    future = _submit(client, self._perform, task, crew.resource)
                     given[future] = task
                     future.add_done_callback(finished.put)
                 try:
@@ -127,13 +130,13 @@ class Dispatch:
             if given and client.status == "running":
                 client.cancel(list(given), force=True)
 
-    def _take_back(self, client: Client, given: dict[Any, RunTask], futures: set[Any]) -> None:
+    def _take_back(self, client: Client, given: dict[Any, _Task], futures: set[Any]) -> None:
         """Take back runs that no worker has, so that they are given anew."""
         if futures:
             self._waiting.extendleft([given.pop(future) for future in futures])
             client.cancel(list(futures), force=True)
 
-    def _receive(self, future: Any, given: dict[Any, RunTask], crew: Crew, late: Counter[Any]) -> bool:
+    def _receive(self, future: Any, given: dict[Any, _Task], crew: Crew, late: Counter[Any]) -> bool:
         """Keep the outcome of a run, or leave the run out; return False if the outcome cannot be fetched yet."""
         try:
             outcome = self._outcome(future, given[future], min(_RECEIPT_S[0] * 2 ** late[future], _RECEIPT_S[1]))
@@ -149,26 +152,26 @@ class Dispatch:
             _in_time(crew.update)
             self._again(task, outcome)
         elif isinstance(outcome, RunFault):
-            self._leave_out(outcome.message)
+            self._leave_out(task, outcome.message)
         else:
             self._keep(task, outcome)
         return True
 
-    def _again(self, task: RunTask, outcome: UnseenArchive) -> None:
+    def _again(self, task: _Task, outcome: UnseenArchive) -> None:
         """Give a run to another worker, unless too many have not seen its archive."""
-        self._unseen[task] += 1
-        if self._unseen[task] < MOST_UNSEEN:
+        self._unseen[task.archive, task.key] += 1
+        if self._unseen[task.archive, task.key] < MOST_UNSEEN:
             self._waiting.appendleft(task)
         else:
-            self._leave_out(outcome.message)
+            self._leave_out(task, outcome.message)
 
     @staticmethod
-    def _outcome(future: Any, task: RunTask, wait_s: float) -> bytes | RunFault | UnseenArchive:
+    def _outcome(future: Any, task: _Task, wait_s: float) -> Outcome:
         """Return the outcome of a run; TimeoutError if it cannot be fetched in time."""
         from distributed.comm.core import CommClosedError
 
         try:
-            outcome: bytes | RunFault | UnseenArchive = future.result(timeout=wait_s)
+            outcome: Outcome = future.result(timeout=wait_s)
         except VaoiError as error:  # of a storage or disk, after the last attempt
             return RunFault(str(error))
         except Exception as error:
@@ -182,13 +185,13 @@ class Dispatch:
         return outcome
 
 
-def _submit(client: Client, task: RunTask, resource: str) -> Any:
+def _submit(client: Client, perform: Callable[[_Task], Outcome], task: _Task, resource: str) -> Any:
     # A key of its own: the key of another call for the same run would give that call's outcome.
-    key = f"vaoi-restitch-{uuid.uuid4().hex}"
-    return client.submit(restitch_run, task, key=key, resources={resource: 1}, retries=RETRIES, pure=False)
+    key = f"{perform.__name__}-{uuid.uuid4().hex}"
+    return client.submit(perform, task, key=key, resources={resource: 1}, retries=RETRIES, pure=False)
 
 
-def _unassigned(client: Client, given: dict[Any, RunTask]) -> set[Any]:
+def _unassigned(client: Client, given: dict[Any, _Task]) -> set[Any]:
     """Return the runs that are not done and that no worker has.
 
     When the last worker of a resource ends, Dask keeps its tasks; and it gives them to no worker that gets the resource
