@@ -143,10 +143,10 @@ def _plant(case: Path | None, runs: int) -> dict[str, Any]:
 
     if case is None:
         raise InputError("--plant needs --case.", action="Give a recording, whose copies are archived and stitched.")
-    document = measure_plant(case, runs, typer.echo).document()
-    for key, value in document.items():
-        typer.echo(f"{key:28s} {value}")
-    return document
+    figures = measure_plant(case, runs, typer.echo)
+    for line in figures.lines():
+        typer.echo(line)
+    return figures.document()
 
 
 def _archive(folder: Path) -> dict[str, Any]:
