@@ -72,7 +72,8 @@ def test_a_run_of_which_a_part_is_damaged_is_refused_as_such(
     rig.result_of(grant.run)
     damaged = f"UPDATE {table} SET {column} = '{{}}'" + (", packed_timeline = NULL" if column == "timeline" else "")
     store.database.write(lambda c: c.execute(damaged)).result(10)
-    archive = Archive(store, EventLog(store))
+    restarted = Store(store.database)  # without the documents that this one has in memory
+    archive = Archive(restarted, EventLog(restarted))
     with pytest.raises(DeviceError, match="cannot be read") as refusal:
         archive.get(grant.run)
     assert refusal.value.code == "record-unreadable"

@@ -151,6 +151,7 @@ def test_a_stored_check_of_other_cameras_is_left_out(rig: Any, calibration: Any,
     """A damaged row would otherwise end every start."""
     film(rig, rig.arm())
     digest = rig.coordinator.calibration().digest
+    rig.wait_for(lambda: rig.store.checks.documents(digest, 9, 9), "the check in the database")
     [text] = rig.store.checks.documents(digest, 9, 9)
     check = json.loads(text)
     lamp = LampCheck(camera=3, light="", exposure=200.0, grey=80.0, points=900).model_dump()
