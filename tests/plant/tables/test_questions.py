@@ -49,7 +49,7 @@ def test_every_question_has_its_answer(data_set: Path, monkeypatch: pytest.Monke
     assert [(str(day)[:10], runs, px) for _, day, runs, px in seam] == [
         (f"2026-11-{n + 1:02d}", 1, pytest.approx(0.01 * n)) for n in range(DAYS)
     ]
-    ((board_type, component, runs, x, y),) = ask("local fiducials place")
+    ((board_type, component, runs, x, y),) = ask("place drifted")
     assert (board_type, component, runs) == ("small", "R2", DAYS)
     assert (x, y) == (pytest.approx(2.0, abs=0.1), pytest.approx(0, abs=0.05))
     assert ask("reasons") == [("light-dark", 0, 1)]
