@@ -130,6 +130,7 @@ def test_answers_may_get_fields_and_requests_may_not(document: dict[str, Any]) -
         "DecisionRequest",
         "IdentityReport",
         "ImportOptions",
+        "MarksRequest",
         "MethodRequest",
         "ProgramRequest",
         "SettingChange",

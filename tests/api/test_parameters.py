@@ -74,8 +74,8 @@ def test_numbers_are_limited(parameter: Any, lowest: float, highest: float, refu
 @pytest.mark.parametrize(
     ("method", "address", "offer"),
     [
-        ("GET", "/api/v1/runs?verdicts=degraded", "it has before, board_id, board_type, limit"),
-        ("GET", "/api/v1/runs?limit=2&Limit=3", "it has before, board_id, board_type, limit"),
+        ("GET", "/api/v1/runs?verdicts=degraded", "it has before, board_id, board_type, figures, limit"),
+        ("GET", "/api/v1/runs?limit=2&Limit=3", "it has before, board_id, board_type, figures, limit"),
         ("GET", "/api/v1/station?nonsense=", "it has none"),
         (
             "POST",

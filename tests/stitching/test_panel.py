@@ -138,7 +138,7 @@ def test_pictures_of_the_board_show_bodies_where_their_boards_lie(panel: Filmed)
     board_type, result, cameras = panel.board_type, panel.stitch, panel.setup.cameras
     assert result.cad_matrix is not None
     back = np.linalg.inv(result.cad_matrix)
-    raised = sorted((c for c in board_type.components if c.body_height), key=lambda c: c.body_height or 0.0)
+    raised = [c for c in board_type.components if c.body_height]
     true = [apply(back @ np.array(panel.truth["board_matrices"][c.panel]), board_type.footprint(c)) for c in raised]
     assert max(np.abs(t - board_type.footprint(c)).max() for t, c in zip(true, raised, strict=True)) > 0.2
     low, high = (corner.tolist() for corner in board_type.extent())
@@ -156,8 +156,8 @@ def test_pictures_of_the_board_show_bodies_where_their_boards_lie(panel: Filmed)
     in_mosaic = [body.corners for body in completed(steps).bodies]
     for found in (in_region, in_mosaic):
         assert len(found) == len(true) > 20
-        for t, f in zip(true, found, strict=True):
-            assert f == pytest.approx(t, abs=0.1 / 18)
+        # They follow one another by height, which is measured for some.
+        assert max(min(np.abs(f - t).max() for f in found) for t in true) < 0.1 / 18
 
 
 def test_without_fiducials_of_the_panel_one_board_locates_it(panel: Filmed) -> None:

@@ -77,7 +77,7 @@ def test_board_data_is_imported_shown_and_confirmed(
     assert vaoi(*again, "--replace").code == 0
     assert [*sides, station.types["p"].side] == ["top", "bottom"]
     file.write_text("nonsense")
-    assert "b.kicad_pcb: has no header" in vaoi("board-types", "import", file, "--key-file", secret).err
+    assert "b.kicad_pcb: is no board of KiCad" in vaoi("board-types", "import", file, "--key-file", secret).err
     connected = api.connect(os.environ["VAOI_STATION"], key_file=secret)
     file.write_text(samples.KICAD)
     corrected = connected.upload_board_data(file, name="q").correct(side="bottom", name="q")
