@@ -21,7 +21,7 @@ SIZES = ((800, 480), (1024, 768), (1280, 800), (1920, 1080))
 VIEWS = {
     "/": "#verdict-word:not(:empty)",
     "/#/boards": "#list tbody tr",
-    "/#/board/r000001": "#board-title:not(:empty)",
+    "/#/board/r000001": 'button img[alt*="amera"]',
     "/#/trends": ".trends[data-shown]",
     "/#/cameras": ".cameras[data-shown]",
     "/#/setup": "#view h2",
