@@ -29,6 +29,8 @@ from vaoi_station.stitching.recordings.opening import open_run
 KILL_EVERY = 10
 """Number of runs after which a worker is killed in the kill test."""
 _PATIENCE_S = 300.0
+_TURN = 25
+"""Number of runs in one turn of the ways that are compared."""
 
 
 @dataclass(frozen=True)
@@ -114,16 +116,7 @@ def measure_plant(case: Path, runs: int, report: Callable[[str], None]) -> Plant
     with tempfile.TemporaryDirectory(prefix="vaoi-plant-") as scratch:
         folder = Path(scratch)
         archive, tasks = _archive(case, folder, runs)
-        report(f"{runs} runs, one after the other in this process")
-        restitch_run(tasks[0])  # imports and compiles
-        began_s = time.perf_counter()
-        for task in tasks:
-            restitch_run(task)
-        direct_s = time.perf_counter() - began_s
-        report("one worker")
-        one_s, one = _cluster(folder, 1, tasks)
-        report("two workers")
-        two_s, _ = _cluster(folder, 2, tasks)
+        direct_s, one_s, two_s, one = _in_turns(folder, tasks, report)
         report(f"two workers, one is killed after every {KILL_EVERY} runs")
         kills, killed = _killed(folder, tasks)
         write_tables(folder / "tables", [read_outcome(folder / "outcome.json.gz")["tables"]])
@@ -161,18 +154,38 @@ def _archive(case: Path, folder: Path, runs: int) -> tuple[Archive, list[RunTask
     return archive, tasks
 
 
-def _cluster(folder: Path, workers: int, tasks: list[RunTask]) -> tuple[float, _Outcomes]:
-    """Return the wall time of all runs on workers that have already had runs; one worker has them a second time."""
-    outcomes = _Outcomes(folder)
-    with cluster_address(ClusterOptions(workers=workers)) as address:
-        # Imports, and the machine code of each process.
-        _dispatch(_Outcomes(folder)).work(address, tasks[: 4 * workers], _PATIENCE_S)
-        began_s = time.perf_counter()
-        _dispatch(outcomes).work(address, tasks, _PATIENCE_S)
-        taken_s = time.perf_counter() - began_s
-        if workers == 1:
-            _dispatch(outcomes).work(address, tasks, _PATIENCE_S)  # for its memory
-        return taken_s, outcomes
+def _in_turns(
+    folder: Path, tasks: list[RunTask], report: Callable[[str], None]
+) -> tuple[float, float, float, _Outcomes]:
+    """Return the wall times of all runs in this process, by one worker and by two, and what the one worker made.
+
+    The three take turns: the speed of a virtual machine changes by a third within minutes.
+    """
+    restitch_run(tasks[0])  # imports and compiles
+    times_s, one = np.zeros(3), _Outcomes(folder)
+    with (
+        cluster_address(ClusterOptions(workers=1)) as alone,
+        cluster_address(ClusterOptions(workers=2)) as both,
+    ):
+
+        def work(address: str, outcomes: _Outcomes, of: list[RunTask]) -> float:
+            began_s = time.perf_counter()
+            _dispatch(outcomes).work(address, of, _PATIENCE_S)
+            return time.perf_counter() - began_s
+
+        for address, workers in ((alone, 1), (both, 2)):  # imports, and the machine code of each process
+            work(address, _Outcomes(folder), tasks[: 4 * workers])
+        for n, first in enumerate(range(0, len(tasks), _TURN), 1):
+            turn = tasks[first : first + _TURN]
+            report(f"turn {n}: {len(turn)} runs in this process, by one worker, by two")
+            began_s = time.perf_counter()
+            for task in turn:
+                restitch_run(task)
+            direct_s = time.perf_counter() - began_s
+            times_s += direct_s, work(alone, one, turn), work(both, _Outcomes(folder), turn)
+        report("one worker once more, for its memory")
+        work(alone, one, tasks)
+    return float(times_s[0]), float(times_s[1]), float(times_s[2]), one
 
 
 def _frame_bytes(case: Path) -> int:
