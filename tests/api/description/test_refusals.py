@@ -29,3 +29,4 @@ def test_refusals_follow_from_method_path_and_answers() -> None:
     assert 406 in statuses("get", "/api/v1/runs/{run}/frames/{camera}/{row}", picture)
     guarded = {**JSON, "parameters": [{"name": "If-Match"}]}
     assert 412 in statuses("put", "/api/v1/board-types/{name}", guarded)
+    assert {404, 409, 410} <= set(statuses("post", "/api/v1/calibration/marks", JSON))  # The run is in the body.

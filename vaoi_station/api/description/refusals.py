@@ -30,6 +30,8 @@ _OF_A_COMMAND = frozenset({408, 409, 413})
 _OF_A_RUN = frozenset({404, 409, 410})
 _ABSENT = ("/station/arm", "/runs", "/runs/latest", "/runs/next", "/doctor", "/calibration/trial", "/trial/calibration")
 """Ends of paths without parameters that may name something that does not exist, or ask for it."""
+_BODY_NAMES_A_RUN = ("/calibration/marks",)
+"""Ends of paths whose body names a run from whose frames the answer is made."""
 
 
 def statuses(method: str, path: str, operation: dict[str, Any]) -> list[int]:
@@ -45,9 +47,8 @@ def statuses(method: str, path: str, operation: dict[str, Any]) -> list[int]:
         found |= _OF_A_COMMAND
     if "{" in path or path.endswith(_ABSENT):
         found.add(404)
-    if any(part in path for part in ("/runs/{run}", "/cameras/{camera}/picture", "reference")) or path.endswith(
-        "/next"
-    ):
+    of_a_run = ("/runs/{run}", "/cameras/{camera}/picture", "reference")
+    if any(part in path for part in of_a_run) or path.endswith(("/next", *_BODY_NAMES_A_RUN)):
         found |= _OF_A_RUN
     kinds = [kind for answer in operation["responses"].values() for kind in answer.get("content", {})]
     if "application/x-npy" in kinds:
