@@ -45,7 +45,7 @@ class Footprints(NamedTuple):
     def of(components: Sequence[Component], board_type: BoardType) -> Footprints:
         """Collect the footprints of components of a board type."""
         rows = [(*c.center, c.width, c.height, c.rotation) for c in components]
-        x, y, width, height, degrees = np.array(rows, dtype=np.float64).T
+        x, y, width, height, degrees = np.array(rows, dtype=np.float64).reshape(-1, 5).T
         # Rotations count counter-clockwise as seen on the top of the board, wherever the y axis points.
         angle = np.radians(degrees) * (1.0 if board_type.y_axis == "up" else -1.0)
         c, s, w, h = np.cos(angle), np.sin(angle), width / 2, height / 2

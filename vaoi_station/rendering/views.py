@@ -27,6 +27,7 @@ from vaoi_station.rendering.crops import Crops, Footprints, compute_crops
 from vaoi_station.rendering.framing import Framing, check_number
 from vaoi_station.rendering.tiles import cut_tiles, rectangle_homographies, through
 from vaoi_station.rendering.view import Tile, View
+from vaoi_station.rendering.view_table import Columns, Sights, ViewTable
 
 GRID = 9
 """Points per side of the grid on which the coverage of a component is computed if the frame shows only a part of it."""
@@ -117,7 +118,7 @@ class ViewCalculator:
         min_coverage: float = 0.5,
         framing: Framing | None = None,
         heights_mm: Mapping[str, float] | None = None,
-    ) -> dict[str, tuple[View, ...]]:
+    ) -> ViewTable:
         """Compute the views of many components at once; the keys are the components' addresses.
 
         `px_per_mm` replaces the resolution of `framing`. `heights_mm` are the known heights of bodies above the board
@@ -126,8 +127,6 @@ class ViewCalculator:
         framing = framing or Framing()
         framing = (framing if px_per_mm is None else replace(framing, px_per_mm=px_per_mm)).check()
         check_number("min_coverage", min_coverage, 0.0, 1.0)
-        if not components:
-            return {}
         crops = self._crops(components, framing)
         tops = heights_mm if framing.plane == "top" and heights_mm else {}
         addresses = [c.address for c in components]
@@ -144,30 +143,15 @@ class ViewCalculator:
         matrices, bend_px = self._through_lenses(crops, pairs, matrices, picture)
         lens_center = (self._size[pairs.frame] - 1) / 2
         off = np.hypot(*(middle - lens_center).T) / np.hypot(*lens_center.T)
-        toward, lift = self._sights(crops, pairs, height_mm)
         # Coverages are rounded, so that the order does not depend on the last digits of nearly equal values.
-        camera, row = self._key[pairs.frame].T
-        order = np.lexsort((camera, row, off.round(6), -coverage.round(3), pairs.component))
+        key = self._key[pairs.frame]
+        order = np.lexsort((key[:, 0], key[:, 1], off.round(6), -coverage.round(3), pairs.component))
         order = order[coverage[order] >= max(min_coverage, 1e-9)]
-        tiles = self._tiles(crops, pairs, matrices, bend_px, order[bend_px[order] > 0])
-        found: list[list[View]] = [[] for _ in components]
-        # Python's own numbers, and rows of arrays, made at once: one by one they take longer than the views themselves.
-        columns = (v[order].tolist() for v in (pairs.component, camera, row, coverage, off))
-        arrays = (list(v[order]) for v in (matrices, outline, toward, lift))
-        size, resolution = crops.size.astype(int).tolist(), crops.px_per_mm.tolist()
-        crop_matrices, height, planes = list(crops.crop_from_cad), above_mm.tolist(), np.where(on_top, "top", "board")
-        plane = planes.tolist()
-        for n, k, i, j, share, distance, matrix, corners, sight, shift in zip(
-            order.tolist(), *columns, *arrays, strict=True
-        ):
-            width, length = size[k]
-            found[k].append(
-                View(
-                    i, j, width, length, resolution[k], share, distance, crop_matrices[k],
-                    matrix, tiles.get(n, ()), corners, sight, shift, plane[k], height[k],
-                )
-            )  # fmt: skip
-        return {address: tuple(views) for address, views in zip(addresses, found, strict=True)}
+        pairs = _Pairs(pairs.component[order], pairs.frame[order], pairs.image_from_cad[order])
+        matrices, bend_px = matrices[order], bend_px[order]
+        tiles = self._tiles(crops, pairs, matrices, bend_px)
+        columns = Columns(pairs.component, key[order], coverage[order], off[order], matrices, outline[order], tiles)
+        return ViewTable(addresses, crops, above_mm, on_top, columns, lambda: self._sights(crops, pairs, height_mm))
 
     def _crops(self, components: Sequence[Component], framing: Framing) -> Crops:
         # A picture that would be too large at the cameras' resolution gets fewer pixels: one large component must not
@@ -239,17 +223,16 @@ class ViewCalculator:
         bend_px[bent] = np.nan_to_num(apart_px[bent], nan=np.inf)
         return np.where((lensed & ~bent)[:, None, None], straight, matrices), bend_px
 
-    def _tiles(
-        self, crops: Crops, pairs: _Pairs, matrices: Floats, bend_px: Floats, bent: NDArray[np.int_]
-    ) -> dict[int, tuple[Tile, ...]]:
-        """Cut the pictures of the pairs with the numbers `bent` into tiles; the keys are these numbers."""
+    def _tiles(self, crops: Crops, pairs: _Pairs, matrices: Floats, bend_px: Floats) -> dict[int, tuple[Tile, ...]]:
+        """Cut the distorted pictures among those of the pairs into tiles; the keys are the numbers of the pairs."""
+        bent = np.flatnonzero(bend_px)
         if not len(bent):
             return {}
         frame, size = pairs.frame[bent], crops.size[pairs.component[bent]]
         cut = cut_tiles(matrices[bent], size, bend_px[bent], lambda k, points: self._distorted(frame[k], points))
         return dict(zip(bent.tolist(), cut, strict=True))
 
-    def _sights(self, crops: Crops, pairs: _Pairs, height_mm: Floats) -> tuple[Floats, Floats]:
+    def _sights(self, crops: Crops, pairs: _Pairs, height_mm: Floats) -> Sights:
         """Compute the vector from each component to the camera (p, 3), CAD axes, mm, and the shift per mm of height."""
         k, frame = pairs.component, pairs.frame
         center = _homogeneous(crops.footprints.center)[k, :, None]
@@ -262,7 +245,7 @@ class ViewCalculator:
         at = (pairs.image_from_cad @ center)[..., 0]
         lean = self._lean[frame]
         lift = (at[:, :2] / at[:, 2:] * lean[:, 2:] - lean[:, :2]) / at[:, 2:]
-        return toward, lift
+        return Sights(toward, lift)
 
     def _distorted(self, frame: NDArray[np.int_], points: Floats) -> Floats:
         """Return the raw pixels (p, n, 2) of undistorted pixels of p frames. `points` is overwritten."""

@@ -218,7 +218,7 @@ def _view_counts(finished: FinishedRun) -> Counter[str]:
         return Counter()
     whole = usable_frames(finished)
     board = ViewCalculator(finished.board_type, stitch, finished.cameras).compute_all(finished.board_type.components)
-    return Counter({address: sum((v.camera, v.row) in whole for v in views) for address, views in board.items()})
+    return Counter(board.counts_in(whole))
 
 
 def _coverages(finished: FinishedRun) -> Coverage | None:

@@ -1,0 +1,31 @@
+"""The views of many components as arrays."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any
+
+from vaoi_station.rendering import ViewCalculator
+
+
+def test_a_table_is_a_mapping_from_addresses_to_views(make: Any) -> None:
+    s = make()
+    table = ViewCalculator(s.board_type, s.stitch, s.cameras).compute_all(s.board_type.components)
+    assert list(table) == [c.address for c in s.board_type.components]
+    assert len(table) == len(s.board_type.components)
+    assert "no such part" not in table
+    for address in table:
+        keys = [(v.camera, v.row) for v in table[address]]
+        assert keys
+        assert len(set(keys)) == len(keys)
+
+
+def test_views_in_some_frames_are_counted(make: Any) -> None:
+    s = make()
+    table = ViewCalculator(s.board_type, s.stitch, s.cameras).compute_all(s.board_type.components)
+    everywhere = {(v.camera, v.row) for views in table.values() for v in views}
+    some = set(sorted(everywhere)[::2])
+    expected = Counter({a: sum((v.camera, v.row) in some for v in views) for a, views in table.items()})
+    assert table.counts_in(some) == {address: n for address, n in expected.items() if n}
+    assert sum(table.counts_in(everywhere).values()) == len(table.columns.component)
+    assert table.counts_in(set()) == {}
