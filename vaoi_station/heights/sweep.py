@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,6 +13,27 @@ from vaoi_station.geometry.transforms import Floats
 Ints = NDArray[np.int_]
 _ROUNDS = 10
 """Steps of the power iteration that finds the largest eigenvalue of a small Gram matrix."""
+
+
+class _Work(NamedTuple):
+    """Arrays that the loops over heights and tiles use again and again."""
+
+    line: NDArray[np.float32]
+    """(2, w) the two lines of a picture between which a row lies, at its columns."""
+    left: NDArray[np.int32]
+    """(w,) column of the picture to the left of each column of a plane."""
+    part: NDArray[np.float32]
+    """(w,) distance from it."""
+    slope: NDArray[np.float32]
+    """(2, n) slopes along x and y of the pixels of a tile."""
+    value: NDArray[np.float32]
+    """(k, n) pixels of a tile."""
+    gram: Floats
+    """(k, k)."""
+    member: Ints
+    """(k,) pictures of a group."""
+    vector: Floats
+    """(2, k) an eigenvector, before and after a step."""
 
 
 @compiled
@@ -43,34 +66,63 @@ def sweep(
     """
     k, count, n = len(stack), len(tiles), len(shares)
     sums, freedom, used = np.zeros((count, n)), np.zeros(count, np.int64), np.zeros((count, k), np.bool_)
+    for t in range(count):
+        for i in range(k):
+            used[t, i] = _covers(stack[i], margin, feet_px[i], shares[:, i], tiles[t], saturated)
+        freedom[t] = _freedom(used[t], group, tiles[t, 2] * tiles[t, 3])
+    if not freedom.any():
+        return sums, freedom, used
+    # Tiles touch or overlap, so each picture is laid on the plane of each height as a whole, in long lines.
+    low, high = tiles[0, :2].copy(), tiles[0, :2].copy()
     most = 0
     for t in range(count):
         most = max(most, tiles[t, 2] * tiles[t, 3])
-    values, gram = np.empty((k, most), np.float32), np.empty((k, k))
-    for t in range(count):
-        size = tiles[t, 2] * tiles[t, 3]
+        for axis in range(2):
+            low[axis] = min(low[axis], tiles[t, axis])
+            high[axis] = max(high[axis], tiles[t, axis] + tiles[t, 2 + axis])
+    planes = np.empty((k, high[1] - low[1], high[0] - low[0]), np.float32)
+    work = _Work(
+        np.empty((2, planes.shape[2]), np.float32),
+        np.empty(planes.shape[2], np.int32),
+        np.empty(planes.shape[2], np.float32),
+        np.empty((2, most), np.float32),
+        np.empty((k, most), np.float32),
+        np.empty((k, k)),
+        np.empty(k, np.int64),
+        np.empty((2, k)),
+    )
+    for m in range(n):
         for i in range(k):
-            used[t, i] = _covers(stack[i], margin, feet_px[i], shares[:, i], tiles[t], saturated)
-        for i in range(k):
-            same = 0
-            for j in range(k):
-                same += used[t, j] and group[j] == group[i]
-            # every picture that is not alone in its group adds size − 3 values; each group takes one common picture
-            if used[t, i] and same < 2:
-                used[t, i] = False
-            elif used[t, i]:
-                first = True
-                for j in range(i):
-                    first = first and not (used[t, j] and group[j] == group[i])
-                freedom[t] += 0 if first else size - 3
-        if freedom[t] == 0:
-            continue
-        for m in range(n):
+            _lay(stack[i], low, margin, feet_px[i], shares[m, i], planes[i], work)
+        for t in range(count):
+            if freedom[t] == 0:
+                continue
+            if t == 0 or tiles[t, 2] != tiles[t - 1, 2] or tiles[t, 3] != tiles[t - 1, 3] or freedom[t - 1] == 0:
+                _slopes(tiles[t, 2], tiles[t, 3], work.slope)
             for i in range(k):
                 if used[t, i]:
-                    _read(stack[i], margin, feet_px[i], shares[m, i], tiles[t], values[i])
-            sums[t, m] = _unexplained(values, size, used[t], group, gram)
+                    _read(planes[i], tiles[t, 0] - low[0], tiles[t, 1] - low[1], tiles[t], work.slope, work.value[i])
+            sums[t, m] = _unexplained(work, tiles[t, 2] * tiles[t, 3], used[t], group)
     return sums, freedom, used
+
+
+@inlined
+def _freedom(used: NDArray[np.bool_], group: Ints, size: int) -> int:
+    """Return the degrees of freedom of a tile. Pictures that are alone in their group are no longer used."""
+    k, freedom = len(used), 0
+    for i in range(k):
+        same = 0
+        for j in range(k):
+            same += used[j] and group[j] == group[i]
+        # every picture that is not alone in its group adds size − 3 values; each group takes one common picture
+        if used[i] and same < 2:
+            used[i] = False
+        elif used[i]:
+            first = True
+            for j in range(i):
+                first = first and not (used[j] and group[j] == group[i])
+            freedom += 0 if first else size - 3
+    return freedom
 
 
 @inlined
@@ -100,70 +152,94 @@ def _covers(
 
 
 @inlined
-def _read(
+def _lay(
     picture: NDArray[np.float32],
+    first: Ints,
     margin: int,
     foot: Floats,
     share: float,
-    tile: Ints,
-    out: NDArray[np.float32],
+    plane: NDArray[np.float32],
+    work: _Work,
 ) -> None:
-    """Write the pixels of a tile at one height, minus their mean and slope, to `out`. Interpolation is bilinear."""
-    x0, y0, w, h = tile[0], tile[1], tile[2], tile[3]
+    """Write a picture as it is at one height to `plane`, from the column and row `first` on. It is bilinear.
+
+    Values beside the picture are any: they belong to tiles that are not used (`_covers`).
+    """
     step = 1 / (1 - share)
-    bx, by = (x0 - share * foot[0]) * step + margin, (y0 - share * foot[1]) * step + margin
-    half_x, half_y = np.float32((w - 1) / 2), np.float32((h - 1) / 2)
-    # Vignetting and uneven lamps add a slope, which differs between frames and would look like a displacement.
-    total = slope_x = slope_y = np.float32(0)
-    n = np.uint64(0)
-    for r in range(h):
+    bx, by = (first[0] - share * foot[0]) * step + margin, (first[1] - share * foot[1]) * step + margin
+    rows, width, left, part = picture.shape[0], plane.shape[1], work.left, work.part
+    for c in range(width):
+        u = bx + c * step
+        left[c] = min(max(int(u), 0), picture.shape[1] - 2)
+        part[c] = u - left[c]
+    # The lower line of one row is most often the upper line of the next.
+    last, lower = -2, 0
+    for r in range(plane.shape[0]):
         v = by + r * step
-        top = int(v)
-        ty = np.float32(v - top)
-        upper, lower = picture[top], picture[top + 1]
-        row = along = np.float32(0)
-        for c in range(w):
-            u = bx + c * step
-            # Unsigned: indexes that cannot be negative (`_covers`) are read without a test.
-            left, right = np.uint64(int(u)), np.uint64(int(u) + 1)
-            tx = np.float32(u - int(u))
-            a = upper[left] + tx * (upper[right] - upper[left])
-            b = lower[left] + tx * (lower[right] - lower[left])
-            value = a + ty * (b - a)
-            out[n + np.uint64(c)] = value
-            row += value
-            along += value * (np.float32(c) - half_x)
-        total += row
-        slope_x += along
-        slope_y += row * (np.float32(r) - half_y)
-        n += np.uint64(w)
-    mean = total / np.float32(w * h)
-    slope_x /= np.float32(h * w * (w * w - 1) / 12 + 1e-9)
-    slope_y /= np.float32(w * h * (h * h - 1) / 12 + 1e-9)
-    n = np.uint64(0)
-    for r in range(h):
-        base = mean + (np.float32(r) - half_y) * slope_y - half_x * slope_x
-        for c in range(w):
-            out[n + np.uint64(c)] -= base + np.float32(c) * slope_x
-        n += np.uint64(w)
+        top = min(max(int(v), 0), rows - 2)
+        if top != last:
+            for line in range(top + (top == last + 1), top + 2):
+                lower = 1 - lower
+                source, out = picture[line], work.line[lower]
+                for c in range(width):
+                    # Unsigned: indexes that cannot be negative are read without a test.
+                    at = np.uint64(left[c])
+                    out[c] = source[at] + part[c] * (source[at + np.uint64(1)] - source[at])
+            last = top
+        down, above, below, out = np.float32(v - top), work.line[1 - lower], work.line[lower], plane[r]
+        for c in range(width):
+            out[c] = above[c] + down * (below[c] - above[c])
 
 
 @inlined
-def _unexplained(values: NDArray[np.float32], size: int, used: NDArray[np.bool_], group: Ints, gram: Floats) -> float:
+def _slopes(w: int, h: int, slope: NDArray[np.float32]) -> None:
+    """Write the slopes along x and along y of w × h values, line by line, to the rows of `slope`."""
+    for n in range(w * h):
+        slope[0, n], slope[1, n] = n % w - (w - 1) / 2, n // w - (h - 1) / 2
+
+
+@inlined
+def _read(
+    plane: NDArray[np.float32],
+    column: int,
+    row: int,
+    tile: Ints,
+    slope: NDArray[np.float32],
+    out: NDArray[np.float32],
+) -> None:
+    """Write the pixels of a tile, minus their mean and slope, to `out`."""
+    w, h = tile[2], tile[3]
+    size = w * h
+    for r in range(h):
+        at, source = np.uint64(r * w), plane[row + r]
+        for c in range(w):
+            out[at + np.uint64(c)] = source[np.uint64(column + c)]
+    # Vignetting and uneven lamps add a slope, which differs between frames and would look like a displacement.
+    total = slope_x = slope_y = np.float32(0)
+    for n in range(size):
+        total += out[n]
+        slope_x += out[n] * slope[0, n]
+        slope_y += out[n] * slope[1, n]
+    mean = total / np.float32(size)
+    slope_x /= np.float32(h * w * (w * w - 1) / 12 + 1e-9)
+    slope_y /= np.float32(w * h * (h * h - 1) / 12 + 1e-9)
+    for n in range(size):
+        out[n] -= mean + slope_x * slope[0, n] + slope_y * slope[1, n]
+
+
+@inlined
+def _unexplained(work: _Work, size: int, used: NDArray[np.bool_], group: Ints) -> float:
     """Return the sum over groups of the trace of the Gram matrix minus its largest eigenvalue."""
     k, total = len(used), 0.0
-    done = np.zeros(k, np.bool_)
-    member = np.empty(k, np.int64)
-    vector, turned = np.empty(k), np.empty(k)
+    values, gram, member = work.value, work.gram, work.member
     for first in range(k):
-        if done[first] or not used[first]:
-            continue
         m = 0
-        for i in range(first, k):
+        for i in range(k):
             if used[i] and group[i] == group[first]:
                 member[m] = i
-                done[i] = True
                 m += 1
+        if not m or member[0] != first:
+            continue
         trace = 0.0
         for i in range(m):
             for j in range(i + 1):
@@ -173,20 +249,20 @@ def _unexplained(values: NDArray[np.float32], size: int, used: NDArray[np.bool_]
                     dot += a[p] * b[p]
                 gram[i, j] = gram[j, i] = dot
             trace += gram[i, i]
-        total += trace - _largest(gram, m, trace, vector, turned)
+        total += trace - _largest(gram, m, trace, work.vector)
     return total
 
 
 @inlined
-def _largest(gram: Floats, m: int, trace: float, vector: Floats, turned: Floats) -> float:
+def _largest(gram: Floats, m: int, trace: float, vectors: Floats) -> float:
     """Return the largest eigenvalue of the first m rows and columns of a Gram matrix."""
     if m < 2:
         return trace
     if m == 2:
         return float((trace + np.sqrt((gram[0, 0] - gram[1, 1]) ** 2 + 4 * gram[0, 1] ** 2)) / 2)
+    vector, turned, largest = vectors[0], vectors[1], 0.0
     for i in range(m):
         vector[i] = gram[i, 0] + gram[i, m - 1]
-    largest = 0.0
     for _ in range(_ROUNDS):
         norm = 0.0
         for i in range(m):
