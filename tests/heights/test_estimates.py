@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from vaoi_station.errors import StateError
-from vaoi_station.heights.estimates import edge_weights, measure_heights
+from vaoi_station.heights.estimates import measure_heights
 from vaoi_station.simulation import Twin, read_scenario, scenario_path
 from vaoi_station.stitching.recordings.offline import stitch_frames
 from vaoi_station.stitching.work import StitchSetup
@@ -91,21 +91,3 @@ def test_saturated_bodies_are_not_given_with_a_false_certainty(film: Any) -> Non
     if height.height_mm is not None and height.sigma_mm is not None:
         assert abs(height.height_mm - 1.5) < 3 * height.sigma_mm
     assert all((np.asarray(frame) >= 252).mean() > 0.5 for frame in filmed.frames.values())
-
-
-def grid_of_tiles(columns: int, rows: int) -> np.ndarray:
-    return np.array([(x * 12, y * 12, 12, 12) for y in range(rows) for x in range(columns)])
-
-
-def test_edges_of_a_body_with_texture_are_as_good_as_its_middle() -> None:
-    assert edge_weights(grid_of_tiles(4, 4), np.full(16, 500.0), 0.1) == pytest.approx(np.ones(16))
-
-
-def test_edges_of_a_blank_body_are_worth_the_error_they_have_in_common() -> None:
-    tiles = grid_of_tiles(4, 3)
-    inner = np.isin(np.arange(12), (5, 6))
-    weights = edge_weights(tiles, np.where(inner, 0.0, 1000.0), 0.05)
-    assert weights[inner] == pytest.approx([1.0, 1.0])
-    worth = float((weights * 1000.0)[~inner].sum())
-    assert worth == pytest.approx(1 / (1 / 10_000 + 0.05**2))
-    assert edge_weights(grid_of_tiles(4, 2), np.full(8, 10.0), 0.05)[0] == pytest.approx(1 / (1 + 80 * 0.05**2))

@@ -19,6 +19,7 @@ from vaoi_station.heights.part_grids import Frames, PartGrid, Places
 from vaoi_station.heights.pictures import Pictures, collect_pictures, picture_stack, sweep_stack
 from vaoi_station.heights.refinement import normal_equations
 from vaoi_station.heights.sweep import sweep
+from vaoi_station.heights.tile_equations import NOISE_AREA, add_up, weigh_tiles
 from vaoi_station.heights.tile_weights import tile_weights
 from vaoi_station.model import BoardType, Component, Stitch
 
@@ -26,10 +27,6 @@ HIGHEST_MM = 12.0
 """Largest height that is searched; components that are expected to be higher extend it."""
 _SLENDER, _LEAST_HIGHEST_MM = 4.0, 4.0
 """Largest height as a multiple of the footprint's longest side, and the least such limit: a chip is no tower."""
-NOISE_AREA = 12.0
-"""Number of pixels that share one independent value of noise after the blur."""
-_MISFIT_AREA = 30.0
-"""The same for differences beyond noise, such as glare: they have the size of the texture."""
 _TILE_PX = (8, 12)
 _INSET_PX = 3
 """Width of the footprint's border that is left out: the blur mixes what is beside a body into it."""
@@ -45,8 +42,6 @@ _LOWEST_NOISE = 0.15
 """Least variance of noise after the blur in frames of full size, grey levels squared."""
 _SURE = 0.99
 """Least probability of a height that is given as a number; else there is an interval of this probability."""
-_COMMON = 0.25
-"""Share of the differences beyond noise that is the same in all tiles of a body."""
 _ONE_LINE = 0.6
 """Relative standard deviation of a height from a single row or column of tiles, or from two of many.
 
@@ -220,52 +215,25 @@ def _refine(places: Places, pictures: Pictures, swept: _Swept) -> BodyEquations 
         stack = picture_stack(places, pictures, 2, h)
         lean = (centre[:, None] - feet[None]) / (distance - h)[None, :, None]
         found = normal_equations(stack, lean, tiles + (2, 2, 0, 0), used, pictures.group)
-        some = found.variance > 0
-        if not some.any():
+        if not (found.variance > 0).any():
             return None
-        floor = max(_low_tenth(found.variance[some]), lowest)
-        variance = np.maximum(found.variance, floor) * NOISE_AREA
-        variance += np.maximum(found.variance - 3 * floor, 0) * _MISFIT_AREA
-        excess = np.maximum(found.variance - 3 * floor, 0) * (tiles[:, 2] * tiles[:, 3])
-        unlike = np.sqrt(excess / np.maximum(found.matrix[:, 0, 0], 1e-3))
-        variance /= edge_weights(tiles, np.maximum(found.matrix[:, 0, 0], 0) / variance, edge_mm)
-        body = _united(
-            h, found.matrix / variance[:, None, None], found.vector / variance[:, None], found.noisy / variance
-        )
-        if body is None:
+        equations = weigh_tiles(found, tiles, lowest, edge_mm)
+        weight = tile_weights(equations.matrix, equations.vector, equations.noisy)
+        if not weight.any():
             return None
+        step_mm, matrix, vector = add_up(equations, weight)
+        body = BodyEquations(h, step_mm, matrix, vector, 1.0)
         limit = 0.7 / pictures.spread
-        moved = min(max(body.step_mm, -limit), limit)
+        moved = min(max(step_mm, -limit), limit)
         h += moved
         if abs(moved) * pictures.spread < _CONVERGED_PX:
             break
     if body is None or abs(h - heights[best]) * pictures.spread > 5 * STEP_PX:
         return None
-    weight = np.maximum(found.matrix[:, 0, 0], 0) / variance
-    common = _COMMON * float(weight @ unlike) / max(float(weight.sum()), 1e-9)
+    common = equations.unlike_mm
     if _in_one_line(tiles, pictures.grid):
         common = math.hypot(common, _ONE_LINE * abs(h))
     return body._replace(scale=2.0**pictures.grid.level, unlike_mm=common)
-
-
-def edge_weights(tiles: NDArray[np.int_], information: Floats, sigma_mm: float) -> Floats:
-    """Return factors (t,) of the information of tiles, which account for the error that tiles at edges have in common.
-
-    A body with texture has it everywhere; the outermost tiles are then hardly worse than others. A blank body shows
-    little but its edges. So the error counts as far as the outermost tiles contain more information than the inner
-    ones. With a variance s² in common, information I is worth 1 / (1 / I + s²).
-
-    Args:
-        tiles: (t, 4) tiles on the body.
-        information: (t,) inverse variance of the height of each tile, 1/mm².
-        sigma_mm: standard deviation of the error at edges.
-    """
-    first, last = tiles[:, :2].min(0), tiles[:, :2].max(0)
-    outer = ((tiles[:, :2] == first) | (tiles[:, :2] == last)).any(1)
-    at_edges = float(information[outer].sum())
-    texture = 0.0 if outer.all() else float(information[~outer].mean()) * int(outer.sum())
-    share = min(max(1 - texture / max(at_edges, 1e-12), 0.0), 1.0)
-    return np.where(outer, 1 / (1 + at_edges * (share * sigma_mm) ** 2), 1.0)
 
 
 def _in_one_line(tiles: NDArray[np.int_], grid: PartGrid) -> bool:
@@ -275,31 +243,6 @@ def _in_one_line(tiles: NDArray[np.int_], grid: PartGrid) -> bool:
     """
     counts = [(len(set(tiles[:, k])), len(set(_tiles(grid)[:, k]))) for k in (0, 1)]
     return any((mine == 1 and all_of == 3) or (mine <= 2 and all_of > 3) for mine, all_of in counts)
-
-
-def _united(h: float, matrix: Floats, vector: Floats, noisy: Floats) -> BodyEquations | None:
-    """Add up the equations of all tiles, with less weight for tiles that differ; None without texture."""
-    weight = tile_weights(matrix, vector, noisy)
-    if not weight.any():
-        return None
-    prior = np.diag([1e-9] + [1 / 0.05**2] * (matrix.shape[1] - 1))
-    n, b = np.tensordot(weight, matrix, 1), weight @ vector
-    theta = np.linalg.solve(n + prior, b)
-    off = vector[:, 0] - matrix[:, 0] @ theta
-    scatter = float(weight @ (off**2 / (noisy + 1e-12))) / max(float(weight.sum()) - 1, 1)
-    inflation = float(weight @ noisy / n[0, 0]) * max(1.0, scatter)
-    # The sum of the tiles' own deviations is the variance of the sum, however unlike the tiles are (sandwich).
-    count = float(weight.sum() ** 2 / (weight**2).sum())
-    own = float(((weight * off) ** 2).sum()) / n[0, 0] * count / max(count - 1, 1)
-    inflation = max(inflation, own)
-    return BodyEquations(h, float(theta[0]), n / inflation, b / inflation, 1.0)
-
-
-def _low_tenth(values: Floats) -> float:
-    """Return the value above which nine tenths lie; `np.percentile` takes ten times as long for so few values."""
-    at = 0.1 * (len(values) - 1)
-    low, high = np.partition(values, [int(at), math.ceil(at)])[[int(at), math.ceil(at)]].tolist()
-    return float(low + (at - int(at)) * (high - low))
 
 
 def _tiles(grid: PartGrid) -> NDArray[np.int_]:

@@ -1,7 +1,7 @@
-"""The views of many components as arrays: objects are made only of those that somebody reads.
+"""The views of many components as arrays: objects are made of those that are read, and of no others.
 
-A board has thousands of views. To make an object of each takes as long as to compute them all, and who renders or
-counts them needs none.
+A board has thousands of views. To make an object of each takes as long as to compute them all, and needs not be done
+where views are only counted.
 """
 
 from __future__ import annotations
