@@ -56,21 +56,24 @@ def find_levels(
     """
     t, n, k = likelihood.shape[0], likelihood.shape[1], len(EXTENTS)
     side, log, inside = np.empty((2, k, t), np.int64), np.empty((n, 3, t)), np.empty((n, t))
-    _sort_tiles(tiles, size, side)
+    prior, count = np.zeros((2, k)), np.zeros(2, np.int64)
+    for axis in range(2):
+        count[axis] = _sort_tiles(tiles, size[axis], axis, side[axis], prior[axis])
     _tile_likelihoods(likelihood, board, heights_mm, log, inside)
-    evidence = np.empty((n, k, k))
-    highest = _evidence(log, side, tiles, log_prior, evidence)
+    evidence = np.empty((n, count[0], count[1]))
+    extent = np.log(np.outer(prior[0, : count[0]], prior[1, : count[1]]))
+    highest = _evidence(log, side, tiles, extent, evidence, log_prior)
     probability, everything, best = np.zeros(n), 0.0, 0
     for m in range(n):
-        for a in range(k):
-            for b in range(k):
+        for a in range(count[0]):
+            for b in range(count[1]):
                 if evidence[m, a, b] > highest - _NEGLIGIBLE:
                     probability[m] += math.exp(evidence[m, a, b] - highest)
         everything += probability[m]
         best = m if probability[m] > probability[best] else best
     on_body = np.zeros(t)
-    for a in range(k):
-        for b in range(k):
+    for a in range(count[0]):
+        for b in range(count[1]):
             if evidence[best, a, b] <= highest - _NEGLIGIBLE:
                 continue
             share = math.exp(evidence[best, a, b] - highest) / probability[best]
@@ -82,24 +85,26 @@ def find_levels(
 
 
 @inlined
-def _evidence(log: Floats, side: Ints, tiles: Ints, log_prior: Floats, evidence: Floats) -> float:
-    """Write the logarithm of the probability of each height and extent to `evidence` (n, k, k); return the largest.
+def _evidence(log: Floats, side: Ints, tiles: Ints, extent: Floats, evidence: Floats, log_prior: Floats) -> float:
+    """Write the logarithm of the probability of each height and extent to `evidence` (n, a, b); return the largest.
+
+    `extent` (a, b) is the logarithm of the prior probability of each extent.
 
     A tile is outside if it is outside along one axis, and inside if it is inside along both. The tiles of one strip are
     on one side along the second axis, so that their sums serve all extents along it.
     """
-    n, k, highest = log.shape[0], side.shape[1], -np.inf
+    n, highest = log.shape[0], -np.inf
     first, strips = _strips(tiles)
-    part, prior = np.empty((strips, 3)), np.log(np.outer(EXTENTS[:, 2], EXTENTS[:, 2]))
+    part = np.empty((strips, 3))
     for m in range(n):
-        for a in range(k):
+        for a in range(evidence.shape[1]):
             for s in range(strips):
                 for where in range(3):
                     part[s, where] = 0.0
                     for i in range(first[s], first[s + 1]):
                         part[s, where] += log[m, min(side[0, a, i], where), i]
-            for b in range(k):
-                total = prior[a, b] + log_prior[m]
+            for b in range(evidence.shape[2]):
+                total = extent[a, b] + log_prior[m]
                 for s in range(strips):
                     total += part[s, side[1, b, first[s]]]
                 evidence[m, a, b] = total
@@ -123,16 +128,25 @@ def _strips(tiles: Ints) -> tuple[Ints, int]:
 
 
 @inlined
-def _sort_tiles(tiles: Ints, size: Ints, side: Ints) -> None:
-    """Write to `side` (2, k, t) whether tiles lie outside (0), across (1) or inside (2) each extent along each axis."""
-    for axis in range(2):
-        half = size[axis] / 2
-        for e in range(len(EXTENTS)):
-            low, high = half - 0.5 - EXTENTS[e, 0] * half, half - 0.5 + EXTENTS[e, 1] * half
-            for i in range(len(tiles)):
-                first, count = tiles[i, axis], tiles[i, 2 + axis]
-                a, b = first - 0.5 + _EDGE_PX, first + count - 0.5 - _EDGE_PX
-                side[axis, e, i] = 2 if a >= low and b <= high else 0 if b <= low or a >= high else 1
+def _sort_tiles(tiles: Ints, size: int, axis: int, side: Ints, prior: Floats) -> int:
+    """Write to `side` (k, t) whether tiles lie outside (0), across (1) or inside (2) each extent along an axis.
+
+    Extents with the same tiles on each side are one, since a component has few tiles: `prior` (k,) gets the
+    probability of each. Return how many there are.
+    """
+    half, count = size / 2, 0
+    for e in range(len(EXTENTS)):
+        low, high = half - 0.5 - EXTENTS[e, 0] * half, half - 0.5 + EXTENTS[e, 1] * half
+        for i in range(len(tiles)):
+            first, length = tiles[i, axis], tiles[i, 2 + axis]
+            a, b = first - 0.5 + _EDGE_PX, first + length - 0.5 - _EDGE_PX
+            side[count, i] = 2 if a >= low and b <= high else 0 if b <= low or a >= high else 1
+        same = 0
+        while (side[same] != side[count]).any():
+            same += 1
+        prior[same] += EXTENTS[e, 2]
+        count += same == count
+    return count
 
 
 @inlined
