@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.heights.levels import find_levels
+from vaoi_station.heights.levels import compare_heights, find_levels
 
 HEIGHTS = np.asarray(np.arange(-2, 30) * 0.1, np.float64)
 SIZE = np.array([80, 80])
@@ -16,6 +16,18 @@ TILES = np.array([(x, y, 10, 10) for y in range(0, 80, 10) for x in range(0, 80,
 def likelihoods(seen_mm: np.ndarray, sigma: float) -> tuple[Floats, Floats]:
     each = np.exp(-(((HEIGHTS[None] - seen_mm[:, None]) / sigma) ** 2) / 2)
     return each, np.exp(-((seen_mm / sigma) ** 2) / 2)
+
+
+def test_likelihoods_are_those_of_noise() -> None:
+    random = np.random.default_rng(3)
+    sums, freedom = random.uniform(50, 900, (7, len(HEIGHTS))), np.arange(60, 95, 5)
+    sums[0] *= 1e-3  # a tile without texture
+    likelihood, board = compare_heights(sums, freedom, np.abs(HEIGHTS) < 0.15, 12.0)
+    noise = sums.min(1) / freedom
+    noise = np.maximum(noise, np.median(noise))[:, None]
+    np.testing.assert_allclose(likelihood, np.exp((sums.min(1, keepdims=True) - sums) / (2 * noise * 12)))
+    np.testing.assert_allclose(board, likelihood[:, 1:4].max(1))
+    assert (likelihood.max(1) == 1).all()
 
 
 def test_a_body_between_leads_is_separated_from_the_board() -> None:

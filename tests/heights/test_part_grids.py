@@ -18,8 +18,8 @@ def test_pictures_on_the_plane_of_a_body_are_equal(filmed: Any) -> None:
     views = [view for view in grid.views if view.key[1] in {1, 2}]
 
     def differences(height_mm: float) -> float:
-        images = [(v, frames.get(v.key, 0)) for v in views]
-        pictures = [places.rectified(grid, v, image, 0, height_mm) for v, image in images if image is not None]
+        images = [image for v in views if (image := frames.get(v.key, 0)) is not None]
+        pictures = places.rectified(grid._replace(views=tuple(views)), images, 0, height_mm)
         return float(np.nanstd((pictures[0] - pictures[1])[4:-4, 4:-4]))
 
     assert 2 * differences(1.5) < differences(0.0)
@@ -31,9 +31,22 @@ def test_outside_the_frame_there_are_no_values(filmed: Any) -> None:
     assert grid is not None
     image = frames.get(grid.views[0].key, 0)
     assert image is not None
-    picture = places.rectified(grid, grid.views[0], image, 300)
+    picture = places.rectified(grid._replace(views=grid.views[:1]), [image], 300)[0]
     assert np.isnan(picture[0, 0])
     assert np.isfinite(picture).any()
+
+
+def test_a_box_and_all_views_at_once_have_the_same_pixels(filmed: Any) -> None:
+    """One view after the other, and all of them, of which some belong to other cameras."""
+    places, frames = Places(filmed.board_type, filmed.stitch, filmed.cameras), Frames(filmed.frame)
+    grid = places.grid("U1", filmed.board_type.footprint(filmed.board_type.component("U1")))
+    assert grid is not None
+    images = [image for v in grid.views if (image := frames.get(v.key, 0)) is not None]
+    together = places.rectified(grid, images, 2)
+    assert together.shape == (len(grid.views), grid.height + 4, grid.width + 4)
+    for view, image, picture in zip(grid.views, images, together, strict=True):
+        alone = places.rectified_box(grid, view, image, (-2, -2, grid.width + 2, grid.height + 2))
+        np.testing.assert_allclose(picture, alone, atol=1e-3)
 
 
 def test_large_footprints_have_larger_pixels_and_tiny_ones_no_grid(filmed: Any) -> None:

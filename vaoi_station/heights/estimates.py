@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from vaoi_station.errors import StateError
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.heights.levels import find_levels
+from vaoi_station.heights.levels import compare_heights, find_levels
 from vaoi_station.heights.matrix_errors import BodyEquations, combine
 from vaoi_station.heights.part_grids import Frames, PartGrid, Places
 from vaoi_station.heights.pictures import Pictures, collect_pictures, picture_stack, sweep_stack
@@ -186,15 +186,11 @@ def _sweep(places: Places, pictures: Pictures, highest_mm: float) -> _Swept | No
     else:
         return None
     sums, freedom, used, tiles = sums[shown], freedom[shown], used[shown], tiles[shown]
-    least = sums.min(1)
-    noise = least / freedom
-    # A tile without texture fits at every height, and at one of them by chance better than its noise.
-    noise = np.maximum(np.maximum(noise, np.median(noise)), 1e-3)
-    likelihood = np.exp((least - sums.T) / (2 * noise * NOISE_AREA)).T
-    board = likelihood[:, np.abs(heights) * pictures.spread <= _BOARD_PX].max(1)
+    at_board = np.abs(heights) * pictures.spread <= _BOARD_PX
+    likelihood, board = compare_heights(sums, freedom, at_board, NOISE_AREA)
     prior = np.where(heights < -1e-9, -_BELOW_BOARD, 0.0)
     size = np.array([grid.width, grid.height])
-    levels = find_levels(np.ascontiguousarray(likelihood), board, heights, tiles, size, prior)
+    levels = find_levels(likelihood, board, heights, tiles, size, prior)
     mine = levels.on_body > 0.5
     return _Swept(heights, levels.probability, tiles[mine], used[mine])
 

@@ -41,6 +41,37 @@ class Levels(NamedTuple):
 
 
 @compiled
+def compare_heights(
+    sums: Floats, freedom: Ints, at_board: NDArray[np.bool_], noise_area: float
+) -> tuple[Floats, Floats]:
+    """Compute the likelihood of n heights by each of t tiles (t, n), and of the board's level (t,).
+
+    The largest of each tile is 1.
+
+    Args:
+        sums: (t, n) how much no common picture explains, as a sum of squares.
+        freedom: (t,) degrees of freedom of these sums.
+        at_board: (n,) which heights count as the board's level; at least one does.
+        noise_area: number of pixels that share one independent value of noise.
+    """
+    t, n = sums.shape
+    least, noise = np.empty(t), np.empty(t)
+    for i in range(t):
+        least[i] = sums[i].min()
+        noise[i] = least[i] / freedom[i]
+    # A tile without texture fits at every height, and at one of them by chance better than its noise.
+    typical = max(np.median(noise), 1e-3)
+    likelihood, board = np.empty((t, n)), np.zeros(t)
+    for i in range(t):
+        scale = 1 / (2 * max(noise[i], typical) * noise_area)
+        for m in range(n):
+            likelihood[i, m] = math.exp((least[i] - sums[i, m]) * scale)
+            if at_board[m]:
+                board[i] = max(board[i], likelihood[i, m])
+    return likelihood, board
+
+
+@compiled
 def find_levels(
     likelihood: Floats, board: Floats, heights_mm: Floats, tiles: Ints, size: Ints, log_prior: Floats
 ) -> Levels:

@@ -62,13 +62,10 @@ def collect_pictures(grid: PartGrid, frames: Frames, light: Callable[[int], int]
 
 def picture_stack(places: Places, pictures: Pictures, margin: int, height_mm: float) -> NDArray[np.float32]:
     """Return the blurred pictures (k, h, w) of a grid on the plane at a height above the board, with a margin."""
-    grid = pictures.grid
-    return np.array(
-        [
-            blurred(places.rectified(grid, view, image, margin, height_mm))
-            for view, image in zip(grid.views, pictures.images, strict=True)
-        ]
-    )
+    stack = places.rectified(pictures.grid, pictures.images, margin, height_mm)
+    for picture in stack:
+        cv2.GaussianBlur(picture, (0, 0), _BLUR_PX, dst=picture)
+    return stack
 
 
 def sweep_stack(places: Places, pictures: Pictures, margin: int, ends: Floats) -> NDArray[np.float32]:
