@@ -33,6 +33,15 @@ def test_frames_round_trip(tmp_path: Path, image: np.ndarray, suffix: str) -> No
     np.testing.assert_array_equal(found, image)
 
 
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_the_fastest_png_of_a_noisy_picture_is_no_larger_than_that_of_a_level(dtype: type) -> None:
+    slope = np.add.outer(np.arange(200), np.arange(300)) / 500 * np.iinfo(dtype).max
+    image: np.ndarray = np.clip(g.normal(slope, 0.01 * np.iinfo(dtype).max), 0, np.iinfo(dtype).max).astype(dtype)
+    fastest = encode_png(image)
+    np.testing.assert_array_equal(decode(fastest), image)
+    assert len(fastest) <= len(encode_png(image, 1))
+
+
 def test_absent_frame_is_named(tmp_path: Path) -> None:
     with pytest.raises(NotFoundError, match=r"c00_r000\.png: there is no such frame"):
         read_image(tmp_path / "c00_r000.png")
