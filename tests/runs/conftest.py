@@ -142,13 +142,9 @@ class ScriptedWorkers:
     result: Callable[[RecordingHead], Stitch] = a_stitch
     displacement_px: float = 0.0
     """By which camera 1 shows itself displaced along y."""
-    all_busy: bool = False
 
     def start(self, events: WorkerEvents) -> None:
         self.events = events
-
-    def busy(self) -> bool:
-        return self.all_busy
 
     def submit(self, job: Job) -> None:
         if self.keep:

@@ -12,6 +12,7 @@ import pytest
 from vaoi_station.acquisition.process import messages
 from vaoi_station.errors import BusyError, GoneError, NotFoundError, StateError
 from vaoi_station.model import Status, Verdict
+from vaoi_station.rendering import ImageRequest
 from vaoi_station.runs.workers.jobs import RenderJob
 
 
@@ -165,7 +166,8 @@ def test_a_run_that_is_needed_is_not_released(rig: Any) -> None:
         rig.coordinator.release(grant.run)
 
 
-def test_pictures_are_rendered_under_a_lease(rig: Any) -> None:
+def test_large_pictures_are_rendered_under_a_lease(rig: Any) -> None:
+    wanted = ImageRequest.of({"px_per_mm": 277})
     grant = rig.arm()
     rig.board(grant)
     rig.result_of(grant.run)
@@ -174,14 +176,14 @@ def test_pictures_are_rendered_under_a_lease(rig: Any) -> None:
     assert component.tester_mm == (10.0, 20.0)
     views = [choice.view for choice in rig.coordinator.images(grant.run, "U1").chosen]
     assert views
-    assert rig.coordinator.image(grant.run, "U1", 0, format="jpeg") == b"picture"
+    assert rig.coordinator.image(grant.run, "U1", 0, wanted, format="jpeg") == b"picture"
     [job] = [job for job in rig.workers.done if isinstance(job, RenderJob)]
     assert (job.format, job.view.camera, job.view.row) == ("jpeg", views[0].camera, views[0].row)
     with pytest.raises(NotFoundError, match=f"has {len(views)} images"):
         rig.coordinator.image(grant.run, "U1", 99)
     rig.wait_for(lambda: rig.coordinator.snapshot().ring.leases == (), "the lease to end")
     rig.workers.keep = True
-    drawing = threading.Thread(target=rig.coordinator.image, args=(grant.run, "U1", 0))
+    drawing = threading.Thread(target=rig.coordinator.image, args=(grant.run, "U1", 0, wanted))
     drawing.start()
     rig.wait_for(lambda: len(rig.workers.kept) == 1, "the job")
     [lease] = rig.coordinator.snapshot().ring.leases

@@ -1,4 +1,4 @@
-"""Small pictures are rendered by the station process while no worker is idle, with the same bytes as by a worker."""
+"""Small pictures are rendered by the station process, with the same bytes as by a worker."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import pytest
 
 from vaoi_station.errors import GoneError
 from vaoi_station.rendering import ImageRequest
+from vaoi_station.runs.control.pictures import SMALL_PX
 from vaoi_station.runs.pictures import small_pictures as module
 from vaoi_station.runs.pictures.small_pictures import SEATS
 from vaoi_station.runs.workers.jobs import RenderJob, Reply
@@ -21,7 +22,7 @@ FINE = ImageRequest.of({"px_per_mm": 277})
 
 @pytest.fixture
 def run(rig: Any) -> str:
-    """A finished run with pixels; all workers are busy, and the station process has loaded what it renders with."""
+    """A finished run with pixels; the station process has loaded what it renders with."""
     grant = rig.arm()
     rig.board(grant)
     rig.result_of(grant.run)
@@ -29,7 +30,6 @@ def run(rig: Any) -> str:
     for frame in rig.coordinator.run(grant.run).frames:
         memory = rig.ring.memory(frame.slot)
         memory[:] = random.integers(0, 256, memory.shape)
-    rig.workers.all_busy = True
     assert rig.coordinator._frames.small.loaded.wait(60)
     return str(grant.run)
 
@@ -42,8 +42,8 @@ def jobs(rig: Any) -> list[RenderJob]:
 def test_the_bytes_are_those_of_a_worker(rig: Any, run: str, format: Any) -> None:
     own = rig.coordinator.image(run, "U1", 0, format=format)
     assert jobs(rig) == []
-    rig.workers.all_busy = False
-    assert rig.coordinator.image(run, "U1", 0, format=format) == b"picture"
+    rig.coordinator._frames.small.loaded.clear()
+    assert rig.coordinator.image(run, "U1", 0, format=format) == b"picture", "until it is loaded, workers render"
     [job] = jobs(rig)
     with WorkerRuntime(str(rig.ring.path)) as worker:
         [reply] = worker.replies(job)
@@ -54,7 +54,7 @@ def test_the_bytes_are_those_of_a_worker(rig: Any, run: str, format: Any) -> Non
 def test_a_large_picture_waits_for_a_worker(rig: Any, run: str) -> None:
     assert rig.coordinator.image(run, "U1", 0, FINE) == b"picture"
     [job] = jobs(rig)
-    assert job.view.width * job.view.height > 100_000
+    assert job.view.width * job.view.height > SMALL_PX
 
 
 def test_no_more_than_its_seats_are_rendered_at_a_time(rig: Any, run: str, monkeypatch: pytest.MonkeyPatch) -> None:

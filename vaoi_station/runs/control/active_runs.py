@@ -19,9 +19,6 @@ from vaoi_station.runs.workers.jobs import ConcludeJob, Job, LinkJob, OpenRun, R
 class Workers(Protocol):
     """The methods of the worker pool that `ActiveRuns` calls."""
 
-    def busy(self) -> bool:
-        """Return whether no worker is idle."""
-
     def submit(self, job: Job) -> None:
         """Queue a job for a worker. Its reply is reported by `WorkerEvents.worker_reply`."""
 

@@ -101,8 +101,8 @@ class StationCoordinator:
         """The coordinator's thread."""
         self._gc_policy, self._core, self.storage = GcPolicy(), Core(parts), parts.archive.storage
         parts.archive.on_announced = lambda run, until_s: self._inbox.post(self._core.announced, run, until_s)
-        requests, busy = PictureRequests(parts.workers.submit), parts.workers.busy
-        access = self._frames = FrameAccess(self._inbox, self._core, ring, parts.archive, requests, busy)
+        requests = PictureRequests(parts.workers.submit)
+        access = self._frames = FrameAccess(self._inbox, self._core, ring, parts.archive, requests)
         common, fields = (parts.archive, access.lease, requests.render), parts.config.flat_fields
         self.heights = MeasuredHeights(*common, access.bay_of, parts.events, fields)
         self.mosaics = Mosaics(*common, fields, self.heights.known)

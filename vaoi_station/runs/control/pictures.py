@@ -38,7 +38,7 @@ from vaoi_station.runs.states.schemas import ImageFormat, RunDetail
 from vaoi_station.runs.states.tables import FINISHED
 from vaoi_station.runs.workers.jobs import Priority, RenderJob
 
-SMALL_PX = 100_000
+SMALL_PX = 200_000
 """Largest number of pixels of a small picture: rendered and encoded, it takes no longer than a link."""
 
 
@@ -53,19 +53,10 @@ class ViewRequest(NamedTuple):
 class FrameAccess:
     """Reads frames and temporary images of runs; each access takes a lease. Methods may be called from any thread."""
 
-    def __init__(
-        self,
-        inbox: Inbox,
-        core: Core,
-        ring: Ring,
-        archive: Archive,
-        requests: PictureRequests,
-        busy: Callable[[], bool],
-    ) -> None:
-        """Connect the parts. `busy` returns whether no worker is idle."""
+    def __init__(self, inbox: Inbox, core: Core, ring: Ring, archive: Archive, requests: PictureRequests) -> None:
         self._inbox, self._core, self._ring = inbox, core, ring
         self._archive, self._requests = archive, requests
-        self.small = SmallPictures(ring, busy)
+        self.small = SmallPictures(ring)
         """The pictures that the station process renders itself."""
         self.recorded: Callable[[str, int, int], Path | None] = lambda _run, _camera, _row: None
         """Function that returns the file of a frame (run, camera, row) in the run's recording; None if no recording of

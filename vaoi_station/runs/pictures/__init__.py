@@ -1,1 +1,1 @@
-"""Pictures for callers who wait: most are rendered by workers, small ones by the station itself while all are busy."""
+"""Pictures for callers who wait: most are rendered by workers, small ones by the station itself."""

@@ -1,13 +1,13 @@
-"""Small pictures that the station process renders itself, straight from the ring, while no worker is idle.
+"""Small pictures that the station process renders itself, straight from the ring.
 
-A small picture takes a millisecond, and its caller would wait for links of a row that are under way in all workers. The
-caller's own thread makes it: OpenCV and compiled loops release the GIL, so that the coordinator's thread goes on.
+A small picture takes a millisecond, less than its way through a lease, the queues and the pipes to a worker and back;
+and it would wait for links of a row that are under way in all workers. The caller's own thread makes it: OpenCV and
+compiled loops release the GIL, so that the coordinator's thread goes on.
 """
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
 
 import numpy as np
 
@@ -23,9 +23,9 @@ SEATS = 2
 class SmallPictures:
     """Renders small pictures in the threads of their callers. Methods may be called from any thread."""
 
-    def __init__(self, ring: Ring, busy: Callable[[], bool]) -> None:
-        """Store the ring that holds the frames, and a function that returns whether no worker is idle."""
-        self._ring, self._busy = ring, busy
+    def __init__(self, ring: Ring) -> None:
+        """Store the ring that holds the frames."""
+        self._ring = ring
         self._seats = threading.BoundedSemaphore(SEATS)
         self.loaded = threading.Event()
         """Set when the compiled functions are loaded."""
@@ -39,7 +39,7 @@ class SmallPictures:
 
         No lease is needed: the generation of the bay is checked after the pixels were read, as in workers.
         """
-        if job.priority is not Priority.SMALL_RENDER or not self.loaded.is_set() or not self._busy():
+        if job.priority is not Priority.SMALL_RENDER or not self.loaded.is_set():
             return None
         if not self._seats.acquire(blocking=False):
             return None

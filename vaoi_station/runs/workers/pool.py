@@ -101,11 +101,6 @@ class WorkerPool:
         with self._lock:
             return any(w.ready for w in self._workers) and all(w.ready or w.restarts for w in self._workers)
 
-    def busy(self) -> bool:
-        """Return whether no worker is idle."""
-        # Without the lock: while it is held, jobs are pickled, and the answer may be out of date anyway.
-        return not any(worker.idle and not worker.overdue for worker in self._workers)
-
     def submit(self, job: Job) -> None:
         """Queue a job; its reply is reported by `WorkerEvents.worker_reply`. A job of a closed run is refused."""
         with self._lock:
