@@ -10,12 +10,17 @@ import threading
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import httpx2
 import pytest
 from fastapi import FastAPI
+from fastapi.testclient import TestClient
+from pydantic import TypeAdapter
 
+from tests.api.held_station import HeldStation
 from tests.peers.certificates import Certificate, make_certificate
+from vaoi_station.api import create_app
 from vaoi_station.api import web_server as module
 from vaoi_station.api.listener import acceptor, http_connection
 from vaoi_station.api.listener.certificate import CertificateFiles
@@ -46,6 +51,20 @@ def test_it_serves_at_its_address_until_it_is_stopped(server: WebServer, ended: 
     server.stop()
     assert ended.wait(20)
     server.check()
+
+
+def test_the_first_request_finds_all_routes_prepared(monkeypatch: pytest.MonkeyPatch) -> None:
+    """FastAPI prepares included routes when they are first needed, which takes a quarter second for all of them."""
+    made, create = list[object](), TypeAdapter.__init__
+
+    def counted(adapter: TypeAdapter[object], kind: Any, **options: Any) -> None:
+        made.append(kind)
+        create(adapter, kind, **options)
+
+    with TestClient(create_app(HeldStation(), ["testserver"])) as client:
+        monkeypatch.setattr(TypeAdapter, "__init__", counted)
+        assert client.get("/healthz").status_code == 200
+    assert made == []
 
 
 # uvicorn ends its thread with SystemExit when the application does not start.
@@ -150,6 +169,7 @@ def _trusts(context: ssl.SSLContext, address: str) -> bool:
 LEFT = """
 import os, threading, time
 from fastapi import FastAPI
+from fastapi.testclient import TestClient
 import httpx2
 from vaoi_station.api import web_server
 from vaoi_station.api.web_server import WebServer, open_listener

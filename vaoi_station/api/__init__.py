@@ -76,7 +76,8 @@ def create_app(
     previews = Previews()
 
     @asynccontextmanager
-    async def lifespan(_: FastAPI) -> AsyncIterator[None]:
+    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        _prepare_routes(app)
         async with services.hub.listening():
             try:
                 yield
@@ -120,6 +121,12 @@ def create_app(
     # Added last, so that it is the outermost layer and sees each request first.
     app.add_middleware(RequestGuard, names=allowed_names(names), access=access)
     return app
+
+
+def _prepare_routes(app: FastAPI) -> None:
+    """Let FastAPI prepare all routes of included routers, which else delays the first request by a quarter second."""
+    for route in app.router.routes:
+        route.matches({"type": "http", "method": "GET", "path": "", "root_path": ""})
 
 
 def _add_health(app: FastAPI, services: Services) -> None:
