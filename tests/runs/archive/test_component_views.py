@@ -125,6 +125,10 @@ def test_neighbours_are_chosen_together_as_they_are_alone(rig: Any, monkeypatch:
             assert [c.view.matrix.tolist() for c in together] == [c.view.matrix.tolist() for c in single]
         if wanted == ImageRequest():
             assert [n for n in calls if n > 1] == [8, 8, 4]
+            calls.clear()
+            for ref in ("R13", "R2", "R10", "R7"):
+                component_views.images_of_component(finished, ref, wanted, unmeasured)
+            assert calls == [1, 1, 1, 1], "a caller that reads in another order gets each one alone"
 
 
 @pytest.mark.parametrize(

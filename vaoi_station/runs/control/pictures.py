@@ -38,8 +38,8 @@ from vaoi_station.runs.states.schemas import ImageFormat, RunDetail
 from vaoi_station.runs.states.tables import FINISHED
 from vaoi_station.runs.workers.jobs import Priority, RenderJob
 
-SMALL_PX = 200_000
-"""Largest number of pixels of a small picture: rendered and encoded, it takes no longer than a link."""
+SMALL_PX = 400_000
+"""Largest number of pixels of a small picture: rendered and encoded, it takes no longer than two links."""
 
 
 class ViewRequest(NamedTuple):
