@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vaoi_station.benchmarks.station.process_usage import CpuMeter, cpu_s, private_memory_bytes
+from vaoi_station.benchmarks.station.process_usage import CpuMeter, ThreadMeter, cpu_s, private_memory_bytes
 
 TICK_S = 1 / os.sysconf("SC_CLK_TCK")
 MIB = 2**20
@@ -51,6 +51,31 @@ def test_meter_counts_from_its_creation_and_with_all_threads() -> None:
     used = meter.read()
     assert used.keys() == {"me", "parent"}
     assert 0.08 - 2 * TICK_S <= used["me"] < 1
+
+
+def test_threads_are_measured_by_name_from_the_creation_of_their_meter() -> None:
+    go_on, burnt, end = threading.Event(), threading.Event(), threading.Event()
+
+    def work() -> None:
+        burn(0.05)
+        burnt.set()
+        assert go_on.wait(60)
+        burn(0.05)
+        burnt.set()
+        assert end.wait(60)
+
+    threads = [threading.Thread(target=work, name="measured"), threading.Thread(target=end.wait, name="other")]
+    for thread in threads:
+        thread.start()
+    assert burnt.wait(60)
+    burnt.clear()
+    meter = ThreadMeter(["measured"])
+    go_on.set()
+    assert burnt.wait(60)
+    assert 0.04 < meter.read() < 0.09
+    end.set()
+    for thread in threads:
+        thread.join()
 
 
 def test_unknown_process_has_no_figures() -> None:

@@ -34,6 +34,7 @@ def test_callers_fetch_all_pictures_again_and_again() -> None:
             assert Pictures.fetched.acquire(timeout=60)
     assert len(fetched) > 3
     assert all(f.ms > 0 for f in fetched)
+    assert {f.path for f in fetched} <= {"/a", "/b", "/c"}
 
 
 def test_a_busy_station_is_asked_again_after_its_pause() -> None:

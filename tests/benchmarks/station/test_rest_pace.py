@@ -14,18 +14,18 @@ from vaoi_station.benchmarks.station.rest_pace import (
     RestFigures,
     measure_rest,
     picture_paths,
-    picture_times,
+    reply_times,
 )
 from vaoi_station.runs.states.schemas import ComponentSummary
 
 
 def test_percentiles_are_measured_values() -> None:
-    times = picture_times([*range(1, 201), 1000])
+    times = reply_times([*range(1, 201), 1000])
     assert (times.count, times.p50_ms, times.p99_ms, times.max_ms) == (201, 101, 199, 1000)
 
 
-def test_no_picture_has_no_time() -> None:
-    assert math.isnan(picture_times([]).p99_ms)
+def test_no_reply_has_no_time() -> None:
+    assert math.isnan(reply_times([]).p99_ms)
 
 
 def test_every_seen_component_has_a_picture_and_the_largest_ones_have_large_pictures(small_run: PrerenderedRun) -> None:
@@ -56,7 +56,9 @@ def figures(small_run: PrerenderedRun, tmp_path_factory: pytest.TempPathFactory)
 def test_pictures_are_fetched_while_boards_are_filmed_and_while_not(figures: RestFigures) -> None:
     assert figures.picture.count > 0
     assert figures.idle.count > 0
-    assert "(goal 4 ms, 15 ms)" in figures.lines()[1]
+    assert "(goal 4 ms, 15 ms)" in figures.lines()[2]
+    assert figures.trivial.count > 0
+    assert 0 < figures.idle_trivial.cpu_ms < figures.idle.cpu_ms
     assert 0 < figures.picture.p50_ms <= figures.picture.p99_ms <= figures.picture.max_ms
     assert all(0 < ms < math.inf for ms in figures.ready_ms.values())
     assert len(figures.ready_ms) == 3
@@ -72,5 +74,5 @@ def test_all_pictures_of_a_run_are_read_four_times(figures: RestFigures) -> None
 def test_figures_fit_into_json_and_lines(figures: RestFigures) -> None:
     json.dumps(figures.document(), allow_nan=False)
     assert [line.split()[0] for line in figures.lines()] == [
-        "pictures", "pictures", "large", *["matrices"] * 3, *["batch"] * 4, "load",
+        "pictures", "trivial", "pictures", "trivial", "large", *["matrices"] * 3, *["batch"] * 4, "load",
     ]  # fmt: skip

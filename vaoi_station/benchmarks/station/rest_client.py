@@ -25,8 +25,9 @@ _READ = 1 << 20
 
 
 class Fetched(NamedTuple):
-    """One picture that a caller received."""
+    """One reply that a caller received, such as a picture."""
 
+    path: str
     sent_s: float
     """Time of the request by time.monotonic(), which all processes share."""
     ms: float
@@ -66,7 +67,7 @@ def callers(port: int, paths: Sequence[str], count: int) -> Iterator[list[Fetche
         yield found
     finally:
         stop.set()
-        reply: str | list[tuple[float, float]] = "its process ended without a report."
+        reply: str | list[tuple[str, float, float]] = "its process ended without a report."
         with contextlib.suppress(EOFError):
             # Each thread ends with its reply, which takes at most the limit of a connection.
             if here.poll(2 * REPLY_LIMIT_S):
@@ -86,7 +87,7 @@ def read_batch(port: int, path: str) -> ReadBatch:
 
 
 def _fetch(port: int, paths: Sequence[str], count: int, stop: Event, reply: Connection[Any, Any]) -> None:
-    found, refused = list[tuple[float, float]](), list[str]()
+    found, refused = list[tuple[str, float, float]](), list[str]()
 
     def call(first: int) -> None:
         connection = HTTPConnection("127.0.0.1", port, timeout=REPLY_LIMIT_S)
@@ -100,7 +101,7 @@ def _fetch(port: int, paths: Sequence[str], count: int, stop: Event, reply: Conn
                 refused.append(f"{path}: {error!r}")
                 break
             if status == HTTPStatus.OK:
-                found.append((began_s, (time.monotonic() - began_s) * 1e3))
+                found.append((path, began_s, (time.monotonic() - began_s) * 1e3))
             elif status != HTTPStatus.SERVICE_UNAVAILABLE or not stop.is_set():
                 refused.append(f"{path}: {content[:200]!r}")
         connection.close()

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 import os
+import random
 import statistics
 import threading
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -20,8 +21,8 @@ from vaoi_station.api.web_server import WebServer, open_listener
 from vaoi_station.benchmarks.figure_formats import json_document
 from vaoi_station.benchmarks.station.frame_sender import run_frame_sender
 from vaoi_station.benchmarks.station.prerendered_run import PrerenderedRun
-from vaoi_station.benchmarks.station.process_usage import private_memory_bytes
-from vaoi_station.benchmarks.station.rest_client import ReadBatch, callers, read_batch
+from vaoi_station.benchmarks.station.process_usage import ThreadMeter, private_memory_bytes
+from vaoi_station.benchmarks.station.rest_client import Fetched, ReadBatch, callers, read_batch
 from vaoi_station.benchmarks.station.sender_devices import Playback, acquisition_launcher
 from vaoi_station.benchmarks.station.station_pace import PAUSE_S, READY_S, RUN_LIMIT_S, pace_config, wait_until_ready
 from vaoi_station.errors import StateError
@@ -33,8 +34,13 @@ from vaoi_station.station import Station
 LARGE_CALLERS, LARGE_PX_PER_MM = 8, 277
 """Callers of large pictures, and their resolution."""
 _LARGEST_PX = 16_000_000
-IDLE_S = 3.0
-"""Time for which pictures are fetched while nothing is filmed."""
+IDLE_S, TRIVIAL_S = 3.0, 1.0
+"""Times for which pictures and trivial replies are fetched while nothing is filmed."""
+TRIVIAL = "/healthz"
+"""Address whose reply is trivial: what a picture takes longer is its own cost, not that of the connection."""
+_PICTURES_PER_TRIVIAL = 3
+_SERVING = ("api", "AnyIO worker thread")
+"""Names of the threads of the station's process that serve requests."""
 PICTURE_GOALS_MS = 4, 15
 """Goals of a single picture while a board is filmed: median and 99th percentile."""
 FIRST_BYTE_GOAL_MS, BATCH_GOAL_S = 50, 3
@@ -44,13 +50,15 @@ _HOLDER = "vaoi bench"
 
 
 @dataclass(frozen=True)
-class PictureTimes:
-    """Times from the request of a picture to its last byte."""
+class ReplyTimes:
+    """Times from requests to the last bytes of their replies."""
 
     count: int
     p50_ms: float
     p99_ms: float
     max_ms: float
+    cpu_ms: float = math.nan
+    """CPU time of the threads that serve requests, for each reply; NaN if it was not measured."""
 
 
 @dataclass(frozen=True)
@@ -71,11 +79,15 @@ class RestFigures:
     """What callers of the REST interface wait, and what they cost the next board. Times are wall time."""
 
     components: int
-    idle: PictureTimes
+    idle: ReplyTimes
     """Single pictures of components, one after another over one connection, while nothing is filmed."""
-    picture: PictureTimes
-    """The same of the board before, while a board is filmed."""
-    large: PictureTimes
+    idle_trivial: ReplyTimes
+    """Trivial replies in the same way."""
+    picture: ReplyTimes
+    """Single pictures of the board before, while a board is filmed."""
+    trivial: ReplyTimes
+    """Trivial replies among these pictures."""
+    large: ReplyTimes
     """Large pictures of `LARGE_CALLERS` callers, while a board is filmed."""
     ready_ms: dict[str, float]
     """Time from the last frame to the matrices: of a board alone, one with a caller of pictures, one with callers of
@@ -94,10 +106,12 @@ class RestFigures:
         """Return the figures as lines of text, with their goals."""
         p50, p99 = PICTURE_GOALS_MS
         shown = [
-            f"{name} p50 {t.p50_ms:.1f} ms, p99 {t.p99_ms:.1f} ms, max {t.max_ms:.1f} ms of {t.count}{goal}"
-            for name, t, goal in (
-                ("pictures while nothing is filmed", self.idle, ""),
+            f"{name} p50 {t.p50_ms:.1f} ms, p99 {t.p99_ms:.1f} ms, max {t.max_ms:.1f} ms of {t.count}{more}"
+            for name, t, more in (
+                ("pictures while nothing is filmed", self.idle, f", {self.idle.cpu_ms:.2f} ms of CPU time each"),
+                ("trivial replies                 ", self.idle_trivial, f", {self.idle_trivial.cpu_ms:.2f} ms each"),
                 ("pictures while a board is filmed", self.picture, f" (goal {p50} ms, {p99} ms)"),
+                ("trivial replies meanwhile       ", self.trivial, ""),
                 ("large pictures meanwhile        ", self.large, ""),
             )
         ]
@@ -151,14 +165,17 @@ def _measured(
     coordinator.hold(first.id, _HOLDER, "measures callers")
     base = f"/api/v1/runs/{first.id}"
     pictures, crops = picture_paths(base, coordinator.components(first.id), run.board_type)
+    # Board types list their large parts first: in their order, the pictures that are fetched in a few seconds would be
+    # many times as large as those of the whole board.
+    random.Random(0).shuffle(pictures)
     report(f"A caller fetches some of {len(pictures)} pictures one by one, while nothing is filmed.")
-    with callers(port, pictures, 1) as fetched:
-        threading.Event().wait(IDLE_S)
-    idle = picture_times([f.ms for f in fetched])
+    idle, idle_trivial = _while_idle(port, pictures, IDLE_S), _while_idle(port, [TRIVIAL], TRIVIAL_S)
     report("A board passes while a caller fetches these pictures.")
-    second, single = _with_callers(coordinator, first, port, pictures, 1)
+    second, fetched = _with_callers(coordinator, first, port, _with_trivial(pictures), 1)
+    single = reply_times([f.ms for f in fetched if f.path != TRIVIAL])
+    trivial = reply_times([f.ms for f in fetched if f.path == TRIVIAL])
     report(f"A board passes while {LARGE_CALLERS} callers fetch pictures of {LARGE_PX_PER_MM} px/mm.")
-    third, several = _with_callers(coordinator, second, port, crops, LARGE_CALLERS)
+    third, large = _with_callers(coordinator, second, port, crops, LARGE_CALLERS)
     pids = {"station": os.getpid()} | {p.name: p.pid for p in coordinator.snapshot().processes if p.pid is not None}
     before = _memory_mb(pids)
     batches = []
@@ -169,8 +186,10 @@ def _measured(
     return RestFigures(
         components=len(parts),
         idle=idle,
+        idle_trivial=idle_trivial,
         picture=single,
-        large=several,
+        trivial=trivial,
+        large=reply_times([f.ms for f in large]),
         ready_ms={
             "alone": _ready_ms(first),
             "with pictures": _ready_ms(second),
@@ -204,10 +223,25 @@ def picture_paths(
     )
 
 
+def _with_trivial(pictures: Sequence[str]) -> list[str]:
+    """Return addresses of pictures with that of a trivial reply after every few of them."""
+    groups = (pictures[n : n + _PICTURES_PER_TRIVIAL] for n in range(0, len(pictures), _PICTURES_PER_TRIVIAL))
+    return [path for group in groups for path in (*group, TRIVIAL)]
+
+
+def _while_idle(port: int, paths: Sequence[str], duration_s: float) -> ReplyTimes:
+    """Let one caller fetch from addresses for some time; return the times, with the CPU time of each reply."""
+    with callers(port, paths, 1) as fetched:
+        meter = ThreadMeter(_SERVING)
+        threading.Event().wait(duration_s)
+    cpu_ms = round(meter.read() * 1e3 / len(fetched), 3) if fetched else math.nan
+    return replace(reply_times([f.ms for f in fetched]), cpu_ms=cpu_ms)
+
+
 def _with_callers(
     coordinator: StationCoordinator, before: RunDetail, port: int, paths: Sequence[str], count: int
-) -> tuple[RunDetail, PictureTimes]:
-    """Let callers fetch pictures while the next board passes; return its run, and their times while it was filmed."""
+) -> tuple[RunDetail, list[Fetched]]:
+    """Let callers fetch pictures while the next board passes; return its run, and what came while it was filmed."""
     with callers(port, paths, count) as fetched:
         # Armed only now: the process of the callers may take longer to load than a board takes to pass.
         coordinator.arm(before.board_type, runs=1)
@@ -215,17 +249,17 @@ def _with_callers(
     utc_of_host_s = time.time() - time.monotonic()
     began_s = datetime.fromisoformat(found.started).timestamp() - utc_of_host_s
     ended_s = began_s + coordinator.timeline(found.id).last_frame_s
-    return found, picture_times([f.ms for f in fetched if began_s <= f.sent_s <= ended_s])
+    return found, [f for f in fetched if began_s <= f.sent_s <= ended_s]
 
 
-def picture_times(times_ms: Sequence[float]) -> PictureTimes:
+def reply_times(times_ms: Sequence[float]) -> ReplyTimes:
     """Return the percentiles of times; NaN if there is none."""
     if not times_ms:
-        return PictureTimes(0, math.nan, math.nan, math.nan)
+        return ReplyTimes(0, math.nan, math.nan, math.nan)
     ordered = sorted(times_ms)
     # The nearest rank, a measured value and not one interpolated between two pictures.
     p99 = ordered[math.ceil(0.99 * (len(ordered) - 1))]
-    return PictureTimes(len(ordered), *(round(ms, 2) for ms in (statistics.median(ordered), p99, ordered[-1])))
+    return ReplyTimes(len(ordered), *(round(ms, 2) for ms in (statistics.median(ordered), p99, ordered[-1])))
 
 
 def _next_run(coordinator: StationCoordinator, after: str | None) -> RunDetail:
