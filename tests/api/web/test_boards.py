@@ -206,6 +206,7 @@ def test_the_station_filters_the_list_and_a_file_has_it(page: Page, served: Any,
     text = (tmp_path / "boards.csv").read_text(encoding="utf-8-sig")
     assert text.splitlines()[0].startswith('"started","board_id"')
     assert all(f'"{value}"' in text.splitlines()[2] for value in FIGURES.values())
+    assert '"rows-lost"' in text.splitlines()[1]
     page.goto(f"{served.url}/#/board/{first}?tab=report")
     expect(page.locator("#facts")).to_contain_text("Residual of the links0.061 px")
     expect(page.locator("#facts")).to_contain_text("Seams between cameras0-1: 0.200 px, 1-2: 0.310 px")
@@ -232,12 +233,33 @@ def test_the_station_filters_the_list_and_a_file_has_it(page: Page, served: Any,
     page.get_by_label("Verdict").select_option("failed")
     page.get_by_role("button", name="Show").click()
     expect(page.locator("#list tbody tr")).to_have_count(1)
-    expect(page.locator("#list tbody td.reasons")).to_have_text("rows-lost")
+    expect(page.locator("#list tbody td.reasons")).to_have_text(
+        "Between two parts of the run there is no usable frame."
+    )
+    expect(page.locator("#list tbody td.reasons p")).to_have_attribute("title", "rows-lost")
     page.reload()
     expect(page.get_by_label("Verdict")).to_have_value("failed")
     page.get_by_label("Board id").fill("SN-99")
     page.get_by_role("button", name="Show").click()
     expect(page.locator("#list-answer")).to_have_text("No boards match.")
+
+
+def test_reasons_are_chosen_and_shown_in_the_language_of_the_page(page: Page, served: Any) -> None:
+    fail(served.station, "SN-1")
+    newer = Reason(code="newer-code", message="A newer station says so.")
+    served.station.finish(served.station.film(finish=False, board_id="SN-2"), Status.DEGRADED, (newer,))
+    page.goto(f"{served.url}/#/boards?reason=newer-code")
+    expect(page.locator("#list td.reasons")).to_have_text("newer-code")
+    page.get_by_role("button", name="Deutsch").click()
+    shown = page.get_by_label("Grund").locator("option:checked")
+    expect(shown).to_have_text("newer-code")
+    page.get_by_label("Grund").select_option("Zwischen zwei Teilen des Laufs fehlen brauchbare Einzelbilder.")
+    expect(shown).to_have_attribute("title", "rows-lost")
+    page.get_by_role("button", name="Zeigen").click()
+    expect(page.locator("#list td.reasons")).to_have_text(
+        "Zwischen zwei Teilen des Laufs fehlen brauchbare Einzelbilder."
+    )
+    assert page.url.endswith("?reason=rows-lost")
 
 
 def test_a_search_goes_on_until_a_board_is_found_and_a_cut_file_says_so(

@@ -15,7 +15,7 @@ export function showReport(root, run, { parts, overlay }) {
 }
 
 // By its cause, or its code.
-const translatedReason = ({ cause, code }) => texts.translated.reasons[cause] ?? texts.translated.reasons[code];
+const translatedReason = ({ cause, code }) => texts.reasons[cause] ?? texts.reasons[code];
 
 // The largest residual of the proof in µs; "" if no frame has one.
 function within(proof) {

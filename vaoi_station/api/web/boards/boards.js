@@ -4,7 +4,7 @@ import { make, saidOf, setText } from "../parts/elements.js";
 import { readId } from "../parts/identity.js";
 import * as rest from "../parts/rest.js";
 import { draw } from "../parts/signs.js";
-import { moment, number, texts } from "../texts/texts.js";
+import { language, moment, number, texts } from "../texts/texts.js";
 
 const PAGE_RUNS = 100;
 const MOST_SAVED = 5000; // boards in one file
@@ -19,7 +19,7 @@ const PART = `
   <label><span data-text="boardType"></span><select name="board_type"></select></label>
   <label><span data-text="verdict"></span><select name="verdict"></select></label>
   <label><span data-text="boardId"></span><input name="board_id" maxlength="200" spellcheck="false"></label>
-  <label><span data-text="reasonCode"></span><input name="reason" maxlength="80" spellcheck="false"></label>
+  <label><span data-text="reason"></span><select name="reason"></select></label>
   <button data-text="show"></button>
   <button type="button" id="save" data-text="csv"></button>
 </form>
@@ -44,12 +44,14 @@ function worstSeam({ figures }) {
   return seams.length ? number(Math.max(...seams.map(([, px]) => px)), 3) : "";
 }
 
-// What each column shows of a run, as text; the file has the same.
+const codesOf = (run) => [...new Set(run.reasons.map((reason) => reason.cause || reason.code))];
+
+// What each column shows of a run, as text. The file has the same: of reasons the codes, which no language and no version changes.
 const COLUMNS = {
   started: (run) => moment(run.started),
   board_id: (run) => run.board_id ?? "",
   verdict: (run) => texts.verdicts[run.verdict ?? (run.finished ? "failed" : "none")],
-  reasons: (run) => [...new Set(run.reasons.map((reason) => reason.cause || reason.code))].join(", "),
+  reasons: (run) => codesOf(run).join(", "),
   frames: (run) => texts.framesOf(run.counts.ok, run.rows * run.cameras),
   unseen_parts: figure("unseen_parts", 0),
   sigma_px: figure("sigma_px", 3),
@@ -61,6 +63,11 @@ const COLUMNS = {
   read_id: (run) => readId(run.identity),
   decision: (run) => (run.decision ? `${texts.decided[run.decision.choice](run.decision.name)}: ${run.decision.reason}` : ""),
 };
+
+// Reasons in words; the code of each is beside it.
+const reasonsOf = (run) => codesOf(run).map((code) => make("p", { textContent: texts.reasons[code] ?? code, title: code }));
+
+const option = (value, textContent = value, title = "") => make("option", { value, textContent, title });
 
 // The small picture that is kept of a board; a run without one has none.
 function thumbnail(run) {
@@ -80,9 +87,11 @@ export class BoardsView {
     this.root = make("div", { className: "boards" });
     this.root.innerHTML = PART;
     const verdicts = { "": texts.any, ok: texts.verdicts.ok, degraded: texts.verdicts.degraded, failed: texts.verdicts.failed, none: texts.noVerdict };
-    this.#field("verdict").append(...Object.entries(verdicts).map(([value, textContent]) => make("option", { value, textContent })));
-    this.#field("board_type").append(make("option", { value: "", textContent: texts.any }));
-    this.#span().append(...Object.entries(texts.spans).map(([value, textContent]) => make("option", { value, textContent })));
+    this.#field("verdict").append(...Object.entries(verdicts).map(([value, text]) => option(value, text)));
+    this.#field("board_type").append(option("", texts.any));
+    const reasons = Object.entries(texts.reasons).sort(([, a], [, b]) => a.localeCompare(b, language));
+    this.#field("reason").append(option("", texts.any), ...reasons.map(([code, text]) => option(code, text, code)));
+    this.#span().append(...Object.entries(texts.spans).map(([value, text]) => option(value, text)));
     this.#span().addEventListener("change", () => this.#fillSpan());
     for (const name of ["since", "until"]) this.#field(name).addEventListener("input", () => (this.#span().value = "other"));
     const heads = Object.keys(COLUMNS).map((name) => make("th", { scope: "col", className: name, textContent: texts.columns[name], title: texts.trends.figures[name] ?? "" }));
@@ -130,8 +139,9 @@ export class BoardsView {
 
   async open() {
     const chosen = this.#query.get("board_type");
-    const option = (name) => make("option", { value: name, textContent: name });
     if (chosen) this.#field("board_type").append(option(chosen));
+    const reason = this.#query.get("reason"); // a link may have the code of another version of the station
+    if (reason && !(reason in texts.reasons)) this.#field("reason").append(option(reason));
     for (const name of FILTERS) {
       const value = this.#query.get(name) ?? "";
       this.#field(name).value = value && (name === "since" || name === "until") ? local(value) : value;
@@ -141,7 +151,7 @@ export class BoardsView {
     this.#span().value = Object.keys(SPANS).find((name) => stated(SPANS[name][0]) === since && stated(SPANS[name][1]) === until) ?? "other";
     // Only then the types are asked for: what a person chooses meanwhile stays.
     const types = await rest.boardTypes().catch(() => []);
-    this.#field("board_type").append(...types.map((type) => type.name).filter((name) => name !== chosen).map(option));
+    this.#field("board_type").append(...types.map((type) => type.name).filter((name) => name !== chosen).map((name) => option(name)));
     await this.#load();
   }
 
@@ -184,8 +194,9 @@ export class BoardsView {
   #row(run) {
     const verdict = run.verdict ?? (run.finished ? "failed" : "none");
     const cells = Object.entries(COLUMNS).map(([name, text]) => {
-      const cell = make("td", { className: name, textContent: name === "started" ? "" : text(run) });
+      const cell = make("td", { className: name, textContent: ["started", "reasons"].includes(name) ? "" : text(run) });
       if (name === "started") cell.append(make("a", { href: `#/board/${encodeURIComponent(run.id)}`, textContent: text(run) }));
+      if (name === "reasons") cell.append(...reasonsOf(run));
       if (name === "verdict") cell.prepend(sign(verdict));
       return cell;
     });

@@ -5,6 +5,7 @@ import { lights } from "./lights_de.js";
 import { optics } from "./setup/optics_de.js";
 import { settings } from "./setup/settings_de.js";
 import { setup } from "./setup_de.js";
+import { reasons } from "./station/reasons_de.js";
 import { translated } from "./translated_de.js";
 import { trends } from "./trends_de.js";
 
@@ -13,6 +14,7 @@ export const texts = {
   cameras,
   lights,
   optics,
+  reasons,
   settings,
   setup,
   translated,
@@ -172,7 +174,6 @@ export const texts = {
   verdict: "Urteil",
   any: "alle",
   noVerdict: "ohne Ergebnis",
-  reasonCode: "Grund (Code)",
   show: "Zeigen",
   more: "Weitere",
   csv: "Als CSV sichern",

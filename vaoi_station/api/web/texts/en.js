@@ -5,6 +5,7 @@ import { lights } from "./lights_en.js";
 import { optics } from "./setup/optics_en.js";
 import { settings } from "./setup/settings_en.js";
 import { setup } from "./setup_en.js";
+import { reasons } from "./station/reasons_en.js";
 import { trends } from "./trends_en.js";
 
 export const texts = {
@@ -12,10 +13,11 @@ export const texts = {
   cameras,
   lights,
   optics,
+  reasons,
   settings,
   setup,
   trends,
-  translated: { refused: "", reasons: {}, refusals: {} }, // what the station says is English
+  translated: { refused: "", refusals: {} }, // what the station says is English
   // frame of all pages
   line: "Line",
   boards: "Boards",
@@ -180,7 +182,6 @@ export const texts = {
   verdict: "Verdict",
   any: "any",
   noVerdict: "without a result",
-  reasonCode: "Reason (code)",
   show: "Show",
   more: "More",
   csv: "Save as CSV",
