@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from vaoi_station.api.problems import KINDS
+from vaoi_station.doctor.runner import MACHINE_CHECKS, STATION_CHECKS
 from vaoi_station.model import ReasonCode
 
 CODES = Path(__file__).parents[2] / "docs" / "codes.md"
@@ -108,3 +109,16 @@ def test_german_pages_translate_only_known_refusals(client: Any) -> None:
     )
     assert found
     assert set(re.findall(r'^    "?([a-z-]+)"?: "', found[1], re.MULTILINE)) <= codes_of("Refusals of requests")
+
+
+def test_german_pages_translate_every_finding_of_the_doctor(client: Any) -> None:
+    sections = ("Reasons, warnings and events of the station", "Devices and files", "Findings of `vaoi doctor`")
+    texts = [client.get(f"/web/texts/station/{name}_de.js").text for name in ("warnings", "findings")]
+    assert {code for text in texts for code in re.findall(r'^  "?([a-z0-9-]+)"?: \[', text, re.MULTILINE)} == codes_of(
+        *sections
+    )
+    translated = client.get("/web/texts/translated_de.js").text
+    checks = re.search(r"^  checks: {\n(.*?)^  },", translated, re.MULTILINE | re.DOTALL)
+    assert checks
+    named = {name for name, _ in (*MACHINE_CHECKS, *STATION_CHECKS)} | {"configuration", "others"}
+    assert {a or b for a, b in re.findall(r'(?:"([^"]+)"|\b(\w+)): "', checks[1])} == named

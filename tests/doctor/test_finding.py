@@ -22,8 +22,8 @@ def report(*findings: Finding) -> Report:
         ((), Level.OK, 0),
         ((not_applicable("none"),), Level.NOT_APPLICABLE, 0),
         ((ok("fine"), not_applicable("none")), Level.OK, 0),
-        ((ok("fine"), warning("slow", "hurry")), Level.WARNING, 1),
-        ((fault("broken", "repair"), warning("slow", "hurry"), ok("fine")), Level.FAULT, 2),
+        ((ok("fine"), warning("slow", "hurry", code="slow")), Level.WARNING, 1),
+        ((fault("broken", "repair", code="broken"), warning("slow", "hurry", code="slow"), ok("fine")), Level.FAULT, 2),
     ],
 )
 def test_the_worst_level_decides_the_exit_code(findings: tuple[Finding, ...], worst: Level, code: int) -> None:
@@ -41,10 +41,10 @@ def test_counts_add_up_and_no_finding_is_below_the_exit_code(levels: list[Level]
 
 
 def test_the_document_is_json_with_the_values_of_the_findings() -> None:
-    made = report(fault("broken", "repair", subject="left", figures={"limit_px": 1.5}))
+    made = report(fault("broken", "repair", code="broken", subject="left", figures={"limit_px": 1.5}))
     document = json.loads(json.dumps(made.document()))
     assert document["findings"] == [
-        {"check": "", "subject": "left", "level": "fault", "message": "broken", "action": "repair",
+        {"check": "", "subject": "left", "level": "fault", "code": "broken", "message": "broken", "action": "repair",
          "figures": {"limit_px": 1.5}},
     ]  # fmt: skip
     assert (document["format"], document["version"], document["running"]) == ("vaoi-doctor", 1, None)

@@ -23,7 +23,7 @@ KEYS = (
     "format", "version", "created", "host", "vaoi_station", "station", "config", "running", "worst", "counts",
     "findings",
 )  # fmt: skip
-FINDING_KEYS = ("check", "subject", "level", "message", "action", "figures")
+FINDING_KEYS = ("check", "subject", "level", "code", "message", "action", "figures")
 """Keys that programs rely on: keys may be added, never removed."""
 
 

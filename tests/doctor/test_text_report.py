@@ -16,8 +16,8 @@ def report(station: str, *findings: Finding) -> Report:
 def test_lines_actions_and_summary() -> None:
     findings = (
         replace(ok("fine"), check="disk"),
-        replace(fault("is absent", "Check it.", subject="left"), check="cameras"),
-        replace(warning("slow", "Hurry."), check="disk"),
+        replace(fault("is absent", "Check it.", code="x", subject="left"), check="cameras"),
+        replace(warning("slow", "Hurry.", code="y"), check="disk"),
         replace(not_applicable("none"), check="usb"),
     )
     assert as_text(report("s", *findings)).splitlines() == [

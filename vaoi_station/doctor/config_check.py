@@ -42,9 +42,14 @@ def check_config(path: Path, machine: Machine | None = None) -> list[Finding]:
     try:
         data = read_toml(path)
     except VaoiError as error:
-        return [replace(fault(error.message, error.action or REMEDY), check="configuration")]
+        return [
+            replace(fault(error.message, error.action or REMEDY, code="configuration-wrong"), check="configuration")
+        ]
     faults, valid = examine(data)
-    findings = [replace(fault(f"{path}: {found}.", REMEDY), check="configuration") for found in faults]
+    findings = [
+        replace(fault(f"{path}: {found}.", REMEDY, code="configuration-wrong"), check="configuration")
+        for found in faults
+    ]
     config = StationConfig.model_construct(None, **valid)
     config = config.model_copy(update=absolute_paths(config, path.resolve().parent))
     running = running_station.find(config) if valid.keys() >= ALL_KEYS else None

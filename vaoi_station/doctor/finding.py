@@ -9,7 +9,7 @@ from typing import Any
 
 FORMAT, VERSION = "vaoi-doctor", 1
 Figures = Mapping[str, float | int | str | bool | None]
-"""Measured values for programs, with units in the names."""
+"""Values for programs: measured ones with units in the names, and files or names that the message states."""
 
 
 class Level(StrEnum):
@@ -37,6 +37,8 @@ class Finding:
     """The camera, file or port that the finding concerns, for checks that examine several; otherwise empty."""
     figures: Figures = field(default_factory=dict)
     check: str = ""
+    code: str = ""
+    """What is wrong, for programs and translations (docs/codes.md); empty without a problem."""
 
 
 def ok(message: str, *, subject: str = "", figures: Figures | None = None) -> Finding:
@@ -44,14 +46,14 @@ def ok(message: str, *, subject: str = "", figures: Figures | None = None) -> Fi
     return Finding(Level.OK, message, subject=subject, figures=figures or {})
 
 
-def warning(message: str, action: str, *, subject: str = "", figures: Figures | None = None) -> Finding:
+def warning(message: str, action: str, *, code: str, subject: str = "", figures: Figures | None = None) -> Finding:
     """Make a finding of a problem with which the station can still film."""
-    return Finding(Level.WARNING, message, action, subject, figures or {})
+    return Finding(Level.WARNING, message, action, subject, figures or {}, code=code)
 
 
-def fault(message: str, action: str, *, subject: str = "", figures: Figures | None = None) -> Finding:
+def fault(message: str, action: str, *, code: str, subject: str = "", figures: Figures | None = None) -> Finding:
     """Make a finding of a problem because of which the station cannot film."""
-    return Finding(Level.FAULT, message, action, subject, figures or {})
+    return Finding(Level.FAULT, message, action, subject, figures or {}, code=code)
 
 
 def not_applicable(message: str) -> Finding:
@@ -107,6 +109,7 @@ class Report:
                     "check": f.check,
                     "subject": f.subject,
                     "level": str(f.level),
+                    "code": f.code,
                     "message": f.message,
                     "action": f.action,
                     "figures": dict(f.figures),

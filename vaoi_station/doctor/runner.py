@@ -90,7 +90,11 @@ def _run_check(name: str, check: Callable[[T], Iterable[Finding]], subject: T) -
         return [replace(finding, check=name) for finding in check(subject)]
     except Exception as error:  # noqa: BLE001  (one broken check must not hide what the others find)
         message = f"the check itself failed: {type(error).__name__}: {error}"
-        return [replace(fault(message, "Report this with the output of vaoi doctor --json."), check=name)]
+        return [
+            replace(
+                fault(message, "Report this with the output of vaoi doctor --json.", code="check-failed"), check=name
+            )
+        ]
 
 
 def _read_configuration(path: Path) -> tuple[StationConfig | None, list[Finding]]:
@@ -99,7 +103,7 @@ def _read_configuration(path: Path) -> tuple[StationConfig | None, list[Finding]
         config = read_config(path)
     except VaoiError as error:
         action = error.action or "Correct the file; docs/configuration.md describes every key."
-        return None, [replace(fault(error.message, action), check="configuration")]
+        return None, [replace(fault(error.message, action, code="configuration-wrong"), check="configuration")]
     backends = sorted({config.controller.backend, *(c.backend for c in config.cameras)})
     message = f"{path}: {len(config.cameras)} cameras, {' and '.join(backends)}"
     return config, [replace(ok(message, figures={"cameras": len(config.cameras)}), check="configuration")]

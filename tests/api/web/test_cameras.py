@@ -14,6 +14,19 @@ from playwright.sync_api import Page, expect
 from tests.api.web.test_views import SIZES, WIDE, examine
 from vaoi_station.api.cameras.examination import Examinations
 from vaoi_station.api.cameras.models import Examination
+from vaoi_station.config import KeepConfig
+from vaoi_station.doctor import Machine, Report
+from vaoi_station.doctor.checks import (
+    camera_library,
+    controller,
+    machine_clocks,
+    memory,
+    network,
+    software,
+    storage,
+    usb,
+)
+from vaoi_station.doctor.finding import fault, warning
 
 pytestmark = pytest.mark.browser
 PICTURES = os.environ.get("VAOI_PICTURES")
@@ -56,6 +69,50 @@ def test_each_camera_has_a_card_that_follows_its_frames(
     expect(cards.nth(2).locator(".camera-remarks")).to_contain_text("12 packets lost. Change the cable.")
     if PICTURES:
         page.screenshot(path=Path(PICTURES) / "page-cameras.png")
+
+
+def found_by_the_doctor() -> Report:
+    """Return findings that the checks themselves made, with most of the values that texts state."""
+    full = os.statvfs_result((4096, 4096, 10**6, 100, 100, 100, 100, 100, 0, 255))
+    findings = (
+        storage.judge_space(full, "/data"),
+        storage.judge_quotas(full, 10**9, KeepConfig(), "/data"),
+        memory.judge_lock(2**20, 2**30),
+        network.judge_buffers(2**16, 2**22),
+        usb.judge_memory(16, 6),
+        machine_clocks.judge_wall_clock(machine_clocks.TIME_ERROR, 0),
+        machine_clocks.judge_monotonic(1e-3, "tsc"),
+        machine_clocks.judge_monotonic(1e-9, "hpet"),
+        camera_library.judge_version((0, 8, 26), "3.42.2", 2),
+        software.judge_cache_of_service(software.ServiceUnit("no-such-user", Path("/cache"))),
+        controller.judge_port(Path("/dev/vaoi-absent"), Machine()),
+        warning("Disk is full.", "Free space.", code="storage-full"),
+        fault("Newer.", "Read on.", code="newer-code"),
+    )
+    return Report("s", "station.toml", "2026-01-01T00:00:00Z", "host", "1.0", None, findings)
+
+
+def test_findings_of_the_doctor_are_in_the_language_of_the_page(
+    page: Page, served: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    report = found_by_the_doctor()
+    monkeypatch.setattr(Examinations, "examine", AsyncMock(return_value=Examination.model_validate(report.document())))
+    page.goto(f"{served.url}/#/cameras")
+    page.evaluate("localStorage.setItem('vaoi-language', 'de')")
+    page.reload()
+    page.get_by_role("button", name="Station untersuchen").click()
+    items = page.locator("#doctor-findings li")
+    expect(items).to_have_count(len(report.findings))
+    first = items.first
+    expect(first).to_contain_text("Auf der Datenplatte sind nur 0,00041 GB frei.")
+    expect(first.locator(".remedy")).to_contain_text("Dateien löschen")
+    first.locator("summary").click()
+    expect(first.locator("[lang=en]")).to_have_text(f"{report.findings[0].message} {report.findings[0].action}")
+    expect(items.last.locator("[lang=en]").first).to_have_text("Newer.")
+    shown = [item.inner_text() for item in items.all()]
+    assert not [text for text in shown if "undefined" in text or "NaN" in text]
+    expect(page.locator("#doctor-findings li > p > [lang=en]")).to_have_count(2)  # of the code that is not known
+    assert examine(page) == []
 
 
 def test_settings_are_tried_while_the_line_is_disarmed(page: Page, served: Any) -> None:

@@ -14,7 +14,8 @@ from vaoi_station.doctor.finding import Finding, Report, fault, ok, warning
 
 
 @pytest.mark.parametrize(
-    ("finding", "code"), [(ok("fine"), 0), (warning("slow", "Hurry."), 1), (fault("broken", "Repair it."), 2)]
+    ("finding", "code"),
+    [(ok("fine"), 0), (warning("slow", "Hurry.", code="x"), 1), (fault("broken", "Repair it.", code="x"), 2)],
 )
 @pytest.mark.parametrize("as_json", [False, True])
 def test_exit_code_and_output(

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from vaoi_station.model import Strict
 
@@ -90,9 +90,23 @@ class ExaminationFinding(Answer):
     subject: str
     """The camera, file or port that it concerns; empty: the station."""
     level: Literal["ok", "warning", "fault", "not-applicable"]
+    code: str = ""
+    """What is wrong; empty without a problem."""
     message: str
     action: str
     """The step that solves the problem; empty without a problem."""
+    figures: dict[str, float] = Field(default_factory=dict)
+    """Measured values, with units in the names."""
+    names: dict[str, str] = Field(default_factory=dict)
+    """Files and other names that the message states, by what they are."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _divided(cls, finding: dict[str, Any]) -> dict[str, Any]:
+        # The doctor has one object for both; clients in typed languages need one type per field.
+        figures = finding.get("figures", {})
+        numbers = {name: value for name, value in figures.items() if isinstance(value, int | float)}
+        return finding | {"figures": numbers, "names": {n: v for n, v in figures.items() if isinstance(v, str)}}
 
 
 class Examination(Answer):

@@ -21,7 +21,7 @@ def aravis(context: CheckContext) -> Iterator[Finding]:
         library.aravis()
         found = library.version()
     except DeviceError as error:
-        yield fault(error.message, error.action)
+        yield fault(error.message, error.action, code=error.code)
         return
     gi = str(sys.modules["gi"].__version__)
     yield judge_version(found, gi, sum(camera.serial is not None for camera in context.real_cameras))
@@ -39,5 +39,6 @@ def judge_version(found: tuple[int, int, int], gi: str, perhaps_usb: int) -> Fin
             f"{message}: unreliable with USB3 cameras; {perhaps_usb} of the cameras may be on USB.",
             "Name GigE cameras by their address; for USB3 use a distribution with Aravis 0.8.30 or later (Debian 13).",
             figures=figures,
+            code="aravis-old",
         )
     return ok(message, figures=figures)

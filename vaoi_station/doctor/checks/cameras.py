@@ -79,11 +79,18 @@ def of_real_cameras(context: CheckContext) -> Iterator[Finding]:
             offered = ask(camera)
         except VaoiError as error:
             message = error.message.removeprefix(f"{camera.label}: ")
-            yield fault(message, f"{error.action} {_search_hint(camera, error)}".strip(), subject=camera.name)
+            yield fault(
+                message, f"{error.action} {_search_hint(camera, error)}".strip(), subject=camera.name, code=error.code
+            )
             continue
         except glib_error() as error:
             action = "Check its cable and power; switch it off and on."
-            yield fault(f"stopped replying during the check: {error}", action, subject=camera.name)
+            yield fault(
+                f"stopped replying during the check: {error}",
+                action,
+                subject=camera.name,
+                code="camera-stopped-replying",
+            )
             continue
         yield from judge_camera(camera, offered)
         serials[offered.serial].append(camera.name)
@@ -92,7 +99,13 @@ def of_real_cameras(context: CheckContext) -> Iterator[Finding]:
     for serial, names in serials.items():
         if len(names) > 1:
             message = f"{', '.join(names)} have the same serial number {serial!r}."
-            yield fault(message, "Correct their addresses in station.toml.", subject=names[0])
+            yield fault(
+                message,
+                "Correct their addresses in station.toml.",
+                subject=names[0],
+                code="camera-ambiguous",
+                figures={"serial": serial},
+            )
     for port, members in ports.items():
         yield judge_port(port, members, context.config.line.shortest_period_s)
 
@@ -165,7 +178,7 @@ def _opened(camera: CameraConfig) -> Iterator[Any]:
 def judge_camera(camera: CameraConfig, offered: Offered) -> Iterator[Finding]:
     """Compare a camera's capabilities with what station.toml requires."""
     wrong = list(_shortcomings(camera, offered))
-    yield from (fault(message, action, subject=camera.name) for message, action in wrong)
+    yield from wrong
     if not wrong:
         named = f"{offered.vendor} {offered.model} {offered.serial}".strip()
         mode = "on" if offered.trigger_mode == "On" else f"{offered.trigger_mode.lower()} now, the station turns it on"
@@ -173,46 +186,63 @@ def judge_camera(camera: CameraConfig, offered: Offered) -> Iterator[Finding]:
         yield ok(f"{named} replies and is free; the trigger is {mode}", subject=camera.name, figures=figures)
 
 
-def _shortcomings(camera: CameraConfig, offered: Offered) -> Iterator[tuple[str, str]]:
-    """Yield message and action for every requirement that the camera does not meet."""
+def _shortcomings(camera: CameraConfig, offered: Offered) -> Iterator[Finding]:
+    """Yield a finding for every requirement that the camera does not meet."""
     line = camera.trigger_line or recipe_for(offered.vendor).line
     if not set(FRAME_TRIGGERS) & set(offered.triggers):
         shown = ", ".join(offered.triggers) or "nothing"
-        yield (
+        yield fault(
             f"offers the triggers {shown} only, but a frame trigger by wire is needed.",
             "Use a camera with a trigger input.",
+            subject=camera.name,
+            code="camera-without-trigger",
         )
     elif line not in offered.sources:
         shown = ", ".join(offered.sources)
-        yield f"has no trigger input {line}; it has {shown}.", 'Set trigger_line = "…" in station.toml to one of these.'
+        yield fault(
+            f"has no trigger input {line}; it has {shown}.",
+            'Set trigger_line = "…" in station.toml to one of these.',
+            subject=camera.name,
+            code="camera-without-input",
+        )
     if camera.pixel_format not in offered.formats:
-        yield (
+        yield fault(
             f"has no pixel format {camera.pixel_format}; it has {', '.join(offered.formats)}.",
             "Set pixel_format in station.toml to one of these.",
+            subject=camera.name,
+            code="camera-without-format",
         )
     low, high = offered.exposure_us
     if not low <= camera.exposure_us <= high:
-        yield (
+        yield fault(
             f"cannot expose for {camera.exposure_us:g} µs; its range is {low:g} … {high:g} µs.",
             "Set exposure_us in station.toml within this range.",
+            subject=camera.name,
+            code="exposure-out-of-range",
         )
     if camera.exposure_by == "trigger-width" and TRIGGER_WIDTH not in offered.exposure_modes:
         has = f"its exposure modes are {', '.join(offered.exposure_modes)}" if offered.exposure_modes else "it has none"
-        yield (
+        yield fault(
             f"cannot expose for the width of the trigger, as exposure_by states: {has}.",
             'Set exposure_by = "auto" or "register" in station.toml.',
+            subject=camera.name,
+            code="camera-without-trigger-width",
         )
     if camera.exposure_by == "sequencer" and offered.without:
-        yield (
+        yield fault(
             f"has no sequencer, as exposure_by states: {', '.join(offered.without)} missing.",
             'Set exposure_by = "auto" or "register" in station.toml.',
+            subject=camera.name,
+            code="sequencer-absent",
         )
     needed = (camera.offset_px[0] + camera.width, camera.offset_px[1] + camera.height)
     if needed[0] > offered.sensor[0] or needed[1] > offered.sensor[1]:
         has = "{}×{} px".format(*offered.sensor)
-        yield (
+        yield fault(
             f"has a sensor of {has}, but the configured frame ends at column {needed[0]}, row {needed[1]}.",
             "Correct width, height and offset_px in station.toml.",
+            subject=camera.name,
+            code="frame-exceeds-sensor",
         )
 
 
@@ -224,7 +254,7 @@ def judge_port(port: str, members: list[tuple[CameraConfig, Offered]], period_s:
         link = members[0][0].link_mbit_s or network.link_mbit_s(port)
         network.check_budget(port, [c.frame_bytes for c, _ in members], packet, link, period_s)
     except VaoiError as error:
-        return fault(error.message, error.action, subject=port, figures={"mtu": mtu})
+        return fault(error.message, error.action, subject=port, figures={"mtu": mtu}, code=error.code)
     figures: Figures = {"mtu": mtu, "packet_bytes": packet, "link_mbit_s": link, "cameras": len(members)}
     speed = f"{link:g} Mbit/s" if link else "link speed unknown"
     message = f"{len(members)} camera{'s' if len(members) > 1 else ''}, MTU {mtu}, packets of {packet} bytes, {speed}"
@@ -233,13 +263,20 @@ def judge_port(port: str, members: list[tuple[CameraConfig, Offered]], period_s:
         # A larger MTU helps only up to the size that the camera itself can send.
         allowed = f"Set packet_bytes to {packet}: the cameras of this port send no larger packets."
         action = f"ip link set dev {port} mtu {wish}" if wish > mtu else allowed
-        return warning(f"{message}; {wished[0].name} is configured for {wish}.", action, subject=port, figures=figures)
+        return warning(
+            f"{message}; {wished[0].name} is configured for {wish}.",
+            action,
+            subject=port,
+            figures=figures,
+            code="packets-above-mtu",
+        )
     if packet < JUMBO:
         return warning(
             f"{message}; larger packets cost less processor time.",
             f"ip link set dev {port} mtu 9000",
             subject=port,
             figures=figures,
+            code="packets-small",
         )
     return ok(message, subject=port, figures=figures)
 
@@ -252,6 +289,7 @@ def of_running_station(context: CheckContext) -> Iterator[Finding]:
         yield warning(
             "another process uses the cameras and does not report their state; they were not opened.",
             f"{context.running.inspect_command}; end it, and run vaoi doctor again",
+            code="cameras-unreported",
         )
     yield from (_judge_reported(state) for state in states)
 
@@ -264,8 +302,16 @@ def _judge_reported(state: dict[str, Any]) -> Finding:
     figures: Figures = {key: state.get(key) for key in ("delivered", "incomplete", "temperature_c")}
     if not state.get("connected"):
         action = "Check its power and cable; the station opens it again by itself."
-        return fault(f"is not connected: {message or 'no reason given'}", action, subject=name, figures=figures)
+        return fault(
+            f"is not connected: {message or 'no reason given'}",
+            action,
+            subject=name,
+            figures=figures,
+            code="camera-lost",
+        )
     if message:
-        return warning(message, "See docs/internals/acquisition.md.", subject=name, figures=figures)
+        return warning(
+            message, "See docs/internals/acquisition.md.", subject=name, figures=figures, code="camera-remark"
+        )
     counted = f"{figures['delivered']} frames delivered, {figures['incomplete']} incomplete"
     return ok(f"connected, {counted}", subject=name, figures=figures)

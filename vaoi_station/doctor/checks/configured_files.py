@@ -30,7 +30,7 @@ def calibration(context: CheckContext) -> Iterator[Finding]:
             "vaoi record --config station.toml --out board-film --still; vaoi calibrate board-film: "
             "docs/engineering/calibration.md"
         )
-        yield fault(error.message, error.action or first)
+        yield fault(error.message, error.action or first, code="calibration-unusable", figures={"path": str(path)})
         return
     made = f", made {read.created}" if read.created else ""
     yield ok(f"{path}: {len(read.camera_matrices)} cameras{made}")
@@ -41,23 +41,31 @@ def board_types(context: CheckContext) -> Iterator[Finding]:
     directory = context.config.board_types
     if not is_directory(directory):
         yield fault(
-            f"there is no directory {directory}, or this user cannot see it.", f"install -d -o $USER {directory}"
+            f"there is no directory {directory}, or this user cannot see it.",
+            f"install -d -o $USER {directory}",
+            code="board-types-absent",
+            figures={"path": str(directory)},
         )
         return
     files = BoardTypeDirectory(directory).list()
     for file in files:
         if file.fault is not None:
             action = file.fault.action or "Correct the file; docs/formats.md describes it."
-            yield fault(file.fault.message, action, subject=file.path.name)
+            yield fault(file.fault.message, action, subject=file.path.name, code="board-type-unreadable")
     sound = [file.board_type.name for file in files if file.board_type is not None]
     if not files:
         yield warning(
             f"{directory} is empty: the station cannot be armed without a board type.",
             "Put a board type there, NAME.json: docs/formats.md.",
+            code="board-types-empty",
+            figures={"path": str(directory)},
         )
     elif not writable(directory):
         yield warning(
-            f"{directory} cannot be written to: board types cannot be stored by REST.", f"chown vaoi {directory}"
+            f"{directory} cannot be written to: board types cannot be stored by REST.",
+            f"chown vaoi {directory}",
+            code="board-types-read-only",
+            figures={"path": str(directory)},
         )
     elif sound:
         yield ok(f"{directory}: {len(sound)} board types can be read", figures={"board_types": len(sound)})
@@ -75,14 +83,21 @@ def flat_fields(context: CheckContext) -> Iterator[Finding]:
         heads = [camera.head for camera in config.cameras]
         fields.check(heads, config.known_lights or fields.named_lights)
     except VaoiError as error:
-        yield fault(error.message, error.action or again)
+        yield fault(
+            error.message, error.action or again, code="flat-fields-unusable", figures={"path": str(config.flat_fields)}
+        )
         return
     for board_type in _sound_board_types(config):
         if board_type.program:
             try:
                 fields.check(heads, [step.light for step in board_type.program])
             except VaoiError as error:
-                yield warning(f"board type {board_type.name!r}: {error.message}", error.action or again)
+                yield warning(
+                    f"board type {board_type.name!r}: {error.message}",
+                    error.action or again,
+                    code="flat-fields-lack-program",
+                    figures={"board_type": board_type.name},
+                )
     days = fields.age_days(datetime.now(UTC))
     if days is not None and days > EXPIRED_DAYS:
         yield warning(
@@ -90,6 +105,7 @@ def flat_fields(context: CheckContext) -> Iterator[Finding]:
             "age, and dust settles on lenses.",
             again,
             figures={"days": round(days)},
+            code="flat-fields-old",
         )
         return
     age = "" if days is None else f", {days:.0f} days old"
@@ -120,7 +136,12 @@ def programs(context: CheckContext) -> Iterator[Finding]:
         except InputError as error:
             wrong = True
             action = error.action or "Correct it; docs/engineering/light.md describes programs and their limits."
-            yield fault(error.message, action, subject="station" if board_type is None else board_type.name)
+            yield fault(
+                error.message,
+                action,
+                subject="station" if board_type is None else board_type.name,
+                code="program-unusable",
+            )
     if not wrong:
         station = f"{len(config.program)} steps in station.toml" if config.program else "none in station.toml"
         yield ok(f"{station}, {len(own)} of {len(sound)} board types with a program or a line of their own")
@@ -135,7 +156,11 @@ def stand_ins(context: CheckContext) -> Iterator[Finding]:
     try:
         check_backends(context.config)
     except VaoiError as error:
-        yield fault(error.message, error.action or "Correct the tables [simulation] or [replay] of station.toml.")
+        yield fault(
+            error.message,
+            error.action or "Correct the tables [simulation] or [replay] of station.toml.",
+            code="stand-in-unusable",
+        )
         return
     yield ok(
         "the scenario fits the configuration" if backend == "simulated" else "the recordings fit the configuration"

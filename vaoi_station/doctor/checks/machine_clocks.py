@@ -36,6 +36,7 @@ def judge_wall_clock(state: int, max_error_us: int) -> Finding:
             "the wall clock is not synchronised: names and times of runs drift away from those of other machines.",
             "timedatectl set-ntp true",
             figures={"synchronised": False},
+            code="wall-clock-free",
         )
     return ok(
         f"synchronised, error at most {max_error_us / 1e3:.0f} ms",
@@ -58,6 +59,7 @@ def judge_monotonic(resolution_s: float, source: str | None) -> Finding:
             "fractions of a millisecond.",
             "Remove highres=off from the kernel's command line.",
             figures=figures,
+            code="monotonic-clock-coarse",
         )
     # A source such as hpet or acpi_pm reads a device register each time, instead of a counter of the processor.
     if source is not None and source not in GOOD_SOURCES:
@@ -65,5 +67,6 @@ def judge_monotonic(resolution_s: float, source: str | None) -> Finding:
             f"comes from {source}, a source that is slow to read.",
             "Find the cause by journalctl -k -g clocksource; remove clocksource= from the kernel's command line.",
             figures=figures,
+            code="monotonic-clock-slow",
         )
     return ok(f"steps of {resolution_s * 1e9:g} ns" + (f", from {source}" if source else ""), figures=figures)

@@ -21,7 +21,10 @@ def ring_space(context: CheckContext) -> Iterator[Finding]:
     directory, needed = context.config.ring.directory, context.layout.file_bytes
     if not is_directory(directory):
         yield fault(
-            f"there is no directory {directory} for the ring.", "mount -t tmpfs tmpfs /dev/shm, or set [ring] directory"
+            f"there is no directory {directory} for the ring.",
+            "mount -t tmpfs tmpfs /dev/shm, or set [ring] directory",
+            code="ring-directory",
+            figures={"path": str(directory)},
         )
         return
     if context.running is not None:
@@ -30,7 +33,12 @@ def ring_space(context: CheckContext) -> Iterator[Finding]:
         )
         return
     if not writable(directory):
-        yield fault(f"{directory} cannot be written to by this user.", "chmod 1777 /dev/shm, or set [ring] directory")
+        yield fault(
+            f"{directory} cannot be written to by this user.",
+            "chmod 1777 /dev/shm, or set [ring] directory",
+            code="ring-directory",
+            figures={"path": str(directory)},
+        )
         return
     space = os.statvfs(directory)
     free, available = space.f_bavail * space.f_frsize, context.machine.available_memory()
@@ -41,6 +49,8 @@ def ring_space(context: CheckContext) -> Iterator[Finding]:
         yield warning(
             f"{directory} is on {kind}, not in memory: writing frames would wait for a disk.",
             "Set [ring] directory to /dev/shm.",
+            code="ring-on-disk",
+            figures={"path": str(directory)},
         )
 
 
@@ -56,16 +66,25 @@ def _judge_space(context: CheckContext, needed: int, free: int, available: int |
         # The ring's pages count against the tmpfs limit; a tenth more leaves space for other programs' files.
         remount = f"mount -o remount,size={round(needed * 1.1 / 2**20) + 1}M {directory}"
         return fault(
-            f"{message}; {directory} has {format_bytes(free)} free.", f"{remount}; or: {_SMALLER}.", figures=figures
+            f"{message}; {directory} has {format_bytes(free)} free.",
+            f"{remount}; or: {_SMALLER}.",
+            figures=figures,
+            code="ring-too-large",
         )
     if available is not None and available < needed:
         return fault(
-            f"{message}; the machine has {format_bytes(available)} of memory left.", f"{_SMALLER}.", figures=figures
+            f"{message}; the machine has {format_bytes(available)} of memory left.",
+            f"{_SMALLER}.",
+            figures=figures,
+            code="ring-too-large",
         )
     if available is not None and available < 1.5 * needed:
         left = format_bytes(available - needed)
         return warning(
-            f"{message}; only {left} of memory remain for all other programs.", f"{_SMALLER}.", figures=figures
+            f"{message}; only {left} of memory remain for all other programs.",
+            f"{_SMALLER}.",
+            figures=figures,
+            code="memory-scarce",
         )
     return ok(f"{message}; {directory} has {format_bytes(free)} free", figures=figures)
 
@@ -89,7 +108,10 @@ def judge_locked(locked: int | None, needed: int, pid: int) -> Finding:
     if locked is not None and locked >= needed:
         return ok(f"process {pid} has locked its ring, {format_bytes(locked)}", figures=figures)
     return warning(
-        f"process {pid} has not locked its ring: frames are late when memory is short.", _LOCK, figures=figures
+        f"process {pid} has not locked its ring: frames are late when memory is short.",
+        _LOCK,
+        figures=figures,
+        code="ring-not-locked",
     )
 
 
@@ -105,4 +127,5 @@ def judge_lock(limit: int, needed: int) -> Finding:
         "frames are late when memory is short.",
         _LOCK,
         figures=figures,
+        code="lock-limit-low",
     )

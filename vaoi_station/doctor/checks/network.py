@@ -31,6 +31,7 @@ def judge_buffers(granted: int | None, needed: int) -> Finding:
             "net.core.rmem_max cannot be read.",
             "Run sysctl net.core.rmem_max and correct what it reports.",
             figures=figures,
+            code="socket-buffer-unknown",
         )
     if granted < needed:
         return warning(
@@ -39,5 +40,6 @@ def judge_buffers(granted: int | None, needed: int) -> Finding:
             f"sysctl -w net.core.rmem_max={2 ** math.ceil(math.log2(needed))}; permanently: "
             "install -m 644 deploy/60-vaoi.conf /etc/sysctl.d/",
             figures=figures,
+            code="socket-buffer-small",
         )
     return ok(f"net.core.rmem_max is {format_bytes(granted)}, {format_bytes(needed)} are needed", figures=figures)

@@ -34,7 +34,7 @@ def receivers(context: CheckContext) -> Iterator[Finding]:
     if push.ca is not None:
         found += _authorities(push.ca, "push.ca")
     if made.fault is not None:
-        found.append(warning(made.fault.message, made.fault.action, subject=stored.name))
+        found.append(warning(made.fault.message, made.fault.action, subject=stored.name, code=made.fault.code))
     if push.mqtt is not None:
         found += _broker(push.mqtt)
     yield from found
@@ -49,7 +49,9 @@ def _webhook(webhook: WebhookConfig) -> Iterator[Finding]:
         read_secrets(webhook.secret_file)
     except VaoiError as error:
         action = error.action or "Correct the file; docs/api/push.md describes it."
-        yield warning(f"webhook {webhook.name!r}: {error.message}", action, subject=webhook.name)
+        yield warning(
+            f"webhook {webhook.name!r}: {error.message}", action, subject=webhook.name, code="webhook-secret-unusable"
+        )
     else:
         yield from _private(webhook.secret_file, f"webhook {webhook.name!r}: the secrets", webhook.name)
     parts = urlsplit(webhook.url)
@@ -59,6 +61,7 @@ def _webhook(webhook: WebhookConfig) -> Iterator[Finding]:
             f"read; {parts.hostname} gets it with each message.",
             "Use https://, or a receiver that needs no token: messages are signed.",
             subject=webhook.name,
+            code="webhook-token-open",
         )
 
 
@@ -68,6 +71,7 @@ def _broker(broker: MqttConfig) -> Iterator[Finding]:
             f"push.mqtt: {broker.host} is configured, but the package paho-mqtt is absent.",
             "pip install 'vaoi-station[mqtt]'",
             subject="mqtt",
+            code="mqtt-package-absent",
         )
     if broker.password_file is not None:
         try:
@@ -78,11 +82,17 @@ def _broker(broker: MqttConfig) -> Iterator[Finding]:
                 f"push.mqtt.password_file: {broker.password_file} cannot be read ({cause}).",
                 "Make it readable to the service.",
                 subject="mqtt",
+                code="mqtt-password-unusable",
+                figures={"path": str(broker.password_file)},
             )
         else:
             if empty:
                 yield warning(
-                    f"push.mqtt.password_file: {broker.password_file} is empty.", "Write the password.", subject="mqtt"
+                    f"push.mqtt.password_file: {broker.password_file} is empty.",
+                    "Write the password.",
+                    subject="mqtt",
+                    code="mqtt-password-unusable",
+                    figures={"path": str(broker.password_file)},
                 )
             yield from _private(broker.password_file, "push.mqtt: the password", "mqtt")
     if broker.ca is not None:
@@ -96,6 +106,7 @@ def _broker(broker: MqttConfig) -> Iterator[Finding]:
                 f"push.mqtt: {broker.certificate} and {broker.private_key} cannot be used ({error}).",
                 "Give a certificate and its private key as PEM files without a password.",
                 subject="mqtt",
+                code="certificate-unusable",
             )
 
 
@@ -103,10 +114,22 @@ def _authorities(path: Path, key: str) -> Iterator[Finding]:
     try:
         ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT).load_verify_locations(path)
     except OSError as error:
-        yield warning(f"{key}: {path} cannot be read as PEM certificates ({error}).", "Give a PEM file.", subject=key)
+        yield warning(
+            f"{key}: {path} cannot be read as PEM certificates ({error}).",
+            "Give a PEM file.",
+            subject=key,
+            code="certificate-unusable",
+            figures={"path": str(path)},
+        )
 
 
 def _private(path: Path, what: str, subject: str) -> Iterator[Finding]:
     """Warn of a file with a secret that every user of the machine can read."""
     if path.stat().st_mode & _OTHERS:
-        yield warning(f"{what} in {path} can be read by every user.", f"chmod o= {path}", subject=subject)
+        yield warning(
+            f"{what} in {path} can be read by every user.",
+            f"chmod o= {path}",
+            subject=subject,
+            code="secret-not-private",
+            figures={"path": str(path)},
+        )

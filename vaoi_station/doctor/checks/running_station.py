@@ -66,6 +66,7 @@ def station(context: CheckContext) -> Iterator[Finding]:
             f"{running.description} uses the station's ring, but no station replies at port {api.port} "
             f"({running.no_reply_reason}); it is starting, or it is vaoi record or vaoi view.",
             running.inspect_command,
+            code="station-silent",
         )
         return
     snapshot = running.snapshot
@@ -79,8 +80,9 @@ def station(context: CheckContext) -> Iterator[Finding]:
 
 
 def _from_reason(level: Callable[..., Finding], reason: dict[str, Any]) -> Finding:
-    """Turn a reason or a warning of the station into a finding with the same message and action."""
-    return level(str(reason.get("message")), str(reason.get("action") or ""), subject=str(reason.get("code")))
+    """Turn a reason or a warning of the station into a finding with the same code, message and action."""
+    code = str(reason.get("code"))
+    return level(str(reason.get("message")), str(reason.get("action") or ""), subject=code, code=code)
 
 
 def _port(api: ApiConfig) -> Finding:
@@ -96,4 +98,5 @@ def _port(api: ApiConfig) -> Finding:
         f"is not running, but another program listens at {address[0]}:{api.port}.",
         f"Find it by ss -ltnp 'sport = :{api.port}' and end it, or set [api] port in station.toml.",
         figures={"port": api.port},
+        code="api-port-in-use",
     )

@@ -33,10 +33,16 @@ def judge_python(version: tuple[int, int], bits: int, shown: str, where: str) ->
     """Judge the version of a Python interpreter, and whether it is a 64-bit program."""
     message = f"Python {shown}, {bits} bit, {where}"
     if bits < 64:
-        return fault(f"{message}: the ring needs more address space than 32 bit offer.", "Install a 64-bit system.")
+        return fault(
+            f"{message}: the ring needs more address space than 32 bit offer.",
+            "Install a 64-bit system.",
+            code="python-32-bit",
+        )
     if not OLDEST <= version < FIRST_UNTRIED:
         return fault(
-            f"{message}: vaoi_station needs Python 3.11 to 3.13.", "python3.11 -m venv .venv && .venv/bin/pip install ."
+            f"{message}: vaoi_station needs Python 3.11 to 3.13.",
+            "python3.11 -m venv .venv && .venv/bin/pip install .",
+            code="python-untried",
         )
     return ok(message, figures={"python": shown})
 
@@ -48,7 +54,12 @@ def libraries(_: Machine) -> Iterator[Finding]:
         try:
             versions[name] = str(importlib.import_module(name).__version__)
         except ImportError as error:
-            yield fault(f"{name} cannot be imported: {error}.", f"{sys.executable} -m pip install {package}")
+            yield fault(
+                f"{name} cannot be imported: {error}.",
+                f"{sys.executable} -m pip install {package}",
+                code="library-absent",
+                figures={"library": package},
+            )
     if len(versions) == len(LIBRARIES):
         yield ok(", ".join(f"{name} {version}" for name, version in versions.items()), figures=versions)
 
@@ -91,14 +102,24 @@ def judge_cache_of_service(unit: ServiceUnit) -> Finding:
     try:
         user = pwd.getpwnam(unit.user)
     except KeyError:
-        return fault(f"the user {unit.user} of the service does not exist.", f"useradd --system {unit.user}")
+        return fault(
+            f"the user {unit.user} of the service does not exist.",
+            f"useradd --system {unit.user}",
+            code="service-user-absent",
+            figures={"user": unit.user},
+        )
     try:
         status = unit.cache.stat()
     except FileNotFoundError:
         # CacheDirectory= of the unit makes it at the next start, with the right owner.
         return ok(f"will be stored in {unit.cache} by the service")
     except OSError as error:
-        return warning(f"{unit.cache}, the cache of the service, cannot be examined ({error.strerror}).", action)
+        return warning(
+            f"{unit.cache}, the cache of the service, cannot be examined ({error.strerror}).",
+            action,
+            code="code-cache-unusable",
+            figures={"path": str(unit.cache)},
+        )
     groups = os.getgrouplist(unit.user, user.pw_gid)
     mode = status.st_mode >> (6 if status.st_uid == user.pw_uid else 3 if status.st_gid in groups else 0)
     if stat.S_ISDIR(status.st_mode) and (mode & 0o3 == 0o3 or user.pw_uid == 0):
@@ -107,6 +128,8 @@ def judge_cache_of_service(unit: ServiceUnit) -> Finding:
         f"{unit.cache} cannot be written to by {unit.user}, the user of the service: every start compiles for about a "
         "minute.",
         action,
+        code="code-cache-unusable",
+        figures={"path": str(unit.cache)},
     )
 
 
@@ -118,6 +141,8 @@ def judge_cache(given: str | None, package: Path, home: Path) -> Finding:
         return warning(
             f"NUMBA_CACHE_DIR={given} cannot be written to: every start compiles for about a minute.",
             f"install -d -o $USER {given}, or unset NUMBA_CACHE_DIR",
+            code="code-cache-unusable",
+            figures={"path": given},
         )
     # Without NUMBA_CACHE_DIR Numba tries these two in this order.
     places = (package / "__pycache__", Path(os.environ.get("XDG_CACHE_HOME", home / ".cache")) / "numba")
@@ -127,4 +152,6 @@ def judge_cache(given: str | None, package: Path, home: Path) -> Finding:
     return warning(
         f"neither {places[0]} nor {places[1]} can be written to: every start compiles for about a minute.",
         "Set NUMBA_CACHE_DIR to a directory of this user, as deploy/vaoi-station.service does.",
+        code="code-cache-unusable",
+        figures={"path": str(places[1])},
     )

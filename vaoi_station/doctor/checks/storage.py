@@ -30,12 +30,19 @@ def data(context: CheckContext) -> Iterator[Finding]:
     directory = context.config.data
     there = nearest(directory)
     if not there.is_dir():
-        yield fault(f"{there} is not a directory.", "Name another directory as `data` in station.toml.")
+        yield fault(
+            f"{there} is not a directory.",
+            "Name another directory as `data` in station.toml.",
+            code="data-no-directory",
+            figures={"path": str(there)},
+        )
         return
     if not writable(directory):
         yield fault(
             f"{directory} cannot be written to by this user (uid {os.geteuid()}).",
             f"chown vaoi {there}, or run vaoi doctor as the user of the service: runuser -u vaoi -- vaoi doctor …",
+            code="data-read-only",
+            figures={"path": str(directory)},
         )
         return
     space = os.statvfs(there)
@@ -55,20 +62,31 @@ def database(path: Path) -> Iterator[Finding]:
             yield fault(
                 f"{path}: is not a sound database ({error}).",
                 "Restore a backup, or let the station set it aside at its next start and begin anew.",
+                code="database-unsound",
+                figures={"path": str(path)},
             )
     elif path.with_name(f"{path.name}.begun").exists():
-        yield warning(f"{path}: there was a database, and it is gone.", "Restore a backup, if there is one.")
+        yield warning(
+            f"{path}: there was a database, and it is gone.",
+            "Restore a backup, if there is one.",
+            code="database-gone",
+            figures={"path": str(path)},
+        )
     known = acknowledged_files(path)
     for kept in sorted({*path.parent.glob(f"{path.name}.damaged-*[0-9Z]")} - known):
         yield warning(
             f"{kept}: was set aside because it was damaged.",
             f"Recover it (sqlite3 {kept.name} .recover), check the disk, then delete it.",
+            code="database-damaged",
+            figures={"path": str(kept)},
         )
 
 
 def _judge_database(path: Path) -> Iterator[Finding]:
     if not path.is_file():
-        yield fault(f"{path}: is not a regular file.", "Move it away.")
+        yield fault(
+            f"{path}: is not a regular file.", "Move it away.", code="database-no-file", figures={"path": str(path)}
+        )
         return
     # Opened for reading only, so that no log is applied and no file is made; the station may be running.
     connection = sqlite3.connect(f"{path.as_uri()}?mode=ro", uri=True, timeout=1)
@@ -81,9 +99,16 @@ def _judge_database(path: Path) -> Iterator[Finding]:
         yield fault(
             f"{path}: has version {version} of the tables; this software knows versions up to {VERSION}.",
             "Start the newer vaoi_station that wrote it.",
+            code="database-newer",
+            figures={"path": str(path)},
         )
     elif tables and "runs" not in tables:
-        yield fault(f"{path}: is a database of another program.", "Move it away.")
+        yield fault(
+            f"{path}: is a database of another program.",
+            "Move it away.",
+            code="database-foreign",
+            figures={"path": str(path)},
+        )
 
 
 def judge_space(space: os.statvfs_result, where: str) -> Finding:
@@ -96,6 +121,7 @@ def judge_space(space: os.statvfs_result, where: str) -> Finding:
             f"{where}: no file can be created, because all inodes are in use.",
             f"Delete files; df -i {where} shows the inodes in use.",
             figures=figures,
+            code="inodes-used-up",
         )
     message = f"{where}: {format_bytes(free)} free"
     if free < SCANT_BYTES:
@@ -103,12 +129,14 @@ def judge_space(space: os.statvfs_result, where: str) -> Finding:
             f"{message}, {format_bytes(SCANT_BYTES)} are needed.",
             f"Delete files; du -xh -d 2 {where} | sort -h lists the largest directories.",
             figures=figures,
+            code="disk-space-short",
         )
     if free < LITTLE_BYTES:
         return warning(
             f"{message}, less than {format_bytes(LITTLE_BYTES)}; kept recordings need more.",
             f"Delete files; du -xh -d 2 {where} | sort -h lists the largest directories.",
             figures=figures,
+            code="disk-space-short",
         )
     return ok(message, figures=figures)
 
@@ -153,4 +181,5 @@ def judge_quotas(space: os.statvfs_result, used_bytes: int, keep: KeepConfig, wh
         "before their time.",
         "Lower [keep] database_gb or recordings_gb in station.toml, or move `data` to a larger disk.",
         figures=figures,
+        code="disk-below-quotas",
     )

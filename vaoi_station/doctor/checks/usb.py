@@ -34,5 +34,6 @@ def judge_memory(granted_mb: int | None, cameras: int) -> Finding:
             "echo 256 > /sys/module/usbcore/parameters/usbfs_memory_mb; permanently: "
             "install -m 644 deploy/vaoi-usb-memory.conf /etc/tmpfiles.d/",
             figures=figures,
+            code="usb-memory-small",
         )
     return ok(f"usbfs_memory_mb is {granted_mb or 'without limit'}, {needed_mb} are needed", figures=figures)

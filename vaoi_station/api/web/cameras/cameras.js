@@ -2,6 +2,7 @@
 import { histogram, sharpnessMap, BLUR_LIMIT_PX, DARK_LIMIT, SATURATED_LIMIT } from "../parts/camera_card.js";
 import { make, said, saidOf, setText } from "../parts/elements.js";
 import * as rest from "../parts/rest.js";
+import { findingItem, remarkOf } from "./findings.js";
 import { moment, number, texts } from "../texts/texts.js";
 import { Trial } from "./trial.js";
 
@@ -91,12 +92,11 @@ class Card {
       ...(frame && frame.saturated > SATURATED_LIMIT ? [words.tooBright(percent(frame.saturated, 1))] : []),
       ...(frame && frame.high < DARK_LIMIT ? [words.tooDark(percent(frame.high))] : []),
       ...(tiles ? [words.soft(tiles)] : []),
-      ...findings.map((finding) => ({ english: `${finding.message} ${finding.action}`.trim() })),
     ];
-    const wanted = JSON.stringify(lines);
+    const wanted = JSON.stringify([lines, findings]);
     if (this.remarks.dataset.shown === wanted) return;
     this.remarks.dataset.shown = wanted;
-    this.remarks.replaceChildren(...lines.map((line) => make("li", {}, ...(line.english ? said(line.english) : [line]))));
+    this.remarks.replaceChildren(...lines.map((line) => make("li", {}, ...(line.english ? said(line.english) : [line]))), ...findings.map((finding) => make("li", {}, ...remarkOf(finding))));
   }
 }
 
@@ -179,18 +179,10 @@ export class CamerasView {
       this.#findings = found.findings;
       const wrong = found.findings.filter((finding) => finding.level === "warning" || finding.level === "fault");
       setText(answer, `${words.found(wrong.length, found.findings.length)} (${moment(found.created)})`);
-      this.root.querySelector("#doctor-findings").replaceChildren(...wrong.map((finding) => this.#finding(finding)));
+      this.root.querySelector("#doctor-findings").replaceChildren(...wrong.map((finding) => findingItem(finding)));
     } catch (error) {
       answer.replaceChildren(...saidOf(error));
     }
     button.disabled = false;
-  }
-
-  #finding(finding) {
-    const where = [finding.check, finding.subject].filter(Boolean).join(", ");
-    return make("li", { className: finding.level },
-      make("strong", { textContent: `${texts.cameras.levels[finding.level]}: ${where}` }),
-      make("p", {}, ...said(finding.message)),
-      make("p", { className: "remedy" }, ...said(finding.action)));
   }
 }

@@ -1,5 +1,17 @@
-// Was die Station auf Englisch sagt, auf Deutsch: nach dem Code der Ablehnung. Der Satz der Station steht daneben.
+// Was die Station auf Englisch sagt, auf Deutsch: nach dem Code. Der Satz der Station steht daneben.
+import { findings } from "./station/findings_de.js";
+import { warnings } from "./station/warnings_de.js";
+
 export const translated = {
+  findings: { ...warnings, ...findings },
+  // Namen der Prüfungen von vaoi doctor
+  checks: {
+    configuration: "Konfiguration", python: "Python", libraries: "Bibliotheken", "compiled code": "übersetzter Code", time: "Uhrzeit",
+    "monotonic clock": "fortlaufende Uhr", others: "weitere", station: "Station", calibration: "Kalibrierung", "board types": "Baugruppentypen",
+    "flat fields": "Hellfelder", "light programs": "Lichtprogramme", "stand-ins": "Ersatz für Geräte", receivers: "Empfänger", disk: "Festplatte",
+    "shared memory": "Bildspeicher", "memory lock": "Festhalten des Speichers", aravis: "Aravis", "socket buffers": "Empfangspuffer",
+    "USB memory": "USB-Speicher", cameras: "Kameras", controller: "Steuerung",
+  },
   refused: "Die Station hat es abgelehnt.",
 
   // Ablehnungen: docs/codes.md
