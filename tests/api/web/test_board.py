@@ -200,6 +200,39 @@ def test_a_board_whose_frames_are_gone_has_its_kept_picture(page: Page, served: 
     expect(page.get_by_role("link", name="Kept picture, JPEG")).to_be_visible()
 
 
+@pytest.mark.parametrize(
+    ("width", "height", "order"),
+    [
+        (800, 480, ["tabs", "zoom", "tab-part"]),
+        (1024, 768, ["tabs", "zoom", "tab-part"]),
+        (1280, 800, ["zoom", "tabs", "tab-part"]),
+    ],
+)
+def test_the_tabulator_goes_as_the_eye_does(page: Page, served: Any, width: int, height: int, order: list[str]) -> None:
+    page.set_viewport_size({"width": width, "height": height})
+    page.goto(f"{served.url}/#/board/{served.station.film(board_id='SN-1')}")
+    wait_for_pictures(page, 10)
+    assert parts_by_tabulator(page) == order
+    page.get_by_role("tab", name="Part").focus()
+    other = 1280 if width < 1280 else 1024
+    page.set_viewport_size({"width": other, "height": height})
+    expect(page.get_by_role("tab", name="Part")).to_be_focused()
+    assert parts_by_tabulator(page) == [order[1], order[0], order[2]]
+
+
+def parts_by_tabulator(page: Page) -> list[str]:
+    """Return the parts of the page in the order in which the tabulator reaches them, beginning at the head."""
+    page.evaluate("document.getElementById('head').tabIndex = -1")
+    page.evaluate("document.getElementById('head').focus()")
+    parts: list[str] = []
+    while "tab-part" not in parts:
+        page.keyboard.press("Tab")
+        part = page.evaluate("document.activeElement.closest('#tabs, #zoom, #tab-part, #head').id")
+        if part not in (*parts, "head"):
+            parts.append(part)
+    return parts
+
+
 def test_every_control_is_reached_by_keyboard(page: Page, served: Any) -> None:
     station = served.station
     station.lights = ("left", "right")

@@ -14,6 +14,7 @@ import { timing } from "./timing.js";
 import { ZoomSide } from "./zoom.js";
 
 const TABS = ["part", "report", "timing", "export"];
+const NARROW = matchMedia("(max-width: 1100px)"); // as board.css has it
 const PART = `
 <section id="head">
   <svg id="verdict-shape" viewBox="0 0 100 100" aria-hidden="true"></svg>
@@ -42,6 +43,7 @@ export class BoardView {
   #pictures;
   #comparison;
   #decisions;
+  #closed = new AbortController();
 
   constructor(_station, id, query) {
     this.#id = id.replaceAll("%20", " ");
@@ -54,6 +56,8 @@ export class BoardView {
     this.#pictures = new Pictures(this.#part("part"), this.#state);
     this.#comparison = new Comparison(this.#part("compare"), this.#state, (other) => this.#compare(other));
     this.#makeTabs();
+    this.#placeTabs();
+    NARROW.addEventListener("change", () => this.#placeTabs(), this.#closed);
   }
 
   #part(id) {
@@ -86,6 +90,15 @@ export class BoardView {
     this.#open(TABS.includes(this.#state.get("tab")) ? this.#state.get("tab") : TABS[0]);
   }
 
+  // On narrow screens the tabs are above the whole board. They are also before it in the document, so that the tabulator goes from
+  // top to bottom.
+  #placeTabs() {
+    const [tabs, focused] = [this.#part("tabs"), document.activeElement];
+    if (NARROW.matches) this.#part("zoom").before(tabs);
+    else this.#part("side").prepend(tabs);
+    if (tabs.contains(focused)) focused.focus();
+  }
+
   #open(name) {
     this.#state.set({ tab: name });
     for (const tab of TABS) {
@@ -98,6 +111,7 @@ export class BoardView {
   }
 
   close() {
+    this.#closed.abort();
     this.#zoom.close();
     this.#pictures.close();
     this.#comparison.close();
