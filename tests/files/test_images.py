@@ -9,7 +9,16 @@ import numpy as np
 import pytest
 
 from vaoi_station.errors import DeviceError, GoneError, InputError, NotFoundError
-from vaoi_station.files.images import decode, encode, encode_jpeg, encode_png, read_image, read_kept_image, write_image
+from vaoi_station.files.images import (
+    decode,
+    encode,
+    encode_jpeg,
+    encode_png,
+    narrowed_jpeg,
+    read_image,
+    read_kept_image,
+    write_image,
+)
 
 g = np.random.default_rng(1)
 
@@ -126,3 +135,16 @@ def test_a_kept_frame_that_is_gone_or_damaged_is_not_the_callers_fault(tmp_path:
         read_kept_image(path)
     write_image(path, np.full((3, 4), 7, np.uint8))
     assert read_kept_image(path).shape == (3, 4)
+
+
+def test_a_picture_is_narrowed_to_its_mean_and_never_widened() -> None:
+    lines = np.zeros((400, 600), np.uint8)
+    lines[:, ::5] = 250
+    content = encode_jpeg(lines, 100)
+    small = decode(narrowed_jpeg(content, 100))
+    assert small is not None
+    assert small.shape == (67, 100)
+    assert abs(float(small.mean()) - 50) < 2, "thin lines are not lost between the samples"
+    assert narrowed_jpeg(content, 600) == narrowed_jpeg(content, 10_000) == content
+    with pytest.raises(DeviceError, match="damaged"):
+        narrowed_jpeg(content[:100], 100)

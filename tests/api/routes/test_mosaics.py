@@ -161,3 +161,9 @@ def test_the_small_picture_stays_when_the_frames_are_gone(client: Any, station: 
     shown = client.get(kept["url"])
     assert shown.headers["content-type"] == "image/jpeg"
     assert picture(shown).shape[:2] == (kept["height_px"], kept["width_px"])
+    small = client.get(kept["url"], params={"width": 72})
+    assert picture(small).shape[1] == 72
+    assert len(small.content) < len(shown.content) / 4
+    assert "immutable" in small.headers["cache-control"]
+    assert client.get(kept["url"], params={"width": 10_000}).content == shown.content
+    assert client.get(kept["url"], params={"width": 2}).status_code == 422

@@ -194,6 +194,7 @@ def test_the_station_filters_the_list_and_a_file_has_it(page: Page, served: Any,
     for name, text in FIGURES.items():
         expect(shown.locator(f"td.{name}")).to_have_text(text)
     expect(shown.locator("img")).not_to_have_js_property("naturalWidth", 0)
+    expect(shown.locator("img")).to_have_js_property("naturalWidth", 72)
     expect(page.locator("#list tbody img")).to_have_count(1)
     page.set_viewport_size({"width": 800, "height": 480})
     page.locator("#list").evaluate("list => list.scrollTo(2000, 0)")

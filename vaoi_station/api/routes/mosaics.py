@@ -21,6 +21,7 @@ from vaoi_station.api.parameters import RunId
 from vaoi_station.api.rest_models import KeptMosaicEntry, MosaicEntry, MosaicList
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import InputError
+from vaoi_station.files.images import narrowed_jpeg
 from vaoi_station.mosaic.deep_zoom import (
     dzi_document,
     dzi_reduction,
@@ -141,12 +142,23 @@ def router(services: Services) -> APIRouter:
         responses=KEPT,
         dependencies=[Depends(services.picture_seats.hold)],
     )
-    async def get_kept_mosaic(request: Request, run: RunId) -> Response:
+    async def get_kept_mosaic(
+        request: Request,
+        run: RunId,
+        width: Annotated[
+            int | None, Query(description="Largest width, px, for lists; default: as it is kept.", ge=16, le=10_000)
+        ] = None,
+    ) -> Response:
         """Return the small picture of the whole board that is kept when the frames are gone, at most 2 megapixels.
 
         The station makes it in spare time after a run, within `[keep] mosaics_gb`. 404 `no-kept-mosaic`: there is none.
         """
-        content = await ask(services.coordinator.kept.mosaics.content, run)
+
+        def picture() -> bytes:
+            content = services.coordinator.kept.mosaics.content(run)
+            return content if width is None else narrowed_jpeg(content, width)
+
+        content = await ask(picture)
         return conditional_response(request, content, MEDIA["jpg"], cache=IMMUTABLE)
 
     @routes.get("/{picture}.dzi", response_class=Response, responses=DZI)

@@ -69,9 +69,9 @@ const reasonsOf = (run) => codesOf(run).map((code) => make("p", { textContent: t
 
 const option = (value, textContent = value, title = "") => make("option", { value, textContent, title });
 
-// The small picture that is kept of a board; a run without one has none.
+// The picture that is kept of a board, as small as it is shown; a run without one has none.
 function thumbnail(run) {
-  const picture = make("img", { src: rest.keptPicture(run), alt: "", loading: "lazy", width: 72, height: 48 });
+  const picture = make("img", { src: rest.keptPicture(run, 72 * Math.ceil(devicePixelRatio)), alt: "", loading: "lazy", width: 72, height: 48 });
   picture.addEventListener("error", () => picture.remove());
   return make("td", { className: "thumbnail" }, picture);
 }

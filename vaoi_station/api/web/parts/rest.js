@@ -56,7 +56,7 @@ export const trialPicture = (frame) => `${api}/cameras/${frame.camera}/trial/pic
 export const examination = () => call("GET", "/doctor");
 export const counts = () => call("GET", "/runs/counts");
 export const decide = (id, decision) => call("PUT", `/runs/${encodeURIComponent(id)}/decision`, decision);
-export const keptPicture = (found) => `${api}/runs/${encodeURIComponent(found.id)}/mosaics/kept.jpg?_=${encodeURIComponent(found.started)}`;
+export const keptPicture = (found, width) => `${api}/runs/${encodeURIComponent(found.id)}/mosaics/kept.jpg?${new URLSearchParams({ width, _: found.started })}`;
 export const mosaicList = (id) => call("GET", `/runs/${encodeURIComponent(id)}/mosaics`);
 export const mosaics = async (id) => (await mosaicList(id)).mosaics;
 export const run = (id) => call("GET", `/runs/${encodeURIComponent(id)}?figures=true`);
