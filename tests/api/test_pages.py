@@ -122,3 +122,8 @@ def test_german_pages_translate_every_finding_of_the_doctor(client: Any) -> None
     assert checks
     named = {name for name, _ in (*MACHINE_CHECKS, *STATION_CHECKS)} | {"configuration", "others"}
     assert {a or b for a, b in re.findall(r'(?:"([^"]+)"|\b(\w+)): "', checks[1])} == named
+
+
+def test_german_pages_translate_every_remark_of_an_import(client: Any) -> None:
+    texts = client.get("/web/texts/station/remarks_de.js").text
+    assert set(re.findall(r'^  "([a-z-]+)": \(', texts, re.MULTILINE)) == codes_of("Remarks of an import")

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pydantic import ValidationError
 
 from vaoi_station.board_data.contours import area
-from vaoi_station.board_data.design import XY, Design, Mark, Part, Side
+from vaoi_station.board_data.design import XY, Design, Mark, Note, Part, Side
 from vaoi_station.board_data.marks import find_marks
 from vaoi_station.board_data.package_sizes import GUESS_MM
 from vaoi_station.errors import InputError
@@ -36,7 +36,7 @@ _FOUND_BY = {
 }
 
 
-def to_board_type(design: Design, side: Side, name: str | None = None) -> tuple[BoardType, tuple[str, ...]]:
+def to_board_type(design: Design, side: Side, name: str | None = None) -> tuple[BoardType, tuple[Note, ...]]:
     """Return the board type of one side, in mm with y up, and sentences on what the user should check.
 
     Raises:
@@ -49,7 +49,7 @@ def to_board_type(design: Design, side: Side, name: str | None = None) -> tuple[
         raise InputError(f"design {design.name!r} makes no board type: {faults}.") from error
 
 
-def _converted(design: Design, side: Side, name: str | None) -> tuple[BoardType, tuple[str, ...]]:
+def _converted(design: Design, side: Side, name: str | None) -> tuple[BoardType, tuple[Note, ...]]:
     chosen = [part for part in design.parts if part.side == side]
     if not chosen:
         others = Counter(part.side for part in design.parts)
@@ -63,7 +63,9 @@ def _converted(design: Design, side: Side, name: str | None) -> tuple[BoardType,
     notes = list(design.notes)
     if repeated:
         shown = [address + _lines(address, chosen) for address in repeated[:8]]
-        notes.append(f"designators that occur more than once were left out: {_some([*shown, *repeated[8:]])}.")
+        names = _some([*shown, *repeated[8:]])
+        sentence = f"designators that occur more than once were left out: {names}."
+        notes.append(Note("designators-repeated", sentence, names=names))
     if 2 * len(repeated) > len(counts):
         panel = (
             f"{len(repeated)} of {len(counts)} designators of the {side} occur more than once: the file seems to be of "
@@ -72,18 +74,21 @@ def _converted(design: Design, side: Side, name: str | None) -> tuple[BoardType,
         action = "Import the file of one board, and state its panel by --repeat and --pitch."
         if not parts:
             raise InputError(f"design {design.name!r}: {panel}", action=action)
-        notes.append(f"{panel} {action}")
+        notes.append(Note("panel-unresolved", f"{panel} {action}", count=len(repeated), all=len(counts)))
     if guessed := [part.address for part in parts if part.size_from == "guess"]:
         width, height = GUESS_MM
-        notes.append(
-            f"{len(guessed)} parts have no size in the file, and their package is in no table: {width:g} × {height:g} "
-            f"mm is a guess for {_some(guessed)}. Give sizes by --sizes FILE."
+        size, names = f"{width:g} × {height:g}", _some(guessed)
+        sentence = (
+            f"{len(guessed)} parts have no size in the file, and their package is in no table: {size} mm is a guess "
+            f"for {names}. Give sizes by --sizes FILE."
         )
+        notes.append(Note("sizes-guessed", sentence, count=len(guessed), size=size, names=names))
     fiducials, other_marks = _marks_of(design, chosen, side, notes)
     if len(fiducials) < 2:
-        notes.append(
+        sentence = (
             f"{len(fiducials)} fiducials found on the {side}; two are needed to stitch. Add them to the board type."
         )
+        notes.append(Note("fiducials-few", sentence, count=len(fiducials)))
     outline = _outline(design, parts, fiducials, notes)
     board = BoardType(
         name=name or design.name,
@@ -132,7 +137,7 @@ def _component(part: Part) -> Component:
 
 
 def _marks_of(
-    design: Design, parts: Sequence[Part], side: Side, notes: list[str]
+    design: Design, parts: Sequence[Part], side: Side, notes: list[Note]
 ) -> tuple[list[Fiducial], list[OtherMark]]:
     """Return the fiducials of a side, and the marks by which no board is placed: of the panel, and of bad boards."""
     found = find_marks(design, parts, side)
@@ -140,11 +145,14 @@ def _marks_of(
         return [], []
     kinds = Counter((mark.kind, mark.found_by) for mark in found)
     for (kind, by), count in kinds.items():
-        names = [m.name + _belongs(m) for m in found if (m.kind, m.found_by) == (kind, by)]
+        names = _some([m.name + _belongs(m) for m in found if (m.kind, m.found_by) == (kind, by)])
         noun = "bad-board marks" if kind == "bad-board" else f"{kind} fiducials"
-        notes.append(f"{count} {noun} by {_FOUND_BY[by]}: {_some(names)}.")
+        sentence = f"{count} {noun} by {_FOUND_BY[by]}: {names}."
+        notes.append(Note("marks-found", sentence, count=count, kind=kind, by=by, names=names))
     if unknown := [mark.name for mark in found if _stated_mm(mark) is None]:
-        notes.append(f"the file states no diameter of {_some(unknown)}; {USUAL_MARK_MM:g} mm is assumed.")
+        names, assumed = _some(unknown), f"{USUAL_MARK_MM:g}"
+        sentence = f"the file states no diameter of {names}; {assumed} mm is assumed."
+        notes.append(Note("mark-diameters-assumed", sentence, names=names, diameter_mm=assumed))
     fiducials, others = [], []
     counts: Counter[str] = Counter()
     for mark in found:
@@ -177,10 +185,12 @@ def _marks_of(
             )
         )
     if alone := [position for position, numbers in fiducials_by_board(fiducials).items() if len(numbers) == 1]:
-        notes.append(
+        names = _some(alone)
+        sentence = (
             f"one fiducial alone places {len(alone)} boards of the panel, so that runs are degraded: positions "
-            f"{_some(alone)}. Give each a second one, or remove the `panel` of their fiducials."
+            f"{names}. Give each a second one, or remove the `panel` of their fiducials."
         )
+        notes.append(Note("boards-of-one-fiducial", sentence, count=len(alone), names=names))
     return fiducials, others
 
 
@@ -193,7 +203,7 @@ def _belongs(mark: Mark) -> str:
     return f" (of {', '.join(mark.components)})" if mark.components else ""
 
 
-def _cut_outs(design: Design, outline: Sequence[XY] | None, notes: list[str]) -> tuple[tuple[XY, ...], ...]:
+def _cut_outs(design: Design, outline: Sequence[XY] | None, notes: list[Note]) -> tuple[tuple[XY, ...], ...]:
     """Return the cut-outs within the outline; other contours are of no use for one board."""
     found: list[tuple[XY, ...]] = []
     left_out = count = 0
@@ -209,10 +219,11 @@ def _cut_outs(design: Design, outline: Sequence[XY] | None, notes: list[str]) ->
         else:
             left_out += 1
     if left_out:
-        notes.append(
+        sentence = (
             f"{left_out} contours lie outside the outline or cannot be used as cut-outs; they were left out. "
             "Check whether the file is of a panel."
         )
+        notes.append(Note("contours-left-out", sentence, count=left_out))
     return tuple(found)
 
 
@@ -225,24 +236,28 @@ def _within(outline: Sequence[XY], corners: Sequence[XY]) -> bool:
 
 
 def _outline(
-    design: Design, parts: Sequence[Part], fiducials: Sequence[Fiducial], notes: list[str]
+    design: Design, parts: Sequence[Part], fiducials: Sequence[Fiducial], notes: list[Note]
 ) -> tuple[XY, ...] | None:
     corners = [_rounded(p) for p in design.outline]
     corners = [p for n, p in enumerate(corners) if p != corners[n - 1]]
     if not corners:
-        notes.append("the file has no outline; the extent of parts and fiducials is used.")
+        notes.append(Note("outline-absent", "the file has no outline; the extent of parts and fiducials is used."))
         return None
     xs, ys = zip(*corners, strict=True)
     rectangle = ((min(xs), min(ys)), (max(xs), max(ys)))
     inside = all(min(xs) <= f.x <= max(xs) and min(ys) <= f.y <= max(ys) for f in fiducials)
     if not inside:
-        notes.append("fiducials lie outside the outline; it was left out. Check that both are of the same board.")
+        sentence = "fiducials lie outside the outline; it was left out. Check that both are of the same board."
+        notes.append(Note("outline-elsewhere", sentence))
         return None
     stray = [p.address for p in parts if not (min(xs) <= p.center[0] <= max(xs) and min(ys) <= p.center[1] <= max(ys))]
     if stray:
-        notes.append(f"{len(stray)} parts lie outside the outline: {_some(stray)}.")
+        names = _some(stray)
+        sentence = f"{len(stray)} parts lie outside the outline: {names}."
+        notes.append(Note("parts-outside", sentence, count=len(stray), names=names))
     if len(corners) > MOST_OUTLINE_POINTS or len(corners) < 3 or find_crossing_edges(corners):
-        notes.append("the outline crosses itself or has too many corners; its bounding rectangle is used.")
+        sentence = "the outline crosses itself or has too many corners; its bounding rectangle is used."
+        notes.append(Note("outline-unusable", sentence))
         return rectangle
     return tuple(corners)
 

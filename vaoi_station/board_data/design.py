@@ -7,7 +7,7 @@ counter-clockwise as seen from the top, also for parts on the bottom.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -20,6 +20,25 @@ KICAD_COURTYARD_MM = 0.25
 SizeFrom = Literal["file", "table", "guess"]
 MarkKind = Literal["global", "local", "panel", "bad-board"]
 FoundBy = Literal["element", "attribute", "package", "name", "place"]
+
+
+class Note(str):
+    """A sentence on what a person should check after an import; programs and translations go by its code.
+
+    Attributes:
+        code: what it says (docs/codes.md).
+        values: what the sentence states, such as numbers and designators, as they are written in it.
+    """
+
+    __slots__ = ("code", "values")
+    code: str
+    values: Mapping[str, str]
+
+    def __new__(cls, code: str, sentence: str, **values: object) -> Note:
+        """Create it; `values` are written as in the sentence."""
+        note = super().__new__(cls, sentence)
+        note.code, note.values = code, {name: str(value) for name, value in values.items()}
+        return note
 
 
 @dataclass(frozen=True)
@@ -206,10 +225,10 @@ class Design:
     """Of ODB++ and IPC-2581: the step that was read."""
     steps: tuple[str, ...] = ()
     """All steps of the file that can be read."""
-    notes: tuple[str, ...] = ()
+    notes: tuple[Note, ...] = ()
     """What the user must know about this import, a sentence each."""
 
-    def with_notes(self, *notes: str) -> Design:
+    def with_notes(self, *notes: Note) -> Design:
         """Return the design with further notes."""
         return replace(self, notes=(*self.notes, *notes))
 

@@ -13,7 +13,7 @@ from dataclasses import replace
 from itertools import product
 from statistics import median
 
-from vaoi_station.board_data.design import XY, Box, Design, Part, Placement, Side, normalised, rotated
+from vaoi_station.board_data.design import XY, Box, Design, Note, Part, Placement, Side, normalised, rotated
 from vaoi_station.board_data.marks import find_marks
 from vaoi_station.errors import InputError
 
@@ -50,22 +50,27 @@ def join_designs(places: Design, bodies: Design, side: Side) -> Design:
     by_center, found = _best(pairs)
     notes = []
     if repeated := _repeated(places, side):
-        notes.append(f"designators that occur more than once in the first file were left out: {_some(repeated)}.")
+        names = _some(repeated)
+        sentence = f"designators that occur more than once in the first file were left out: {names}."
+        notes.append(Note("designators-repeated", sentence, names=names))
     if found.mirrored:
         # The board type describes both sides as seen from the top, so the places are mirrored back.
         placed, found = _unmirrored(placed, drawn, common, found)
         pairs = [(placed[ref], drawn[ref]) for ref in common]
-        notes.append("the first file describes this side mirrored in x; its places were mirrored back.")
+        sentence = "the first file describes this side mirrored in x; its places were mirrored back."
+        notes.append(Note("places-mirrored", sentence))
     errors = {b.ref: math.dist(a.origin, found.apply(_place(b, by_center))) for a, b in pairs}
     off = {ref: error for ref, error in errors.items() if error > AGREES_MM}
     good = [error for error in errors.values() if error <= AGREES_MM]
     what = "centres of bodies" if by_center else "origins"
-    notes.insert(
-        0,
+    degrees, shift = f"{found.degrees:g}", f"{found.shift[0]:.3f}, {found.shift[1]:.3f}"
+    within = f"{max(good, default=0) * 1000:.0f}"
+    sentence = (
         f"joined by {len(common)} designators: the first file's places are the second's {what}, rotated by "
-        f"{found.degrees:g}° and shifted by ({found.shift[0]:.3f}, {found.shift[1]:.3f}) mm; "
-        f"{len(good)} agree within {max(good, default=0) * 1000:.0f} µm.",
+        f"{degrees}° and shifted by ({shift}) mm; {len(good)} agree within {within} µm."
     )
+    values = {"count": len(common), "turned_deg": degrees, "shift_mm": shift, "agree": len(good), "within_um": within}
+    notes.insert(0, Note("files-joined", sentence, **values))
     if 2 * len(good) < len(common):
         raise _misfit(places, bodies, pairs, len(good), found.degrees)
     joined = [_joined(a, drawn.get(a.ref), found, by_center) for a in placed.values()]
@@ -222,15 +227,18 @@ def _conflicts(
     off: dict[str, float],
     found: Placement,
     sides: dict[str, tuple[Side, Side]],
-) -> list[str]:
-    """Return a sentence for every kind of conflict."""
+) -> list[Note]:
+    """Return a note for every kind of conflict."""
     notes = []
+
+    def add_conflict(code: str, count: int, words: str, names: Sequence[str]) -> None:
+        shown = _some(names)
+        notes.append(Note(code, f"conflict: {count} parts {words}: {shown}.", count=count, names=shown))
+
     if off:
         worst = sorted(off, key=lambda ref: -off[ref])
-        notes.append(
-            f"conflict: {len(off)} parts are at another place in the second file; the first file's is used: "
-            f"{_some([f'{ref} ({off[ref]:.2f} mm)' for ref in worst])}."
-        )
+        words = "are at another place in the second file; the first file's is used"
+        add_conflict("places-differ", len(off), words, [f"{ref} ({off[ref]:.2f} mm)" for ref in worst])
     turned, skewed = [], []
     for ref in sorted(placed.keys() & drawn.keys()):
         turn = drawn[ref].rotation + found.degrees - placed[ref].rotation
@@ -239,19 +247,17 @@ def _conflicts(
         elif not _is_near(turn, 0.0):
             turned.append(f"{ref} ({(-turn) % 360:.0f}°)")
     if skewed:
-        notes.append(f"conflict: {len(skewed)} parts have another rotation; the first file's is used: {_some(skewed)}.")
+        add_conflict("rotations-differ", len(skewed), "have another rotation; the first file's is used", skewed)
     if turned:
-        notes.append(
-            f"conflict: {len(turned)} parts have another rotation by quarter turns; the body stays as the second file "
-            f"draws it: {_some(turned)}."
-        )
+        words = "have another rotation by quarter turns; the body stays as the second file draws it"
+        add_conflict("quarter-turns-differ", len(turned), words, turned)
     if sides:
         shown = [f"{ref} ({first}, {second})" for ref, (first, second) in sides.items()]
-        notes.append(f"conflict: {len(sides)} parts lie on different sides in both files: {_some(shown)}.")
+        add_conflict("sides-differ", len(sides), "lie on different sides in both files", shown)
     if missing := sorted(placed.keys() - drawn.keys()):
-        notes.append(f"conflict: {len(missing)} parts are in the first file only, without a body: {_some(missing)}.")
+        add_conflict("parts-without-body", len(missing), "are in the first file only, without a body", missing)
     if more := sorted(drawn.keys() - placed.keys()):
-        notes.append(f"conflict: {len(more)} parts are in the second file only; they were left out: {_some(more)}.")
+        add_conflict("parts-of-second-file", len(more), "are in the second file only; they were left out", more)
     return notes
 
 

@@ -8,7 +8,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from vaoi_station.board_data.design import Design, Side
+from vaoi_station.board_data.design import Design, Note, Side
 from vaoi_station.model import BoardType, Strict
 
 
@@ -39,6 +39,14 @@ class MissingData(Strict):
     message: str
 
 
+class ImportRemark(Strict):
+    """What a person should check after an import."""
+
+    code: str
+    message: str
+    values: dict[str, str] = Field(description="What the message states: numbers, designators and other names.")
+
+
 class ImportOverview(Strict):
     """What an import has found."""
 
@@ -60,10 +68,10 @@ class ImportOverview(Strict):
     heights: int = Field(description="Number of components with a height.")
     table: ImportedTable | None = None
     missing: list[MissingData]
-    check: list[str] = Field(description="Sentences on what a person should check.")
+    check: list[ImportRemark] = Field(description="What a person should check.")
 
 
-def overview(design: Design, board: BoardType, notes: tuple[str, ...]) -> ImportOverview:
+def overview(design: Design, board: BoardType, notes: tuple[Note, ...]) -> ImportOverview:
     """Describe an import: `board` is the board type of one side of `design`."""
     sides = Counter(part.side for part in design.parts)
     low, high = board.extent()
@@ -86,7 +94,7 @@ def overview(design: Design, board: BoardType, notes: tuple[str, ...]) -> Import
         heights=sum(c.body_height is not None for c in board.components),
         table=_table(design),
         missing=list(_missing(design, board)),
-        check=list(notes),
+        check=[ImportRemark(code=note.code, message=note, values=dict(note.values)) for note in notes],
     )
 
 

@@ -75,7 +75,7 @@ def import_board_data(
     reply = import_limited(task, OF_PERSONS)
     assert reply.overview is not None
     board = BoardType.model_validate_json(reply.board_type)
-    return ImportedBoard(board, tuple(reply.overview.check), reply.picture)
+    return ImportedBoard(board, tuple(remark.message for remark in reply.overview.check), reply.picture)
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ from dataclasses import replace
 from itertools import product
 from math import dist
 
-from vaoi_station.board_data.design import XY, Design, Mark, Part, PlacedBoard, Placement, extent, rotated
+from vaoi_station.board_data.design import XY, Design, Mark, Note, Part, PlacedBoard, Placement, extent, rotated
 from vaoi_station.board_data.panels.layout import MOST_PARTS
 from vaoi_station.board_data.panels.step_and_repeat import MOST_BOARDS
 
@@ -66,13 +66,15 @@ def _panel(design: Design, boards: Sequence[Sequence[Part | Mark]]) -> Design:
             marks=tuple(member for member in boards[k] if isinstance(member, Mark)),
         )
         placed.append(PlacedBoard(str(n), str(n), one, _NOWHERE))
-    note = (
+    sentence = (
         f"designators occur {len(boards)} times, at places that are copies of one another: the file was read as a "
         f"panel of {len(boards)} boards, whose positions count from 1, from left to right, then upwards."
     )
     parts = tuple(part for part in design.parts if id(part) not in used)
     marks = tuple(mark for mark in design.marks if id(mark) not in used)
-    return replace(design, parts=parts, marks=marks, boards=tuple(placed)).with_notes(note)
+    return replace(design, parts=parts, marks=marks, boards=tuple(placed)).with_notes(
+        Note("read-as-panel", sentence, count=len(boards))
+    )
 
 
 def _placed(anchor: Sequence[Part | Mark], group: Sequence[Part | Mark]) -> tuple[Part | Mark, ...]:

@@ -6,7 +6,7 @@ import math
 import re
 from dataclasses import dataclass, replace
 
-from vaoi_station.board_data.design import XY, Design, PlacedBoard, Placement, extent
+from vaoi_station.board_data.design import XY, Design, Note, PlacedBoard, Placement, extent
 from vaoi_station.board_data.panels.step_and_repeat import MOST_BOARDS
 from vaoi_station.errors import InputError
 from vaoi_station.model.frozen_model import MOST_MM
@@ -101,14 +101,18 @@ def repeated(design: Design, grid: Grid) -> Design:
         boards.append(PlacedBoard(str(n + 1), str(n + 1), bare, at))
         edges.append(extent([at.apply(corner) for corner in corners]))
     nx, ny = grid.counts
-    notes = [f"the board is repeated {nx} × {ny} times; positions count from 1, along x first."]
+    sentence = f"the board is repeated {nx} × {ny} times; positions count from 1, along x first."
+    notes = [Note("board-repeated", sentence, counts=f"{nx} × {ny}")]
     sizes = [max(far[k] - near[k] for near, far in edges) for k in (0, 1)]
     for size, pitch, n, axis in zip(sizes, grid.pitch, grid.counts, "xy", strict=True):
         if n > 1 and abs(pitch) < size - 1e-3:
-            notes.append(f"the pitch along {axis} is {abs(pitch):g} mm, but the board measures {size:.3f} mm there.")
+            stated, there = f"{abs(pitch):g}", f"{size:.3f}"
+            sentence = f"the pitch along {axis} is {stated} mm, but the board measures {there} mm there."
+            notes.append(Note("pitch-below-size", sentence, axis=axis, pitch_mm=stated, size_mm=there))
     outline: tuple[XY, ...] = ()
     if grid.border is None:
-        notes.append("the edges of the panel are not known, so that it has no outline; state them by --border.")
+        sentence = "the edges of the panel are not known, so that it has no outline; state them by --border."
+        notes.append(Note("panel-edges-unknown", sentence))
     else:
         (x0, y0), (x1, y1) = extent([corner for edge in edges for corner in edge])
         (bx, by) = grid.border

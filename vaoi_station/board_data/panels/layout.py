@@ -9,7 +9,18 @@ from typing import get_args
 
 from vaoi_station.board_data.contours import area
 from vaoi_station.board_data.conversion import MOST_CUT_OUTS, MOST_OUTLINE_POINTS
-from vaoi_station.board_data.design import XY, Design, Mark, Part, PlacedBoard, Placement, Side, extent, normalised
+from vaoi_station.board_data.design import (
+    XY,
+    Design,
+    Mark,
+    Note,
+    Part,
+    PlacedBoard,
+    Placement,
+    Side,
+    extent,
+    normalised,
+)
 from vaoi_station.board_data.marks import find_marks
 from vaoi_station.errors import InputError
 from vaoi_station.geometry.polygon import encloses
@@ -46,7 +57,8 @@ def laid_out(design: Design) -> Design:
     kept = nlargest(MOST_CUT_OUTS, contours, key=lambda c: c[0])
     cut_outs = (*design.cut_outs, *(tuple(map(at.apply, contour)) for _, at, contour in kept))
     left_out = sum(len(board.design.cut_outs) for board in design.boards) - len(kept)
-    notes = (f"{left_out} contours of the boards are too many or too fine; they were left out.",) if left_out else ()
+    sentence = f"{left_out} contours of the boards are too many or too fine; they were left out."
+    notes = [Note("contours-too-many", sentence, count=left_out)] if left_out else []
     laid = replace(design, parts=tuple(parts), marks=tuple(marks), cut_outs=cut_outs)
     return laid.with_notes(*notes)
 

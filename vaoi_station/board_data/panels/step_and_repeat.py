@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
-from vaoi_station.board_data.design import XY, Design, PlacedBoard, Placement
+from vaoi_station.board_data.design import XY, Design, Note, PlacedBoard, Placement
 from vaoi_station.errors import InputError
 
 MOST_BOARDS = 1_000
@@ -146,26 +146,35 @@ def panel_of(name: str, read: Callable[[str], Step], where: str) -> Design:
             action="Choose the step of the board by --step.",
         )
     shown = ", ".join(f"{count} of step {step}" for step, count in layout.steps.items())
-    notes = [f"step {name} is a panel of {layout.steps.total()} boards: {shown}; their positions count from 1."]
+    count = layout.steps.total()
+    sentence = f"step {name} is a panel of {count} boards: {shown}; their positions count from 1."
+    notes = [Note("step-is-panel", sentence, step=name, count=count)]
     if over := [board.name for board in layout.boards if board.position and board.at.mirrored]:
-        notes.append(f"{len(over)} boards lie upside down, so that their other side is up: positions {_some(over)}.")
+        names = _some(over)
+        sentence = f"{len(over)} boards lie upside down, so that their other side is up: positions {names}."
+        notes.append(Note("boards-upside-down", sentence, count=len(over), names=names))
     # By 0° and 180° both orders of mirroring and turning are the same.
     turned = [board.name for board in layout.boards if board.at.mirrored and board.at.degrees % 180]
     if turned:
-        notes.append(
-            f"boards lie upside down and turned, for which programs differ in what they do first: check in the picture "
-            f"that the boards lie within the panel: {_some(turned)}."
+        names = _some(turned)
+        sentence = (
+            "boards lie upside down and turned, for which programs differ in what they do first: check in the picture "
+            f"that the boards lie within the panel: {names}."
         )
+        notes.append(Note("boards-turned-over", sentence, names=names))
     if layout.bare:
-        notes.append(f"repeated steps without components were left out: {', '.join(sorted(layout.bare))}.")
+        names = ", ".join(sorted(layout.bare))
+        notes.append(Note("bare-steps", f"repeated steps without components were left out: {names}.", names=names))
     return replace(top.design, boards=tuple(layout.boards), notes=(*top.design.notes, *notes))
 
 
-def note_on_panels(names: Sequence[str]) -> list[str]:
-    """Return the sentence that names the panels of a file of which a board was read; none without panels."""
+def note_on_panels(names: Sequence[str]) -> list[Note]:
+    """Return the note that names the panels of a file of which a board was read; none without panels."""
     if not names:
         return []
-    return [f"steps that repeat boards: {_some(names)}. If panels run through the line, choose the panel by --step."]
+    shown = _some(names)
+    sentence = f"steps that repeat boards: {shown}. If panels run through the line, choose the panel by --step."
+    return [Note("panels-in-file", sentence, names=shown)]
 
 
 def _some(names: Sequence[str]) -> str:

@@ -13,7 +13,7 @@ from pathlib import Path
 from xml.etree.ElementTree import Element
 
 from vaoi_station.board_data.contours import arc_points, circle_points, join
-from vaoi_station.board_data.design import XY, Box, Design, Part, body_of, box_around, normalised
+from vaoi_station.board_data.design import XY, Box, Design, Note, Part, body_of, box_around, normalised
 from vaoi_station.board_data.source_text import decode, number_of, parse_xml
 from vaoi_station.errors import InputError
 
@@ -47,7 +47,8 @@ def read_eagle(data: bytes, path: Path) -> Design:
         parts.append(reader.part(element, package))
     plain = board.find("plain")
     contours, stray = join(reader.drawing(plain, _DIMENSION) if plain is not None else ())
-    notes = (f"{stray} lines of layer 20 close no contour; they were left out.",) if stray else ()
+    sentence = f"{stray} lines of layer 20 close no contour; they were left out."
+    notes = (Note("lines-left-out", sentence, count=stray),) if stray else ()
     outline, *cut_outs = contours or [[]]
     return Design(path.stem, "eagle", tuple(parts), tuple(outline), tuple(map(tuple, cut_outs)), notes=notes)
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from vaoi_station.board_data.contours import arc_points, circle_points, join
-from vaoi_station.board_data.design import XY, Box, Design, Part, Side, body_of, box_around, normalised, rotated
+from vaoi_station.board_data.design import XY, Box, Design, Note, Part, Side, body_of, box_around, normalised, rotated
 from vaoi_station.board_data.source_text import decode, number_of
 from vaoi_station.errors import InputError
 
@@ -62,9 +62,12 @@ def read_gencad(data: bytes, path: Path) -> Design:
             unknown.add(component["COMPONENT"][1][1])
         else:
             parts.append(part)
-    notes = [f"{stray} lines of $BOARD close no contour; they were left out."] if stray else []
+    sentence = f"{stray} lines of $BOARD close no contour; they were left out."
+    notes = [Note("lines-left-out", sentence, count=stray)] if stray else []
     if unknown:
-        notes.append(f"{len(unknown)} components are not placed; they were left out: {', '.join(sorted(unknown)[:8])}.")
+        names = ", ".join(sorted(unknown)[:8])
+        sentence = f"{len(unknown)} components are not placed; they were left out: {names}."
+        notes.append(Note("parts-not-placed", sentence, count=len(unknown), names=names))
     outline, *cut_outs = contours or [[]]
     return Design(name, "gencad", tuple(parts), tuple(outline), tuple(map(tuple, cut_outs)), notes=tuple(notes))
 

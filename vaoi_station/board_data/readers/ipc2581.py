@@ -20,6 +20,7 @@ from vaoi_station.board_data.design import (
     Design,
     Mark,
     MarkKind,
+    Note,
     Part,
     Side,
     body_of,
@@ -83,10 +84,9 @@ def read_ipc2581(data: bytes, path: Path, step: str | None = None) -> Design:
         best = max(placed, key=lambda name: len(steps[name].findall("Component")))
         design = reader.design(steps[best], best)
         if len(placed) > 1:
-            notes.append(
-                f"the file has {len(placed)} steps with components ({', '.join(placed)}); {best} was read. "
-                "Choose by --step."
-            )
+            names = ", ".join(placed)
+            sentence = f"the file has {len(placed)} steps with components ({names}); {best} was read. Choose by --step."
+            notes.append(Note("several-steps", sentence, names=names, step=best))
         notes += note_on_panels([name for name in panels if name != best])
     else:
 
@@ -161,7 +161,9 @@ class _Reader:
                 absent.add(component.get("packageRef", ""))
             parts.append(self._part(component, package, rule))
         if absent:
-            notes.append(f"{len(absent)} packages are not described: {', '.join(sorted(absent)[:8])}.")
+            names = ", ".join(sorted(absent)[:8])
+            sentence = f"{len(absent)} packages are not described: {names}."
+            notes.append(Note("packages-not-described", sentence, count=len(absent), names=names))
         profile = step.find("Profile")
         outline = self._polygon(profile.find("Polygon")) if profile is not None else []
         cut_outs = [self._polygon(c) for c in profile.iter("Cutout")] if profile is not None else []

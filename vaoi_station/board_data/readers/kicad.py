@@ -18,6 +18,7 @@ from vaoi_station.board_data.design import (
     Design,
     Mark,
     MarkKind,
+    Note,
     Part,
     Side,
     box_around,
@@ -59,11 +60,13 @@ def _design(root: Node, path: Path) -> Design:
         else:
             parts.append(part)
     contours, stray = join(_edges(root))
-    notes = (
-        [f"{unplaced} footprints are not for placement, or have no designator; they were left out."] if unplaced else []
-    )
+    notes = []
+    if unplaced:
+        sentence = f"{unplaced} footprints are not for placement, or have no designator; they were left out."
+        notes.append(Note("footprints-left-out", sentence, count=unplaced))
     if stray:
-        notes.append(f"{stray} lines on Edge.Cuts close no contour; they were left out.")
+        sentence = f"{stray} lines on Edge.Cuts close no contour; they were left out."
+        notes.append(Note("lines-left-out", sentence, count=stray))
     return Design(
         name=text_of(first(root, "title_block") or [], "title") or path.stem,
         format="kicad",

@@ -17,7 +17,18 @@ from functools import cache
 from pathlib import Path
 
 from vaoi_station.board_data.contours import arc_points, circle_points
-from vaoi_station.board_data.design import KICAD_COURTYARD_MM, XY, Box, Design, Mark, Part, Side, box_around, normalised
+from vaoi_station.board_data.design import (
+    KICAD_COURTYARD_MM,
+    XY,
+    Box,
+    Design,
+    Mark,
+    Note,
+    Part,
+    Side,
+    box_around,
+    normalised,
+)
 from vaoi_station.board_data.panels import Step, note_on_panels, panel_of
 from vaoi_station.board_data.readers import unix_compress
 from vaoi_station.board_data.readers.odb_features import outer_layers, pad_marks
@@ -79,9 +90,9 @@ def read_odb(path: Path, step: str | None = None) -> Design:
             designs = [_design(archive, root, path, name) for name in placed]
             best = max(designs, key=lambda d: len(d.parts))
             if others := [d.name for d in designs if d is not best]:
-                notes.append(
-                    f"further steps have components: {', '.join(others)}; {best.name} was read. Choose by --step."
-                )
+                names = ", ".join(others)
+                sentence = f"further steps have components: {names}; {best.name} was read. Choose by --step."
+                notes.append(Note("several-steps", sentence, names=names, step=best.name))
             notes += note_on_panels([name for name in panels if name != best.name])
         else:
             best = panel_of(step.lower(), lambda name: _named_step(archive, root, path, name), str(path))

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from vaoi_station.board_data.design import Design, Part, Side, TableReading, normalised
+from vaoi_station.board_data.design import Design, Note, Part, Side, TableReading, normalised
 from vaoi_station.board_data.readers.table_columns import (
     COLUMNS,
     NUMBER,
@@ -104,14 +104,18 @@ def read_placement_table(data: bytes, path: Path, options: TableOptions) -> Desi
         raise InputError(f"{path}: no line has a part with {', '.join(REQUIRED)}. Name the columns by --columns.")
     shown = ", ".join(f"{name}: column {index + 1}" for name, index in layout.columns.items())
     named = {",": "comma", ";": "semicolon", "\t": "tab", " ": "spaces", "|": "bar"}.get(delimiter, delimiter)
-    notes = [f"delimiter {named}; {shown}; unit {unit} ({stated}). Correct it by --columns, --delimiter or --units."]
+    sentence = f"delimiter {named}; {shown}; unit {unit} ({stated}). Correct it by --columns, --delimiter or --units."
+    notes = [Note("table-read-as", sentence, columns=shown, unit=unit)]
     if unplaced:
-        notes.append(f"{len(unplaced)} parts without x and y were left out: {', '.join(unplaced[:8])}.")
+        names = ", ".join(unplaced[:8])
+        sentence = f"{len(unplaced)} parts without x and y were left out: {names}."
+        notes.append(Note("parts-not-placed", sentence, count=len(unplaced), names=names))
     if "side" not in layout.columns and not stated_side and not any("m" in row for row in rows[layout.first :]):
         taken = f"all parts are taken as those of the {layout.all_on or 'top'}"
-        notes.append(f"no column states the side; {taken}. State it by --columns side=bottom, or side=top.")
+        sentence = f"no column states the side; {taken}. State it by --columns side=bottom, or side=top."
+        notes.append(Note("side-assumed", sentence, side=layout.all_on or "top"))
     if "rotation" not in layout.columns:
-        notes.append("no column states the rotation; 0° is taken.")
+        notes.append(Note("rotation-assumed", "no column states the rotation; 0° is taken."))
     numbers = tuple((name, index + 1) for name, index in layout.columns.items())
     table = TableReading(named, unit, stated, numbers, layout.headers, stated_side)
     return Design(path.stem, "centroid", tuple(parts), table=table, notes=tuple(notes))

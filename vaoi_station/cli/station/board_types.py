@@ -104,8 +104,8 @@ def import_board_data(
         f"{found['side']} of {found['name']!r} ({found['format']}): {found['components']} components, "
         f"{found['fiducials']} fiducials"
     )
-    for line in found["check"]:
-        typer.echo(f"check: {line}")
+    for remark in found["check"]:
+        typer.echo(f"check: {remark['message']}")
     if confirm:
         try:
             stored = preview.confirm(new=not replace)

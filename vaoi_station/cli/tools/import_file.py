@@ -96,8 +96,8 @@ def _import_board_data(out: Path, task: dict[str, object]) -> None:
         f"{out}: {found.side} of {found.name!r} ({found.format}): {found.components} components, {shown}; "
         f"{found.fiducials} fiducials"
     )
-    for note in found.check:
-        typer.echo(f"check: {note}")
+    for remark in found.check:
+        typer.echo(f"check: {remark.message}")
 
 
 _SIZE_WORDS = {"file": "the file", "table": "the table of packages", "guess": "a guess"}

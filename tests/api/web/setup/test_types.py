@@ -29,6 +29,19 @@ def choose_file(page: Page, field: str, name: str, text: str) -> None:
     page.locator(field).set_input_files({"name": name, "mimeType": "text/plain", "buffer": text.encode()})
 
 
+def test_remarks_of_an_import_are_in_the_language_of_the_page(page: Page, engineer: Any) -> None:
+    page.goto(f"{engineer.url}/#/setup")
+    page.evaluate("localStorage.setItem('vaoi-language', 'de')")
+    page.reload()
+    choose_file(page, "#board-file", "places.csv", TABLE)
+    choose_file(page, "#join-file", "board.kicad_pcb", samples.KICAD)
+    remarks = page.locator("details", has_text="Bemerkungen des Imports").locator("> ul > li")
+    expect(remarks.filter(has_text="Über 3 Bezeichner verbunden")).to_contain_text("stimmen auf 0 µm überein.")
+    expect(remarks.filter(has_text="nur in der ersten Datei, ohne Körper: TP2.")).to_have_count(1)
+    expect(page.locator("details li > [lang=en]")).to_have_count(0)  # the station's sentence is behind each
+    assert "undefined" not in " ".join(remarks.all_text_contents())
+
+
 def test_a_file_becomes_an_approved_board_type(page: Page, engineer: Any, fits: Any) -> None:
     page.goto(f"{engineer.url}/#/setup")
     expect(page.get_by_role("link", name="demo-board")).to_be_visible()

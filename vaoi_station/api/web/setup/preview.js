@@ -56,7 +56,7 @@ class Preview {
       [t.notFitted, found.not_fitted ? String(found.not_fitted) : ""],
       [t.unit, found.table ? `${found.table.unit} (${found.table.unit_from})` : ""],
     ]), missing.length ? make("h4", { textContent: t.missingTitle }) : "", make("ul", { className: "warnings" }, ...missing),
-    found.check.length ? make("details", {}, make("summary", { textContent: t.toCheck(found.check.length) }), make("ul", {}, ...found.check.map((line) => make("li", {}, ...said(line))))) : "");
+    found.check.length ? make("details", {}, make("summary", { textContent: t.toCheck(found.check.length) }), make("ul", {}, ...found.check.map(({ code, message, values }) => make("li", {}, ...said(message, texts.translated.remarks[code]?.(values)))))) : "");
   }
 
   // Side, name, for a centroid file its unit and columns, and which panel the board is of. Every change is imported anew

@@ -1,9 +1,11 @@
 // Was die Station auf Englisch sagt, auf Deutsch: nach dem Code. Der Satz der Station steht daneben.
 import { findings } from "./station/findings_de.js";
+import { remarks } from "./station/remarks_de.js";
 import { warnings } from "./station/warnings_de.js";
 
 export const translated = {
   findings: { ...warnings, ...findings },
+  remarks,
   // Namen der Prüfungen von vaoi doctor
   checks: {
     configuration: "Konfiguration", python: "Python", libraries: "Bibliotheken", "compiled code": "übersetzter Code", time: "Uhrzeit",

@@ -1,0 +1,46 @@
+// Bemerkungen eines Imports nach ihrem Code (docs/codes.md), mit den Werten, die der Satz der Station nennt.
+const more = (names) => names.replace(/ and (\d+) more$/, " und $1 weitere");
+const KINDS = { global: "Passmarken", local: "lokale Passmarken", panel: "Passmarken des Nutzens", "bad-board": "Schlechtmarken" };
+const BY = { element: "aus Elementen der Datei", attribute: "aus einem Attribut", package: "am Gehäuse erkannt", name: "am Namen erkannt", place: "am Ort erkannt" };
+const SIDES = { top: "Oberseite", bottom: "Unterseite" };
+
+export const remarks = {
+  "bare-steps": ({ names }) => `Wiederholte Steps ohne Bauteile wurden weggelassen: ${names}.`,
+  "board-repeated": ({ counts }) => `Die Leiterplatte wird ${counts}-mal wiederholt; Positionen zählen von 1 an, zuerst entlang x.`,
+  "boards-of-one-fiducial": ({ count, names }) => `Nur eine Passmarke bestimmt die Lage von ${count} Leiterplatten des Nutzens, sodass Läufe Vorbehalte haben: Positionen ${more(names)}. Jeder eine zweite geben.`,
+  "boards-turned-over": ({ names }) => `Leiterplatten liegen gewendet und gedreht, wofür Programme Verschiedenes zuerst tun: Im Bild prüfen, ob sie im Nutzen liegen: ${more(names)}.`,
+  "boards-upside-down": ({ count, names }) => `${count} Leiterplatten liegen gewendet, ihre andere Seite ist oben: Positionen ${more(names)}.`,
+  "contours-left-out": ({ count }) => `${count} Konturen liegen außerhalb des Umrisses oder taugen nicht als Ausschnitte; sie wurden weggelassen. Prüfen, ob die Datei einen Nutzen beschreibt.`,
+  "contours-too-many": ({ count }) => `${count} Konturen der Leiterplatten sind zu viele oder zu fein; sie wurden weggelassen.`,
+  "designators-repeated": ({ names }) => `Bezeichner, die mehrmals vorkommen, wurden weggelassen: ${more(names)}.`,
+  "fiducials-few": ({ count }) => `${count} Passmarken gefunden; zwei sind nötig.`,
+  "files-joined": ({ count, turned_deg, shift_mm, agree, within_um }) => `Über ${count} Bezeichner verbunden: gedreht um ${turned_deg}°, verschoben um (${shift_mm}) mm; ${agree} stimmen auf ${within_um} µm überein.`,
+  "footprints-left-out": ({ count }) => `${count} Footprints werden nicht bestückt oder haben keinen Bezeichner; sie wurden weggelassen.`,
+  "lines-left-out": ({ count }) => `${count} Linien des Umrisses schließen keine Kontur; sie wurden weggelassen.`,
+  "mark-diameters-assumed": ({ names, diameter_mm }) => `Die Datei nennt keinen Durchmesser von ${more(names)}; ${diameter_mm} mm wird angenommen.`,
+  "marks-found": ({ count, kind, by, names }) => `${count} ${KINDS[kind]}, ${BY[by]}: ${more(names)}.`,
+  "outline-absent": () => "Die Datei hat keinen Umriss; die Ausdehnung von Bauteilen und Passmarken wird genommen.",
+  "outline-elsewhere": () => "Passmarken liegen außerhalb des Umrisses; er wurde weggelassen. Prüfen, ob beide zur selben Leiterplatte gehören.",
+  "outline-unusable": () => "Der Umriss kreuzt sich selbst oder hat zu viele Ecken; sein umschließendes Rechteck wird genommen.",
+  "packages-not-described": ({ count, names }) => `${count} Gehäuse sind nicht beschrieben: ${names}.`,
+  "panel-edges-unknown": () => "Die Ränder des Nutzens sind nicht bekannt; er hat keinen Umriss. Den Rand angeben.",
+  "panel-unresolved": ({ count, all }) => `${count} von ${all} Bezeichnern kommen mehrmals vor: Die Datei beschreibt wohl einen Nutzen und sagt nicht, welches Bauteil zu welcher Leiterplatte gehört. Die Datei einer Leiterplatte importieren und ihren Nutzen angeben.`,
+  "panels-in-file": ({ names }) => `Steps, die Leiterplatten wiederholen: ${more(names)}. Laufen Nutzen durch die Linie, diesen Step wählen.`,
+  "parts-not-placed": ({ count, names }) => `${count} Bauteile ohne Ort wurden weggelassen: ${names}.`,
+  "parts-of-second-file": ({ count, names }) => `Widerspruch: ${count} Bauteile sind nur in der zweiten Datei; sie wurden weggelassen: ${more(names)}.`,
+  "parts-outside": ({ count, names }) => `${count} Bauteile liegen außerhalb des Umrisses: ${more(names)}.`,
+  "parts-without-body": ({ count, names }) => `Widerspruch: ${count} Bauteile sind nur in der ersten Datei, ohne Körper: ${more(names)}.`,
+  "pitch-below-size": ({ axis, pitch_mm, size_mm }) => `Das Raster entlang ${axis} ist ${pitch_mm} mm, die Leiterplatte misst dort aber ${size_mm} mm.`,
+  "places-differ": ({ count, names }) => `Widerspruch: ${count} Bauteile liegen in der zweiten Datei woanders; es gilt die erste: ${more(names)}.`,
+  "places-mirrored": () => "Die erste Datei beschreibt diese Seite in x gespiegelt; ihre Orte wurden zurückgespiegelt.",
+  "quarter-turns-differ": ({ count, names }) => `Widerspruch: ${count} Bauteile sind um Vierteldrehungen anders gedreht; der Körper bleibt, wie die zweite Datei ihn zeichnet: ${more(names)}.`,
+  "read-as-panel": ({ count }) => `Bezeichner kommen ${count}-mal an Orten vor, die Kopien voneinander sind: Die Datei wurde als Nutzen aus ${count} Leiterplatten gelesen, deren Positionen von 1 an zählen, von links nach rechts, dann nach oben.`,
+  "rotation-assumed": () => "Keine Spalte nennt die Drehung; 0° wird angenommen.",
+  "rotations-differ": ({ count, names }) => `Widerspruch: ${count} Bauteile sind anders gedreht; es gilt die erste Datei: ${more(names)}.`,
+  "several-steps": ({ names, step }) => `Mehrere Steps haben Bauteile: ${names}; gelesen wurde ${step}.`,
+  "side-assumed": ({ side }) => `Keine Spalte nennt die Seite; alle Bauteile gelten als solche der ${SIDES[side]}.`,
+  "sides-differ": ({ count, names }) => `Widerspruch: ${count} Bauteile liegen in beiden Dateien auf verschiedenen Seiten: ${more(names)}.`,
+  "sizes-guessed": ({ count, size, names }) => `${count} Bauteile haben keine Größe in der Datei, und ihr Gehäuse steht in keiner Tabelle: ${size} mm ist geschätzt für ${more(names)}.`,
+  "step-is-panel": ({ step, count }) => `Der Step ${step} ist ein Nutzen aus ${count} Leiterplatten; ihre Positionen zählen von 1 an.`,
+  "table-read-as": ({ columns, unit }) => `Als Tabelle gelesen, Einheit ${unit}; ${columns}. Sonst Spalten und Einheit berichtigen.`,
+};
