@@ -49,6 +49,41 @@ def test_components_have_place_height_and_views(stitched: StitchedRun) -> None:
     assert found == pytest.approx(stated)
 
 
+def test_residuals_of_a_component_are_those_between_the_frames_that_show_it(stitched: StitchedRun) -> None:
+    pairs = [
+        {"a": [0, 0], "b": [0, 1], "used": 3, "rms_px": 0.1},
+        {"a": [0, 1], "b": [1, 1], "used": 1, "rms_px": 0.5},
+        {"a": [1, 1], "b": [1, 2], "used": 9, "rms_px": 7.0},
+        {"a": [0, 0], "b": [0, 0], "used": 9, "rms_px": 7.0},
+        {"a": [0, 0], "b": [1, 1], "used": 0, "rms_px": None},
+    ]
+    local = {
+        "U1": {"shift_mm": [0.02, -0.03], "refusal": None},
+        "R1": {"shift_mm": [0.5, 0.5], "refusal": "too few"},
+    }
+    result = stitched.result.model_copy(
+        update={
+            "components": {"U1": [(0, 0, 5.0, 5.0), (0, 1, 5.0, 5.0), (1, 1, 5.0, 5.0)], "R1": [(1, 2, 5.0, 5.0)]},
+            "quality": stitched.result.quality | {"link_pairs": pairs, "local_fiducials": local},
+        }
+    )
+    components = result_tables(KEY, "new", result, stitched.board_type, stitched.recording.head)["components"]
+    u1, r1 = (components["component"].index(name) for name in ("U1", "R1"))
+    assert components["links"][u1] == 4
+    assert components["residual_px"][u1] == pytest.approx(((3 * 0.1**2 + 0.5**2) / 4) ** 0.5)
+    assert (components["local_x_mm"][u1], components["local_y_mm"][u1]) == (0.02, -0.03)
+    names = ("links", "residual_px", "local_x_mm", "local_y_mm")
+    assert [components[name][r1] for name in names] == [0, None, None, None]
+
+
+def test_components_of_a_run_have_residuals_within_those_of_the_pairs(stitched: StitchedRun) -> None:
+    tables = result_tables(KEY, "new", stitched.result, stitched.board_type, stitched.recording.head)
+    found = [v for v in tables["components"]["residual_px"] if v is not None]
+    stated = [pair["rms_px"] for pair in stitched.result.quality["link_pairs"] if pair["used"]]
+    assert found
+    assert min(stated) <= min(found) <= max(found) <= max(stated)
+
+
 def test_figures_of_another_form_are_none(stitched: StitchedRun) -> None:
     """The quality of a result accepts any keys and values, also those of older versions."""
     wrong = {
@@ -60,6 +95,8 @@ def test_figures_of_another_form_are_none(stitched: StitchedRun) -> None:
         "fiducials": [7],
         "component_sigma_px": {"U1": True},
         "component_covariance_px2": {"U1": 3},
+        "link_pairs": [3, {"a": [0, 0], "b": 1, "used": 2, "rms_px": 0.1}],
+        "local_fiducials": {"U1": 2},
         "cad_sigma_px": float("nan"),
     }
     result = stitched.result.model_copy(update={"quality": wrong, "camera_matrices": None})

@@ -131,23 +131,47 @@ def _components(result: Stitch, board_type: BoardType | None) -> Iterator[dict[s
     sigma, height, height_sigma, unseen = (
         _mapping(q.get(name)) for name in ("component_sigma_px", "heights_mm", "height_sigma_mm", "unseen")
     )
-    views = result.components or {}
+    views, links = result.components or {}, _links(result)
+    local = _mapping(q.get("local_fiducials"))
     for part in board_type.components if board_type else ():
         address = part.address
         matrix = result.component_matrix(address)
         place = [None, None] if matrix is None else apply(np.asarray(matrix), np.array([part.center]))[0].tolist()
+        frames = {(camera, row) for camera, row, _, _ in views.get(address, ())}
+        shown = [(used, rms) for pair, used, rms in links if pair <= frames]
+        count = sum(used for used, _ in shown)
+        placed = _mapping(local.get(address))
+        local_mm = _numbers(placed.get("shift_mm") if placed.get("refusal") is None else None, 2)
         yield {
             "component": address,
             "package": part.package,
             "x_mm": place[0],
             "y_mm": place[1],
             "sigma_px": _number(sigma.get(address)),
+            "links": count,
+            "residual_px": math.sqrt(sum(used * rms**2 for used, rms in shown) / count) if count else None,
+            "local_x_mm": local_mm[0],
+            "local_y_mm": local_mm[1],
             "height_mm": _number(height.get(address)),
             "height_sigma_mm": _number(height_sigma.get(address)),
             "views": len(views.get(address, ())),
             "coverage": _number(_mapping(unseen.get(address)).get("coverage")),
             "status": str(result.status),
         }
+
+
+def _links(result: Stitch) -> list[tuple[set[tuple[int, int]], int, float]]:
+    """Return pairs of linked frames (camera, row), the number of their used links, and the rms of the residuals."""
+    pairs = result.quality.get("link_pairs")
+    found = []
+    for entry in pairs if isinstance(pairs, list) else []:
+        pair = _mapping(entry)
+        one, other = _numbers(pair.get("a"), 2), _numbers(pair.get("b"), 2)
+        used, rms = _number(pair.get("used")), _number(pair.get("rms_px"))
+        # A frame that is linked with itself has links with the reference or with marks, not with another frame.
+        if one != other and None not in (*one, *other) and used and rms is not None:
+            found.append(({(int(c), int(r)) for c, r in (one, other)}, int(used), rms))  # type: ignore[arg-type]
+    return found
 
 
 def _views(result: Stitch) -> Iterator[dict[str, Any]]:
