@@ -25,7 +25,7 @@ def coupled(component: list[int], p: list[int], q: list[int], left: list[int], *
     """Couple links, each in a group of its own, between rows p and q; cameras differ if p = q."""
     k = len(component)
     none, rows = np.zeros((k, 2)), (np.array(p), np.array(q))
-    links = LinkArrays(*rows, none, none, none, none, np.zeros((k, 2, 2)), np.ones(k), np.arange(k))
+    links = LinkArrays(*rows, none, none, none, none, np.zeros((k, 2, 2)), np.ones(k), np.ones(k), np.arange(k))
     pairs = CameraPairs(np.array(left), np.array(left) + (rows[0] == rows[1]))
     columns = OtherColumns(BASIS, 3 * ROWS + 4, -1 if exact else AT_CAMERAS, PARTS)
     return Coupling.of(np.array(component), links, pairs, columns)

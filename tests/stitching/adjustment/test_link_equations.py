@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -95,8 +95,8 @@ def scene() -> Scene:
     p, q = p[order], q[order]
     group = np.concatenate([[0], np.cumsum(np.diff(p * ROWS + q) != 0)])
     places, leans = g.normal(0, 10, (2, LINKS, 2)), g.normal(0, 0.02, (2, LINKS, 2))
-    noise = np.tile(np.diag([1e-4, 4e-4]), (LINKS, 1, 1))
-    links = LinkArrays(p, q, places[0], places[1], leans[0], leans[1], noise, np.full(LINKS, 20.0), group)
+    noise, resolution, overlap = np.tile(np.diag([1e-4, 4e-4]), (LINKS, 1, 1)), np.full(LINKS, 20.0), np.ones(LINKS)
+    links = LinkArrays(p, q, places[0], places[1], leans[0], leans[1], noise, resolution, overlap, group)
     model = HeightModel(g.normal(0, 1, (LINKS, BASIS)), g.integers(-1, PARTS, LINKS))
     a = g.integers(0, CAMERAS - 1, group[-1] + 1)
     first = np.searchsorted(group, np.arange(len(a)))
@@ -201,6 +201,13 @@ def test_weights_follow_from_noise_noise_floor_and_length(scene: Scene) -> None:
     of_group = np.bincount(group, state.robust * information.mean(1))
     share = 1 / (1 + of_group[group] * (shared[kind] / px) ** 2)
     assert state.weight == pytest.approx((state.robust * share)[:, None] * information[:, [0, 0, 1]] * (1, 0, 1))
+
+
+def test_links_whose_patches_cover_one_another_weigh_together_as_much_as_one(scene: Scene) -> None:
+    covered = replace(scene, links=scene.links._replace(overlap=np.full(LINKS, 4.0)))
+    one, each = (weights_of(s, NONE_RAISED, np.zeros(2)) for s in (scene, covered))
+    assert 4 * each.weight == pytest.approx(one.weight)
+    assert each.sigma.tolist() == one.sigma.tolist(), "an outlier is recognised by its own noise"
 
 
 def test_links_of_one_pair_never_weigh_more_than_their_common_error_allows(scene: Scene) -> None:

@@ -14,9 +14,12 @@ from vaoi_station.stitching.adjustment.observations import (
     index_in_group,
     linked_steps,
     median_noise_px,
+    patch_overlap,
     to_observations,
 )
 from vaoi_station.stitching.matching.evidence import Links, Task
+from vaoi_station.stitching.matching.patch_tables import WINDOW_PX
+from vaoi_station.stitching.matching.patches import match_patches, patch_centres
 
 
 def links(task: Task, a: Any, b: Any, information: Any = None) -> Links:
@@ -78,12 +81,42 @@ def test_links_added_one_by_one_are_the_same_in_any_requested_order(workshop: An
     for asked in (found, found[::-1], found[2:], []):
         once = to_observations(asked, cameras)
         again = link_store.observations(asked)
-        for name in ("p", "q", "a_mm", "b_mm", "a_lean", "b_lean", "noise_mm2", "px_per_mm", "group"):
+        for name in ("p", "q", "a_mm", "b_mm", "a_lean", "b_lean", "noise_mm2", "px_per_mm", "overlap", "group"):
             assert np.array_equal(getattr(once, name), getattr(again, name)), name
         assert again.groups == once.groups
     other = links(found[0].task, [[50.0, 60.0]], [[70.0, 80.0]])
     both = link_store.observations([found[0], other])
     np.testing.assert_allclose(both.a_mm, cameras[0].ground(np.concatenate([found[0].a_px, other.a_px])))
+
+
+def test_only_patches_of_the_same_frames_overlap(workshop: Any) -> None:
+    """Of four patches two cover half of each other; the same places in the next pair of frames are other pixels."""
+    px = np.array([[40.0, 40.0], [40.0 + WINDOW_PX / 2, 40.0], [120.0, 40.0], [40.0, 40.0 + WINDOW_PX]])
+    found = [links(Task("rows", (0, k), (0, k + 1)), px, px) for k in range(2)]
+    assert to_observations(found, (workshop.camera(),)).overlap == pytest.approx([1.5, 1.5, 1.0, 1.0] * 2)
+
+
+def test_the_mean_of_patches_that_overlap_is_as_sure_as_their_overlap_says(workshop: Any) -> None:
+    """Two pictures of one texture, with fresh noise in each of 60 repetitions; one patch begins every 8 px."""
+    y, x = np.mgrid[30:90:8, 30:90:8]
+    corners = np.stack([x.ravel(), y.ravel()], -1)
+    at, chance, true = (
+        patch_centres(corners),
+        np.random.default_rng(4),
+        workshop.waves(2).picture(120, 120).astype(float),
+    )
+    squares, stated = [], []
+    for _ in range(60):
+        a, b = (np.clip(np.round(true + chance.normal(0, 4, true.shape)), 0, 255).astype(np.uint8) for _ in range(2))
+        found = match_patches(a, b, corners, at)
+        overlap = patch_overlap(at, WINDOW_PX)
+        weight = np.trace(found.information, axis1=1, axis2=2) / 2 / overlap
+        squares.append((((found.b_px - at) * weight[:, None]).sum(0) / weight.sum()) ** 2)
+        stated.append(1 / weight.sum())
+    ratio = np.mean(squares) / np.mean(stated)
+    print("variance of the mean over the stated one:", ratio, "and if links were independent:", ratio * overlap.mean())
+    assert 0.6 < ratio < 1.4
+    assert ratio * overlap.mean() > 4.0
 
 
 def test_a_selection_keeps_the_groups_of_its_links(workshop: Any) -> None:

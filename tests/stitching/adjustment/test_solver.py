@@ -23,6 +23,7 @@ from vaoi_station.stitching.adjustment.problem import AdjustmentResult, Fiducial
 from vaoi_station.stitching.adjustment.solver import adjust, evaluate_at, solve_subsampled
 from vaoi_station.stitching.adjustment.surface import SIGMA_MM, basis
 from vaoi_station.stitching.matching.evidence import Links, Task
+from vaoi_station.stitching.matching.patch_tables import WINDOW_PX
 
 Array = NDArray[np.float64]
 ROWS, STEP_MM, PX_PER_MM = 6, 8.0, 10.0
@@ -65,10 +66,16 @@ class Bench:
         pa, pb = self.seen(*a, board, height), self.seen(*b, board, height)
         both = np.flatnonzero(self.cameras[a[0]].sees(pa, 5) & self.cameras[b[0]].sees(pb, 5))[:count]
         shared = self.g.normal(0, self.pair_px, 2)
-        noise = self.g.normal(0, self.real_px, (len(both), 2)) + shared
+        noise = self.real_px * self.patch_noise(pa[both]) + shared
         task = Task("rows" if a[0] == b[0] else "neighbours", a, b, 0.1 * (b[1] - a[1]))
         information = np.tile(np.eye(2) / STATED_PX**2, (len(both), 1, 1))
         return Links(task, pa[both], pb[both] + noise, information, np.ones(len(both))), component[both]
+
+    def patch_noise(self, px: Array) -> Array:
+        """Noise of patches at these pixels: those that overlap have the noise of the pixels in both in common."""
+        apart = np.abs(px[:, None] - px[None])
+        common = np.maximum(1 - apart / WINDOW_PX, 0).prod(-1) + 1e-9 * np.eye(len(px))
+        return np.asarray(np.linalg.cholesky(common) @ self.g.normal(0, 1, px.shape))
 
     def problem(self, *, without: tuple[int, ...] = (), outliers: float = 0.0) -> Problem:
         """The problem of all links of the run except those of some rows."""

@@ -222,7 +222,7 @@ def test_links_beside_components_show_no_offset_of_a_seam_along_their_lean() -> 
     near, pairs, row = np.arange(30) < 18, np.zeros((30, 2)), np.zeros(30, dtype=np.int_)
     lean = np.tile((0.1, 0.0), (30, 1))
     covariance = np.zeros((30, 2, 2))
-    links = Observations(row, row, pairs, pairs, pairs, lean, covariance, np.full(30, 10.0), row, ())
+    links = Observations(row, row, pairs, pairs, pairs, lean, covariance, np.full(30, 10.0), np.ones(30), row, ())
     problem = replace(NO_PROBLEM, links=links, component=np.full(30, -1), near=near)
     of_sides = replace(adjusted(), link_px=np.where(near[:, None], (0.4, 0.0), (0.01, 0.02)))
     every = np.arange(30)
@@ -237,7 +237,8 @@ def test_links_beside_components_show_no_offset_of_a_seam_along_their_lean() -> 
 def test_a_seam_of_components_whose_links_were_rejected_shows_the_offset_across_their_lean() -> None:
     """A camera tilted by 1.7 px beside components only: its links were outliers, and the run was ok and 1.1 px off."""
     row, pairs, lean = np.zeros(13, dtype=np.int_), np.zeros((13, 2)), np.tile((0.1, 0.0), (13, 1))
-    links = Observations(row, row, pairs, pairs, pairs, lean, np.zeros((13, 2, 2)), np.full(13, 10.0), row, ())
+    noise, resolution, overlap = np.zeros((13, 2, 2)), np.full(13, 10.0), np.ones(13)
+    links = Observations(row, row, pairs, pairs, pairs, lean, noise, resolution, overlap, row, ())
     problem, at = replace(NO_PROBLEM, links=links, component=np.full(13, 3)), np.arange(13)
     apart = replace(adjusted(), link_px=np.tile((-1.1, -1.7), (13, 1)), weight=np.where(at < 2, 1.0, 0.0))
     assert seam_px(problem, apart, at, 12) == pytest.approx(1.7)

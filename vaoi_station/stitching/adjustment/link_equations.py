@@ -110,19 +110,18 @@ def compute_residuals(links: LinkArrays, motion: MotionArrays, height_mm: Floats
 def compute_weights(links: LinkArrays, noise: NoiseModel, groups: int, state: LinkState) -> None:
     """Compute sigma, robust weight and weight matrix of every link from its residual.
 
-    A link may lie on something above the modelled height (`noise.raised`). If its residual shows this, the height of
-    the point is treated as an unknown: the weight along the lean is reduced accordingly. If its residual shows a point
-    below the modelled height, the link keeps its weight, since components stand above the board.
+    A link may lie above the modelled height (`noise.raised`). If its residual shows this, its weight along the lean is
+    that of a point of unknown height. If not, it keeps its weight, since components stand above the board.
 
     The points of one component have different heights: body, leads, solder, board in between. Two cameras see different
     sides of it. The scatter of heights (`noise.scatter_mm`) is noise along the lean. The mean height of the few corners
     that a pair of frames shows has an error in common (`noise.common_mm`), which limits the sum of their weights.
 
-    The links of one pair of frames have an error in common. The sum of their weights is therefore limited to the
-    inverse variance of this error.
+    Links whose patches overlap share the noise of their pixels, and weigh together as much as one. The links of one
+    pair of frames have an error in common: its inverse variance limits the sum of their weights.
 
     Args:
-        links: the links, of which covariance, resolution and group are used.
+        links: the links, of which covariance, resolution, overlap and group are used.
         noise: the noise of the links.
         groups: number of pairs of frames.
         state: its residuals are read; sigma, robust weight and weight are written.
@@ -154,7 +153,8 @@ def compute_weights(links: LinkArrays, noise: NoiseModel, groups: int, state: Li
                 xx, xy, yy = xx - k * wx * wx, xy - k * wx * wy, yy - k * wy * wy
         sigma[n] = math.sqrt(max(xx * x * x + 2 * xy * x * y + yy * y * y, 0.0) / 2)
         robust[n] = 1.0 if sigma[n] <= knee else knee / sigma[n] if sigma[n] <= cut else 0.0
-        weight[n, 0], weight[n, 1], weight[n, 2] = robust[n] * xx, robust[n] * xy, robust[n] * yy
+        part = robust[n] / links.overlap[n]
+        weight[n, 0], weight[n, 1], weight[n, 2] = part * xx, part * xy, part * yy
         if noise.cell[n] >= 0:
             of_cell[noise.cell[n]] += weight[n, 0] * lx * lx + 2 * weight[n, 1] * lx * ly + weight[n, 2] * ly * ly
     # n equal weights w with a common variance s² sum to n·w / (1 + n·w·s²), which stays below 1 / s²

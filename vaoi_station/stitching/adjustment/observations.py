@@ -20,6 +20,7 @@ from vaoi_station.geometry import Camera
 from vaoi_station.geometry.projection_kernels import undistort_point
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.matching.evidence import Links
+from vaoi_station.stitching.matching.patch_tables import WINDOW_PX
 
 Ints = NDArray[np.int_]
 
@@ -46,6 +47,8 @@ class LinkArrays(NamedTuple):
     """(k, 2, 2) covariance of the residual that image noise alone causes."""
     px_per_mm: Floats
     """(k,) resolution of the second image at each link."""
+    overlap: Floats
+    """(k,) by how much the patches of each link's pair of frames cover its patch, its own included; at least 1."""
     group: Ints
     """(k,) index of the pair of frames from which each link comes; links of one pair are adjacent."""
 
@@ -71,6 +74,7 @@ class Observations:
     b_lean: Floats
     noise_mm2: Floats
     px_per_mm: Floats
+    overlap: Floats
     group: Ints
     groups: tuple[Links, ...]
     """The evidence of each pair of frames: link i comes from `groups[group[i]]`."""
@@ -90,6 +94,7 @@ class Observations:
             self.b_lean,
             self.noise_mm2,
             self.px_per_mm,
+            self.overlap,
             self.group,
         )
 
@@ -111,7 +116,11 @@ class Observations:
 
 
 _NO_LINKS = LinkArrays(
-    *(np.zeros(0, dtype=np.int_),) * 2, *(np.zeros((0, 2)),) * 4, np.zeros((0, 2, 2)), np.zeros(0), np.zeros(0, np.int_)
+    *(np.zeros(0, dtype=np.int_),) * 2,
+    *(np.zeros((0, 2)),) * 4,
+    np.zeros((0, 2, 2)),
+    *(np.zeros(0),) * 2,
+    np.zeros(0, np.int_),
 )
 
 
@@ -128,8 +137,8 @@ class LinkStore:
         self._begins: dict[Links, int] = {}
         """Index in `_columns` of the first link of each pair of frames."""
         self._size = 0
-        self._columns = [np.empty((0, 2)) for _ in range(4)] + [np.empty((0, 2, 2)), np.empty(0)]
-        """The arrays that `_project_links` returns, for all links together, with spare capacity at the end."""
+        self._columns = [np.empty((0, 2)) for _ in range(4)] + [np.empty((0, 2, 2)), np.empty(0), np.empty(0)]
+        """The arrays that `_project_links` returns, and the overlap, for all links together, with spare capacity."""
 
     def add(self, links: Links) -> None:
         """Project the links of a pair of frames to the ground and store them, unless they are stored already."""
@@ -144,7 +153,8 @@ class LinkStore:
         pixels = PixelLinks(
             links.a_px, links.b_px, links.information, camera_a=np.full(count, a[0]), camera_b=np.full(count, b[0])
         )
-        for column, values in zip(self._columns, _project_links(pixels, self._cameras), strict=True):
+        values_of_links = (*_project_links(pixels, self._cameras), patch_overlap(links.a_px, WINDOW_PX))
+        for column, values in zip(self._columns, values_of_links, strict=True):
             column[self._size : self._size + count] = values
         self._begins[links] = self._size
         self._size += count
@@ -158,9 +168,9 @@ class LinkStore:
         p, q, count, begin = np.array(each, dtype=np.int_).reshape(-1, 4).T
         before = np.cumsum(count) - count
         at = np.repeat(begin - before, count) + np.arange(count.sum())
-        a, b, a_lean, b_lean, noise, resolution = (column[at] for column in self._columns)
+        a, b, a_lean, b_lean, noise, resolution, overlap = (column[at] for column in self._columns)
         rows, group = (np.repeat(p, count), np.repeat(q, count)), np.repeat(np.arange(len(used)), count)
-        return Observations(*rows, a, b, a_lean, b_lean, noise, resolution, group, used)
+        return Observations(*rows, a, b, a_lean, b_lean, noise, resolution, overlap, group, used)
 
 
 def to_observations(links: Sequence[Links], cameras: Sequence[Camera]) -> Observations:
@@ -251,6 +261,24 @@ def _project_links(links: PixelLinks, cameras: CameraArrays) -> tuple[Floats, Fl
         covariance[k, 0, 1] = covariance[k, 1, 0] = -xy / det
         resolution[k] = np.sqrt(abs(slope))
     return points[0], points[1], leans[0], leans[1], covariance, resolution
+
+
+@compiled
+def patch_overlap(px: Floats, side_px: float) -> Floats:
+    """Return by how much square patches at pixels (k, 2), with sides of `side_px`, cover each of them (k,).
+
+    A patch by itself has 1, each of two patches that cover half of each other 1.5. Patches that overlap share the noise
+    of the pixels in both: n equal ones show no more than a single one.
+    """
+    covered = np.ones(len(px))
+    for n in range(len(px)):
+        for m in range(n):
+            x, y = abs(px[n, 0] - px[m, 0]), abs(px[n, 1] - px[m, 1])
+            if x < side_px and y < side_px:
+                share = (1 - x / side_px) * (1 - y / side_px)
+                covered[n] += share
+                covered[m] += share
+    return covered
 
 
 def linked_steps(links: Observations, rows: int) -> NDArray[np.bool_]:

@@ -72,12 +72,15 @@ _SAMPLE_PER_ROW, _SAMPLE_CONVERGED_MM = 100, 3e-3
 """For a solution from a subsample of the links: number of links per row, and the value used as `CONVERGED_MM`."""
 _KNEE, _CUT = 2.0, 6.0
 """Residuals beyond `_KNEE` standard deviations lose weight (Huber); beyond `_CUT` they have no weight."""
-_PAIR_SIGMA_PX, _PAIR_SHARE, _NOISE_SHARE = (0.002, 0.014), 0.25, 0.5
+_PAIR_SIGMA_PX, _PAIR_SHARE, _NOISE_SHARE = (0.001, 0.011), 0.25, 0.5
 """Error that all links of one pair of frames have in common, and that does not average out.
-It is the larger of a constant and of the share `_PAIR_SHARE` of the noise floor. The constant is 0.002 px between rows
-of one camera (interpolation). Between two cameras it is 0.014 px, because of different light and of the different
-perspective of points slightly above the board, and at least the share `_NOISE_SHARE` of the median image noise of the
-links: noise draws matches towards certain fractions of a pixel, which are the same in all rows of two cameras."""
+Between rows of one camera it is the first constant (interpolation), or the share `_PAIR_SHARE` of that part of the
+noise floor that exceeds the image noise, whichever is larger: links that scatter by more than their noise, on rough
+surfaces or between rows of unlike exposure, do not err independently. Between two cameras it is the second constant,
+because of different light and of the different perspective of points slightly above the board, and at least the share
+`_PAIR_SHARE` of the noise floor and the share `_NOISE_SHARE` of the median image noise of the links: noise draws
+matches towards certain fractions of a pixel, which are the same in all rows of two cameras. What links have in common
+because their patches overlap is not in it: `patch_overlap` computes that."""
 _LIGHTS_SIGMA_PX = 0.3
 """The same error between rows of different lights: the bright edges of metal move with the lamp."""
 _FLOOR_STEPS = 6
@@ -245,13 +248,12 @@ class _Solver:
     def _compute_weights(self) -> None:
         """Compute the robust weights of the links from their current residuals and the noise floor."""
         links = self.problem.links
-        common_px = np.maximum(_PAIR_SIGMA_PX[1], _NOISE_SHARE * self.floors.noise_px)
-        common_px[0], common_px[-1] = _PAIR_SIGMA_PX[0], _LIGHTS_SIGMA_PX
-        shared_px = np.maximum(common_px, _PAIR_SHARE * self.floors.px)
+        floor_px, noise_px = self.floors.px, self.floors.noise_px
+        shared_px = np.maximum(_PAIR_SIGMA_PX[1], np.maximum(_NOISE_SHARE * noise_px, _PAIR_SHARE * floor_px))
+        beyond_px = np.sqrt(max(floor_px[0] ** 2 - noise_px[0] ** 2, 0.0))
+        shared_px[0], shared_px[-1] = max(_PAIR_SIGMA_PX[0], _PAIR_SHARE * beyond_px), _LIGHTS_SIGMA_PX
         raised = self.raised if self.steps > _FREE_STEPS else np.zeros_like(self.raised)
-        noise = NoiseModel(
-            self.kind, self.floors.px, shared_px, _KNEE, _CUT, raised, self.scatter_mm, self.cell, _COMMON_MM
-        )
+        noise = NoiseModel(self.kind, floor_px, shared_px, _KNEE, _CUT, raised, self.scatter_mm, self.cell, _COMMON_MM)
         compute_weights(links.arrays, noise, len(links.groups), self.state)
 
     def _belt(self) -> Equations:

@@ -34,8 +34,8 @@ def observed(*pairs: tuple[Task, Floats]) -> Observations:
     q = np.array([(task.b or task.a)[1] for task, _ in pairs])[group]
     zero = np.zeros_like(a_mm)
     empty = tuple(Links.empty(task, "") for task, _ in pairs)
-    noise = np.zeros((len(a_mm), 2, 2))
-    return Observations(p, q, a_mm, a_mm + way_mm, zero, zero, noise, np.ones(len(a_mm)), group, empty)
+    noise, ones = np.zeros((len(a_mm), 2, 2)), np.ones(len(a_mm))
+    return Observations(p, q, a_mm, a_mm + way_mm, zero, zero, noise, ones, ones, group, empty)
 
 
 def ways(*mm: float) -> Floats:
