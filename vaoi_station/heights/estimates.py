@@ -237,8 +237,11 @@ def _in_one_line(tiles: NDArray[np.int_], grid: PartGrid) -> bool:
 
     They may lie on an edge of the body and all see the same mixture of body and board.
     """
-    counts = [(len(set(tiles[:, k])), len(set(_tiles(grid)[:, k]))) for k in (0, 1)]
-    return any((mine == 1 and all_of == 3) or (mine <= 2 and all_of > 3) for mine, all_of in counts)
+    for k, length in enumerate((grid.width, grid.height)):
+        mine, all_of = len(set(tiles[:, k].tolist())), len(_cut(length)[0])
+        if (mine == 1 and all_of == 3) or (mine <= 2 and all_of > 3):
+            return True
+    return False
 
 
 def _tiles(grid: PartGrid) -> NDArray[np.int_]:

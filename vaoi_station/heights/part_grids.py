@@ -185,8 +185,9 @@ class Places:
         m, a = self._row_from_tester[[view.key[1] for view in views]], grid.tester_from_grid
         # One affine map from the grid to row coordinates: the row's motion after the grid's place.
         turn, shift = m[:, :2, :2] @ a[:, :2], m[:, :2, :2] @ a[:, 2] + m[:, :2, 2]
-        row = nodes @ turn.swapaxes(1, 2)[:, None] + shift[:, None, None]
+        row = nodes.reshape(-1, 2) @ turn.swapaxes(1, 2) + shift[:, None]
         raw = self.cameras[views[0].key[0]].project(row, grid.surface_mm + height_mm)
+        raw = raw.reshape(len(views), *nodes.shape)
         return (raw + 0.5) * 0.5**grid.level - 0.5 if grid.level else raw
 
 
