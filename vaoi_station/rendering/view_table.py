@@ -1,6 +1,6 @@
-"""The views of many components as arrays: objects are made of those that are read, and of no others.
+"""The views of many components as arrays, of which objects are made when the first one is read.
 
-A board has thousands of views. To make an object of each takes as long as to compute them all, and needs not be done
+A board has thousands of views. To make an object of each takes half as long as to compute them all, and is not needed
 where views are only counted.
 """
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.rendering.crops import Crops
-from vaoi_station.rendering.view import Plane, Tile, View
+from vaoi_station.rendering.view import Tile, View
 
 
 class Sights(NamedTuple):
@@ -60,28 +60,14 @@ class ViewTable(Mapping[str, tuple[View, ...]]):
     """Function that computes the sights of all views."""
 
     def __getitem__(self, address: str) -> tuple[View, ...]:
-        """Make the views of a component."""
-        k = self._number[address]
-        first, end = self._first[k : k + 2].tolist()
-        columns, crops, (toward, lift) = self.columns, self.crops, self._sights
-        (width, height), resolution = crops.size[k].astype(int).tolist(), float(crops.px_per_mm[k])
-        crop_matrix, above = crops.crop_from_cad[k], float(self.above_mm[k])
-        plane: Plane = "top" if self.on_top[k] else "board"
-        # Python's own numbers, made at once: one by one they take longer.
-        numbers = (v[first:end].tolist() for v in (columns.key, columns.coverage, columns.off_center))
-        return tuple(
-            View(
-                i, j, width, height, resolution, share, distance, crop_matrix, columns.matrix[n],
-                columns.tiles.get(n, ()), columns.outline_px[n], toward[n], lift[n], plane, above,
-            )
-            for n, (i, j), share, distance in zip(range(first, end), *numbers, strict=True)
-        )  # fmt: skip
+        """Return the views of a component; the first call makes those of all."""
+        return self._views[address]
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._number)
+        return iter(self._views)
 
     def __len__(self) -> int:
-        return len(self._number)
+        return len(self._views)
 
     def counts_in(self, frames: Collection[tuple[int, int]]) -> dict[str, int]:
         """Return for each component the number of views in some frames."""
@@ -90,14 +76,22 @@ class ViewTable(Mapping[str, tuple[View, ...]]):
         return {address: n for address, n in zip(self.addresses, count.tolist(), strict=True) if n}
 
     @cached_property
-    def _number(self) -> dict[str, int]:
-        return {address: k for k, address in enumerate(self.addresses)}
-
-    @cached_property
-    def _first(self) -> NDArray[np.int_]:
-        """(n + 1,) number of the first view of each component, and of all views."""
-        return np.searchsorted(self.columns.component, np.arange(len(self.addresses) + 1))
-
-    @cached_property
-    def _sights(self) -> Sights:
-        return self.sights()
+    def _views(self) -> dict[str, tuple[View, ...]]:
+        columns, crops, (toward, lift) = self.columns, self.crops, self.sights()
+        found: list[list[View]] = [[] for _ in self.addresses]
+        # Python's own numbers, and rows of arrays, made at once: one by one they take longer than the views themselves.
+        numbers = (v.tolist() for v in (columns.component, columns.key, columns.coverage, columns.off_center))
+        arrays = map(list, (columns.matrix, columns.outline_px, toward, lift))
+        size, resolution, above = crops.size.astype(int).tolist(), crops.px_per_mm.tolist(), self.above_mm.tolist()
+        crop_matrices, planes = list(crops.crop_from_cad), np.where(self.on_top, "top", "board").tolist()
+        for n, (k, (i, j), share, distance, matrix, corners, sight, shift) in enumerate(
+            zip(*numbers, *arrays, strict=True)
+        ):
+            width, height = size[k]
+            found[k].append(
+                View(
+                    i, j, width, height, resolution[k], share, distance, crop_matrices[k], matrix,
+                    columns.tiles.get(n, ()), corners, sight, shift, planes[k], above[k],
+                )
+            )  # fmt: skip
+        return {address: tuple(views) for address, views in zip(self.addresses, found, strict=True)}
