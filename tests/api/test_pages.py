@@ -124,6 +124,9 @@ def test_german_pages_translate_every_finding_of_the_doctor(client: Any) -> None
     assert {a or b for a, b in re.findall(r'(?:"([^"]+)"|\b(\w+)): "', checks[1])} == named
 
 
-def test_german_pages_translate_every_remark_of_an_import(client: Any) -> None:
-    texts = client.get("/web/texts/station/remarks_de.js").text
-    assert set(re.findall(r'^  "([a-z-]+)": \(', texts, re.MULTILINE)) == codes_of("Remarks of an import")
+@pytest.mark.parametrize(
+    ("file", "section"), [("remarks", "Remarks of an import"), ("notes", "Notes of a calibration")]
+)
+def test_german_pages_translate_every_note(client: Any, file: str, section: str) -> None:
+    texts = client.get(f"/web/texts/station/{file}_de.js").text
+    assert set(re.findall(r'^  "([a-z-]+)": \(', texts, re.MULTILINE)) == codes_of(section)

@@ -7,9 +7,11 @@ counter-clockwise as seen from the top, also for parts on the bottom.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import Literal
+
+from vaoi_station.model.note import Note
 
 Side = Literal["top", "bottom"]
 XY = tuple[float, float]
@@ -20,25 +22,6 @@ KICAD_COURTYARD_MM = 0.25
 SizeFrom = Literal["file", "table", "guess"]
 MarkKind = Literal["global", "local", "panel", "bad-board"]
 FoundBy = Literal["element", "attribute", "package", "name", "place"]
-
-
-class Note(str):
-    """A sentence on what a person should check after an import; programs and translations go by its code.
-
-    Attributes:
-        code: what it says (docs/codes.md).
-        values: what the sentence states, such as numbers and designators, as they are written in it.
-    """
-
-    __slots__ = ("code", "values")
-    code: str
-    values: Mapping[str, str]
-
-    def __new__(cls, code: str, sentence: str, **values: object) -> Note:
-        """Create it; `values` are written as in the sentence."""
-        note = super().__new__(cls, sentence)
-        note.code, note.values = code, {name: str(value) for name, value in values.items()}
-        return note
 
 
 @dataclass(frozen=True)

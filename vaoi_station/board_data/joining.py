@@ -13,9 +13,10 @@ from dataclasses import replace
 from itertools import product
 from statistics import median
 
-from vaoi_station.board_data.design import XY, Box, Design, Note, Part, Placement, Side, normalised, rotated
+from vaoi_station.board_data.design import XY, Box, Design, Part, Placement, Side, normalised, rotated
 from vaoi_station.board_data.marks import find_marks
 from vaoi_station.errors import InputError
+from vaoi_station.model.note import Note
 
 LEAST_COMMON = 3
 """With fewer parts in both files, a shift with a rotation cannot be checked."""

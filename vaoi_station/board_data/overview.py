@@ -8,8 +8,9 @@ from typing import Literal
 
 from pydantic import Field
 
-from vaoi_station.board_data.design import Design, Note, Side
+from vaoi_station.board_data.design import Design, Side
 from vaoi_station.model import BoardType, Strict
+from vaoi_station.model.note import Note
 
 
 class ImportedColumn(Strict):

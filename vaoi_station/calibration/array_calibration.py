@@ -21,6 +21,7 @@ from vaoi_station.files.images import Image
 from vaoi_station.files.layouts import Layout
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Calibration, CameraHead, Distortion
+from vaoi_station.model.note import Note
 from vaoi_station.pixel_formats import eight_bit_grey
 
 _NEGLIGIBLE_PX = 1e-3
@@ -45,21 +46,29 @@ class Outcome:
         return any(c.refusal for c in self.cameras)
 
     @property
-    def notes(self) -> tuple[str, ...]:
+    def notes(self) -> tuple[Note, ...]:
         """All warnings. A warning that concerns several cameras appears once and lists these cameras."""
-        whose: dict[str, list[int]] = {}
+        whose: dict[Note, list[int]] = {}
         for c in self.cameras:
             for note in c.notes:
                 whose.setdefault(note, []).append(c.camera)
-        notes = [f"camera{'s' * (len(n) > 1)} {', '.join(map(str, n))}: {note}" for note, n in whose.items()]
+        notes = []
+        for note, numbers in whose.items():
+            cameras = ", ".join(map(str, numbers))
+            sentence = f"camera{'s' * (len(numbers) > 1)} {cameras}: {note}"
+            notes.append(Note(note.code, sentence, cameras=cameras, **note.values))
         fits = [(c.fit.matrix, c.head) for c in self.cameras if c.fit is not None]
         ratios = [np.sqrt(np.prod(local_scales(n, head))) / (head.nominal_px_per_mm or 1.0) for n, head in fits]
         about_print = print_scale_note(float(np.median(ratios))) if ratios else None
-        about_layout = (
-            f"the layout {' or '.join(self.ambiguous)} is the same layout, so the orientation of layout.json cannot "
-            "be checked; one additional mark off the pattern would make it unambiguous"
-        )
-        return (*notes, *([about_print] if about_print else []), *([about_layout] if self.ambiguous else []))
+        if about_print is not None:
+            notes.append(about_print)
+        if self.ambiguous:
+            sentence = (
+                f"the layout {' or '.join(self.ambiguous)} is the same layout, so the orientation of layout.json "
+                "cannot be checked; one additional mark off the pattern would make it unambiguous"
+            )
+            notes.append(Note("layout-symmetric", sentence))
+        return tuple(notes)
 
     def error(self) -> InputError:
         """Return an InputError that lists all refused cameras with causes and remedies."""

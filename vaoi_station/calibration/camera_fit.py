@@ -18,6 +18,7 @@ from vaoi_station.calibration.plausibility import find_implausibility
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import CameraHead
+from vaoi_station.model.note import Note
 
 MIN_MARKS = 4
 BLUR_LIMIT_PX = 2.0
@@ -62,7 +63,7 @@ class CameraResult:
     """Why the camera was refused, with value and limit; empty if it was calibrated."""
     action: str = ""
     """The action by which the user can remove the cause of the refusal."""
-    notes: tuple[str, ...] = ()
+    notes: tuple[Note, ...] = ()
     ambiguous: bool = False
     """Whether the camera was refused because its marks fit the layout in two ways, so that another layout would not
     help."""
@@ -302,48 +303,52 @@ def _with_residuals(
     return tuple(out)
 
 
-def _warnings(marks: tuple[MarkObservation, ...], detected: DetectedMarks, fit: Fit) -> tuple[str, ...]:
-    """Return the warnings for a calibrated camera, as sentences."""
-    notes = [
-        f"the mark expected at ({m.expected_px[0]:.0f}, {m.expected_px[1]:.0f}) px is {m.note}; not used"
-        for m in marks
-        if not m.used
+def _warnings(marks: tuple[MarkObservation, ...], detected: DetectedMarks, fit: Fit) -> tuple[Note, ...]:
+    """Return the warnings for a calibrated camera."""
+    unused = [("expected at", m.expected_px, f"is {m.note}") for m in marks if not m.used]
+    unused += [
+        ("at", np.array(at), why)
+        for at, why in detected.doubtful
+        if all(m.used or np.hypot(*(m.expected_px - at)) > 10 for m in marks)
     ]
-    notes += [
-        f"the mark at ({x:.0f}, {y:.0f}) px {why}; not used"
-        for (x, y), why in detected.doubtful
-        if all(m.used or np.hypot(*(m.expected_px - (x, y))) > 10 for m in marks)
-    ]
+    notes = []
+    for where, (x, y), why in unused:
+        place = f"{x:.0f}, {y:.0f}"
+        notes.append(Note("mark-unused", f"the mark {where} ({place}) px {why}; not used", at_px=place))
     if fit.freedom < _NO_FREEDOM:
-        notes.append("four marks determine N without redundancy: its residuals are always 0 and do not check it")
+        sentence = "four marks determine N without redundancy: its residuals are always 0 and do not check it"
+        notes.append(Note("four-marks", sentence))
     return tuple(notes)
 
 
-def _doubts(result: CameraResult, assignment: Assignment, limits: Limits) -> tuple[str, ...]:
-    """List what the marks did not determine, and what only the nominal view decided, as sentences."""
+def _doubts(result: CameraResult, assignment: Assignment, limits: Limits) -> tuple[Note, ...]:
+    """List what the marks did not determine, and what only the nominal view decided."""
     notes = []
     if not result.lens_known:
-        notes.append(
-            f"{_count(result.used)} marks do not determine the lens: ± {result.corner_sigma_px:.1f} px at the corners "
-            "(1 σ); film 9 or more marks"
+        count, sigma = result.used, f"{result.corner_sigma_px:.1f}"
+        sentence = (
+            f"{_count(count)} marks do not determine the lens: ± {sigma} px at the corners (1 σ); film 9 or more marks"
         )
+        notes.append(Note("lens-undetermined", sentence, count=count, sigma_px=sigma))
     elif result.corner_sigma_px > _COARSE_PX:
-        notes.append(
-            f"its marks leave the corners of the frame uncertain by ± {result.corner_sigma_px:.2f} px (1 σ); film "
-            "marks up to the corners"
+        sigma = f"{result.corner_sigma_px:.2f}"
+        sentence = (
+            f"its marks leave the corners of the frame uncertain by ± {sigma} px (1 σ); film marks up to the corners"
         )
+        notes.append(Note("corners-uncertain", sentence, sigma_px=sigma))
+    tolerance = f"{limits.center_tolerance_mm:g}"
     if assignment.by_nominal_view:
         x, y = assignment.shift_mm
-        notes.append(
-            f"the layout shifted by ({x:.1f}, {y:.1f}) mm explains its marks as well; nominal_center_mm, good to "
-            f"± {limits.center_tolerance_mm:g} mm as stated, decided"
+        shift = f"{x:.1f}, {y:.1f}"
+        sentence = (
+            f"the layout shifted by ({shift}) mm explains its marks as well; nominal_center_mm, good to "
+            f"± {tolerance} mm as stated, decided"
         )
+        notes.append(Note("nominal-view-decided", sentence, shift_mm=shift, tolerance_mm=tolerance))
     off = 0.0 if assignment.chosen is None else float(np.hypot(*assignment.chosen.offset_mm))
     if off > limits.center_tolerance_mm:
-        notes.append(
-            f"its view lies {off:.1f} mm off nominal_center_mm, more than the stated "
-            f"± {limits.center_tolerance_mm:g} mm"
-        )
+        sentence = f"its view lies {off:.1f} mm off nominal_center_mm, more than the stated ± {tolerance} mm"
+        notes.append(Note("view-off-nominal", sentence, off_mm=f"{off:.1f}", tolerance_mm=tolerance))
     return tuple(notes)
 
 

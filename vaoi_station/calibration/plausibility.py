@@ -11,6 +11,7 @@ import numpy as np
 
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import CameraHead
+from vaoi_station.model.note import Note
 
 TILT_DEG = 6.0
 """Largest plausible tilt of a camera; with more, it would not be in focus over its whole frame."""
@@ -60,17 +61,18 @@ def find_implausibility(matrix: Floats, head: CameraHead, working_distance_mm: f
     return None
 
 
-def print_scale_note(scale_ratio: float) -> str | None:
+def print_scale_note(scale_ratio: float) -> Note | None:
     """Return a warning if the scale of the print is probably wrong, else None.
 
     `scale_ratio` is the ratio of fitted to nominal resolution, as the median of all cameras.
     """
     if abs(scale_ratio - 1) <= _MAX_PRINT_ERROR:
         return None
-    return (
+    sentence = (
         f"all cameras together see the board {abs(scale_ratio - 1):.1%} {'larger' if scale_ratio > 1 else 'smaller'} "
         "than designed: check the scale bar of the print, and nominal_px_per_mm"
     )
+    return Note("print-scale", sentence, percent=f"{100 * (scale_ratio - 1):+.1f}")
 
 
 def local_scales(matrix: Floats, head: CameraHead) -> tuple[float, float]:

@@ -68,6 +68,14 @@ class TrialCamera(BaseModel):
     action: str | None = Field(default=None, description="What removes the cause of the refusal.")
 
 
+class TrialNote(BaseModel):
+    """A warning of a trial of a calibration."""
+
+    code: str
+    message: str
+    values: dict[str, str] = Field(description="What the message states: numbers of cameras, places, lengths.")
+
+
 class CalibrationTrial(BaseModel):
     """The latest trial of a calibration. It is kept until the next one begins or the station is restarted."""
 
@@ -78,7 +86,7 @@ class CalibrationTrial(BaseModel):
     frames_read: int = 0
     frames: int = Field(default=0, description="Number of frames that are read: one for each camera.")
     cameras: list[TrialCamera] = []
-    notes: list[str] = []
+    notes: list[TrialNote] = []
     message: str | None = Field(default=None, description="Why it was refused.")
     action: str | None = None
     shift_mm: tuple[float, float] | None = Field(

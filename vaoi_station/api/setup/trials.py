@@ -15,7 +15,7 @@ from typing import Any
 import cv2
 
 from vaoi_station.api.setup.design import nominal_heads
-from vaoi_station.api.setup.models import CalibrationTrial, TrialCamera, TrialRequest
+from vaoi_station.api.setup.models import CalibrationTrial, TrialCamera, TrialNote, TrialRequest
 from vaoi_station.api.setup.station_files import StationFiles, replace_with_backup
 from vaoi_station.calibration import Limits, Outcome, calibrate
 from vaoi_station.calibration.calibration_difference import CalibrationDifference, compare_calibrations
@@ -152,7 +152,7 @@ class Trials:
             self._change(
                 state="refused",
                 cameras=self._cameras(outcome),
-                notes=list(outcome.notes),
+                notes=_notes(outcome),
                 message=error.message,
                 action=error.action,
             )
@@ -171,7 +171,7 @@ class Trials:
             }
         with self._lock:
             self._made = made
-        self._change(state="judged", cameras=self._cameras(outcome, difference), notes=list(outcome.notes), **found)
+        self._change(state="judged", cameras=self._cameras(outcome, difference), notes=_notes(outcome), **found)
 
     def _heads(self, wanted: TrialRequest) -> tuple[CameraHead, ...]:
         """Return the cameras with nominal views; refuse a request for an array of which they are unknown."""
@@ -220,3 +220,7 @@ class Trials:
         with self._lock:
             self._trial = self._trial.model_copy(update=values)
             return self._trial
+
+
+def _notes(outcome: Outcome) -> list[TrialNote]:
+    return [TrialNote(code=note.code, message=note, values=dict(note.values)) for note in outcome.notes]

@@ -6,10 +6,11 @@ import math
 import re
 from dataclasses import dataclass, replace
 
-from vaoi_station.board_data.design import XY, Design, Note, PlacedBoard, Placement, extent
+from vaoi_station.board_data.design import XY, Design, PlacedBoard, Placement, extent
 from vaoi_station.board_data.panels.step_and_repeat import MOST_BOARDS
 from vaoi_station.errors import InputError
 from vaoi_station.model.frozen_model import MOST_MM
+from vaoi_station.model.note import Note
 
 _UP_TO = f"at most {MOST_BOARDS}"
 

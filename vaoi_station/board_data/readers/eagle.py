@@ -13,9 +13,10 @@ from pathlib import Path
 from xml.etree.ElementTree import Element
 
 from vaoi_station.board_data.contours import arc_points, circle_points, join
-from vaoi_station.board_data.design import XY, Box, Design, Note, Part, body_of, box_around, normalised
+from vaoi_station.board_data.design import XY, Box, Design, Part, body_of, box_around, normalised
 from vaoi_station.board_data.source_text import decode, number_of, parse_xml
 from vaoi_station.errors import InputError
+from vaoi_station.model.note import Note
 
 _DIMENSION, _DOCUMENTATION, _PLACEMENT = "20", "51", "21"
 """Numbers of the layers for the outline of the board, and for the drawing of parts."""

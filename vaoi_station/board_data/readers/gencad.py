@@ -13,9 +13,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from vaoi_station.board_data.contours import arc_points, circle_points, join
-from vaoi_station.board_data.design import XY, Box, Design, Note, Part, Side, body_of, box_around, normalised, rotated
+from vaoi_station.board_data.design import XY, Box, Design, Part, Side, body_of, box_around, normalised, rotated
 from vaoi_station.board_data.source_text import decode, number_of
 from vaoi_station.errors import InputError
+from vaoi_station.model.note import Note
 
 _UNITS = {"INCH": 25.4, "THOU": 0.0254, "MM": 1.0, "MM100": 0.01}
 LEAST_UNITS = 1e-3

@@ -20,7 +20,6 @@ from vaoi_station.board_data.design import (
     Design,
     Mark,
     MarkKind,
-    Note,
     Part,
     Side,
     body_of,
@@ -31,6 +30,7 @@ from vaoi_station.board_data.design import (
 from vaoi_station.board_data.panels import Repeat, Step, note_on_panels, panel_of
 from vaoi_station.board_data.source_text import number_of, parse_xml
 from vaoi_station.errors import InputError
+from vaoi_station.model.note import Note
 
 _BOTTOM_RULES: dict[str, Callable[[float], float]] = {
     "rotated, then mirrored": lambda r: -r,

@@ -18,7 +18,6 @@ from vaoi_station.board_data.design import (
     Design,
     Mark,
     MarkKind,
-    Note,
     Part,
     Side,
     box_around,
@@ -29,6 +28,7 @@ from vaoi_station.board_data.marks import kind_by_name
 from vaoi_station.board_data.readers.sexpr import Node, every, first, numbers, parse_sexpr, text_of
 from vaoi_station.board_data.source_text import decode
 from vaoi_station.errors import InputError
+from vaoi_station.model.note import Note
 
 _MARK_PROPERTIES: dict[str, MarkKind] = {"pad_prop_fiducial_glob": "global", "pad_prop_fiducial_loc": "local"}
 

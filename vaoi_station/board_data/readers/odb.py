@@ -23,7 +23,6 @@ from vaoi_station.board_data.design import (
     Box,
     Design,
     Mark,
-    Note,
     Part,
     Side,
     box_around,
@@ -42,6 +41,7 @@ from vaoi_station.board_data.source_text import (
     open_archive,
 )
 from vaoi_station.errors import InputError
+from vaoi_station.model.note import Note
 
 _UNITS = {"MM": 1.0, "INCH": 25.4}
 _LEAST_COURTYARD_MM = 0.05

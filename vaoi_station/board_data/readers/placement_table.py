@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from vaoi_station.board_data.design import Design, Note, Part, Side, TableReading, normalised
+from vaoi_station.board_data.design import Design, Part, Side, TableReading, normalised
 from vaoi_station.board_data.readers.table_columns import (
     COLUMNS,
     NUMBER,
@@ -26,6 +26,7 @@ from vaoi_station.board_data.readers.table_columns import (
 )
 from vaoi_station.board_data.source_text import decode
 from vaoi_station.errors import InputError
+from vaoi_station.model.note import Note
 
 UNITS = {"mm": 1.0, "inch": 25.4, "mil": 0.0254}
 MOST_ROWS = 200_000

@@ -302,6 +302,6 @@ class Calibration {
       return "";
     }, this.#answer, { className: "primary", id: "accept" }), make("a", { className: "button", href: requests.trialCalibration, download: "calibration.json", textContent: t.download }), discard) : make("div", { className: "buttons" }, discard);
     const written = trial.state === "accepted" ? make("p", { className: "answer done", textContent: t.acceptedAs(trial.accepted_as, trial.backup) }) : "";
-    return [section(title, refused, written, figures, make("ul", { className: "warnings" }, ...trial.notes.map((note) => make("li", {}, ...said(note)))), against, orders, make("div", { className: "pictures" }, ...pictures))];
+    return [section(title, refused, written, figures, make("ul", { className: "warnings" }, ...trial.notes.map(({ code, message, values }) => make("li", {}, ...said(message, texts.translated.notes[code]?.(values))))), against, orders, make("div", { className: "pictures" }, ...pictures))];
   }
 }
