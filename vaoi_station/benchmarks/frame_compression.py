@@ -6,11 +6,12 @@ import importlib
 import time
 import zlib
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vaoi_station.errors import InputError, InternalError
 from vaoi_station.files import open_recording
@@ -19,8 +20,11 @@ from vaoi_station.plant.archive.frames import decode_frame, encode_frame
 
 _PER_RECORDING = 2
 """Number of frames that are taken of each recording."""
-_REPEATS = 3
-"""Number of times that each frame is encoded and decoded; the shortest counts, because other work only adds to it."""
+_REPEATS = 5
+"""Number of times that each frame is encoded and decoded.
+
+The least time is the method's own, because other work only adds to it; the median says how much it adds.
+"""
 
 
 class Method(NamedTuple):
@@ -38,8 +42,10 @@ class MethodFigures:
 
     name: str
     stored_bytes: int = 0
-    encode_s: float = 0.0
-    decode_s: float = 0.0
+    """Of all repetitions."""
+    encode_s: NDArray[np.float64] = field(default_factory=lambda: np.zeros(2))
+    """Sums over all frames of the least and of the median time."""
+    decode_s: NDArray[np.float64] = field(default_factory=lambda: np.zeros(2))
 
 
 @dataclass(frozen=True)
@@ -61,10 +67,12 @@ class CompressionFigures:
             "absent": list(self.absent),
             "methods": {
                 one.name: {
-                    "ratio": round(self.raw_bytes / one.stored_bytes, 3),
-                    "bits_per_pixel": round(8 * one.stored_bytes / self.pixels, 3),
-                    "encode_ns_per_pixel": round(1e9 * one.encode_s / self.pixels, 2),
-                    "decode_ns_per_pixel": round(1e9 * one.decode_s / self.pixels, 2),
+                    "ratio": round(_REPEATS * self.raw_bytes / one.stored_bytes, 3),
+                    "bits_per_pixel": round(8 * one.stored_bytes / (_REPEATS * self.pixels), 3),
+                    "encode_ns_per_pixel": round(1e9 * one.encode_s[0] / self.pixels, 2),
+                    "encode_median_ns": round(1e9 * one.encode_s[1] / self.pixels, 2),
+                    "decode_ns_per_pixel": round(1e9 * one.decode_s[0] / self.pixels, 2),
+                    "decode_median_ns": round(1e9 * one.decode_s[1] / self.pixels, 2),
                 }
                 for one in self.methods
             },
@@ -72,10 +80,10 @@ class CompressionFigures:
 
     def lines(self) -> Iterator[str]:
         """Yield a table in Markdown."""
-        yield f"{self.frames} frames, {self.pixels / 1e6:.1f} Mpx; CPU time of one thread, the least of {_REPEATS}."
+        yield f"{self.frames} frames, {self.pixels / 1e6:.1f} Mpx; CPU time of one thread, {_REPEATS} times."
         yield ""
-        yield "| method | ratio | bits per pixel | encode, ns per pixel | decode, ns per pixel |"
-        yield "|---|---|---|---|---|"
+        yield "| method | ratio | bits per pixel | encode, ns per pixel: least | median | decode: least | median |"
+        yield "|---|---|---|---|---|---|---|"
         for name, row in self.document()["methods"].items():
             yield f"| {name} | " + " | ".join(str(value) for value in row.values()) + " |"
         for library in self.absent:
@@ -99,7 +107,7 @@ def measure_compression(folder: Path) -> CompressionFigures:
             methods += further(importlib.import_module(library))
         except ImportError:
             absent.append(library)
-    figures = tuple(_measure(method, frames) for method in methods)
+    figures = _measure(methods, frames)
     pixels, raw = (sum(getattr(frame, key) for frame in frames) for key in ("size", "nbytes"))
     return CompressionFigures(len(frames), pixels, raw, figures, tuple(absent))
 
@@ -114,24 +122,31 @@ def _frames(folder: Path) -> Iterator[Image]:
             yield read_image(paths[k])
 
 
-def _measure(method: Method, frames: Sequence[Image]) -> MethodFigures:
-    method.decode(method.encode(frames[0]), frames[0])  # compiles, and loads libraries
-    figures = MethodFigures(method.name)
+def _measure(methods: Sequence[Method], frames: Sequence[Image]) -> tuple[MethodFigures, ...]:
+    """Let the methods take turns with each frame, because the speed of a machine changes within seconds."""
+    figures = tuple(MethodFigures(method.name) for method in methods)
+    for method in methods:
+        method.decode(method.encode(frames[0]), frames[0])  # compiles, and loads libraries
     for frame in frames:
-        encode_s, decode_s = [], []
-        for _ in range(_REPEATS):
-            start_s = time.thread_time()
-            stored = method.encode(frame)
-            between_s = time.thread_time()
-            back = method.decode(stored, frame)
-            encode_s.append(between_s - start_s)
-            decode_s.append(time.thread_time() - between_s)
-        figures.encode_s += min(encode_s)
-        figures.decode_s += min(decode_s)
-        figures.stored_bytes += len(stored)
-        if back.dtype != frame.dtype or not np.array_equal(back, frame):
-            raise InternalError(f"{method.name} did not return a frame as it was.")
+        for method, one in zip(methods, figures, strict=True):
+            times_s = np.array([_once(method, frame, one) for _ in range(_REPEATS)])
+            least_s, median_s = times_s.min(0), np.median(times_s, axis=0)
+            one.encode_s += least_s[0], median_s[0]
+            one.decode_s += least_s[1], median_s[1]
     return figures
+
+
+def _once(method: Method, frame: Image, figures: MethodFigures) -> tuple[float, float]:
+    """Return the times to encode and to decode a frame."""
+    start_s = time.thread_time()
+    stored = method.encode(frame)
+    between_s = time.thread_time()
+    back = method.decode(stored, frame)
+    end_s = time.thread_time()
+    if back.dtype != frame.dtype or not np.array_equal(back, frame):
+        raise InternalError(f"{method.name} did not return a frame as it was.")
+    figures.stored_bytes += len(stored)
+    return between_s - start_s, end_s - between_s
 
 
 def _own_methods() -> Iterator[Method]:

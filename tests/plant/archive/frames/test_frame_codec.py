@@ -98,5 +98,5 @@ def test_damage_is_noticed(name: str) -> None:
 
 
 def test_a_newer_frame_is_named() -> None:
-    with pytest.raises(ValueError, match="version 3, this software reads 2"):
-        decode_frame(b"VFR3" + encode_frame(PICTURES["black"])[4:])
+    with pytest.raises(ValueError, match="version 4, this software reads 3"):
+        decode_frame(b"VFR4" + encode_frame(PICTURES["black"])[4:])

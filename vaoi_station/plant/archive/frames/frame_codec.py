@@ -12,7 +12,9 @@ from vaoi_station.files.images import Image
 from vaoi_station.plant.archive.frames.former_planes import decode_former_plane
 from vaoi_station.plant.archive.frames.plane_codec import decode_plane, encode_plane
 
-_MAGIC, _FORMER = b"VFR2", b"VFR1"
+_MAGIC = b"VFR3"
+_FORMER = {b"VFR1": 1, b"VFR2": 2}
+"""Magic and version of frames that can be read and are no longer written."""
 _HEAD = struct.Struct("<4sBBIIII")
 """Magic, bytes per sample, channels, height, width, CRC-32 of the pixels, bytes of the list of levels."""
 _MOST_PIXELS = 1 << 30
@@ -37,7 +39,7 @@ def decode_frame(content: bytes) -> Image:
     if len(content) < _HEAD.size:
         raise ValueError("too short for a frame")
     magic, size, channels, height, width, checksum, listed = _HEAD.unpack_from(content)
-    if magic[:3] == _MAGIC[:3] and magic not in (_MAGIC, _FORMER):
+    if magic[:3] == _MAGIC[:3] and magic not in (_MAGIC, *_FORMER):
         raise ValueError(
             f"the frame has version {magic[3:].decode(errors='replace')}, this software reads {_MAGIC[3:].decode()}"
         )
@@ -49,11 +51,12 @@ def decode_frame(content: bytes) -> Image:
     ):
         raise ValueError("not a frame of this format")
     at = _HEAD.size + listed
-    decode = decode_plane if magic == _MAGIC else decode_former_plane
+    former = _FORMER.get(magic)
     planes = []
     for _ in range(channels):
         end = at + 4 + int.from_bytes(content[at : at + 4], "little")
-        planes.append(decode(content[at + 4 : end], (height, width)))
+        part, shape = content[at + 4 : end], (height, width)
+        planes.append(decode_plane(part, shape) if former is None else decode_former_plane(part, shape, former))
         at = end
     image = _joined(planes, np.uint8 if size == 1 else np.uint16)
     if listed:
