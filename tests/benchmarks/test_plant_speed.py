@@ -12,7 +12,9 @@ from vaoi_station.plant.restitch.task import FORMAT, VERSION, RunTask
 
 
 def test_ratios_are_of_one_call() -> None:
-    figures = PlantFigures(100, 95.0, 100.0, 50.0, 0.9, 3100.0, 2.3, 1.0, 1.0, (300.0, 301.0), 9, 0, 0)
+    figures = PlantFigures(
+        100, 95.0, 100.0, 50.0, (0.9, 0.95), (0.02, 0.034), 3100.0, 2.3, 1.0, 1.0, (300.0, 301.0), 9, 0, 0
+    )
     found = figures.document()
     assert found["two_against_one"] == 2
     assert found["overhead"] == 0.0526
@@ -20,6 +22,8 @@ def test_ratios_are_of_one_call() -> None:
     table = "\n".join(figures.lines())
     assert "| by one worker | 100.0 s: +5.3 % | at most +5 % |" in table
     assert "| by two workers | 50.0 s: 2.00 times as fast | at least 1.8 times |" in table
+    assert "| CPU per run: in one worker, in one of two | 0.90, 0.95 s | |" in table
+    assert "beside one worker, two | 2, 3 % | |" in table
     assert "runs lost, twice | 0, 0 | 0, 0 |" in table
     assert "over 200 runs: second tenth, last tenth | 300, 301 MB: +0.3 % | flat |" in table
 

@@ -42,8 +42,10 @@ class PlantFigures:
     """Wall time of all runs in this process, without Dask."""
     one_worker_s: float
     two_workers_s: float
-    task_cpu_s: float
-    """CPU time of one run in a worker, median."""
+    task_cpu_s: tuple[float, float]
+    """CPU time of one run, median: in the one worker, and in two that share caches and memory of the machine."""
+    command_share: tuple[float, float]
+    """Share of one processor that the command with its scheduler takes, beside one worker and beside two."""
     archive_kb: float
     """Size of one run in the archive."""
     ratio: float
@@ -82,7 +84,10 @@ class PlantFigures:
         yield f"| {kills} | {self.lost}, {self.twice} | 0, 0 |"
         memory = f"{early:.0f}, {late:.0f} MB: {100 * (late / early - 1):+.1f} %"
         yield f"| memory of a worker over {2 * self.runs} runs: second tenth, last tenth | {memory} | flat |"
-        yield f"| CPU per run | {self.task_cpu_s:.2f} s | |"
+        alone_s, both_s = self.task_cpu_s
+        yield f"| CPU per run: in one worker, in one of two | {alone_s:.2f}, {both_s:.2f} s | |"
+        alone, both = (f"{100 * share:.0f}" for share in self.command_share)
+        yield f"| share of a processor of the command and its scheduler: beside one worker, two | {alone}, {both} % | |"
         sizes = (
             f"{self.archive_kb / 1e3:.1f} MB ({self.ratio:.2f} : 1), {self.outcome_kb:.0f} kB, {self.tables_kb:.0f} kB"
         )
@@ -116,7 +121,7 @@ def measure_plant(case: Path, runs: int, report: Callable[[str], None]) -> Plant
     with tempfile.TemporaryDirectory(prefix="vaoi-plant-") as scratch:
         folder = Path(scratch)
         archive, tasks = _archive(case, folder, runs)
-        direct_s, one_s, two_s, one = _in_turns(folder, tasks, report)
+        (direct_s, one_s, two_s), own_s, one, two = _in_turns(folder, tasks, report)
         report(f"two workers, one is killed after every {KILL_EVERY} runs")
         kills, killed = _killed(folder, tasks)
         write_tables(folder / "tables", [read_outcome(folder / "outcome.json.gz")["tables"]])
@@ -126,7 +131,8 @@ def measure_plant(case: Path, runs: int, report: Callable[[str], None]) -> Plant
             direct_s=round(direct_s, 3),
             one_worker_s=round(one_s, 3),
             two_workers_s=round(two_s, 3),
-            task_cpu_s=round(float(np.median(one.cpu_s)), 4),
+            task_cpu_s=(round(float(np.median(one.cpu_s[:runs])), 4), round(float(np.median(two.cpu_s)), 4)),
+            command_share=(round(own_s[0] / one_s, 4), round(own_s[1] / two_s, 4)),
             archive_kb=round(stored.bytes / 1e3, 1),
             ratio=round(_frame_bytes(case) / sum(frame.bytes for frame in stored.frames), 3),
             outcome_kb=round(one.size / 1e3, 1),
@@ -156,22 +162,24 @@ def _archive(case: Path, folder: Path, runs: int) -> tuple[Archive, list[RunTask
 
 def _in_turns(
     folder: Path, tasks: list[RunTask], report: Callable[[str], None]
-) -> tuple[float, float, float, _Outcomes]:
-    """Return the wall times of all runs in this process, by one worker and by two, and what the one worker made.
+) -> tuple[list[float], list[float], _Outcomes, _Outcomes]:
+    """Return wall times of all runs in this process, by one worker and by two, and with these this process's CPU times.
+
+    After them come the outcomes of the one worker and of the two.
 
     The three take turns: the speed of a virtual machine changes by a third within minutes.
     """
     restitch_run(tasks[0])  # imports and compiles
-    times_s, one = np.zeros(3), _Outcomes(folder)
+    times_s, own_s, one, two = np.zeros(3), np.zeros(2), _Outcomes(folder), _Outcomes(folder)
     with (
         cluster_address(ClusterOptions(workers=1)) as alone,
         cluster_address(ClusterOptions(workers=2)) as both,
     ):
 
-        def work(address: str, outcomes: _Outcomes, of: list[RunTask]) -> float:
-            began_s = time.perf_counter()
+        def work(address: str, outcomes: _Outcomes, of: list[RunTask]) -> tuple[float, float]:
+            began_s, own_began_s = time.perf_counter(), time.process_time()
             _dispatch(outcomes).work(address, of, _PATIENCE_S)
-            return time.perf_counter() - began_s
+            return time.perf_counter() - began_s, time.process_time() - own_began_s
 
         for address, workers in ((alone, 1), (both, 2)):  # imports, and the machine code of each process
             work(address, _Outcomes(folder), tasks[: 4 * workers])
@@ -182,10 +190,12 @@ def _in_turns(
             for task in turn:
                 restitch_run(task)
             direct_s = time.perf_counter() - began_s
-            times_s += direct_s, work(alone, one, turn), work(both, _Outcomes(folder), turn)
+            (one_s, own_one_s), (two_s, own_two_s) = work(alone, one, turn), work(both, two, turn)
+            times_s += direct_s, one_s, two_s
+            own_s += own_one_s, own_two_s
         report("one worker once more, for its memory")
         work(alone, one, tasks)
-    return float(times_s[0]), float(times_s[1]), float(times_s[2]), one
+    return times_s.tolist(), own_s.tolist(), one, two
 
 
 def _frame_bytes(case: Path) -> int:
