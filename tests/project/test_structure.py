@@ -122,6 +122,16 @@ def test_words_of_the_glossary_are_used(folder: str) -> None:
     assert not found, f"docs/glossary.md names the word to use instead ({len(found)} places)"
 
 
+def test_no_thread_of_the_station_has_a_lower_priority() -> None:
+    """While such a thread holds the GIL, it waits for a core behind all workers, and with it every other thread."""
+    processes = {
+        "vaoi_station/rig/devices/processes.py": "the processes of emulated devices",
+        "vaoi_station/runs/handover/adder.py": "the process that adds runs to the archive of the plant",
+    }
+    found = {str(path) for path in modules("vaoi_station") if "os.setpriority(" in (ROOT / path).read_text("utf-8")}
+    assert found == set(processes), "only a process of its own may have one"
+
+
 def test_threads_of_the_service_are_supervised() -> None:
     """A thread that serves until the station stops must not end or hang unnoticed."""
     short_lived = {

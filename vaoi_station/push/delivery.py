@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
 import random
 import threading
 import time
@@ -29,8 +28,6 @@ SAVE_S = 1.0
 """Shortest time between two writes of the state while deliveries succeed. After a power cut the deliveries of this time
 are repeated, with the same ids."""
 BATCH = 50
-PRIORITY = 10
-"""Priority of the threads (nice): cameras and results come first."""
 FAULT_PAUSE_S = 5.0
 REPORTED_AFTER = 2
 """Number of failed attempts for one event after which the receiver counts as failing."""
@@ -217,8 +214,6 @@ class Delivery:
     # --- in the thread
 
     def _run(self) -> None:
-        # Only root may lower the value of a station that was started with a higher one. 0 is this thread.
-        os.setpriority(os.PRIO_PROCESS, 0, max(PRIORITY, os.getpriority(os.PRIO_PROCESS, 0)))
         # Names are resolved for as long as the resolver takes: the silence of this thread is no fault.
         with self.thread.waiting():
             while not self._stopping:

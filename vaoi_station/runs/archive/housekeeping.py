@@ -1,9 +1,8 @@
-"""One thread of the lowest priority for work that may wait: deletion of old data, checks of the database."""
+"""One thread for work that may wait: deletion of old data, checks of the database."""
 
 from __future__ import annotations
 
 import logging
-import os
 import threading
 import time
 from collections.abc import Callable
@@ -15,7 +14,6 @@ from vaoi_station.supervised_thread import SupervisedThread
 
 _log = logging.getLogger(__name__)
 
-LOWEST_PRIORITY = 19
 FIRST_DELAY_S = 5.0
 """Time from the start to the first call of a task, so that housekeeping does not delay the station's start."""
 TASK_LIMIT_S = 600.0
@@ -62,7 +60,6 @@ class Housekeeping:
         return tuple(task.fault for task in self._tasks if task.fault)
 
     def _run(self) -> None:
-        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), LOWEST_PRIORITY)
         while True:
             task = min(self._tasks, key=lambda task: task.due_s)
             self.thread.rest()

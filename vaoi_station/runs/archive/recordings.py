@@ -7,7 +7,6 @@ writes. If a run's memory is given to a later board meanwhile, the run is not ke
 from __future__ import annotations
 
 import logging
-import os
 import shutil
 import threading
 from collections import deque
@@ -31,7 +30,7 @@ from vaoi_station.files.recordings import frame_file
 from vaoi_station.model import Program, RecordingHead, Status
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive, FinishedRun
-from vaoi_station.runs.archive.housekeeping import LOWEST_PRIORITY, TASK_LIMIT_S
+from vaoi_station.runs.archive.housekeeping import TASK_LIMIT_S
 from vaoi_station.runs.archive.stored_documents import lasting, never_read
 from vaoi_station.runs.run.memory import Bay
 from vaoi_station.runs.states.recording_heads import bytes_of_frames, head_of
@@ -241,7 +240,6 @@ class Recordings:
                 self._delete(oldest)
 
     def _run(self) -> None:
-        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), LOWEST_PRIORITY)
         while (task := self._next()) is not None:
             task()
 

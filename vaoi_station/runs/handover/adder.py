@@ -17,8 +17,9 @@ from typing import Any, NamedTuple
 
 from vaoi_station.child_environment import child_environment
 from vaoi_station.errors import DeviceError, InputError, StateError, VaoiError
-from vaoi_station.runs.archive.housekeeping import LOWEST_PRIORITY
 from vaoi_station.runs.host.process_setup import set_up_process
+
+LOWEST_PRIORITY = 19
 
 
 class Addition(NamedTuple):

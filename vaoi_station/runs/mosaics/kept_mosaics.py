@@ -8,7 +8,6 @@ the run gets no picture.
 from __future__ import annotations
 
 import logging
-import os
 import re
 import shutil
 import threading
@@ -25,7 +24,6 @@ from vaoi_station.files.images import encode_jpeg
 from vaoi_station.mosaic import MosaicGrid
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
-from vaoi_station.runs.archive.housekeeping import LOWEST_PRIORITY
 from vaoi_station.runs.archive.recordings import DISK_RESERVE
 from vaoi_station.runs.mosaics.mosaics import Mosaics
 from vaoi_station.runs.mosaics.picture_names import PictureName
@@ -90,9 +88,7 @@ class KeptMosaics:
             if match := _NAME.fullmatch(path.name):
                 with suppress(FileNotFoundError):
                     self._files[match["run"]] = _File(int(match["reduction"]), path.stat().st_size)
-        self.queue: SupervisedQueue[tuple[str, float]] = SupervisedQueue(
-            self._make, "mosaics", _MOST_WAITING, begin=_lower_priority
-        )
+        self.queue: SupervisedQueue[tuple[str, float]] = SupervisedQueue(self._make, "mosaics", _MOST_WAITING)
         """The runs that wait for their picture, with the time from which on it may be made."""
 
     @property
@@ -201,7 +197,3 @@ class KeptMosaics:
     def _delete(self, run: str) -> None:
         file = self._files.pop(run)
         self._path(run, file.reduction).unlink(missing_ok=True)
-
-
-def _lower_priority() -> None:
-    os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), LOWEST_PRIORITY)
