@@ -1,4 +1,4 @@
-"""How long the page takes to its first view, and how much it loads per board: `python -m tests.api.web.page_cost`.
+"""How long the page takes to its first view, and how much it loads per board: `python -m tests.api.web.cost.page_cost`.
 
 The station is the one of the tests, on loopback, without frames to stitch: the page is measured. Bytes are those
 of the bodies, as they are sent.

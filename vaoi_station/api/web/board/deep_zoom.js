@@ -31,6 +31,9 @@ function library() {
   return loading;
 }
 
+// Load the library while the page waits for the parts of the board. A failure is reported when a mosaic is opened.
+export const prepare = () => library().catch(() => {});
+
 // What the viewer opens for a mosaic: tiles, or the one small picture that is kept.
 const source = (mosaic) => mosaic.dzi ?? { type: "image", url: mosaic.url };
 
@@ -64,9 +67,11 @@ export class DeepZoom {
     const seen = this.#viewer?.viewport?.getBounds();
     this.#viewer?.destroy();
     [this.#mosaic, this.#parts] = [mosaic, parts];
+    // immediateRender: the level that suits the screen is asked for first. A tile of the levels before it costs the station much more,
+    // as it is made of the frames of the whole board.
     const viewer = this.#library({
       element: this.#root, tileSources: source(mosaic), showNavigationControl: false, drawer: "canvas",
-      maxZoomPixelRatio: 8, visibilityRatio: 0.5, gestureSettingsMouse: { clickToZoom: false }, imageSmoothingEnabled: true,
+      maxZoomPixelRatio: 8, visibilityRatio: 0.5, gestureSettingsMouse: { clickToZoom: false }, imageSmoothingEnabled: true, immediateRender: true,
     });
     this.#viewer = viewer;
     this.#over = svg("svg", { class: "parts" });

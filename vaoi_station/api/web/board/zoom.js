@@ -3,7 +3,7 @@ import { make, setText } from "../parts/elements.js";
 import { unattended } from "../parts/rest.js";
 import { fillIn, number, texts } from "../texts/texts.js";
 import { classes, worstFirst } from "./colours.js";
-import { DeepZoom } from "./deep_zoom.js";
+import { DeepZoom, prepare } from "./deep_zoom.js";
 import { DRAWINGS } from "./drawings.js";
 
 const COLOURS = ["none", "sigma", "views", "height"];
@@ -39,6 +39,7 @@ export class ZoomSide {
     [this.root, this.#state, this.#onPart] = [root, state, onPart];
     root.innerHTML = PART;
     fillIn(root);
+    prepare();
     this.#part("colour").append(...COLOURS.map((value) => make("option", { value, textContent: texts.board.colours[value] })));
     this.#part("colour").value = state.get("colour");
     this.#part("colour").addEventListener("change", () => this.#recolour(this.#part("colour").value));
