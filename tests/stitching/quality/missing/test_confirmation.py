@@ -111,6 +111,19 @@ def test_few_links_beside_the_board_and_links_between_cameras_confirm_nothing() 
     assert confirmed_beside(Observations.empty(), MOTION, {(0, 0)}) == set()
 
 
+def test_links_along_an_edge_beside_the_board_confirm_nothing() -> None:
+    """They fit by chance: along the edge, each is off by another amount, within the limit for what lies lower."""
+    along = np.column_stack([np.full(8, STEP_MM), (-0.1, -0.08, 0.0, 0.16, 0.18, 0.19, 0.24, 0.24)])
+    assert confirmed_beside(observed((ROWS, along)), MOTION, {(0, 0)}) == set()
+    alike = np.column_stack([np.full(8, STEP_MM), np.linspace(0.18, 0.24, 8)])
+    assert confirmed_beside(observed((ROWS, alike)), MOTION, {(0, 0)}) == {(0, 0)}
+
+
+def test_a_copy_is_not_confirmed_by_the_edge_of_a_carrier() -> None:
+    """A frame of camera 2 shows the moment of the one before it; 7 of 8 links along an edge fit (hostile seed 90096)."""
+    assert judge(90096).finds == ()
+
+
 def test_a_frame_that_shows_almost_only_the_carrier_is_no_reason() -> None:
     """The first frame of camera 0 shows five components, but all its links lie on the carrier (hostile seed 71014)."""
     outcome = judge(71014)

@@ -33,6 +33,11 @@ _BESIDE_MM, _BESIDE_OF_WAY = 0.05, 0.02
 """Largest residual of a link beside the board: constant, and per mm of the way between its rows.
 
 The carrier or the belt may lie below the board by 2 % of the working distance, so that its pictures move less."""
+_ALIKE_MM = 0.05
+"""Largest deviation of such a residual from the median of its pair of frames.
+
+What lies beside the board is one plane, so that all residuals of a pair are alike: of sound frames of hostile drawings,
+0.98 and more. Along an edge of the carrier, links of a frame of another row fit by chance, but differ."""
 
 
 class _Fits(NamedTuple):
@@ -138,9 +143,12 @@ def confirmed_beside(beside: Observations, motion: Motion, undecided: Collection
     links = beside.select(np.flatnonzero(beside.p != beside.q))
     if not undecided or not len(links):
         return set()
-    apart_mm = np.hypot(*(motion.board(links.p, links.a_mm) - motion.board(links.q, links.b_mm)).T)
+    apart_mm = motion.board(links.p, links.a_mm) - motion.board(links.q, links.b_mm)
     way_mm = np.hypot(*(links.a_mm - links.b_mm).T)
-    fits = apart_mm <= _BESIDE_MM + _BESIDE_OF_WAY * way_mm
+    fits = np.hypot(*apart_mm.T) <= _BESIDE_MM + _BESIDE_OF_WAY * way_mm
+    for group in np.unique(links.group):
+        mine = links.group == group
+        fits[mine] &= np.hypot(*(apart_mm[mine] - np.median(apart_mm[mine], axis=0)).T) <= _ALIKE_MM
     return {
         key
         for key, one in _fits(links, fits).items()
