@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import socket
+import time
 
+import dask
 import pytest
 
 from vaoi_station.errors import InputError, StateError
-from vaoi_station.plant.workers.cluster import ClusterOptions, connection, dashboard_link
+from vaoi_station.plant.workers.cluster import ClusterOptions, cluster_address, connection, dashboard_link
 
 
 @pytest.mark.parametrize(
@@ -37,3 +41,22 @@ def test_the_link_to_the_dashboard_is_that_of_the_port_that_dask_got(cluster: Cl
     link = dashboard_link(cluster.scheduler, cluster.patience_s)
     with connection(cluster.scheduler, cluster.patience_s) as client:
         assert link == client.dashboard_link
+
+
+def test_a_worker_that_is_slow_to_come_back_after_its_end_is_not_given_up() -> None:
+    """Dask closes the nanny of a worker that is absent for a time after its end; then no worker is left for ever."""
+    # The successor takes seconds to start, so that with Dask's own setting it would be given up here.
+    with (
+        dask.config.set({"distributed.deploy.lost-worker-timeout": "10ms"}),
+        cluster_address(ClusterOptions(workers=1)) as address,
+        connection(address, 30) as client,
+    ):
+        client.wait_for_workers(1, timeout=60)
+        (process,) = client.run(os.getpid).values()
+        os.kill(process, signal.SIGKILL)
+        while client.scheduler_info()["workers"]:
+            pass
+        client.wait_for_workers(1, timeout=60)
+        # It would be closed as soon as it is there.
+        client.submit(time.sleep, 1.0).result(timeout=20)
+        assert process not in client.run(os.getpid).values()

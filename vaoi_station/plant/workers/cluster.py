@@ -21,6 +21,9 @@ _WORKERS: dict[str, Any] = {
     "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None,
     # It samples the stacks of the worker 100 times a second; what a run costs is in its outcome.
     "distributed.worker.profile.enabled": False,
+    # Dask gives a worker up whose successor is not there 15 s after its end: also one that has just been killed again,
+    # or that takes longer to start on a busy machine. The nanny's own wait for the successor is the bound that counts.
+    "distributed.deploy.lost-worker-timeout": "10 days",
 }
 """Settings of Dask for the workers of this machine."""
 EXTRA = "Install the extra: pip install 'vaoi-station[plant]'."
