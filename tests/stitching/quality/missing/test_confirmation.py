@@ -120,7 +120,7 @@ def test_links_along_an_edge_beside_the_board_confirm_nothing() -> None:
 
 
 def test_a_copy_is_not_confirmed_by_the_edge_of_a_carrier() -> None:
-    """A frame of camera 2 shows the moment of the one before it; 7 of 8 links along an edge fit (hostile seed 90096)."""
+    """A frame shows the moment of the one before it; 7 of 8 links along an edge fit (hostile seed 90096)."""
     assert judge(90096).finds == ()
 
 
