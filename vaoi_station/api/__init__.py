@@ -124,7 +124,7 @@ def create_app(
 
 
 def _prepare_routes(app: FastAPI) -> None:
-    """Let FastAPI prepare all routes of included routers, which else delays the first request by a quarter second."""
+    """Let FastAPI prepare all routes of included routers, which it otherwise does in the first request."""
     for route in app.router.routes:
         route.matches({"type": "http", "method": "GET", "path": "", "root_path": ""})
 

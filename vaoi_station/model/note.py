@@ -22,3 +22,7 @@ class Note(str):
         note = super().__new__(cls, sentence)
         note.code, note.values = code, {name: str(value) for name, value in values.items()}
         return note
+
+    def __getnewargs_ex__(self) -> tuple[tuple[str, str], dict[str, str]]:
+        """Return the arguments of a copy, for `copy` and `pickle`."""
+        return (self.code, str(self)), dict(self.values)

@@ -1,8 +1,8 @@
 """Small pictures that the station process renders itself, straight from the ring.
 
-A small picture takes a millisecond, less than its way through a lease, the queues and the pipes to a worker and back;
-and it would wait for links of a row that are under way in all workers. The caller's own thread makes it: OpenCV and
-compiled loops release the GIL, so that the coordinator's thread goes on.
+A small picture takes a millisecond or some. By a worker it would take a lease, the queues and two pipes besides, and
+the wait for links of a row that are under way in all workers. The caller's own thread makes it: OpenCV and compiled
+loops release the GIL, so that the coordinator's thread goes on.
 """
 
 from __future__ import annotations
