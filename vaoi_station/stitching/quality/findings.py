@@ -40,6 +40,7 @@ from vaoi_station.stitching.quality.heights import Height, component_heights
 from vaoi_station.stitching.quality.lens_errors import LensError, lens_errors
 from vaoi_station.stitching.quality.missing.confirmation import CheckedFrames, check_frames
 from vaoi_station.stitching.quality.missing.dark_lights import DarkLight
+from vaoi_station.stitching.quality.missing.repeated_frames import repeated_frames
 from vaoi_station.stitching.quality.missing.unseen import FilmedBoard, SeenFrames, UnseenComponent, find_unseen
 from vaoi_station.stitching.quality.row_offsets import row_offset
 from vaoi_station.stitching.quality.seam_causes import LIFT_LIMIT_MM, Lift, measure_lift
@@ -197,14 +198,23 @@ class Findings:
     def checked(self) -> CheckedFrames:
         """Which good frames fit the board's motion, and which contradict it."""
         beside = self.mapping.left_out.links if self.mapping and self.mapping.left_out else None
-        return check_frames(frozenset(self.scene.present), self.copies, self.method, self.adjusted, beside)
+        checked = check_frames(frozenset(self.scene.present), self.copies, self.method, self.adjusted, beside)
+        c = self.adjusted.similarity
+        doubtful = self._seen - checked.sure - checked.refuted
+        if self.plane is None or c is None or not doubtful:
+            return checked
+        return checked.without(repeated_frames(doubtful, self.plane, c, self.scene, self.adjusted.motion))
+
+    @cached_property
+    def _seen(self) -> frozenset[FrameKey]:
+        """The good frames that should show a component; empty without C."""
+        return frozenset(self._every_view.frames if self._every_view else ()) & frozenset(self.scene.present)
 
     @cached_property
     def unconfirmed(self) -> tuple[FrameKey, ...]:
         """The good frames, in order, that contradict their row, or show a component without fitting the board."""
-        seen = set(self._every_view.frames if self._every_view else ()) & set(self.scene.present)
         # A copy of a frame beside the board is no loss, and without noise equals it by right.
-        return tuple(sorted((seen - self.checked.confirmed) | (self.checked.refuted - self.copies)))
+        return tuple(sorted((self._seen - self.checked.confirmed) | (self.checked.refuted - self.copies)))
 
     @cached_property
     def unseen(self) -> tuple[UnseenComponent, ...]:

@@ -309,7 +309,7 @@ def _unconfirmed_frames(b: _Placed) -> Iterable[Reason]:
     # In such a frame, the picture of a component may show anything, even if other frames show the component well.
     f = b.findings
     dark = {row for light in f.dark for row in light.rows}
-    return unconfirmed_reasons([key for key in f.unconfirmed if key[1] not in dark], f.copies)
+    return unconfirmed_reasons([key for key in f.unconfirmed if key[1] not in dark], f.copies, f.checked.repeated)
 
 
 def _distorted_pictures(b: _Placed) -> Iterable[Reason]:

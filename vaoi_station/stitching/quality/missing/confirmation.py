@@ -27,6 +27,8 @@ _LEAST_FITTING, _LEAST_SHARE, _DECIDING = 3, 0.5, 5
 
 In sound frames of recordings and twin, a share of 0.7 or more fits. In a picture of another row, up to 7 of 31 fit by
 chance: a board has equal parts at equal distances."""
+_SURE = 12
+"""Number of fitting links from which no picture of another row is to be expected."""
 _BESIDE_SHARE = 0.7
 """Least share of the links beside the board that must fit where they alone confirm a frame."""
 _BESIDE_MM, _BESIDE_OF_WAY = 0.05, 0.02
@@ -62,6 +64,14 @@ class CheckedFrames(NamedTuple):
     """Frames that fit the board's motion."""
     refuted: frozenset[FrameKey]
     """Frames that show another part of the board than their row: they are copies, or most of their links contradict."""
+    sure: frozenset[FrameKey] = frozenset()
+    """Confirmed frames of which more fits than may fit by chance."""
+    repeated: frozenset[FrameKey] = frozenset()
+    """Refuted frames that show the moment of the frame before, in other pixels."""
+
+    def without(self, repeated: frozenset[FrameKey]) -> CheckedFrames:
+        """Return the same with frames refuted that show the moment of the frame before."""
+        return CheckedFrames(self.confirmed - repeated, self.refuted | repeated, self.sure, repeated)
 
 
 def check_frames(
@@ -82,16 +92,19 @@ def check_frames(
     """
     points, possible = adjusted.problem.fiducials, present - copies
     frames, decided = confirmed_by_points(points, adjusted.fiducial_px) if points is not None else (set(), set())
+    sure = set(frames)
     if method.links:
+        sure |= _sure(adjusted.problem.links, adjusted.weight)
         fitting, with_links = confirmed_by_links(adjusted.problem.links, adjusted.weight)
         frames, decided = frames | fitting, decided | with_links
         if beside is not None:
             frames |= confirmed_beside(beside, adjusted.motion, possible - frames - decided)
     elif method.marks:
         # Marks are far apart: nothing could confirm a frame between two of them.
-        return CheckedFrames(possible, copies & present)
+        return CheckedFrames(possible, copies & present, possible)
     confirmed = frozenset(frames & possible)
-    return CheckedFrames(confirmed, frozenset((copies | decided) & present - confirmed))
+    refuted = frozenset((copies | decided) & present - confirmed)
+    return CheckedFrames(confirmed, refuted, confirmed & sure)
 
 
 def confirmed_by_links(links: Observations, weight: NDArray[np.float64]) -> tuple[set[FrameKey], set[FrameKey]]:
@@ -154,6 +167,11 @@ def confirmed_beside(beside: Observations, motion: Motion, undecided: Collection
         for key, one in _fits(links, fits).items()
         if key in undecided and one.fitting >= _DECIDING and one.fitting >= _BESIDE_SHARE * one.every
     }
+
+
+def _sure(links: Observations, weight: NDArray[np.float64]) -> set[FrameKey]:
+    """Return the frames of which so many links fit that it cannot be chance."""
+    return {key for key, one in _fits(links, weight > _USED).items() if one.fitting >= _SURE}
 
 
 def _enough(frames: Mapping[FrameKey, _Fits]) -> set[FrameKey]:

@@ -260,12 +260,15 @@ def _lost_frames(cameras: int, rows: int, present: Collection[FrameKey]) -> str:
     return ", ".join(words)
 
 
-def unconfirmed_reasons(frames: Sequence[FrameKey], copies: Collection[FrameKey]) -> Iterator[Reason]:
+def unconfirmed_reasons(
+    frames: Sequence[FrameKey], copies: Collection[FrameKey], repeated: Collection[FrameKey] = ()
+) -> Iterator[Reason]:
     """Yield a reason for the frames that should show components, but do not fit the board's motion.
 
     Args:
         frames: camera and row of these frames.
         copies: the frames of the run that equal the preceding frame of their camera.
+        repeated: those that show the moment of the preceding frame in other pixels.
     """
     if not frames:
         return
@@ -273,6 +276,8 @@ def unconfirmed_reasons(frames: Sequence[FrameKey], copies: Collection[FrameKey]
     more = f" and {len(frames) - _MOST_NAMED_FRAMES} more" if len(frames) > _MOST_NAMED_FRAMES else ""
     twice = len(set(copies) & set(frames))
     same = f"; {twice} of them equal the frame before in every pixel" if twice else ""
+    if again := len(set(repeated) & set(frames)):
+        same += f"; {again} of them repeat the moment of the frame before"
     yield Reason(
         ReasonCode.FRAMES_UNCONFIRMED,
         f"{len(frames)} frames that should show components fit neither the frames before and after them nor the "
