@@ -43,8 +43,8 @@ def test_the_final_solution_is_that_with_the_board(sound: Findings) -> None:
 
 def test_seams_are_numbered_by_their_left_camera(sound: Findings) -> None:
     o = sound.problem.links
-    assert set(sound.seam_of_link.tolist()) == {-1, 0}
-    assert ((sound.seam_of_link >= 0) == (o.p == o.q)).all()
+    assert set(o.seam.tolist()) == {-1, 0}
+    assert ((o.seam >= 0) == (o.p == o.q)).all()
     assert set(sound.seams_px) == {(0, 1)}
     assert sound.seams_px[0, 1] < 0.1
 

@@ -105,6 +105,12 @@ class Observations:
         a, b = np.array(frames, dtype=np.int_).reshape(-1, 2).T
         return CameraPairs(np.ascontiguousarray(a), np.ascontiguousarray(b))
 
+    @cached_property
+    def seam(self) -> Ints:
+        """(k,) of each link between two cameras the lower of their numbers; −1 for links from row to row."""
+        lower = [e.task.a[0] if e.task.kind == "neighbours" else -1 for e in self.groups]
+        return np.array(lower, dtype=np.int_)[self.group]
+
     @staticmethod
     def empty() -> Observations:
         """Return a set of observations without any link."""

@@ -208,7 +208,7 @@ class Findings:
     @cached_property
     def _seen(self) -> frozenset[FrameKey]:
         """The good frames that should show a component; empty without C."""
-        return frozenset(self._every_view.frames if self._every_view else ()) & frozenset(self.scene.present)
+        return frozenset(self._every_view.frames if self._every_view else ()).intersection(self.scene.present)
 
     @cached_property
     def unconfirmed(self) -> tuple[FrameKey, ...]:
@@ -257,10 +257,9 @@ class Findings:
         # A row that shows only the belt, before or after the board, has no links. It must not count as a second group.
         every = connected_rows(self.problem.links, self.rows, self._used_between_rows)
         groups = [g for g in every if len(g) > 1 or g[0] in marked]
-        fixed = [points.place(g) for g in groups]
         # Groups that CAD points fix are connected to one another through C.
-        together = [r for g, by_cad in zip(groups, fixed, strict=True) if by_cad for r in g.tolist()]
-        apart = [g for g, by_cad in zip(groups, fixed, strict=True) if not by_cad]
+        together = [r for g in groups if points.place(g) for r in g.tolist()]
+        apart = [g for g in groups if not points.place(g)]
         return sorted([np.array(sorted(together)), *apart] if together else apart, key=lambda g: int(g.min()))
 
     @cached_property
@@ -307,19 +306,12 @@ class Findings:
         return {row for g in self.connected_groups if points.place(g) for row in g.tolist()}
 
     @cached_property
-    def seam_of_link(self) -> np.ndarray:
-        """(k,) for each link between two cameras the lower of the two camera numbers; −1 for links from row to row."""
-        o = self.problem.links
-        left = [e.task.a[0] if e.task.kind == "neighbours" else -1 for e in o.groups]
-        return np.array(left, dtype=np.int_)[o.group]
-
-    @cached_property
     def seams_px(self) -> dict[tuple[int, int], float]:
         """For each pair of neighbouring cameras, the length of the median residual of their links, px (`seam_px`).
 
         If it is large, a camera has moved, or the board has a shape that the surface model cannot express.
         """
-        every = (np.flatnonzero(self.seam_of_link == i) for i in range(len(self.scene.cameras) - 1))
+        every = (np.flatnonzero(self.problem.links.seam == i) for i in range(len(self.scene.cameras) - 1))
         found = (seam_px(self.problem, self.adjusted, mine, _SEAM_LINKS) for mine in every)
         return {(i, i + 1): px for i, px in enumerate(found) if px is not None}
 
@@ -395,8 +387,8 @@ class Findings:
         for i, rows in sorted(unmatched.items()):
             # A failed match in a single row is no evidence of a moved camera.
             if rows >= 2 and (i, i + 1) not in self.seams_px:
-                agreeing = (self.seam_of_link == i) & (self.adjusted.weight > _USED) & self._usable_seam_links
-                if agreeing.sum() < _SEAM_LINKS:
+                used = (self.adjusted.weight > _USED) & self._usable_seam_links
+                if (used & (self.problem.links.seam == i)).sum() < _SEAM_LINKS:
                     out[i, i + 1] = rows
         return out
 

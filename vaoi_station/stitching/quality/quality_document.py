@@ -36,7 +36,7 @@ def quality_document(f: Findings) -> dict[str, Any]:
     return {
         "links": {
             kind: {"found": int(mine.sum()), "used": int((mine & used).sum())}
-            for kind, mine in (("rows", f.seam_of_link < 0), ("neighbours", f.seam_of_link >= 0))
+            for kind, mine in (("rows", f.problem.links.seam < 0), ("neighbours", f.problem.links.seam >= 0))
         }
         | _points_used(f),
         "unlinked": [

@@ -170,7 +170,7 @@ def confirmed_beside(beside: Observations, motion: Motion, undecided: Collection
 
 
 def _sure(links: Observations, weight: NDArray[np.float64]) -> set[FrameKey]:
-    """Return the frames of which so many links fit that it cannot be chance."""
+    """Return the frames of which more links fit than may fit by chance."""
     return {key for key, one in _fits(links, weight > _USED).items() if one.fitting >= _SURE}
 
 

@@ -22,7 +22,7 @@ from vaoi_station.stitching.matching.scene import Scene
 from vaoi_station.stitching.matching.static_texture import STATIC_PX, shows_patches
 
 _LEAST_MOVED_PX = 4 * STATIC_PX
-"""Least motion of the board between two frames that can be told apart; a board at rest looks the same twice."""
+"""Least motion of the board that two frames must show; a board at rest looks the same twice."""
 _LEAST_SAME = 5
 """Least number of corners on the board that must appear in the same place in a repeated frame."""
 _MOST_MOVED = 0.5
