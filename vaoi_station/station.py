@@ -32,6 +32,7 @@ from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.runs.control.core import Parts
 from vaoi_station.runs.control.reasons import thread_reasons
 from vaoi_station.runs.handover.handover import Handover
+from vaoi_station.runs.host.gc_policy import no_collections
 from vaoi_station.runs.host.mount_view import RemountWatch
 from vaoi_station.runs.host.start_wait import StartWait
 from vaoi_station.runs.host.stop_request import StopRequest
@@ -274,13 +275,14 @@ def serve(config: StationConfig, port: int | None = None, file: Path | None = No
 
     `port` replaces the configured port; `file` is the station.toml, to examine the station or set it up.
     """
-    from vaoi_station.api import create_app
-    from vaoi_station.api.access.access_control import AccessControl
-    from vaoi_station.api.access.audit import AuditLog
-    from vaoi_station.api.listener.certificate import CertificateFiles
-    from vaoi_station.api.routes.waiting_page import WaitingPage
-    from vaoi_station.api.setup.station_files import StationFiles
-    from vaoi_station.api.web_server import WebServer, open_listener
+    with no_collections():
+        from vaoi_station.api import create_app
+        from vaoi_station.api.access.access_control import AccessControl
+        from vaoi_station.api.access.audit import AuditLog
+        from vaoi_station.api.listener.certificate import CertificateFiles
+        from vaoi_station.api.routes.waiting_page import WaitingPage
+        from vaoi_station.api.setup.station_files import StationFiles
+        from vaoi_station.api.web_server import WebServer, open_listener
 
     api, keys = config.api, KeyFile(config.data / KEY_FILE)
     address, names = (api.host, api.port if port is None else port), (api.host, *api.names)
@@ -301,7 +303,8 @@ def serve(config: StationConfig, port: int | None = None, file: Path | None = No
         parts.callback(audit.close)  # what was noted last is written before the process ends
         access = AccessControl(keys, audit, open_loopback=api.open_loopback)
         files = None if file is None else StationFiles(file.resolve(), config)
-        app = create_app(station.coordinator, names, access, station.push, file, files)
+        with no_collections():
+            app = create_app(station.coordinator, names, access, station.push, file, files)
         web = WebServer(app, socket_, stop.request, tls=tls)
         web.start()
         station.watch(web.thread)

@@ -12,15 +12,19 @@ import sys
 import threading
 from pathlib import Path
 
-from vaoi_station.config import read_config
-from vaoi_station.errors import VaoiError
-from vaoi_station.runs.host.logs import configure_logging
-from vaoi_station.station import serve
-
 
 def main(config: str, port: str) -> int:
     """Serve until SIGTERM, or until standard input ends."""
     threading.Thread(target=_end_with_parent, name="parent watch", daemon=True).start()
+    # Imported here: each child process of the station imports this module anew, but none of these.
+    from vaoi_station.runs.host.gc_policy import no_collections
+
+    with no_collections():
+        from vaoi_station.config import read_config
+        from vaoi_station.errors import VaoiError
+        from vaoi_station.runs.host.logs import configure_logging
+        from vaoi_station.station import serve
+
     configure_logging(as_json=False)
     try:
         serve(read_config(Path(config)), int(port), Path(config))

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from vaoi_station.runs.host import gc_policy as module
-from vaoi_station.runs.host.gc_policy import IDLE_S, LONGEST_S, GcPolicy
+from vaoi_station.runs.host.gc_policy import IDLE_S, LONGEST_S, GcPolicy, no_collections
 
 
 class Knot:
@@ -134,3 +134,14 @@ def test_objects_that_the_program_has_excluded_stay_excluded() -> None:
     policy.stop()
     assert 0 < gc.get_freeze_count() <= frozen
     assert len(kept) == 1000
+
+
+@pytest.mark.parametrize("automatic", [False, True])
+def test_nothing_is_collected_while_a_process_builds_its_parts(automatic: bool) -> None:
+    (gc.enable if automatic else gc.disable)()
+    try:
+        with no_collections():
+            during = gc.isenabled()
+        assert (during, gc.isenabled()) == (False, automatic)
+    finally:
+        gc.enable()

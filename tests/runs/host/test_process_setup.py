@@ -65,3 +65,18 @@ def test_a_child_ignores_signals_and_may_be_limited_to_one_thread(one_thread: bo
     environment = {**os.environ, "OMP_NUM_THREADS": "7"}
     done = subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True, check=True)
     assert json.loads(done.stdout.splitlines()[-1]) == [[True, True], threads]
+
+
+@pytest.mark.parametrize(
+    "module",
+    [
+        "vaoi_station.demo.service_process",
+        "vaoi_station.runs.host.process_setup",
+        "vaoi_station.runs.workers.worker_process",
+    ],
+)
+def test_a_child_process_starts_with_a_module_that_imports_little(module: str) -> None:
+    # whatever this module imports, each child process imports, and most of it for nothing
+    program = f"import sys, {module}; print(*{{'numba', 'numpy', 'pydantic'}} & sys.modules.keys())"
+    done = subprocess.run([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True, check=True)
+    assert done.stdout == "\n"

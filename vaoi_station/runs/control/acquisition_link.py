@@ -17,7 +17,7 @@ from vaoi_station.backoff import Backoff, BackoffPolicy
 from vaoi_station.config import StationConfig
 from vaoi_station.runs.control.station_events import StationEvents
 from vaoi_station.runs.host.message_pipe import MessagePipe, PipeEndedError, wait_for
-from vaoi_station.runs.host.process_setup import set_up_process
+from vaoi_station.runs.host.process_setup import acquire
 from vaoi_station.runs.states.run_ids import utc_of_host
 from vaoi_station.runs.states.schemas import STARTING, WAITING, ProcessStatus
 from vaoi_station.supervised_thread import SupervisedThread
@@ -94,15 +94,6 @@ def spawn_launcher(config: StationConfig, ring: Path) -> Launch:
         return process, here
 
     return launch
-
-
-def acquire(config: StationConfig, ring: str, connection: Connection[Any, Any]) -> None:
-    """Run the acquisition process until it ends. The child process starts with this function."""
-    set_up_process(one_thread=False)
-    # Imported here: camera libraries must not be loaded into the station's own process.
-    from vaoi_station.acquisition.process.main_loop import run_acquisition
-
-    run_acquisition(config, Path(ring), connection)
 
 
 @dataclass

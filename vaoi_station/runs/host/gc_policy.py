@@ -15,7 +15,8 @@ from __future__ import annotations
 import ctypes
 import gc
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 IDLE_S = 10.0
 """Time between full collections while no board is processed."""
@@ -23,6 +24,18 @@ LONGEST_S = 60.0
 """Time after which a full collection runs even while boards are processed, and between two returns of memory."""
 # The module `gc` cannot switch off generation 2 alone. A threshold that is never reached has the same effect.
 _NEVER = 1_000_000_000
+
+
+@contextmanager
+def no_collections() -> Iterator[None]:
+    """Import and build without garbage collections: what is made then stays, and they would scan it again and again."""
+    automatic = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if automatic:
+            gc.enable()
 
 
 class GcPolicy:

@@ -1,4 +1,7 @@
-"""Set-up of a child process: signals, name, number of threads, log and memory allocator."""
+"""Set-up of a child process: signals, name, number of threads, log and memory allocator; start of the one that films.
+
+A child process imports the module of the function with which it starts, so this module imports little.
+"""
 
 from __future__ import annotations
 
@@ -7,9 +10,16 @@ import os
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
+from vaoi_station.runs.host.gc_policy import no_collections
 from vaoi_station.runs.host.logs import configure_logging
 from vaoi_station.runs.host.process_title import set_process_title
+
+if TYPE_CHECKING:
+    from vaoi_station.config import StationConfig
 
 _TUNABLES = "GLIBC_TUNABLES"
 _MEMORY = {"hugetlb": 1, "trim_threshold": 512 << 20, "mmap_threshold": 32 << 20}
@@ -35,6 +45,16 @@ def set_up_process(one_thread: bool) -> None:
         os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
     set_process_title(multiprocessing.current_process().name, arguments=True)
     configure_logging()
+
+
+def acquire(config: StationConfig, ring: str, connection: Connection[Any, Any]) -> None:
+    """Run the acquisition process until it ends. The child process starts with this function."""
+    set_up_process(one_thread=False)
+    # Imported here: camera libraries must not be loaded into the station's own process.
+    with no_collections():
+        from vaoi_station.acquisition.process.main_loop import run_acquisition
+
+    run_acquisition(config, Path(ring), connection)
 
 
 @contextmanager

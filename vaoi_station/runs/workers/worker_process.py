@@ -19,6 +19,9 @@ PROGRESS_S = 1.0
 def run_worker(connection: Connection[Any, Any], ring_path: str) -> None:
     """Perform jobs until the station sends None or closes the pipe."""
     set_up_process(one_thread=True)
+    # Automatic collections are off, because a full collection would delay a result, and scan what is imported again and
+    # again. Collections run below, after a run was closed and while the worker is idle.
+    gc.disable()
     # These imports come after the set-up: OpenBLAS and OpenMP read the number of threads from the environment when they
     # are loaded.
     from vaoi_station.runs.workers.jobs import CloseRun, Ping
@@ -29,12 +32,9 @@ def run_worker(connection: Connection[Any, Any], ring_path: str) -> None:
         try:
             with _progress_sent(connection):
                 warm_up()
-            # Imported and compiled objects are never freed: `freeze` excludes them from collections. Automatic
-            # collections are off, because a full collection would delay a result. Collections run below, after a run
-            # was closed and while the worker is idle.
+            # Imported and compiled objects are never freed: `freeze` excludes them from collections.
             gc.collect()
             gc.freeze()
-            gc.disable()
             connection.send(runtime.ready())
             while (message := connection.recv()) is not None:
                 # Each reply is sent before the next one is computed, so a result does not wait for its check.
