@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import fields
 from typing import Any
 
-from vaoi_station.rendering import ViewCalculator
+import numpy as np
+
+from vaoi_station.rendering import View, ViewCalculator
 
 
 def test_a_table_is_a_mapping_from_addresses_to_views(make: Any) -> None:
@@ -18,6 +21,17 @@ def test_a_table_is_a_mapping_from_addresses_to_views(make: Any) -> None:
         keys = [(v.camera, v.row) for v in table[address]]
         assert keys
         assert len(set(keys)) == len(keys)
+
+
+def test_the_views_of_one_component_are_those_made_with_all(make: Any) -> None:
+    s = make()
+    table = ViewCalculator(s.board_type, s.stitch, s.cameras).compute_all(s.board_type.components)
+    for number, views in enumerate(table.values()):
+        alone = table.views_of(number)
+        assert len(alone) == len(views) > 0
+        for own, view in zip(alone, views, strict=True):
+            for field in fields(View):
+                assert np.array_equal(getattr(own, field.name), getattr(view, field.name)), field.name
 
 
 def test_views_in_some_frames_are_counted(make: Any) -> None:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.rendering.crops import Crops
-from vaoi_station.rendering.view import Tile, View
+from vaoi_station.rendering.view import Plane, Tile, View
 
 
 class Sights(NamedTuple):
@@ -69,6 +69,11 @@ class ViewTable(Mapping[str, tuple[View, ...]]):
     def __len__(self) -> int:
         return len(self._views)
 
+    def views_of(self, number: int) -> tuple[View, ...]:
+        """Make the views of the component with a number, and keep none: they take several times the arrays' memory."""
+        first, end = np.searchsorted(self.columns.component, (number, number + 1)).tolist()
+        return tuple(view for _, view in self._made(first, end))
+
     def counts_in(self, frames: Collection[tuple[int, int]]) -> dict[str, int]:
         """Return for each component the number of views in some frames."""
         inside = [key in frames for key in map(tuple, self.columns.key.tolist())]
@@ -77,21 +82,35 @@ class ViewTable(Mapping[str, tuple[View, ...]]):
 
     @cached_property
     def _views(self) -> dict[str, tuple[View, ...]]:
-        columns, crops, (toward, lift) = self.columns, self.crops, self.sights()
         found: list[list[View]] = [[] for _ in self.addresses]
-        # Python's own numbers, and rows of arrays, made at once: one by one they take longer than the views themselves.
-        numbers = (v.tolist() for v in (columns.component, columns.key, columns.coverage, columns.off_center))
-        arrays = map(list, (columns.matrix, columns.outline_px, toward, lift))
-        size, resolution, above = crops.size.astype(int).tolist(), crops.px_per_mm.tolist(), self.above_mm.tolist()
-        crop_matrices, planes = list(crops.crop_from_cad), np.where(self.on_top, "top", "board").tolist()
-        for n, (k, (i, j), share, distance, matrix, corners, sight, shift) in enumerate(
-            zip(*numbers, *arrays, strict=True)
-        ):
-            width, height = size[k]
-            found[k].append(
-                View(
-                    i, j, width, height, resolution[k], share, distance, crop_matrices[k], matrix,
-                    columns.tiles.get(n, ()), corners, sight, shift, planes[k], above[k],
-                )
-            )  # fmt: skip
+        for k, view in self._made(0, len(self.columns.component)):
+            found[k].append(view)
         return {address: tuple(views) for address, views in zip(self.addresses, found, strict=True)}
+
+    @cached_property
+    def _sights(self) -> Sights:
+        return self.sights()
+
+    @cached_property
+    def _pictures(self) -> list[tuple[int, int, float, Floats, Plane, float]]:
+        """Size, resolution, matrix from CAD, plane and height of the picture of each component."""
+        crops = self.crops
+        size, planes = crops.size.astype(int).T.tolist(), np.where(self.on_top, "top", "board").tolist()
+        return list(
+            zip(*size, crops.px_per_mm.tolist(), crops.crop_from_cad, planes, self.above_mm.tolist(), strict=True)
+        )
+
+    def _made(self, first: int, end: int) -> Iterator[tuple[int, View]]:
+        """Make the views from `first` to `end`, which is excluded; yield each with the number of its component."""
+        columns, (toward, lift), part = self.columns, self._sights, slice(first, end)
+        # Python's own numbers, and rows of arrays, made at once: one by one they take longer than the views themselves.
+        numbers = (v[part].tolist() for v in (columns.component, columns.key, columns.coverage, columns.off_center))
+        arrays = (v[part] for v in (columns.matrix, columns.outline_px, toward, lift))
+        for n, (k, (i, j), share, distance, matrix, corners, sight, shift) in enumerate(
+            zip(*numbers, *arrays, strict=True), first
+        ):
+            width, height, resolution, crop_matrix, plane, above_mm = self._pictures[k]
+            yield k, View(
+                i, j, width, height, resolution, share, distance, crop_matrix, matrix,
+                columns.tiles.get(n, ()), corners, sight, shift, plane, above_mm,
+            )  # fmt: skip

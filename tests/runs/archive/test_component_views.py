@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from vaoi_station.errors import InputError, NotFoundError, StateError
@@ -96,13 +97,14 @@ def test_views_and_components_that_do_not_exist_are_refused_with_their_numbers(r
         component_views.component_of(board_type, "R99")
 
 
-def test_neighbours_are_chosen_together_as_they_are_alone(rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_callers_of_many_components_get_what_each_one_gets_alone(rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """One that is refused, because its picture would be too large, prevents none of its neighbours."""
     finished = finished_run(rig)
-    sizes = {f"R{n}": 0.5 + 0.1 * n for n in range(20)} | {"R5": 900.0}
+    sizes = {f"R{n}": 0.5 + 0.1 * n for n in range(80)} | {"R5": 900.0}
     parts = [{"ref": ref, "center": (10, 10), "width": mm, "height": mm} for ref, mm in sizes.items()]
     board_type = BoardType.model_validate({**finished.board_type.model_dump(), "components": parts})
     finished = replace(finished, board_type=board_type)
+    alone = {part.ref: finished.view_calculator.compute(part) for part in board_type.components}
     calls, compute_all = list[int](), ViewCalculator.compute_all
 
     def counted(calculator: ViewCalculator, parts: Sequence[Component], **options: Any) -> Any:
@@ -110,25 +112,20 @@ def test_neighbours_are_chosen_together_as_they_are_alone(rig: Any, monkeypatch:
         return compute_all(calculator, parts, **options)
 
     monkeypatch.setattr(ViewCalculator, "compute_all", counted)
-    for wanted in (ImageRequest(), ImageRequest.of({"px_per_mm": 40})):
-        alone = ImageRequest.of({**wanted.options(), "measure": True})  # type: ignore[typeddict-item]
-        calls.clear()
-        for ref in sizes:
-            if (ref, wanted.framing.px_per_mm) == ("R5", 40):
-                with pytest.raises(InputError):
-                    component_views.images_of_component(finished, ref, wanted, unmeasured)
-                continue
-            [together, single] = [
-                component_views.images_of_component(finished, ref, request, unmeasured).chosen
-                for request in (wanted, alone)
-            ]
-            assert [c.view.matrix.tolist() for c in together] == [c.view.matrix.tolist() for c in single]
-        if wanted == ImageRequest():
-            assert [n for n in calls if n > 1] == [8, 8, 4]
-            calls.clear()
-            for ref in ("R13", "R2", "R10", "R7"):
-                component_views.images_of_component(finished, ref, wanted, unmeasured)
-            assert calls == [1, 1, 1, 1], "a caller that reads in another order gets each one alone"
+    # In no order of the board type, as a caller that looks at suspicious components first.
+    for ref in sorted(sizes, key=lambda ref: ref[::-1]):
+        found = [c.view for c in component_views.images_of_component(finished, ref, ImageRequest(), unmeasured).chosen]
+        assert [(v.camera, v.row) for v in found] == [(v.camera, v.row) for v in alone[ref]]
+        assert np.array_equal([v.matrix for v in found], [v.matrix for v in alone[ref]])
+        assert [(v.width, v.height, v.coverage) for v in found] == [(v.width, v.height, v.coverage) for v in alone[ref]]
+    assert calls == [1] * 8 + [64, 16], "each of the first ones alone, then groups"
+    fine = ImageRequest.of({"px_per_mm": 40})
+    for ref in sizes:
+        if ref == "R5":
+            with pytest.raises(InputError):
+                component_views.images_of_component(finished, ref, fine, unmeasured)
+        else:
+            assert component_views.images_of_component(finished, ref, fine, unmeasured).chosen
 
 
 @pytest.mark.parametrize(

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections import Counter, deque
-from collections.abc import Mapping, Sequence, Set
+import itertools
+from collections import Counter
+from collections.abc import Mapping, Set
 from contextlib import suppress
 from functools import lru_cache
 from typing import Any
@@ -19,12 +20,14 @@ from vaoi_station.rendering import (
     ChosenImages,
     ChosenView,
     FrameFacts,
+    Framing,
     ImageRequest,
+    View,
     ViewCalculator,
-    choose_all,
     choose_images,
 )
-from vaoi_station.rendering.selection import Measure
+from vaoi_station.rendering.selection import Measure, select
+from vaoi_station.rendering.view_table import ViewTable
 from vaoi_station.runs.archive.finished_runs import FinishedRun
 from vaoi_station.runs.states.schemas import ComponentSummary
 from vaoi_station.stitching.board.component_index import ComponentIndex
@@ -32,13 +35,12 @@ from vaoi_station.stitching.board.coverage import Coverage, component_coverage
 
 _RUNS = 4
 """Number of runs whose tables are kept between requests: callers read the pictures of few runs at a time."""
-_GROUP, _GROUPS = 8, 16
-"""Number of components whose images are chosen at once, and of such groups that are kept between requests.
+_GROUP, _GROUPS = 64, 512
+"""Number of components whose views are computed at once, and of such groups that are kept of a run."""
+_ALONE, _KINDS = 8, 16
+"""Number of requests of one kind, to one run, after which views are computed in groups, and of kinds that are counted.
 
-Most callers read one component after another. Eight at once take 1.5 times as long as one, so that a caller that reads
-in another order gets each one alone."""
-_LATEST = 8
-"""Number of the latest requests among which a component or its predecessor shows that a caller reads in order."""
+64 components take five times as long as one: callers that read few get each one alone."""
 
 
 def components_of(finished: FinishedRun) -> tuple[ComponentSummary, ...]:
@@ -98,11 +100,13 @@ def images_of_component(
     number = _numbers(finished).get(ref)
     # The complete result is parsed only for a request that needs the height of a body.
     on_top = wanted.framing.plane == "top"
-    in_order = number is not None and _is_in_order(finished, number)
-    if number is not None and in_order and not (on_top or wanted.needs_pixels or wanted.choice.measure):
+    if number is not None and not on_top and (views := _kept_views(finished)).is_frequent(wanted.check()):
         # One that is refused does not prevent its neighbours; it is refused again below.
         with suppress(InputError, StateError):
-            return _chosen_of_group(finished, wanted.check(), number // _GROUP)[number % _GROUP]
+            found = views.of(number, wanted)
+            usable = [view for view in found if (view.camera, view.row) in usable_frames(finished)]
+            chosen = select(usable, frame_facts(finished), wanted, measure)
+            return ChosenImages(finished.board_type.components[number], chosen, None, None)
     part = component_of(finished.board_type, ref) if number is None else finished.board_type.components[number]
     calculator = finished.view_calculator
     stitch = with_heights(finished.result, heights_mm or {}) if on_top else finished.stitch or finished.result
@@ -136,28 +140,31 @@ def _numbers(finished: FinishedRun) -> Mapping[str, int]:
     return {part.address: n for n, part in enumerate(finished.board_type.components)}
 
 
-def _is_in_order(finished: FinishedRun, number: int) -> bool:
-    """Return whether this component or the one before it was asked for lately, and note this request."""
-    latest = _latest_of(finished)
-    # A copy: other threads add to it.
-    found = not {number, number - 1}.isdisjoint(list(latest))
-    latest.append(number)
-    return found
+class _KeptViews:
+    """The views of a run's components in the plane of the board, computed in groups when callers read many."""
+
+    def __init__(self, finished: FinishedRun) -> None:
+        self._calculator, self._parts = finished.view_calculator, finished.board_type.components
+        self._requests = lru_cache(_KINDS)(lambda *_: itertools.count())
+        self._group = lru_cache(_GROUPS)(self._computed)
+
+    def is_frequent(self, wanted: ImageRequest) -> bool:
+        """Note a request, and return whether there were several of its kind: with this framing and least coverage."""
+        return next(self._requests(wanted.framing, wanted.bounds.min_coverage)) >= _ALONE
+
+    def of(self, number: int, wanted: ImageRequest) -> tuple[View, ...]:
+        """Return the views of the component with a number, best first."""
+        group, place = divmod(number, _GROUP)
+        return self._group(wanted.framing, wanted.bounds.min_coverage, group).views_of(place)
+
+    def _computed(self, framing: Framing, min_coverage: float, group: int) -> ViewTable:
+        parts = self._parts[group * _GROUP : (group + 1) * _GROUP]
+        return self._calculator.compute_all(parts, min_coverage=min_coverage, framing=framing)
 
 
 @lru_cache(_RUNS)
-def _latest_of(_: FinishedRun) -> deque[int]:
-    """Return the numbers of the components of a run that were asked for lately."""
-    return deque([-1], maxlen=_LATEST)
-
-
-@lru_cache(_GROUPS)
-def _chosen_of_group(finished: FinishedRun, wanted: ImageRequest, group: int) -> Sequence[ChosenImages]:
-    """Choose the images of components that follow one another in the board type."""
-    parts = finished.board_type.components[group * _GROUP : (group + 1) * _GROUP]
-    run = finished.board_type, finished.stitch or finished.result
-    frames = usable_frames(finished), frame_facts(finished)
-    return choose_all(finished.view_calculator, parts, run, frames, wanted, lambda _: None)
+def _kept_views(finished: FinishedRun) -> _KeptViews:
+    return _KeptViews(finished)
 
 
 @lru_cache(_RUNS)
