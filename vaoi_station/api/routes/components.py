@@ -10,6 +10,7 @@ from fastapi import APIRouter, Depends, Path, Query, Request, Response
 from vaoi_station.api.encoders import MEDIA_TYPES, ImageFormat, choose_format, raw_from_npy
 from vaoi_station.api.http_caching import IMMUTABLE, LIVE, REVALIDATE, conditional_response
 from vaoi_station.api.images.image_queries import Wanted
+from vaoi_station.api.images.route_without_query import RouteWithoutQuery
 from vaoi_station.api.images.view_entries import covariances, picture_query, view_entry
 from vaoi_station.api.parameters import Address, FormatName, RunId
 from vaoi_station.api.rest_models import ComponentEntry, ComponentList, ComponentViews
@@ -22,6 +23,9 @@ from vaoi_station.runs.states.tables import FINISHED
 
 Index = Annotated[int, Path(description="Index of the view, from 0.", ge=0, le=99_999)]
 
+IMAGE = "/{ref:path}/images/{k}"
+_PLAIN = ImageRequest()
+"""What a request without a query asks for."""
 RENDERED_AS: dict[ImageFormat, Rendered] = {
     ImageFormat.PNG: "png",
     ImageFormat.JPEG: "jpeg",
@@ -68,13 +72,34 @@ def router(services: Services) -> APIRouter:
         # 20,000 components become some megabytes of text, which takes too long for the event loop.
         return await services.searches.ask(listed)
 
-    # Before "/{ref:path}", whose path parameter would match this address as well.
-    @routes.get(
-        "/{ref:path}/images/{k}",
+    async def image_of(
+        request: Request, component: tuple[str, str, int], wanted: ImageRequest, image_format: ImageFormat
+    ) -> Response:
+        def picture() -> tuple[bytes, dict[str, str], str]:
+            run, ref, k = component
+            cache = picture_caching(run, wanted)
+            content = coordinator.image(run, ref, k, wanted, format=RENDERED_AS[image_format])
+            return (*(raw_from_npy(content) if image_format is ImageFormat.RAW else (content, {})), cache)
+
+        content, headers, cache = await services.pictures.ask(picture)
+        return conditional_response(request, content, MEDIA_TYPES[image_format], headers=headers, cache=cache)
+
+    # Before "/{ref:path}", whose path parameter would match these addresses as well.
+    async def get_plain_component_image(
+        *, request: Request, run: RunId, ref: Address, k: Index, accept: Accept = None
+    ) -> Response:
+        return await image_of(request, (run, ref, k), _PLAIN, choose_format(None, accept))
+
+    routes.add_api_route(
+        IMAGE,
+        get_plain_component_image,
+        include_in_schema=False,
         response_class=Response,
-        responses=PICTURE,
         dependencies=[Depends(services.picture_seats.hold)],
+        route_class_override=RouteWithoutQuery,
     )
+
+    @routes.get(IMAGE, response_class=Response, responses=PICTURE, dependencies=[Depends(services.picture_seats.hold)])
     async def get_component_image(
         *,
         request: Request,
@@ -90,15 +115,7 @@ def router(services: Services) -> APIRouter:
         Pass the same parameters as for the list of views, to which index k refers. 410: the frames
         are no longer in memory, and no recording of the run is kept.
         """
-        image_format = choose_format(format, accept)
-
-        def picture() -> tuple[bytes, dict[str, str], str]:
-            cache = picture_caching(run, wanted)
-            content = coordinator.image(run, ref, k, wanted, format=RENDERED_AS[image_format])
-            return (*(raw_from_npy(content) if image_format is ImageFormat.RAW else (content, {})), cache)
-
-        content, headers, cache = await services.pictures.ask(picture)
-        return conditional_response(request, content, MEDIA_TYPES[image_format], headers=headers, cache=cache)
+        return await image_of(request, (run, ref, k), wanted, choose_format(format, accept))
 
     @routes.get("/{ref:path}", response_model=ComponentViews)
     async def get_component(request: Request, run: RunId, ref: Address, wanted: Wanted) -> Response:
