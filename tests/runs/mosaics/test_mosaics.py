@@ -5,23 +5,29 @@ from __future__ import annotations
 import os
 import shutil
 import threading
-from collections.abc import Callable
-from contextlib import nullcontext
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 import tifffile
+from numpy.typing import NDArray
 
 from tests.mosaic.conftest import DARK, SIZE, Film, Filmed, board, film
-from vaoi_station.errors import BusyError, DeviceError, InputError
+from tests.runs.mosaics.test_overview import means
+from vaoi_station.errors import BusyError, DeviceError, GoneError, InputError
 from vaoi_station.model import CameraHead, FrameRecord, Verdict
 from vaoi_station.model.known_height import Heights
+from vaoi_station.mosaic import MosaicPlan
 from vaoi_station.photometry.flat_fields import FlatFieldDocument, FlatFields, write_flat_fields
-from vaoi_station.runs.mosaics.mosaics import MOST_PLANS, Download, Mosaics
+from vaoi_station.runs.mosaics.mosaics import Download, Mosaics
+from vaoi_station.runs.mosaics.opened_mosaics import MOST_PLANS
 from vaoi_station.runs.mosaics.picture_names import PictureName, parse_name
+from vaoi_station.runs.workers.jobs import Priority
 from vaoi_station.runs.workers.mosaic_jobs import PlanJob
 
 __all__ = ["board", "film"]
@@ -43,7 +49,7 @@ def mosaics_of(
         for n, f in enumerate(board.taken)
     )
     finished = SimpleNamespace(
-        detail=SimpleNamespace(id="r1", frames=frames),
+        detail=SimpleNamespace(id="r1", frames=frames, frames_available=True),
         board_type=board.board_type,
         cameras=board.cameras,
         stitch=board.stitch,
@@ -65,6 +71,15 @@ def mosaics_of(
         return nullcontext(SimpleNamespace(number=0, generation=1))
 
     return Mosaics(archive, held, render, flat_fields, heights)  # type: ignore[arg-type]
+
+
+def planned(mosaics: Mosaics, *, hdr: bool = False) -> MosaicPlan:
+    """Return the plan of a mosaic, after a tile was made by it."""
+    name = PictureName(hdr=hdr)
+    mosaics.tile("r1", name, 1, (0, 0, 8, 8), "png")
+    plan = mosaics._open("r1", name, asked=True).plan
+    assert plan is not None
+    return plan
 
 
 def test_run_with_one_light_and_one_exposure_has_one_mosaic(board: Filmed) -> None:
@@ -99,11 +114,11 @@ def test_every_mosaic_that_is_listed_can_be_opened(film: Film) -> None:
 def test_new_flat_fields_make_new_plans(board: Filmed, tmp_path: Path) -> None:
     jobs: list[Any] = []
     mosaics = mosaics_of(board, jobs, flat_fields=write_fields(tmp_path, len(board.cameras)))
-    first, again = (mosaics._plan("r1", PictureName()) for _ in range(2))
+    first, again = (planned(mosaics) for _ in range(2))
     assert first is again
     document = tmp_path / "flatfield.json"
     os.utime(document, ns=(0, document.stat().st_mtime_ns + 10**9))
-    assert mosaics._plan("r1", PictureName()) is not first
+    assert planned(mosaics) is not first
     assert sum(isinstance(job, PlanJob) for job in jobs) == 2
 
 
@@ -111,9 +126,9 @@ def test_measured_heights_make_new_plans_where_bodies_are_raised(film: Film) -> 
     run, jobs = film(exposures=(250.0, 50.0)), list[Any]()
     part, known = run.board_type.components[0].address, dict[str, tuple[float, float]]()
     mosaics = mosaics_of(run, jobs, heights=lambda _: known or None)
-    before = [mosaics._plan("r1", PictureName(hdr=hdr)) for hdr in (False, True)]
+    before = [planned(mosaics, hdr=hdr) for hdr in (False, True)]
     known[part] = 1.25, 0.02
-    plain, hdr = (mosaics._plan("r1", PictureName(hdr=hdr)) for hdr in (False, True))
+    plain, hdr = (planned(mosaics, hdr=hdr) for hdr in (False, True))
     assert plain is before[0]
     assert 1.25 in {body.height_mm for body in hdr.bodies} - {body.height_mm for body in before[1].bodies}
 
@@ -136,20 +151,12 @@ def test_plan_is_made_once_though_several_callers_ask(board: Filmed) -> None:
     assert sum(isinstance(job, PlanJob) for job in jobs) == 1
 
 
-def test_plans_are_kept_up_to_a_number(board: Filmed) -> None:
-    mosaics = mosaics_of(board, [])
-    for n in range(MOST_PLANS + 3):
-        mosaics._plans[f"old{n}", PictureName(), 0, False] = SimpleNamespace()  # type: ignore[assignment]
-    mosaics.tile("r1", PictureName(), 4, (0, 0, 32, 32), "jpg")
-    assert len(mosaics._plans) == MOST_PLANS
-
-
 def test_names_that_do_not_exist_displace_no_plan(board: Filmed, tmp_path: Path) -> None:
     mosaics = mosaics_of(board, [])
     for n in range(MOST_PLANS):
         with pytest.raises(InputError):
             mosaics.write("r1", PictureName(f"light {n}"), Download(None, None), tmp_path / "m.tif")
-    assert not mosaics._plans
+    assert not len(mosaics._opened)
 
 
 def test_file_has_the_region_in_the_colours_of_the_frames(film: Film, tmp_path: Path) -> None:
@@ -183,7 +190,7 @@ def write_fields(folder: Path, cameras: int) -> Path:
 def test_flat_fields_of_the_station_are_used(board: Filmed, tmp_path: Path) -> None:
     jobs: list[Any] = []
     mosaics = mosaics_of(board, jobs, flat_fields=write_fields(tmp_path, len(board.cameras)))
-    plan = mosaics._plan("r1", PictureName())
+    plan = planned(mosaics)
     assert isinstance(jobs[0], PlanJob)
     # The overlaps contradict these fields, and correct them in part.
     assert float(plan.cameras[1].field.mean() / plan.cameras[0].field.mean()) > 1.08
@@ -213,8 +220,8 @@ def test_too_large_a_file_is_refused_with_its_size(board: Filmed) -> None:
 def test_a_file_without_room_is_refused_with_numbers(
     board: Filmed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    free = shutil.disk_usage(tmp_path).free
-    monkeypatch.setattr("vaoi_station.runs.mosaics.mosaics.LEFT_FREE", free)
+    total = shutil.disk_usage(tmp_path).total
+    monkeypatch.setattr("vaoi_station.runs.mosaics.mosaics.LEFT_FREE", total)
     with pytest.raises(DeviceError, match=r"the file takes \d+ MB while it is written, \d+ MB are free") as refused:
         mosaics_of(board, []).write("r1", PictureName(), Download(None, 4.0), tmp_path / "b.tif")
     assert refused.value.code == "disk-full"
@@ -240,3 +247,89 @@ def test_one_large_file_is_made_at_a_time(board: Filmed, tmp_path: Path, monkeyp
     first.join(60)
     mosaics.write("r1", PictureName(), whole, tmp_path / "b.tif")
     assert (tmp_path / "a.tif").read_bytes() == (tmp_path / "b.tif").read_bytes()
+
+
+@contextmanager
+def spare(run: str, purpose: str) -> Iterator[Any]:
+    yield SimpleNamespace(number=0, generation=1)
+
+
+def decoded(content: bytes) -> NDArray[Any]:
+    return np.asarray(cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED))
+
+
+@pytest.mark.parametrize("reduction", [4, 8, 32])
+@pytest.mark.parametrize(("dtype", "channels"), [(np.uint8, 1), (np.uint16, 1), (np.uint8, 3)])
+def test_tiles_of_the_overview_are_those_of_the_frames(film: Film, reduction: int, dtype: Any, channels: int) -> None:
+    """They are compared with the means of the whole picture: in the median within one grey level, and no farther off
+    than tiles that are rendered from frames, which differ where their reduced pixels lie between those of the tile."""
+    jobs: list[Any] = []
+    mosaics = mosaics_of(film(dtype=dtype, channels=channels), jobs)
+    name, whole = PictureName(), mosaics.grid("r1", PictureName())
+    grid, unit = whole.reduced(reduction), 1 if dtype == np.uint8 else 257
+    box = 0, 0, grid.width, grid.height
+    largest = decoded(mosaics.tile("r1", name, 1, (0, 0, whole.width, whole.height), "png"))
+    truth = means(largest, reduction)[:-1, :-1] / unit
+    rendered = decoded(mosaics.tile("r1", name, reduction, box, "png"))
+    mosaics.small("r1", 20_000, spare)
+    before = len(jobs)
+    cut = decoded(mosaics.tile("r1", name, reduction, box, "png"))
+    assert len(jobs) == before, "no worker is asked"
+    assert (cut.shape, cut.dtype) == (rendered.shape, rendered.dtype)
+    differ, before_differ = (np.abs(picture[:-1, :-1] / unit - truth) for picture in (cut, rendered))
+    assert np.median(differ) <= 1
+    assert np.percentile(differ, 95) <= max(np.percentile(before_differ, 95), 1)
+
+
+def test_finer_levels_and_other_mosaics_are_rendered_from_frames(film: Film) -> None:
+    jobs: list[Any] = []
+    mosaics = mosaics_of(film(exposures=(250.0, 50.0)), jobs)
+    mosaics.small("r1", 20_000, spare)
+    for name, reduction in ((PictureName(), 2), (PictureName(hdr=True), 8), (PictureName(exposure_us=50.0), 8)):
+        before = len(jobs)
+        mosaics.tile("r1", name, reduction, (0, 0, 32, 32), "jpg")
+        assert len(jobs) > before, name
+
+
+def test_an_overview_is_ordered_once_until_it_is_there(board: Filmed) -> None:
+    mosaics, ordered = mosaics_of(board, []), list[str]()
+    mosaics.wanted = ordered.append
+    for name, reduction in ((PictureName(), 1), (PictureName(hdr=True), 8)):
+        mosaics.tile("r1", name, reduction, (0, 0, 16, 16), "jpg")
+    assert ordered == []
+    for _ in range(3):
+        mosaics.tile("r1", PictureName(), 8, (0, 0, 16, 16), "jpg")
+    assert ordered == ["r1"]
+
+
+def test_the_plan_of_the_overview_is_that_of_the_tiles(board: Filmed) -> None:
+    jobs: list[Any] = []
+    mosaics = mosaics_of(board, jobs)
+    mosaics.small("r1", 20_000, spare)
+    mosaics.tile("r1", PictureName(), 1, (0, 0, 16, 16), "jpg")
+    assert [job.priority for job in jobs if isinstance(job, PlanJob)] == [Priority.HEIGHTS]
+
+
+def test_an_overview_that_would_be_too_large_begins_with_a_coarser_level(
+    film: Film, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mosaics = mosaics_of(film(dtype=np.uint16), [])
+    finest = mosaics.grid("r1", PictureName()).reduced(4)
+    monkeypatch.setattr("vaoi_station.runs.mosaics.mosaics.MOST_BYTES", 2 * (2 * finest.width * finest.height) - 2)
+    mosaics.small("r1", 1000, spare)
+    overview = mosaics._open("r1", PictureName(), asked=True).overview
+    assert overview is not None
+    assert overview.reduction == 8
+
+
+def test_an_overview_is_not_shown_when_the_frames_are_gone(board: Filmed) -> None:
+    mosaics = mosaics_of(board, [])
+    mosaics.small("r1", 20_000, spare)
+    mosaics._archive.get("r1").detail.frames_available = False  # type: ignore[misc]
+
+    def gone(run: str, purpose: str) -> Any:
+        raise GoneError("The frames are no longer in memory.", code="frames-gone")
+
+    mosaics._callers = mosaics._callers._replace(lease=gone)
+    with pytest.raises(GoneError):
+        mosaics.tile("r1", PictureName(), 8, (0, 0, 16, 16), "jpg")

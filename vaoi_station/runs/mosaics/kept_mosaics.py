@@ -1,8 +1,8 @@
-"""Small pictures of whole boards that are kept when the frames of their runs are gone.
+"""Overviews of runs in spare time, and small pictures of whole boards that are kept when the frames are gone.
 
-Some time after a run, workers make its mosaic, reduced to a few megapixels, in jobs of the lowest priority that are
-sent only while no board is filmed or stitched. No lease is taken: if the frames are needed for the next board first,
-the run gets no picture.
+Some time after a run, workers make the overview of its mosaic, in jobs of the lowest priority that are sent only while
+no board is filmed or stitched. A level of it of a few megapixels is kept as a file. No lease is taken: if the frames
+are needed for the next board first, the run gets neither.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ MOST_PX = 2_000_000
 """Largest number of pixels of a kept picture; it takes some 0.3 MB."""
 _QUALITY = 85
 _MOST_WAITING = 8
-"""Largest number of runs that wait for their picture; the oldest ones then get none."""
+"""Largest number of runs that wait for overview and picture; the oldest ones then get none."""
 DELAY_S = 1.0
 """Time from the end of a run during which its frames are left to the tester's own requests."""
 _LOOK_S = 0.25
@@ -81,6 +81,7 @@ class KeptMosaics:
         self._directory, self._quota = directory, int(keep.mosaics_gb * 1e9)
         self._archive, self._mosaics, self._frames, self._events = archive, mosaics, frames, events
         self._clock = clock
+        mosaics.wanted = self.wanted
         self._lock = threading.Lock()
         self._files: dict[str, _File] = {}
         """The kept pictures by run id. Ids sort by time."""
@@ -89,7 +90,7 @@ class KeptMosaics:
                 with suppress(FileNotFoundError):
                     self._files[match["run"]] = _File(int(match["reduction"]), path.stat().st_size)
         self.queue: SupervisedQueue[tuple[str, float]] = SupervisedQueue(self._make, "mosaics", _MOST_WAITING)
-        """The runs that wait for their picture, with the time from which on it may be made."""
+        """The runs that wait for overview and picture, with the time from which on these may be made."""
 
     @property
     def runs(self) -> int:
@@ -102,9 +103,13 @@ class KeptMosaics:
         return sum(file.size_bytes for file in list(self._files.values()))
 
     def finished(self, detail: RunDetail) -> None:
-        """Have the picture of a run made that has just ended; it returns at once."""
-        if self._quota and detail.frames_available:
+        """Have overview and picture of a run made that has just ended; it returns at once."""
+        if detail.frames_available:
             self.queue.put((detail.id, self._clock() + DELAY_S))
+
+    def wanted(self, run: str) -> None:
+        """Have the overview of a run made whose tiles are asked for; it returns at once."""
+        self.queue.put((run, self._clock()))
 
     def grid(self, run: str) -> MosaicGrid | None:
         """Return the pixel grid of the kept picture of a run; None if none is kept."""
@@ -144,13 +149,14 @@ class KeptMosaics:
         return self._directory / f"{run}_{reduction}.jpg"
 
     def _make(self, wanted: tuple[str, float]) -> None:
-        """Make and keep the picture of a run, if its frames stay for long enough."""
+        """Make the overview of a run, and keep a picture of it, if its frames stay for long enough."""
         run, from_s = wanted
         try:
             while (left_s := from_s - self._clock()) > 0 and not self.queue.pause(min(left_s, _LOOK_S)):
                 pass
             picture, reduction = self._mosaics.small(run, MOST_PX, self._spare)
-            self._keep(run, reduction, encode_jpeg(picture, _QUALITY))
+            if self._quota and run not in self._files:
+                self._keep(run, reduction, encode_jpeg(picture, _QUALITY))
         except VaoiError as reason:
             _log.info("no picture of run %s is kept: %s", run, reason.message)
         except OSError as fault:

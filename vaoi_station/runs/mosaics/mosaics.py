@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections import OrderedDict
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Hashable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.errors import BusyError, InputError, StateError
+from vaoi_station.files.images import encode_jpeg, encode_png
 from vaoi_station.files.pyramids import TILE_PX, PyramidLayout, refuse_without_room, write_pyramid
 from vaoi_station.model.known_height import Heights, with_heights
 from vaoi_station.mosaic import MosaicGrid, MosaicPlan, TakenFrame, TileRenderer, choose_frames, distinct_exposures_us
@@ -25,14 +24,16 @@ from vaoi_station.photometry import FlatFields
 from vaoi_station.photometry.flat_fields import changed_ns
 from vaoi_station.runs.archive.finished_runs import Archive, FinishedRun
 from vaoi_station.runs.mosaics.board_checks import BoardChecks, Lease, Render, slots_of
+from vaoi_station.runs.mosaics.opened_mosaics import MOST_BYTES, OpenedMosaic, OpenedMosaics
 from vaoi_station.runs.mosaics.overlays import overlay_of
+from vaoi_station.runs.mosaics.overview import Overview
 from vaoi_station.runs.mosaics.picture_names import PictureName
 from vaoi_station.runs.states.overlay_schemas import RunOverlay
 from vaoi_station.runs.workers.jobs import Priority
-from vaoi_station.runs.workers.mosaic_jobs import PlanJob, TileJob
+from vaoi_station.runs.workers.mosaic_jobs import PlanJob, Slots, TileJob
 
-MOST_PLANS = 8
-"""Number of plans that are kept; one of a board of 400 × 410 mm takes 2 MB per layer."""
+FINEST_OVERVIEW = 4
+"""By how much the largest level of an overview is reduced, unless it would take too much memory."""
 MOST_DOWNLOAD_PX = 300_000_000
 """Largest number of pixels of a file that is sent; a board of 400 × 410 mm at 40 px/mm has 262 million."""
 LARGE_PX = 64_000_000
@@ -48,14 +49,6 @@ class Download(NamedTuple):
     """Two opposite corners in CAD coordinates; None for the whole board."""
     px_per_mm: float | None
     """Resolution; None for that of the cameras."""
-
-
-@dataclass
-class _Planned:
-    """The plan of one mosaic, or the right to make it."""
-
-    lock: threading.Lock = field(default_factory=threading.Lock)
-    plan: MosaicPlan | None = None
 
 
 class _Access(NamedTuple):
@@ -90,10 +83,9 @@ class Mosaics:
         self._flat_fields, self._heights = flat_fields, heights
         self.board_checks = BoardChecks(archive, lease, render)
         """Board types laid over these runs."""
-        self._lock, self._large = threading.Lock(), threading.Lock()
-        self._plans: OrderedDict[tuple[str, PictureName, int, bool], _Planned] = OrderedDict()
-        """By run, name, date of the flat fields, which may be replaced while the run is in memory, and whether the
-        heights of bodies were measured, which HDR lays in the planes of their tops."""
+        self._large, self._opened = threading.Lock(), OpenedMosaics()
+        self.wanted: Callable[[str], None] = lambda _run: None
+        """Function that has the overview of a run made in spare time; it returns at once."""
 
     def names(self, run: str) -> tuple[PictureName, ...]:
         """Return the mosaics of a run: of every light, and of every exposure and HDR where exposures differ."""
@@ -117,6 +109,8 @@ class Mosaics:
             NotFoundError: the run is unknown, or ended without a result.
         """
         finished = self._archive.get(run)
+        if download is None and (opened := self._opened.get(self._key(run, name))) is not None:
+            return opened.grid
         choose_frames(_taken(finished), light=name.light, exposure_us=name.exposure_us, hdr=name.hdr)
         resolution = self._projector(finished).px_per_mm
         if download is None:
@@ -130,44 +124,62 @@ class Mosaics:
         return overlay_of(self._archive.get(run))
 
     def tile(self, run: str, name: PictureName, reduction: int, box: Box, format: str) -> bytes:
-        """Have a worker render a part of a mosaic that is reduced by a factor; return it as `jpg` or `png`.
+        """Return a part of a mosaic that is reduced by a factor, as `jpg` or `png`.
+
+        It is cut from the overview of the run. A worker renders what the overview lacks.
 
         Raises:
             GoneError: the frames of the run are no longer in memory.
             InputError: the flat fields do not fit the run.
         """
-        plan = self._plan(run, name)
-        finished = self._archive.get(run)
-        grid = self.grid(run, name).reduced(reduction)
-        renderer = TileRenderer(plan, self._projector(finished), grid)
-        content: bytes = self._tile(finished, renderer, box, plan.tone, format)
+        finished, opened = self._archive.get(run), self._open(run, name, asked=True)
+        overview = opened.overview
+        if overview is not None and overview.reduction <= reduction and finished.detail.frames_available:
+            cut = overview.cut(reduction, box)
+            return encode_jpeg(cut) if format == "jpg" else encode_png(cut)
+        plan = self._planned(finished, name, opened)
+        if name == PictureName() and reduction > 1 and not opened.ordered:
+            opened.ordered = True
+            self.wanted(run)
+        content: bytes = self._tile(run, opened.slots, opened.renderer(plan, reduction), box, plan.tone, format)
         return content
 
     def small(self, run: str, most_px: int, lease: Lease) -> tuple[NDArray[Any], int]:
-        """Have workers make the whole board as one small picture, in jobs of the lowest priority.
+        """Have workers make the overview of a run, in jobs of the lowest priority; return a small picture of the board.
 
         Returns its pixels, 0 where no frame shows the board, and the factor by which it is reduced. `lease` yields the
-        bay of the run before each job; other callers' plans are not displaced.
+        bay of the run before each job.
         """
-        finished, name = self._archive.get(run), PictureName()
-        whole = self.grid(run, name)
+        finished, opened = self._archive.get(run), self._open(run, PictureName(), asked=False)
         reduction = 1
-        while whole.width * whole.height > most_px * reduction**2:
+        while opened.grid.width * opened.grid.height > most_px * reduction**2:
             reduction *= 2
-        grid, access = whole.reduced(reduction), _Access(lease, Priority.HEIGHTS)
-        plan = self._made(finished, name, access)
-        renderer = TileRenderer(plan, self._projector(finished), grid)
-        picture: NDArray[Any] | None = None
-        for x, y in np.ndindex(-(-grid.width // TILE_PX), -(-grid.height // TILE_PX)):
-            box = _box(grid, x, y)
-            part = self._tile(finished, renderer, box, plan.tone, None, access)
-            if part is not None:
-                if picture is None:
-                    picture = np.zeros((grid.height, grid.width, *part.shape[2:]), part.dtype)
-                picture[box[1] : box[3], box[0] : box[2]] = part
+        overview = opened.overview
+        if overview is None or overview.reduction > reduction:
+            overview = self._overview(finished, opened, reduction, _Access(lease, Priority.HEIGHTS))
+            self._opened.keep(opened, overview)
+        picture = overview.level(reduction)
         if picture is None:
             raise StateError(f"No frame of run {run} shows the board.", code="not-covered")
         return picture, reduction
+
+    def _overview(self, finished: FinishedRun, opened: OpenedMosaic, coarsest: int, access: _Access) -> Overview:
+        """Have the overview of a run made, whose largest level is reduced by no more than `coarsest`."""
+        # Callers of tiles do not wait for a plan of the lowest priority. They have another one made.
+        plan = opened.plan or self._made(finished, PictureName(), access)
+        opened.plan = opened.plan or plan
+        finest = min(FINEST_OVERVIEW, coarsest)
+        while True:
+            overview, renderer = Overview(opened.grid, finest), opened.renderer(plan, finest)
+            for box in overview.boxes():
+                part = self._tile(finished.detail.id, opened.slots, renderer, box, plan.tone, None, access)
+                overview.add(box, part)
+                # Before the first part, the type of the pixels is unknown.
+                if overview.nbytes > MOST_BYTES // 2 and finest < coarsest:
+                    break
+            else:
+                return overview
+            finest *= 2
 
     def write(self, run: str, name: PictureName, download: Download, path: Path) -> None:
         """Write a mosaic as a pyramidal TIFF, as `vaoi mosaic` does, tile by tile.
@@ -196,13 +208,13 @@ class Mosaics:
             self._large.release()
 
     def _write(self, run: str, name: PictureName, grid: MosaicGrid, path: Path) -> None:
-        plan = self._plan(run, name)
-        finished = self._archive.get(run)
-        renderer = TileRenderer(plan, self._projector(finished), grid)
+        opened = self._open(run, name, asked=True)
+        plan = self._planned(self._archive.get(run), name, opened)
+        renderer, slots = TileRenderer(plan, opened.projector, grid), opened.slots
         sample: NDArray[Any] | None = None
         # The first tile with pixels says which type and how many colours the frames have.
         for x, y in np.ndindex(-(-grid.width // TILE_PX), -(-grid.height // TILE_PX)):
-            sample = self._tile(finished, renderer, _box(grid, x, y), plan.tone, None)
+            sample = self._tile(run, slots, renderer, _box(grid, x, y), plan.tone, None)
             if sample is not None:
                 break
         if sample is None:
@@ -219,7 +231,7 @@ class Mosaics:
 
         def tile(x: int, y: int) -> NDArray[Any]:
             whole = np.full(layout.tile_shape, np.nan if plan.hdr else NODATA, layout.dtype)
-            part = self._tile(finished, renderer, _box(grid, x, y), plan.tone, None)
+            part = self._tile(run, slots, renderer, _box(grid, x, y), plan.tone, None)
             if part is not None:
                 whole[: part.shape[0], : part.shape[1]] = cv2.cvtColor(part, cv2.COLOR_BGR2RGB) if colour else part
             return whole
@@ -228,7 +240,8 @@ class Mosaics:
 
     def _tile(
         self,
-        finished: FinishedRun,
+        run: str,
+        slots: Slots,
         renderer: TileRenderer,
         box: Box,
         tone: tuple[float, float],
@@ -237,25 +250,34 @@ class Mosaics:
     ) -> Any:
         access = access or self._callers
         spec = renderer.spec(box)
-        slots = slots_of(finished)
         needed = {(p.camera, p.row): slots[p.camera, p.row] for p in spec.parts}
-        run = finished.detail.id
         with access.lease(run, "tile of a mosaic") as bay:
             job = TileJob(run, bay.number, bay.generation, needed, spec, tone, format, priority=access.priority)
             return self._render(job, f"tile {box} of the mosaic")
 
-    def _plan(self, run: str, name: PictureName) -> MosaicPlan:
+    def _key(self, run: str, name: PictureName) -> Hashable:
+        """Return what a plan depends on besides the frames.
+
+        Flat fields may be replaced while the run is in memory, and HDR lays bodies in the planes of their tops as soon
+        as their heights are measured.
+        """
+        return run, name, changed_ns(self._flat_fields), name.hdr and self._heights(run) is not None
+
+    def _open(self, run: str, name: PictureName, *, asked: bool) -> OpenedMosaic:
+        """Return a mosaic with all that its tiles are made with; raises the errors of `grid`."""
+        key = self._key(run, name)
+        opened = self._opened.get(key)
+        if opened is None:
+            finished, grid = self._archive.get(run), self.grid(run, name)
+            opened = OpenedMosaic(grid, self._projector(finished), slots_of(finished))
+        return self._opened.use(key, opened, asked=asked)
+
+    def _planned(self, finished: FinishedRun, name: PictureName, opened: OpenedMosaic) -> MosaicPlan:
         """Return the plan of a mosaic; a worker makes it if there is none. Other callers wait meanwhile."""
-        key = run, name, changed_ns(self._flat_fields), name.hdr and self._heights(run) is not None
-        with self._lock:
-            planned = self._plans.setdefault(key, _Planned())
-            self._plans.move_to_end(key)
-            while len(self._plans) > MOST_PLANS:
-                self._plans.popitem(last=False)
-        with planned.lock:
-            if planned.plan is None:
-                planned.plan = self._made(self._archive.get(run), name, self._callers)
-            return planned.plan
+        with opened.planning:
+            if opened.plan is None:
+                opened.plan = self._made(finished, name, self._callers)
+            return opened.plan
 
     def _made(self, finished: FinishedRun, name: PictureName, access: _Access) -> MosaicPlan:
         choice = choose_frames(_taken(finished), light=name.light, exposure_us=name.exposure_us, hdr=name.hdr)

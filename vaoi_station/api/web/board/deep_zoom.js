@@ -67,8 +67,8 @@ export class DeepZoom {
     const seen = this.#viewer?.viewport?.getBounds();
     this.#viewer?.destroy();
     [this.#mosaic, this.#parts] = [mosaic, parts];
-    // immediateRender: the level that suits the screen is asked for first. A tile of the levels before it costs the station much more,
-    // as it is made of the frames of the whole board.
+    // immediateRender: the level that suits the screen is asked for first. While the station has no overview of the board, a tile of the
+    // levels before it costs much more, as it is made of the frames of the whole board.
     const viewer = this.#library({
       element: this.#root, tileSources: source(mosaic), showNavigationControl: false, drawer: "canvas",
       maxZoomPixelRatio: 8, visibilityRatio: 0.5, gestureSettingsMouse: { clickToZoom: false }, imageSmoothingEnabled: true, immediateRender: true,

@@ -1,0 +1,78 @@
+"""Overviews: every level is the mean of the shown pixels of the whole board, whatever parts it is made in."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from vaoi_station.model import BoardType
+from vaoi_station.mosaic import MosaicGrid
+from vaoi_station.runs.mosaics.overview import BLOCK_PX, Overview, halved
+
+
+def means(picture: NDArray[Any], factor: int) -> NDArray[np.float64]:
+    """Average the shown pixels of blocks; 0 where none is shown."""
+    h, w = picture.shape[:2]
+    whole = np.zeros((-(-h // factor) * factor, -(-w // factor) * factor, *picture.shape[2:]))
+    whole[:h, :w] = picture
+    blocks = whole.reshape(whole.shape[0] // factor, factor, whole.shape[1] // factor, factor, *picture.shape[2:])
+    return np.asarray(blocks.sum((1, 3)) / np.maximum((blocks > 0).sum((1, 3)), 1))
+
+
+def picture(shape: tuple[int, ...], dtype: Any) -> NDArray[Any]:
+    """Return noise in which a part, and single pixels, are not shown."""
+    g = np.random.default_rng(1)
+    found = g.integers(1, 250, shape).astype(dtype)
+    found[: shape[0] // 3, : shape[1] // 2] = 0
+    found[g.random(shape[:2]) < 0.01] = 0
+    return found
+
+
+@pytest.mark.parametrize(("shape", "dtype"), [((37, 41), np.uint8), ((6, 5, 3), np.uint16), ((1, 1), np.uint8)])
+def test_a_pixel_is_the_mean_of_the_shown_ones(shape: tuple[int, ...], dtype: Any) -> None:
+    pixels = picture(shape, dtype)
+    half = halved(pixels)
+    assert half.dtype == dtype
+    assert half.shape == (-(-shape[0] // 2), -(-shape[1] // 2), *shape[2:])
+    assert np.abs(half - means(pixels, 2)).max() <= 0.5
+    np.testing.assert_array_equal(half == 0, means(pixels, 2) == 0)
+
+
+def test_a_picture_that_is_shown_everywhere_is_averaged_everywhere() -> None:
+    pixels = np.random.default_rng(2).integers(1, 256, (8, 10, 3)).astype(np.uint8)
+    assert np.abs(halved(pixels) - means(pixels, 2)).max() <= 0.5
+
+
+def grid_of(width: int, height: int) -> MosaicGrid:
+    outline = [[0, 0], [width / 10, height / 10]]
+    return MosaicGrid.of_board(BoardType.model_validate({"name": "b", "y_axis": "down", "outline": outline}), 10.0)
+
+
+def test_levels_do_not_depend_on_the_parts() -> None:
+    whole = grid_of(2 * BLOCK_PX * 2 + 38, BLOCK_PX * 2 + 74)
+    overview = Overview(whole, 2)
+    pixels = picture((overview.grid.height, overview.grid.width), np.uint8)
+    boxes = list(overview.boxes())
+    assert len(boxes) == 6
+    for x0, y0, x1, y1 in boxes:
+        overview.add((x0, y0, x1, y1), pixels[y0:y1, x0:x1])
+    expected = pixels
+    for reduction in (2, 4, 8, 16, 512, 2048):
+        level, grid = overview.level(reduction), whole.reduced(reduction)
+        assert level is not None
+        assert level.shape == (grid.height, grid.width)
+        while expected.shape != level.shape:
+            expected = halved(expected)
+        np.testing.assert_array_equal(level, expected)
+    assert overview.nbytes < pixels.size * 1.34
+    np.testing.assert_array_equal(overview.cut(4, (10, 20, 30, 25)), halved(pixels)[20:25, 10:30])
+
+
+def test_a_board_that_no_frame_shows_is_black() -> None:
+    overview = Overview(grid_of(400, 300), 4)
+    overview.add((0, 0, 100, 75), None)
+    assert (overview.level(4), overview.nbytes) == (None, 0)
+    assert not overview.cut(4, (0, 0, 100, 75)).any()
