@@ -125,7 +125,12 @@ def test_german_pages_translate_every_finding_of_the_doctor(client: Any) -> None
 
 
 @pytest.mark.parametrize(
-    ("file", "section"), [("remarks", "Remarks of an import"), ("notes", "Notes of a calibration")]
+    ("file", "section"),
+    [
+        ("remarks", "Remarks of an import"),
+        ("notes", "Notes of a calibration"),
+        ("program", "Faults of a light program"),
+    ],
 )
 def test_german_pages_translate_every_note(client: Any, file: str, section: str) -> None:
     texts = client.get(f"/web/texts/station/{file}_de.js").text

@@ -26,11 +26,22 @@ def check(
     station = station_config(CAMERAS, **config)
     board = BoardType.model_validate({"name": "b", **({"line": line} if line else {})})
     steps = None if program is None else BoardType.model_validate({"name": "b", "program": program}).program
-    return LightPrograms(station, PX_PER_MM, lambda: health).check(board, steps)
+    checked = LightPrograms(station, PX_PER_MM, lambda: health).check(board, steps)
+    stated = [(f.code, f.message, f.values) for f in checked.faults]
+    stated += [(n.code, n.message, n.values) for n in checked.unchecked]
+    for code, message, values in stated:
+        assert code != "invalid-input", message
+        words = " ".join(values.values()).replace(",", " ").split()
+        assert all(word in message for word in words), "values are written as in the sentence"
+    return checked
 
 
 def found(checked: ProgramCheck) -> list[tuple[int | None, str | None, int | None]]:
     return [(fault.step, fault.field, fault.camera) for fault in checked.faults]
+
+
+def unchecked(checked: ProgramCheck) -> tuple[str, ...]:
+    return tuple(note.message for note in checked.unchecked)
 
 
 def test_all_faults_are_found_at_once_and_arming_names_them_too() -> None:
@@ -61,7 +72,7 @@ def test_all_faults_are_found_at_once_and_arming_names_them_too() -> None:
 def test_a_program_that_fits_has_all_its_values() -> None:
     checked = check([{"light": "left", "exposure_us": [90.0]}, {"light": "even", "on_us": 60.0}], healthy(CAMERAS))
     assert (checked.usable, checked.faults, checked.origin) == (True, (), "request")
-    assert checked.unchecked == (
+    assert unchecked(checked) == (
         "It shows when the line is armed whether camera cam0, camera cam1 can expose for the width of the trigger.",
     )
     assert [(s.on_us, s.exposures_us, s.lit_us) for s in checked.steps] == [
@@ -113,7 +124,7 @@ def test_the_limits_that_cameras_state_count() -> None:
     assert check(two[:1], none, cameras=(sequencer,)).usable, "one step needs no sequencer"
     enough = replace(healthy(1), cameras=(CameraHealth(True, limits=replace(LIMITS, gain_db=None, sets=2)),))
     checked = check(two, enough, cameras=(sequencer,))
-    assert (checked.usable, checked.unchecked) == (
+    assert (checked.usable, unchecked(checked)) == (
         True,
         (
             "camera cam0 states no limits of its gain.",
@@ -128,7 +139,7 @@ def test_what_no_device_has_stated_is_said() -> None:
     lost = replace(healthy(CAMERAS), cameras=(CameraHealth(True, limits=LIMITS), CameraHealth(False)))
     checked = check(steps, lost)
     assert checked.usable
-    assert checked.unchecked == ("The limits of camera cam1 are not known: it is not connected.",)
+    assert unchecked(checked) == ("The limits of camera cam1 are not known: it is not connected.",)
 
 
 def test_the_lights_of_a_simulated_line_are_those_of_its_scenario() -> None:
@@ -138,7 +149,7 @@ def test_the_lights_of_a_simulated_line_are_those_of_its_scenario() -> None:
     checked = check([{"light": "ring"}, {"light": "left"}], health, cameras=cameras, **simulated)
     assert found(checked) == [(1, "light", None)]
     assert "must be a light of the scenario, which has 'ring'" in checked.faults[0].message
-    assert (checked.unchecked, [light.name for light in checked.lights]) == ((), ["ring"])
+    assert (unchecked(checked), [light.name for light in checked.lights]) == ((), ["ring"])
 
 
 def test_without_a_program_the_one_in_force_is_checked_on_the_line_of_the_board_type() -> None:
@@ -163,3 +174,17 @@ def test_rows_that_follow_faster_than_a_camera_is_read_out_are_a_fault(program: 
     station, board = station_config(CAMERAS, cameras=slow), BoardType.model_validate({"name": "b", "line": dense})
     with pytest.raises(InputError, match=r"at least 0\.02025: camera 'cam0' exposes for 250 µs .* camera 'cam1'"):
         filming_plan(station, board, PX_PER_MM)
+
+
+@pytest.mark.parametrize(
+    ("line", "code"),
+    [
+        ({"speed_mm_s": 900.0}, "line-value-fixed"),
+        ({"rail_mm": 3.0}, "line-without-rail"),
+        ({"longest_board_mm": 5000.0}, "board-too-long"),
+        ({"tail_s": 500.0}, "tail-too-long"),
+    ],
+)
+def test_a_line_that_does_not_fit_the_station_has_a_code(line: dict[str, Any], code: str) -> None:
+    (fault,) = check([{"light": "even"}], healthy(CAMERAS), line=line).faults
+    assert fault.code == code

@@ -11,7 +11,11 @@ from vaoi_station.runs.lighting.program_schemas import ProgramFaultEntry, Progra
 def test_values_that_are_absent_are_left_out() -> None:
     step = ProgramStepValues(light="ring", exposures_us=(100.0,), gains_db=(0.0,), lit_us=(100.0,))
     assert step.model_dump(exclude_none=True).keys() == {"light", "exposures_us", "gains_db", "lit_us"}
-    assert ProgramFaultEntry(message="a.").model_dump(exclude_none=True) == {"message": "a."}
+    assert ProgramFaultEntry(message="a.", code="b", values={}).model_dump(exclude_none=True).keys() == {
+        "message",
+        "code",
+        "values",
+    }
 
 
 def test_unknown_keys_are_refused() -> None:

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 from vaoi_station.acquisition.cameras.interface import STATED_TOLERANCE_DB, CameraExposure, stated_tolerance_us
 from vaoi_station.acquisition.controller.interface import TriggerPlan
-from vaoi_station.acquisition.controller.program_faults import ProgramFault, require_none
+from vaoi_station.acquisition.controller.program_faults import ProgramFault, coded, require_none
 from vaoi_station.config import CameraConfig, StationConfig
 from vaoi_station.errors import InputError
 from vaoi_station.line_config import Line
@@ -81,13 +81,14 @@ def line_of_board(config: StationConfig, board_type: BoardType) -> Line:
     if asked.rail_mm is not None:
         if expected.rail_mm is None:
             limit = "absent: in station.toml no rail guides the boards (line.expected_board.rail_mm)"
-            raise InputError.field(where, "line.rail_mm", asked.rail_mm, limit)
+            raise coded(InputError.field(where, "line.rail_mm", asked.rail_mm, limit), code="line-without-rail")
         _check_range(where, "line.rail_mm", asked.rail_mm, line.rail_limits_mm, expected.rail_mm)
         expected = expected.model_copy(update={"rail_mm": asked.rail_mm})
     longest_mm = line.longest_board_mm if asked.longest_board_mm is None else asked.longest_board_mm
     if longest_mm > line.longest_board_mm:
         limit = f"at most {line.longest_board_mm:g}, line.longest_board_mm in station.toml"
-        raise InputError.field(where, "line.longest_board_mm", longest_mm, limit)
+        error = InputError.field(where, "line.longest_board_mm", longest_mm, limit)
+        raise coded(error, code="board-too-long", value=f"{longest_mm:g}", most=f"{line.longest_board_mm:g}")
     slower = line.speed_mm_s / speed_mm_s
     period_s = line.trigger_period_s * slower if asked.row_mm is None else asked.row_mm / speed_mm_s
     changed = {
@@ -101,7 +102,8 @@ def line_of_board(config: StationConfig, board_type: BoardType) -> Line:
     }
     changed_line = line.model_copy(update=changed)
     if fault := changed_line.encoder_fault():
-        raise InputError(f"{where}: line: {fault}.", action="Correct `line` of the board type, or [line.encoder].")
+        error = InputError(f"{where}: line: {fault}.", action="Correct `line` of the board type, or [line.encoder].")
+        raise coded(error, code="line-against-encoder")
     _check_rows(where, changed_line, config)
     return changed_line
 
@@ -110,20 +112,27 @@ def _check_range(where: str, key: str, value: float, limits: tuple[float, float]
     name = {"line.speed_mm_s": "line.speed_limits_mm_s", "line.rail_mm": "line.rail_limits_mm"}[key]
     if limits is None and value != only:
         limit = f"{only:g} as in station.toml, which states no {name}"
-        raise InputError.field(where, key, value, limit)
+        error = InputError.field(where, key, value, limit)
+        raise coded(error, code="line-value-fixed", field=key, value=f"{value:g}", only=f"{only:g}", limits=name)
     if limits is not None and not limits[0] <= value <= limits[1]:
-        raise InputError.field(where, key, value, f"{limits[0]:g} … {limits[1]:g}, {name} in station.toml")
+        low, high = (f"{limit:g}" for limit in limits)
+        error = InputError.field(where, key, value, f"{low} … {high}, {name} in station.toml")
+        raise coded(error, code="line-value-beyond", field=key, value=f"{value:g}", low=low, high=high)
 
 
 def _check_rows(where: str, line: Line, config: StationConfig) -> None:
     """Raise InputError for a tail that leaves no pulse, or needs more rows than the ring has slots."""
     if line.passing_s < line.start_delay_s:
-        limit = f"at least {line.start_delay_s - line.longest_board_mm / line.speed_mm_s:.3f}, else no pulse is fired"
-        raise InputError.field(where, "line.tail_s", line.tail_s, limit)
+        least = f"{line.start_delay_s - line.longest_board_mm / line.speed_mm_s:.3f}"
+        error = InputError.field(where, "line.tail_s", line.tail_s, f"at least {least}, else no pulse is fired")
+        raise coded(error, code="tail-too-short", value=f"{line.tail_s:g}", least=least)
     if line.rows_of_longest_board > config.rows_per_run:
         slots = f"the ring has {config.rows_per_run} slots per camera"
         limit = f"shorter: it gives {line.rows_of_longest_board} rows, but {slots}"
-        raise InputError.field(where, "line.tail_s", line.tail_s, limit, "Or raise ring.spare_rows in station.toml.")
+        action = "Or raise ring.spare_rows in station.toml."
+        error = InputError.field(where, "line.tail_s", line.tail_s, limit, action)
+        numbers = {"rows": line.rows_of_longest_board, "slots": config.rows_per_run}
+        raise coded(error, code="tail-too-long", value=f"{line.tail_s:g}", **numbers)
 
 
 def _named(board_type: BoardType) -> str:
@@ -172,7 +181,10 @@ def _time_faults(plan: TriggerPlan, config: StationConfig) -> Iterator[ProgramFa
             )
             if plan.belt is not None:
                 limit += f", and at its fastest the belt brings a row every {plan.shortest_period_s:g} s"
-            yield ProgramFault(InputError.field("trigger plan", "period_s", plan.shortest_period_s, limit), camera=n)
+            error = InputError.field("trigger plan", "period_s", plan.shortest_period_s, limit)
+            times = {"value": f"{plan.shortest_period_s:g}", "least": f"{needed_s:g}", "exposure": f"{exposure_us:g}"}
+            coded(error, code="period-too-short", camera=camera.label, **times)
+            yield ProgramFault(error, camera=n)
 
 
 def longest_lit_us(config: StationConfig, line: Line, camera: int, px_per_mm: Sequence[float]) -> float | None:
@@ -192,6 +204,7 @@ def _row(where: str, number: int, step: ProgramStep, config: StationConfig, faul
         known = ", ".join(map(repr, config.controller.lights)) or "none"
         limit = f"a light of [controller.lights] in station.toml, which has {known}"
         error = InputError.field(where, f"program.{number}.light", step.light, limit)
+        coded(error, code="unknown-light", light=step.light, known=", ".join(config.controller.lights))
         faults.append(ProgramFault(error, number, "light"))
     cameras = config.cameras
     values = {"exposure_us": [c.exposure_us for c in cameras], "gain_db": [c.gain_db for c in cameras]}
@@ -200,6 +213,7 @@ def _row(where: str, number: int, step: ProgramStep, config: StationConfig, faul
         if given is not None and len(given) not in (1, len(default)):
             limit = f"one for all cameras, or {len(default)}, one per camera"
             error = InputError.field(where, f"number of entries of program.{number}.{key}", len(given), limit)
+            coded(error, code="values-per-camera", field=key, count=len(given), cameras=len(default))
             faults.append(ProgramFault(error, number, key))
         elif given is not None:
             values[key] = [*given] * len(default) if len(given) == 1 else [*given]
@@ -224,6 +238,8 @@ def _camera_faults(
             limit = f"at most {most_us:g} for {camera.label}: pulses follow every {line.shortest_period_s:g} s{readout}"
             limit += f" at {line.fastest_mm_s:g} mm/s, the fastest of the encoder" if line.by_encoder else ""
             error = InputError.field(where, f"program.{n}.exposure_us", exposure_us, limit)
+            times = {"value": f"{exposure_us:g}", "most": f"{most_us:g}"}
+            coded(error, code="exposure-beyond-period", camera=camera.label, **times)
             yield ProgramFault(error, n, "exposure_us", number)
         if longest_us is not None and lit_us > longest_us * (1 + 1e-9):
             key = "exposure_us" if lit_us == exposure_us else "on_us"
@@ -232,6 +248,8 @@ def _camera_faults(
                 f" the picture moves {line.max_blur_px:g} px in that time (line.max_blur_px)"
             )
             error = InputError.field(where, f"program.{n}.{key}", lit_us, limit, "Shorten it, or raise the gain.")
+            times = {"value": f"{lit_us:g}", "most": f"{longest_us:.1f}", "blur": f"{line.max_blur_px:g}"}
+            coded(error, code="motion-blur", camera=camera.label, field=key, **times)
             yield ProgramFault(error, n, key, number)
     yield from _register_faults(where, rows, camera, number)
     yield from _sequence_faults(where, rows, camera, number)
@@ -261,6 +279,8 @@ def _cameras_by_trigger(
                     f"{limit}: the width of one trigger is the exposure of both",
                     f'Or give {label} one exposure for all rows, with exposure_by = "register".',
                 )
+                values = {"value": f"{exposure_us:g}", "only": f"{first:g}"}
+                coded(error, code="one-trigger-width", camera=label, other=config.cameras[cameras[0]].label, **values)
                 faults.append(ProgramFault(error, n, "exposure_us", other))
     return cameras
 
@@ -292,6 +312,8 @@ def _register_faults(
                 "Let the on-time of the LEDs (on_us) make the difference between rows, or, with a camera that has one, "
                 'the sequencer (exposure_by = "sequencer").',
             )
+            given = {"value": f"{values[other]:g} {unit}", "only": f"{values[0]:g} {unit}"}
+            coded(error, code="one-value-for-all-rows", camera=camera.label, field=key, **given)
             yield ProgramFault(error, other, key, number)
 
 
@@ -319,4 +341,5 @@ def _sequence_faults(
                     f"{limit}: by what the frames of {camera.label} state, the two steps could not be distinguished",
                     "Or let the on-time of the LEDs (on_us) make the difference between these rows.",
                 )
+                coded(error, code="steps-too-alike", camera=camera.label, field=key, value=f"{value:g}", other=before)
                 yield ProgramFault(error, n, key, number)

@@ -14,6 +14,7 @@ from vaoi_station.acquisition.cameras.interface import (
 )
 from vaoi_station.errors import InputError
 from vaoi_station.model import ProgramRow
+from vaoi_station.model.note import Note
 
 OF_PROGRAM = ("trigger plan", "program.{step}.")
 """What states the values of a light program, and what precedes the name of a field, in messages."""
@@ -34,6 +35,12 @@ class ProgramFault:
     camera: int | None = None
 
 
+def coded(error: InputError, *, code: str, **values: object) -> InputError:
+    """Return an error whose message has a code and the values that it states, for texts in other languages."""
+    error.message = Note(code, error.message, **values)
+    return error
+
+
 def require_none(faults: Sequence[ProgramFault]) -> None:
     """Raise one InputError that names all faults, at most `MOST_SHOWN` of them; return if there are none."""
     if len(faults) == 1:
@@ -49,11 +56,13 @@ def require_none(faults: Sequence[ProgramFault]) -> None:
 def unknown_lights(program: Sequence[ProgramRow], lights: Collection[str]) -> list[ProgramFault]:
     """Return a fault for each step with a light that a simulated line does not have."""
     limit = f"a light of the scenario, which has {', '.join(map(repr, lights))}"
-    return [
-        ProgramFault(InputError.field("trigger plan", f"program.{n}.light", row.light, limit), n, "light")
-        for n, row in enumerate(program)
-        if row.light not in lights
-    ]
+    faults = []
+    for n, row in enumerate(program):
+        if row.light not in lights:
+            error = InputError.field("trigger plan", f"program.{n}.light", row.light, limit)
+            coded(error, code="unknown-light", light=row.light, known=", ".join(lights))
+            faults.append(ProgramFault(error, n, "light"))
+    return faults
 
 
 def beyond_camera(
@@ -79,8 +88,9 @@ def beyond_camera(
         limit = f"at most {limits.sets}, the sets of the sequencer of {label}"
         if limits.sets is None:
             limit = f'1: {label} has no sequencer, though its exposure_by in station.toml is "sequencer"'
-        action = "Let the on-time of the LEDs (on_us) make the difference between rows."
-        error = InputError.field("trigger plan", "number of different steps", len(wanted.sequence), limit, action)
+        action, count = "Let the on-time of the LEDs (on_us) make the difference between rows.", len(wanted.sequence)
+        error = InputError.field("trigger plan", "number of different steps", count, limit, action)
+        coded(error, code="sequencer-too-short", camera=label, count=count, most=limits.sets or 0)
         yield ProgramFault(error, camera=camera)
     # The sets of a sequencer are compared exactly; a register is read back, and a camera may have rounded it.
     exact = bool(wanted.sequence)
@@ -93,4 +103,6 @@ def beyond_camera(
                 limit = f"{bounds[0]:g} … {bounds[1]:g} {unit}, the limits that {label} states"
                 field = names[1].format(step=n) + key
                 error = InputError.field(names[0], field, value, limit)
+                given = {"value": f"{value:g} {unit}", "low": f"{bounds[0]:g}", "high": f"{bounds[1]:g} {unit}"}
+                coded(error, code="beyond-camera", camera=label, field=key, **given)
                 yield ProgramFault(error, n, key, camera) if names == OF_PROGRAM else ProgramFault(error, camera=camera)

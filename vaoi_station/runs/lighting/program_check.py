@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Literal
 
 from vaoi_station.acquisition.controller.filming_plan import (
@@ -25,11 +25,13 @@ from vaoi_station.errors import InputError
 from vaoi_station.line_config import Line
 from vaoi_station.model import BoardType, ProgramRow
 from vaoi_station.model.light_program import MOST_STEPS, Program
+from vaoi_station.model.note import Note
 from vaoi_station.runs.lighting.program_schemas import (
     ProgramCamera,
     ProgramCheck,
     ProgramFaultEntry,
     ProgramLight,
+    ProgramNote,
     ProgramStepValues,
 )
 
@@ -76,13 +78,17 @@ class LightPrograms:
         faults += found
         firmware = health.limits.firmware if health is not None and health.limits is not None else None
         faults += self._device_faults(plan, health, faults)
-        entries = dict.fromkeys(_entry(fault) for fault in faults)
+        # Controller and computer may name the same.
+        unlike = {(fault.step, fault.key, fault.camera, fault.error.message): fault for fault in faults}
         return ProgramCheck(
             board_type=board_type.name,
             origin=origin,
             usable=not faults,
-            faults=tuple(entries),
-            unchecked=self._unchecked(plan, health),
+            faults=tuple(map(_entry, unlike.values())),
+            unchecked=tuple(
+                ProgramNote(code=note.code, message=note, values=dict(note.values))
+                for note in self._unchecked(plan, health)
+            ),
             steps=tuple(_step(row) for row in plan.program or self._without_program()),
             most_steps=MOST_STEPS if firmware is None else firmware.steps,
             period_s=plan.shortest_period_s,
@@ -112,30 +118,31 @@ class LightPrograms:
                 faults += beyond_camera(wanted, gains_db or [wanted.gain_db], camera.limits, n, label, names)
         return faults
 
-    def _unchecked(self, plan: TriggerPlan, health: Health | None) -> tuple[str, ...]:
-        """Return in sentences what no device has stated. Simulated and replayed devices have no limits of their own."""
-        if self._config.controller.backend != "serial" and health is not None:
-            missing = []
-        elif health is None or health.limits is None or health.limits.firmware is None:
-            missing = ["The limits of the controller are not known: it has not reported yet."]
-        else:
-            missing = []
+    def _unchecked(self, plan: TriggerPlan, health: Health | None) -> Iterator[Note]:
+        """Yield in sentences what no device has stated. Simulated and replayed devices have no limits of their own."""
+        silent = health is None or health.limits is None or health.limits.firmware is None
+        if silent and (self._config.controller.backend == "serial" or health is None):
+            sentence = "The limits of the controller are not known: it has not reported yet."
+            yield Note("controller-limits-unknown", sentence)
         for n, camera in enumerate(self._config.cameras):
             state = health.cameras[n] if health is not None and n < len(health.cameras) else None
             if camera.backend == "aravis" and (state is None or state.limits is None):
-                missing.append(f"The limits of {camera.label} are not known: it is not connected.")
+                sentence = f"The limits of {camera.label} are not known: it is not connected."
+                yield Note("camera-limits-unknown", sentence, camera=camera.label)
             elif camera.backend == "aravis" and state is not None and state.limits is not None:
-                silent = (("exposure", state.limits.exposure_us), ("gain", state.limits.gain_db))
-                missing += [f"{camera.label} states no limits of its {name}." for name, limits in silent if not limits]
+                for name, limits in (("exposure", state.limits.exposure_us), ("gain", state.limits.gain_db)):
+                    if not limits:
+                        sentence = f"{camera.label} states no limits of its {name}."
+                        yield Note("camera-limits-not-stated", sentence, camera=camera.label, field=name)
         # No camera states these before the line is armed. That frames state their exposure is known: a camera with
         # exposure_by = "sequencer" is connected only if they can.
         wanted = list(zip(self._config.cameras, exposures_of(plan, self._config), strict=True))
-        ways = {
-            "expose for the width of the trigger": [camera.label for camera, own in wanted if own.by_trigger],
-            "advance its sequencer per frame": [camera.label for camera, own in wanted if own.sequence],
-        }
         armed = "It shows when the line is armed whether"
-        return (*missing, *(f"{armed} {', '.join(who)} can {way}." for way, who in ways.items() if who))
+        if who := ", ".join(camera.label for camera, own in wanted if own.by_trigger):
+            sentence = f"{armed} {who} can expose for the width of the trigger."
+            yield Note("trigger-width-unproven", sentence, cameras=who)
+        if who := ", ".join(camera.label for camera, own in wanted if own.sequence):
+            yield Note("sequencer-unproven", f"{armed} {who} can advance its sequencer per frame.", cameras=who)
 
     def _without_program(self) -> list[ProgramRow]:
         """Return what rows are filmed with if there is no program: the lights in turn, each with the same exposures."""
@@ -197,12 +204,16 @@ def _way(camera: CameraConfig) -> Way:
 
 
 def _entry(fault: ProgramFault) -> ProgramFaultEntry:
+    message = fault.error.message
+    note = message if isinstance(message, Note) else Note("invalid-input", message)
     return ProgramFaultEntry(
         step=fault.step,
         field=fault.key or None,
         camera=fault.camera,
-        message=fault.error.message,
+        message=message,
         action=fault.error.action or None,
+        code=note.code,
+        values=dict(note.values),
     )
 
 

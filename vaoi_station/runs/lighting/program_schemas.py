@@ -19,6 +19,16 @@ class ProgramFaultEntry(Strict):
     camera: int | None = Field(default=None, description="The camera that cannot follow.")
     message: str
     action: str | None = None
+    code: str = Field(description="What it is, for programs.")
+    values: dict[str, str] = Field(description="What the message states, as it is written there.")
+
+
+class ProgramNote(Strict):
+    """What could not be checked."""
+
+    code: str
+    message: str
+    values: dict[str, str] = Field(description="What the message states: names of cameras and settings.")
 
 
 class ProgramStepValues(Strict):
@@ -69,7 +79,7 @@ class ProgramCheck(Strict):
     )
     usable: bool = Field(description="No fault was found; what `unchecked` lists shows when it is armed.")
     faults: tuple[ProgramFaultEntry, ...]
-    unchecked: tuple[str, ...] = Field(description="What was not checked: no device has stated its limits.")
+    unchecked: tuple[ProgramNote, ...] = Field(description="What was not checked: no device has stated its limits.")
     steps: tuple[ProgramStepValues, ...]
     most_steps: int = Field(description="Largest number of steps.")
     period_s: float = Field(description="Shortest time between two rows.")

@@ -115,3 +115,21 @@ def test_rows_are_moved_by_the_keyboard_and_cameras_have_values_of_their_own(pag
     expect(page.get_by_role("button", name="Begin a program")).to_be_focused()
     expect(page.locator("#steps")).to_be_hidden()
     assert station.types["demo-board"] == known
+
+
+def test_faults_are_in_german_on_a_german_page(page: Page, engineer: Any) -> None:
+    known = engineer.station.types["demo-board"]
+    steps = [{"light": "left", "on_us": 8000.0, "exposure_us": [9000.0]}, {"light": "left", "exposure_us": [100.0]}]
+    wrong = {"program": steps}
+    engineer.station.types["demo-board"] = known.model_validate({**known.model_dump(), **wrong})
+    page.goto(engineer.url)
+    page.evaluate("localStorage.setItem('vaoi-language', 'de')")
+    page.goto(f"{engineer.url}/#/setup/programs")
+    page.reload()
+    finding = page.locator(".finding")
+    expect(finding).to_contain_text("Licht left: 8000 µs Leuchtdauer; die Steuerung erlaubt 50 … 500 µs.")
+    expect(finding).to_contain_text("Kamera cam2: 8000 µs Licht sind zu lang; in mehr als 3750.0 µs")
+    expect(finding).to_contain_text("Ob Kamera cam0, Kamera cam1, Kamera cam2 so lange")
+    expect(finding.locator("[lang=en]").first).to_be_hidden()
+    page.get_by_text("Einzelheiten (englisch)").first.click()
+    expect(finding.locator("[lang=en]").first).to_contain_text("must be at most 3750.0 for camera cam0")

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import astuple, dataclass
 
 from vaoi_station.acquisition.controller.interface import FirmwareLimits, TriggerPlan
-from vaoi_station.acquisition.controller.program_faults import ProgramFault, require_none
+from vaoi_station.acquisition.controller.program_faults import ProgramFault, coded, require_none
 from vaoi_station.acquisition.controller.protocol.messages import (
     TICK_S,
     Ident,
@@ -146,7 +146,7 @@ def program_faults(plan: TriggerPlan, config: ControllerConfig, limits: Firmware
         else:
             limit = f"at most {limits.steps} lights, the steps of the firmware's program"
             error = InputError.field(_WHERE, "controller.order", lights, limit)
-        faults.append(ProgramFault(error))
+        faults.append(ProgramFault(coded(error, code="too-many-steps", count=len(lights), most=limits.steps)))
     for n, name in enumerate(lights):
         try:
             _step(plan, config, limits, n, name)
@@ -168,10 +168,8 @@ def _width_faults(plan: TriggerPlan, limits: FirmwareLimits) -> Iterator[Program
     if not limits.widest_us:
         exposures = ", ".join(f"{row.trigger_us:g}" for row in plan.program)
         limit = f"one for all rows: firmware {limits.version} has one width of the trigger, from 1.3.0 on one per row"
-        yield ProgramFault(
-            InputError.field(_PLAN, "exposures by the width of the trigger", f"{exposures} µs", limit),
-            key="exposure_us",
-        )
+        error = InputError.field(_PLAN, "exposures by the width of the trigger", f"{exposures} µs", limit)
+        yield ProgramFault(coded(error, code="one-width-for-all-rows", version=limits.version), key="exposure_us")
         return
     # The trigger must have fallen before the next row is prepared.
     spare = _ticks(plan.shortest_period_s) - _CLEARANCE
@@ -187,6 +185,8 @@ def _width_faults(plan: TriggerPlan, limits: FirmwareLimits) -> Iterator[Program
             why = bounds[most] if width > most else "the shortest trigger of its firmware"
             limit = f"{_us(_NARROWEST):g} … {_us(most):g} where the trigger's width sets it ({why})"
             error = InputError.field(_PLAN, f"program.{n}.exposure_us", row.trigger_us, limit)
+            bound = {"low": f"{_us(_NARROWEST):g}", "high": f"{_us(most):g}"}
+            coded(error, code="trigger-width-beyond", value=f"{row.trigger_us:g}", **bound)
             yield ProgramFault(error, n, "exposure_us")
 
 
@@ -203,7 +203,8 @@ def on_limits_us(
     light = config.lights[name]
     if beyond := [c for c in light.channels if c >= limits.channels]:
         limit = f"below {limits.channels}, the number of LED channels"
-        raise InputError.field(_WHERE, f"controller.lights.{name}.channels", beyond[0], limit)
+        error = InputError.field(_WHERE, f"controller.lights.{name}.channels", beyond[0], limit)
+        raise coded(error, code="no-such-channel", light=name, channel=beyond[0], channels=limits.channels)
     channel = min(light.channels, key=lambda c: limits.longest_us[c])
     bounds = {limits.longest_us[channel]: f"the longest pulse of channel {channel} in its firmware"}
     if period_s is not None:
@@ -227,7 +228,8 @@ def light_step(
         InputError: a value is beyond the firmware's limits.
     """
     if name not in config.lights:
-        raise InputError.field(_PLAN, "lights", name, f"one of {list(config.lights)}, the lights of station.toml")
+        error = InputError.field(_PLAN, "lights", name, f"one of {list(config.lights)}, the lights of station.toml")
+        raise coded(error, code="unknown-light", light=name, known=", ".join(config.lights))
     light = config.lights[name]
     least_us, most_us, most = on_limits_us(name, config, limits, period_s)
     # The firmware checks this too, but its refusal names only a limit in ticks, not the channel or the period.
@@ -238,7 +240,9 @@ def light_step(
         # A step that does not state an on-time has that of its light, so a different one is the step's own.
         key = f"controller.lights.{name}.on_us"
         where, wrong = (_WHERE, key) if asked_us == light.on_us else (_PLAN, f"on_us of light {name!r}")
-        raise InputError.field(where, wrong, asked_us, f"{least_us:g} … {most_us:g} ({why})")
+        error = InputError.field(where, wrong, asked_us, f"{least_us:g} … {most_us:g} ({why})")
+        bound = {"low": f"{least_us:g}", "high": f"{most_us:g}"}
+        raise coded(error, code="on-time-beyond", light=name, value=f"{asked_us:g}", **bound)
     return Step(_mask(light.channels), width)
 
 

@@ -35,7 +35,7 @@ class Preview {
     const type = found ? await requests.previewed(id) : null;
     this.#chosen = null;
     const parts = [make("a", { href: "#/setup/types", className: "up", textContent: texts.setup.toTypes }), make("h2", { textContent: filename })];
-    if (refusal) parts.push(make("p", { className: "answer refused", textContent: refusal }));
+    if (refusal) parts.push(make("p", { className: "answer refused" }, ...said(refusal, texts.translated.refusals["unreadable-board-data"])));
     const side = make("div", { className: "column" }, this.#options(found), this.#joined());
     if (found) side.append(this.#foundOf(found), this.#marks(type), this.#confirm(type));
     else side.append(this.#discard());

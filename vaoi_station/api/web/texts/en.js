@@ -17,7 +17,7 @@ export const texts = {
   settings,
   setup,
   trends,
-  translated: { refused: "", refusals: {}, findings: {}, checks: {}, remarks: {}, notes: {} }, // what the station says is English
+  translated: { refused: "", refusals: {}, findings: {}, checks: {}, remarks: {}, notes: {}, program: {} }, // what the station says is English
   // frame of all pages
   line: "Line",
   boards: "Boards",

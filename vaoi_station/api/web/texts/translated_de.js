@@ -1,12 +1,14 @@
 // Was die Station auf Englisch sagt, auf Deutsch: nach dem Code. Der Satz der Station steht daneben.
 import { findings } from "./station/findings_de.js";
 import { notes } from "./station/notes_de.js";
+import { program } from "./station/program_de.js";
 import { remarks } from "./station/remarks_de.js";
 import { warnings } from "./station/warnings_de.js";
 
 export const translated = {
   findings: { ...warnings, ...findings },
   notes,
+  program,
   remarks,
   // Namen der Prüfungen von vaoi doctor
   checks: {

@@ -154,10 +154,10 @@ class Programs {
     this.#drawing.replaceChildren(check.steps.length ? timeline(check) : "");
     const found = check.faults.map((fault) => {
       const where = t.where(fault.step ?? null, fault.camera === undefined ? undefined : check.cameras[fault.camera].name);
-      return make("li", {}, where ? make("strong", { textContent: `${where}: ` }) : "", ...said(`${fault.message} ${fault.action ?? ""}`.trim()));
+      return make("li", {}, where ? make("strong", { textContent: `${where}: ` }) : "", ...translated(fault));
     });
     const head = check.usable ? make("p", check.unchecked.length ? { className: "answer", textContent: t.usableSoFar } : { className: "answer done", textContent: t.usable }) : make("p", { className: "answer refused", textContent: t.faults(found.length) });
-    const unchecked = check.unchecked.length ? [make("p", { textContent: t.unchecked }), list(check.unchecked)] : [];
+    const unchecked = check.unchecked.length ? [make("p", { textContent: t.unchecked }), make("ul", { className: "warnings" }, ...check.unchecked.map((note) => make("li", {}, ...translated(note))))] : [];
     this.#finding.replaceChildren(head, found.length ? make("ul", { className: "warnings" }, ...found) : "", ...unchecked);
     this.#finding.dataset.usable = check.usable;
     this.#showLimits(check);
@@ -204,7 +204,7 @@ class Programs {
   }
 }
 
-const list = (lines) => make("ul", { className: "warnings" }, ...lines.map((line) => make("li", {}, ...said(line))));
+const translated = ({ code, message, action, values }) => said(`${message} ${action ?? ""}`.trim(), texts.translated.program[code]?.(values));
 
 // A step with those values only that are not the station's, as a person would write it.
 function fewest(step, check) {
