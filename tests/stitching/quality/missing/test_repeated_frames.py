@@ -38,13 +38,13 @@ class Filmed:
         return picture
 
     def repeated(self, *pictures: NDArray[np.uint8], motion: Motion = MOTION, width_mm: float = 200.0) -> bool:
-        """Return whether the second picture is found to repeat the first, on a board of this width."""
-        half = width_mm / 2
+        """Return whether the second picture is found to repeat the first, on a board of this width; 0: no outline."""
+        half = width_mm / 2 or 100.0
         corners = [(x, y) for x, y in ((-half, -100.0), (half, -100.0), (half, 100.0), (-half, 100.0))]
         board = BoardType.model_validate(
             {
                 "name": "b",
-                "outline": corners,
+                "outline": corners if width_mm else None,
                 "fiducials": [
                     {"name": f"F{n}", "x": x, "y": y, "diameter": 1.0} for n, (x, y) in enumerate(corners[:2])
                 ],
@@ -89,6 +89,7 @@ def test_a_bed_that_stands_still_beside_the_board_says_nothing(filmed: Filmed) -
     bed = filmed.bed.picture(*SIZE_PX)
     assert filmed.repeated(bed, noisy(bed)), "all of it counts as the board"
     assert not filmed.repeated(bed, noisy(bed), width_mm=2.0), "the board covers too little of the picture"
+    assert not filmed.repeated(bed, noisy(bed), width_mm=0.0), "nothing says what lies beside the board"
 
 
 def test_few_links_that_fit_by_chance_do_not_confirm_a_repeated_frame() -> None:

@@ -14,6 +14,7 @@ from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.board.board_plane import BoardPlane
+from vaoi_station.stitching.board.orientation import outline_polygons
 from vaoi_station.stitching.board.own_texture import HALF_PATCH_PX, beside
 from vaoi_station.stitching.matching.evidence import FrameKey
 from vaoi_station.stitching.matching.link import choose_corners
@@ -34,7 +35,7 @@ A smear on the lens and a light spot stay in their place too, but then the board
 def repeated_frames(
     frames: Iterable[FrameKey], plane: BoardPlane, c: Floats, scene: Scene, motion: Motion
 ) -> frozenset[FrameKey]:
-    """Return those of the frames that show the board where the frame before shows it.
+    """Return those of the frames that show the board where the frame before shows it; none without an outline.
 
     Args:
         frames: camera and row of the frames to examine.
@@ -43,6 +44,9 @@ def repeated_frames(
         scene: the cameras and the good frames.
         motion: motion of the board.
     """
+    # Without an outline, a bed that stands still beside the board would count as the board.
+    if not outline_polygons(plane.board_type) or plane.board_type.fixture_marks:
+        return frozenset()
     there = set(scene.present)
     return frozenset(
         (camera, row)
