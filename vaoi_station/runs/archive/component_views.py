@@ -177,6 +177,12 @@ def tables_of(finished: FinishedRun) -> Mapping[str, Mapping[str, Any]]:
 
 
 @lru_cache(_RUNS)
+def frame_records(finished: FinishedRun) -> Mapping[tuple[int, int], FrameRecord]:
+    """Return the record of each frame (camera, row) of a run."""
+    return {(f.camera, f.row): f for f in finished.detail.frames}
+
+
+@lru_cache(_RUNS)
 def usable_frames(finished: FinishedRun) -> Set[tuple[int, int]]:
     """Return the frames (camera, row) of a run that may give a view."""
     # Incomplete frames have matrices too, but the areas of their missing packets are black. The matrix of a frame that

@@ -22,7 +22,7 @@ from vaoi_station.model import FrameRecord
 from vaoi_station.rendering import ChosenImages, ChosenView, ImageRequest, Measures, View, measure
 from vaoi_station.runs.archive import component_views
 from vaoi_station.runs.archive.event_log import EventLog
-from vaoi_station.runs.archive.finished_runs import Archive
+from vaoi_station.runs.archive.finished_runs import Archive, FinishedRun
 from vaoi_station.runs.batches.batches import BatchAccess
 from vaoi_station.runs.control.core import Core
 from vaoi_station.runs.control.inbox import Inbox
@@ -88,12 +88,12 @@ class FrameAccess:
         measure, heights = self._measured_by(detail), self._heights(detail.id, wanted.images)
         choice = component_views.image_of_component(finished, wanted.ref, wanted.k, wanted.images, measure, heights)
         if detail.bay is not None and detail.generation is not None and detail.frames_available:
-            own = self.small.render(_job(detail, choice, format, (detail.bay, detail.generation)))
+            own = self.small.render(_job(finished, choice, format, (detail.bay, detail.generation)))
             if own is not None:
                 return own
         try:
             with self.lease(detail.id, f"image {name}") as bay:
-                job = _job(detail, choice, format, (bay.number, bay.generation))
+                job = _job(finished, choice, format, (bay.number, bay.generation))
                 picture: bytes = self._requests.render(job, name)
                 return picture
         except GoneError:
@@ -102,7 +102,7 @@ class FrameAccess:
             files = [self.recorded(detail.id, view.camera, view.row) for view in needed]
             if None in files:
                 raise
-        recorded: bytes = self._requests.render(_job(detail, choice, format, (0, 0), files), name)
+        recorded: bytes = self._requests.render(_job(finished, choice, format, (0, 0), files), name)
         return recorded
 
     def images(self, detail: RunDetail, ref: str, wanted: ImageRequest) -> ChosenImages:
@@ -197,7 +197,7 @@ class FrameAccess:
 
 
 def _job(
-    detail: RunDetail,
+    finished: FinishedRun,
     choice: ChosenView,
     format: ImageFormat,
     place: tuple[int, int],
@@ -207,13 +207,13 @@ def _job(
 
     `place` is number and generation of the bay.
     """
-    record = frame_record(detail, choice.view.camera, choice.view.row)
+    record = component_views.frame_records(finished)[choice.view.camera, choice.view.row]
     assert record.slot is not None, "views are of whole frames"
-    minus = None if choice.minus is None else _job(detail, choice.minus, format, place, files[1:])
+    minus = None if choice.minus is None else _job(finished, choice.minus, format, place, files[1:])
     file = files[0] if files else None
     small = file is None and minus is None and choice.view.width * choice.view.height <= SMALL_PX
     return RenderJob(
-        detail.id, *place, record.slot, choice.view, format, file=file, minus=minus, ratio=choice.ratio,
+        finished.detail.id, *place, record.slot, choice.view, format, file=file, minus=minus, ratio=choice.ratio,
         priority=Priority.SMALL_RENDER if small else Priority.RENDER,
     )  # fmt: skip
 
