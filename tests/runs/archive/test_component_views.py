@@ -112,7 +112,7 @@ def test_callers_of_many_components_get_what_each_one_gets_alone(rig: Any, monke
         return compute_all(calculator, parts, **options)
 
     monkeypatch.setattr(ViewCalculator, "compute_all", counted)
-    # In no order of the board type, as a caller that looks at suspicious components first.
+    # In no order of the board type, as a caller that requests suspicious components first.
     for ref in sorted(sizes, key=lambda ref: ref[::-1]):
         found = [c.view for c in component_views.images_of_component(finished, ref, ImageRequest(), unmeasured).chosen]
         assert [(v.camera, v.row) for v in found] == [(v.camera, v.row) for v in alone[ref]]
