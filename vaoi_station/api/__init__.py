@@ -17,6 +17,7 @@ from vaoi_station.api.board_data import check_routes
 from vaoi_station.api.board_data import routes as board_data
 from vaoi_station.api.board_data.previews import Previews
 from vaoi_station.api.cameras import routes as cameras
+from vaoi_station.api.cameras.trials import CameraTrials
 from vaoi_station.api.event_hub import EventHub
 from vaoi_station.api.hosts import allowed_names
 from vaoi_station.api.inspection import routes as inspection
@@ -105,14 +106,16 @@ def create_app(
     for module in (station, calibration, *of_types, runs, trends, check_routes, *pictures, events):
         app.include_router(module.router(services), prefix=PREFIX)
     app.include_router(inspection.router(services), prefix=PREFIX)
-    app.include_router(cameras.router(services, config), prefix=PREFIX)
+    camera_trials = CameraTrials(services.coordinator)
+    app.include_router(cameras.router(services, camera_trials, config), prefix=PREFIX)
     app.include_router(board_data.router(services, previews), prefix=PREFIX)
     if push is not None:
         app.include_router(webhooks.router(services, push), prefix=PREFIX)
     if access is not None:
         app.include_router(keys.router(services, access), prefix=PREFIX)
     if files is not None:
-        for setup in (calibration_routes, optics_routes, settings_routes):
+        app.include_router(calibration_routes.router(services, files, camera_trials), prefix=PREFIX)
+        for setup in (optics_routes, settings_routes):
             app.include_router(setup.router(services, files), prefix=PREFIX)
     _add_health(app, services)
     app.include_router(metrics.router(services))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import cv2
@@ -22,6 +23,8 @@ class HeldLighting:
         self.programs = held_programs(cameras, px_per_mm)
         self.tried: list[tuple[int, TrialSettings]] = []
         self.ended = 0
+        self.below: Callable[[int], Any] | None = None
+        """Function that returns what each camera sees, in place of fields."""
 
     def try_settings(self, camera: int, wanted: TrialSettings) -> TrialPicture:
         """Return fields like those of a chessboard, as bright as exposure and gain make them."""
@@ -34,6 +37,8 @@ class HeldLighting:
         grey = min(exposure_us / 250.0 * linear_gain(gain_db) * 120.0, 255.0)
         fields = np.kron(np.indices((6, 8)).sum(0) % 2, np.ones((40, 40)))
         pixels = cv2.GaussianBlur((20 + fields * (grey - 20)).astype(np.uint8), (0, 0), 0.8)
+        if self.below is not None:
+            pixels = self.below(camera)
         return TrialPicture(pixels, wanted.light or "even", wanted.on_us or 200.0, exposure_us, gain_db)
 
     def end_trial(self) -> None:

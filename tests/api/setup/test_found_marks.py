@@ -45,6 +45,31 @@ def test_what_cannot_be_searched_is_refused(
     assert detail in refusal.text
 
 
+def test_marks_are_found_in_the_newest_frame_of_a_trial(
+    client: Any, station: HeldStation, wanted: dict[str, Any]
+) -> None:
+    """While the board is being laid, before it has passed."""
+    run = wanted.pop("run")
+    del wanted["row"]
+    missing = client.post(MARKS, json={**wanted, "trial": 1})
+    assert (missing.status_code, missing.json()["code"]) == (404, "no-trial-frame")
+    held: Any = station.lighting
+    held.below = lambda camera: station.pixels[run, camera, 0]
+    for number in (1, 2):
+        assert client.post("/api/v1/cameras/1/trial", json={}).json()["number"] == number
+        assert len(client.post(MARKS, json={**wanted, "trial": number}).json()["found"]) == 20
+    assert client.post(MARKS, json={**wanted, "trial": 1}).status_code == 404, "a later pulse was fired"
+    assert client.post(MARKS, json={**wanted, "camera": 0, "trial": 2}).status_code == 404
+
+
+@pytest.mark.parametrize("place", [{}, {"run": "r000001"}, {"row": 0}, {"run": "r000001", "row": 0, "trial": 1}])
+def test_a_frame_is_named_in_one_way(client: Any, wanted: dict[str, Any], place: dict[str, Any]) -> None:
+    unplaced = {"camera": wanted["camera"], "layout": wanted["layout"]}
+    refusal = client.post(MARKS, json={**unplaced, **place})
+    assert refusal.status_code == 422
+    assert "either run and row, or trial" in refusal.text
+
+
 @pytest.mark.parametrize("size", [0.1, 100.0])
 def test_marks_too_small_or_too_large_for_the_frame_are_refused(
     client: Any, wanted: dict[str, Any], size: float

@@ -25,12 +25,12 @@ JPEG = {
 }
 
 
-def router(services: Services, config: Path | None = None) -> APIRouter:
+def router(services: Services, trials: CameraTrials, config: Path | None = None) -> APIRouter:
     """Create the routes for cameras; `config` is the station.toml that the doctor examines."""
     routes = APIRouter(tags=["station"])
     frames, examinations = NewestFrames(services.coordinator), Examinations(config, services.hub.closing)
     # One pulse at a time; a caller that comes meanwhile waits for a moment.
-    trials, shooting = CameraTrials(services.coordinator), ThreadLimit(1)
+    shooting = ThreadLimit(1)
     seats = Seats("requests for an examination that wait", EXAMINATIONS, EXAMINATIONS_OF_CALLER)
 
     # Measuring a frame takes a thread of pictures, so that it takes a seat for pictures as well.

@@ -42,13 +42,17 @@ class CameraTrials:
             **figures_of(taken.pixels).model_dump(),
         )
 
-    def picture(self, camera: int, number: int | None) -> bytes:
-        """Return the newest frame as JPEG; `NotFoundError` if it is of another camera or trial, or there is none."""
+    def frame(self, camera: int, number: int | None) -> Image:
+        """Return the newest frame; `NotFoundError` if it is of another camera or trial, or there is none."""
         with self._lock:
             newest = self._newest
         if newest is None or newest[0] != camera or number not in (None, newest[1]):
             raise NotFoundError(f"There is no trial of camera {camera}.", action="Fire a pulse.", code="no-trial-frame")
-        return for_display(newest[2])
+        return newest[2]
+
+    def picture(self, camera: int, number: int | None) -> bytes:
+        """Return the newest frame as JPEG; raises the errors of `frame`."""
+        return for_display(self.frame(camera, number))
 
     def end(self) -> None:
         """Set the exposures of station.toml again, and forget the picture."""

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, Query, Response
 
 from vaoi_station.api.callers.thread_limit import ThreadLimit
+from vaoi_station.api.cameras.trials import CameraTrials
 from vaoi_station.api.http_caching import LIVE
 from vaoi_station.api.routes.services import Services
 from vaoi_station.api.setup.design import nominal_values_missing
@@ -39,7 +40,7 @@ JPEG: dict[int | str, dict[str, Any]] = {
 Options = Annotated[ArtworkOptions, Query()]
 
 
-def router(services: Services, files: StationFiles) -> APIRouter:
+def router(services: Services, files: StationFiles, camera_trials: CameraTrials) -> APIRouter:
     """Create the routes. All of them need the scope admin."""
     routes = APIRouter(prefix="/calibration", tags=["setup"])
     trials, ask = Trials(services.coordinator, files), services.commands.ask
@@ -71,12 +72,13 @@ def router(services: Services, files: StationFiles) -> APIRouter:
 
     @routes.post("/marks")
     async def find_calibration_marks(response: Response, wanted: MarksRequest) -> FoundMarks:
-        """Search one frame of a run for the marks of a calibration board: whether the camera shows what it should.
+        """Search one frame for the marks of a calibration board: whether the camera shows what it should.
 
+        It is a frame of a run, or while the board is being laid one of `cameras/{camera}/trial`.
         One frame at a time is searched, so that boards are not held up.
         """
         response.headers["Cache-Control"] = LIVE
-        return await searching.ask(find_marks, services.coordinator, files, wanted)
+        return await searching.ask(find_marks, services.coordinator, camera_trials, files, wanted)
 
     @routes.get("/trial", response_model_exclude_none=True)
     async def get_calibration_trial(response: Response) -> CalibrationTrial:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, Field, model_validator
 
+from vaoi_station.api.cameras.trials import CameraTrials
 from vaoi_station.api.setup.design import nominal_heads
 from vaoi_station.api.setup.station_files import StationFiles
 from vaoi_station.calibration.mark_detection import MarkAppearance, detect_marks
@@ -24,10 +25,15 @@ _LAID_MM = 2.0
 
 
 class MarksRequest(Strict):
-    """A request to search one frame of a run for the marks of a calibration board."""
+    """A request to search one frame, of a run or of a trial of the camera, for the marks of a calibration board."""
 
-    run: str = Field(min_length=1, max_length=64, description="Id of a run whose frames can still be read.")
-    row: int = Field(ge=0, le=100_000)
+    run: str | None = Field(
+        default=None, min_length=1, max_length=64, description="Id of a run whose frames can still be read."
+    )
+    row: int | None = Field(default=None, ge=0, le=100_000)
+    trial: int | None = Field(
+        default=None, ge=1, le=10**9, description="Number of the newest trial of the camera, in place of run and row."
+    )
     camera: int = Field(ge=0, le=1000)
     layout: Layout = Field(description="The marks of the calibration board: the `layout.json` of its artwork.")
     pitch_mm: float | None = Field(
@@ -36,6 +42,13 @@ class MarksRequest(Strict):
     px_per_mm: float | None = Field(
         default=None, ge=0.1, le=1000, description="Resolution of the cameras, where station.toml states none."
     )
+
+    @model_validator(mode="after")
+    def _names_one_frame(self) -> MarksRequest:
+        given = self.run is not None, self.row is not None, self.trial is not None
+        if given not in ((True, True, False), (False, False, True)):
+            raise ValueError("must have either run and row, or trial")
+        return self
 
 
 class FoundMarks(BaseModel):
@@ -48,15 +61,19 @@ class FoundMarks(BaseModel):
     blur_px: float = Field(description="Blur of their edges, as a standard deviation.")
 
 
-def find_marks(coordinator: StationCoordinator, files: StationFiles, wanted: MarksRequest) -> FoundMarks:
+def find_marks(
+    coordinator: StationCoordinator, trials: CameraTrials, files: StationFiles, wanted: MarksRequest
+) -> FoundMarks:
     """Search a frame for marks; refuse a camera that the station does not have, and an array without nominal values."""
     heads = nominal_heads([c.head for c in files.config.cameras], wanted.pitch_mm, wanted.px_per_mm)
     if wanted.camera >= len(heads):
         raise InputError.field("body", "camera", wanted.camera, f"below {len(heads)}, the cameras of the station")
     head, layout = heads[wanted.camera], wanted.layout
     marks_mm = np.array([(m.x, m.y) for m in layout.marks]) * layout.mm_per_unit
-    pixels, _ = coordinator.frame(wanted.run, wanted.camera, wanted.row)
-    grey = eight_bit_grey(pixels)
+    if wanted.run is None or wanted.row is None:
+        grey = eight_bit_grey(trials.frame(wanted.camera, wanted.trial))
+    else:
+        grey = eight_bit_grey(coordinator.frame(wanted.run, wanted.camera, wanted.row)[0])
     scale = head.nominal_px_per_mm or 1.0
     marks = MarkAppearance.of(layout, scale)
     most = min(grey.shape) / 2

@@ -85,6 +85,48 @@ def test_a_calibration_is_filmed_followed_judged_and_accepted(
     expect(page.locator(".pictures img")).to_have_count(0)
 
 
+def test_marks_are_watched_while_the_board_is_being_laid(page: Page, engineer: Any, admin: str, fits: Any) -> None:
+    station = engineer.station
+    page.goto(f"{admin}/#/setup/calibration")
+    layout = page.evaluate("() => fetch('/api/v1/calibration/layout?tolerance_mm=1.5').then((r) => r.json())")
+    run = film_board(station, Layout.model_validate(layout))
+    shown = {"row": 1}  # there is no board yet
+    station.lighting.below = lambda camera: station.pixels[run, camera, shown["row"]]
+    page.get_by_label("Distance from the edge").fill("1.5")
+    page.keyboard.press("Tab")
+    page.get_by_label("Camera that is watched").select_option("cam1")
+    page.get_by_role("button", name="Watch its marks").press("Enter")
+    live = page.locator(".live-marks")
+    expect(live.locator("strong")).to_have_text("0 marks, at least 12 expected")
+    expect(live.locator("strong")).to_have_class("few")
+    shown["row"] = 0
+    expect(live.locator("strong")).to_have_text("20 marks, at least 12 expected")
+    expect(live.locator("circle")).to_have_count(20)
+    expect(live.locator("img")).not_to_have_js_property("naturalWidth", 0)
+    assert {camera for camera, _ in station.lighting.tried} == {1}
+    station.arm("demo-board")
+    expect(live.locator(".answer")).to_contain_text("The line is")
+    expect(live.locator("figure")).to_be_hidden()
+    station.disarm()
+    page.get_by_role("button", name="Watch its marks").click()
+    expect(live.locator("circle")).to_have_count(20)
+    with page.expect_response(lambda response: response.request.method == "DELETE"):
+        page.get_by_role("button", name="Stop watching").click()
+    expect(live.locator("figure")).to_be_hidden()
+
+    def watch() -> None:
+        page.evaluate(PICTURES)
+        page.locator("#watch-marks").click()
+        expect(live.locator("circle")).not_to_have_count(0)
+
+    fits("calibration-watched", "#watch-marks", watch)
+    watch()
+    before = station.lighting.ended
+    with page.expect_response(lambda response: response.request.method == "DELETE"):
+        page.goto(f"{admin}/#/boards")
+    assert station.lighting.ended == before + 1
+
+
 @pytest.mark.parametrize("engineer", [False], indirect=True)
 def test_an_array_without_nominal_values_is_calibrated_by_what_is_entered(
     page: Page, engineer: Any, admin: str, fits: Any

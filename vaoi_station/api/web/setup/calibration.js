@@ -1,9 +1,9 @@
 // Calibration: print the board, film it, let the station measure its marks, judge, accept or try again.
 import { make, said } from "../parts/elements.js";
 import * as rest from "../parts/rest.js";
-import { svg } from "../parts/svg.js";
 import { keep, kept } from "../parts/settings.js";
 import { moment, number, texts } from "../texts/texts.js";
+import { LiveMarks, showCount, svgOfMarks } from "./calibration/live_marks.js";
 import { answerLine, attempt, button, choice, facts, input, labelled, section, table, tick, Wrong } from "./fields.js";
 import * as requests from "./requests.js";
 
@@ -23,13 +23,6 @@ function readEntered() {
   }
 }
 
-// Rings over a frame, where it shows marks.
-function svgOfMarks({ width, height, found }) {
-  const picture = svg("svg", { class: "found-marks", viewBox: `0 0 ${width} ${height}`, "aria-hidden": "true" });
-  picture.append(...found.map(([cx, cy]) => svg("circle", { cx: cx + 0.5, cy: cy + 0.5, r: Math.min(width, height) / 30 })));
-  return picture;
-}
-
 export async function open(root, _, query) {
   const page = new Calibration(root, query);
   await page.show();
@@ -44,6 +37,7 @@ class Calibration {
   #board = {}; // fields of the artwork
   #limits = {};
   #layout = null; // the layout.json that was chosen instead of the artwork of this page
+  #live = null;
   #judged = make("div");
   #drawn = make("div");
   #run;
@@ -59,15 +53,18 @@ class Calibration {
 
   close() {
     this.#closed = true;
+    this.#live?.stop();
   }
 
   async show() {
     const t = texts.setup;
     await this.#readRuns();
+    const { cameras } = await rest.station();
+    this.#live = new LiveMarks(cameras.map((camera) => camera.name), () => this.#searchedFor());
     const limits = make("details", {}, make("summary", { textContent: t.limits }), make("div", { className: "fields" }, ...this.#limitFields()));
     this.#root.replaceChildren(make("h2", { textContent: t.pages.calibration }), this.#answer, this.#judged,
       make("div", { className: "two even" }, section(t.printBoard, make("p", { className: "help", textContent: t.printHelp }), this.#artwork(), this.#drawn),
-        make("div", { className: "column" }, section(t.filmBoard, make("p", { className: "help", textContent: t.filmHelp }), this.#choice()),
+        make("div", { className: "column" }, section(t.filmBoard, this.#live.root, make("p", { className: "help", textContent: t.filmHelp }), this.#choice()),
           section(t.calibrate, this.#layoutField(), limits, make("div", { className: "buttons" }, button(t.beginTrial, () => this.#begin(), this.#answer, { className: "primary", id: "calibrate" }))))));
     this.#row.addEventListener("change", () => this.#showFrames());
     this.#draw();
@@ -160,11 +157,16 @@ class Calibration {
     rest.unattended(this.#findMarks(run, figures));
   }
 
+  // The marks that are searched: of the chosen layout.json, else of the artwork of this page.
+  async #searchedFor() {
+    const { pitch_mm, px_per_mm } = this.#options();
+    return { layout: this.#layout ?? (await requests.layout(this.#options())), pitch_mm: Number(pitch_mm) || null, px_per_mm: Number(px_per_mm) || null };
+  }
+
   // The marks over the frames, one after the other, and how many of those that are expected: what is laid wrongly is seen before a trial.
   async #findMarks(run, figures) {
     const turn = ++this.#searched;
-    const { pitch_mm, px_per_mm } = this.#options();
-    const wanted = { run: run.id, row: Number(this.#row.value), layout: this.#layout ?? (await requests.layout(this.#options())), pitch_mm: Number(pitch_mm) || null, px_per_mm: Number(px_per_mm) || null };
+    const wanted = { run: run.id, row: Number(this.#row.value), ...(await this.#searchedFor()) };
     for (const [camera, figure] of figures.entries()) {
       if (turn !== this.#searched || this.#closed) return;
       const marks = await requests.findMarks({ ...wanted, camera }).catch((error) => {
@@ -172,9 +174,7 @@ class Calibration {
         throw error;
       });
       if (!marks) continue;
-      const count = figure.querySelector("strong");
-      count.textContent = texts.setup.marksFound(marks.found.length, marks.expected);
-      count.className = marks.found.length < marks.expected ? "few" : "";
+      showCount(figure.querySelector("strong"), marks);
       figure.firstChild.append(svgOfMarks(marks));
     }
   }
