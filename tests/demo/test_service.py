@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 import sys
 from pathlib import Path
 
@@ -69,3 +70,13 @@ def test_service_that_does_not_listen_in_time_is_killed(script: Path, monkeypatc
     with pytest.raises(DeviceError, match="does not listen after 0 s"), started:
         pass
     assert not Path(f"/proc/{started.pid}").exists()
+
+
+def test_the_demo_imports_nothing_that_only_its_service_needs() -> None:
+    program = """
+import sys
+import vaoi_station.demo.continuous, vaoi_station.demo.single_board
+print(*{"fastapi", "numba", "vaoi_station.station"} & sys.modules.keys())
+"""
+    done = subprocess.run([PYTHON, "-c", program], stdout=subprocess.PIPE, text=True, check=True)
+    assert done.stdout == "\n"

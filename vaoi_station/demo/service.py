@@ -13,7 +13,6 @@ from collections import deque
 from pathlib import Path
 from typing import IO
 
-from vaoi_station.api.web_server import open_listener
 from vaoi_station.config import ApiConfig
 from vaoi_station.errors import DeviceError, InternalError
 
@@ -126,6 +125,9 @@ def refuse_taken_port(port: int) -> None:
     """Raise DeviceError if another program listens at a port of the demo's service. Port 0 is always free."""
     # Checked here before the board is drawn, which takes seconds; the service itself refuses a port taken meanwhile.
     host = ApiConfig().host
+    # Imported here: the package of the web server imports the whole station, which only the service's process needs.
+    from vaoi_station.api.web_server import open_listener
+
     try:
         open_listener(host, port, "vaoi demo").close()
     except DeviceError as error:

@@ -18,7 +18,7 @@ from vaoi_station.runs.states.identity_schemas import IdentitySummary
 from vaoi_station.runs.states.made_with import MadeWith, Origin
 from vaoi_station.runs.states.storage_schemas import ArchiveStatus, SetAsideFile
 from vaoi_station.runs.states.tables import RunState, StationState
-from vaoi_station.stitching.quality.missing.unseen import Cause as UnseenCause
+from vaoi_station.stitching.quality.missing.cause import Cause as UnseenCause
 
 ImageFormat = Literal["png", "jpeg", "tiff", "npy"]
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import Literal, NamedTuple, cast
+from typing import NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +21,7 @@ from vaoi_station.model import VISIBILITY, BoardType, Reason, ReasonCode, Surfac
 from vaoi_station.stitching.board.component_index import ComponentIndex
 from vaoi_station.stitching.board.coverage import Coverage, component_coverage
 from vaoi_station.stitching.matching.evidence import FrameKey
-
-Cause = Literal["frames-unconfirmed", "frames-lost", "filming-ended", "filming-began", "seam", "beyond-view"]
+from vaoi_station.stitching.quality.missing.cause import Cause
 
 _SLACK = 1e-9
 """Rounding error that is tolerated in a sum of shares."""
