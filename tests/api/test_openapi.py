@@ -15,7 +15,9 @@ import pytest
 from tests.api.board_data.test_previews import import_here
 from tests.api.description.openapi_rules import faults, fits
 from tests.api.held.setup_files import setup_files
+from tests.api.held_station import HeldStation
 from tests.board_data.readers import samples
+from tests.push.event_list import EventList
 from vaoi_station.api import create_app
 from vaoi_station.api import openapi as openapi_module
 from vaoi_station.api.access.access_control import AccessControl
@@ -26,18 +28,29 @@ from vaoi_station.api.cameras.examination import Examinations
 from vaoi_station.api.cameras.models import Examination
 from vaoi_station.api.description.older import downgraded
 from vaoi_station.files.access_keys import KeyFile
+from vaoi_station.model.receivers import PushConfig
+from vaoi_station.push.push_service import PushService
 
 GOLDEN = Path(__file__).parent / "openapi.json"
 UNATTENDED = (["access"], ["setup"])
 """Tags of operations that the client here does not have: tests/api/routes/test_keys.py and tests/api/setup do."""
 
 
-@pytest.fixture
-def document(station: Any, push: Any, tmp_path: Path) -> Iterator[dict[str, Any]]:
-    audit = AuditLog(tmp_path / "audit.jsonl")
-    app = create_app(station, (), AccessControl(KeyFile(tmp_path / "k"), audit), push, files=setup_files(tmp_path))
-    yield json.loads(json.dumps(app.openapi()))
+@pytest.fixture(scope="module")
+def text(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """The document as JSON: it is made once, which takes seconds."""
+    folder = tmp_path_factory.mktemp("station")
+    audit = AuditLog(folder / "audit.jsonl")
+    push = PushService(folder / "receivers", PushConfig(), "test", EventList())
+    app = create_app(HeldStation(), (), AccessControl(KeyFile(folder / "k"), audit), push, files=setup_files(folder))
+    yield json.dumps(app.openapi())
     audit.close()
+
+
+@pytest.fixture
+def document(text: str) -> dict[str, Any]:
+    document: dict[str, Any] = json.loads(text)
+    return document
 
 
 def operations(document: dict[str, Any]) -> Iterator[tuple[str, str, dict[str, Any]]]:
