@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Literal
 
 from fastapi import Depends, FastAPI, Response
-from fastapi.routing import APIRoute
 
 from vaoi_station.api import openapi, pages, problems
 from vaoi_station.api.access.access_control import AccessControl
@@ -26,6 +25,7 @@ from vaoi_station.api.parameters import refuse_unknown_parameters
 from vaoi_station.api.receivers import routes as webhooks
 from vaoi_station.api.request_guard import RequestGuard
 from vaoi_station.api.rest_models import Health
+from vaoi_station.api.routers import operation_id
 from vaoi_station.api.routes import (
     board_types,
     calibration,
@@ -51,7 +51,6 @@ from vaoi_station.runs.states.schemas import StationSnapshot
 from vaoi_station.runs.states.tables import StationState
 from vaoi_station.version import __version__
 
-PREFIX = "/api/v1"
 NOT_OPERATIONAL = frozenset({StationState.STARTING, StationState.FAULTED, StationState.STOPPING})
 
 
@@ -77,8 +76,7 @@ def create_app(
     previews = Previews()
 
     @asynccontextmanager
-    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        _prepare_routes(app)
+    async def lifespan(_: FastAPI) -> AsyncIterator[None]:
         async with services.hub.listening():
             try:
                 yield
@@ -96,40 +94,35 @@ def create_app(
         redoc_url=None,
         redirect_slashes=False,
         separate_input_output_schemas=False,
-        generate_unique_id_function=_operation_id,
+        generate_unique_id_function=operation_id,
         dependencies=[Depends(refuse_unknown_parameters)],
     )
     app.state.hub = services.hub
     problems.install(app)
     pictures = (frames, components, batch_routes, merged, mosaics)
     of_types = (board_types, stitching, lighting)
-    for module in (station, calibration, *of_types, runs, trends, check_routes, *pictures, events):
-        app.include_router(module.router(services), prefix=PREFIX)
-    app.include_router(inspection.router(services), prefix=PREFIX)
+    routers = [
+        module.router(services)
+        for module in (station, calibration, *of_types, runs, trends, check_routes, *pictures, events, inspection)
+    ]
     camera_trials = CameraTrials(services.coordinator)
-    app.include_router(cameras.router(services, camera_trials, config), prefix=PREFIX)
-    app.include_router(board_data.router(services, previews), prefix=PREFIX)
+    routers += [cameras.router(services, camera_trials, config), board_data.router(services, previews)]
     if push is not None:
-        app.include_router(webhooks.router(services, push), prefix=PREFIX)
+        routers.append(webhooks.router(services, push))
     if access is not None:
-        app.include_router(keys.router(services, access), prefix=PREFIX)
+        routers.append(keys.router(services, access))
     if files is not None:
-        app.include_router(calibration_routes.router(services, files, camera_trials), prefix=PREFIX)
-        for setup in (optics_routes, settings_routes):
-            app.include_router(setup.router(services, files), prefix=PREFIX)
+        routers.append(calibration_routes.router(services, files, camera_trials))
+        routers += [setup.router(services, files) for setup in (optics_routes, settings_routes)]
+    for router in routers:
+        app.router.routes.extend(router.routes)
     _add_health(app, services)
-    app.include_router(metrics.router(services))
+    app.router.routes.extend(metrics.router(services).routes)
     pages.install(app)
     openapi.install(app)
     # Added last, so that it is the outermost layer and sees each request first.
     app.add_middleware(RequestGuard, names=allowed_names(names), access=access)
     return app
-
-
-def _prepare_routes(app: FastAPI) -> None:
-    """Let FastAPI prepare all routes of included routers, which it otherwise does in the first request."""
-    for route in app.router.routes:
-        route.matches({"type": "http", "method": "GET", "path": "", "root_path": ""})
 
 
 def _add_health(app: FastAPI, services: Services) -> None:
@@ -161,8 +154,3 @@ def _health(response: Response, snapshot: StationSnapshot, *, ready_only: bool) 
     response.headers["Cache-Control"] = "no-store"
     status: Literal["ok", "degraded"] = "degraded" if unready else "ok"
     return Health(status=status, state=snapshot.state, version=__version__, codes=codes)
-
-
-def _operation_id(route: APIRoute) -> str:
-    """Return the handler's name, which generated clients use as a method name."""
-    return route.name

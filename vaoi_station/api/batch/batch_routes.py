@@ -16,6 +16,7 @@ from vaoi_station.api.images.image_queries import Wanted
 from vaoi_station.api.images.view_entries import picture_query
 from vaoi_station.api.parameters import RunId, parse_box
 from vaoi_station.api.request_guard import is_head
+from vaoi_station.api.routers import rest_router
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import InputError
 from vaoi_station.runs.batches.batch_job import CutPart
@@ -78,7 +79,7 @@ async def _request(
 
 def router(services: Services) -> APIRouter:
     """Create the route of batches."""
-    routes = APIRouter(prefix="/runs/{run}", tags=["pictures"])
+    routes = rest_router(prefix="/runs/{run}", tags=["pictures"])
     batches, threads = services.coordinator.batches, CutThreads(BATCHES * PARTS_AHEAD)
     seats = QueuedSeats("batches of pictures", BATCHES, BATCHES_OF_CALLER, BATCHES_WAITING, BATCH_WAIT_S)
 

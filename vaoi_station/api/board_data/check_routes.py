@@ -12,6 +12,7 @@ from vaoi_station.api.callers.thread_limit import ThreadLimit
 from vaoi_station.api.http_caching import LIVE, REVALIDATE, conditional_response, require_unchanged
 from vaoi_station.api.parameters import BoardTypeName, IfMatch, RunId
 from vaoi_station.api.rest_models import CorrectionRequest
+from vaoi_station.api.routers import rest_router
 from vaoi_station.api.routes.services import Services
 from vaoi_station.board_check.report import BoardCheck
 from vaoi_station.model import BoardType
@@ -27,7 +28,7 @@ JPEG: dict[int | str, dict[str, Any]] = {
 
 def router(services: Services) -> APIRouter:
     """Create the routes."""
-    routes = APIRouter(tags=["board types"])
+    routes = rest_router(tags=["board types"])
     coordinator, checks = services.coordinator, services.coordinator.mosaics.board_checks
     # A check takes a worker for seconds: one caller at a time, and none of the threads for pictures.
     checking = ThreadLimit(1)

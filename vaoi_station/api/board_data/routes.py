@@ -22,6 +22,7 @@ from vaoi_station.api.callers.seats import Seats
 from vaoi_station.api.callers.thread_limit import ThreadLimit
 from vaoi_station.api.http_caching import LIVE, REVALIDATE, conditional_response, require_unchanged
 from vaoi_station.api.parameters import BOARD_TYPE_NAME, IfMatch, IfNoneMatch
+from vaoi_station.api.routers import rest_router
 from vaoi_station.api.routes.board_types import document_of, present_document
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import InputError, NotFoundError
@@ -43,7 +44,7 @@ _SVG_POLICY = "default-src 'none'; style-src 'unsafe-inline'; sandbox"
 
 def router(services: Services, previews: Previews) -> APIRouter:
     """Create the routes for imports of board data."""
-    routes = APIRouter(prefix="/board-data", tags=["board types"])
+    routes = rest_router(prefix="/board-data", tags=["board types"])
     # One import at a time: each may take a whole core and much memory. Confirming does not wait for it.
     importing, checking, quick = ThreadLimit(1), ThreadLimit(1), services.commands
     seats = Seats("imports of board data", 6, 3)

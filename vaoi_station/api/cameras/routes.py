@@ -16,6 +16,7 @@ from vaoi_station.api.cameras.newest_frames import NewestFrames
 from vaoi_station.api.cameras.trials import CameraTrials
 from vaoi_station.api.http_caching import LIVE
 from vaoi_station.api.parameters import Camera
+from vaoi_station.api.routers import rest_router
 from vaoi_station.api.routes.services import Services
 
 EXAMINATIONS, EXAMINATIONS_OF_CALLER = 32, 8
@@ -27,7 +28,7 @@ JPEG = {
 
 def router(services: Services, trials: CameraTrials, config: Path | None = None) -> APIRouter:
     """Create the routes for cameras; `config` is the station.toml that the doctor examines."""
-    routes = APIRouter(tags=["station"])
+    routes = rest_router(tags=["station"])
     frames, examinations = NewestFrames(services.coordinator), Examinations(config, services.hub.closing)
     # One pulse at a time; a caller that comes meanwhile waits for a moment.
     shooting = ThreadLimit(1)

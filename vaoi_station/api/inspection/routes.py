@@ -6,6 +6,7 @@ from fastapi import APIRouter, Request, Response
 
 from vaoi_station.api.http_caching import IMMUTABLE, conditional_response
 from vaoi_station.api.parameters import RunId
+from vaoi_station.api.routers import rest_router
 from vaoi_station.api.routes.services import Services
 from vaoi_station.runs.states.overlay_schemas import RunOverlay
 from vaoi_station.runs.states.timeline_schemas import Timeline
@@ -13,7 +14,7 @@ from vaoi_station.runs.states.timeline_schemas import Timeline
 
 def router(services: Services) -> APIRouter:
     """Create the routes."""
-    routes = APIRouter(prefix="/runs/{run}", tags=["runs"])
+    routes = rest_router(prefix="/runs/{run}", tags=["runs"])
     coordinator, ask = services.coordinator, services.commands.ask
 
     @routes.get("/timeline", response_model=Timeline)

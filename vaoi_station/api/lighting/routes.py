@@ -7,13 +7,14 @@ from fastapi import APIRouter, Response
 from vaoi_station.api.http_caching import LIVE
 from vaoi_station.api.lighting.models import ProgramRequest
 from vaoi_station.api.parameters import BoardTypeName
+from vaoi_station.api.routers import rest_router
 from vaoi_station.api.routes.services import Services
 from vaoi_station.runs.lighting.program_schemas import ProgramCheck
 
 
 def router(services: Services) -> APIRouter:
     """Create the route."""
-    routes = APIRouter(tags=["board types"])
+    routes = rest_router(tags=["board types"])
     coordinator, ask = services.coordinator, services.commands.ask
 
     @routes.post("/board-types/{name}/program/check", response_model_exclude_none=True)

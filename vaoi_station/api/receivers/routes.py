@@ -21,6 +21,7 @@ from vaoi_station.api.receivers.models import (
     letters_of,
     result_of,
 )
+from vaoi_station.api.routers import rest_router
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import BusyError, NotFoundError
 from vaoi_station.push.push_service import PushService, Webhook
@@ -36,7 +37,7 @@ OVERLAP_S = 86400
 
 def router(services: Services, push: PushService) -> APIRouter:
     """Create the routes for webhooks."""
-    routes = APIRouter(tags=["webhooks"])
+    routes = rest_router(tags=["webhooks"])
     ask = services.commands.ask
     # Between the check of If-Match and the change no other caller may change the webhook.
     changing = asyncio.Lock()

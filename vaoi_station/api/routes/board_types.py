@@ -13,6 +13,7 @@ from vaoi_station.api.callers.thread_limit import ThreadLimit
 from vaoi_station.api.http_caching import LIVE, REVALIDATE, conditional_response, require_unchanged
 from vaoi_station.api.parameters import BoardTypeName, IfMatch, IfNoneMatch, Revision
 from vaoi_station.api.rest_models import BoardTypeList, BoardTypeVersions, StateRequest
+from vaoi_station.api.routers import rest_router
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import InputError, NotFoundError, VaoiError
 from vaoi_station.model import BoardType
@@ -28,7 +29,7 @@ BODY = {
 
 def router(services: Services) -> APIRouter:
     """Create the routes for board types. Their documents have the format of `docs/formats.md`."""
-    routes = APIRouter(prefix="/board-types", tags=["board types"])
+    routes = rest_router(prefix="/board-types", tags=["board types"])
     coordinator, ask = services.coordinator, services.commands.ask
     # Only one is parsed at a time, because parsing holds the interpreter's lock.
     parsing = ThreadLimit(1)

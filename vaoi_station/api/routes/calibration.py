@@ -5,13 +5,14 @@ from __future__ import annotations
 from fastapi import APIRouter, Response
 
 from vaoi_station.api.http_caching import LIVE
+from vaoi_station.api.routers import rest_router
 from vaoi_station.api.routes.services import Services
 from vaoi_station.runs.states.calibration_schemas import CalibrationStatus
 
 
 def router(services: Services) -> APIRouter:
     """Create the route for the calibration in use."""
-    routes = APIRouter(prefix="/calibration", tags=["station"])
+    routes = rest_router(prefix="/calibration", tags=["station"])
 
     @routes.get("", response_model_exclude_none=True)
     async def get_calibration(response: Response) -> CalibrationStatus:

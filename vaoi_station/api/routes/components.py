@@ -14,6 +14,7 @@ from vaoi_station.api.images.route_without_query import RouteWithoutQuery
 from vaoi_station.api.images.view_entries import covariances, picture_query, view_entry
 from vaoi_station.api.parameters import Address, FormatName, RunId
 from vaoi_station.api.rest_models import ComponentEntry, ComponentList, ComponentViews
+from vaoi_station.api.routers import rest_router
 from vaoi_station.api.routes.frames import PICTURE, Accept
 from vaoi_station.api.routes.services import Services
 from vaoi_station.rendering import ImageRequest
@@ -38,7 +39,7 @@ RENDERED_AS: dict[ImageFormat, Rendered] = {
 
 def router(services: Services) -> APIRouter:
     """Create the routes for components. `{ref}` in a path is a component's address: `ref`, or `panel/ref`."""
-    routes = APIRouter(prefix="/runs/{run}/components", tags=["pictures"])
+    routes = rest_router(prefix="/runs/{run}/components", tags=["pictures"])
     coordinator, ask = services.coordinator, services.commands.ask
 
     async def caching(run: str, cache: str = IMMUTABLE) -> str:

@@ -12,6 +12,7 @@ from fastapi.sse import EventSourceResponse, ServerSentEvent
 from vaoi_station.api.access.access_control import still_known
 from vaoi_station.api.callers.caller import caller_of
 from vaoi_station.api.rest_models import Heartbeat
+from vaoi_station.api.routers import rest_router
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import InputError
 from vaoi_station.runs.states.schemas import EventRecord
@@ -22,7 +23,7 @@ RECONNECT_MS = 1000
 
 def router(services: Services) -> APIRouter:
     """Create the route for the event stream."""
-    routes = APIRouter(tags=["events"])
+    routes = rest_router(tags=["events"])
 
     async def start(
         after: Annotated[int | None, Query(ge=0, le=2**53, description="Number of the last event received.")] = None,

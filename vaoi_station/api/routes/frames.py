@@ -10,6 +10,7 @@ from vaoi_station.api.encoders import MEDIA_TYPES, choose_format, encode_image
 from vaoi_station.api.http_caching import conditional_response
 from vaoi_station.api.images.byte_ranges import part_of
 from vaoi_station.api.parameters import Camera, FormatName, Row, RunId
+from vaoi_station.api.routers import rest_router
 from vaoi_station.api.routes.services import Services
 
 Accept = Annotated[str | None, Header(max_length=500)]
@@ -23,7 +24,7 @@ PICTURE: dict[int | str, dict[str, Any]] = {
 
 def router(services: Services) -> APIRouter:
     """Create the route for frames."""
-    routes = APIRouter(prefix="/runs/{run}/frames", tags=["pictures"])
+    routes = rest_router(prefix="/runs/{run}/frames", tags=["pictures"])
 
     @routes.get(
         "/{camera}/{row}",

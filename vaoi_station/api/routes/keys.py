@@ -12,6 +12,7 @@ from vaoi_station.api.access.sessions import COOKIE, SESSION_S
 from vaoi_station.api.callers.caller import caller_of
 from vaoi_station.api.http_caching import LIVE
 from vaoi_station.api.problems import problem_response
+from vaoi_station.api.routers import rest_router
 from vaoi_station.api.routes.services import Services
 from vaoi_station.files.access_keys import AccessKey, KeyName, NewKey, Scope
 
@@ -67,7 +68,7 @@ class SessionState(BaseModel):
 
 def router(services: Services, access: AccessControl) -> APIRouter:
     """Create the routes for keys, the audit log and logins."""
-    routes = APIRouter(tags=["access"])
+    routes = rest_router(tags=["access"])
     ask, keys = services.commands.ask, access.keys
 
     @routes.get("/keys")

@@ -12,6 +12,7 @@ from vaoi_station.api.encoders import MEDIA_TYPES, ImageFormat, choose_format, r
 from vaoi_station.api.http_caching import REVALIDATE, conditional_response
 from vaoi_station.api.parameters import FOR_CACHES, FormatName, PxPerMm, RunId, parse_box
 from vaoi_station.api.rest_models import Matrix3
+from vaoi_station.api.routers import rest_router
 from vaoi_station.api.routes.components import RENDERED_AS
 from vaoi_station.api.routes.frames import PICTURE, Accept
 from vaoi_station.api.routes.services import Services
@@ -81,7 +82,7 @@ Wanted = Annotated[MergeRequest, Depends(_wanted)]
 
 def router(services: Services) -> APIRouter:
     """Create the routes for merged pictures."""
-    routes = APIRouter(prefix="/runs/{run}/merged", tags=["pictures"])
+    routes = rest_router(prefix="/runs/{run}/merged", tags=["pictures"])
     coordinator, ask = services.coordinator, services.commands.ask
 
     @routes.get("", response_model=MergedList)

@@ -12,6 +12,7 @@ from typing import NamedTuple
 from fastapi import APIRouter, Response
 
 from vaoi_station.api.http_caching import LIVE
+from vaoi_station.api.routers import rest_router
 from vaoi_station.api.routes.services import Services
 from vaoi_station.push.delivery import Delivery
 from vaoi_station.runs.archive.run_statistics import LATENCY_BOUNDS_S, RunFigures
@@ -37,7 +38,7 @@ class Metric(NamedTuple):
 
 def router(services: Services) -> APIRouter:
     """Create the route for metrics."""
-    routes = APIRouter()
+    routes = rest_router(base="")
     coordinator, ask = services.coordinator, services.commands.ask
 
     # Not part of the REST document: the format is that of Prometheus, and generated clients cannot use it.

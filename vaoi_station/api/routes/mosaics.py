@@ -19,6 +19,7 @@ from vaoi_station.api.callers.picture_seats import FileSeats
 from vaoi_station.api.http_caching import IMMUTABLE, REVALIDATE, conditional_response
 from vaoi_station.api.parameters import RunId
 from vaoi_station.api.rest_models import KeptMosaicEntry, MosaicEntry, MosaicList
+from vaoi_station.api.routers import rest_router
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import InputError
 from vaoi_station.files.images import narrowed_jpeg
@@ -92,7 +93,7 @@ class MosaicFile(FileResponse):
 
 def router(services: Services) -> APIRouter:
     """Create the routes for mosaics."""
-    routes = APIRouter(prefix="/runs/{run}/mosaics", tags=["pictures"])
+    routes = rest_router(prefix="/runs/{run}/mosaics", tags=["pictures"])
     mosaics, ask, files = services.coordinator.mosaics, services.commands.ask, FileSeats()
 
     async def tile(request: Request, run: str, picture: str, suffix: str, make: Any) -> Response:

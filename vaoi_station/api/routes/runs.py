@@ -15,6 +15,7 @@ from vaoi_station.api.callers.caller import caller_of
 from vaoi_station.api.http_caching import IMMUTABLE, LIVE, REVALIDATE, conditional_response, require_unchanged
 from vaoi_station.api.parameters import IfMatch, RunId, TimeoutS
 from vaoi_station.api.rest_models import DecisionRequest, IdentityReport, Matrices, RunPage
+from vaoi_station.api.routers import rest_router
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import NotFoundError
 from vaoi_station.model.board_identity import IdentityDocument, ReportedId
@@ -47,7 +48,7 @@ async def run_filter(
 
 def router(services: Services) -> APIRouter:
     """Create the routes for runs. Other modules create those for frames and for component images."""
-    routes = APIRouter(prefix="/runs", tags=["runs"])
+    routes = rest_router(prefix="/runs", tags=["runs"])
     coordinator, ask, kept = services.coordinator, services.commands.ask, services.coordinator.kept
 
     _add_lists(routes, services)

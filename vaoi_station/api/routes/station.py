@@ -12,6 +12,7 @@ from vaoi_station.api.callers.seats import Seats
 from vaoi_station.api.callers.thread_limit import ThreadLimit
 from vaoi_station.api.http_caching import LIVE
 from vaoi_station.api.rest_models import ArmRequest
+from vaoi_station.api.routers import rest_router
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import InputError
 from vaoi_station.runs.run.order import Passing
@@ -24,7 +25,7 @@ Text = Annotated[str | None, Query(max_length=200)]
 
 def router(services: Services) -> APIRouter:
     """Create the routes for the station."""
-    routes = APIRouter(prefix="/station", tags=["station"])
+    routes = rest_router(prefix="/station", tags=["station"])
     coordinator, ask = services.coordinator, services.commands.ask
     # Requests that wait must not take the threads that disarming needs, also when their callers have gone.
     arming, arms = ThreadLimit(ARMING), Seats("requests to arm that wait", ARMING, ARMING_OF_CALLER)

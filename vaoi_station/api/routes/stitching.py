@@ -12,6 +12,7 @@ from fastapi import APIRouter, Request, Response
 from vaoi_station.api.http_caching import LIVE, require_unchanged, tag_of
 from vaoi_station.api.parameters import BoardTypeName, IfMatch
 from vaoi_station.api.rest_models import MethodRequest, TeachRequest
+from vaoi_station.api.routers import rest_router
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import NotFoundError
 from vaoi_station.runs.states.stitching_schemas import ReferenceStatus, StitchingMethod
@@ -21,7 +22,7 @@ Setting = TypeVar("Setting", StitchingMethod, ReferenceStatus)
 
 def router(services: Services) -> APIRouter:
     """Create the routes for references and methods. A change applies from the next arming on."""
-    routes = APIRouter(prefix="/board-types/{name}", tags=["board types"])
+    routes = rest_router(prefix="/board-types/{name}", tags=["board types"])
     coordinator, ask = services.coordinator, services.commands.ask
     # Between the check of If-Match and the change no other caller may change the setting. Teaching copies frames.
     changing, teaching = asyncio.Lock(), asyncio.Lock()

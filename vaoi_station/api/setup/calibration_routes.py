@@ -10,6 +10,7 @@ from fastapi import APIRouter, Query, Response
 from vaoi_station.api.callers.thread_limit import ThreadLimit
 from vaoi_station.api.cameras.trials import CameraTrials
 from vaoi_station.api.http_caching import LIVE
+from vaoi_station.api.routers import rest_router
 from vaoi_station.api.routes.services import Services
 from vaoi_station.api.setup.design import nominal_values_missing
 from vaoi_station.api.setup.found_marks import FoundMarks, MarksRequest, find_marks
@@ -42,7 +43,7 @@ Options = Annotated[ArtworkOptions, Query()]
 
 def router(services: Services, files: StationFiles, camera_trials: CameraTrials) -> APIRouter:
     """Create the routes. All of them need the scope admin."""
-    routes = APIRouter(prefix="/calibration", tags=["setup"])
+    routes = rest_router(prefix="/calibration", tags=["setup"])
     trials, ask = Trials(services.coordinator, files), services.commands.ask
     # One trial at a time, in a thread of its own: commands do not wait for it.
     making, searching = ThreadLimit(1), ThreadLimit(1)

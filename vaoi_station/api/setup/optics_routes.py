@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from fastapi import APIRouter, Query, Response
 
 from vaoi_station.api.http_caching import LIVE
+from vaoi_station.api.routers import rest_router
 from vaoi_station.api.routes.services import Services
 from vaoi_station.api.setup.known_requirements import known_requirements
 from vaoi_station.api.setup.optics_models import KnownRequirements, OpticsPlan, PlanOptions
@@ -27,7 +28,7 @@ Of = Annotated[
 
 def router(services: Services, files: StationFiles) -> APIRouter:
     """Create the routes."""
-    routes, ask = APIRouter(prefix="/optics", tags=["setup"]), services.commands.ask
+    routes, ask = rest_router(prefix="/optics", tags=["setup"]), services.commands.ask
 
     @routes.get("/plan", response_model_exclude_none=True)
     async def plan_optics(response: Response, options: Options) -> OpticsPlan:

@@ -8,6 +8,7 @@ from fastapi import APIRouter, Header, Request, Response
 
 from vaoi_station.api.access.access_control import CHANGED
 from vaoi_station.api.http_caching import LIVE, require_unchanged, tag_of
+from vaoi_station.api.routers import rest_router
 from vaoi_station.api.routes.services import Services
 from vaoi_station.api.setup.settings_file import SettingsFile
 from vaoi_station.api.setup.settings_models import Settings, SettingsChange, SettingsProposal, SettingsSaved
@@ -20,7 +21,7 @@ Tag = Annotated[
 
 def router(services: Services, files: StationFiles) -> APIRouter:
     """Create the routes. All of them need the scope admin."""
-    routes, ask = APIRouter(prefix="/settings", tags=["setup"]), services.commands.ask
+    routes, ask = rest_router(prefix="/settings", tags=["setup"]), services.commands.ask
     file = SettingsFile(files)
 
     @routes.get("", response_model_exclude_none=True)

@@ -13,6 +13,7 @@ from vaoi_station.api.callers.caller import caller_of
 from vaoi_station.api.callers.seats import QueuedSeats
 from vaoi_station.api.callers.thread_limit import ThreadLimit
 from vaoi_station.api.http_caching import LIVE
+from vaoi_station.api.routers import rest_router
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import InputError
 from vaoi_station.runs.states.run_ids import in_utc, utc
@@ -36,7 +37,7 @@ TypeName = Annotated[str | None, Query(description="Name of the board type.", ma
 
 def router(services: Services) -> APIRouter:
     """Create the routes for trends."""
-    routes = APIRouter(prefix="/trends", tags=["runs"])
+    routes = rest_router(prefix="/trends", tags=["runs"])
     history = services.coordinator.kept
     # Reading takes the interpreter's lock for up to a second: one caller at a time, in none of the threads of commands.
     reading = ThreadLimit(1)
