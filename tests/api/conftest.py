@@ -76,6 +76,15 @@ def client(station: HeldStation, push: PushService) -> Iterator[TestClient]:
 
 
 @pytest.fixture(scope="module")
+def untouched_client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
+    """One client for tests that change nothing, over a station that has filmed no board."""
+    push = PushService(tmp_path_factory.mktemp("push") / "receivers", PushConfig(), "test", EventList())
+    app = create_app(HeldStation(), ["testserver"], push=push)
+    with TestClient(app, raise_server_exceptions=False) as client:
+        yield client
+
+
+@pytest.fixture(scope="module")
 def shared_client() -> Iterator[TestClient]:
     """One client for all examples of a property, over a station that has filmed two boards."""
     station = HeldStation()

@@ -26,31 +26,31 @@ CODES = Path(__file__).parents[2] / "docs" / "codes.md"
         ("/web/style.css", "text/css"),
     ],
 )
-def test_pages_are_revalidated(client: Any, path: str, media_type: str) -> None:
-    reply = client.get(path)
+def test_pages_are_revalidated(untouched_client: Any, path: str, media_type: str) -> None:
+    reply = untouched_client.get(path)
     assert reply.status_code == 200
     assert reply.headers["content-type"].startswith(media_type)
     assert reply.headers["cache-control"] == "no-cache"
-    assert client.get(path, headers={"if-none-match": reply.headers["etag"]}).status_code in (200, 304)
+    assert untouched_client.get(path, headers={"if-none-match": reply.headers["etag"]}).status_code in (200, 304)
 
 
 @pytest.mark.parametrize("path", ["/web/", "/web/missing.js", "/web/%2e%2e/problems.py", "/web/..%2fhosts.py"])
-def test_directories_and_files_outside_are_not_served(client: Any, path: str) -> None:
-    assert client.get(path).status_code == 404
+def test_directories_and_files_outside_are_not_served(untouched_client: Any, path: str) -> None:
+    assert untouched_client.get(path).status_code == 404
 
 
 @pytest.mark.parametrize("kind", sorted(KINDS))
-def test_every_problem_kind_is_explained(client: Any, kind: str) -> None:
+def test_every_problem_kind_is_explained(untouched_client: Any, kind: str) -> None:
     status, title, action = KINDS[kind]
-    assert client.get(f"/problems/{kind}").text == f"{title} (HTTP {status}, {kind}).\n{action}\n"
+    assert untouched_client.get(f"/problems/{kind}").text == f"{title} (HTTP {status}, {kind}).\n{action}\n"
 
 
-def test_an_unknown_kind_is_not_found(client: Any) -> None:
-    assert client.get("/problems/unknown").status_code == 404
+def test_an_unknown_kind_is_not_found(untouched_client: Any) -> None:
+    assert untouched_client.get("/problems/unknown").status_code == 404
 
 
-def test_pages_are_not_in_the_openapi_document(client: Any) -> None:
-    paths = client.get("/api/v1/openapi.json").json()["paths"]
+def test_pages_are_not_in_the_openapi_document(untouched_client: Any) -> None:
+    paths = untouched_client.get("/api/v1/openapi.json").json()["paths"]
     assert all(path.startswith("/api/v1/") or path in ("/healthz", "/readyz") for path in paths)
 
 
@@ -69,15 +69,17 @@ def codes_of_boards() -> set[str]:
     return {code for code in codes if not code.startswith(("stitch-", "trigger-"))}
 
 
-def test_the_page_has_an_order_for_every_reason(client: Any) -> None:
+def test_the_page_has_an_order_for_every_reason(untouched_client: Any) -> None:
     """An operator cannot act on a sentence about fiducials or overlaps alone."""
-    groups = re.search(r"const BOARD_GROUPS = {\n(.*?)\n};", client.get("/web/parts/orders.js").text, re.DOTALL)
+    groups = re.search(
+        r"const BOARD_GROUPS = {\n(.*?)\n};", untouched_client.get("/web/parts/orders.js").text, re.DOTALL
+    )
     assert groups
     named = re.findall(r'"([a-z-]+)"', groups[1])
     assert len(named) == len(set(named))
     assert {code.value for code in ReasonCode} | codes_of_boards() <= set(named)
     for language in ("en", "de"):
-        texts = client.get(f"/web/texts/{language}.js").text
+        texts = untouched_client.get(f"/web/texts/{language}.js").text
         orders = re.search(r"  boardOrders: {\n(.*?)\n  }},?".replace("}}", "}"), texts, re.DOTALL)
         assert orders
         assert set(re.findall(r"^    ([a-z]+): ", orders[1], re.MULTILINE)) == set(
@@ -86,8 +88,8 @@ def test_the_page_has_an_order_for_every_reason(client: Any) -> None:
 
 
 @pytest.mark.parametrize("language", ["en", "de"])
-def test_the_page_words_refusals_that_exist(client: Any, language: str) -> None:
-    found = re.search(r"  refusals: {\n(.*?)\n  },", client.get(f"/web/texts/{language}.js").text, re.DOTALL)
+def test_the_page_words_refusals_that_exist(untouched_client: Any, language: str) -> None:
+    found = re.search(r"  refusals: {\n(.*?)\n  },", untouched_client.get(f"/web/texts/{language}.js").text, re.DOTALL)
     assert found
     worded = re.findall(r"^    \"?([a-z-]+)\"?: ", found[1], re.MULTILINE)
     assert len(worded) == len(found[1].splitlines())
@@ -96,28 +98,30 @@ def test_the_page_words_refusals_that_exist(client: Any, language: str) -> None:
 
 
 @pytest.mark.parametrize("language", ["en", "de"])
-def test_every_reason_has_a_short_text(client: Any, language: str) -> None:
-    texts = client.get(f"/web/texts/station/reasons_{language}.js").text
+def test_every_reason_has_a_short_text(untouched_client: Any, language: str) -> None:
+    texts = untouched_client.get(f"/web/texts/station/reasons_{language}.js").text
     reasons = re.findall(r'^  "([a-z-]+)": ".+\."', texts, re.MULTILINE)
     assert len(reasons) == len(set(reasons))
     assert set(reasons) == {code.value for code in ReasonCode} | codes_of("Reasons of a run", "Reasons of an identity")
 
 
-def test_german_pages_translate_only_known_refusals(client: Any) -> None:
+def test_german_pages_translate_only_known_refusals(untouched_client: Any) -> None:
     found = re.search(
-        r"^  refusals: {\n(.*?)^  },", client.get("/web/texts/translated_de.js").text, re.MULTILINE | re.DOTALL
+        r"^  refusals: {\n(.*?)^  },",
+        untouched_client.get("/web/texts/translated_de.js").text,
+        re.MULTILINE | re.DOTALL,
     )
     assert found
     assert set(re.findall(r'^    "?([a-z-]+)"?: "', found[1], re.MULTILINE)) <= codes_of("Refusals of requests")
 
 
-def test_german_pages_translate_every_finding_of_the_doctor(client: Any) -> None:
+def test_german_pages_translate_every_finding_of_the_doctor(untouched_client: Any) -> None:
     sections = ("Reasons, warnings and events of the station", "Devices and files", "Findings of `vaoi doctor`")
-    texts = [client.get(f"/web/texts/station/{name}_de.js").text for name in ("warnings", "findings")]
+    texts = [untouched_client.get(f"/web/texts/station/{name}_de.js").text for name in ("warnings", "findings")]
     assert {code for text in texts for code in re.findall(r'^  "?([a-z0-9-]+)"?: \[', text, re.MULTILINE)} == codes_of(
         *sections
     )
-    translated = client.get("/web/texts/translated_de.js").text
+    translated = untouched_client.get("/web/texts/translated_de.js").text
     checks = re.search(r"^  checks: {\n(.*?)^  },", translated, re.MULTILINE | re.DOTALL)
     assert checks
     named = {name for name, _ in (*MACHINE_CHECKS, *STATION_CHECKS)} | {"configuration", "others"}
@@ -132,6 +136,6 @@ def test_german_pages_translate_every_finding_of_the_doctor(client: Any) -> None
         ("program", "Faults of a light program"),
     ],
 )
-def test_german_pages_translate_every_note(client: Any, file: str, section: str) -> None:
-    texts = client.get(f"/web/texts/station/{file}_de.js").text
+def test_german_pages_translate_every_note(untouched_client: Any, file: str, section: str) -> None:
+    texts = untouched_client.get(f"/web/texts/station/{file}_de.js").text
     assert set(re.findall(r'^  "([a-z-]+)": \(', texts, re.MULTILINE)) == codes_of(section)

@@ -65,29 +65,31 @@ REFUSALS = [
 
 
 @pytest.mark.parametrize(("method", "path", "status", "code", "detail"), REFUSALS)
-def test_refusals(client: Any, method: str, path: str, status: int, code: str, detail: str) -> None:
-    assert detail in problem(client.request(method, path), status, code)["detail"]
+def test_refusals(untouched_client: Any, method: str, path: str, status: int, code: str, detail: str) -> None:
+    assert detail in problem(untouched_client.request(method, path), status, code)["detail"]
 
 
 PLACES = {"run": "r000001", "camera": 0, "row": 0, "ref": "U1", "k": 0, "name": "demo-board", "picture": "board"}
 PLACES |= {"level": 9, "column": 0, "suffix": "jpg", "region": "full", "size": "9,9", "file": "x", "revision": "x"}
 
 
-def test_allow_names_every_method_of_every_address(client: Any) -> None:
+def test_allow_names_every_method_of_every_address(untouched_client: Any) -> None:
     """Each method of an address has a route of its own; Starlette would name the methods of the first one."""
-    for path, operations in client.get(f"{API}/openapi.json").json()["paths"].items():
+    for path, operations in untouched_client.get(f"{API}/openapi.json").json()["paths"].items():
         takes = {method.upper() for method in operations}
         takes |= {"HEAD"} if "GET" in takes and not path.endswith("/events") else set()
         for method in ("GET", "POST", "PUT", "DELETE", "PATCH", "OPTIONS"):
             if method not in takes:
-                answer = client.request(method, re.sub(r"{(\w+)}", lambda m: str(PLACES.get(m[1], "0")), path))
+                answer = untouched_client.request(
+                    method, re.sub(r"{(\w+)}", lambda m: str(PLACES.get(m[1], "0")), path)
+                )
                 detail = problem(answer, 405, "wrong-method")["detail"]
                 assert answer.headers["allow"] == ", ".join(sorted(takes)), (method, path)
                 assert detail.endswith(f"does not take {method}, only {answer.headers['allow']}.")
 
 
-def test_allow_of_a_file_of_the_page(client: Any) -> None:
-    answer = client.delete("/web/app.js")
+def test_allow_of_a_file_of_the_page(untouched_client: Any) -> None:
+    answer = untouched_client.delete("/web/app.js")
     problem(answer, 405, "wrong-method")
     assert answer.headers["allow"] == "GET, HEAD"
 
@@ -130,22 +132,22 @@ def test_an_unexpected_error_does_not_reveal_details(
     assert incident in caplog.text
 
 
-def test_every_invalid_field_is_named(client: Any) -> None:
+def test_every_invalid_field_is_named(untouched_client: Any) -> None:
     body = {"name": "x", "components": [{"ref": "U1", "center": [0], "width": -1, "height": 1}], "nonsense": 1}
-    content = problem(client.put(f"{API}/board-types/x", json=body), 422, "invalid-input")
+    content = problem(untouched_client.put(f"{API}/board-types/x", json=body), 422, "invalid-input")
     where = {fault["where"] for fault in content["errors"]}
     assert {"body.components.0.center.1", "body.components.0.width"} <= where
     assert "(given: -1)" in str(content["errors"])
 
 
 @pytest.mark.parametrize("body", [b"{", b"[1,", b"nonsense", b"\xff\xfe", b"[" * 20_000])
-def test_a_body_that_is_not_json_is_refused(client: Any, body: bytes) -> None:
-    problem(client.post(f"{API}/station/arm", content=body), 400, "malformed")
+def test_a_body_that_is_not_json_is_refused(untouched_client: Any, body: bytes) -> None:
+    problem(untouched_client.post(f"{API}/station/arm", content=body), 400, "malformed")
 
 
 @pytest.mark.parametrize("body", ["[]", '"demo-board"', "3"])
-def test_a_body_that_is_not_an_object_is_refused(client: Any, body: str) -> None:
-    problem(client.post(f"{API}/station/arm", content=body), 422, "invalid-input")
+def test_a_body_that_is_not_an_object_is_refused(untouched_client: Any, body: str) -> None:
+    problem(untouched_client.post(f"{API}/station/arm", content=body), 422, "invalid-input")
 
 
 def test_a_second_arm_while_a_board_passes(client: Any, station: Any) -> None:
@@ -157,5 +159,5 @@ def test_a_second_arm_while_a_board_passes(client: Any, station: Any) -> None:
 
 
 @pytest.mark.parametrize("code", list(KINDS))
-def test_problem_types_are_explained(client: Any, code: str) -> None:
-    assert KINDS[code][2] in client.get(f"/problems/{code}").text
+def test_problem_types_are_explained(untouched_client: Any, code: str) -> None:
+    assert KINDS[code][2] in untouched_client.get(f"/problems/{code}").text

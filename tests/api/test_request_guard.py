@@ -31,8 +31,8 @@ def test_json_is_accepted_with_any_content_type(client: Any, content_type: str |
 
 
 @pytest.mark.parametrize("path", ["/", "/docs", "/healthz", "/api/v1/station", "/nowhere", "/web/app.js"])
-def test_pages_may_load_nothing_from_other_sites(client: Any, path: str) -> None:
-    headers = client.get(path).headers
+def test_pages_may_load_nothing_from_other_sites(untouched_client: Any, path: str) -> None:
+    headers = untouched_client.get(path).headers
     assert "default-src 'self'" in headers["content-security-policy"]
     assert headers["x-content-type-options"] == "nosniff"
 
@@ -49,23 +49,23 @@ def test_commands_from_the_stations_page_and_from_programs_are_accepted(client: 
     assert client.post(ARM, content=ORDER, headers=headers).status_code == 200
 
 
-def test_other_sites_without_an_origin_are_refused_by_sec_fetch_site(client: Any) -> None:
-    assert client.post(ARM, content=ORDER, headers={"sec-fetch-site": "cross-site"}).status_code == 403
+def test_other_sites_without_an_origin_are_refused_by_sec_fetch_site(untouched_client: Any) -> None:
+    assert untouched_client.post(ARM, content=ORDER, headers={"sec-fetch-site": "cross-site"}).status_code == 403
 
 
-def test_bodies_are_limited_with_and_without_content_length(client: Any) -> None:
+def test_bodies_are_limited_with_and_without_content_length(untouched_client: Any) -> None:
     def drops() -> Iterator[bytes]:
         for _ in range(MAX_BODY_BYTES // 65536 + 1):
             yield b" " * 65536
 
     for body in (b" " * (MAX_BODY_BYTES + 1), drops()):
-        answer = client.put("/api/v1/board-types/x", content=body)
+        answer = untouched_client.put("/api/v1/board-types/x", content=body)
         assert (answer.status_code, answer.json()["code"]) == (413, "too-large")
         assert str(MAX_BODY_BYTES) in answer.json()["detail"]
 
 
-def test_a_huge_content_length_is_refused(client: Any) -> None:
-    answer = client.put("/api/v1/board-types/x", content=b"{}", headers={"content-length": "9" * 5000})
+def test_a_huge_content_length_is_refused(untouched_client: Any) -> None:
+    answer = untouched_client.put("/api/v1/board-types/x", content=b"{}", headers={"content-length": "9" * 5000})
     assert answer.status_code == 413
 
 
@@ -95,8 +95,8 @@ def test_unknown_host_names_are_refused(client: Any, station: Any, host: str) ->
         "",
     ],
 )
-def test_addresses_and_station_names_are_accepted(client: Any, host: str) -> None:
-    assert client.get("/api/v1/station", headers={"host": host}).status_code == 200
+def test_addresses_and_station_names_are_accepted(untouched_client: Any, host: str) -> None:
+    assert untouched_client.get("/api/v1/station", headers={"host": host}).status_code == 200
 
 
 def test_a_repeated_key_is_refused(client: Any, station: Any) -> None:
@@ -136,41 +136,41 @@ def test_a_slow_body_is_refused() -> None:
 
 
 @pytest.mark.parametrize("path", ["/", "/healthz", "/api/v1/station", "/api/v1/board-types/demo-board", "/nowhere"])
-def test_head_is_get_without_its_body(client: Any, path: str) -> None:
-    full, head = client.get(path), client.head(path)
+def test_head_is_get_without_its_body(untouched_client: Any, path: str) -> None:
+    full, head = untouched_client.get(path), untouched_client.head(path)
     assert head.content == b""
     assert head.status_code == full.status_code
     assert head.headers["content-type"] == full.headers["content-type"]
     assert head.headers.get("etag") == full.headers.get("etag")
 
 
-def test_head_of_the_event_stream_is_refused(client: Any) -> None:
-    assert client.head("/api/v1/events").status_code == 405
+def test_head_of_the_event_stream_is_refused(untouched_client: Any) -> None:
+    assert untouched_client.head("/api/v1/events").status_code == 405
 
 
 @pytest.mark.parametrize(
     "path", ["/api/v1/runs/x/components/U1/images/0?px_per_mm=900", "/api/v1/runs", "/api/v1/events"]
 )
-def test_pictures_on_foreign_pages_are_refused(client: Any, path: str) -> None:
+def test_pictures_on_foreign_pages_are_refused(untouched_client: Any, path: str) -> None:
     """An <img> of a foreign page needs no permission, and would let the station render for every visitor."""
     image = {"sec-fetch-site": "cross-site", "sec-fetch-mode": "no-cors", "sec-fetch-dest": "image"}
-    answer = client.get(f"/api/v1/{path}", headers=image)
+    answer = untouched_client.get(f"/api/v1/{path}", headers=image)
     assert (answer.status_code, answer.json()["code"]) == (403, "foreign-origin")
     assert answer.headers["cross-origin-resource-policy"] == "same-origin"
 
 
 @pytest.mark.parametrize("missing", ["sec-fetch-mode", "sec-fetch-dest", "sec-fetch-user"])
-def test_a_link_that_a_person_follows_is_accepted(client: Any, missing: str) -> None:
+def test_a_link_that_a_person_follows_is_accepted(untouched_client: Any, missing: str) -> None:
     link = {
         "sec-fetch-site": "cross-site",
         "sec-fetch-mode": "navigate",
         "sec-fetch-dest": "document",
         "sec-fetch-user": "?1",
     }
-    assert client.get("/api/v1/station", headers=link).status_code == 200
+    assert untouched_client.get("/api/v1/station", headers=link).status_code == 200
     del link[missing]
-    assert client.get("/api/v1/station", headers=link).status_code == 403
-    assert client.get("/", headers=link).status_code == 200
+    assert untouched_client.get("/api/v1/station", headers=link).status_code == 403
+    assert untouched_client.get("/", headers=link).status_code == 200
 
 
 def test_a_body_with_two_lengths_is_refused_and_the_connection_closed(served: Any) -> None:
@@ -187,8 +187,8 @@ def test_a_body_with_two_lengths_is_refused_and_the_connection_closed(served: An
     assert answer.count(b"HTTP/1.1") == 1
 
 
-def test_commands_have_short_bodies(client: Any) -> None:
-    answer = client.post(ARM, content=b" " * 70_000)
+def test_commands_have_short_bodies(untouched_client: Any) -> None:
+    answer = untouched_client.post(ARM, content=b" " * 70_000)
     assert (answer.status_code, answer.json()["code"]) == (413, "too-large")
 
 
