@@ -6,10 +6,12 @@ import re
 from typing import Any
 
 import pytest
+from fastapi import FastAPI
 from fastapi.testclient import TestClient
 from pydantic import TypeAdapter, ValidationError
 
 from vaoi_station.api import parameters as p
+from vaoi_station.api import problems
 from vaoi_station.errors import InputError
 
 
@@ -108,3 +110,20 @@ def test_a_box_is_four_numbers(text: str) -> None:
     assert p.parse_box("within", None) is None
     with pytest.raises(InputError, match=r"within is .*must be four numbers x0,y0,x1,y1"):
         p.parse_box("within", text)
+
+
+def test_routes_have_their_address_their_checks_and_a_stable_name() -> None:
+    routes = p.rest_router("/boards", ["boards"])
+
+    @routes.get("/{board}")
+    async def get_board(board: str) -> str:
+        return board
+
+    app = FastAPI()
+    problems.install(app)
+    app.router.routes.extend(routes.routes)
+    client = TestClient(app)
+    assert client.get("/api/v1/boards/b-1").json() == "b-1"
+    assert client.get("/api/v1/boards/b-1?colour=red").status_code == 422
+    operation = app.openapi()["paths"]["/api/v1/boards/{board}"]["get"]
+    assert (operation["operationId"], operation["tags"]) == ("get_board", ["boards"])

@@ -21,11 +21,10 @@ from vaoi_station.api.event_hub import EventHub
 from vaoi_station.api.hosts import allowed_names
 from vaoi_station.api.inspection import routes as inspection
 from vaoi_station.api.lighting import routes as lighting
-from vaoi_station.api.parameters import refuse_unknown_parameters
+from vaoi_station.api.parameters import operation_id, refuse_unknown_parameters
 from vaoi_station.api.receivers import routes as webhooks
 from vaoi_station.api.request_guard import RequestGuard
 from vaoi_station.api.rest_models import Health
-from vaoi_station.api.routers import operation_id
 from vaoi_station.api.routes import (
     board_types,
     calibration,

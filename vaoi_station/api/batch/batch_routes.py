@@ -14,9 +14,8 @@ from vaoi_station.api.callers.caller import caller_of
 from vaoi_station.api.callers.seats import QueuedSeats
 from vaoi_station.api.images.image_queries import Wanted
 from vaoi_station.api.images.view_entries import picture_query
-from vaoi_station.api.parameters import RunId, parse_box
+from vaoi_station.api.parameters import RunId, parse_box, rest_router
 from vaoi_station.api.request_guard import is_head
-from vaoi_station.api.routers import rest_router
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import InputError
 from vaoi_station.runs.batches.batch_job import CutPart

@@ -10,9 +10,8 @@ from fastapi import APIRouter, Depends, Query, Request, Response
 
 from vaoi_station.api.callers.thread_limit import ThreadLimit
 from vaoi_station.api.http_caching import LIVE, REVALIDATE, conditional_response, require_unchanged
-from vaoi_station.api.parameters import BoardTypeName, IfMatch, RunId
+from vaoi_station.api.parameters import BoardTypeName, IfMatch, RunId, rest_router
 from vaoi_station.api.rest_models import CorrectionRequest
-from vaoi_station.api.routers import rest_router
 from vaoi_station.api.routes.services import Services
 from vaoi_station.board_check.report import BoardCheck
 from vaoi_station.model import BoardType

@@ -15,8 +15,7 @@ from vaoi_station.api.cameras.models import CameraFrame, CameraTrialFrame, Camer
 from vaoi_station.api.cameras.newest_frames import NewestFrames
 from vaoi_station.api.cameras.trials import CameraTrials
 from vaoi_station.api.http_caching import LIVE
-from vaoi_station.api.parameters import Camera
-from vaoi_station.api.routers import rest_router
+from vaoi_station.api.parameters import Camera, rest_router
 from vaoi_station.api.routes.services import Services
 
 EXAMINATIONS, EXAMINATIONS_OF_CALLER = 32, 8

@@ -5,8 +5,7 @@ from __future__ import annotations
 from fastapi import APIRouter, Request, Response
 
 from vaoi_station.api.http_caching import IMMUTABLE, conditional_response
-from vaoi_station.api.parameters import RunId
-from vaoi_station.api.routers import rest_router
+from vaoi_station.api.parameters import RunId, rest_router
 from vaoi_station.api.routes.services import Services
 from vaoi_station.runs.states.overlay_schemas import RunOverlay
 from vaoi_station.runs.states.timeline_schemas import Timeline

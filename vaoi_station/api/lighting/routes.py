@@ -6,8 +6,7 @@ from fastapi import APIRouter, Response
 
 from vaoi_station.api.http_caching import LIVE
 from vaoi_station.api.lighting.models import ProgramRequest
-from vaoi_station.api.parameters import BoardTypeName
-from vaoi_station.api.routers import rest_router
+from vaoi_station.api.parameters import BoardTypeName, rest_router
 from vaoi_station.api.routes.services import Services
 from vaoi_station.runs.lighting.program_schemas import ProgramCheck
 

@@ -9,7 +9,7 @@ from typing import Annotated, TypeVar
 from fastapi import APIRouter, Path, Query, Request, Response
 
 from vaoi_station.api.http_caching import LIVE, require_unchanged, tag_of
-from vaoi_station.api.parameters import IfMatch
+from vaoi_station.api.parameters import IfMatch, rest_router
 from vaoi_station.api.receivers.models import (
     DeadLetterList,
     DeliveryResult,
@@ -21,7 +21,6 @@ from vaoi_station.api.receivers.models import (
     letters_of,
     result_of,
 )
-from vaoi_station.api.routers import rest_router
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import BusyError, NotFoundError
 from vaoi_station.push.push_service import PushService, Webhook

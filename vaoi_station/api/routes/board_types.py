@@ -11,9 +11,8 @@ from pydantic import ValidationError
 
 from vaoi_station.api.callers.thread_limit import ThreadLimit
 from vaoi_station.api.http_caching import LIVE, REVALIDATE, conditional_response, require_unchanged
-from vaoi_station.api.parameters import BoardTypeName, IfMatch, IfNoneMatch, Revision
+from vaoi_station.api.parameters import BoardTypeName, IfMatch, IfNoneMatch, Revision, rest_router
 from vaoi_station.api.rest_models import BoardTypeList, BoardTypeVersions, StateRequest
-from vaoi_station.api.routers import rest_router
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import InputError, NotFoundError, VaoiError
 from vaoi_station.model import BoardType

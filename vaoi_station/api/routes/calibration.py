@@ -5,7 +5,7 @@ from __future__ import annotations
 from fastapi import APIRouter, Response
 
 from vaoi_station.api.http_caching import LIVE
-from vaoi_station.api.routers import rest_router
+from vaoi_station.api.parameters import rest_router
 from vaoi_station.api.routes.services import Services
 from vaoi_station.runs.states.calibration_schemas import CalibrationStatus
 

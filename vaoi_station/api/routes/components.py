@@ -12,9 +12,8 @@ from vaoi_station.api.http_caching import IMMUTABLE, LIVE, REVALIDATE, condition
 from vaoi_station.api.images.image_queries import Wanted
 from vaoi_station.api.images.route_without_query import RouteWithoutQuery
 from vaoi_station.api.images.view_entries import covariances, picture_query, view_entry
-from vaoi_station.api.parameters import Address, FormatName, RunId
+from vaoi_station.api.parameters import Address, FormatName, RunId, rest_router
 from vaoi_station.api.rest_models import ComponentEntry, ComponentList, ComponentViews
-from vaoi_station.api.routers import rest_router
 from vaoi_station.api.routes.frames import PICTURE, Accept
 from vaoi_station.api.routes.services import Services
 from vaoi_station.rendering import ImageRequest

@@ -11,8 +11,8 @@ from fastapi.sse import EventSourceResponse, ServerSentEvent
 
 from vaoi_station.api.access.access_control import still_known
 from vaoi_station.api.callers.caller import caller_of
+from vaoi_station.api.parameters import rest_router
 from vaoi_station.api.rest_models import Heartbeat
-from vaoi_station.api.routers import rest_router
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import InputError
 from vaoi_station.runs.states.schemas import EventRecord

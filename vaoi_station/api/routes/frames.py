@@ -9,8 +9,7 @@ from fastapi import APIRouter, Depends, Header, Query, Request, Response
 from vaoi_station.api.encoders import MEDIA_TYPES, choose_format, encode_image
 from vaoi_station.api.http_caching import conditional_response
 from vaoi_station.api.images.byte_ranges import part_of
-from vaoi_station.api.parameters import Camera, FormatName, Row, RunId
-from vaoi_station.api.routers import rest_router
+from vaoi_station.api.parameters import Camera, FormatName, Row, RunId, rest_router
 from vaoi_station.api.routes.services import Services
 
 Accept = Annotated[str | None, Header(max_length=500)]

@@ -11,8 +11,8 @@ from vaoi_station.api.access.access_control import AccessControl, session_token
 from vaoi_station.api.access.sessions import COOKIE, SESSION_S
 from vaoi_station.api.callers.caller import caller_of
 from vaoi_station.api.http_caching import LIVE
+from vaoi_station.api.parameters import rest_router
 from vaoi_station.api.problems import problem_response
-from vaoi_station.api.routers import rest_router
 from vaoi_station.api.routes.services import Services
 from vaoi_station.files.access_keys import AccessKey, KeyName, NewKey, Scope
 

@@ -10,9 +10,8 @@ from pydantic import Field
 
 from vaoi_station.api.encoders import MEDIA_TYPES, ImageFormat, choose_format, raw_from_npy
 from vaoi_station.api.http_caching import REVALIDATE, conditional_response
-from vaoi_station.api.parameters import FOR_CACHES, FormatName, PxPerMm, RunId, parse_box
+from vaoi_station.api.parameters import FOR_CACHES, FormatName, PxPerMm, RunId, parse_box, rest_router
 from vaoi_station.api.rest_models import Matrix3
-from vaoi_station.api.routers import rest_router
 from vaoi_station.api.routes.components import RENDERED_AS
 from vaoi_station.api.routes.frames import PICTURE, Accept
 from vaoi_station.api.routes.services import Services

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from fastapi import APIRouter, Response
 
 from vaoi_station.api.http_caching import LIVE
-from vaoi_station.api.routers import rest_router
+from vaoi_station.api.parameters import rest_router
 from vaoi_station.api.routes.services import Services
 from vaoi_station.push.delivery import Delivery
 from vaoi_station.runs.archive.run_statistics import LATENCY_BOUNDS_S, RunFigures

@@ -17,9 +17,8 @@ from starlette.types import Receive, Scope, Send
 
 from vaoi_station.api.callers.picture_seats import FileSeats
 from vaoi_station.api.http_caching import IMMUTABLE, REVALIDATE, conditional_response
-from vaoi_station.api.parameters import RunId
+from vaoi_station.api.parameters import RunId, rest_router
 from vaoi_station.api.rest_models import KeptMosaicEntry, MosaicEntry, MosaicList
-from vaoi_station.api.routers import rest_router
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import InputError
 from vaoi_station.files.images import narrowed_jpeg

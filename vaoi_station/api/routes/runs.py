@@ -13,9 +13,8 @@ from pydantic import AwareDatetime
 
 from vaoi_station.api.callers.caller import caller_of
 from vaoi_station.api.http_caching import IMMUTABLE, LIVE, REVALIDATE, conditional_response, require_unchanged
-from vaoi_station.api.parameters import IfMatch, RunId, TimeoutS
+from vaoi_station.api.parameters import IfMatch, RunId, TimeoutS, rest_router
 from vaoi_station.api.rest_models import DecisionRequest, IdentityReport, Matrices, RunPage
-from vaoi_station.api.routers import rest_router
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import NotFoundError
 from vaoi_station.model.board_identity import IdentityDocument, ReportedId

@@ -11,8 +11,8 @@ from vaoi_station.api.callers.caller import caller_of
 from vaoi_station.api.callers.seats import Seats
 from vaoi_station.api.callers.thread_limit import ThreadLimit
 from vaoi_station.api.http_caching import LIVE
+from vaoi_station.api.parameters import rest_router
 from vaoi_station.api.rest_models import ArmRequest
-from vaoi_station.api.routers import rest_router
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import InputError
 from vaoi_station.runs.run.order import Passing

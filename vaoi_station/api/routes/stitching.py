@@ -10,9 +10,8 @@ from urllib.parse import quote
 from fastapi import APIRouter, Request, Response
 
 from vaoi_station.api.http_caching import LIVE, require_unchanged, tag_of
-from vaoi_station.api.parameters import BoardTypeName, IfMatch
+from vaoi_station.api.parameters import BoardTypeName, IfMatch, rest_router
 from vaoi_station.api.rest_models import MethodRequest, TeachRequest
-from vaoi_station.api.routers import rest_router
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import NotFoundError
 from vaoi_station.runs.states.stitching_schemas import ReferenceStatus, StitchingMethod

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from fastapi import APIRouter, Query, Response
 
 from vaoi_station.api.http_caching import LIVE
-from vaoi_station.api.routers import rest_router
+from vaoi_station.api.parameters import rest_router
 from vaoi_station.api.routes.services import Services
 from vaoi_station.api.setup.known_requirements import known_requirements
 from vaoi_station.api.setup.optics_models import KnownRequirements, OpticsPlan, PlanOptions

@@ -8,7 +8,7 @@ from fastapi import APIRouter, Header, Request, Response
 
 from vaoi_station.api.access.access_control import CHANGED
 from vaoi_station.api.http_caching import LIVE, require_unchanged, tag_of
-from vaoi_station.api.routers import rest_router
+from vaoi_station.api.parameters import rest_router
 from vaoi_station.api.routes.services import Services
 from vaoi_station.api.setup.settings_file import SettingsFile
 from vaoi_station.api.setup.settings_models import Settings, SettingsChange, SettingsProposal, SettingsSaved
