@@ -124,6 +124,12 @@ def test_scale_at_is_the_root_of_the_area_ratio(n: Projective, p: tuple[float, f
     assert n.scale_at(p) == pytest.approx(math.sqrt(abs(ax * by - ay * bx)) / e, rel=1e-4)
 
 
+@given(homographies, shifts)
+def test_scale_onto_a_point_is_the_scale_at_its_source(n: Projective, p: tuple[float, float]) -> None:
+    x, y = n(p).tolist()
+    assert n.scale_onto((x, y)) == pytest.approx(n.scale_at(p), rel=1e-6)
+
+
 @pytest.mark.parametrize("bad", [np.eye(2), np.full((3, 3), np.nan), np.diag([1, 1, np.inf])])
 def test_a_matrix_that_is_not_finite_is_refused(bad: np.ndarray) -> None:
     with pytest.raises(InternalError, match="image_from_row is not a finite 3×3 matrix"):

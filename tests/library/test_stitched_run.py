@@ -108,6 +108,18 @@ def test_images_are_chosen_by_their_options(stitched: vaoi.StitchedRun) -> None:
         stitched.component("U1", light="left")
 
 
+def test_the_pictures_of_all_components_are_those_of_each(stitched: vaoi.StitchedRun) -> None:
+    pictures = stitched.all_pictures(min_coverage=0.3)
+    assert tuple(pictures) == stitched.refs
+    for ref, found in pictures.items():
+        expected = [image.pixels for image in stitched.component(ref, min_coverage=0.3)]
+        assert len(found) == len(expected)
+        assert all(np.array_equal(a, b) for a, b in zip(found, expected, strict=True))
+    assert stitched.all_pictures(px_per_mm=4.0)["U1"][0].shape < pictures["U1"][0].shape
+    with pytest.raises(vaoi.InputError, match="px_per_mm"):
+        stitched.all_pictures(px_per_mm=-1.0)
+
+
 def test_an_unknown_component_is_refused_with_known_ones(stitched: vaoi.StitchedRun) -> None:
     with pytest.raises(vaoi.NotFoundError, match=r"no component 'U999'\. It has "):
         stitched.component("U999")
@@ -167,6 +179,9 @@ def test_frames_that_never_arrived_give_no_images(recording: vaoi.RecordedRun, t
         for image in run.component(ref):
             assert (image.camera, image.row) != (0, 3)
             assert image.pixels.size
+    assert {ref: len(found) for ref, found in run.all_pictures().items()} == {
+        ref: len(run.component(ref)) for ref in run.refs
+    }
 
 
 @pytest.mark.parametrize(("camera", "row"), [(-1, 0), (9, 0), (0, -1), (0, 99), ("0", 0), (0.5, 0)])

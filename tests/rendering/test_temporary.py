@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from vaoi_station.rendering import compute_views, render
+from vaoi_station.rendering import ViewCalculator, compute_views, render, render_all
 
 BENT = (0.012, 0.001)
 
@@ -85,6 +85,29 @@ def test_pictures_have_the_pixel_type_of_the_frame(make: Any, lens: Any, channel
     assert picture.dtype == dtype
     assert picture.shape == (view.height, view.width, *channels)
     assert (picture == frame[0, 0]).all()
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("channels", [(), (3,)])
+@pytest.mark.parametrize("lens", [(), BENT])
+def test_pictures_of_many_views_are_those_of_each(make: Any, lens: Any, channels: Any, dtype: Any) -> None:
+    s = make(lens=lens)
+    table = ViewCalculator(s.board_type, s.stitch, s.cameras).compute_all(s.board_type.components, min_coverage=0.3)
+    views = [view for of_part in table.values() for view in of_part]
+    random, most = np.random.default_rng(5), np.iinfo(dtype).max
+    keys = sorted({(view.camera, view.row) for view in views})[1:]
+    frames = {key: random.integers(0, most, (180, 240, *channels)).astype(dtype) for key in keys}
+    pictures = render_all(table, lambda i, j: frames.get((i, j)))
+    assert len(pictures) == len(views)
+    missing = [n for n, view in enumerate(views) if (view.camera, view.row) not in frames]
+    assert missing
+    for n, (view, picture) in enumerate(zip(views, pictures, strict=True)):
+        if n in missing:
+            assert picture is None
+        else:
+            assert picture is not None
+            assert picture.dtype == dtype
+            assert np.array_equal(picture, render(view, frames[view.camera, view.row]))
 
 
 def test_what_lies_outside_the_frame_is_black(make: Any) -> None:

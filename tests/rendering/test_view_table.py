@@ -43,3 +43,16 @@ def test_views_in_some_frames_are_counted(make: Any) -> None:
     assert table.counts_in(some) == {address: n for address, n in expected.items() if n}
     assert sum(table.counts_in(everywhere).values()) == len(table.columns.component)
     assert table.counts_in(set()) == {}
+
+
+def test_views_are_collected_by_frame(make: Any) -> None:
+    s = make()
+    table = ViewCalculator(s.board_type, s.stitch, s.cameras).compute_all(s.board_type.components)
+    order, begins = table.by_frame()
+    assert sorted(order.tolist()) == [*range(len(table.columns.key))]
+    ends = [*begins[1:], len(order)]
+    keys = [{tuple(key) for key in table.columns.key[order[a:b]].tolist()} for a, b in zip(begins, ends, strict=True)]
+    assert all(len(own) == 1 for own in keys)
+    assert len(set.union(*keys)) == len(keys)
+    nothing = ViewCalculator(s.board_type, s.stitch, s.cameras).compute_all([])
+    assert nothing.by_frame()[1] == []

@@ -23,7 +23,7 @@ from vaoi_station.heights.estimates import measure_heights
 from vaoi_station.model import Stitch
 from vaoi_station.photometry import FieldMaps, NoiseModel, Taken
 from vaoi_station.pixel_formats import eight_bit_grey
-from vaoi_station.rendering import View, ViewCalculator, render
+from vaoi_station.rendering import View, ViewCalculator, render, render_all
 from vaoi_station.stitching.baseline import paper_features as paper
 from vaoi_station.stitching.matching.evidence import Evidence
 from vaoi_station.stitching.work import TaskRunner, all_tasks
@@ -172,9 +172,7 @@ def _rendering(board: BenchmarkBoard, stitch: Stitch, repetitions: int) -> tuple
 
     def ours() -> int:
         views = ViewCalculator(board.board_type, stitch, cameras).compute_all(board.board_type.components)
-        for view in chain.from_iterable(views.values()):
-            render(view, board.frames[view.camera, view.row])
-        return sum(map(len, views.values()))
+        return len(render_all(views, lambda i, j: board.frames.get((i, j))))
 
     views = ViewCalculator(board.board_type, stitch, cameras).compute_all(board.board_type.components)
     # Collected beforehand: only the warps are timed.

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vaoi_station.geometry.lens import Lens
-from vaoi_station.geometry.transforms import Floats, Projective, System, apply
+from vaoi_station.geometry.transforms import Floats, Projective, System
 
 _BORDER_POINTS = 9
 """Number of sampled points per side of the frame, from which the bounding box of the view is computed."""
@@ -49,7 +49,7 @@ class Camera:
     @cached_property
     def px_per_mm(self) -> float:
         """Resolution at the centre of the frame, the paper's r."""
-        return self.image_from_row.scale_at(self.row_from_image(self.center_px))
+        return self.image_from_row.scale_onto(self.center_px)
 
     @property
     def center_px(self) -> tuple[float, float]:
@@ -65,7 +65,7 @@ class Camera:
         """
         if self.working_distance_mm is None:
             return self.row_from_image(self.center_px)
-        return _foot_of(self.image_from_row.matrix, self.principal_point_px or self.center_px, self.working_distance_mm)
+        return _foot_of(self.image_from_row, self.principal_point_px or self.center_px, self.working_distance_mm)
 
     def ground(self, raw_px: ArrayLike, height_mm: ArrayLike = 0.0) -> Floats:
         """Project raw pixels (..., 2) to points (..., 2) in mm, `height_mm` above the calibrated plane."""
@@ -163,15 +163,14 @@ def _flatten_pairs(points: ArrayLike, height: ArrayLike) -> tuple[Floats, Floats
     return np.ascontiguousarray(p).reshape(-1, 2), np.ascontiguousarray(h).reshape(-1), np.empty(p.shape)
 
 
-def _foot_of(n: Floats, principal_point_px: tuple[float, float], distance_mm: float) -> Floats:
+def _foot_of(image_from_row: Projective, principal_point_px: tuple[float, float], distance_mm: float) -> Floats:
     """Compute the camera's foot (2,), mm, from its homography, principal point and working distance.
 
     A fixed-point iteration finds the focal length that fits the distance.
     """
     x, y = principal_point_px
-    middle = apply(np.linalg.inv(n), (x, y))
-    f = Projective(n, System.IMAGE, System.ROW).scale_at(middle) * distance_mm
-    (ax, bx, cx), (ay, by, cy), (az, bz, cz) = n.tolist()
+    f = image_from_row.scale_onto(principal_point_px) * distance_mm
+    (ax, bx, cx), (ay, by, cy), (az, bz, cz) = image_from_row.matrix.tolist()
     foot = (0.0, 0.0)
     # The distance is proportional to the focal length, except for the small tilt. So five iterations converge.
     for _ in range(_FOOT_ITERATIONS):

@@ -41,10 +41,10 @@ class Surface(FrozenModel):
     def height_mm(self, cad: NDArray[np.float64]) -> NDArray[np.float64]:
         """Compute the height (…,) of the board's surface at CAD points (…, 2)."""
         # The polynomial is estimated for |u|, |v| ≤ 1. Beyond 1.2 it is constant, as its squares would grow too large.
-        at = np.clip((np.asarray(cad) - self.about) / self.half_span, -1.2, 1.2)
+        at = np.minimum(np.maximum((np.asarray(cad) - self.about) / self.half_span, -1.2), 1.2)
         u, v = at[..., 0], at[..., 1]
-        terms = (*self.tilt_mm, *self.bow_mm)
-        return np.asarray(self.lift_mm + sum(c * b for c, b in zip(terms, (u, v, u * u, u * v, v * v), strict=True)))
+        (a, b), (c, d, e) = self.tilt_mm, self.bow_mm
+        return np.asarray(self.lift_mm + a * u + b * v + c * u * u + d * u * v + e * v * v)
 
 
 class Stitch(FrozenModel):

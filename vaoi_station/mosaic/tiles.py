@@ -157,10 +157,10 @@ def _resampled(
             moved = matrix.copy()
             moved[:, 2] += x0 * matrix[:, 0] + y0 * matrix[:, 1]
             w, h = x1 - x0, y1 - y0
-            first = start + ((y0 - top) * width + x0 - left) * depth
-            if not shift(lines, moved, depth, pixels, (first, width * depth, w, h), False):
-                goal = area[y0 - top : y1 - top, x0 - left : x1 - left]
-                cv2.warpPerspective(frame, moved, (w, h), dst=goal, flags=_LINEAR)
+            goal = np.array([[start // depth + (y0 - top) * width + x0 - left, width, w, h]])
+            if not shift(lines, moved[None], depth, pixels, goal, False)[0]:
+                shown = area[y0 - top : y1 - top, x0 - left : x1 - left]
+                cv2.warpPerspective(frame, moved, (w, h), dst=shown, flags=_LINEAR)
     parts, unit = [part for part, _, _ in found], 1.0 if pixels.dtype == np.uint8 else 257.0
     return Pictures(
         pixels,

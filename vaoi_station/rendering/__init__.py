@@ -5,7 +5,7 @@ from vaoi_station.rendering.framing import Framing
 from vaoi_station.rendering.measures import Measures, measure
 from vaoi_station.rendering.request import ImageOptions, ImageRequest
 from vaoi_station.rendering.selection import ChosenView, FrameFacts
-from vaoi_station.rendering.temporary import render
+from vaoi_station.rendering.temporary import render, render_all
 from vaoi_station.rendering.view import View
 from vaoi_station.rendering.views import ViewCalculator, compute_views
 
@@ -24,5 +24,6 @@ __all__ = [
     "compute_views",
     "measure",
     "render",
+    "render_all",
     "render_chosen",
 ]

@@ -88,7 +88,7 @@ def compute_crops(footprints: Footprints, px_per_mm: float | Floats, framing: Fr
     components, board_type, center, half, along, box = footprints
     turned, mm, count = framing.align == "part", board_type.mm_per_unit, len(components)
     half = half if turned else box
-    resolution = np.array(np.broadcast_to(np.asarray(px_per_mm, dtype=np.float64), (count,)))
+    resolution = np.full(count, px_per_mm, dtype=np.float64)
     reach = half + framing.margin_mm / mm
     size = np.maximum(np.round(2 * reach * resolution[:, None] * mm), 1)
     for k in np.flatnonzero(size.prod(-1) > MOST_PIXELS).tolist():
@@ -100,7 +100,7 @@ def compute_crops(footprints: Footprints, px_per_mm: float | Floats, framing: Fr
     scale = way * size / (2 * reach)
     there, back = np.zeros((count, 3, 3)), np.zeros((count, 3, 3))
     # Rows of `axes` are the directions in CAD that run along x and along y of the picture.
-    axes = along.swapaxes(1, 2) / half[:, :, None] if turned else np.broadcast_to(np.eye(2), (count, 2, 2))
+    axes = along.swapaxes(1, 2) / half[:, :, None] if turned else np.eye(2)[None]
     there[:, :2, :2] = scale[:, :, None] * axes
     back[:, :2, :2] = axes.swapaxes(1, 2) / scale[:, None]
     middle = (size - 1) / 2

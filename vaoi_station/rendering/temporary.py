@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import cache
+import math
+from collections.abc import Callable, Sequence
+from functools import cache, lru_cache
+from itertools import pairwise
 from typing import Any
 
 import cv2
@@ -12,7 +14,8 @@ from numpy.typing import NDArray
 
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.rendering.tiles import rectangles, through
-from vaoi_station.rendering.view import View
+from vaoi_station.rendering.view import Tile, View
+from vaoi_station.rendering.view_table import ViewTable
 
 _FLAGS = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
 _EXACT_PX = 64
@@ -31,18 +34,75 @@ def render(view: View, frame: NDArray[Any]) -> NDArray[Any]:
     the lenses of such an array.
     """
     picture = np.empty((view.height, view.width, *frame.shape[2:]), dtype=frame.dtype)
-    # In 16 bit, a run of shifted pixels would deviate by more than a grey level from its homography.
-    lines = _lines(frame) if frame.dtype == np.uint8 else None
-    for x0, y0, x1, y1, matrix in view.tiles or ((0, 0, view.width, view.height, view.matrix),):
-        if lines is not None:
-            channels = lines.shape[1] // frame.shape[1]
-            across = view.width * channels
-            place = y0 * across + x0 * channels, across, x1 - x0, y1 - y0
-            if _shift()(lines, matrix, channels, picture.reshape(-1), place, True):
-                continue
+    if view.tiles:
+        _fill(picture, view.tiles, frame)
+    elif _shift(view.matrix[None], _whole(view.width, view.height), frame, picture):
+        _warp(frame, view.matrix, picture)
+    return picture
+
+
+def render_all(views: ViewTable, frame: Callable[[int, int], NDArray[Any] | None]) -> list[NDArray[Any] | None]:
+    """Render the temporary images of many views, each as `render` does, in the order of the table.
+
+    `frame` returns the pixels of a camera and row; images of a missing frame are None. The images of one frame are
+    parts of one array.
+    """
+    columns, (order, begins) = views.columns, views.by_frame()
+    size = views.crops.size.astype(np.int_)[columns.component[order]]
+    area, numbers, matrices, tiles = size.prod(1), order.tolist(), columns.matrix[order], columns.tiles
+    ends = area.cumsum()
+    places = np.empty((len(numbers), 4), np.int_)
+    places[:, 0], places[:, 1], places[:, 2:] = ends - area, size[:, 0], size
+    if tiles:
+        # A distorted picture is not that of its matrix, but made of its tiles.
+        places[np.isin(order, list(tiles)), 2:] = 0
+    pictures: list[NDArray[Any] | None] = [None] * len(numbers)
+    for begin, end in pairwise([*begins, len(numbers)]):
+        mine = slice(begin, end)
+        if (pixels := frame(*columns.key[numbers[begin]].tolist())) is None:
+            continue
+        origin, channels, stop = int(ends[begin] - area[begin]), pixels.shape[2:], 0
+        places[mine, 0] -= origin
+        out = np.empty((int(ends[end - 1]) - origin, *channels), dtype=pixels.dtype)
+        left = _shift(matrices[mine], places[mine], pixels, out)
+        made = []
+        for width, height in size[mine].tolist():
+            start, stop = stop, stop + width * height
+            made.append(out[start:stop].reshape(height, width, *channels))
+        for k in left:
+            if numbers[begin + k] not in tiles:
+                _warp(pixels, matrices[begin + k], made[k])
+        for n, picture in zip(numbers[mine], made, strict=True):
+            pictures[n] = picture
+            if n in tiles:
+                _fill(picture, tiles[n], pixels)
+    return pictures
+
+
+@lru_cache(maxsize=256)
+def _whole(width: int, height: int) -> NDArray[np.int_]:
+    """Return the place of a whole picture for `_shift`. A board has many components of few sizes."""
+    return np.array([[0, width, width, height]])
+
+
+def _fill(picture: NDArray[Any], parts: Sequence[Tile], frame: NDArray[Any]) -> None:
+    """Resample a frame into the tiles of a picture."""
+    width, matrices = picture.shape[1], np.array([part[4] for part in parts])
+    places = np.array([(y0 * width + x0, width, x1 - x0, y1 - y0) for x0, y0, x1, y1, _ in parts])
+    for n in _shift(matrices, places, frame, picture):
+        x0, y0, x1, y1, matrix = parts[n]
         # OpenCV writes into the picture itself: a copy of every tile would take a fifth of the time.
         _warp(frame, matrix, picture[y0:y1, x0:x1])
-    return picture
+
+
+def _shift(matrices: Floats, places: NDArray[np.int_], frame: NDArray[Any], out: NDArray[Any]) -> list[int]:
+    """Resample the rectangles of a picture that lie almost upright in the frame; return the numbers of the others."""
+    # In 16 bit, a run of shifted pixels would deviate by more than a grey level from its homography.
+    lines = _lines(frame) if frame.dtype == np.uint8 else None
+    if lines is None:
+        return list(range(len(places)))
+    done = _compiled()(lines, matrices, math.prod(frame.shape[2:]), out.reshape(-1), places, True)
+    return [n for n, is_done in enumerate(done.tolist()) if not is_done]
 
 
 def _lines(frame: NDArray[np.uint8]) -> NDArray[np.uint8] | None:
@@ -56,7 +116,7 @@ def _lines(frame: NDArray[np.uint8]) -> NDArray[np.uint8] | None:
 
 
 @cache
-def _shift() -> Callable[..., bool]:
+def _compiled() -> Callable[..., NDArray[np.bool_]]:
     """Return the compiled function. It is imported on first use, because Numba takes a moment to load."""
     from vaoi_station.geometry.shifting import shift
 

@@ -80,6 +80,13 @@ class ViewTable(Mapping[str, tuple[View, ...]]):
         count = np.bincount(self.columns.component[inside], minlength=len(self.addresses))
         return {address: n for address, n in zip(self.addresses, count.tolist(), strict=True) if n}
 
+    def by_frame(self) -> tuple[NDArray[np.int_], list[int]]:
+        """Return the numbers (v,) of all views, those of one frame together, and where those of each frame begin."""
+        order = np.lexsort(self.columns.key.T)
+        key = self.columns.key[order]
+        changes = np.flatnonzero((key[1:, 0] != key[:-1, 0]) | (key[1:, 1] != key[:-1, 1])) + 1
+        return order, [0, *changes.tolist()] if len(order) else []
+
     @cached_property
     def _views(self) -> dict[str, tuple[View, ...]]:
         found: list[list[View]] = [[] for _ in self.addresses]

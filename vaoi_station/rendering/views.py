@@ -59,7 +59,8 @@ class ViewCalculator:
         Raises:
             StateError: the run has no CAD mapping.
         """
-        if stitch.tester_from_cad is None:
+        tester_from_cad = stitch.tester_from_cad
+        if tester_from_cad is None:
             raise StateError(
                 "this run has no CAD mapping, so components cannot be cut out.",
                 action="; ".join(stitch.reasons),
@@ -73,7 +74,7 @@ class ViewCalculator:
         """(f, 2) camera and row of each of f frames."""
         i = self._key[:, 0]
         motion = np.array(stitch.row_motion, dtype=np.float64).reshape(-1, 3, 3)
-        self._row_from_cad = (motion @ stitch.tester_from_cad.matrix)[self._key[:, 1]]
+        self._row_from_cad = (motion @ tester_from_cad.matrix)[self._key[:, 1]]
         image_from_row = np.array([c.image_from_row.matrix for c in cameras])
         self._image_from_cad = image_from_row[i] @ self._row_from_cad
         feet = np.array([(*c.foot_mm, 1.0) for c in cameras])
@@ -307,7 +308,8 @@ def _homogeneous(points: Floats) -> Floats:
 
 def _grid(size: Floats, n: int) -> Floats:
     """Return a grid of n×n points (k, n², 2), row by row, over the pixels of k pictures of sizes (k, 2)."""
-    return np.asarray((_square(n) + 1) / 2 * (size[:, None] - 1))
+    # In memory in the order that `through` computes.
+    return np.asarray((((_square(n) + 1) / 2).T[:, :, None] * (size.T[:, None] - 1)).T)
 
 
 @lru_cache(maxsize=4)

@@ -55,5 +55,5 @@ class SmallPictures:
 
         frame = np.zeros((4, 4), np.uint8)
         frame.flags.writeable = False
-        shift(frame, np.eye(3), 1, np.empty(4, np.uint8), (0, 2, 2, 2), True)
+        shift(frame, np.eye(3)[None], 1, np.empty(4, np.uint8), np.array([[0, 2, 2, 2]]), True)
         self.loaded.set()

@@ -86,7 +86,7 @@ def _blend() -> None:
     blend(pictures, cells, nodes, nodes, 1, 255.0, np.empty_like(pixels))
     shown = pixels.view()
     shown.flags.writeable = False
-    shift(shown, np.eye(3), 1, pixels.ravel(), (0, 4, 4, 4), False)
+    shift(shown, np.eye(3)[None], 1, pixels.ravel(), np.array([[0, 4, 4, 4]]), False)
 
 
 def _merge() -> None:
