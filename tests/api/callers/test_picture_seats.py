@@ -12,7 +12,9 @@ from fastapi.routing import APIRoute
 from vaoi_station.api.board_data import check_routes
 from vaoi_station.api.callers.picture_seats import PICTURES_OF_CALLER
 from vaoi_station.api.cameras import routes as cameras
+from vaoi_station.api.cameras.trials import CameraTrials
 from vaoi_station.api.event_hub import EventHub
+from vaoi_station.api.parameters import PREFIX
 from vaoi_station.api.routes import components, frames, merged, mosaics
 from vaoi_station.api.routes.services import Services
 
@@ -47,8 +49,9 @@ def test_one_caller_has_a_limited_number_of_pictures_made_at_a_time(
 def test_every_picture_of_a_camera_or_run_takes_a_seat(station: Any) -> None:
     """Its thread and its memory are limited until it is read; a route without a seat would have neither limit."""
     services = Services(station, EventHub(station))
-    modules = (frames, components, merged, mosaics, check_routes, cameras)
-    routes = [r for module in modules for r in module.router(services).routes if isinstance(r, APIRoute)]
+    routers = [module.router(services) for module in (frames, components, merged, mosaics, check_routes)]
+    routers.append(cameras.router(services, CameraTrials(services.coordinator)))
+    routes = [route for router in routers for route in router.routes if isinstance(route, APIRoute)]
     of_pictures, unlimited = set(), set()
     for route in routes:
         media = {media for reply in route.responses.values() for media in reply.get("content", {})}
@@ -57,5 +60,5 @@ def test_every_picture_of_a_camera_or_run_takes_a_seat(station: Any) -> None:
             of_pictures.add(route.path)
             if not any(of.call == services.picture_seats.hold for of in route.dependant.dependencies):
                 unlimited.add(route.path)
-    assert {"/cameras/{camera}/frame", "/runs/{run}/mosaics/kept.jpg"} < of_pictures
+    assert {f"{PREFIX}/cameras/{{camera}}/frame", f"{PREFIX}/runs/{{run}}/mosaics/kept.jpg"} < of_pictures
     assert unlimited == set()

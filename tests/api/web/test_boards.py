@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Page, Route, expect
 
 from tests.api.web.contrast import contrast
 from vaoi_station.model import Status
@@ -111,6 +111,26 @@ def test_a_verdict_that_the_codes_lower_is_shown_at_once(page: Page, served: Any
     expect(page.locator("#verdict-word")).to_have_text("Pictures with reservations")
     expect(page.locator("#order")).to_have_text("Board SN-47: Identify the board.")
     expect(page.locator("#counts .count-ok")).to_have_text("0")
+
+
+def test_a_board_that_ends_while_the_page_reads_is_counted_once(page: Page, served: Any) -> None:
+    """It ends after the list of runs was read, and before the counts are."""
+    station = served.station
+    station.arm("demo-board")
+    ended: list[str] = []
+
+    def end_a_board_first(route: Route) -> None:
+        if not ended:
+            ended.append(station.film(board_id="SN-1"))
+        route.continue_()
+
+    page.route("**/api/v1/runs/counts*", end_a_board_first)
+    page.goto(served.url)
+    expect(page.locator("#verdict-word")).to_have_text("Pictures good")
+    settled(page, station)
+    expect(page.locator("#counts .count-ok")).to_have_text("1")
+    station.film(board_id="SN-2")
+    expect(page.locator("#counts .count-ok")).to_have_text("2")
 
 
 def test_runs_of_another_station_are_no_boards_of_this_line(page: Page, served: Any) -> None:

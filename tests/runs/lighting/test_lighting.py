@@ -70,7 +70,8 @@ def test_a_trial_gives_the_frame_of_its_camera_and_leaves_nothing_behind(make_ri
         limits = CameraLimits((10.0, 5000.0), (0.0, 0.0))
         health = messages.Health((CameraHealth(True), CameraHealth(True, limits=limits)), "", 1.0)
         rig.peer.report(health)
-        rig.wait_for(lambda: rig.coordinator.snapshot().cameras, "the limits of the cameras")
+        core = rig.coordinator._core
+        rig.wait_for(lambda: rig.coordinator._inbox.ask(core.devices) == health, "the limits of the cameras")
         for settings, wrong in (
             (TrialSettings(gain_db=6.0), "gain_db is 6.0"),
             (TrialSettings(exposure_us=9000.0), "exposure_us is 9000.0"),

@@ -65,7 +65,8 @@ export class RecentBoards {
       await this.#readAll(now_ms); // more boards came than were asked for
       return;
     }
-    for (const run of found.filter(isOwn)) this.#count(run.verdict ?? "failed");
+    // Not counted here: a run that ended between the replies of an earlier reading may be in the counts already.
+    if (found.some(isOwn)) this.counts = await rest.counts();
     this.#add(found);
   }
 
@@ -81,10 +82,6 @@ export class RecentBoards {
     const sorted = [...all.values()].sort((a, b) => (a.id < b.id ? -1 : 1)); // ids are in the order of the boards
     const old = sorted.slice(0, -SHOWN).filter((run) => run.verdict !== "ok" && run.verdict !== "degraded");
     this.runs = [...old.slice(-SHOWN), ...sorted.slice(-SHOWN)];
-  }
-
-  #count(verdict) {
-    if (this.counts) this.counts = { ...this.counts, [verdict]: this.counts[verdict] + 1 };
   }
 
   onEvent(event) {
