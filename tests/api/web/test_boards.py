@@ -133,6 +133,28 @@ def test_a_board_that_ends_while_the_page_reads_is_counted_once(page: Page, serv
     expect(page.locator("#counts .count-ok")).to_have_text("2")
 
 
+def test_a_board_that_was_left_while_it_was_read_does_not_change_the_address(page: Page, served: Any) -> None:
+    """A reload shows the page that was in sight, not the one before."""
+    run = served.station.film(board_id="SN-1")
+    overlay, held = f"**/api/v1/runs/{run}/overlay", list[Route]()
+
+    def hold(route: Route) -> None:
+        held.append(route)
+
+    page.route(overlay, hold)
+    with page.expect_request(overlay):
+        page.goto(f"{served.url}/#/board/{run}")
+    page.goto(f"{served.url}/#/boards")
+    page.get_by_label("Span").select_option("today")
+    expect(page.locator("#list tbody tr")).to_have_count(1)
+    with page.expect_response(overlay):
+        held[0].continue_()
+    # What the reply has set off is done when a later one has come.
+    page.evaluate("fetch('/api/v1/station').then((reply) => reply.text())")
+    page.reload()
+    expect(page.get_by_label("Span")).to_have_value("today")
+
+
 def test_runs_of_another_station_are_no_boards_of_this_line(page: Page, served: Any) -> None:
     station = served.station
     station.arm("demo-board")

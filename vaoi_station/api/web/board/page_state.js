@@ -1,4 +1,6 @@
 // What is shown of a board, kept in the address: a link reproduces the part, the overlay, the pictures and the comparison.
+import { stateShown } from "../parts/settings.js";
+
 const DEFAULTS = {
   component: "", // address of the chosen part
   tab: "part", // part, report, timing, export
@@ -39,7 +41,6 @@ export class PageState {
     Object.assign(this.#values, changes);
     const query = new URLSearchParams();
     for (const [name, value] of Object.entries(this.#values)) if (value !== DEFAULTS[name]) query.set(name, value);
-    const stated = query.toString();
-    history.replaceState(null, "", `#/board/${encodeURIComponent(this.#id)}${stated ? `?${stated}` : ""}`);
+    stateShown(`#/board/${encodeURIComponent(this.#id)}`, query);
   }
 }

@@ -1,7 +1,7 @@
 // Calibration: print the board, film it, let the station measure its marks, judge, accept or try again.
 import { make, said } from "../parts/elements.js";
 import * as rest from "../parts/rest.js";
-import { keep, kept } from "../parts/settings.js";
+import { keep, kept, stateShown } from "../parts/settings.js";
 import { moment, number, texts } from "../texts/texts.js";
 import { LiveMarks, showCount, svgOfMarks } from "./calibration/live_marks.js";
 import { answerLine, attempt, button, choice, facts, input, labelled, section, table, tick, Wrong } from "./fields.js";
@@ -144,7 +144,7 @@ class Calibration {
     const run = this.#runs.find((r) => r.id === this.#run?.value);
     if (!run) return;
     if (other) Object.assign(this.#row, { max: run.rows - 1, value: this.#rowBefore(run) ?? Math.floor(run.rows / 2) });
-    if (this.#shown) history.replaceState(null, "", `#/setup/calibration?${new URLSearchParams({ run: run.id, row: this.#row.value })}`);
+    if (this.#shown) stateShown("#/setup/calibration", new URLSearchParams({ run: run.id, row: this.#row.value }));
     this.#shown = run.id;
     this.#root.querySelector("#row-shown").textContent = texts.setup.rowOf(this.#row.value, run.rows);
     const figures = Array.from({ length: run.cameras }, (_, camera) => {

@@ -1,6 +1,7 @@
 // A board type laid over a filmed board: checked by the station, moved by hand, stored as a draft.
 import { make, said } from "../parts/elements.js";
 import * as rest from "../parts/rest.js";
+import { stateShown } from "../parts/settings.js";
 import { entered, moment, number, texts } from "../texts/texts.js";
 import { bodies, svg, titled } from "./drawing.js";
 import { answerLine, attempt, button, choice, facts, input, labelled, say, section, tick, Wrong } from "./fields.js";
@@ -67,7 +68,7 @@ class Overlay {
   #note(measure = this.#query.has("measure")) {
     const move = Object.entries(this.#move).map(([axis, value]) => [axis, String(+value.toFixed(4))]).filter(([, value]) => Number(value));
     this.#query = new URLSearchParams([["run", this.#run.id], ...move, ...(measure ? [["measure", "1"]] : [])]);
-    history.replaceState(null, "", `${typeAddress(this.#name, "lay")}?${this.#query}`);
+    stateShown(typeAddress(this.#name, "lay"), this.#query);
   }
 
   async #film(run, drawing) {

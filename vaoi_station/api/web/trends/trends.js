@@ -1,6 +1,7 @@
 // How the figures of boards develop: a chart per figure, what changed meanwhile, and the comparison of two spans.
 import { make, saidOf, setText } from "../parts/elements.js";
 import * as rest from "../parts/rest.js";
+import { stateShown } from "../parts/settings.js";
 import { moment, texts } from "../texts/texts.js";
 import { Chart } from "./chart.js";
 import { Comparison } from "./comparison.js";
@@ -53,11 +54,11 @@ export class TrendsView {
     this.#field("span").value = this.#query.get("span") in SPANS_H ? this.#query.get("span") : "day";
     this.#field("board_type").append(make("option", { value: "", textContent: texts.any }));
     this.root.querySelector("form").addEventListener("change", () => {
-      history.replaceState(null, "", `#/trends?${this.#stated()}`); // a link reproduces the view
+      stateShown("#/trends", this.#stated()); // a link reproduces the view
       rest.unattended(this.#load());
     });
     this.root.querySelector("form").addEventListener("submit", (event) => event.preventDefault());
-    this.comparison.choice.addEventListener("change", () => history.replaceState(null, "", `#/trends?${this.#stated()}`));
+    this.comparison.choice.addEventListener("change", () => stateShown("#/trends", this.#stated()));
   }
 
   #field(name) {

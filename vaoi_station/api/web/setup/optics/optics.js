@@ -1,5 +1,6 @@
 // Optics: the plan of a line as a form, drawn to scale, with every constraint and what would mend those that are violated.
 import { make } from "../../parts/elements.js";
+import { stateShown } from "../../parts/settings.js";
 import { entered, language, texts } from "../../texts/texts.js";
 import { answerLine, attempt, facts, input, labelled, say, section, table, Wrong } from "../fields.js";
 import * as requests from "../requests.js";
@@ -133,7 +134,7 @@ class Optics {
     const fine = await attempt(null, async () => {
       this.#mark([]);
       const values = this.#values();
-      history.replaceState(null, "", `#/setup/optics?${new URLSearchParams(values)}`);
+      stateShown("#/setup/optics", new URLSearchParams(values));
       missing = REQUIRED.filter((name) => !(name in values));
       let plan = null;
       try {
