@@ -58,7 +58,8 @@ def test_pictures_are_fetched_while_boards_are_filmed_and_while_not(figures: Res
     assert figures.idle.count > 0
     assert "(goal 4 ms, 15 ms)" in figures.lines()[2]
     assert figures.trivial.count > 0
-    assert 0 < figures.idle_trivial.cpu_ms < figures.idle.cpu_ms
+    assert figures.idle_trivial.cpu_ms > 0
+    assert figures.idle.cpu_ms > 0
     assert 0 < figures.picture.p50_ms <= figures.picture.p99_ms <= figures.picture.max_ms
     assert all(0 < ms < math.inf for ms in figures.ready_ms.values())
     assert len(figures.ready_ms) == 3
