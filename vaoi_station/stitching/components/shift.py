@@ -6,17 +6,23 @@ The centres of some of them are measured in the frames, and shift, turn and stre
 
 What is seen of a component follows its pads on the board and its top, which leans away from the camera's foot. Under
 one camera this looks like a stretch of the board. The height that explains the lean is therefore a fifth unknown.
+
+Components of one kind, of the same size and turned alike, are seen off their places alike: light, shadow and shape of a
+package displace what looks symmetric. Each kind has an offset of its own, whose size the run shows, so that the
+accuracy of the shift follows from the number of kinds, not only from that of components.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.stitching.adjustment.motion import Motion
+from vaoi_station.stitching.adjustment.observations import Ints
 from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.footprints import FootprintViews
 from vaoi_station.stitching.components.symmetry import centre_of_symmetry
@@ -24,7 +30,8 @@ from vaoi_station.stitching.matching.scene import Scene
 
 _MOST, _LEAST = 32, 9
 """Largest number of components that are measured, and least number of centres from which a shift is estimated."""
-_LEAST_SCATTER_MM = 0.005
+_LEAST_SCATTER_MM, _LEAST_FREE = 0.005, 0.2
+"""Least scatter of the centres, and least share of the coordinates that shows scatter, not unknowns."""
 _PLACING_MM = np.array([0.012, 0.012, 0.008, 0.008])
 """Standard deviations of what placement and light change in all components alike: shift, turn and stretch, mm.
 
@@ -33,6 +40,9 @@ _HEIGHT_MM = (0.0, 1.0)
 """Mean and standard deviation of the seen height of components, if the board type does not state all heights, mm."""
 _HEIGHT_SHARE = (0.5, 0.5)
 """Mean and standard deviation of the seen height as a share of the stated heights: between pads and top."""
+_KIND_MM, _KIND_WEIGHT = 0.01, 4.0
+"""Expected standard deviation, per axis, of the offset that components of one kind have in common, mm, and its weight
+against what the run shows, in offsets. Measured: 0.010 mm (hostile.md)."""
 _KNEE, _ROUNDS = 2.0, 12
 _SURELY = 2.0
 """Number of standard deviations beyond the limit at which an error is shown with a probability of 98 %."""
@@ -120,9 +130,36 @@ def measure_component_shift(
     found = np.isfinite(off_mm).all(1)
     if found.sum() < _LEAST:
         return None
-    heights, prior = _heights(plane, part[found])
-    lean_mm = lean_mm[found] * heights[:, None]
-    return _fitted(apply(cad_matrix, plane.components.center)[part[found]], off_mm[found], lean_mm, prior)
+    part, off_mm = part[found], off_mm[found]
+    heights, prior = _heights(plane, part)
+    seen = _Seen(
+        apply(cad_matrix, plane.components.center)[part],
+        off_mm,
+        lean_mm[found] * heights[:, None],
+        _kinds(plane, part),
+    )
+    return _fitted(seen, prior)
+
+
+class _Seen(NamedTuple):
+    """Centres of k components as they are seen."""
+
+    board_mm: Floats
+    """(k, 2) places of the components, tester coordinates."""
+    off_mm: Floats
+    """(k, 2) offsets of their centres from these places."""
+    lean_mm: Floats
+    """(k, 2) offsets that a height factor of 1 causes."""
+    kind: Ints
+    """(k,) numbers of their kinds, from 0 on without a gap."""
+
+
+def _kinds(plane: BoardPlane, part: Ints) -> Ints:
+    """Return the kinds (k,) of components: those of one size that are turned alike, or by 180°, are of one kind."""
+    parts = plane.components.take(part)
+    half_turns = np.rint(np.degrees(parts.angle_rad)).astype(int) % 180
+    size_um = np.rint(1e3 * parts.mm_per_unit * parts.size).astype(int)
+    return np.asarray(np.unique(np.column_stack([size_um, half_turns]), axis=0, return_inverse=True)[1]).ravel()
 
 
 def _heights(plane: BoardPlane, part: np.ndarray) -> tuple[Floats, tuple[float, float]]:
@@ -158,36 +195,42 @@ def _equations(board_mm: Floats, middle_mm: Floats, arm_mm: float) -> Floats:
     return out
 
 
-def _fitted(board_mm: Floats, off_mm: Floats, lean_mm: Floats, prior: tuple[float, float]) -> ComponentShift | None:
+def _fitted(seen: _Seen, prior: tuple[float, float]) -> ComponentShift | None:
     """Estimate the common shift of k components; wrong centres lose their weight.
 
     Args:
-        board_mm: (k, 2) places of the components, tester coordinates.
-        off_mm: (k, 2) offsets of their centres from these places.
-        lean_mm: (k, 2) offsets that a height factor of 1 causes.
+        seen: the components' centres.
         prior: mean and standard deviation of the height factor.
     """
-    middle = board_mm.mean(0)
+    board_mm, off_mm = seen.board_mm, seen.off_mm
+    middle, kinds = board_mm.mean(0), np.eye(int(seen.kind.max()) + 1)[seen.kind]
     arm = max(float(np.sqrt(((board_mm - middle) ** 2).sum(1).mean())), 1e-6)
-    j = np.concatenate([_equations(board_mm, middle, arm), lean_mm[:, :, None]], 2)
-    weight = np.ones(len(board_mm))
-    solved, inverse, scatter, (height, sigma) = np.zeros(5), np.eye(5), 1.0, prior
+    # unknowns: shift x and y, turn, stretch, height factor, and the offsets of the kinds along x and y
+    j = np.concatenate(
+        [_equations(board_mm, middle, arm), seen.lean_mm[:, :, None], np.kron(kinds[:, None], np.eye(2))], 2
+    )
+    of_kinds, weight, scatter, kind_mm = slice(5, None), np.ones(len(board_mm)), 1.0, _KIND_MM
+    expected, precision = np.zeros(j.shape[2]), np.zeros(j.shape[2])
+    expected[4], precision[4] = prior[0], prior[1] ** -2
+    covariance, solved = np.eye(j.shape[2]), expected
     for _ in range(_ROUNDS):
-        normal = np.einsum("k,kia,kib->ab", weight, j, j)
+        precision[of_kinds] = kind_mm**-2
+        normal = np.einsum("k,kia,kib->ab", weight, j, j) / scatter**2
         if np.linalg.cond(normal[:4, :4]) > 1e8:
             return None
-        vector = np.einsum("k,kia,ki->a", weight, j, off_mm)
-        normal[4, 4] += (scatter / sigma) ** 2
-        vector[4] += (scatter / sigma) ** 2 * height
-        inverse = np.linalg.inv(normal)
-        solved = inverse @ vector
+        covariance = np.linalg.inv(normal + np.diag(precision))
+        vector = np.einsum("k,kia,ki->a", weight, j, off_mm) / scatter**2
+        solved = covariance @ (vector + precision * expected)
+        variance = covariance.diagonal()
+        # Few centres show their scatter badly, since they determine unknowns too, as far as the priors do not.
+        free = 1 - float((1 - precision * variance).sum()) / off_mm.size
         length = np.hypot(*(off_mm - j @ solved).T)
         # 1.1774: median of the length of a normal error in the plane, in standard deviations per axis
-        scatter = max(float(np.median(length)) / 1.1774, _LEAST_SCATTER_MM)
+        scatter = max(float(np.median(length)) / 1.1774 / math.sqrt(max(free, _LEAST_FREE)), _LEAST_SCATTER_MM)
         weight = (1 + (length / (_KNEE * scatter)) ** 2) ** -2.0
+        # What the offsets of the kinds are, and what is not known of them, shows how large such offsets are.
+        shown = float((solved[of_kinds] ** 2 + variance[of_kinds]).sum())
+        kind_mm = math.sqrt((shown + _KIND_WEIGHT * _KIND_MM**2) / (len(variance) - 5 + _KIND_WEIGHT))
     if weight.sum() < _LEAST / 2:
         return None
-    # Few centres show their scatter badly: four unknowns were fitted to two coordinates of each.
-    freedom = len(board_mm) / (len(board_mm) - 4)
-    covariance = freedom * inverse[:4, :4] * scatter**2 + np.diag(_PLACING_MM**2)
-    return ComponentShift(solved[:4], covariance, middle, arm, len(board_mm))
+    return ComponentShift(solved[:4], covariance[:4, :4] + np.diag(_PLACING_MM**2), middle, arm, len(board_mm))

@@ -15,12 +15,16 @@ from numpy.typing import NDArray
 
 from vaoi_station.geometry.transforms import Floats
 
-_MARGIN_MM = 0.3
-"""Width of the rim around a footprint that is compared too: it contains the edges of pads and body."""
+_MARGIN_MM = 0.1
+"""Width of the rim around a footprint that is compared too: it contains the edges of pads and body.
+
+A rim of 0.3 mm contained the silkscreen of neighbours: chips at the ends of a row were found up to 0.1 mm off."""
 REACH_MM = 0.3
 """Largest distance, along each axis, of a centre of symmetry from its predicted place."""
-_MOST_NODES, _MOST_REDUCED = 20, 5
-"""Half the side of a compared patch in nodes, at most, and the largest factor by which a frame is reduced for it."""
+_MOST_NODES, _MOST_REDUCED = 40, 5
+"""Half the side of a compared patch in nodes, at most, and the largest factor by which a frame is reduced for it.
+
+With 20 nodes a chip 0805 at 15 px/mm had nodes of 0.2 mm, too coarse for the gap to its neighbour."""
 _LEAST_SCORE, _LEAST_CONTRAST = 0.6, 4.0
 """Least correlation of a patch with itself turned by 180°, and least standard deviation of its grey levels."""
 
