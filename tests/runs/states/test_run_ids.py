@@ -18,6 +18,7 @@ from vaoi_station.runs.states.run_ids import (
     earliest_id,
     in_utc,
     is_run_id,
+    last_midnight,
     utc,
     utc_of_host,
 )
@@ -32,6 +33,34 @@ def test_times_of_callers_are_converted_wherever_utc_has_them() -> None:
     assert in_utc(datetime.fromisoformat("2026-01-01T01:00:00+02:00")) == datetime(2025, 12, 31, 23, tzinfo=UTC)
     assert in_utc(datetime.fromisoformat("0001-01-01T00:00:00+23:00")) == FIRST
     assert in_utc(datetime.fromisoformat("9999-12-31T23:59:59-23:00")) == LAST
+
+
+# Summer time begins and ends at two o'clock or at three in Berlin, and at midnight in Santiago: on 6 September 2026 the
+# clock went from 0:00 to 1:00 there, so that the day began at one o'clock.
+@pytest.mark.parametrize(
+    ("zone", "now", "midnight"),
+    [
+        ("Europe/Berlin", "2026-03-29T12:00", "2026-03-28T23:00"),
+        ("Europe/Berlin", "2026-03-29T01:00", "2026-03-28T23:00"),
+        ("Europe/Berlin", "2026-10-25T12:00", "2026-10-24T22:00"),
+        ("Europe/Berlin", "2026-10-25T00:00", "2026-10-24T22:00"),
+        ("Europe/Berlin", "2026-12-31T23:59", "2026-12-30T23:00"),
+        ("America/Santiago", "2026-09-06T12:00", "2026-09-06T04:00"),
+        ("America/St_Johns", "2028-02-29T12:00", "2028-02-29T03:30"),
+        ("Pacific/Kiritimati", "2026-01-01T00:00", "2025-12-31T10:00"),
+    ],
+)
+def test_a_day_begins_at_its_midnight_also_if_the_clock_was_changed_since(
+    monkeypatch: pytest.MonkeyPatch, zone: str, now: str, midnight: str
+) -> None:
+    monkeypatch.setenv("TZ", zone)
+    time.tzset()
+    try:
+        found = last_midnight(datetime.fromisoformat(now))
+    finally:
+        monkeypatch.undo()
+        time.tzset()
+    assert found == datetime.fromisoformat(f"{midnight}Z")
 
 
 def test_host_time_is_formatted_in_utc() -> None:

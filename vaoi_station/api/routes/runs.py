@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Sequence
-from datetime import datetime
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, Query, Request, Response
@@ -21,7 +20,7 @@ from vaoi_station.model.board_identity import IdentityDocument, ReportedId
 from vaoi_station.runs.archive.run_history import Wanted
 from vaoi_station.runs.states.decision_schemas import RunCounts
 from vaoi_station.runs.states.height_schemas import HeightList
-from vaoi_station.runs.states.run_ids import in_utc, utc
+from vaoi_station.runs.states.run_ids import in_utc, last_midnight, utc
 from vaoi_station.runs.states.schemas import LeaseStatus, RunDetail, RunSummary
 from vaoi_station.runs.states.tables import IN_MEMORY
 from vaoi_station.store.history.run_search import RunFilter
@@ -191,8 +190,7 @@ def _add_lists(routes: APIRouter, services: Services) -> None:
         Without `since`: since the last midnight of the station's time zone.
         """
         response.headers["Cache-Control"] = LIVE
-        midnight = datetime.now().astimezone().replace(hour=0, minute=0, second=0, microsecond=0)
-        return await searches.ask(kept.history.counts, in_utc(since or midnight))
+        return await searches.ask(kept.history.counts, in_utc(since) if since else last_midnight())
 
 
 def _detail(request: Request, run: RunDetail, cache: str = REVALIDATE) -> Response:

@@ -1,4 +1,4 @@
-"""Run ids, which are unique and sort by time, and the format of times: RFC 3339 in UTC."""
+"""Run ids, which are unique and sort by time, and times: their format, RFC 3339 in UTC, and the last midnight."""
 
 from __future__ import annotations
 
@@ -22,6 +22,14 @@ def utc(moment: datetime | None = None) -> str:
 def in_utc(moment: datetime) -> datetime:
     """Return a time that a caller states, in UTC; the first or last one that is possible if it is beyond."""
     return min(max(moment, FIRST), LAST).astimezone(UTC)
+
+
+def last_midnight(now: datetime | None = None) -> datetime:
+    """Return in UTC when the day of a local time, by default of the present one, began in the machine's time zone."""
+    # The offset of midnight, not the present one: summer time may have begun or ended since. `timestamp`, because
+    # `astimezone` is wrong by an hour if the clock was put forward at midnight itself.
+    midnight = (now or datetime.now()).replace(hour=0, minute=0, second=0, microsecond=0, fold=0)
+    return datetime.fromtimestamp(midnight.timestamp(), UTC)
 
 
 def utc_of_host(host_s: float) -> str:
