@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 import pickle
 import sys
+import time
 from dataclasses import replace
 from typing import Any
 
@@ -180,3 +182,29 @@ def test_rows_of_one_light_are_linked_across_the_rows_of_others(workshop: Any) -
     assert {(1, 2), (2, 3)} <= pairs, "rows of two lights are linked, too: they may be the only connection"
     one = replace(setup, lights=("a", "a"))
     assert all_tasks(frames, times, one) == all_tasks(frames, times, replace(one, lights=()))
+
+
+def test_a_set_up_arrives_as_it_was_sent(workshop: Any) -> None:
+    sent = replace(setup_of(workshop, 2), lights=("a", "b"), channels={"a": (0, 1), "b": ()})
+    other = setup_of(workshop, 1, None)
+    for setup in (sent, other, sent):
+        for found in (pickle.loads(pickle.dumps(setup)), copy.deepcopy(setup)):
+            assert replace(found, cameras=()) == replace(setup, cameras=())
+            assert [c.width_px for c in found.cameras] == [c.width_px for c in setup.cameras]
+
+
+def test_a_set_up_that_is_sent_again_costs_neither_end_a_new_board_type(workshop: Any) -> None:
+    # The station sends it to every worker for every run, when the first frames of the board arrive.
+    components = [{"ref": f"R{n}", "center": [n % 30, n % 20], "width": 0.1, "height": 0.1} for n in range(3000)]
+    setup = setup_of(workshop, 2, BoardType.model_validate(BOARD.model_dump() | {"components": components}))
+
+    def cpu_s() -> tuple[float, float]:
+        began_s = time.thread_time()
+        content = pickle.dumps(setup)
+        sent_s = time.thread_time()
+        pickle.loads(content)
+        return sent_s - began_s, time.thread_time() - sent_s
+
+    first, again = cpu_s(), [cpu_s() for _ in range(5)]
+    assert min(sent for sent, _ in again) < first[0] / 10
+    assert min(received for _, received in again) < first[1] / 10

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import pickle
+import time
+
 import pytest
 
 from vaoi_station.config import StationConfig
@@ -128,3 +131,17 @@ def test_a_draft_is_armed_with_a_warning_and_a_retired_board_type_is_not(
     assert (approved.notes, approved.draft) == ((), None)
     with pytest.raises(StateError, match="is retired"):
         order_of(desk, board_type.model_copy(update={"state": "retired"}), "b")
+
+
+def test_an_order_is_ready_to_be_sent_to_the_workers(
+    config: StationConfig, calibration: Calibration, store: Store, board_type: BoardType
+) -> None:
+    parts = [board_type.components[0].model_copy(update={"ref": f"R{n}"}) for n in range(3000)]
+    order = order_of(
+        make_desk(config, calibration, store), board_type.model_copy(update={"components": tuple(parts)}), "b"
+    )
+    began_s = time.thread_time()
+    pickle.dumps(order.setup)
+    sent_s = time.thread_time()
+    pickle.dumps(order.board_type)
+    assert sent_s - began_s < (time.thread_time() - sent_s) / 5, "what takes long was done when the line was armed"

@@ -230,6 +230,8 @@ class OrderFactory:
             lights=tuple(plan.lights) or self._lights,
             channels={name: light.channels for name, light in self._config.controller.lights.items()},
         )
+        # Packed here, in the thread of the caller who arms, and not when the first board is filmed.
+        _ = setup.packed
         # Runs refer to their documents by digest, so a later change of the board type does not affect old results.
         digest = self._store.keep_document("board-type", board_type.model_dump_json(), utc())
         present = self._store.configurations.present
