@@ -18,7 +18,9 @@ from vaoi_station.geometry.transforms import Floats
 from vaoi_station.mosaic.frames import TakenFrame
 from vaoi_station.mosaic.grid import MosaicGrid
 from vaoi_station.mosaic.projection import FrameProjector, between, shrunk
+from vaoi_station.mosaic.reduction import Reduced, reduced
 from vaoi_station.photometry import FlatFields
+from vaoi_station.photometry.radiance import pixels_at_limit
 
 Floats32 = NDArray[np.float32]
 ReadFrame = Callable[[int, int], NDArray[Any] | None]
@@ -44,6 +46,8 @@ class SurveyedFrame:
     """(h, w) radiance: grey levels (8 bit) per µs at gain 1; NaN beside the frame and where it is saturated."""
     raw_from_coarse: Floats
     """(3, 3) matrix from pixels of the survey's grid to raw pixels of the frame."""
+    copy: Reduced
+    """The frame, reduced by `COARSE_PX`."""
 
 
 class FieldCache:
@@ -84,7 +88,9 @@ def survey(
         matrix = projector.raw_from_mosaic(taken.camera, taken.row, grid, box)
         raw_from_coarse = between(matrix, 1, COARSE_PX)
         shift = np.array([[1, 0, x0], [0, 1, y0], [0, 0, 1]], dtype=np.float64)
-        small = _radiance(pixels, taken, fields)
+        copy = reduced(Reduced(pixels, pixels), COARSE_PX)
+        whole = pixels.shape[0] // COARSE_PX, pixels.shape[1] // COARSE_PX
+        small = _radiance(copy, whole, taken, fields)
         values = cv2.warpPerspective(
             small,
             between(matrix, COARSE_PX, COARSE_PX) @ shift,
@@ -93,19 +99,20 @@ def survey(
             borderMode=cv2.BORDER_CONSTANT,
             borderValue=float("nan"),
         )
-        yield SurveyedFrame(taken, x0, y0, np.asarray(values, np.float32), raw_from_coarse)
+        yield SurveyedFrame(taken, x0, y0, np.asarray(values, np.float32), raw_from_coarse, copy)
 
 
-def _radiance(pixels: NDArray[Any], taken: TakenFrame, fields: FieldCache) -> Floats32:
-    """Return the radiance of a frame, reduced by `COARSE_PX`; NaN where a pixel of a block is saturated."""
-    full = 255 if pixels.dtype == np.uint8 else 65535
+def _radiance(copy: Reduced, size: tuple[int, int], taken: TakenFrame, fields: FieldCache) -> Floats32:
+    """Return the radiance of a frame from its copy that is reduced by `COARSE_PX`; NaN where blocks are saturated.
+
+    `size` is the number of rows and columns of whole blocks. What is left beside them is cut off.
+    """
+    h, w = size
+    means, largest = (part[:h, :w] for part in copy)
+    full = 255 if means.dtype == np.uint8 else 65535
     flat, dark = fields.reduced(taken.camera, taken.light, COARSE_PX)
-    # The full pixels of a channel are counted before the channels are mixed.
-    at_limit = shrunk(np.asarray(cv2.threshold(pixels, full - 1, 255, cv2.THRESH_BINARY)[1]), COARSE_PX)
-    grey = shrunk(pixels, COARSE_PX)
-    if grey.ndim == 3:
-        grey, at_limit = np.asarray(cv2.cvtColor(grey, cv2.COLOR_BGR2GRAY)), at_limit.max(2)
+    grey = means if means.ndim == 2 else np.asarray(cv2.cvtColor(means, cv2.COLOR_BGR2GRAY))
     value = (grey.astype(np.float32) * np.float32(255 / full) - dark) / flat
     value /= np.float32(taken.sensitivity)
-    value[at_limit > 0] = np.nan
+    value[pixels_at_limit(largest)] = np.nan
     return np.asarray(value, np.float32)

@@ -24,12 +24,14 @@ from vaoi_station.geometry.shifting import shift
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.mosaic.blending import Cells, Nodes, Pictures, blend, nodes_along
 from vaoi_station.mosaic.projection import between
-from vaoi_station.mosaic.reduction import BORDER_PX, reduced
+from vaoi_station.mosaic.reduction import BORDER_PX, Reduced, ReducedFrames, reduced
 from vaoi_station.mosaic.survey import Floats32, ReadFrame
 from vaoi_station.mosaic.tile_specs import Box, FramePart, TileSpec
 from vaoi_station.photometry import Radiance, merge
 from vaoi_station.photometry.radiance import is_saturated, pixels_at_limit
 
+Frames = ReadFrame | ReducedFrames
+"""The frames of a run. Reduced ones serve tiles that are reduced at least as much."""
 NODATA = 0
 """Value of pixels of 8 or 16 bits that no frame shows; shown pixels are at least 1. Floats are NaN there."""
 _LINEAR = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
@@ -56,7 +58,7 @@ class Scratch:
         return memory[:size].view(dtype).reshape(shape)
 
 
-def render_tile(spec: TileSpec, read: ReadFrame, scratch: Scratch | None = None) -> NDArray[Any] | None:
+def render_tile(spec: TileSpec, frames: Frames, scratch: Scratch | None = None) -> NDArray[Any] | None:
     """Render a tile from its frames; None if no frame shows any of it.
 
     Returns pixels (h, w) or (h, w, 3) of the type of the frames; with HDR radiance (h, w), float32. With `scratch`, the
@@ -67,8 +69,8 @@ def render_tile(spec: TileSpec, read: ReadFrame, scratch: Scratch | None = None)
     """
     memory = Scratch() if scratch is None else scratch
     if spec.hdr:
-        return _with_bodies(_render_hdr(spec, read), spec, read)
-    sources = [(part, _source(part, read, whole=True)) for part in spec.parts]
+        return _with_bodies(_render_hdr(spec, frames), spec, frames)
+    sources = [(part, _source(part, frames, whole=True)) for part in spec.parts]
     found = [(part, source.pixels, source.matrix) for part, source in sources if source is not None]
     if not found:
         return None
@@ -203,24 +205,24 @@ def _windows(mine: NDArray[np.uint8] | None, lefts: Sequence[int], tops: Sequenc
     return boxes
 
 
-def _with_bodies(ground: Floats32 | None, spec: TileSpec, read: ReadFrame) -> Floats32 | None:
+def _with_bodies(ground: Floats32 | None, spec: TileSpec, frames: Frames) -> Floats32 | None:
     """Replace what footprints hide by the tops of their bodies, which the layers show in one place only there."""
     for first, corners, part in spec.bodies if ground is not None else ():
-        top = _render_hdr(part, read)
+        top = _render_hdr(part, frames)
         if top is not None and ground is not None:
             shown = pixels_inside(corners, part.width, part.height) & np.isfinite(top)
             ground[first[1] : first[1] + part.height, first[0] : first[0] + part.width][shown] = top[shown]
     return ground
 
 
-def _render_hdr(spec: TileSpec, read: ReadFrame) -> Floats32 | None:
+def _render_hdr(spec: TileSpec, frames: Frames) -> Floats32 | None:
     """Render radiance: blend the frames of each layer, then merge the layers by their noise."""
     shape = 3, spec.height, spec.width
     totals: dict[int, Floats32] = {}
     clipped: dict[int, Floats32] = {}
     """The same of blocks of pixels of which some are saturated."""
     for part in spec.parts:
-        source = _source(part, read, whole=False)
+        source = _source(part, frames, whole=False)
         if source is None:
             continue
         # One more pixel on each side: the noise is that of the mean of 3 × 3 px.
@@ -265,8 +267,8 @@ def _partly_saturated(source: _Source, reduction: int) -> Floats32 | None:
     """Return where a reduced frame has blocks with a saturated pixel, (h, w) above 0 there; None if it has none."""
     if reduction == 1:
         return None
-    at_limit = pixels_at_limit(source.unreduced)
-    return np.asarray(reduced(at_limit.astype(np.float32), reduction)) if at_limit.any() else None
+    at_limit = pixels_at_limit(source.largest)
+    return at_limit.astype(np.float32) if at_limit.any() else None
 
 
 class _Source(NamedTuple):
@@ -276,30 +278,41 @@ class _Source(NamedTuple):
     """C-contiguous."""
     matrix: Floats
     """(3, 3) from pixels of the tile to these pixels."""
-    unreduced: NDArray[Any]
-    """The same part of the frame, before it was reduced."""
+    largest: NDArray[Any]
+    """The largest pixel of the frame in each of these pixels; `pixels` themselves if the frame is not reduced."""
 
 
-def _source(part: FramePart, read: ReadFrame, *, whole: bool) -> _Source | None:
+def _source(part: FramePart, frames: Frames, *, whole: bool) -> _Source | None:
     """Return the pixels that a tile is resampled from: the part of the frame that the tile shows, reduced.
 
     With `whole`, a frame that is not reduced is not copied. None if the frame is missing or the part is empty.
     """
+    found = _picture(part, frames)
     x0, y0, x1, y1 = part.crop
-    if x1 <= x0 or y1 <= y0:
+    if found is None or x1 <= x0 or y1 <= y0:
         return None
-    frame = read(part.camera, part.row)
-    if frame is None:
-        return None
-    if whole and part.reduction == 1 and frame.flags.c_contiguous:
-        return _Source(frame, part.raw_from_tile, frame)
-    matrix, shown = part.raw_from_tile.copy(), frame[y0:y1, x0:x1]
+    picture, unit = found
+    if whole and part.reduction == 1:
+        return _Source(picture.means, part.raw_from_tile, picture.largest)
+    matrix = part.raw_from_tile.copy()
     matrix[:2] -= np.array([(x0, y0)]).T * matrix[2]
+    shown = picture.part((x0 // unit, y0 // unit, -(-x1 // unit), -(-y1 // unit)))
     if part.reduction == 1:
-        return _Source(np.ascontiguousarray(shown), matrix, shown)
+        pixels = np.ascontiguousarray(shown.means)
+        return _Source(pixels, matrix, pixels)
     matrix = between(matrix, part.reduction, 1)
     matrix[:2] += BORDER_PX * matrix[2]
-    return _Source(reduced(shown, part.reduction), matrix, shown)
+    small = reduced(shown, part.reduction // unit).bordered()
+    return _Source(small.means, matrix, small.largest)
+
+
+def _picture(part: FramePart, frames: Frames) -> tuple[Reduced, int] | None:
+    """Return the frame of a part, and by how much it is reduced already; None if it is missing."""
+    if isinstance(frames, ReducedFrames):
+        found = frames.frames.get((part.camera, part.row))
+        return None if found is None else (found, frames.factor)
+    pixels = frames(part.camera, part.row)
+    return None if pixels is None else (Reduced(pixels, pixels), 1)
 
 
 def _grown(box: Box, spec: TileSpec) -> Box:

@@ -22,6 +22,7 @@ from vaoi_station.mosaic import MosaicGrid, TakenFrame, choose_frames, make_plan
 from vaoi_station.mosaic.blending import Cells, Pictures, blend, nodes_along
 from vaoi_station.mosaic.cells import label_boxes
 from vaoi_station.mosaic.projection import FrameProjector
+from vaoi_station.mosaic.reduction import Reduced, reduced
 from vaoi_station.steps import completed
 from vaoi_station.stitching.matching.prepared_frame import resample
 from vaoi_station.stitching.work import StitchSetup, TaskRunner, all_tasks
@@ -80,6 +81,8 @@ def _blend() -> None:
     """Call the functions that are compiled for tiles of mosaics."""
     label_boxes(np.zeros((2, 2), np.int16), 1)
     nodes, pixels = nodes_along(0.0, 0.25, 4, 2), np.ones((4, 4), np.uint8)
+    for factor in (2, 32):  # with sums of 16 and of 32 bits
+        reduced(Reduced(pixels, pixels), factor)
     place, limits = np.array([[0, 0, 0, 4]]), np.array([[0.0, 0.0, 9.0, 9.0]])
     pictures = Pictures(pixels.ravel(), place, np.ones(1, np.float32), np.eye(3)[None], limits)
     cells = Cells(np.zeros((2, 2), np.int32), np.ones((2, 2), np.float32))
