@@ -32,6 +32,30 @@ def test_body_in_the_middle_belongs_to_one_frame() -> None:
     assert len(np.unique(labels[3:6, 8:11])) == 1
 
 
+def test_every_cell_has_the_frame_whose_front_comes_first() -> None:
+    """Compared with the shortest paths of each frame alone, by Bellman and Ford, over ground of random cost."""
+    g = np.random.default_rng(1)
+    cost = g.uniform(0.05, 1.0, (17, 29)).astype(np.float32)
+    frames = two_frames((17, 29), 22)
+    frames.delay[:] = 0.7, 3.1
+    times = np.full((2, 17, 29), np.inf)
+    for f, ((x, y), delay) in enumerate(zip(frames.seed.tolist(), frames.delay.tolist(), strict=True)):
+        left = int(frames.box[f, 0])
+        seen, price = times[f, :, left : left + 22], cost[:, left : left + 22].astype(float)
+        seen[y, x - left] = delay
+        for _ in range(seen.size):
+            before = seen.copy()
+            for dy, dx in np.ndindex(3, 3):
+                a, b = (np.s_[max(d - 1, 0) : n + min(d - 1, 0)] for d, n in ((dy, 17), (dx, 22)))
+                c, d = (np.s_[max(1 - d, 0) : n + min(1 - d, 0)] for d, n in ((dy, 17), (dx, 22)))
+                way = np.hypot(dy - 1, dx - 1) / 2 * (price[a, b] + price[c, d])
+                seen[a, b] = np.minimum(seen[a, b], before[c, d] + way)
+            if (seen == before).all():
+                break
+    labels = completed(assign_cells(frames, cost, np.full((17, 29), NO_FRAME, np.int32)))
+    np.testing.assert_array_equal(labels, times.argmin(0))
+
+
 def test_locked_cells_keep_their_frame_and_cells_that_no_frame_shows_have_none() -> None:
     locked = np.full((9, 21), NO_FRAME, np.int32)
     locked[3:5, 8:10] = 1

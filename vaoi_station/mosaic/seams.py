@@ -19,8 +19,8 @@ from vaoi_station.steps import Steps
 Labels = NDArray[np.int32]
 NO_FRAME = -1
 """Label of a cell that no frame shows."""
-_ENTRIES_PER_STEP = 10_000
-"""Number of entries of the heap that are processed in one step, a few milliseconds."""
+_ENTRIES_PER_STEP = 20_000
+"""Number of entries that are taken in one step, a few milliseconds."""
 
 
 class FrameCells(NamedTuple):
@@ -38,12 +38,24 @@ class FrameCells(NamedTuple):
     """(f,) when the front of each frame starts: distance of the seed from the foot of the camera, in cells."""
 
 
-class _Heap(NamedTuple):
-    """Storage of a binary heap, ordered by time."""
+class _Queue(NamedTuple):
+    """Cells that fronts will reach, in buckets of equal width by time.
 
+    No front crosses a cell in less than the width of a bucket. So whatever order the cells of one bucket are taken in,
+    none of them is reached earlier from another one, and the result is that of a heap, in a fraction of its time.
+    """
+
+    width: float
+    """Width of a bucket."""
+    top: NDArray[np.int32]
+    """The last entry of each bucket, −1 for none. Buckets are used in turn: all that wait lie within their number."""
+    below: NDArray[np.int32]
+    """The entry below each one in its bucket; of a free one the next that is free."""
     time: NDArray[np.float64]
     cell: NDArray[np.int32]
     label: NDArray[np.int32]
+    state: NDArray[np.int64]
+    """(4,) number of the present bucket, number of entries that wait, a free entry or −1, number of entries used."""
 
 
 def assign_cells(frames: FrameCells, cost: NDArray[np.float32], locked: Labels) -> Steps[Labels]:
@@ -56,12 +68,23 @@ def assign_cells(frames: FrameCells, cost: NDArray[np.float32], locked: Labels) 
     """
     labels = np.full(cost.shape, NO_FRAME, np.int32)
     earliest = np.full(cost.shape, np.inf)
-    # A cell enters the heap at most once from each of its eight neighbours, and once for each frame that starts there.
+    # A little less than the shortest time, for the rounding of sums.
+    width = 0.999 * float(cost.min())
+    furthest = max(1.5 * float(cost.max()), float(frames.delay.max(initial=0.0)))
+    # A cell is entered at most once from each of its eight neighbours, and once for each frame that starts there.
     room = 8 * cost.size + len(frames.start) + 1
-    heap = _Heap(np.empty(room, np.float64), np.empty(room, np.int32), np.empty(room, np.int32))
-    count = _plant(frames, cost.shape[1], heap)
-    while count:
-        count = _grow(frames, cost, locked, labels, earliest, heap, count)
+    queue = _Queue(
+        width,
+        np.full(int(furthest / width) + 2, -1, np.int32),
+        np.empty(room, np.int32),
+        np.empty(room, np.float64),
+        np.empty(room, np.int32),
+        np.empty(room, np.int32),
+        np.array([0, 0, -1, 0], np.int64),
+    )
+    _plant(frames, earliest, queue)
+    while queue.state[1]:
+        _grow(frames, cost, locked, labels, earliest, queue)
         yield
     left = (labels == NO_FRAME) & (locked != NO_FRAME)
     labels[left] = locked[left]
@@ -69,14 +92,13 @@ def assign_cells(frames: FrameCells, cost: NDArray[np.float32], locked: Labels) 
 
 
 @compiled
-def _plant(frames: FrameCells, width: int, heap: _Heap) -> int:
-    """Enter the cell where the front of each frame starts, and return the number of entries in the heap."""
-    count = 0
+def _plant(frames: FrameCells, earliest: NDArray[np.float64], queue: _Queue) -> None:
+    """Enter the cell where the front of each frame starts."""
     for f in range(len(frames.start)):
         x, y = frames.seed[f, 0], frames.seed[f, 1]
-        if x >= 0:
-            count = _push(heap, count, frames.delay[f], y * width + x, f)
-    return count
+        if x >= 0 and frames.delay[f] < earliest[y, x]:
+            earliest[y, x] = frames.delay[f]
+            _enter(queue, frames.delay[f], y * earliest.shape[1] + x, f)
 
 
 @compiled
@@ -86,70 +108,57 @@ def _grow(
     locked: Labels,
     labels: Labels,
     earliest: NDArray[np.float64],
-    heap: _Heap,
-    count: int,
-) -> int:
-    """Let fronts grow over some cells, and return the number of entries that are left in the heap.
+    queue: _Queue,
+) -> None:
+    """Let fronts grow over some cells.
 
     `earliest` (h, w) is the earliest time at which a front is known to reach each cell.
     """
-    width = cost.shape[1]
-    for _ in range(_ENTRIES_PER_STEP):
-        if count == 0:
-            break
-        time, cell, f = heap.time[0], heap.cell[0], heap.label[0]
-        count = _pop(heap, count)
+    width, state = cost.shape[1], queue.state
+    taken = 0
+    while taken < _ENTRIES_PER_STEP and state[1] > 0:
+        bucket = state[0] % len(queue.top)
+        entry = queue.top[bucket]
+        if entry < 0:
+            state[0] += 1
+            continue
+        taken += 1
+        time, cell, f = queue.time[entry], queue.cell[entry], queue.label[entry]
+        queue.top[bucket] = queue.below[entry]
+        queue.below[entry], state[2] = state[2], entry
+        state[1] -= 1
         y, x = cell // width, cell % width
-        if labels[y, x] >= 0:
+        # An entry that comes later than another one of the same cell is left over.
+        if labels[y, x] >= 0 or time > earliest[y, x]:
             continue
         labels[y, x] = f
-        bx, by, bw, bh = frames.box[f]
+        bx, by, bw, bh = frames.box[f, 0], frames.box[f, 1], frames.box[f, 2], frames.box[f, 3]
         for dy in range(-1, 2):
             for dx in range(-1, 2):
                 u, v = x + dx, y + dy
                 # The box of a frame lies within the grid, so this is also the test for the grid's borders.
                 if (dx == 0 and dy == 0) or u < bx or v < by or u >= bx + bw or v >= by + bh:
                     continue
-                if labels[v, u] >= 0 or not frames.shown[frames.start[f] + (v - by) * bw + u - bx]:
-                    continue
-                if locked[v, u] >= 0 and locked[v, u] != f:
-                    continue
                 step = 1.4142135 if dx != 0 and dy != 0 else 1.0
                 arrival = time + step * 0.5 * (cost[y, x] + cost[v, u])
-                # An entry that comes later than another one of the same cell would be dropped in the end.
-                if arrival < earliest[v, u]:
+                # Cells that have a frame were reached earlier.
+                if arrival >= earliest[v, u] or not frames.shown[frames.start[f] + (v - by) * bw + u - bx]:
+                    continue
+                if locked[v, u] < 0 or locked[v, u] == f:
                     earliest[v, u] = arrival
-                    count = _push(heap, count, arrival, v * width + u, f)
-    return count
+                    _enter(queue, arrival, v * width + u, f)
 
 
 @inlined
-def _push(heap: _Heap, count: int, time: float, cell: int, label: int) -> int:
-    n = count
-    while n > 0:
-        parent = (n - 1) // 2
-        if heap.time[parent] <= time:
-            break
-        heap.time[n], heap.cell[n], heap.label[n] = heap.time[parent], heap.cell[parent], heap.label[parent]
-        n = parent
-    heap.time[n], heap.cell[n], heap.label[n] = time, cell, label
-    return count + 1
-
-
-@inlined
-def _pop(heap: _Heap, count: int) -> int:
-    count -= 1
-    time, cell, label = heap.time[count], heap.cell[count], heap.label[count]
-    n = 0
-    while True:
-        child = 2 * n + 1
-        if child >= count:
-            break
-        if child + 1 < count and heap.time[child + 1] < heap.time[child]:
-            child += 1
-        if heap.time[child] >= time:
-            break
-        heap.time[n], heap.cell[n], heap.label[n] = heap.time[child], heap.cell[child], heap.label[child]
-        n = child
-    heap.time[n], heap.cell[n], heap.label[n] = time, cell, label
-    return count
+def _enter(queue: _Queue, time: float, cell: int, label: int) -> None:
+    state = queue.state
+    entry = state[2]
+    if entry >= 0:
+        state[2] = queue.below[entry]
+    else:
+        entry = state[3]
+        state[3] += 1
+    bucket = int(time / queue.width) % len(queue.top)
+    queue.time[entry], queue.cell[entry], queue.label[entry] = time, cell, label
+    queue.below[entry], queue.top[bucket] = queue.top[bucket], entry
+    state[1] += 1
