@@ -6,6 +6,7 @@ import os
 import signal
 import socket
 import time
+from typing import Any
 
 import dask
 import pytest
@@ -41,6 +42,23 @@ def test_the_link_to_the_dashboard_is_that_of_the_port_that_dask_got(cluster: Cl
     link = dashboard_link(cluster.scheduler, cluster.patience_s)
     with connection(cluster.scheduler, cluster.patience_s) as client:
         assert link == client.dashboard_link
+
+
+def test_waiting_processes_of_the_local_cluster_wake_up_rarely(cluster: ClusterOptions) -> None:
+    """Dask's own intervals have each event loop wake up more than 60 times a second, which runs pay for."""
+
+    def wakes_hz(dask_worker: Any = None, dask_scheduler: Any = None) -> float:
+        callbacks = (dask_worker or dask_scheduler).periodic_callbacks.values()
+        return sum(1000.0 / float(callback.callback_time) for callback in callbacks)
+
+    assert cluster.scheduler is not None
+    with connection(cluster.scheduler, cluster.patience_s) as client:
+        client.wait_for_workers(2, timeout=120)
+        workers = client.run(wakes_hz)
+        nannies = client.run(wakes_hz, nanny=True)
+        scheduler = client.run_on_scheduler(wakes_hz)
+    assert max(*workers.values(), *nannies.values()) < 10
+    assert scheduler < 15
 
 
 def test_a_worker_that_is_slow_to_come_back_after_its_end_is_not_given_up() -> None:

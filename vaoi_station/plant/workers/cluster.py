@@ -21,6 +21,12 @@ _WORKERS: dict[str, Any] = {
     "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None,
     # It samples the stacks of the worker 100 times a second; what a run costs is in its outcome.
     "distributed.worker.profile.enabled": False,
+    # By default the event loops of workers, nannies and scheduler each wake up 50 times a second to measure their own
+    # delay, 10 times to read the memory of a worker, and twice to read the load of the machine. With two workers that
+    # takes a tenth of a processor, from the runs that use all of them.
+    "distributed.admin.tick.interval": "1s",
+    "distributed.worker.memory.monitor-interval": "500ms",
+    "distributed.admin.system-monitor.interval": "2s",
     # Dask gives a worker up whose successor is not there 15 s after its end: also one that has just been killed again,
     # or that takes longer to start on a busy machine. The nanny's own wait for the successor is the bound that counts.
     "distributed.deploy.lost-worker-timeout": "10 days",
