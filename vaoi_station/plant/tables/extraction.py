@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -35,20 +35,18 @@ def result_tables(
 
     Figures that a result of an older version does not state, or states in another form, are None.
     """
-    rows = {
-        "runs": [_run(key, result)],
-        "rows": list(_rows(result)),
-        "cameras": list(_cameras(result, head)),
-        "seams": list(_seams(result)),
-        "fiducials": list(_fiducials(result)),
-        "components": list(_components(result, board_type)),
-        "views": list(_views(result)),
-    }
     common = {"station": key.station, "run": key.run, "time": key.time, "board_type": key.board_type, "result": name}
-    return {
-        table: {c.name: [(common | row)[c.name] for row in rows[table]] for c in columns}
-        for table, columns in TABLES.items()
+    found: dict[str, Iterable[dict[str, Any]]] = {
+        "runs": [_run(key, result)],
+        "rows": _rows(result),
+        "cameras": _cameras(result, head),
+        "seams": _seams(result),
+        "fiducials": _fiducials(result),
+        "components": _components(result, board_type),
+        "views": _views(result),
     }
+    rows = {table: [common | row for row in found[table]] for table in TABLES}
+    return {table: {c.name: [row[c.name] for row in rows[table]] for c in columns} for table, columns in TABLES.items()}
 
 
 def _run(key: RunKey, result: Stitch) -> dict[str, Any]:
