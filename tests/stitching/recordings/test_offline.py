@@ -6,20 +6,34 @@ from typing import Any
 
 import numpy as np
 
-from vaoi_station.stitching.recordings.offline import stitch_frames
+from vaoi_station.stitching.recordings.offline import kept_frames, stitch_frames
 
 
-def test_all_frames_are_read_and_missing_ones_are_not(filmed: Any) -> None:
-    asked: set[tuple[int, int]] = set()
+def test_each_frame_is_read_once_and_missing_ones_are_not(filmed: Any) -> None:
+    asked: list[tuple[int, int]] = []
 
     def frame(camera: int, row: int) -> Any:
-        asked.add((camera, row))
+        asked.append((camera, row))
         return filmed.frame(camera, row)
 
     head = filmed.head.model_copy(update={"missing": ((0, 1), (1, 4))})
     result = stitch_frames(filmed.setup, head, frame)
-    assert asked == {key for key in filmed.present if key not in ((0, 1), (1, 4))}
+    assert sorted(asked) == [key for key in sorted(filmed.present) if key not in ((0, 1), (1, 4))]
     assert result.image_matrices[0][1] is not None, "the other camera places the row"
+
+
+def test_frames_are_kept_up_to_a_size() -> None:
+    frames = {(0, row): np.full((2, 5), row, dtype=np.uint8) for row in range(4)}
+    asked: list[int] = []
+
+    def frame(camera: int, row: int) -> Any:
+        asked.append(row)
+        return frames.get((camera, row))
+
+    kept = kept_frames(frame, most_bytes=25)
+    for _ in range(2):
+        assert [kept(0, row) is frames.get((0, row)) for row in range(5)] == [True, True, True, True, True]
+    assert asked == [0, 1, 2, 3, 4, 2, 3, 4], "two frames of ten bytes have room; a missing one is asked for again"
 
 
 def test_the_result_is_the_same_every_time(filmed: Any) -> None:
