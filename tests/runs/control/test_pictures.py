@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import gc
+import math
+import weakref
 from typing import Any
 
 import pytest
 
 from vaoi_station.errors import NotFoundError, StateError
+from vaoi_station.runs.control import pictures
 from vaoi_station.runs.control.pictures import frame_record
+from vaoi_station.runs.host import gc_policy
 
 
 def test_a_frame_that_may_still_arrive_is_refused_differently_from_one_that_cannot(rig: Any) -> None:
@@ -40,3 +45,29 @@ def test_a_lease_ends_with_its_use_and_unknown_runs_are_not_gone_ones(rig: Any) 
     assert rig.coordinator.snapshot().ring.leases == ()
     with pytest.raises(NotFoundError, match="no run 'never'"):
         frames.take_lease("never", "me", "a test")
+
+
+class Knot:
+    """An object that refers to itself, so that only the collector frees it."""
+
+    def __init__(self) -> None:
+        self.itself = self
+
+
+def test_no_full_garbage_collection_delays_a_caller_who_fetches(rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gc_policy, "IDLE_S", 0.0)
+    monkeypatch.setattr(pictures, "FETCHING_S", math.inf)
+    grant = rig.arm()
+    rig.board(grant)
+    rig.result_of(grant.run)
+    rig.coordinator.frame(grant.run, 0, 0)
+    tied = Knot()
+    gc.collect(1)
+    gc.collect(1)  # now only a full collection finds it
+    knot = weakref.ref(tied)
+    del tied
+    rig.coordinator._inbox.ask(rig.coordinator._tick)
+    assert knot() is not None
+    monkeypatch.setattr(pictures, "FETCHING_S", 0.0)
+    rig.coordinator._inbox.ask(rig.coordinator._tick)
+    assert knot() is None

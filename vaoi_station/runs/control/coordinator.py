@@ -380,8 +380,8 @@ class StationCoordinator:
 
     def _tick(self) -> None:
         self._core.tick()
-        # A full garbage collection while a board passes would delay the tasks of its frames.
-        self._gc_policy.tick(busy=bool(self._core.runs.active))
+        # A full garbage collection would delay the tasks of the frames of a board that passes, and every reply.
+        self._gc_policy.tick(busy=self._frames.in_use())
         self._show_status(status_line(self._core))
 
     def _snapshot(self) -> StationSnapshot:

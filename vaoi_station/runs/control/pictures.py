@@ -7,6 +7,8 @@ pixels. Of a run that is no longer in memory, frames are read from its recording
 from __future__ import annotations
 
 import itertools
+import math
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -40,6 +42,8 @@ from vaoi_station.runs.workers.jobs import Priority, RenderJob
 
 SMALL_PX = 400_000
 """Largest number of pixels of a small picture: rendered and encoded, it takes no longer than two links."""
+FETCHING_S = 1.0
+"""Time for which a caller that has fetched a picture or frame is likely to fetch the next one."""
 
 
 class ViewRequest(NamedTuple):
@@ -63,12 +67,13 @@ class FrameAccess:
         the run is kept. It raises GoneError if the recording does not have the frame."""
         self.heights: Callable[[str], Mapping[str, tuple[float, float]] | None] = lambda _run: None
         """Function that returns the measured heights of a run by address, with their standard deviations, mm."""
-        self._uses = itertools.count(1)
+        self._uses, self._fetched_s = itertools.count(1), -math.inf
 
     def frame(
         self, detail: RunDetail, camera: int, row: int, allow_incomplete: bool
     ) -> tuple[NDArray[Any], FrameRecord]:
         """Copy one frame out of the ring or the recording, with its record; see `StationCoordinator.frame`."""
+        self._fetched_s = time.monotonic()
         record = frame_record(detail, camera, row)
         where = f"Frame (camera {camera}, row {row}) of run {detail.id}"
         component_views.refuse_unusable(record, where, allow_incomplete)
@@ -83,6 +88,7 @@ class FrameAccess:
 
     def image(self, detail: RunDetail, wanted: ViewRequest, format: ImageFormat) -> bytes:
         """Render one temporary image, in a worker or in this thread, and return it as an encoded file."""
+        self._fetched_s = time.monotonic()
         finished = self._archive.get(detail.id)
         name = f"{wanted.ref}/{wanted.k}"
         measure, heights = self._measured_by(detail), self._heights(detail.id, wanted.images)
@@ -164,6 +170,10 @@ class FrameAccess:
     def busy(self) -> bool:
         """Return whether a board is being filmed or stitched."""
         return bool(self._core.runs.active)
+
+    def in_use(self) -> bool:
+        """Return whether a board is being filmed or stitched, or a caller fetches pictures or frames."""
+        return self.busy() or time.monotonic() - self._fetched_s < FETCHING_S
 
     def copier(self, bay: Bay) -> Callable[[int], NDArray[Any]]:
         """Return a function that takes the number of a slot in a leased bay, and returns a copy of the frame in it."""

@@ -1,8 +1,8 @@
-"""Defer full garbage collections while a board is processed.
+"""Defer full garbage collections while a board is processed or callers fetch pictures.
 
 A full collection scans every object that the garbage collector tracks. In a station that had filmed boards of 3000
 components, it took 60 to 95 ms and usually came while a result was unpacked. No Python thread runs during that time. So
-objects that exist at the start are excluded permanently, and full collections run only while no board is processed.
+objects that exist at the start are excluded permanently, and full collections run only while the station is idle.
 Collections of young objects stay automatic, since they take less than a millisecond.
 
 After a collection, free memory goes back to the kernel, at most once a minute. The C library keeps a heap for every
@@ -19,9 +19,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 IDLE_S = 10.0
-"""Time between full collections while no board is processed."""
+"""Time between full collections while the station is idle."""
 LONGEST_S = 60.0
-"""Time after which a full collection runs even while boards are processed, and between two returns of memory."""
+"""Time after which a full collection runs even if the station is never idle, and between two returns of memory."""
 # The module `gc` cannot switch off generation 2 alone. A threshold that is never reached has the same effect.
 _NEVER = 1_000_000_000
 
@@ -63,7 +63,7 @@ class GcPolicy:
                 gc.freeze()
 
     def tick(self, busy: bool) -> None:
-        """Run a full collection if one is due. `busy` states whether a board is processed."""
+        """Run a full collection if one is due. `busy`: a board is processed, or a caller fetches pictures."""
         # On a line without pauses collections must run too: otherwise memory in reference cycles would grow without
         # limit.
         if self._before is not None and self._clock() - self._last_s >= (LONGEST_S if busy else IDLE_S):
