@@ -43,6 +43,7 @@ SHORT = (
     82844,
     84655,
     84667,
+    91283,
     91603,
 )
 """Mended finds that the short form repeats: one of each class of causes."""

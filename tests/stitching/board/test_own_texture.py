@@ -129,8 +129,26 @@ def test_an_outline_is_confirmed_only_in_its_place(shift_mm: float, confirmed: b
     cad = np.array(passage.truth()["cad_matrix"])
     cad[:2, 2] += shift_mm
     motion = Motion(angle, shift, np.zeros(2))
-    assert outline_confirmed(twin.board_type, cad, scene, motion) is confirmed
+    assert outline_confirmed(BoardPlane(twin.board_type, mirrored=False), cad, scene, motion) is confirmed
     assert result.status is Status.OK
+
+
+def test_a_connector_along_a_side_is_no_other_edge_of_the_board(workshop: Any) -> None:
+    """Its edge, all along a side, is stronger than that of the board; only CAD data show what it is."""
+    camera = workshop.camera((0.0, 0.0), size_px=(480, 320), px_per_mm=15.0)
+    y, x = np.mgrid[:320, :480].astype(float)
+    tester = camera.ground(np.stack([x, y], -1).reshape(-1, 2)).reshape(320, 480, 2)
+    levels = np.where((np.abs(tester) <= (11.0, 7.0)).all(-1), 100.0, 60.0)
+    levels[(np.abs(tester - (7.0, 0.0)) <= (1.5, 6.5)).all(-1)] = 220.0
+    frame = PreparedFrame(workshop.digitised(levels + np.random.default_rng(1).normal(0, 2, levels.shape)))
+    scene = Scene((camera,), ((0, 0),), lambda key: frame)
+    still = Motion(np.zeros(1), np.zeros((1, 2)), np.zeros(2))
+    outline = [[-11.0, -7.0], [11.0, -7.0], [11.0, 7.0], [-11.0, 7.0]]
+    connector = {"ref": "J1", "center": [7.0, 0.0], "width": 3.0, "height": 13.0}
+    assert outline_confirmed(plane_of(outline, components=[connector]), np.eye(3), scene, still)
+    assert not outline_confirmed(plane_of(outline), np.eye(3), scene, still)
+    elsewhere = np.array([[1.0, 0, -2.0], [0, 1, 0], [0, 0, 1]])
+    assert not outline_confirmed(plane_of(outline, components=[connector]), elsewhere, scene, still)
 
 
 def test_two_fiducials_in_a_carrier_as_bright_as_the_board_fail_with_the_cause() -> None:

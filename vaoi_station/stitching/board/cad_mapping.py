@@ -259,7 +259,7 @@ def _without_surroundings(
     confirmed = (
         outline is not None
         and outline.visible
-        and outline_confirmed(plane.board_type, plane.matrix(guess.c), scene, motion.motion)
+        and outline_confirmed(plane, plane.matrix(guess.c), scene, motion.motion)
     )
     others = problem.links.select(np.setdiff1d(np.arange(len(problem.links)), earlier[-1]))
     return _OwnTexture(own, motion, (guess, known.detections, outline), LeftOut(share, confirmed, others))

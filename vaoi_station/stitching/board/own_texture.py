@@ -3,7 +3,7 @@
 Texture beside the board may move with it, stand still, or lie at another height, so that its links contradict those of
 the board. The outline in the CAD data decides which links lie on the board. This is valid only where the pictures
 confirm the outline: each side of it that is in view must show an edge where C puts this side, and no stronger edge near
-by.
+by, but for those of components.
 """
 
 from __future__ import annotations
@@ -41,6 +41,10 @@ _STANDS_OUT = 1.15
 """A side of the outline stands out only if its step at the edge exceeds other steps by this factor.
 
 The other steps are those more than twice `_EDGE_NEAR_MM` away from the expected edge."""
+_PART_MM = 0.35
+"""Distance from a component, with solder and silkscreen, up to which a step of grey level contains its edge.
+
+A connector along a side shows a stronger edge than the board, which is no reason to doubt the outline."""
 _LEAST_PIECES = 2
 """Least number of pieces of a side in view; with fewer, the side is not checked."""
 
@@ -109,24 +113,36 @@ def without_seams_beside(plane: BoardPlane, problem: Problem, motion: Motion, c:
     return problem.select(np.flatnonzero(~off)) if off.any() else problem
 
 
-def outline_confirmed(board_type: BoardType, cad_matrix: Floats, scene: Scene, motion: Motion) -> bool:
+def outline_confirmed(plane: BoardPlane, cad_matrix: Floats, scene: Scene, motion: Motion) -> bool:
     """Return whether every side of the outline that is in view shows its edge where C (`cad_matrix`) puts it."""
-    pieces = straight_pieces(outline_polygons(board_type), board_type.mm_per_unit)
+    pieces = straight_pieces(outline_polygons(plane.board_type), plane.board_type.mm_per_unit)
     if not len(pieces):
         return False
-    pieces = pieces[subsample_pieces(len(pieces))]
-    step_mm, normal, steps = edge_profiles(apply(cad_matrix, pieces), scene, motion)
+    board = apply(cad_matrix, pieces[subsample_pieces(len(pieces))])
+    step_mm, normal, steps = edge_profiles(board, scene, motion)
     offset = (np.arange(steps.shape[1]) - steps.shape[1] // 2) * step_mm
     at_edge, away = np.abs(offset) <= _EDGE_NEAR_MM, np.abs(offset) > 2 * _EDGE_NEAR_MM
     seen = (steps > 0).mean(1) > 0.5
+    others = np.where(away & ~_shows_part(plane, cad_matrix, board, normal[:, None] * offset[:, None]), steps, np.nan)
     side = np.rint(np.arctan2(normal[:, 1], normal[:, 0]) / (np.pi / 4)).astype(int) % 8
     sides = 0
     for one in np.unique(side[seen]).tolist():
-        mine = steps[seen & (side == one)]
+        mine = np.flatnonzero(seen & (side == one))
         if len(mine) < _LEAST_PIECES:
             continue
-        common = np.quantile(mine, _QUANTILE, axis=0)
-        if common[at_edge].max() < max(_LEAST_EDGE, _STANDS_OUT * common[away].max()):
+        edge = np.quantile(steps[mine][:, at_edge], _QUANTILE, axis=0).max()
+        shown = np.isfinite(others[mine]).any(0)
+        other = np.nanquantile(others[mine][:, shown], _QUANTILE, axis=0).max(initial=0.0)
+        if edge < max(_LEAST_EDGE, _STANDS_OUT * other):
             return False
         sides += 1
     return sides > 0
+
+
+def _shows_part(plane: BoardPlane, cad_matrix: Floats, board_mm: Floats, offset_mm: Floats) -> NDArray[np.bool_]:
+    """Return whether pieces of the outline (k, 2, 2), displaced by (k, samples, 2), reach a component, (k, samples)."""
+    along = np.stack([board_mm[:, 0], board_mm.mean(1), board_mm[:, 1]], 1)
+    points = along[:, :, None] + offset_mm[:, None]
+    cad_from_board = np.asarray(np.linalg.inv(cad_matrix), np.float64)
+    found = plane.components.widened(_PART_MM).find(cad_from_board, points.reshape(-1, 2))
+    return np.asarray((found >= 0).reshape(points.shape[:3]).any(1))
