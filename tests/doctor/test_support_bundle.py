@@ -32,7 +32,8 @@ def test_a_bundle_has_findings_files_and_database(station_toml: Path, tmp_path: 
     (tmp_path / "data").mkdir()
     Database(tmp_path / "data" / "station.db").close()
     out = tmp_path / "support.tar.gz"
-    assert write_support_bundle(station_toml, out) == sorted(members(out))
+    made = write_support_bundle(station_toml, out)
+    assert made.members == sorted(members(out))
     found = members(out)
     assert json.loads(found["doctor.json"])["format"] == "vaoi-doctor"
     assert "no problem found" in found["check-config.txt"] or "warning" in found["check-config.txt"]
@@ -40,6 +41,9 @@ def test_a_bundle_has_findings_files_and_database(station_toml: Path, tmp_path: 
     assert "user_version" in found["database.txt"]
     assert found["running/station.json"].startswith("not available: ConnectionRefusedError")
     assert "none found" in found["README.txt"]
+    # The station does not run, and not every machine has every command.
+    assert made.missing["running/station.json"] in found["README.txt"]
+    assert {"station.toml", "files.txt", "doctor.json"}.isdisjoint(made.missing)
     assert not [name for name in found if "board" in name], "layouts are not copied"
 
 
@@ -78,8 +82,10 @@ def test_no_key_no_hash_no_login_and_no_private_key_of_a_running_station_is_in_a
     station_toml.write_text(text.replace("[api]\n", api))
     out = tmp_path / "support.tar.gz"
     write_support_bundle(station_toml, out, CallerCredentials(admin.secret))
+    without_key = write_support_bundle(station_toml, tmp_path / "without-key.tar.gz")
     served.stop()
     audit.close()
+    assert without_key.missing["running/station.json"].startswith("status 401: ")
     found = members(out)
     assert json.loads(found["running/station.json"])["state"] == "idle"
     assert REMOVED in found["running/events.txt"]
@@ -115,8 +121,10 @@ def test_what_looks_like_a_secret_is_removed(line: str, kept: str) -> None:
 
 def test_a_station_that_cannot_be_read_still_has_a_bundle(tmp_path: Path) -> None:
     out = tmp_path / "support.tar.gz"
-    write_support_bundle(tmp_path / "none.toml", out)
+    made = write_support_bundle(tmp_path / "none.toml", out)
     found = members(out)
+    assert {"station.toml", "files.txt"} <= made.missing.keys()
+    assert "files.txt: not available: files, database and address" in found["README.txt"]
     assert found["station.toml"].startswith("not available: FileNotFoundError")
     assert "there is no such file" in found["check-config.txt"]
     assert "machine/meminfo.txt" in found

@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 from vaoi_station.config import StationConfig, read_config
 from vaoi_station.doctor.checks.running_station import ask
@@ -51,6 +52,10 @@ COMMANDS = {
 """Members of the bundle that come from commands of the system."""
 MACHINE_FILES = ("etc/os-release", "proc/version", "proc/meminfo", "proc/loadavg", "proc/mounts", "proc/uptime")
 
+_MISSING = "not available: "
+_CAUSE = re.compile(rf"(?:{_MISSING}|status \d+: ).{{0,200}}")
+"""The first line of a member without its content, such as a refusal of the running station."""
+
 _WORDS = (
     r"[\w.-]*(?:pass(?:word|wd|phrase)|secret|token|credential|api[-_]?key|private[-_]?key|authorization|cookie)[\w.-]*"
 )
@@ -79,8 +84,16 @@ def without_secrets(text: str) -> str:
     return text
 
 
-def write_support_bundle(config: Path, out: Path, credentials: CallerCredentials | None = None) -> list[str]:
-    """Write the bundle of a station as a new .tar.gz file; return the names of its members.
+class Bundle(NamedTuple):
+    """What a bundle has: its members, and why some of them have not what they are for."""
+
+    members: list[str]
+    missing: dict[str, str]
+    """First line of each member that states a cause in place of its content."""
+
+
+def write_support_bundle(config: Path, out: Path, credentials: CallerCredentials | None = None) -> Bundle:
+    """Write the bundle of a station as a new .tar.gz file; return what it has.
 
     In place of anything that cannot be read, the bundle states the cause. So a bundle can be made of a station in any
     state.
@@ -90,7 +103,8 @@ def write_support_bundle(config: Path, out: Path, credentials: CallerCredentials
     """
     refuse_existing(out)
     members = {name: without_secrets(content) for name, content in _members(config, credentials)}
-    members["README.txt"] = _readme(members)
+    missing = {name: found[0] for name, content in sorted(members.items()) if (found := _CAUSE.match(content))}
+    members["README.txt"] = _readme(members, missing)
     folder, packed = out.name.removesuffix(".gz").removesuffix(".tar"), io.BytesIO()
     with tarfile.open(fileobj=packed, mode="w:gz") as tar:
         for name, content in sorted(members.items()):
@@ -99,7 +113,7 @@ def write_support_bundle(config: Path, out: Path, credentials: CallerCredentials
             entry.size, entry.mtime, entry.mode = len(data), int(time.time()), 0o640
             tar.addfile(entry, io.BytesIO(data))
     write_bytes(out, packed.getvalue())
-    return sorted(members)
+    return Bundle(sorted(members), missing)
 
 
 def _members(path: Path, credentials: CallerCredentials | None) -> Iterator[tuple[str, str]]:
@@ -114,6 +128,7 @@ def _members(path: Path, credentials: CallerCredentials | None) -> Iterator[tupl
     try:
         config = read_config(path)
     except VaoiError:
+        yield "files.txt", f"{_MISSING}files, database and address are those of a station.toml without faults\n"
         return
     yield "calibration.json", _attempt(lambda: config.calibration.read_text(encoding="utf-8", errors="replace"))
     yield "files.txt", _attempt(lambda: "\n".join(_listing(config)))
@@ -127,7 +142,7 @@ def _attempt(read: Callable[[], str]) -> str:
     try:
         return read()
     except Exception as error:  # noqa: BLE001  (a bundle is made because something is broken; each part stands alone)
-        return f"not available: {type(error).__name__}: {error}\n"
+        return f"{_MISSING}{type(error).__name__}: {error}\n"
 
 
 def _output(words: tuple[str, ...]) -> str:
@@ -183,7 +198,7 @@ def _database(path: Path) -> Iterator[str]:
         connection.close()
 
 
-def _readme(members: dict[str, str]) -> str:
+def _readme(members: dict[str, str], missing: dict[str, str]) -> str:
     removed = {name: count for name, text in members.items() if (count := text.count(REMOVED))}
     return "\n".join(
         [
@@ -193,6 +208,8 @@ def _readme(members: dict[str, str]) -> str:
             "It has no pictures, no results and no layouts of boards; secrets were removed by their names:",
             *(f"  {name}: {count}" for name, count in sorted(removed.items())),
             *(["  none found"] if not removed else []),
+            *(["What could not be read:"] if missing else []),
+            *(f"  {name}: {cause}" for name, cause in missing.items()),
             "Read it before you send it: host names, addresses and names of board types are in it.",
             "",
         ]

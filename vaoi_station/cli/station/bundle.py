@@ -19,5 +19,7 @@ def bundle(
     """Write log, configuration, findings of the doctor and state of the station into one file, without secrets."""
     from vaoi_station.doctor.support_bundle import write_support_bundle
 
-    members = write_support_bundle(config, out, credentials_of(key_file, ca))
-    typer.echo(f"{out}: {len(members)} files, without pictures, layouts and secrets. Read it before you send it.")
+    made = write_support_bundle(config, out, credentials_of(key_file, ca))
+    typer.echo(f"{out}: {len(made.members)} files, without pictures, layouts and secrets. Read it before you send it.")
+    for name, cause in made.missing.items():
+        typer.echo(f"{name}: {cause}", err=True)
