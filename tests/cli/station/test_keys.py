@@ -26,8 +26,12 @@ def test_keys_are_made_listed_rotated_and_revoked(vaoi: Callable[..., Result], t
     assert made.out.strip() not in listed.out
     rotated = vaoi("keys", "rotate", "tester", "--config", path)
     assert keys.find(rotated.out.strip()) is not None
-    assert vaoi("keys", "revoke", "tester", "--config", path).code == 0
+    revoked = vaoi("keys", "revoke", "tester", "--config", path)
+    assert (revoked.code, revoked.out) == (0, "Key 'tester' is revoked.\n")
     assert keys.entries() == ()
+    none = vaoi("keys", "list", "--config", path)
+    assert (none.code, none.out) == (0, "")
+    assert "There is no key" in none.err
     text = (keys.path.parent / AUDIT_FILE).read_text()
     entries = [json.loads(line) for line in text.splitlines()]
     assert [entry["path"] for entry in entries] == ["keys create tester", "keys rotate tester", "keys revoke tester"]

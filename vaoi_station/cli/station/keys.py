@@ -35,7 +35,10 @@ def create(
 @keys.command("list")
 def list_keys(config: CONFIG = DEFAULT) -> None:
     """List the keys, without their secrets."""
-    for key in _file(config).entries():
+    found = _file(config).entries()
+    if not found:
+        typer.echo("There is no key: callers from outside are refused. Make one with vaoi keys create.", err=True)
+    for key in found:
         typer.echo(f"{key.name:24} {','.join(key.scopes):28} {key.created} {key.id}")
 
 
@@ -52,6 +55,7 @@ def revoke(name: NAME, config: CONFIG = DEFAULT) -> None:
     """End a key: it is refused from now on."""
     _file(config).revoke(name)
     _note(config, f"keys revoke {name}")
+    typer.echo(f"Key {name!r} is revoked.")
 
 
 def _note(config: Path, command: str, scopes: Sequence[str] = ()) -> None:
