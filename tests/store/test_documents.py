@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import gc
 import json
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -12,6 +15,7 @@ from tests.store.conftest import MakeRun, noise
 from vaoi_station.errors import InternalError, NotFoundError
 from vaoi_station.store import Database, EventRow, Store
 from vaoi_station.store import documents as module
+from vaoi_station.store.database import READERS
 from vaoi_station.store.documents import digest_of
 
 
@@ -189,3 +193,30 @@ def test_heights_of_a_run_that_has_not_ended_are_not_written(store: Store, make_
     store.save_run(make_run("r1"))
     store.heights.save("r1", "{}").result(10)
     assert store.heights.document("r1") is None
+
+
+@pytest.mark.parametrize(
+    ("read", "key"),
+    [
+        (lambda store, keys: store.chosen_runs(keys), str),
+        (lambda store, keys: store.identities.documents(keys), str),
+        (lambda store, keys: list(store.figures.boards(keys)), str),
+        (lambda store, keys: list(store.figures.hours(keys)), int),
+    ],
+    ids=["runs", "identities", "boards", "hours"],
+)
+def test_a_statement_is_kept_once_however_long_its_list_is(
+    store: Store, read: Callable[[Store, Sequence[Any]], object], key: type
+) -> None:
+    """A connection keeps 128 statements by their text: with one per length, they would fill its heap over weeks."""
+
+    def kept() -> int:
+        gc.collect()
+        return sum(isinstance(found, statement) for found in gc.get_objects())
+
+    statement: Any = type(next(o for o in gc.get_objects() if type(o).__name__ == "Statement"))
+    read(store, [key(0)])
+    before = kept()
+    for length in range(2, 30):
+        read(store, [key(n) for n in range(length)])
+    assert kept() <= before + READERS

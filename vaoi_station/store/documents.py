@@ -25,7 +25,7 @@ from vaoi_station.store.history.decisions import RunDecisions
 from vaoi_station.store.history.identities import IdentityRow, RunIdentities, write_identity
 from vaoi_station.store.history.retention import RunRetention
 from vaoi_station.store.history.run_search import RunSearch
-from vaoi_station.store.schema import PACKED, packed, unpacked
+from vaoi_station.store.schema import ANY_OF, PACKED, keys_of, packed, unpacked
 from vaoi_station.store.standing import StandingDocuments
 from vaoi_station.store.storage_trouble import StorageTrouble, translated_errors
 
@@ -217,9 +217,8 @@ class Store:
 
     def chosen_runs(self, ids: Sequence[str]) -> list[RunRow]:
         """Return the runs with these ids, newest first; ids that do not exist are left out. Details stay packed."""
-        marks = ", ".join("?" * len(ids))
         rows = self._database.read(
-            f"SELECT {_COLUMNS} FROM runs WHERE id IN ({marks}) ORDER BY id DESC", tuple(ids)
+            f"SELECT {_COLUMNS} FROM runs WHERE id {ANY_OF} ORDER BY id DESC", (keys_of(ids),)
         )  # fmt: skip
         return [_packed_row(r, r["detail"]) for r in rows]
 

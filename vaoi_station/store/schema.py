@@ -5,8 +5,10 @@ A released step is never edited. A change of the tables is added as a further st
 
 from __future__ import annotations
 
+import json
 import sqlite3
 import zlib
+from collections.abc import Sequence
 from pathlib import Path
 
 from vaoi_station.errors import InputError
@@ -181,6 +183,18 @@ _SMALLEST = 500
 """Shortest text that is packed, in characters."""
 _LEVEL = 6
 """Effort of the compression; 9 takes twice the time for 1 % less."""
+
+
+ANY_OF = "IN (SELECT value FROM json_each(?))"
+"""Condition of a query that a column has one of the keys of which `keys_of` made the value.
+
+Each connection keeps the last 128 statements, by their text. With a `?` for every key, each number of keys would be a
+statement of its own: those for 1 to 128 keys take 1.7 MB, one for 1000 keys 0.2 MB."""
+
+
+def keys_of(keys: Sequence[str] | Sequence[int]) -> str:
+    """Return the value of `ANY_OF` for these keys."""
+    return json.dumps(list(keys))
 
 
 def packed(text: str) -> tuple[str, bytes | None]:

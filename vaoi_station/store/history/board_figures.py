@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from vaoi_station.store.database import Database
+from vaoi_station.store.schema import ANY_OF, keys_of
 
 MOST_BOARDS = 200_000
 """Largest number of boards whose figures are kept one by one; some 46 days at a board every 20 s."""
@@ -134,7 +135,7 @@ class BoardFigures:
     def boards(self, runs: Sequence[str]) -> Iterator[BoardRow]:
         """Yield the boards of runs in the order of the runs; those that were deleted meanwhile are left out."""
         for batch in _batches(runs):
-            rows = self._database.read(f"SELECT * FROM board_figures WHERE run IN ({_places(batch)})", batch)
+            rows = self._database.read(f"SELECT * FROM board_figures WHERE run {ANY_OF}", (keys_of(batch),))
             found = {r["run"]: r for r in rows}
             for r in (found[run] for run in batch if run in found):
                 yield BoardRow(r["run"], r["started"], r["board_type"], _read(r["document"]))
@@ -160,7 +161,7 @@ class BoardFigures:
     def hours(self, numbers: Sequence[int]) -> Iterator[HourRow]:
         """Yield rows per hour in the order of their numbers; those that were deleted meanwhile are left out."""
         for batch in _batches(numbers):
-            rows = self._database.read(f"SELECT * FROM hourly_figures WHERE number IN ({_places(batch)})", batch)
+            rows = self._database.read(f"SELECT * FROM hourly_figures WHERE number {ANY_OF}", (keys_of(batch),))
             found = {r["number"]: r for r in rows}
             for r in (found[number] for number in batch if number in found):
                 yield HourRow(r["hour"], r["board_type"], {k: tuple(v) for k, v in _read(r["document"]).items()})
@@ -217,10 +218,6 @@ def merged(figures: Iterable[HourFigure], *, only_lower_limit: bool = False) -> 
 
 def _batches(keys: Sequence[T]) -> Iterator[tuple[T, ...]]:
     return (tuple(keys[n : n + _BATCH]) for n in range(0, len(keys), _BATCH))
-
-
-def _places(keys: Sequence[object]) -> str:
-    return ", ".join("?" * len(keys))
 
 
 def _read(document: str) -> dict[str, Any]:

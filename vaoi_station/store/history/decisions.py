@@ -7,6 +7,7 @@ import threading
 from collections.abc import Sequence
 
 from vaoi_station.store.database import Database
+from vaoi_station.store.schema import ANY_OF, keys_of
 
 IN_MEMORY = 1000
 """Number of decisions, about the newest runs, that are kept in memory: documents of these runs need no disk."""
@@ -49,8 +50,7 @@ class RunDecisions:
             newest, bound = self._read(), self._from
             found = {run: newest[run] for run in runs if run in newest}
         if older := [run for run in runs if run < bound]:
-            marks = ", ".join("?" * len(older))
-            rows = self._database.read(f"SELECT run, document FROM decisions WHERE run IN ({marks})", tuple(older))
+            rows = self._database.read(f"SELECT run, document FROM decisions WHERE run {ANY_OF}", (keys_of(older),))
             found |= {str(row["run"]): str(row["document"]) for row in rows}
         return found
 

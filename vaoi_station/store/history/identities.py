@@ -9,7 +9,7 @@ from concurrent.futures import Future
 from dataclasses import dataclass
 
 from vaoi_station.store.database import Database
-from vaoi_station.store.schema import DOUBTFUL, packed, unpacked
+from vaoi_station.store.schema import ANY_OF, DOUBTFUL, keys_of, packed, unpacked
 from vaoi_station.store.storage_trouble import translated_errors
 
 
@@ -43,10 +43,9 @@ class RunIdentities:
 
     def documents(self, runs: Sequence[str]) -> dict[str, str]:
         """Return the identities of runs by run; runs without one are left out."""
-        marks = ", ".join("?" * len(runs))
         with translated_errors(self._database.path):
             rows = self._database.read(
-                f"SELECT run, document, packed FROM identities WHERE run IN ({marks})", tuple(runs)
+                f"SELECT run, document, packed FROM identities WHERE run {ANY_OF}", (keys_of(runs),)
             )
             return {str(row["run"]): unpacked(row["document"], row["packed"]) for row in rows}
 
