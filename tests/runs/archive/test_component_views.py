@@ -97,6 +97,15 @@ def test_views_and_components_that_do_not_exist_are_refused_with_their_numbers(r
         component_views.component_of(board_type, "R99")
 
 
+@pytest.mark.parametrize("ref", ["U1", "u1", "3/U1"])
+def test_the_refusal_of_a_component_names_those_that_may_be_meant(board_type: BoardType, ref: str) -> None:
+    [part] = board_type.components
+    panel = board_type.model_copy(update={"components": tuple(part.model_copy(update={"panel": n}) for n in (1, 2))})
+    with pytest.raises(NotFoundError) as refused:
+        component_views.component_of(panel, ref)
+    assert refused.value.action.startswith("It has 1/U1, 2/U1; ")
+
+
 def test_callers_of_many_components_get_what_each_one_gets_alone(rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """One that is refused, because its picture would be too large, prevents none of its neighbours."""
     finished = finished_run(rig)

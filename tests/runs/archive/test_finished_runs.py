@@ -224,3 +224,9 @@ def test_runs_that_are_not_cached_are_read_from_the_database(rig: Any, monkeypat
     assert [run.id for run in rig.coordinator.runs(2)] == runs[:0:-1]
     with pytest.raises(NotFoundError):
         rig.coordinator.next_run("never", 0.0)
+
+
+def test_a_caller_who_takes_latest_for_an_id_learns_where_the_id_is(rig: Any) -> None:
+    with pytest.raises(NotFoundError) as refused:
+        rig.coordinator.stitch("latest")
+    assert (refused.value.code, "runs/latest" in refused.value.action) == ("unknown-run", True)

@@ -33,6 +33,8 @@ from vaoi_station.runs.states.schemas import ComponentSummary
 from vaoi_station.stitching.board.component_index import ComponentIndex
 from vaoi_station.stitching.board.coverage import Coverage, component_coverage
 
+_ALIKE = 8
+"""Largest number of addresses that the refusal of an unknown component names."""
 _RUNS = 4
 """Number of runs whose tables are kept between requests: callers read the pictures of few runs at a time."""
 _GROUP, _GROUPS = 64, 512
@@ -206,9 +208,13 @@ def component_of(board_type: BoardType, ref: str) -> Component:
     """Return the component with the address `ref`. Raise NotFoundError if the board type does not have it."""
     part = board_type.component(ref)
     if part is None:
+        others = board_type.components
+        meant = [c.address for c in others if c.ref.casefold() == ref.rpartition("/")[2].casefold()][:_ALIKE]
         raise NotFoundError(
-            f"Board type {board_type.name!r} has no component {ref!r} ({len(board_type.components)} others).",
-            action="See the run's list of components; on a panel the address is panel/ref.",
+            f"Board type {board_type.name!r} has no component {ref!r} ({len(others)} others).",
+            action=f"It has {', '.join(meant)}; see the run's list of components."
+            if meant
+            else "See the run's list of components; on a panel the address is panel/ref.",
             code="unknown-component",
         )
     return part

@@ -185,7 +185,7 @@ class Archive:
         if row is None:
             if self._store.retention.forgotten(run):
                 raise stored_documents.forgotten(run)
-            raise NotFoundError(f"There is no run {run!r}.", action="See the list of runs.", code="unknown-run")
+            raise stored_documents.unknown(run)
         # A row without a finish number was written when the run began, but not again when the run ended.
         if row.finish_number is None:
             if (known := self._cached(run)) is not None:  # The run ended between the two look-ups.

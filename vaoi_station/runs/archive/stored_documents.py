@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
-from vaoi_station.errors import DeviceError, GoneError
+from vaoi_station.errors import DeviceError, GoneError, NotFoundError
 from vaoi_station.identity.comparison import compare
 from vaoi_station.model import BoardType, Status
 from vaoi_station.model.board_identity import IdentityDocument
@@ -161,6 +161,13 @@ def readable(run: str) -> Iterator[None]:
         raise DeviceError(
             f"Run {run}: {_UNREADABLE.message}", action=_UNREADABLE.action, code=_UNREADABLE.code
         ) from error
+
+
+def unknown(run: str) -> NotFoundError:
+    """Return the refusal of a run that there is not."""
+    # Of all addresses below "runs" only runs/latest itself takes this word.
+    action = "See the list of runs; the document of runs/latest has the id of the newest."
+    return NotFoundError(f"There is no run {run!r}.", action=action, code="unknown-run")
 
 
 def forgotten(run: str) -> GoneError:
