@@ -16,7 +16,7 @@ from typing import IO
 from vaoi_station.config import ApiConfig
 from vaoi_station.errors import DeviceError, InternalError
 
-START_S = 60.0
+START_S = 180.0
 """Longest time until the service listens, also on a busy machine."""
 END_S = 30.0
 """Longest time, s, for the service to end after SIGTERM; after it, the service is killed with its child processes."""
