@@ -32,6 +32,14 @@ def test_a_key_permits_its_scopes_only(call_from: Any, keys: KeyFile) -> None:
         assert (refused.status_code, refused.json()["code"]) == (403, "missing-scope")
 
 
+def test_the_refusal_of_a_wrong_address_does_not_ask_for_a_key_alone(call_from: Any, keys: KeyFile) -> None:
+    # What a program sends whose id of the run is empty.
+    operator = call_from(OUTSIDE, keys.create("operator", ["operate"]).secret)
+    assert operator.put("/api/v1/runs//hold").json()["action"].startswith("Check the address, or use a key ")
+    taught = operator.put("/api/v1/board-types/demo-board/method").json()
+    assert (taught["code"], "address" in taught["action"]) == ("missing-scope", False)
+
+
 def test_a_revoked_key_is_refused_at_once(call_from: Any, keys: KeyFile) -> None:
     client = call_from(OUTSIDE, keys.create("operator", ["operate"]).secret)
     assert client.post(ARM).status_code == 200

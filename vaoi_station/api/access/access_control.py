@@ -36,6 +36,7 @@ LOCAL = "loopback"
 _FORWARDED = ("forwarded", "x-forwarded-for", "x-real-ip", "via", "webhook-id")
 """Headers of a request that its sender made for another: by a proxy, or by a station as a webhook."""
 _REFUSALS_PER_MINUTE = 60
+_ADDRESS_OR_KEY = "Check the address, or use a key with this scope; /docs lists all addresses, vaoi keys list all keys."
 _STILL_KNOWN = "still-known"
 CHANGED = "changed"
 """Entry of a request's state: names of what a command has changed, for the audit log. Values are never written."""
@@ -75,7 +76,9 @@ class AccessControl:
             return problem_response(path, "foreign-origin", "The command with a cookie does not state its origin.")
         if needed is not None and needed not in caller.scopes:
             detail = f"{scope['method']} {path} needs the scope {needed}; {caller.name} has {sorted(caller.scopes)}."
-            return problem_response(path, "missing-scope", detail)
+            # Commands to addresses that do not exist need this scope too, so that the address may be wrong.
+            action = _ADDRESS_OR_KEY if needed == "admin" else ""
+            return problem_response(path, "missing-scope", detail, action=action)
         return None
 
     def log_in(self, scope: Scope, key: AccessKey) -> tuple[Caller, str]:
