@@ -32,7 +32,7 @@ from vaoi_station.mosaic.gains import Gains, estimate_gains
 from vaoi_station.mosaic.grid import MosaicGrid
 from vaoi_station.mosaic.projection import FrameProjector
 from vaoi_station.mosaic.seams import NO_FRAME, assign_cells
-from vaoi_station.mosaic.survey import FieldCache, Floats32, ReadFrame, SurveyedFrame, survey
+from vaoi_station.mosaic.survey import Copies, FieldCache, Floats32, ReadFrame, SurveyedFrame, survey
 from vaoi_station.photometry import FlatFields, NoiseModel
 from vaoi_station.steps import Steps
 
@@ -108,6 +108,7 @@ def make_plan(
     stitch: Stitch,
     base: MosaicGrid,
     fields: FlatFields | None = None,
+    copies: Copies | None = None,
 ) -> Steps[MosaicPlan]:
     """Survey the frames of a run and plan its mosaic, in steps of some milliseconds.
 
@@ -119,12 +120,13 @@ def make_plan(
         stitch: the run's result, for the heights of bodies.
         base: the grid of the mosaic at the resolution of the cameras.
         fields: flat fields; None without.
+        copies: gets the reduced frames of the survey; None if they are not needed.
     """
     known = fields if fields is not None else FlatFields.none()
     cache = FieldCache(known)
     placed = [f for f in choice.frames if projector.places(f.camera, f.row)]
     surveyed: list[SurveyedFrame] = []
-    for frame in survey(placed, read, projector, base, cache):
+    for frame in survey(placed, read, projector, base, cache, copies):
         surveyed.append(frame)
         yield
     gains = yield from estimate_gains(surveyed, projector.cameras, calibrated=bool(known))

@@ -6,7 +6,7 @@ One pixel of the survey is the mean of 8 × 8 px of a frame. The copies of a boa
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, MutableMapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,6 +23,8 @@ from vaoi_station.photometry import FlatFields
 from vaoi_station.photometry.radiance import pixels_at_limit
 
 Floats32 = NDArray[np.float32]
+Copies = MutableMapping[tuple[int, int], Reduced]
+"""Frames (camera, row), reduced by `COARSE_PX`."""
 ReadFrame = Callable[[int, int], NDArray[Any] | None]
 """Returns the pixels of a frame (camera, row), (h, w) or (h, w, 3) of 8 or 16 bits; None if it is missing."""
 
@@ -46,8 +48,6 @@ class SurveyedFrame:
     """(h, w) radiance: grey levels (8 bit) per µs at gain 1; NaN beside the frame and where it is saturated."""
     raw_from_coarse: Floats
     """(3, 3) matrix from pixels of the survey's grid to raw pixels of the frame."""
-    copy: Reduced
-    """The frame, reduced by `COARSE_PX`."""
 
 
 class FieldCache:
@@ -69,11 +69,22 @@ class FieldCache:
 
 
 def survey(
-    frames: Sequence[TakenFrame], read: ReadFrame, projector: FrameProjector, grid: MosaicGrid, fields: FieldCache
+    frames: Sequence[TakenFrame],
+    read: ReadFrame,
+    projector: FrameProjector,
+    grid: MosaicGrid,
+    fields: FieldCache,
+    copies: Copies | None = None,
 ) -> Iterator[SurveyedFrame]:
     """Read every frame once, and yield the small copies of those that show the board.
 
-    `grid` is the mosaic at the resolution of the cameras.
+    Args:
+        frames: the frames.
+        read: returns the pixels of a frame, or None.
+        projector: projects the board into the frames.
+        grid: the mosaic at the resolution of the cameras.
+        fields: flat fields.
+        copies: gets the reduced frames as they are, without correction and in colour; None if they are not needed.
     """
     for taken in frames:
         box = projector.seen_box(taken.camera, taken.row, grid)
@@ -99,7 +110,9 @@ def survey(
             borderMode=cv2.BORDER_CONSTANT,
             borderValue=float("nan"),
         )
-        yield SurveyedFrame(taken, x0, y0, np.asarray(values, np.float32), raw_from_coarse, copy)
+        if copies is not None:
+            copies[taken.camera, taken.row] = copy
+        yield SurveyedFrame(taken, x0, y0, np.asarray(values, np.float32), raw_from_coarse)
 
 
 def _radiance(copy: Reduced, size: tuple[int, int], taken: TakenFrame, fields: FieldCache) -> Floats32:

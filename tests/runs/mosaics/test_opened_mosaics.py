@@ -5,7 +5,14 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any
 
-from vaoi_station.runs.mosaics.opened_mosaics import MOST_AHEAD, MOST_BYTES, MOST_PLANS, OpenedMosaic, OpenedMosaics
+from vaoi_station.runs.mosaics.opened_mosaics import (
+    MOST_AHEAD,
+    MOST_BYTES,
+    MOST_PLANS,
+    OpenedMosaic,
+    OpenedMosaics,
+    PlannedMosaic,
+)
 
 
 def opened() -> OpenedMosaic:
@@ -13,9 +20,10 @@ def opened() -> OpenedMosaic:
     return OpenedMosaic(anything, anything, {})
 
 
-def overview(share: float) -> Any:
-    """An overview that takes a share of the memory for all."""
-    return SimpleNamespace(nbytes=int(share * MOST_BYTES))
+def planned(share: float) -> PlannedMosaic:
+    """A plan with an overview that takes a share of the memory for all."""
+    anything: Any = SimpleNamespace(nbytes=int(share * MOST_BYTES))
+    return PlannedMosaic(anything, anything)
 
 
 def test_the_mosaics_that_were_used_last_are_kept() -> None:
@@ -43,10 +51,16 @@ def test_overviews_share_a_limit_of_memory() -> None:
     mosaics = OpenedMosaics()
     used = [mosaics.use(n, opened(), asked=True) for n in range(4)]
     for one in used[:3]:
-        mosaics.keep(one, overview(0.4))
-    assert [one.overview is not None for one in used] == [False, True, True, False]
-    used[0].ordered = True
-    mosaics.keep(used[0], overview(0.5))
-    assert not used[0].ordered, "it may be ordered again when it was displaced"
-    mosaics.keep(used[3], overview(1.2))
-    assert [one.overview is not None for one in used] == [False, False, False, True]
+        mosaics.keep(one, planned(0.4))
+    assert [mosaics.get(n) is not None for n in range(4)] == [False, True, True, True]
+    mosaics.keep(used[3], planned(1.2))
+    assert [mosaics.get(n) is not None for n in range(4)] == [False, False, False, True]
+
+
+def test_plan_and_overview_are_kept_once() -> None:
+    """A caller who does not wait has them made a second time."""
+    mosaics, first = OpenedMosaics(), planned(0.1)
+    one = mosaics.use("run", opened(), asked=True)
+    assert mosaics.keep(one, first) is first
+    assert mosaics.keep(one, planned(0.2)) is first
+    assert one.planned is first

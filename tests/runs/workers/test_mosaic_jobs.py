@@ -10,7 +10,7 @@ import numpy as np
 
 from tests.mosaic.conftest import Film, Filmed, board, film
 from vaoi_station.mosaic import MosaicPlan, TileRenderer, choose_frames
-from vaoi_station.runs.workers.mosaic_jobs import PlanJob, TileJob, displayed
+from vaoi_station.runs.workers.mosaic_jobs import PlanJob, PlannedPicture, TileJob, displayed
 from vaoi_station.runs.workers.worker import Queued
 
 __all__ = ["board", "film"]
@@ -19,10 +19,12 @@ __all__ = ["board", "film"]
 def planned(board: Filmed, *, hdr: bool = False) -> tuple[MosaicPlan, dict[tuple[int, int], int]]:
     slots = {(f.camera, f.row): n for n, f in enumerate(board.taken)}
     choice = choose_frames(board.taken, hdr=hdr)
-    job = PlanJob("r", 0, 1, slots, choice, board.cameras, board.stitch, board.board_type, board.base)
+    job = PlanJob("r", 0, 1, slots, choice, board.cameras, board.stitch, board.board_type, board.base, board.base)
     sent: PlanJob = pickle.loads(pickle.dumps(job))
     keys = list(slots)
-    return pickle.loads(pickle.dumps(sent.perform(lambda slot: board.frames[keys[slot]]))), slots
+    planned: PlannedPicture = pickle.loads(pickle.dumps(sent.perform(lambda slot: board.frames[keys[slot]])))
+    assert (planned.reduction, planned.picture is None) == (1, hdr)
+    return planned.plan, slots
 
 
 def tile(board: Filmed, format: str | None, *, hdr: bool = False) -> Any:
@@ -39,7 +41,8 @@ def decoded(content: bytes) -> Any:
 
 def test_a_plan_takes_one_worker_only(board: Filmed) -> None:
     """It takes seconds for some hundred frames: another worker would have to begin anew."""
-    job = PlanJob("r", 0, 1, {}, choose_frames(board.taken), board.cameras, board.stitch, board.board_type, board.base)
+    base, choice = board.base, choose_frames(board.taken)
+    job = PlanJob("r", 0, 1, {}, choice, board.cameras, board.stitch, board.board_type, base, base)
     assert not Queued(job).repeatable
 
 

@@ -1,8 +1,8 @@
 """Overviews of runs in spare time, and small pictures of whole boards that are kept when the frames are gone.
 
-Some time after a run, workers make the overview of its mosaic, in jobs of the lowest priority that are sent only while
-no board is filmed or stitched. A level of it of a few megapixels is kept as a file. No lease is taken: if the frames
-are needed for the next board first, the run gets neither.
+Some time after a run, a worker plans its mosaic and makes the overview, in a job of the lowest priority that is sent
+only while no board is filmed or stitched. A level of it of at most two megapixels is kept as a file. No lease is taken:
+if the frames are needed for the next board first, the run gets neither.
 """
 
 from __future__ import annotations
@@ -81,7 +81,6 @@ class KeptMosaics:
         self._directory, self._quota = directory, int(keep.mosaics_gb * 1e9)
         self._archive, self._mosaics, self._frames, self._events = archive, mosaics, frames, events
         self._clock = clock
-        mosaics.wanted = self.wanted
         self._lock = threading.Lock()
         self._files: dict[str, _File] = {}
         """The kept pictures by run id. Ids sort by time."""
@@ -106,10 +105,6 @@ class KeptMosaics:
         """Have overview and picture of a run made that has just ended; it returns at once."""
         if detail.frames_available:
             self.queue.put((detail.id, self._clock() + DELAY_S))
-
-    def wanted(self, run: str) -> None:
-        """Have the overview of a run made whose tiles are asked for; it returns at once."""
-        self.queue.put((run, self._clock()))
 
     def grid(self, run: str) -> MosaicGrid | None:
         """Return the pixel grid of the kept picture of a run; None if none is kept."""

@@ -15,7 +15,7 @@ from vaoi_station.errors import BusyError, InputError, StateError
 from vaoi_station.files.images import encode_jpeg, encode_png
 from vaoi_station.files.pyramids import TILE_PX, PyramidLayout, refuse_without_room, write_pyramid
 from vaoi_station.model.known_height import Heights, with_heights
-from vaoi_station.mosaic import MosaicGrid, MosaicPlan, TakenFrame, TileRenderer, choose_frames, distinct_exposures_us
+from vaoi_station.mosaic import MosaicGrid, TakenFrame, TileRenderer, choose_frames, distinct_exposures_us
 from vaoi_station.mosaic.deep_zoom import Box
 from vaoi_station.mosaic.grid import Region
 from vaoi_station.mosaic.projection import FrameProjector
@@ -24,7 +24,7 @@ from vaoi_station.photometry import FlatFields
 from vaoi_station.photometry.flat_fields import changed_ns
 from vaoi_station.runs.archive.finished_runs import Archive, FinishedRun
 from vaoi_station.runs.mosaics.board_checks import BoardChecks, Lease, Render, slots_of
-from vaoi_station.runs.mosaics.opened_mosaics import MOST_BYTES, OpenedMosaic, OpenedMosaics
+from vaoi_station.runs.mosaics.opened_mosaics import OpenedMosaic, OpenedMosaics, PlannedMosaic
 from vaoi_station.runs.mosaics.overlays import overlay_of
 from vaoi_station.runs.mosaics.overview import Overview
 from vaoi_station.runs.mosaics.picture_names import PictureName
@@ -32,8 +32,6 @@ from vaoi_station.runs.states.overlay_schemas import RunOverlay
 from vaoi_station.runs.workers.jobs import Priority
 from vaoi_station.runs.workers.mosaic_jobs import PlanJob, Slots, TileJob
 
-FINEST_OVERVIEW = 4
-"""By how much the largest level of an overview is reduced, unless it would take too much memory."""
 MOST_DOWNLOAD_PX = 300_000_000
 """Largest number of pixels of a file that is sent; a board of 400 × 410 mm at 40 px/mm has 262 million."""
 LARGE_PX = 64_000_000
@@ -84,8 +82,6 @@ class Mosaics:
         self.board_checks = BoardChecks(archive, lease, render)
         """Board types laid over these runs."""
         self._large, self._opened = threading.Lock(), OpenedMosaics()
-        self.wanted: Callable[[str], None] = lambda _run: None
-        """Function that has the overview of a run made in spare time; it returns at once."""
 
     def names(self, run: str) -> tuple[PictureName, ...]:
         """Return the mosaics of a run: of every light, and of every exposure and HDR where exposures differ."""
@@ -126,60 +122,39 @@ class Mosaics:
     def tile(self, run: str, name: PictureName, reduction: int, box: Box, format: str) -> bytes:
         """Return a part of a mosaic that is reduced by a factor, as `jpg` or `png`.
 
-        It is cut from the overview of the run. A worker renders what the overview lacks.
+        It is cut from the overview, which a worker makes with the plan. A worker renders what the overview lacks.
 
         Raises:
             GoneError: the frames of the run are no longer in memory.
             InputError: the flat fields do not fit the run.
         """
         finished, opened = self._archive.get(run), self._open(run, name, asked=True)
-        overview = opened.overview
+        plan, overview = self._planned(finished, name, opened)
         if overview is not None and overview.reduction <= reduction and finished.detail.frames_available:
             cut = overview.cut(reduction, box)
             return encode_jpeg(cut) if format == "jpg" else encode_png(cut)
-        plan = self._planned(finished, name, opened)
-        if name == PictureName() and reduction > 1 and not opened.ordered:
-            opened.ordered = True
-            self.wanted(run)
         content: bytes = self._tile(run, opened.slots, opened.renderer(plan, reduction), box, plan.tone, format)
         return content
 
     def small(self, run: str, most_px: int, lease: Lease) -> tuple[NDArray[Any], int]:
-        """Have workers make the overview of a run, in jobs of the lowest priority; return a small picture of the board.
+        """Have a worker plan the mosaic of a run, in a job of the lowest priority; return a small picture of the board.
 
         Returns its pixels, 0 where no frame shows the board, and the factor by which it is reduced. `lease` yields the
-        bay of the run before each job.
+        bay of the run before the job.
         """
         finished, opened = self._archive.get(run), self._open(run, PictureName(), asked=False)
         reduction = 1
         while opened.grid.width * opened.grid.height > most_px * reduction**2:
             reduction *= 2
-        overview = opened.overview
-        if overview is None or overview.reduction > reduction:
-            overview = self._overview(finished, opened, reduction, _Access(lease, Priority.HEIGHTS))
-            self._opened.keep(opened, overview)
+        # Callers of tiles do not wait for a plan of the lowest priority. They have another one made.
+        planned = opened.planned or self._made(finished, PictureName(), opened, _Access(lease, Priority.HEIGHTS))
+        overview = planned.overview
+        assert overview is not None, "it is not HDR"
+        reduction = max(reduction, overview.reduction)
         picture = overview.level(reduction)
         if picture is None:
             raise StateError(f"No frame of run {run} shows the board.", code="not-covered")
         return picture, reduction
-
-    def _overview(self, finished: FinishedRun, opened: OpenedMosaic, coarsest: int, access: _Access) -> Overview:
-        """Have the overview of a run made, whose largest level is reduced by no more than `coarsest`."""
-        # Callers of tiles do not wait for a plan of the lowest priority. They have another one made.
-        plan = opened.plan or self._made(finished, PictureName(), access)
-        opened.plan = opened.plan or plan
-        finest = min(FINEST_OVERVIEW, coarsest)
-        while True:
-            overview, renderer = Overview(opened.grid, finest), opened.renderer(plan, finest)
-            for box in overview.boxes():
-                part = self._tile(finished.detail.id, opened.slots, renderer, box, plan.tone, None, access)
-                overview.add(box, part)
-                # Before the first part, the type of the pixels is unknown.
-                if overview.nbytes > MOST_BYTES // 2 and finest < coarsest:
-                    break
-            else:
-                return overview
-            finest *= 2
 
     def write(self, run: str, name: PictureName, download: Download, path: Path) -> None:
         """Write a mosaic as a pyramidal TIFF, as `vaoi mosaic` does, tile by tile.
@@ -209,7 +184,7 @@ class Mosaics:
 
     def _write(self, run: str, name: PictureName, grid: MosaicGrid, path: Path) -> None:
         opened = self._open(run, name, asked=True)
-        plan = self._planned(self._archive.get(run), name, opened)
+        plan = self._planned(self._archive.get(run), name, opened).plan
         renderer, slots = TileRenderer(plan, opened.projector, grid), opened.slots
         sample: NDArray[Any] | None = None
         # The first tile with pixels says which type and how many colours the frames have.
@@ -272,14 +247,12 @@ class Mosaics:
             opened = OpenedMosaic(grid, self._projector(finished), slots_of(finished))
         return self._opened.use(key, opened, asked=asked)
 
-    def _planned(self, finished: FinishedRun, name: PictureName, opened: OpenedMosaic) -> MosaicPlan:
-        """Return the plan of a mosaic; a worker makes it if there is none. Other callers wait meanwhile."""
+    def _planned(self, finished: FinishedRun, name: PictureName, opened: OpenedMosaic) -> PlannedMosaic:
+        """Return plan and overview of a mosaic; a worker makes them if there are none. Other callers wait meanwhile."""
         with opened.planning:
-            if opened.plan is None:
-                opened.plan = self._made(finished, name, self._callers)
-            return opened.plan
+            return opened.planned or self._made(finished, name, opened, self._callers)
 
-    def _made(self, finished: FinishedRun, name: PictureName, access: _Access) -> MosaicPlan:
+    def _made(self, finished: FinishedRun, name: PictureName, opened: OpenedMosaic, access: _Access) -> PlannedMosaic:
         choice = choose_frames(_taken(finished), light=name.light, exposure_us=name.exposure_us, hdr=name.hdr)
         projector = self._projector(finished)
         base = MosaicGrid.of_board(finished.board_type, projector.px_per_mm, most_px=float("inf"))
@@ -302,11 +275,13 @@ class Mosaics:
                 stitch,
                 finished.board_type,
                 base,
+                opened.grid,
                 self._flat_fields,
                 priority=access.priority,
             )
-            plan: MosaicPlan = self._render(job, "plan of the mosaic")
-        return plan
+            plan, reduction, picture = self._render(job, "plan of the mosaic")
+        overview = None if choice.hdr else Overview(picture, reduction)
+        return self._opened.keep(opened, PlannedMosaic(plan, overview))
 
     def _projector(self, finished: FinishedRun) -> FrameProjector:
         return FrameProjector(finished.stitch or finished.result, finished.cameras)

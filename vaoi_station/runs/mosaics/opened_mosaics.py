@@ -6,6 +6,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Hashable
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from vaoi_station.mosaic import MosaicGrid, MosaicPlan, TileRenderer
 from vaoi_station.mosaic.projection import FrameProjector
@@ -17,12 +18,20 @@ MOST_PLANS = 8
 MOST_AHEAD = 2
 """Number of these that were made after their runs, before a caller asked: boards that pass displace no others."""
 MOST_BYTES = 100_000_000
-"""Memory of all overviews; that of a board of 400 × 410 mm at 40 px/mm takes 22 MB, in colour 66 MB."""
+"""Memory of all overviews; one takes at most 7 MB, in colour 20 MB, and twice as much with 16 bits."""
+
+
+class PlannedMosaic(NamedTuple):
+    """What a worker made of all frames of a mosaic."""
+
+    plan: MosaicPlan
+    overview: Overview | None
+    """None with HDR."""
 
 
 @dataclass(eq=False)
 class OpenedMosaic:
-    """One mosaic of a run. All but the plan and the overview is made without frames, once for all tiles."""
+    """One mosaic of a run. All but plan and overview is made without frames, once for all tiles."""
 
     grid: MosaicGrid
     """The largest grid."""
@@ -31,13 +40,15 @@ class OpenedMosaic:
     """Slots of the usable frames of the run."""
     planning: threading.Lock = field(default_factory=threading.Lock)
     """Held while a worker makes the plan for a caller, for which other callers wait."""
-    plan: MosaicPlan | None = None
-    overview: Overview | None = None
+    planned: PlannedMosaic | None = None
     asked: bool = False
     """Whether a caller has asked for a part of it."""
-    ordered: bool = False
-    """Whether the overview was ordered since it was there last."""
     _renderers: dict[int, TileRenderer] = field(default_factory=dict)
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the overview."""
+        return 0 if self.planned is None or self.planned.overview is None else self.planned.overview.nbytes
 
     def renderer(self, plan: MosaicPlan, reduction: int) -> TileRenderer:
         """Return what prepares the tiles of a reduced level by the plan of this mosaic."""
@@ -77,13 +88,17 @@ class OpenedMosaics:
                 self._opened.popitem(last=False)
         return opened
 
-    def keep(self, opened: OpenedMosaic, overview: Overview) -> None:
-        """Keep the overview of a mosaic, in place of those of mosaics that were used less lately."""
+    def keep(self, opened: OpenedMosaic, planned: PlannedMosaic) -> PlannedMosaic:
+        """Keep plan and overview of a mosaic unless it has some, in place of mosaics that were used less lately.
+
+        Returns what the mosaic has.
+        """
         with self._lock:
-            opened.overview, opened.ordered = overview, False
-            others = [other for other in self._opened.values() if other.overview is not None and other is not opened]
-            total = overview.nbytes + sum(other.overview.nbytes for other in others if other.overview is not None)
-            for other in others:
-                if total > MOST_BYTES and other.overview is not None:
-                    total -= other.overview.nbytes
-                    other.overview = None
+            if opened.planned is None:
+                opened.planned = planned
+            total = sum(other.nbytes for other in self._opened.values())
+            for key, other in list(self._opened.items()):
+                if total > MOST_BYTES and other is not opened and other.nbytes:
+                    total -= other.nbytes
+                    del self._opened[key]
+            return opened.planned
