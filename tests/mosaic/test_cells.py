@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from tests.mosaic.conftest import PX_PER_MM, Filmed
-from vaoi_station.geometry import apply
+from tests.mosaic.conftest import PX_PER_MM, Film, Filmed
+from vaoi_station.geometry import Lens, Projective, System, apply
 from vaoi_station.mosaic.cells import (
     CELL_PX,
     cell_shape,
@@ -18,6 +20,7 @@ from vaoi_station.mosaic.cells import (
     sight_of,
 )
 from vaoi_station.mosaic.gains import Gains
+from vaoi_station.mosaic.projection import FrameProjector
 from vaoi_station.mosaic.seams import NO_FRAME
 from vaoi_station.mosaic.survey import FieldCache, survey
 from vaoi_station.photometry import FlatFields
@@ -30,6 +33,25 @@ def test_sight_of_a_frame(board: Filmed) -> None:
     x, y = board.projector.raw_px(0, 0, cad)
     v, u = 3 - sight.y0, 2 - sight.x0
     assert sight.inside_px[v, u] == pytest.approx(min(x, y, 319 - x, 239 - y), abs=1e-3)
+
+
+def test_sight_is_that_of_every_cell_though_few_are_projected(film: Film) -> None:
+    """The camera of this frame is tilted and rolled, and has a lens."""
+    board = film()
+    eye = board.cameras[1]
+    matrix = eye.image_from_row.matrix @ np.array([[1, 0, 0], [0, 1, 0], [2e-5, -3e-5, 1]])
+    bent = replace(
+        eye, image_from_row=Projective(matrix, System.IMAGE, System.ROW), lens=Lens((159.5, 119.5), 200.0, (2e-3,))
+    )
+    projector = FrameProjector(board.stitch, (board.cameras[0], bent))
+    sight = sight_of(board.taken[1], projector, board.base)
+    h, w = sight.inside_px.shape
+    y, x = np.mgrid[sight.y0 : sight.y0 + h, sight.x0 : sight.x0 + w]
+    cad = apply(board.base.cad_from_mosaic, np.stack([x, y], -1) * float(CELL_PX) + (CELL_PX - 1) / 2)
+    raw = projector.raw_px(1, 0, cad)
+    room = np.minimum(raw, (eye.width_px - 1, eye.height_px - 1) - raw).min(-1)
+    np.testing.assert_allclose(sight.inside_px, room, atol=0.1)
+    np.testing.assert_allclose(sight.slant_mm, projector.slant_mm(1, 0, cad), atol=0.02)
 
 
 def test_fronts_start_where_frames_look_straight_down(board: Filmed) -> None:

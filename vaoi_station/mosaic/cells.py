@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,6 +24,8 @@ from vaoi_station.steps import Steps
 
 CELL_PX = 16
 """Side of a cell in pixels of the mosaic at the resolution of the cameras; seams are blended over this width."""
+_NODE_CELLS = 4
+"""Distance of the cells that are projected exactly; others are interpolated, within 0.05 px: lenses bend so little."""
 _WHOLE_PX = 24.0
 """Distance of a cell's centre from the frame's border with which the cell and its blending lie in the frame."""
 _AROUND_MM = 0.4
@@ -88,13 +91,19 @@ def sight_of(frame: TakenFrame, projector: FrameProjector, grid: MosaicGrid) -> 
     x0, y0, x1, y1 = projector.seen_box(frame.camera, frame.row, grid)
     x0, y0 = x0 // CELL_PX, y0 // CELL_PX
     w, h = max(-(-x1 // CELL_PX) - x0, 0), max(-(-y1 // CELL_PX) - y0, 0)
-    y, x = np.mgrid[y0 : y0 + h, x0 : x0 + w]
-    cad = apply(grid.cad_from_mosaic, np.stack([x, y], -1) * float(CELL_PX) + (CELL_PX - 1) / 2)
-    raw = projector.raw_px(frame.camera, frame.row, cad)
+    if not w * h:
+        return Sight(x0, y0, *np.zeros((2, h, w), np.float32))
+    y, x = np.mgrid[: -(-h // _NODE_CELLS) + 1, : -(-w // _NODE_CELLS) + 1] * _NODE_CELLS
+    at = (np.stack([x + x0, y + y0], -1) + 0.5) * CELL_PX - 0.5
+    cad = apply(grid.cad_from_mosaic, at)
+    places = projector.raw_px(frame.camera, frame.row, cad), projector.from_foot_mm(frame.camera, frame.row, cad)
+    nodes_from_cells = np.array([[1 / _NODE_CELLS, 0, 0], [0, 1 / _NODE_CELLS, 0]])
+    way = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    spread = cv2.warpAffine(np.concatenate(places, -1).astype(np.float32), nodes_from_cells, (w, h), flags=way)
+    raw_x, raw_y, right, down = cv2.split(spread)
     eye = projector.cameras[frame.camera]
-    room = np.minimum(raw, (eye.width_px - 1.0, eye.height_px - 1.0) - raw).min(-1)
-    slant = projector.slant_mm(frame.camera, frame.row, cad)
-    return Sight(x0, y0, room.astype(np.float32), slant.astype(np.float32))
+    rooms = np.minimum(raw_x, eye.width_px - 1 - raw_x), np.minimum(raw_y, eye.height_px - 1 - raw_y)
+    return Sight(x0, y0, np.minimum(*rooms), np.asarray(cv2.magnitude(right, down)))
 
 
 def frame_cells(sights: Sequence[Sight], cell_mm: float) -> FrameCells:

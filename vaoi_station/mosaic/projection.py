@@ -48,12 +48,16 @@ class FrameProjector:
         height = above_mm if self._surface is None else above_mm + self._surface.height_mm(cad)
         return self.cameras[camera].project(apply(self._row_from_cad[row], cad), height)
 
+    def from_foot_mm(self, camera: int, row: int, cad: Floats) -> Floats:
+        """Return where CAD points (..., 2) lie from the foot of the camera: (..., 2)."""
+        return apply(self._row_from_cad[row], cad) - self.cameras[camera].foot_mm
+
     def slant_mm(self, camera: int, row: int, cad: Floats) -> Floats:
         """Return the distances (...) of CAD points (..., 2) from the foot of the camera: 0 is seen from straight above.
 
         A body of height h appears displaced by h · distance / working distance.
         """
-        offset = apply(self._row_from_cad[row], cad) - self.cameras[camera].foot_mm
+        offset = self.from_foot_mm(camera, row, cad)
         return np.asarray(np.hypot(offset[..., 0], offset[..., 1]))
 
     def largest_lean(self, camera: int) -> float:
