@@ -8,7 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
+from vaoi_station.errors import InputError
 from vaoi_station.rendering import ViewCalculator, compute_views, render, render_all
+from vaoi_station.rendering.temporary import subtract
 
 BENT = (0.012, 0.001)
 
@@ -155,3 +157,24 @@ def test_what_is_delivered_is_equation_22_within_one_grey_level(
         # The lens is right to 0.004 px, which the steepest edge of this texture turns into levels of 16 bit.
         slope = np.abs(np.diff(frame.astype(float), axis=1)).max() if bends else 0.0
         assert off.max() <= max(1.0, 0.004 * slope if dtype == np.uint16 else 0.0)
+
+
+@pytest.mark.parametrize(("dtype", "middle"), [(np.uint8, 128), (np.uint16, 32768)])
+def test_equal_images_give_middle_grey(dtype: Any, middle: int) -> None:
+    image = np.arange(200, dtype=dtype).reshape(10, 20)
+    assert (subtract(image, image) == middle).all()
+    assert subtract(image, image).dtype == dtype
+
+
+def test_one_level_is_two_of_the_images_and_exposures_are_made_equal() -> None:
+    bright, dark = np.full((2, 2), 100, np.uint8), np.full((2, 2), 20, np.uint8)
+    assert subtract(bright, dark)[0, 0] == 128 + 40
+    assert subtract(dark, bright)[0, 0] == 128 - 40
+    assert subtract(bright, dark, ratio=5.0)[0, 0] == 128
+    extremes = subtract(np.full((1, 1, 3), 255, np.uint8), np.zeros((1, 1, 3), np.uint8))
+    assert extremes.tolist() == [[[255, 255, 255]]]
+
+
+def test_images_of_different_kind_are_refused() -> None:
+    with pytest.raises(InputError, match=r"uint8.*uint16 cannot be subtracted"):
+        subtract(np.zeros((2, 2), np.uint8), np.zeros((2, 2), np.uint16))

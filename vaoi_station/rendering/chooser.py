@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import BoardType, Component, Stitch
 from vaoi_station.model.known_height import BodyHeight, body_height
-from vaoi_station.rendering.difference import subtract
 from vaoi_station.rendering.request import ImageRequest
 from vaoi_station.rendering.selection import ChosenView, FrameFacts, Measure, select
-from vaoi_station.rendering.temporary import render
+from vaoi_station.rendering.temporary import render, subtract
 from vaoi_station.rendering.views import ViewCalculator
 
 

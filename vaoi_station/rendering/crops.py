@@ -49,8 +49,9 @@ class Footprints(NamedTuple):
         # Rotations count counter-clockwise as seen on the top of the board, wherever the y axis points.
         angle = np.radians(degrees) * (1.0 if board_type.y_axis == "up" else -1.0)
         c, s, w, h = np.cos(angle), np.sin(angle), width / 2, height / 2
-        along = np.array([[c * w, -s * h], [s * w, c * h]]).transpose(2, 0, 1)
-        return Footprints(components, board_type, np.array([x, y]).T, np.array([w, h]).T, along, np.abs(along).sum(-1))
+        along = np.stack([c * w, -s * h, s * w, c * h], -1).reshape(-1, 2, 2)
+        center, half = np.stack([x, y], -1), np.stack([w, h], -1)
+        return Footprints(components, board_type, center, half, along, np.abs(along).sum(-1))
 
     def fitting(self, px_per_mm: float) -> Floats:
         """Return the resolutions (k,) of k pictures, px/mm: `px_per_mm`, or less where a picture would be too large."""

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from vaoi_station.errors import InputError
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.rendering.tiles import rectangles, through
 from vaoi_station.rendering.view import Tile, View
@@ -56,27 +57,53 @@ def render_all(views: ViewTable, frame: Callable[[int, int], NDArray[Any] | None
     if tiles:
         # A distorted picture is not that of its matrix, but made of its tiles.
         places[np.isin(order, list(tiles)), 2:] = 0
-    pictures: list[NDArray[Any] | None] = [None] * len(numbers)
+    made: list[NDArray[Any] | None] = []
     for begin, end in pairwise([*begins, len(numbers)]):
         mine = slice(begin, end)
         if (pixels := frame(*columns.key[numbers[begin]].tolist())) is None:
+            made += [None] * (end - begin)
             continue
-        origin, channels, stop = int(ends[begin] - area[begin]), pixels.shape[2:], 0
+        origin, channels, kind = int(ends[begin] - area[begin]), pixels.shape[2:], pixels.dtype
         places[mine, 0] -= origin
-        out = np.empty((int(ends[end - 1]) - origin, *channels), dtype=pixels.dtype)
+        out = np.empty((int(ends[end - 1]) - origin, *channels), dtype=kind)
         left = _shift(matrices[mine], places[mine], pixels, out)
-        made = []
-        for width, height in size[mine].tolist():
-            start, stop = stop, stop + width * height
-            made.append(out[start:stop].reshape(height, width, *channels))
+        starts = (places[mine, 0] * (kind.itemsize * math.prod(channels))).tolist()
+        # A slice of `out` and its shape would be two objects for each picture.
+        own: list[NDArray[Any]] = [
+            np.ndarray((height, width, *channels), kind, out, start)
+            for start, (width, height) in zip(starts, size[mine].tolist(), strict=True)
+        ]
         for k in left:
             if numbers[begin + k] not in tiles:
-                _warp(pixels, matrices[begin + k], made[k])
-        for n, picture in zip(numbers[mine], made, strict=True):
-            pictures[n] = picture
-            if n in tiles:
-                _fill(picture, tiles[n], pixels)
-    return pictures
+                _warp(pixels, matrices[begin + k], own[k])
+        if tiles:
+            for n, picture in zip(numbers[mine], own, strict=True):
+                _fill(picture, tiles.get(n, ()), pixels)
+        made += own
+    back = np.empty_like(order)
+    back[order] = np.arange(len(order))
+    return [made[k] for k in back.tolist()]
+
+
+def subtract(image: NDArray[Any], other: NDArray[Any], ratio: float = 1.0) -> NDArray[Any]:
+    """Return the difference of two images under different lights, in the pixel type of the image.
+
+    It is middle grey + (image − ratio · other) / 2. Where both are equally bright, it is 128 (8 bit) or 32768 (16 bit);
+    one level of it is two of the image.
+
+    Args:
+        image: (h, w) or (h, w, 3), 8 or 16 bit.
+        other: the image that is subtracted, of the same shape and type.
+        ratio: factor on its grey levels, that makes its exposure that of the first.
+    """
+    if image.shape != other.shape or image.dtype != other.dtype:
+        raise InputError(
+            f"images of {image.shape} {image.dtype} and {other.shape} {other.dtype} cannot be subtracted.",
+            action="Use cameras of one pixel format.",
+        )
+    most = int(np.iinfo(image.dtype).max)
+    value = (most + 1) / 2 + (image.astype(np.float32) - np.float32(ratio) * other.astype(np.float32)) / 2
+    return np.asarray(np.clip(np.rint(value), 0, most), dtype=image.dtype)
 
 
 @lru_cache(maxsize=256)
@@ -86,7 +113,9 @@ def _whole(width: int, height: int) -> NDArray[np.int_]:
 
 
 def _fill(picture: NDArray[Any], parts: Sequence[Tile], frame: NDArray[Any]) -> None:
-    """Resample a frame into the tiles of a picture."""
+    """Resample a frame into the tiles of a picture, if it has any."""
+    if not parts:
+        return
     width, matrices = picture.shape[1], np.array([part[4] for part in parts])
     places = np.array([(y0 * width + x0, width, x1 - x0, y1 - y0) for x0, y0, x1, y1, _ in parts])
     for n in _shift(matrices, places, frame, picture):

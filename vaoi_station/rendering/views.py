@@ -11,10 +11,11 @@ at the height of the surface.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
-from typing import NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,25 +30,17 @@ from vaoi_station.rendering.tiles import cut_tiles, rectangle_homographies, thro
 from vaoi_station.rendering.view import Tile, View
 from vaoi_station.rendering.view_table import Columns, Sights, ViewTable
 
-GRID = 9
-"""Points per side of the grid on which the coverage of a component is computed if the frame shows only a part of it."""
+if TYPE_CHECKING:
+    from vaoi_station.rendering.frame_pairs import Pairs
+
 _STRAIGHT_PX = 0.02
 """Largest deviation from a homography, px, with which a single matrix represents the lens for a whole picture."""
 _CORNERS = (0, 2, 8, 6)
 """Indices of the four corners, in order around the square, among 3×3 points in row order."""
+_STAYS = np.eye(3)
+"""Displacement of a component that follows C."""
 _NEAR = 1.1
 """Factor on the size of a component in a frame, within which a frame may show it: perspective makes it larger."""
-
-
-class _Pairs(NamedTuple):
-    """p pairs of a component and a frame that may show it, ordered by component."""
-
-    component: NDArray[np.int_]
-    """(p,) number of the component of each pair."""
-    frame: NDArray[np.int_]
-    """(p,) number of the frame of each pair."""
-    image_from_cad: Floats
-    """(p, 3, 3) from CAD to undistorted pixels of the frame, in the plane of the picture."""
 
 
 class ViewCalculator:
@@ -59,6 +52,9 @@ class ViewCalculator:
         Raises:
             StateError: the run has no CAD mapping.
         """
+        # Imported on first use, because Numba takes a moment to load.
+        from vaoi_station.rendering.frame_pairs import Frames
+
         tester_from_cad = stitch.tester_from_cad
         if tester_from_cad is None:
             raise StateError(
@@ -68,25 +64,27 @@ class ViewCalculator:
             )
         cameras = stitch.cameras(cameras)
         self._board_type, self._surface, self._cameras = board_type, stitch.surface, cameras
-        self._resolution = float(np.mean([c.px_per_mm for c in cameras]))
+        px_per_mm = [c.px_per_mm for c in cameras]
+        self._resolution = sum(px_per_mm) / len(px_per_mm)
         keys = [(i, j) for i, rows in enumerate(stitch.image_matrices) for j, m in enumerate(rows) if m is not None]
-        self._key = np.array(keys, dtype=np.int_).reshape(-1, 2)
-        """(f, 2) camera and row of each of f frames."""
-        i = self._key[:, 0]
+        key = np.array(keys, dtype=np.int_).reshape(-1, 2)
+        i, row = key.T
         motion = np.array(stitch.row_motion, dtype=np.float64).reshape(-1, 3, 3)
-        self._row_from_cad = (motion @ tester_from_cad.matrix)[self._key[:, 1]]
+        self._row_from_cad = (motion @ tester_from_cad.matrix)[row]
         image_from_row = np.array([c.image_from_row.matrix for c in cameras])
-        self._image_from_cad = image_from_row[i] @ self._row_from_cad
-        feet = np.array([(*c.foot_mm, 1.0) for c in cameras])
-        distance_mm = np.array([c.working_distance_mm or np.inf for c in cameras])
-        self._lean = ((image_from_row @ feet[:, :, None])[:, :, 0] / distance_mm[:, None])[i]
-        """(f, 3) for f frames: decrease of the third column of CAD → image per mm of height (`geometry.Camera`)."""
-        self._eye = np.column_stack([feet[:, :2], np.where(np.isinf(distance_mm), np.nan, distance_mm)])[i]
+        distance_mm = [c.working_distance_mm or math.inf for c in cameras]
+        eye = np.array([(*c.foot_mm.tolist(), 1.0) for c in cameras])
+        # A height decreases the third column of CAD → image (`geometry.Camera`).
+        lean = (image_from_row @ eye[:, :, None])[:, :, 0] / np.array(distance_mm)[:, None]
+        eye[:, 2] = [math.nan if math.isinf(mm) else mm for mm in distance_mm]
+        self._eye = eye[i]
         """(f, 3) centre of the camera in row coordinates; its height is NaN if it is unknown."""
-        self._size = np.array([(c.width_px, c.height_px) for c in cameras], dtype=np.float64)[i]
-        self._scale = _NEAR * np.array([c.px_per_mm for c in cameras])[i] * board_type.mm_per_unit
-        self._lensed = np.array([not c.lens.ideal for c in cameras])
-        self._bend = np.array([_bend(c) for c in cameras])[i]
+        limits = [(c.width_px, c.height_px, _bend(c), _NEAR * k) for c, k in zip(cameras, px_per_mm, strict=True)]
+        size, bend, near = np.split(np.array(limits, dtype=np.float64)[i], (2, 3), axis=1)
+        self._frames = Frames(
+            image_from_row[i] @ self._row_from_cad, lean[i], np.ascontiguousarray(size), bend.ravel(),
+            near.ravel() * board_type.mm_per_unit, key, *_lenses(cameras),
+        )  # fmt: skip
         self._own = stitch.displacements(c.address for c in board_type.components)
         """(3, 3) by address, for components with a C of their own: CAD coordinates → those of the same place by C."""
 
@@ -131,27 +129,19 @@ class ViewCalculator:
         crops = self._crops(components, framing)
         tops = heights_mm if framing.plane == "top" and heights_mm else {}
         addresses = [c.address for c in components]
-        above_mm = np.array([tops.get(address, 0.0) for address in addresses])
-        on_top = np.array([address in tops for address in addresses])
+        above_mm, on_top = np.zeros(len(addresses)), np.zeros(len(addresses), np.bool_)
+        if tops:
+            above_mm[:] = [tops.get(address, 0.0) for address in addresses]
+            on_top[:] = [address in tops for address in addresses]
         surface = self._surface
         height_mm = above_mm if surface is None else above_mm + surface.height_mm(crops.footprints.center)
-        own = np.array([self._own.get(address, np.eye(3)) for address in addresses]) if self._own else None
-        pairs = self._pairs(crops, height_mm, min_coverage, own)
-        matrices = pairs.image_from_cad @ crops.cad_from_crop[pairs.component]
-        picture = through(matrices, _grid(crops.size[pairs.component], 3))
-        picture = self._distorted(pairs.frame, picture)
-        coverage, outline, middle = self._shown(crops, pairs, picture)
-        matrices, bend_px = self._through_lenses(crops, pairs, matrices, picture)
-        lens_center = (self._size[pairs.frame] - 1) / 2
-        off = np.hypot(*(middle - lens_center).T) / np.hypot(*lens_center.T)
-        # Coverages are rounded, so that the order does not depend on the last digits of nearly equal values.
-        key = self._key[pairs.frame]
-        order = np.lexsort((key[:, 0], key[:, 1], off.round(6), -coverage.round(3), pairs.component))
-        order = order[coverage[order] >= max(min_coverage, 1e-9)]
-        pairs = _Pairs(pairs.component[order], pairs.frame[order], pairs.image_from_cad[order])
-        matrices, bend_px = matrices[order], bend_px[order]
-        tiles = self._tiles(crops, pairs, matrices, bend_px)
-        columns = Columns(pairs.component, key[order], coverage[order], off[order], matrices, outline[order], tiles)
+        pairs = self._pairs(crops, height_mm, min_coverage)
+        matrices, bend_px = self._through_lenses(crops, pairs)
+        tiles = self._tiles(crops, pairs, bend_px)
+        columns = Columns(
+            pairs.component, self._frames.key[pairs.frame], pairs.coverage, pairs.off_center, matrices,
+            pairs.outline_px, tiles,
+        )  # fmt: skip
         return ViewTable(addresses, crops, above_mm, on_top, columns, lambda: self._sights(crops, pairs, height_mm))
 
     def _crops(self, components: Sequence[Component], framing: Framing) -> Crops:
@@ -161,79 +151,48 @@ class ViewCalculator:
         chosen = framing.px_per_mm
         return compute_crops(shapes, shapes.fitting(self._resolution) if chosen is None else chosen, framing)
 
-    def _pairs(self, crops: Crops, height_mm: Floats, min_coverage: float, own: Floats | None) -> _Pairs:
-        """Find the pairs of a component and a frame that may show it. Most frames show only few components.
+    def _pairs(self, crops: Crops, height_mm: Floats, min_coverage: float) -> Pairs:
+        """Find the frames that show components, and what they show of them."""
+        from vaoi_station.rendering.frame_pairs import Parts, find_pairs
 
-        `own` (n, 3, 3) are the displacements of components with a C of their own; None if no component has one.
-        """
-        # A frame shows at most half of a footprint whose centre it does not show: both are symmetric or convex.
-        margin = self._bend[:, None] + 1
-        if min_coverage < 0.5:
-            margin = margin + self._scale[:, None] * np.linalg.norm(crops.footprints.half, axis=-1)
-        center = _homogeneous(crops.footprints.center)
-        center = center if own is None else (own @ center[:, :, None])[:, :, 0]
-        # One product in place of one for each frame, which takes longer.
-        straight = (self._image_from_cad.reshape(-1, 3) @ center.T).reshape(len(self._key), 3, -1)
-        seen = straight - self._lean[:, :, None] * height_mm
-        at = seen[:, :2] / seen[:, 2:]
-        (x, y), (right, bottom) = at.swapaxes(0, 1), self._size.T[:, :, None] - 1 + margin
-        touching = (x >= -margin) & (y >= -margin) & (x <= right) & (y <= bottom)
-        component, frame = np.nonzero(touching.T)
-        image_from_cad = self._image_from_cad[frame]
-        image_from_cad[:, :, 2] -= height_mm[component, None] * self._lean[frame]
-        return _Pairs(component, frame, image_from_cad if own is None else image_from_cad @ own[component])
-
-    def _shown(self, crops: Crops, pairs: _Pairs, picture: Floats) -> tuple[Floats, Floats, Floats]:
-        """Compute coverage (p,), corners of the footprint (p, 4, 2), and its centre (p, 2), both in raw pixels.
-
-        `picture` (p, 9, 2) are the raw pixels of 3×3 points over each picture.
-        """
-        center, half = crops.footprints.center[:, None], crops.footprints.half
+        shapes = crops.footprints
         # A footprint is shown if the centres of its outermost pixels are: a pixel of the picture has one place.
-        half_px = half * (crops.px_per_mm * self._board_type.mm_per_unit)[:, None]
-        inner = crops.footprints.along * np.maximum(1 - 0.5 / half_px, 0)[:, None]
-        raw = picture
-        # Most pictures show the footprint and nothing else, so its points are those of the picture.
-        if len(other := np.flatnonzero(~crops.bare[pairs.component])):
-            k, raw = pairs.component[other], picture.copy()
-            points = through(pairs.image_from_cad[other], center[k] + _square(3) @ inner[k].swapaxes(1, 2))
-            raw[other] = self._distorted(pairs.frame[other], points)
-        coverage = np.array(self._inside(pairs.frame, raw).all(1), dtype=np.float64)
-        # Most footprints lie completely inside the frame. Only the others are sampled finely.
-        part = np.flatnonzero(coverage < 1)
-        k, frame = pairs.component[part], pairs.frame[part]
-        fine = through(pairs.image_from_cad[part], center[k] + _square(GRID) @ inner[k].swapaxes(1, 2))
-        coverage[part] = self._inside(frame, self._distorted(frame, fine)).mean(1)
-        return coverage, raw[:, _CORNERS], raw[:, 4]
+        half_px = shapes.half * (crops.px_per_mm * self._board_type.mm_per_unit)[:, None]
+        inner = shapes.along * np.maximum(1 - 0.5 / half_px, 0)[:, None]
+        own = [self._own.get(c.address, _STAYS) for c in shapes.components] if self._own else []
+        moves = np.array(own, dtype=np.float64).reshape(-1, 3, 3)
+        parts = Parts(shapes.center, shapes.half, inner, height_mm, moves, crops.size, crops.cad_from_crop, crops.bare)
+        return find_pairs(self._frames, parts, min_coverage)
 
-    def _through_lenses(self, crops: Crops, pairs: _Pairs, matrices: Floats, picture: Floats) -> tuple[Floats, Floats]:
+    def _through_lenses(self, crops: Crops, pairs: Pairs) -> tuple[Floats, Floats]:
         """Replace matrices to undistorted pixels by matrices to raw ones where a matrix can represent the lens.
 
         Return all matrices (p, 3, 3), and the deviation of the lens from a homography (p,), px: 0 for a picture that is
-        not distorted. `picture` is that of `_shown`.
+        not distorted.
         """
-        bend_px = np.zeros(len(matrices))
-        if not self._lensed.any():
+        matrices, bend_px = pairs.image_from_crop, np.zeros(len(pairs.component))
+        if not self._frames.lensed.any():
             return matrices, bend_px
-        points = _grid(crops.size[pairs.component], 3)
+        points, picture = _grid(crops.size[pairs.component], 3), pairs.picture_px
         straight = rectangle_homographies(points[:, _CORNERS], picture[:, _CORNERS])
         apart_px = np.abs(through(straight, points) - picture).max((1, 2))
         # NaN, of a picture a pixel wide, counts as bent.
-        lensed = self._lensed[self._key[pairs.frame, 0]]
+        lensed = self._frames.lensed[self._frames.key[pairs.frame, 0]]
         bent = lensed & ~(apart_px <= _STRAIGHT_PX)
         bend_px[bent] = np.nan_to_num(apart_px[bent], nan=np.inf)
         return np.where((lensed & ~bent)[:, None, None], straight, matrices), bend_px
 
-    def _tiles(self, crops: Crops, pairs: _Pairs, matrices: Floats, bend_px: Floats) -> dict[int, tuple[Tile, ...]]:
+    def _tiles(self, crops: Crops, pairs: Pairs, bend_px: Floats) -> dict[int, tuple[Tile, ...]]:
         """Cut the distorted pictures among those of the pairs into tiles; the keys are the numbers of the pairs."""
         bent = np.flatnonzero(bend_px)
         if not len(bent):
             return {}
         frame, size = pairs.frame[bent], crops.size[pairs.component[bent]]
-        cut = cut_tiles(matrices[bent], size, bend_px[bent], lambda k, points: self._distorted(frame[k], points))
+        matrices = pairs.image_from_crop[bent]
+        cut = cut_tiles(matrices, size, bend_px[bent], lambda k, points: self._distorted(frame[k], points))
         return dict(zip(bent.tolist(), cut, strict=True))
 
-    def _sights(self, crops: Crops, pairs: _Pairs, height_mm: Floats) -> Sights:
+    def _sights(self, crops: Crops, pairs: Pairs, height_mm: Floats) -> Sights:
         """Compute the vector from each component to the camera (p, 3), CAD axes, mm, and the shift per mm of height."""
         k, frame = pairs.component, pairs.frame
         center = _homogeneous(crops.footprints.center)[k, :, None]
@@ -244,24 +203,18 @@ class ViewCalculator:
         flat = (turn.swapaxes(1, 2) @ sight[:, :, None])[..., 0] / scale[:, None]
         toward = np.column_stack([flat, self._eye[frame, 2] - height_mm[k]])
         at = (pairs.image_from_cad @ center)[..., 0]
-        lean = self._lean[frame]
+        lean = self._frames.lean[frame]
         lift = (at[:, :2] / at[:, 2:] * lean[:, 2:] - lean[:, :2]) / at[:, 2:]
         return Sights(toward, lift)
 
     def _distorted(self, frame: NDArray[np.int_], points: Floats) -> Floats:
         """Return the raw pixels (p, n, 2) of undistorted pixels of p frames. `points` is overwritten."""
-        of = self._key[frame, 0]
+        of = self._frames.key[frame, 0]
         # Few cameras see one component.
-        for i in set(of[self._lensed[of]].tolist()):
+        for i in set(of[self._frames.lensed[of]].tolist()):
             mine = np.flatnonzero(of == i)
             points[mine] = self._cameras[i].lens.distort(points[mine])
         return points
-
-    def _inside(self, frame: NDArray[np.int_], raw: Floats) -> NDArray[np.bool_]:
-        """Return whether raw pixels (p, n, 2) of p frames lie inside (p, n); equation 22."""
-        x, y = raw[..., 0], raw[..., 1]
-        right, bottom = self._size[frame].T[:, :, None] - 1
-        return np.asarray((x >= 0) & (y >= 0) & (x <= right) & (y <= bottom))
 
 
 def compute_views(
@@ -292,6 +245,16 @@ def compute_views(
     return ViewCalculator(board_type, stitch, cameras).compute(
         component, px_per_mm=px_per_mm, min_coverage=min_coverage, framing=framing
     )
+
+
+def _lenses(cameras: Sequence[Camera]) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+    """Return `radial`, `lens` and `lensed` of `Frames`."""
+    lensed = np.array([not c.lens.ideal for c in cameras])
+    radial = np.zeros((len(cameras), max(len(c.lens.radial) for c in cameras)))
+    shapes = np.zeros((len(cameras), 5))
+    for n in np.flatnonzero(lensed).tolist():
+        radial[n, : len(cameras[n].lens.radial)], shapes[n] = cameras[n].lens.radial, cameras[n].lens.shape
+    return radial, shapes, lensed
 
 
 def _bend(camera: Camera) -> float:

@@ -216,7 +216,7 @@ class RenderJob(PictureJob):
     """File of the frame in the run's recording, if its memory was given to a later board; None for a frame in the
     ring."""
     minus: RenderJob | None = None
-    """The picture that is subtracted from this one (`rendering.difference`); None for a plain picture."""
+    """The picture that is subtracted from this one (`rendering.temporary.subtract`); None for a plain picture."""
     ratio: float = 1.0
     """Factor on the grey levels of `minus`."""
     priority: Priority = Priority.RENDER

@@ -23,6 +23,7 @@ from vaoi_station.mosaic.blending import Cells, Pictures, blend, nodes_along
 from vaoi_station.mosaic.cells import label_boxes
 from vaoi_station.mosaic.projection import FrameProjector
 from vaoi_station.mosaic.reduction import Reduced, reduced
+from vaoi_station.rendering import frame_pairs
 from vaoi_station.steps import completed
 from vaoi_station.stitching.matching.prepared_frame import resample
 from vaoi_station.stitching.work import StitchSetup, TaskRunner, all_tasks
@@ -46,6 +47,7 @@ def warm_up() -> Stitch:
     _locate_other_marks(picture)
     _blend()
     _merge()
+    frame_pairs.load()
     lens = setup.cameras[0].lens
     lens.undistort(lens.distort(np.zeros((1, 2))))
     runner = TaskRunner(setup, partial(_frame, picture))

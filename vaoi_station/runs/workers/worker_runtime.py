@@ -26,7 +26,7 @@ from vaoi_station.files.images import encode_jpeg, encode_png, encode_tiff, read
 from vaoi_station.files.results import stitch_text, without_components
 from vaoi_station.model import RecordingHead, Stitch
 from vaoi_station.rendering import render
-from vaoi_station.rendering.difference import subtract
+from vaoi_station.rendering.temporary import subtract
 from vaoi_station.runs.states.schemas import ImageFormat
 from vaoi_station.runs.workers.jobs import (
     CheckJob,
