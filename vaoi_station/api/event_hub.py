@@ -27,6 +27,8 @@ MAX_WAITING = 128
 """Limit of simultaneous long polls, and of simultaneous event streams."""
 MAX_POLLS_OF_CALLER = 32
 MAX_STREAMS_OF_CALLER = 24
+EVENTS_AT_ONCE = 100
+"""Number of events that are read at once: a stream that is not read keeps so many in memory."""
 RETRY_S = 1.0
 """Pause after a read of events that has failed, s."""
 LISTEN_S = 1.0
@@ -77,9 +79,9 @@ class EventHub:
         return self.polls.taken + self.streams.taken
 
     async def events(self, after: int, timeout_s: float) -> tuple[EventRecord, ...]:
-        """Wait for events numbered above `after`. Return them oldest first; none on time-out or after `close`."""
+        """Wait for events numbered above `after`. Return the oldest ones; none on time-out or after `close`."""
         if await self.changed(after, timeout_s):
-            return await self._readers.ask(self._coordinator.events, after, 0.0)
+            return await self._readers.ask(self._coordinator.events, after, 0.0, EVENTS_AT_ONCE)
         return ()
 
     async def changed(self, after: int, timeout_s: float) -> bool:

@@ -13,6 +13,8 @@ import pytest
 
 from tests.api.held_station import HeldStation
 from vaoi_station.api.callers.seats import Seats
+from vaoi_station.api.event_hub import EVENTS_AT_ONCE
+from vaoi_station.runs.states.schemas import EventRecord
 
 
 def messages(response: Any) -> Iterator[dict[str, str]]:
@@ -51,6 +53,23 @@ def test_a_client_resumes_after_its_last_event(served: Any, header: bool) -> Non
     asked = {"headers": {"Last-Event-ID": "2"}} if header else {"params": {"after": 2}}
     with served.client.stream("GET", "/api/v1/events", **asked) as response:
         assert [m["id"] for m in news(response, 4)] == [3, 4, 5, 6]
+
+
+def test_a_long_log_is_read_in_parts(served: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A stream that is not read keeps no more than one part of the log in memory."""
+    station, parts = served.station, []
+    for number in range(2 * EVENTS_AT_ONCE + 1):
+        station.publish("trouble", str(number), code="cable")
+
+    def read(after: int, timeout_s: float, limit: int = 1000) -> tuple[EventRecord, ...]:
+        records = HeldStation.events(station, after, timeout_s, limit)
+        parts.append(len(records) if timeout_s == 0 else 0)
+        return records
+
+    monkeypatch.setattr(station, "events", read)
+    with served.client.stream("GET", "/api/v1/events", params={"after": 0}) as response:
+        assert [m["id"] for m in news(response, len(station.log))] == list(range(1, len(station.log) + 1))
+    assert max(parts) == EVENTS_AT_ONCE
 
 
 def test_the_header_has_precedence_over_the_query(served: Any) -> None:
