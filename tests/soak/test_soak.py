@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 
 from tests.needs import LONG
 from tests.soak.accounts import account
+from tests.soak.alone.station import soak as soak_alone
 from tests.soak.faults import FAULTS
 from tests.soak.report import fault_table, plot, slope_table, summary
 from tests.soak.series import all_series
@@ -65,6 +67,13 @@ def test_a_soak_is_reported(soaked: Record) -> None:
     assert "worker 1: threads" in plot({"short": series})
     assert f"| {soaked.injected[0].name} |" in fault_table(raw)
     assert "| runs that are not accounted for | 0 |" in summary(raw)
+
+
+def test_the_station_process_is_soaked_alone(tmp_path: Path) -> None:
+    points = list(soak_alone(tmp_path, boards=6, every=3))
+    assert [point.boards for point in points] == [3, 6]
+    assert 0 < points[-1].database_mb < points[-1].heaps_mb < points[-1].private_mb
+    assert points[-1].objects > points[-1].boards
 
 
 @pytest.mark.parametrize(("growth", "flat"), [(0.0, True), (0.02, False), (-0.02, False)])

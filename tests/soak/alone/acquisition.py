@@ -1,4 +1,4 @@
-"""Soak the acquisition process alone, as fast as its replay plays: `python -m tests.soak.acquisition --boards 20000`.
+"""Soak the acquisition process alone, as fast as its replay plays: `python -m tests.soak.alone.acquisition`.
 
 Prints the private memory and the number of objects of Python over the boards, and what the allocator gives back at the
 end. Growth that ends, without more objects, is the allocator's; growth that goes on is a leak.
@@ -7,13 +7,12 @@ end. Growth that ends, without more objects, is the allocator's; growth that goe
 from __future__ import annotations
 
 import argparse
-import ctypes
-import gc
 import multiprocessing
 import tempfile
 import threading
 from pathlib import Path
 
+from tests.soak.alone.memory import objects, private_mb, trimmed_mb
 from tests.soak.line_files import Pace, write_line_files
 from vaoi_station.acquisition.controller.filming_plan import filming_plan
 from vaoi_station.acquisition.process.main_loop import run_acquisition
@@ -22,15 +21,9 @@ from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import read_config
 
 
-def private_mb() -> float:
-    """Return the private memory of this process, MB."""
-    lines = Path("/proc/self/smaps_rollup").read_text(encoding="ascii").splitlines()
-    return sum(int(line.split()[1]) for line in lines if line.startswith("Private_")) / 1000
-
-
 def main() -> None:
     """Let boards pass, and print what they leave behind."""
-    parser = argparse.ArgumentParser(prog="python -m tests.soak.acquisition", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m tests.soak.alone.acquisition", description=__doc__)
     parser.add_argument("--boards", type=int, default=20_000)
     parser.add_argument("--every", type=int, default=2000, help="number of boards between two lines")
     chosen = parser.parse_args()
@@ -57,10 +50,9 @@ def main() -> None:
                     ring.claim(report.bay)
                     here.send(Grant(f"{done:06d}", report.bay))
                     if done % chosen.every == 0:
-                        print(f"{done} boards: {private_mb():.3f} MB, {len(gc.get_objects())} objects", flush=True)
+                        print(f"{done} boards: {private_mb():.3f} MB, {objects()} objects", flush=True)
             before = private_mb()
-            ctypes.CDLL(None).malloc_trim(0)
-            print(f"malloc_trim gives back {before - private_mb():.2f} MB")
+            print(f"malloc_trim gives back {before - trimmed_mb():.2f} MB")
             here.send(Shutdown())
             while thread.is_alive():
                 if here.poll(0.1):
