@@ -10,8 +10,10 @@ import pytest
 from tests.plant.conftest import add_runs, filmed_again
 from vaoi_station.errors import InputError
 from vaoi_station.plant.archive import Archive, RunLabel, RunSelection
+from vaoi_station.plant.archive.catalogue import AHEAD
+from vaoi_station.plant.archive.manifest import ArchivedRun
 from vaoi_station.plant.archive.storage import LocalStorage
-from vaoi_station.plant.selected_runs import select_runs
+from vaoi_station.plant.selected_runs import SelectedRuns
 
 
 def test_runs_are_found_once_and_in_order(recording: Path, tmp_path: Path) -> None:
@@ -20,7 +22,7 @@ def test_runs_are_found_once_and_in_order(recording: Path, tmp_path: Path) -> No
         with filmed_again(recording, run) as folder:
             first.add(folder, station=station, label=RunLabel(run=run, time="2026-11-01T10:00:00Z"))
     second = Archive.open(shutil.copytree(tmp_path / "a", tmp_path / "b"))
-    found = select_runs([first.url, second.url, first.url], RunSelection(), pytest.fail)
+    found = list(SelectedRuns([first.url, second.url, first.url], RunSelection(), pytest.fail))
     assert [(url, key.rpartition("/")[2]) for url, key, _ in found] == [(first.url, "r2.json"), (first.url, "r1.json")]
 
 
@@ -29,7 +31,7 @@ def test_different_runs_with_one_id_are_named(recording: Path, tmp_path: Path) -
     for archive, serial in zip(archives, ("B1", "B2"), strict=True):
         archive.add(recording, station="s", label=RunLabel(run="r1", time="2026-11-01T10:00:00Z", serial=serial))
     reported: list[str] = []
-    assert select_runs([a.url for a in archives], RunSelection(), reported.append) == []
+    assert not list(SelectedRuns([a.url for a in archives], RunSelection(), reported.append))
     assert "r1.json: two runs have this id, and differ" in reported[0]
 
 
@@ -39,10 +41,10 @@ def test_one_recording_in_several_places_counts_once_and_is_named(recording: Pat
         archive.add(recording, station=station, label=RunLabel(run=run, time="2026-11-01T10:00:00Z"))
     first, same_id, other_id = (archive.url for archive in archives)
     reported: list[str] = []
-    (found,) = select_runs([first, other_id], RunSelection(), reported.append)
+    (found,) = SelectedRuns([first, other_id], RunSelection(), reported.append)
     assert (found.archive, found.key) == (first, "runs/x/2026-11-01/r1.json")
     assert f"r2.json: is the same recording as {first}/runs/x/2026-11-01/r1.json" in reported[0]
-    assert select_runs([first, same_id], RunSelection(), reported.append) == []
+    assert not list(SelectedRuns([first, same_id], RunSelection(), reported.append))
     assert f"two runs have this id, and differ: {first}/runs/x/2026-11-01/r1.json, {same_id}/runs/w" in reported[1]
 
 
@@ -57,9 +59,28 @@ def test_each_run_of_a_station_that_replays_a_recording_is_read_once(
         return read(storage, key)
 
     monkeypatch.setattr(LocalStorage, "read", counted)
-    found = select_runs([archive.url], RunSelection(), pytest.fail)
+    found = list(SelectedRuns([archive.url], RunSelection(), pytest.fail))
     assert sorted(key for key in reads if key != "archive.json") == sorted(run.key for run in found)
     assert len(found) == 8
+
+
+def test_the_first_run_is_known_before_all_manifests_are_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    archive, reads, read = Archive.create(tmp_path / "archive"), list[str](), LocalStorage.read
+    for n in range(3 * AHEAD):
+        named = {"run": f"r{n:03d}", "station": "s", "time": "2026-11-01T10:00:00Z", "board_type": "ab"[n % 2]}
+        run = ArchivedRun(**named, pixels=8, documents={}, frames=())
+        archive.storage.write(run.key, run.text().encode())
+
+    def noted(storage: LocalStorage, key: str) -> bytes:
+        reads.append(key)
+        return read(storage, key)
+
+    monkeypatch.setattr(LocalStorage, "read", noted)
+    selected = SelectedRuns([archive.url], RunSelection(board_type="a"), pytest.fail)
+    runs = iter(selected)
+    assert (next(runs).key, selected.runs) == ("runs/s/2026-11-01/r000.json", 3 * AHEAD)
+    assert len(reads) <= AHEAD + 1, "with that of the archive"
+    assert len(list(runs)) + 1 == selected.runs == 3 * AHEAD // 2
 
 
 def test_an_archive_that_cannot_be_used_is_named_and_the_others_are_used(recording: Path, tmp_path: Path) -> None:
@@ -70,8 +91,8 @@ def test_an_archive_that_cannot_be_used_is_named_and_the_others_are_used(recordi
     marker.write_text(marker.read_text().replace("1", "9"))
     reported: list[str] = []
     urls = [str(tmp_path / name) for name in ("absent", "a", "b")]
-    assert [run.archive for run in select_runs(urls, RunSelection(), reported.append)] == [urls[1]]
+    assert [run.archive for run in SelectedRuns(urls, RunSelection(), reported.append)] == [urls[1]]
     assert f"{urls[0]}: is no archive" in reported[0]
     assert "version is 9" in reported[1]
     with pytest.raises(InputError, match="is no archive"):
-        select_runs([urls[0], urls[2]], RunSelection(), reported.append)
+        SelectedRuns([urls[0], urls[2]], RunSelection(), reported.append)

@@ -181,7 +181,7 @@ def _in_turns(
 
         def work(address: str, outcomes: _Outcomes, of: list[RunTask]) -> tuple[float, float]:
             began_s, own_began_s = time.perf_counter(), time.process_time()
-            _dispatch(outcomes).work(address, of, _PATIENCE_S)
+            _dispatch(outcomes).work(address, of, [of[0].archive], _PATIENCE_S)
             return time.perf_counter() - began_s, time.process_time() - own_began_s
 
         for address, workers in ((alone, 1), (both, 2)):  # imports, and the machine code of each process
@@ -221,7 +221,7 @@ def _killed(folder: Path, tasks: list[RunTask]) -> tuple[int, _Outcomes]:
                 kills += 1
 
     with cluster_address(ClusterOptions(workers=2)) as address:
-        _dispatch(outcomes, kill).work(address, tasks, _PATIENCE_S)
+        _dispatch(outcomes, kill).work(address, tasks, [tasks[0].archive], _PATIENCE_S)
     return kills, outcomes
 
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 from vaoi_station.errors import VaoiError
 from vaoi_station.plant.archive import Archive, RunSelection
+from vaoi_station.plant.archive.catalogue import read_ahead, report_half_written, selected, single_places
+from vaoi_station.plant.archive.fault import ArchiveFault
+from vaoi_station.plant.archive.manifest import ArchivedRun
 from vaoi_station.plant.archive.same_recordings import SameRecordings, recording_of
 
 
@@ -20,65 +23,97 @@ class SelectedRun(NamedTuple):
     """Digest of its manifest: any other run under its id has another one, and so has the run before a change."""
 
 
-class _Found(NamedTuple):
-    """A selected run."""
+class _Place(NamedTuple):
+    """Where a manifest is."""
 
     archive: Archive
     key: str
-    digest: str
-    """Digest of its manifest."""
-    recording: str
-    """Digest of its recording."""
 
     @property
     def address(self) -> str:
-        """Address of its manifest."""
+        """Address of the manifest."""
         return f"{self.archive.url}/{self.key}"
 
 
-def select_runs(
-    archives: Sequence[str], selection: RunSelection, leave_out: Callable[[str], None]
-) -> list[SelectedRun]:
-    """Return every selected run, by station, day and id.
+class SelectedRuns:
+    """Every run that a selection finds in several archives, by station, day and id.
 
-    What cannot be used is reported to `leave_out`. A run that several archives have is returned once; if they differ,
-    or have it under several stations or days, none is returned, because which of them is meant is not known. A
-    recording that was archived under several ids is returned once, and the others are reported.
+    What cannot be used is reported to `leave_out`. A run that several archives have is yielded once; if they differ,
+    or have it under several stations or days, it is not, because which of them is meant is not known. A recording that
+    was archived under several ids is yielded once, and the others are reported.
 
-    Of several archives one that is absent, or newer than the software, is reported, and the others are used.
-
-    Raises:
-        VaoiError: no archive can be used.
+    The archives are listed at once. Manifests are read while the runs are iterated, a bounded number ahead.
     """
-    # Keys and digests only: the manifests of a plant's runs would not fit into memory.
-    found: dict[str, list[_Found]] = {}
-    failures: list[VaoiError] = []
-    given = dict.fromkeys(archives)
-    for url in given:
-        try:
-            archive = Archive.open(url)
-            for run in archive.runs(selection, lambda fault: leave_out(str(fault))):
-                found.setdefault(run.run, []).append(_Found(archive, run.key, run.digest, recording_of(run)))
-        except VaoiError as error:
-            failures.append(error)
-    if failures and len(failures) == len(given):
-        raise failures[0]
-    for failure in failures:
-        leave_out(str(failure))
-    recordings, chosen = SameRecordings(), list[SelectedRun]()
-    for same in sorted(found.values(), key=lambda same: same[0].key):
-        first = same[0]
-        if len({(run.key, run.digest) for run in same}) > 1:
-            places = ", ".join(run.address for run in same)
-            leave_out(
-                f"{first.key}: two runs have this id, and differ: {places}. Remove one from its archive, or give one "
-                "archive."
+
+    def __init__(self, archives: Sequence[str], selection: RunSelection, leave_out: Callable[[str], None]) -> None:
+        """List the archives. Of several, one that is absent, or newer than the software, is reported and not used.
+
+        Raises:
+            VaoiError: no archive can be used.
+        """
+        self._selection, self._leave_out = selection, leave_out
+        found: dict[str, list[_Place]] = {}
+        failures: list[VaoiError] = []
+        given = dict.fromkeys(archives)
+        for url in given:
+            try:
+                archive = Archive.open(url)
+                for place in single_places(archive.storage, selection, self._report):
+                    found.setdefault(place.run, []).append(_Place(archive, place.key))
+                report_half_written(archive.storage, selection, self._report)
+            except VaoiError as error:
+                failures.append(error)
+        if failures and len(failures) == len(given):
+            raise failures[0]
+        for failure in failures:
+            leave_out(str(failure))
+        # Of one recording under several ids, the first is taken: places are known without manifests, but of a run
+        # with several places only those count whose manifests can be used.
+        groups = (self._usable(same) if len({place.key for place in same}) > 1 else same for same in found.values())
+        self._groups = sorted((same for same in groups if same), key=lambda same: same[0].key)
+        self.runs = len(self._groups)
+        """Number of runs; while not all manifests are read, the most that it can be."""
+
+    @property
+    def archives(self) -> list[str]:
+        """Addresses of the archives from which runs may be read."""
+        return list(dict.fromkeys(place.archive.url for same in self._groups for place in same))
+
+    def __iter__(self) -> Iterator[SelectedRun]:
+        """Yield the runs. They can be iterated once."""
+        recordings = SameRecordings()
+        manifests = read_ahead((place.archive.storage, place.key) for same in self._groups for place in same)
+        for places in self._groups:
+            read = [(place, selected(next(manifests), self._selection, self._report)) for place in places]
+            same = [(place, run) for place, run in read if run is not None]
+            if same and (chosen := self._chosen(same, recordings)) is not None:
+                yield chosen
+            else:
+                self.runs -= 1
+
+    def _chosen(self, same: list[tuple[_Place, ArchivedRun]], recordings: SameRecordings) -> SelectedRun | None:
+        """Return the run that several archives may have; None, with a report, if it is not to be used."""
+        place, run = same[0]
+        if len(same) > 1 and len({(other.key, other.digest) for _, other in same}) > 1:
+            addresses = ", ".join(other.address for other, _ in same)
+            self._leave_out(
+                f"{place.key}: two runs have this id, and differ: {addresses}. Remove one from its archive, or give "
+                "one archive."
             )
-        elif (other := recordings.earlier(first.address, first.recording)) is not None:
-            leave_out(
-                f"{first.address}: is the same recording as {other}, which is taken. Remove the one "
-                "that is wrong from its archive."
+            return None
+        if (earlier := recordings.earlier(place.address, recording_of(run))) is not None:
+            self._leave_out(
+                f"{place.address}: is the same recording as {earlier}, which is taken. Remove the one that is wrong "
+                "from its archive."
             )
-        else:
-            chosen.append(SelectedRun(first.archive.url, first.key, first.digest))
-    return chosen
+            return None
+        return SelectedRun(place.archive.url, place.key, run.digest)
+
+    def _usable(self, places: list[_Place]) -> list[_Place]:
+        """Return the places of one run whose manifests can be used, and report the others."""
+        manifests = read_ahead((place.archive.storage, place.key) for place in places)
+        read = zip(places, manifests, strict=True)
+        return [place for place, manifest in read if selected(manifest, self._selection, self._report) is not None]
+
+    def _report(self, fault: ArchiveFault) -> None:
+        self._leave_out(str(fault))

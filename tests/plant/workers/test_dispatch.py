@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,7 +18,7 @@ from vaoi_station.plant.archive import Archive
 from vaoi_station.plant.restitch import ClusterOptions, Terms
 from vaoi_station.plant.restitch.task import RunTask, read_outcome, restitch_run
 from vaoi_station.plant.workers.cluster import cluster_address, connection
-from vaoi_station.plant.workers.dispatch import Dispatch
+from vaoi_station.plant.workers.dispatch import AHEAD, Dispatch
 from vaoi_station.plant.workers.software import software
 
 
@@ -50,12 +50,29 @@ def test_a_killed_worker_costs_no_run(board: RecordedRun, cluster: ClusterOption
         processes.append(process)
 
     dispatch = Dispatch(software(), restitch_run, keep, note(faults), lambda _: None)
-    dispatch.work(cluster.scheduler, tasks, cluster.patience_s)
+    dispatch.work(cluster.scheduler, tasks, [tasks[0].archive], cluster.patience_s)
     assert sorted(t.key for t in kept) == sorted(t.key for t in tasks), "no run is lost, and none comes twice"
     assert not faults
     with connection(cluster.scheduler, cluster.patience_s) as client:
         client.wait_for_workers(2, timeout=120)  # the nanny has started it again
         assert processes[0] not in client.run(os.getpid).values()
+
+
+def test_runs_are_taken_when_workers_are_to_have_them(stored: Archive, cluster: ClusterOptions) -> None:
+    tasks = [task_of(stored, "r0")] * 9
+    kept: list[RunTask] = []
+    ahead: list[int] = []
+
+    def taken() -> Iterator[RunTask]:
+        for n, task in enumerate(tasks):
+            ahead.append(n - len(kept))
+            yield task
+
+    assert cluster.scheduler is not None
+    dispatch = Dispatch(software(), restitch_run, lambda task, _: kept.append(task), refuse, lambda _: None)
+    dispatch.work(cluster.scheduler, taken(), [stored.url], cluster.patience_s)
+    assert len(kept) == len(tasks)
+    assert max(ahead) <= AHEAD * 2, "for two workers"
 
 
 def test_a_scheduler_that_is_restarted_goes_on_with_what_is_not_done(stored: Archive) -> None:
@@ -88,11 +105,11 @@ def test_a_scheduler_that_is_restarted_goes_on_with_what_is_not_done(stored: Arc
         running.append(start(int(address.rpartition(":")[2])))
 
     try:
-        Dispatch(software(), restitch_run, keep, refuse, report).work(address, tasks, 120)
+        Dispatch(software(), restitch_run, keep, refuse, report).work(address, tasks, [stored.url], 120)
     finally:
         running[-1].close()
     assert sorted(t.key for t in kept) == sorted(t.key for t in tasks)
-    assert "the scheduler has gone; 3 runs are given to the next." in reported[0]
+    assert "the scheduler has gone; what is not done is given to the next." in reported[0]
 
 
 def test_a_run_that_cannot_be_stitched_does_not_stop_the_others(
@@ -104,7 +121,7 @@ def test_a_run_that_cannot_be_stitched_does_not_stop_the_others(
     faults: list[str] = []
     assert cluster.scheduler is not None
     Dispatch(software(), restitch_run, lambda task, _: kept.append(task), note(faults), lambda _: None).work(
-        cluster.scheduler, [absent, good, other], cluster.patience_s
+        cluster.scheduler, [absent, good, other], [stored.url], cluster.patience_s
     )
     assert {t.key for t in kept} == {good.key, other.key}
     assert len(faults) == 1
@@ -118,8 +135,8 @@ def test_without_a_usable_worker_the_wait_is_bounded(stored: Archive, cluster: C
     with connection(cluster.scheduler, cluster.patience_s) as client:
         client.wait_for_workers(2, timeout=120)  # The test before may have killed one.
         client.run(software)  # The first time takes long on a busy machine.
-    with pytest.raises(StateError, match=r"No usable worker for 0\.2 s; 1 runs are left\. worker tcp://"):
-        dispatch.work(cluster.scheduler, [task], cluster.patience_s, workers_patience_s=0.2)
+    with pytest.raises(StateError, match=r"No usable worker for 0\.2 s; runs are left\. worker tcp://"):
+        dispatch.work(cluster.scheduler, [task], [stored.url], cluster.patience_s, workers_patience_s=0.2)
     assert len(dispatch.refused_workers) == 2
 
 
@@ -148,7 +165,7 @@ def test_a_worker_that_loses_its_share_costs_no_run(
 
         try:
             dispatch = Dispatch(software(), restitch_run, keep, refuse, reported.append)
-            dispatch.work(cluster.scheduler, tasks, cluster.patience_s)
+            dispatch.work(cluster.scheduler, tasks, [tasks[0].archive], cluster.patience_s)
         finally:
             for address, folder in before.items():
                 client.run(os.chdir, folder, workers=[address])
@@ -174,7 +191,7 @@ def test_a_worker_that_is_killed_before_its_outcome_is_fetched_costs_no_wait(
     monkeypatch.setattr(Future, "result", killing)
     with cluster_address(ClusterOptions(workers=1)) as address:
         Dispatch(software(), restitch_run, lambda task, _: kept.append(task), refuse, pytest.fail).work(
-            address, tasks, 120
+            address, tasks, [stored.url], 120
         )
     assert len(killed) == 1
     assert sorted(t.key for t in kept) == sorted(t.key for t in tasks), "without another scheduler"
@@ -192,5 +209,5 @@ def test_the_only_worker_may_be_killed_in_mid_run(stored: Archive) -> None:
                 (process,) = client.run(os.getpid).values()
                 os.kill(process, signal.SIGKILL)
 
-        Dispatch(software(), restitch_run, keep, refuse, pytest.fail).work(address, tasks, 120)
+        Dispatch(software(), restitch_run, keep, refuse, pytest.fail).work(address, tasks, [stored.url], 120)
     assert sorted(t.key for t in kept) == sorted(t.key for t in tasks)

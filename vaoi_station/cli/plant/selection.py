@@ -65,6 +65,7 @@ def progress_bar(label: str) -> Iterator[Callable[[int, int], None]]:
         if bar is None:
             bar = typer.progressbar(length=runs, label=label, show_pos=True)
             bar.__enter__()
+        bar.length = runs  # It falls while manifests are read of runs that are not selected.
         bar.update(done - bar.pos)
 
     try:

@@ -20,6 +20,8 @@ from vaoi_station.plant.archive.storage import Storage
 
 READERS = 16
 """Number of manifests that are read at a time."""
+AHEAD = 4 * READERS
+"""Number of manifests that are read, or have been, before the next one is used."""
 UNDER_WAY_S = 3600.0
 """A run that was begun less than this ago may be under way."""
 
@@ -45,41 +47,56 @@ def runs(
     storage: Storage, selection: RunSelection, on_fault: OnFault, under_way_s: float = UNDER_WAY_S
 ) -> Iterator[ArchivedRun]:
     """Yield the selected runs, and report those that are half written; see `Archive.runs`."""
-    found = list(_admitted(storage, selection, on_fault))
+    found = single_places(storage, selection, on_fault)
+    for manifest in read_ahead((storage, place.key) for place in found):
+        if (run := selected(manifest, selection, on_fault)) is not None:
+            yield run
+    report_half_written(storage, selection, on_fault, under_way_s)
+
+
+def single_places(storage: Storage, selection: RunSelection, on_fault: OnFault) -> list[Place]:
+    """Return the places in which selected runs can be, without reading them; those of one id are reported instead."""
     same: dict[str, list[Place]] = {}
-    for place in found:
+    for place in _admitted(storage, selection, on_fault):
         same.setdefault(place.run, []).append(place)
     for places_of in same.values():
         if len(places_of) > 1:
             on_fault(ArchiveFault.of(several(storage, places_of)))
-    single = [place for place in found if len(same[place.run]) == 1]
-    for manifest in _read_ahead(storage, single):
-        try:
-            run = manifest.result()
-            admitted = selection.admits(run)
-        except NotFoundError:
-            continue  # It was pruned meanwhile.
-        except VaoiError as error:
-            on_fault(ArchiveFault.of(error))
-            continue
-        if admitted:
-            yield run
-    for fault in _half_written(storage, selection, under_way_s):
-        on_fault(fault)
+    return [places_of[0] for places_of in same.values() if len(places_of) == 1]
 
 
-def _read_ahead(storage: Storage, found: Iterable[Place]) -> Iterator[Future[ArchivedRun]]:
+def selected(manifest: Future[ArchivedRun], selection: RunSelection, on_fault: OnFault) -> ArchivedRun | None:
+    """Return the run of a manifest that is being read; None if it is not selected, or cannot be used."""
+    try:
+        run = manifest.result()
+        return run if selection.admits(run) else None
+    except NotFoundError:
+        return None  # It was pruned meanwhile.
+    except VaoiError as error:
+        on_fault(ArchiveFault.of(error))
+        return None
+
+
+def read_ahead(found: Iterable[tuple[Storage, str]]) -> Iterator[Future[ArchivedRun]]:
     """Read manifests, many at a time, and yield them in the same order: an object store replies after many ms."""
     under_way: deque[Future[ArchivedRun]] = deque()
     pool = ThreadPoolExecutor(READERS, "vaoi-manifests")
     try:
-        for place in found:
-            under_way.append(pool.submit(read_manifest, storage, place.key))
-            if len(under_way) >= 4 * READERS:
+        for storage, key in found:
+            under_way.append(pool.submit(read_manifest, storage, key))
+            if len(under_way) >= AHEAD:
                 yield under_way.popleft()
         yield from under_way
     finally:
         pool.shutdown(cancel_futures=True)
+
+
+def report_half_written(
+    storage: Storage, selection: RunSelection, on_fault: OnFault, under_way_s: float = UNDER_WAY_S
+) -> None:
+    """Report the selected runs whose addition began more than `under_way_s` ago and did not end."""
+    for fault in _half_written(storage, selection, under_way_s):
+        on_fault(fault)
 
 
 def _half_written(storage: Storage, selection: RunSelection, under_way_s: float) -> Iterator[ArchiveFault]:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import itertools
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from vaoi_station.plant.datasets.crops import CropOptions
 from vaoi_station.plant.datasets.in_order import InOrder
 from vaoi_station.plant.datasets.splits import Splits
 from vaoi_station.plant.datasets.webdataset import WebDatasetWriter
-from vaoi_station.plant.selected_runs import select_runs
+from vaoi_station.plant.selected_runs import SelectedRuns
 from vaoi_station.plant.workers import ClusterOptions, Dispatch, cluster_address, dashboard_link
 from vaoi_station.plant.workers.software import software
 
@@ -52,7 +52,7 @@ class DatasetTerms:
 
 @dataclass(frozen=True)
 class Listener:
-    """Receives the numbers of done and of all runs, sentences on faults, and other ones."""
+    """Receives the numbers of done runs and of all, as far as it is known, sentences on faults, and other ones."""
 
     progress: Callable[[int, int], None] = lambda _done, _runs: None
     report: Callable[[str], None] = lambda _text: None
@@ -105,9 +105,9 @@ def write_dataset(
         left_out.append(text)
         listener.report(text)
 
-    chosen = select_runs(archives, terms.selection, leave_out)
+    selected = SelectedRuns(archives, terms.selection, leave_out)
     own = software()
-    tasks = [CropTask(*run, number, own, terms.crops, terms.verdicts) for number, run in enumerate(chosen)]
+    tasks = (CropTask(*run, number, own, terms.crops, terms.verdicts) for number, run in enumerate(selected))
     names = [name for name, _ in terms.splits.shares]
     counts, tally = dict.fromkeys(names, 0), Counter[str]()
     with (
@@ -126,12 +126,14 @@ def write_dataset(
                 tally["empty"] += crop.outline_px is None
 
         ordered = InOrder(Path(early), take)
-        done = itertools.count(1)
-        listener.progress(0, len(tasks))
+        done = 0
+        listener.progress(0, selected.runs)
 
         def keep(task: CropTask, content: bytes | None) -> None:
+            nonlocal done
             ordered.put(task.number, content)
-            listener.progress(next(done), len(tasks))
+            done += 1
+            listener.progress(done, selected.runs)
 
         def give_up(task: CropTask, text: str) -> None:
             leave_out(text)
@@ -139,18 +141,19 @@ def write_dataset(
 
         if cluster is None:
             _work_here(tasks, keep, give_up)
-        elif tasks:
+        elif (first := next(tasks, None)) is not None:
             with cluster_address(cluster) as address:
                 if link := dashboard_link(address, cluster.patience_s):
                     listener.inform(f"dashboard: {link}")
                 dispatch = Dispatch(own, crop_run, keep, give_up, listener.report)
-                dispatch.work(address, tasks, cluster.patience_s)
+                dispatch.work(address, chain((first,), tasks), selected.archives, cluster.patience_s)
             left_out += dispatch.refused_workers
+        listener.progress(done, selected.runs)
     return DatasetSummary(tally["runs"], counts, tally["empty"], tally["other"], tuple(left_out))
 
 
 def _work_here(
-    tasks: Sequence[CropTask], keep: Callable[[CropTask, bytes], None], give_up: Callable[[CropTask, str], None]
+    tasks: Iterable[CropTask], keep: Callable[[CropTask, bytes], None], give_up: Callable[[CropTask, str], None]
 ) -> None:
     for task in tasks:
         try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import uuid
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from vaoi_station.plant.archive import RunSelection
 from vaoi_station.plant.comparison import Changes, compare, write_changes
 from vaoi_station.plant.restitch.task import RunTask, read_outcome, restitch_run
 from vaoi_station.plant.restitch.terms import Terms
-from vaoi_station.plant.selected_runs import select_runs
+from vaoi_station.plant.selected_runs import SelectedRuns
 from vaoi_station.plant.tables import Tables, write_tables
 from vaoi_station.plant.workers import ClusterOptions, Dispatch, cluster_address, dashboard_link
 
@@ -43,7 +44,8 @@ class Summary:
 class Session:
     """What a call works on.
 
-    `progress` receives the numbers of done and of all runs, `report` a sentence on a fault, `inform` any other one.
+    `progress` receives the numbers of done runs and of all, which falls while manifests of runs are read that are not
+    selected; `report` receives a sentence on a fault, `inform` any other one.
     """
 
     archives: list[str]
@@ -73,34 +75,45 @@ def restitch(session: Session, options: ClusterOptions) -> Summary:
     """
     options.check()
     _claim(session)
-    chosen = select_runs(session.archives, session.selection, session.leave_out)
-    tasks = [RunTask(*run, session.terms) for run in chosen]
-    todo = [task for task in tasks if not (session.out / task.file).is_file()]
-    finished = len(tasks) - len(todo)
-    session.progress(finished, len(tasks))
+    selected = SelectedRuns(session.archives, session.selection, session.leave_out)
+    tasks: list[RunTask] = []
+    finished = stitched = 0
+
+    def left_to_do() -> Iterator[RunTask]:
+        nonlocal finished
+        for run in selected:
+            task = RunTask(*run, session.terms)
+            tasks.append(task)
+            if (session.out / task.file).is_file():
+                finished += 1
+            else:
+                yield task
 
     def keep(task: RunTask, content: bytes) -> None:
-        nonlocal finished
+        nonlocal finished, stitched
         write_bytes(session.out / task.file, content)
-        finished += 1
-        session.progress(finished, len(tasks))
+        finished, stitched = finished + 1, stitched + 1
+        session.progress(finished, selected.runs)
 
     def leave_out(_: RunTask, text: str) -> None:
         session.leave_out(text)
 
-    if todo:
+    todo = left_to_do()
+    first = next(todo, None)
+    session.progress(finished, selected.runs)
+    if first is not None:
         with cluster_address(options) as address:
             if link := dashboard_link(address, options.patience_s):
                 session.inform(f"dashboard: {link}")
             dispatch = Dispatch(session.terms.software, restitch_run, keep, leave_out, session.report)
-            dispatch.work(address, todo, options.patience_s)
+            dispatch.work(address, chain((first,), todo), selected.archives, options.patience_s)
         session.left_out += dispatch.refused_workers
+        session.progress(finished, selected.runs)
     write_tables(session.out / TABLES, _done(session, tasks))
     changes = compare(session.out / TABLES)
     write_changes(session.out / REPORT, changes, _terms(session), session.left_out, _unequal(session))
     write_json(session.out / FAULTS, session.left_out)
     write_json(session.out / UNEQUAL, session.unequal)
-    stitched = finished - (len(tasks) - len(todo))
     return Summary(len(tasks), finished, stitched, tuple(session.left_out), session.unequal, changes)
 
 

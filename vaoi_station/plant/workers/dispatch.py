@@ -6,7 +6,8 @@ import threading
 import time
 import uuid
 from collections import Counter, deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator
+from itertools import islice
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
@@ -53,28 +54,37 @@ class Dispatch(Generic[_Task]):
         self._software, self._perform = software, perform
         self._keep, self._leave_out, self._report = keep, leave_out, report
         self.refused_workers: list[str] = []
+        self._more: Iterator[_Task] = iter(())
         self._waiting: deque[_Task] = deque()
+        """Runs that were taken from `_more` and that no worker has."""
+        self._outcomes = 0
+        """Number of runs that were kept or left out."""
         self._unseen: Counter[tuple[str, str]] = Counter()
         """How often a worker did not see the archive of a run."""
 
     def work(
-        self, address: str, tasks: Sequence[_Task], patience_s: float, workers_patience_s: float | None = None
+        self,
+        address: str,
+        tasks: Iterable[_Task],
+        archives: Iterable[str],
+        patience_s: float,
+        workers_patience_s: float | None = None,
     ) -> None:
         """Work on all tasks. A scheduler that has ended is waited for, and given what is not done.
 
         Args:
             address: that of the scheduler.
-            tasks: the runs.
+            tasks: the runs. The next one is taken when a worker is to have it.
+            archives: what the workers must see.
             patience_s: longest wait for the scheduler.
             workers_patience_s: longest wait for a usable worker; None: as long as for the scheduler.
 
         Raises:
             StateError: the scheduler, or any usable worker, is absent for too long.
         """
-        self._waiting.extend(tasks)
-        archives = dict.fromkeys(task.archive for task in tasks)
-        left = -1
-        while self._waiting:
+        self._more, archives = iter(tasks), tuple(archives)
+        before = -1
+        while self._next():
             try:
                 with connection(address, patience_s) as client:
                     crew = Crew(client, self._software, archives, self._report)
@@ -84,14 +94,20 @@ class Dispatch(Generic[_Task]):
                         self.refused_workers += (line for line in crew.refused if line not in self.refused_workers)
             except _SchedulerLostError as error:
                 # One that is lost again and again without any outcome would be tried for ever.
-                if len(self._waiting) == left:
+                if self._outcomes == before:
                     raise StateError(
                         f"{address}: the scheduler was lost twice without the outcome of a run.",
                         action="Check its log and the network, then repeat the command: what is done stays done.",
                         code="scheduler-absent",
                     ) from error
-                left = len(self._waiting)
-                self._report(f"{address}: the scheduler has gone; {left} runs are given to the next.")
+                before = self._outcomes
+                self._report(f"{address}: the scheduler has gone; what is not done is given to the next.")
+
+    def _next(self) -> bool:
+        """Return whether a run waits, after taking the next one if none does."""
+        if not self._waiting:
+            self._waiting.extend(islice(self._more, 1))
+        return bool(self._waiting)
 
     def _work(self, client: Client, crew: Crew, patience_s: float) -> None:
         finished: SimpleQueue[Any] = SimpleQueue()
@@ -100,7 +116,7 @@ class Dispatch(Generic[_Task]):
         unassigned: set[Any] = set()
         looked_s, seen_s = 0.0, time.monotonic()
         try:
-            while self._waiting or given:
+            while given or self._next():
                 now_s = time.monotonic()
                 if client.status != "running":
                     raise _SchedulerLostError
@@ -112,8 +128,8 @@ class Dispatch(Generic[_Task]):
                     unassigned = found
                 seen_s = now_s if crew.admitted else seen_s
                 if now_s - seen_s > patience_s:
-                    raise _without_workers(crew, patience_s, len(self._waiting) + len(given))
-                while self._waiting and len(given) < AHEAD * len(crew.admitted):
+                    raise _without_workers(crew, patience_s)
+                while len(given) < AHEAD * len(crew.admitted) and self._next():
                     task = self._waiting.popleft()
                     future = _submit(client, self._perform, task, crew.resource)
                     given[future] = task
@@ -152,8 +168,10 @@ class Dispatch(Generic[_Task]):
             _in_time(crew.update)
             self._again(task, outcome)
         elif isinstance(outcome, RunFault):
+            self._outcomes += 1
             self._leave_out(task, outcome.message)
         else:
+            self._outcomes += 1
             self._keep(task, outcome)
         return True
 
@@ -163,6 +181,7 @@ class Dispatch(Generic[_Task]):
         if self._unseen[task.archive, task.key] < MOST_UNSEEN:
             self._waiting.appendleft(task)
         else:
+            self._outcomes += 1
             self._leave_out(task, outcome.message)
 
     @staticmethod
@@ -225,10 +244,10 @@ def _in_time(call: Callable[[], _T]) -> _T:
     return results[0]
 
 
-def _without_workers(crew: Crew, patience_s: float, runs: int) -> StateError:
+def _without_workers(crew: Crew, patience_s: float) -> StateError:
     others = " ".join(crew.refused) or "No worker has joined."
     return StateError(
-        f"No usable worker for {patience_s:g} s; {runs} runs are left. {others}",
+        f"No usable worker for {patience_s:g} s; runs are left. {others}",
         action="Start workers with the stated software (`dask worker ADDRESS`), then repeat the command: what is done "
         "stays done.",
         code="no-worker",
