@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import threading
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from typing import Any
@@ -38,6 +39,29 @@ def test_a_fault_is_shown_by_word_sign_colour_and_order(page: Page, served: Any)
     expect(page.locator("#reasons li")).to_have_text(["Camera 2 does not answer. Check the cable of camera 2."])
     page.keyboard.press("Enter")
     expect(page.locator("#details")).to_be_hidden()
+
+
+def test_words_stand_in_place_of_a_picture_that_is_being_made(
+    page: Page, served: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also in place of that of the board before, which would stand beside the verdict of another one."""
+    station, may_go = served.station, threading.Event()
+    render = station.mosaics._render
+
+    def held(job: Any, name: str) -> Any:
+        assert may_go.wait(60)
+        return render(job, name)
+
+    monkeypatch.setattr(station.mosaics, "_render", held)
+    station.arm("demo-board")
+    page.goto(served.url)
+    for _ in range(2):
+        may_go.clear()
+        station.film()
+        expect(page.locator("#last-picture")).to_have_text("The picture is being made.")
+        expect(page.locator("#last-picture .board-picture")).to_have_count(0)
+        may_go.set()
+        expect(page.locator("#last-picture .board-picture")).to_be_visible()
 
 
 def test_title_and_tone_follow_the_station_in_every_view(page: Page, served: Any) -> None:

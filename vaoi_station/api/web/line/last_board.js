@@ -78,6 +78,8 @@ export class LastBoard {
   }
 
   async #showPicture(run) {
+    // Words in its place, also in place of the picture of the board before: a worker reads all frames first.
+    this.#part("last-picture").replaceChildren(make("p", { textContent: texts.pictureBeingMade }));
     const picture = await boardPicture(run, { alt: texts.lastBoard }).catch(() => null);
     if (run !== this.#run) return; // overtaken by a later board
     this.#part("last-picture").replaceChildren(picture ?? make("p", { textContent: texts.noMosaic }));

@@ -161,6 +161,7 @@ export const texts = {
   cancel: "Abbrechen",
   open: "Alle Bilder",
   noMosaic: "Kein Bild",
+  pictureBeingMade: "Das Bild wird gerade erstellt.",
 
   today: "Heute",
   counts: { ok: "gut", degraded: "mit Vorbehalt", failed: "unbrauchbar", missed: "verpasst" },

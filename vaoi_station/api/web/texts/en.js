@@ -167,6 +167,7 @@ export const texts = {
   cancel: "Cancel",
   open: "All pictures",
   noMosaic: "No picture",
+  pictureBeingMade: "The picture is being made.",
 
   // counters and strip
   today: "Today",
