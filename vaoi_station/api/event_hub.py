@@ -28,7 +28,7 @@ MAX_WAITING = 128
 MAX_POLLS_OF_CALLER = 32
 MAX_STREAMS_OF_CALLER = 24
 EVENTS_AT_ONCE = 100
-"""Number of events that are read at once: a stream that is not read keeps so many in memory."""
+"""Number of events that are read at once: a stream that is not read keeps no more in memory."""
 RETRY_S = 1.0
 """Pause after a read of events that has failed, s."""
 LISTEN_S = 1.0
