@@ -163,6 +163,7 @@ def test_a_clock_that_can_be_latched_is_read(device: Plug, station: Make, opened
     camera = opened(station(device(0, "latch"))).cameras[0]
     readings = [camera.read_clock() for _ in range(20)]
     offsets = [reading.device_s - reading.host_s for reading in readings]
-    slack_s = 5e-3 + max(reading.bound_s for reading in readings)
+    # Of two readings, either may be off by its bound, in opposite directions.
+    slack_s = 5e-3 + sum(sorted(reading.bound_s for reading in readings)[-2:])
     assert max(offsets) - min(offsets) < slack_s
     assert min(reading.bound_s for reading in readings) > 1e-6, "it goes over the wire"
