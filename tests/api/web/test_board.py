@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from playwright.sync_api import Browser, Page, expect
+from playwright.sync_api import Browser, Page, Route, expect
 
 from tests.api.web.test_boards import fail, wait_for_pictures
 from vaoi_station.model import Status
@@ -82,6 +82,26 @@ def test_a_board_has_its_report_its_parts_and_their_pictures(page: Page, served:
     expect(page.locator("#zoom-note")).to_contain_text("The frames were released by the tester.")
     page.goto(f"{served.url}/#/board/unknown")
     expect(page.locator("#board-title")).to_have_text("There is no such board.")
+
+
+def test_the_whole_board_does_not_wait_for_the_list_of_its_parts(page: Page, served: Any) -> None:
+    """The list of 3000 parts takes longer than all tiles of the picture."""
+    run, held = served.station.film(), list[Route]()
+
+    def hold(route: Route) -> None:
+        held.append(route)
+
+    page.route("**/components?*", hold)
+    page.goto(f"{served.url}/#/board/{run}")
+    expect(page.locator("#zoom-view[data-mosaic]")).to_be_visible()
+    page.wait_for_function("() => OpenSeadragon.getViewer('zoom-view').world.getItemAt(0).getFullyLoaded()")
+    assert len(held) == 1
+    expect(page.locator(".outlines polygon")).to_have_count(0)
+    page.evaluate("() => { window.shown = OpenSeadragon.getViewer('zoom-view'); }")
+    held[0].continue_()
+    expect(page.locator(".outlines polygon")).to_have_count(3)
+    expect(page.locator(".outlines .chosen title")).to_have_text("U1")
+    assert page.evaluate("() => window.shown === OpenSeadragon.getViewer('zoom-view')"), "its tiles stay"
 
 
 def test_a_link_reproduces_colours_drawings_part_picture_and_comparison(page: Page, served: Any) -> None:

@@ -150,9 +150,11 @@ export class BoardView {
 
   async #showBoard(run) {
     const result = run.verdict != null && run.verdict !== "failed";
-    const [parts, mosaics, overlay] = result
-      ? await Promise.all([rest.components(run.id).catch(() => []), shownMosaics(run).catch(() => []), rest.overlay(run.id).catch(() => null)])
-      : [[], [], null];
+    const begun = result ? shownMosaics(run).catch(() => []) : [];
+    const listed = result ? [rest.components(run.id).catch(() => []), rest.overlay(run.id).catch(() => null)] : [[], null];
+    const mosaics = await begun;
+    if (run === this.#run && mosaics.length) rest.unattended(this.#zoom.begin(mosaics));
+    const [parts, overlay] = await Promise.all(listed);
     if (run !== this.#run) return; // its state has changed meanwhile
     this.#shown = { parts, mosaics, overlay, heights: null };
     showReport(this.#part("tab-report"), run, this.#shown);

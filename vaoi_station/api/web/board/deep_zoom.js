@@ -46,6 +46,7 @@ export class DeepZoom {
   #viewer = null;
   #mosaic = null;
   #over = null;
+  #outlines = null;
   #shapes = new Map();
   #drawn = {};
   #wanted = null;
@@ -59,15 +60,20 @@ export class DeepZoom {
     [this.#root, this.#onChoose, this.#onFailed] = [root, onChoose, onFailed];
   }
 
-  // Show a mosaic with the parts of its board.
+  // Show a mosaic with the parts of its board, as far as they are known. If it is shown already, its tiles stay.
   async open(mosaic, parts) {
     const turn = ++this.#turn;
     this.#library = await library();
     if (!this.#root.isConnected || turn !== this.#turn) return;
+    this.#parts = parts;
+    if (this.#viewer && mosaic === this.#mosaic) {
+      this.#outline();
+      return;
+    }
     const seen = this.#viewer?.viewport?.getBounds();
     this.#viewer?.destroy();
-    [this.#mosaic, this.#parts] = [mosaic, parts];
-    // immediateRender: the level that suits the screen is asked for first. While the station has no overview of the board, a tile of the
+    this.#mosaic = mosaic;
+    // immediateRender: the level that suits the screen is asked for first. With HDR the station has no overview of the board: a tile of the
     // levels before it costs much more, as it is made of the frames of the whole board.
     const viewer = this.#library({
       element: this.#root, tileSources: source(mosaic), showNavigationControl: false, drawer: "canvas",
@@ -76,11 +82,9 @@ export class DeepZoom {
     this.#viewer = viewer;
     this.#over = svg("svg", { class: "parts" });
     const all = svg("g");
-    this.#shapes = new Map(this.#parts.map((part) => [part.address, this.#shape(part)]));
     this.#drawn = {};
-    const outlines = svg("g", { class: "outlines" });
-    outlines.append(...this.#shapes.values());
-    all.append(outlines);
+    this.#outlines = svg("g", { class: "outlines" });
+    all.append(this.#outlines);
     this.#over.append(all);
     viewer.canvas.append(this.#over);
     viewer.canvas.setAttribute("aria-label", texts.board.zoomHelp);
@@ -108,6 +112,12 @@ export class DeepZoom {
       const hit = document.elementsFromPoint(event.originalEvent.clientX, event.originalEvent.clientY).find((e) => e.dataset?.address);
       if (event.quick && hit) this.#onChoose(hit.dataset.address);
     });
+    this.#outline();
+  }
+
+  #outline() {
+    this.#shapes = new Map(this.#parts.map((part) => [part.address, this.#shape(part)]));
+    this.#outlines.replaceChildren(...this.#shapes.values());
     this.colour(...this.#coloured);
   }
 

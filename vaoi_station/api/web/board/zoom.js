@@ -79,6 +79,13 @@ export class ZoomSide {
     return button;
   }
 
+  // Open the picture of a run. The list of its parts may take longer than all tiles of the picture: `show` follows with it.
+  async begin(mosaics) {
+    this.#mosaics = mosaics;
+    this.root.classList.remove("empty");
+    await this.#open();
+  }
+
   // Show a run: its parts, mosaics (none: `why` says so), and overlay, or null.
   async show({ parts, mosaics, overlay, why }) {
     [this.#parts, this.#mosaics, this.#overlay] = [parts, mosaics, overlay];
