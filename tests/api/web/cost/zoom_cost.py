@@ -27,7 +27,7 @@ from vaoi_station.demo.temporary_folder import temporary_folder
 from vaoi_station.demo.waiting import poll, wait_until_idle
 from vaoi_station.simulation.scenario_files import scenario_path
 
-LONGEST_REST_S = 120.0
+IDLE_S, LONGEST_REST_S = 3.0, 120.0
 COMPLETE = """() => {
     const item = window.OpenSeadragon?.getViewer("zoom-view")?.world?.getItemAt(0);
     return item?.getFullyLoaded() ? performance.now() : 0;
@@ -86,11 +86,15 @@ def workers_of(url: str) -> CpuMeter:
 
 def wait_for_rest(url: str) -> float:
     """Wait until the workers have done what follows a board, such as heights; return how long, s."""
-    began_s = time.monotonic()
-    while time.monotonic() - began_s < LONGEST_REST_S:
-        meter = workers_of(url)
-        time.sleep(2.0)
-        if sum(meter.read().values()) < 0.1:
+    client, began_s = Client(url), time.monotonic()
+    busy_s = began_s
+    # Every event wakes the loop, heartbeats too, so no timer is needed.
+    for _ in client.messages():
+        workers = [p for p in client.get("/station")["processes"] if p["name"].startswith("worker")]
+        now_s = time.monotonic()
+        if any(p["doing"] != "idle" for p in workers):
+            busy_s = now_s
+        if now_s - busy_s > IDLE_S or now_s - began_s > LONGEST_REST_S:
             break
     return time.monotonic() - began_s
 
