@@ -15,11 +15,12 @@ from vaoi_station.errors import DeviceError, InternalError
 PYTHON = sys.executable
 LISTENING = """
 import signal, sys
-signal.signal(signal.SIGTERM, lambda *_: sys.exit({code!r}))
+signal.pthread_sigmask(signal.SIG_BLOCK, {{signal.SIGTERM}})
 print("listening on http://127.0.0.1:1", flush=True)
-while True:
-    signal.pause()
+signal.sigwait({{signal.SIGTERM}})
+sys.exit({code!r})
 """
+"""A program that waits with `sigwait`: `pause` would wait for ever after a signal that comes just before it."""
 
 
 @pytest.fixture

@@ -36,16 +36,22 @@ def need_all() -> None:
 
 
 def rig_run(folder: Path, films: Path, *options: str) -> tuple[int, dict[str, Any], str]:
-    """Run `vaoi rig run`; return its exit code, its report and its output."""
+    """Run `vaoi rig run`; return its exit code, its report and its output.
+
+    A run without a verdict, because the rig's own cameras sent too late on a busy machine, is repeated up to twice.
+    """
     need_all()
-    report = folder / "report.json"
-    command = [sys.executable, "-m", "vaoi_station", "rig", "run", "--films", str(films)]
-    done = subprocess.run(
-        [*command, "--json", str(report), *options], cwd=ROOT, capture_output=True, text=True, check=False, timeout=280
-    )
-    output = done.stdout + done.stderr
-    assert report.is_file(), output
-    return done.returncode, json.loads(report.read_text()), output
+    path = folder / "report.json"
+    command = [sys.executable, "-m", "vaoi_station", "rig", "run", "--films", str(films), "--json", str(path)]
+    for _ in range(3):
+        path.unlink(missing_ok=True)
+        done = subprocess.run([*command, *options], cwd=ROOT, capture_output=True, text=True, check=False, timeout=280)
+        output = done.stdout + done.stderr
+        assert path.is_file(), output
+        report = json.loads(path.read_text())
+        if not any("too busy for a verdict" in words for words in report["failings"]):
+            break
+    return done.returncode, report, output
 
 
 def affected(board: dict[str, Any]) -> set[tuple[int, int]]:

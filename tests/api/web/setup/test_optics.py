@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 from typing import Any
 
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Page, Route, expect
 
 from tests.api.held_station import CAMERAS
 from tests.api.web.test_views import examine
@@ -18,6 +19,7 @@ PICTURES = os.environ.get("VAOI_PICTURES")
 """Directory into which the picture of the guide is written, if it is named (docs/pictures)."""
 FIELDS = """() => [...document.querySelectorAll(".line-drawing .one-row")].map((e) =>
     ["x", "y", "width", "height"].map((name) => Number(e.getAttribute(name))))"""
+STATION = re.compile(r"/optics/requirements\?of=station$")
 
 
 def test_a_line_is_planned_from_what_the_station_knows(page: Page, engineer: Any, fits: Any) -> None:
@@ -57,6 +59,21 @@ def test_a_line_is_planned_from_what_the_station_knows(page: Page, engineer: Any
     page.reload()  # the address has the values
     expect(page.locator(".answer.refused")).to_contain_text("im Widerspruch zu anderen Werten: Kleinster Abstand")
     expect(page.locator(".answer.refused [lang=en]")).to_be_hidden()
+
+
+def test_what_a_person_does_first_is_not_replaced_by_a_late_reply(page: Page, engineer: Any) -> None:
+    """The page opens with the values of the station; their reply may come after a person has chosen the example."""
+    held: list[Route] = []
+    page.route(STATION, lambda route, _: held.append(route))
+    with page.expect_request(STATION):
+        page.goto(f"{engineer.url}/#/setup/optics")
+    page.get_by_role("button", name="Example of the paper").press("Enter")
+    expect(page.locator(".verdict")).to_have_text("2 constraints are violated.")
+    with page.expect_response(STATION):
+        held[0].continue_()
+    page.get_by_label("Number of cameras").fill("13")
+    page.keyboard.press("Tab")
+    expect(page.locator(".verdict")).to_have_text("1 constraint is violated.")
 
 
 def test_the_example_of_the_paper_violates_two_constraints_and_remedies_mend_them(

@@ -93,14 +93,16 @@ class Optics {
   }
 
   async #begin(of) {
+    const turn = ++this.#turn;
     const fine = await attempt(null, async () => {
       const { values, sources } = await requests.opticsRequirements(of);
+      if (turn !== this.#turn) return; // a person has entered a value or chosen other values meanwhile
       for (const name of ALL) {
         this.#fields[name].value = name in values ? entered(values[name]) : "";
         this.#source(name, sources[name]);
       }
     }, this.#answer);
-    if (fine) await this.#plan();
+    if (fine && turn === this.#turn) await this.#plan();
   }
 
   // The values as the station takes them; what is empty is absent.
