@@ -20,7 +20,9 @@ ARGUMENTS = [
     "--disable-sync",
     "--host-resolver-rules=MAP * ~NOTFOUND , EXCLUDE 127.0.0.1",
 ]
-expect.set_options(timeout=20_000)
+PATIENCE_MS = 60_000
+"""How long a page may take until it shows what a test expects: a machine that runs all tests at once may stall."""
+expect.set_options(timeout=PATIENCE_MS)
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +38,7 @@ def page(browser: Browser) -> Iterator[Page]:
     """A page that may use this machine only; security policy violations and script errors fail the test."""
     context = browser.new_context(viewport={"width": 1280, "height": 800})
     page = context.new_page()
-    page.set_default_timeout(20_000)
+    page.set_default_timeout(PATIENCE_MS)
     elsewhere: list[str] = []
     complaints: list[str] = []
 

@@ -144,7 +144,8 @@ def test_settings_are_tried_while_the_line_is_disarmed(page: Page, served: Any) 
     page.reload()
     ended = station.lighting.ended
     begin(page)
-    page.locator("#trial-copy").click()
+    with page.expect_response(lambda response: response.request.method == "DELETE"):
+        page.locator("#trial-copy").click()
     expect(page.get_by_role("heading", name="Light programs")).to_be_visible()
     expect(page.get_by_label("Light, row 0")).to_be_visible()
     assert station.lighting.ended == ended + 1, "leaving the page ends the trial"

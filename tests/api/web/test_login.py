@@ -12,6 +12,7 @@ from playwright.sync_api import Browser, Page, expect
 
 from tests.api.conftest import Served
 from tests.api.held_station import HeldStation
+from tests.api.web.conftest import PATIENCE_MS
 from tests.api.web.test_views import SCHEMES, SIZES, examine
 from tests.peers.certificates import make_certificate
 from vaoi_station.api.access.access_control import AccessControl
@@ -119,7 +120,7 @@ def test_the_page_by_tls_has_a_secure_cookie(browser: Browser, tmp_path: Path) -
     context = browser.new_context(ignore_https_errors=True)
     try:
         page = context.new_page()
-        page.set_default_timeout(20_000)
+        page.set_default_timeout(PATIENCE_MS)
         log_in(page, served.url, keys.create("operator", ["operate"]).secret)
         expect(page.locator("#state-word")).to_have_text("Not armed")
         (cookie,) = context.cookies()

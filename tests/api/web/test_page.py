@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
+from tests.api.web.conftest import PATIENCE_MS
 from vaoi_station.model import Status
 from vaoi_station.runs.states.schemas import Reason
 from vaoi_station.runs.states.tables import StationState
@@ -226,7 +227,7 @@ def test_a_refusal_is_said_in_the_language_of_the_page(browser: Browser, served:
     for language, said in (("en", "This type is not stored"), ("de", "Dieser Typ ist nicht mehr gespeichert.")):
         served.station.types.update(types)
         page = browser.new_page(locale=language)
-        page.set_default_timeout(20_000)
+        page.set_default_timeout(PATIENCE_MS)
         page.goto(served.url)
         expect(page.locator("#board-type")).to_have_value("demo-board")
         served.station.types.clear()
