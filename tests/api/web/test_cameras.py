@@ -30,6 +30,8 @@ from vaoi_station.doctor.finding import fault, warning
 
 pytestmark = pytest.mark.browser
 PICTURES = os.environ.get("VAOI_PICTURES")
+FOCUS_PX = "() => parseFloat(getComputedStyle(document.querySelector('#trial-focus b')).fontSize)"
+"""Found and measured in one call: every frame replaces the element."""
 FINDING = {
     "check": "cameras",
     "subject": "cam2",
@@ -124,7 +126,7 @@ def test_settings_are_tried_while_the_line_is_disarmed(page: Page, served: Any) 
     page.get_by_role("button", name="Start the pulses").press("Enter")
     expect(page.locator("#trial-focus b")).to_have_text("100")
     expect(page.locator("#trial .histogram rect")).to_have_count(64)
-    assert page.locator("#trial-focus b").evaluate("e => parseFloat(getComputedStyle(e).fontSize)") >= 190
+    assert page.evaluate(FOCUS_PX) >= 190
     page.get_by_label("Exposure, µs").fill("90")
     expect(page.locator("#trial-answer")).to_have_text("even, 200 µs; exposure 90 µs, gain 0.0 dB")
     assert {camera for camera, _ in station.lighting.tried} == {1}
