@@ -22,6 +22,7 @@ from tests.test_supervised_thread import kill
 from vaoi_station import station as station_module
 from vaoi_station.config import StationConfig
 from vaoi_station.model import Status
+from vaoi_station.runs.workers.pool import WorkerPool
 from vaoi_station.station import Station
 from vaoi_station.supervised_thread import SupervisedThread
 
@@ -61,7 +62,15 @@ class Broken:
 
 
 @pytest.fixture
-def broken(replay_config: Callable[..., StationConfig], monkeypatch: pytest.MonkeyPatch) -> Iterator[Broken]:
+def no_workers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Start no worker process: its imports and its warm-up cost more than all the threads of a station."""
+    monkeypatch.setattr(WorkerPool, "_start_worker", lambda _, worker: worker.backoff.record_failure())
+
+
+@pytest.fixture
+def broken(
+    replay_config: Callable[..., StationConfig], no_workers: None, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[Broken]:
     # Without one of its threads a station cannot stop in order.
     monkeypatch.setattr(station_module, "GRACE_S", 0.1)
     made = Broken(replay_config().model_copy(update={"workers": 1}))
@@ -153,6 +162,7 @@ def fed(listener: socket.socket, timeout_s: float) -> bool:
     return False
 
 
+@pytest.mark.usefixtures("no_workers")
 def test_a_supervisor_that_hangs_feeds_no_watchdog(
     replay_config: Callable[..., StationConfig], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
