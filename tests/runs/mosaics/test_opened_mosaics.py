@@ -55,12 +55,3 @@ def test_overviews_share_a_limit_of_memory() -> None:
     assert [mosaics.get(n) is not None for n in range(4)] == [False, True, True, True]
     mosaics.keep(used[3], planned(1.2))
     assert [mosaics.get(n) is not None for n in range(4)] == [False, False, False, True]
-
-
-def test_plan_and_overview_are_kept_once() -> None:
-    """A caller who does not wait has them made a second time."""
-    mosaics, first = OpenedMosaics(), planned(0.1)
-    one = mosaics.use("run", opened(), asked=True)
-    assert mosaics.keep(one, first) is first
-    assert mosaics.keep(one, planned(0.2)) is first
-    assert one.planned is first

@@ -270,6 +270,32 @@ def test_a_worker_makes_pictures_between_the_steps_of_a_long_job(plant: Plant, w
     assert walk.get().value == plant.pid(0)
 
 
+@dataclasses.dataclass(frozen=True)
+class Spare(Walk):
+    """A job in spare time; those of the run "soon" end at once."""
+
+    priority: Priority = Priority.HEIGHTS
+
+    def steps(self, frame: Callable[[int], Any]) -> Steps[int]:
+        if self.run != "soon":
+            return (yield from super().steps(frame))
+        return os.getpid()
+
+
+def test_a_job_in_spare_time_that_a_caller_waits_for_overtakes_others(plant: Plant, walk: Pending) -> None:
+    """Without it the one that began first goes on until its end."""
+    plant.ring.frame(0)[0, 0] = 1
+    walk.get()
+    plant.ring.frame(0)[0, 0] = 0
+    first = plant.submit(Spare("r0", 0, plant.generation, request=3))
+    soon = plant.submit(Spare("soon", 0, plant.generation, request=4))
+    with plant.pool.hastened(Spare, "soon"):
+        assert soon.get().value == plant.pid(0)
+    assert not first.answers
+    plant.ring.frame(0)[0, 0] = 1
+    assert first.get().value == plant.pid(0)
+
+
 def test_a_paused_job_begins_anew_when_its_worker_dies(plant: Plant, walk: Pending) -> None:
     victim = plant.pid(0)
     assert plant.submit(Glance("r1", 0, plant.generation)).get().value == victim, "the job has been paused"

@@ -304,6 +304,33 @@ def test_a_conclusion_never_waits_behind_pictures(
         assert len(late) < count or not any(isinstance(job, RenderJob) for job in begun)
 
 
+def test_a_job_in_spare_time_is_as_urgent_as_pictures_while_a_caller_waits_for_it(hall: Hall) -> None:
+    hall.queues.runs.clear()
+    spare = replace(hall.picture(), priority=Priority.HEIGHTS)
+    other, later = replace(spare, run="r2"), replace(hall.picture(), run="r3")
+    hall.add(other, spare)
+    hall.queues.hasten(RenderJob, "r1", 1)
+    hall.add(later)
+    chosen = []
+    for _ in range(3):
+        chosen.append(hall.choose(0))
+        hall.workers[0].jobs.clear()
+    assert chosen == [spare, later, other]
+
+
+def test_no_job_is_urgent_once_its_callers_have_gone(hall: Hall) -> None:
+    hall.queues.runs.clear()
+    spare = replace(hall.picture(), priority=Priority.HEIGHTS)
+    for callers in (1, 1, -1):
+        hall.queues.hasten(RenderJob, "r1", callers)
+    hall.add(spare, hall.picture())
+    assert hall.choose(0) == spare, "one of two still waits"
+    hall.workers[0].jobs.clear()
+    hall.queues.hasten(RenderJob, "r1", -1)
+    hall.add(spare)
+    assert [hall.choose(0), hall.queues.waiting(Priority.HEIGHTS)] == [hall.picture(), 1]
+
+
 def part_of_a_batch() -> BatchJob:
     return BatchJob("r0", 0, 1, b"", (), {})
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager
 from typing import Protocol
 
 from vaoi_station.acquisition.process.messages import FrameSettled, PulseReported, RunFinished
@@ -13,11 +14,11 @@ from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.states.schemas import Reason
 from vaoi_station.runs.states.tables import RunState, RunStep
-from vaoi_station.runs.workers.jobs import ConcludeJob, Job, LinkJob, OpenRun, Reply
+from vaoi_station.runs.workers.jobs import ConcludeJob, Job, LinkJob, OpenRun, PictureJob, Reply
 
 
 class Workers(Protocol):
-    """The methods of the worker pool that `ActiveRuns` calls."""
+    """The methods of the worker pool that the coordinator calls."""
 
     def submit(self, job: Job) -> None:
         """Queue a job for a worker. Its reply is reported by `WorkerEvents.worker_reply`."""
@@ -27,6 +28,9 @@ class Workers(Protocol):
 
     def close_run(self, run: str) -> None:
         """Make the pool and the workers discard everything that they hold for a run."""
+
+    def hastened(self, kind: type[PictureJob], run: str) -> AbstractContextManager[None]:
+        """Within a `with` block, do spare-time jobs of a kind and a run as if a caller had submitted them."""
 
 
 class ActiveRuns:

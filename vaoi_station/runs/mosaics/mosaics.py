@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Hashable
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,8 +29,9 @@ from vaoi_station.runs.mosaics.opened_mosaics import OpenedMosaic, OpenedMosaics
 from vaoi_station.runs.mosaics.overlays import overlay_of
 from vaoi_station.runs.mosaics.overview import Overview
 from vaoi_station.runs.mosaics.picture_names import PictureName
+from vaoi_station.runs.run.memory import Bay
 from vaoi_station.runs.states.overlay_schemas import RunOverlay
-from vaoi_station.runs.workers.jobs import Priority
+from vaoi_station.runs.workers.jobs import PictureJob, Priority
 from vaoi_station.runs.workers.mosaic_jobs import PlanJob, Slots, TileJob
 
 MOST_DOWNLOAD_PX = 300_000_000
@@ -66,6 +68,7 @@ class Mosaics:
         render: Render,
         flat_fields: Path | None = None,
         heights: Callable[[str], Heights | None] = lambda _run: None,
+        hastened: Callable[[type[PictureJob], str], AbstractContextManager[None]] = lambda _kind, _run: nullcontext(),
     ) -> None:
         """Create it.
 
@@ -75,8 +78,10 @@ class Mosaics:
             render: has a worker perform a job, and returns the reply's value.
             flat_fields: directory of the station's flat fields.
             heights: returns the measured heights of a run; None while there are none.
+            hastened: has the spare-time jobs of a kind and a run done as if a caller had submitted them, in a `with`
+                block.
         """
-        self._archive, self._render = archive, render
+        self._archive, self._render, self._hastened = archive, render, hastened
         self._callers = _Access(lease, Priority.RENDER)
         self._flat_fields, self._heights = flat_fields, heights
         self.board_checks = BoardChecks(archive, lease, render)
@@ -146,9 +151,8 @@ class Mosaics:
         reduction = 1
         while opened.grid.width * opened.grid.height > most_px * reduction**2:
             reduction *= 2
-        # Callers of tiles do not wait for a plan of the lowest priority. They have another one made.
-        planned = opened.planned or self._made(finished, PictureName(), opened, _Access(lease, Priority.HEIGHTS))
-        overview = planned.overview
+        spare = _Access(lease, Priority.HEIGHTS)
+        overview = (opened.planned or self._made(finished, PictureName(), opened, spare)).overview
         assert overview is not None, "it is not HDR"
         reduction = max(reduction, overview.reduction)
         picture = overview.level(reduction)
@@ -248,11 +252,28 @@ class Mosaics:
         return self._opened.use(key, opened, asked=asked)
 
     def _planned(self, finished: FinishedRun, name: PictureName, opened: OpenedMosaic) -> PlannedMosaic:
-        """Return plan and overview of a mosaic; a worker makes them if there are none. Other callers wait meanwhile."""
-        with opened.planning:
-            return opened.planned or self._made(finished, name, opened, self._callers)
+        """Return plan and overview of a mosaic; a worker makes them if there are none.
+
+        A plan that is made in spare time is then as urgent as one of a caller: it is nearer to its end than a new one.
+        """
+        if opened.planned is not None:
+            return opened.planned
+        with self._hastened(PlanJob, finished.detail.id):
+            return self._made(finished, name, opened, self._callers)
 
     def _made(self, finished: FinishedRun, name: PictureName, opened: OpenedMosaic, access: _Access) -> PlannedMosaic:
+        """Have a worker make plan and overview of a mosaic, or wait until they are there if others have them made."""
+        # Each holds the frames by a lease of its own: those of a caller stay, those of spare time need not. The lease
+        # comes first, because in spare time it waits for the line.
+        with access.lease(finished.detail.id, "plan of a mosaic") as bay, opened.planning:
+            if (planned := opened.planned) is None:
+                planned = self._plan(finished, name, opened, bay, access.priority)
+                self._opened.keep(opened, planned)
+            return planned
+
+    def _plan(
+        self, finished: FinishedRun, name: PictureName, opened: OpenedMosaic, bay: Bay, priority: Priority
+    ) -> PlannedMosaic:
         choice = choose_frames(_taken(finished), light=name.light, exposure_us=name.exposure_us, hdr=name.hdr)
         projector = self._projector(finished)
         base = MosaicGrid.of_board(finished.board_type, projector.px_per_mm, most_px=float("inf"))
@@ -264,24 +285,22 @@ class Mosaics:
             # Refused here, before a worker is asked.
             lights = [choice.light] if choice.light is not None else None
             FlatFields.peek(self._flat_fields).check(finished.head.cameras, lights)
-        with access.lease(run, "plan of a mosaic") as bay:
-            job = PlanJob(
-                run,
-                bay.number,
-                bay.generation,
-                slots_of(finished),
-                choice,
-                finished.cameras,
-                stitch,
-                finished.board_type,
-                base,
-                opened.grid,
-                self._flat_fields,
-                priority=access.priority,
-            )
-            plan, reduction, picture = self._render(job, "plan of the mosaic")
-        overview = None if choice.hdr else Overview(picture, reduction)
-        return self._opened.keep(opened, PlannedMosaic(plan, overview))
+        job = PlanJob(
+            run,
+            bay.number,
+            bay.generation,
+            slots_of(finished),
+            choice,
+            finished.cameras,
+            stitch,
+            finished.board_type,
+            base,
+            opened.grid,
+            self._flat_fields,
+            priority=priority,
+        )
+        plan, reduction, picture = self._render(job, "plan of the mosaic")
+        return PlannedMosaic(plan, None if choice.hdr else Overview(picture, reduction))
 
     def _projector(self, finished: FinishedRun) -> FrameProjector:
         return FrameProjector(finished.stitch or finished.result, finished.cameras)

@@ -39,7 +39,7 @@ class OpenedMosaic:
     slots: Slots
     """Slots of the usable frames of the run."""
     planning: threading.Lock = field(default_factory=threading.Lock)
-    """Held while a worker makes the plan for a caller, for which other callers wait."""
+    """Held while a worker makes the plan, for which all who need it wait."""
     planned: PlannedMosaic | None = None
     asked: bool = False
     """Whether a caller has asked for a part of it."""
@@ -88,17 +88,12 @@ class OpenedMosaics:
                 self._opened.popitem(last=False)
         return opened
 
-    def keep(self, opened: OpenedMosaic, planned: PlannedMosaic) -> PlannedMosaic:
-        """Keep plan and overview of a mosaic unless it has some, in place of mosaics that were used less lately.
-
-        Returns what the mosaic has.
-        """
+    def keep(self, opened: OpenedMosaic, planned: PlannedMosaic) -> None:
+        """Keep plan and overview of a mosaic, in place of mosaics that were used less lately."""
         with self._lock:
-            if opened.planned is None:
-                opened.planned = planned
+            opened.planned = planned
             total = sum(other.nbytes for other in self._opened.values())
             for key, other in list(self._opened.items()):
                 if total > MOST_BYTES and other is not opened and other.nbytes:
                     total -= other.nbytes
                     del self._opened[key]
-            return opened.planned

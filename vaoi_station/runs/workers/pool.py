@@ -17,6 +17,8 @@ import logging
 import os
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from vaoi_station.errors import InternalError, StateError, VaoiError
@@ -129,6 +131,17 @@ class WorkerPool:
                 if run in worker.opened:
                     worker.opened.discard(run)
                     self._send(worker, CloseRun(run))
+
+    @contextmanager
+    def hastened(self, kind: type[PictureJob], run: str) -> Iterator[None]:
+        """Within a `with` block, do spare-time jobs of a kind and a run as if a caller had submitted them."""
+        with self._lock:
+            self._queues.hasten(kind, run, 1)
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._queues.hasten(kind, run, -1)
 
     def status(self) -> tuple[ProcessStatus, ...]:
         """Return the state of every worker."""
@@ -337,22 +350,11 @@ class WorkerPool:
             worker.update(now_s)
         for worker in self._workers:
             if worker.idle and not worker.overdue:
-                queued = self._queues.choose(worker) or self._overdue_job(worker)
+                queued = self._queues.choose(worker) or self._queues.overdue(worker)
                 if queued is not None:
                     self._give(worker, queued)
             if worker.ready and len(worker.jobs) == 1 and (following := self._queues.next_link(worker)) is not None:
                 self._give(worker, following)
-
-    def _overdue_job(self, idle: Worker) -> Queued | None:
-        """Return a job of an overdue worker that no other worker has, for an idle one; None if there is none."""
-        candidates = (
-            q
-            for worker in self._workers
-            if worker.overdue
-            for q in worker.jobs
-            if q.repeatable and (not isinstance(q.job, PictureJob) or self._queues.may_render(idle, q.job.priority))
-        )
-        return next((q for q in candidates if sum(q in w.jobs for w in self._workers) == 1), None)
 
     def _give(self, worker: Worker, queued: Queued) -> None:
         if not worker.jobs:

@@ -9,7 +9,7 @@ separate queue for each assigned worker, so that the time for a choice does not 
 from __future__ import annotations
 
 import itertools
-from collections import defaultdict, deque
+from collections import Counter, defaultdict, deque
 from collections.abc import Iterator, Sequence
 
 from vaoi_station.errors import BusyError
@@ -19,6 +19,7 @@ from vaoi_station.runs.workers.jobs import (
     Job,
     LinkJob,
     OpenRun,
+    PictureJob,
     Priority,
     Reply,
     SteppedJob,
@@ -38,6 +39,8 @@ class JobQueues:
         self._workers = workers
         self._queues: dict[Priority, defaultdict[int | None, deque[Queued]]] = {p: defaultdict(deque) for p in Priority}
         self._numbers = itertools.count(1)
+        self._hastened: Counter[tuple[type[Job], str]] = Counter()
+        """Number of callers who wait for the spare-time jobs of a kind and a run."""
         self.runs: dict[str, OpenRun] = {}
         """Announcements of the open runs, by run id."""
         self.concluder = len(workers) - 1
@@ -76,6 +79,18 @@ class JobQueues:
         """Queue a stepped job that is to go on in its worker: before younger ones like it, after what waits already."""
         queued.began, queued.number = worker.index, next(self._numbers)
         self._queue_of(queued).appendleft(queued)
+
+    def hasten(self, kind: type[PictureJob], run: str, callers: int) -> None:
+        """Count callers, fewer if negative, who wait for the spare-time jobs of a kind and a run."""
+        self._hastened[kind, run] += callers
+        if not self._hastened[kind, run]:
+            del self._hastened[kind, run]
+        homes = self._queues[Priority.HEIGHTS]
+        for home, queue in [*homes.items()]:
+            homes[home] = deque(q for q in queue if self._priority(q.job) is Priority.HEIGHTS)
+            for queued in queue:
+                if self._priority(queued.job) is not Priority.HEIGHTS:
+                    self._queue_of(queued).append(queued)
 
     def restart(self, worker: Worker) -> None:
         """Let the paused jobs of a worker that has died begin anew."""
@@ -145,6 +160,17 @@ class JobQueues:
                 return chosen.popleft()
         return None
 
+    def overdue(self, idle: Worker) -> Queued | None:
+        """Return a job of an overdue worker that no other worker has, for an idle one; None if there is none."""
+        candidates = (
+            q
+            for worker in self._workers
+            if worker.overdue
+            for q in worker.jobs
+            if q.repeatable and (not isinstance(q.job, PictureJob) or self.may_render(idle, q.job.priority))
+        )
+        return next((q for q in candidates if sum(q in w.jobs for w in self._workers) == 1), None)
+
     def may_render(self, worker: Worker, priority: Priority = Priority.RENDER) -> bool:
         """Return whether a worker may begin a picture: another sound one must stay free of pictures and checks.
 
@@ -175,7 +201,13 @@ class JobQueues:
 
     def _queue_of(self, queued: Queued) -> deque[Queued]:
         home = self._home(queued.job) if queued.began is None else queued.began
-        return self._queues[queued.job.priority][home]
+        return self._queues[self._priority(queued.job)][home]
+
+    def _priority(self, job: Job) -> Priority:
+        """Return the priority of a job now: while a caller waits for one in spare time, that of single pictures."""
+        if job.priority is Priority.HEIGHTS and (type(job), job.run) in self._hastened:
+            return Priority.RENDER
+        return job.priority
 
     def _home(self, job: Job) -> int | None:
         """Return the index of the worker to which a job is assigned; None if any worker may perform it.
