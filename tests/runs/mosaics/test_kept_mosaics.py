@@ -81,7 +81,7 @@ def test_the_picture_shows_the_board_as_the_mosaic_does(station: Station, monkey
     assert grid.width * grid.height <= 20_000 * 1.1
     whole, _ = station.mosaics.small("r1", 10**9, station.kept._spare)
     assert abs(float(picture.mean()) - float(whole.mean())) < 3
-    assert {job.priority for job in station.jobs} == {Priority.HEIGHTS}
+    assert {job.priority for job in station.jobs} == {Priority.OVERVIEW}
     again = station.opened()
     assert again.content("r1") == content, "it is there after a restart"
     assert (again.runs, again.size_bytes) == (1, len(content))

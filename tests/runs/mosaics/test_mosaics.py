@@ -311,7 +311,7 @@ def test_the_plan_in_spare_time_is_that_of_the_tiles(board: Filmed) -> None:
     mosaics = mosaics_of(board, jobs)
     mosaics.small("r1", 20_000, spare)
     mosaics.tile("r1", PictureName(), 1, (0, 0, 16, 16), "jpg")
-    assert [job.priority for job in jobs if isinstance(job, PlanJob)] == [Priority.HEIGHTS]
+    assert [job.priority for job in jobs if isinstance(job, PlanJob)] == [Priority.OVERVIEW]
 
 
 def test_a_caller_joins_the_plan_in_spare_time_and_hastens_it(board: Filmed) -> None:
@@ -336,7 +336,7 @@ def test_a_caller_joins_the_plan_in_spare_time_and_hastens_it(board: Filmed) -> 
     assert begun.wait(30)
     mosaics.tile("r1", PictureName(), 1, (0, 0, 16, 16), "jpg")
     small.join(60)
-    assert [job.priority for job in jobs if isinstance(job, PlanJob)] == [Priority.HEIGHTS]
+    assert [job.priority for job in jobs if isinstance(job, PlanJob)] == [Priority.OVERVIEW]
 
 
 def test_a_caller_does_not_wait_for_the_line_as_spare_time_does(board: Filmed) -> None:
@@ -372,7 +372,7 @@ def test_a_caller_has_a_plan_made_if_that_in_spare_time_fails(board: Filmed) -> 
     render = mosaics._render
 
     def failing(job: Any, name: str) -> Any:
-        if job.priority is not Priority.HEIGHTS:
+        if job.priority is not Priority.OVERVIEW:
             return render(job, name)
         begun.set()
         assert may_fail.wait(30)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -23,10 +25,25 @@ from vaoi_station.runs.workers.jobs import (
     RenderJob,
     Reply,
     RunContext,
+    SteppedJob,
 )
 from vaoi_station.runs.workers.queues import JobQueues
 from vaoi_station.runs.workers.worker import Queued, Worker
+from vaoi_station.steps import Steps
 from vaoi_station.stitching.matching.evidence import Links, Task
+
+
+@dataclass(frozen=True)
+class LongJob(SteppedJob):
+    """A job in steps, of which none is performed here."""
+
+    run: str
+    bay: int
+    generation: int
+    request: int = 0
+
+    def steps(self, frame: Callable[[int], Any]) -> Steps[None]:
+        yield
 
 
 class Hall:
@@ -329,6 +346,24 @@ def test_no_job_is_urgent_once_its_callers_have_gone(hall: Hall) -> None:
     hall.queues.hasten(RenderJob, "r1", -1)
     hall.add(spare)
     assert [hall.choose(0), hall.queues.waiting(Priority.HEIGHTS)] == [hall.picture(), 1]
+
+
+def test_spare_time_begins_no_job_while_a_caller_waits(ring_board: RingBoard) -> None:
+    """The second of two workers is to go on with a job of seconds, for which the first one must be free of pictures."""
+    hall = Hall(ring_board, 2)
+    hall.queues.runs.clear()
+    long = LongJob("r1", 0, 1)
+    hall.queues.pause(Queued(long), hall.workers[1])
+    spare = [replace(hall.picture(), priority=p) for p in (Priority.HEIGHTS, Priority.OVERVIEW, Priority.IDENTITY)]
+    hall.add(*spare)
+    assert hall.choose(0) is None
+    assert hall.choose(1) == long
+    hall.workers[1].jobs.clear()
+    chosen = []
+    for _ in spare:
+        chosen.append(hall.choose(0))
+        hall.workers[0].jobs.clear()
+    assert chosen == spare[::-1], "codes, then the overview, then heights"
 
 
 def part_of_a_batch() -> BatchJob:

@@ -1,6 +1,6 @@
 """Overviews of runs in spare time, and small pictures of whole boards that are kept when the frames are gone.
 
-Some time after a run, a worker plans its mosaic and makes the overview, in a job of the lowest priority that is sent
+Some time after a run, a worker plans its mosaic and makes the overview, in a job of spare time that is sent
 only while no board is filmed or stitched. A level of it of at most two megapixels is kept as a file. No lease is taken:
 if the frames are needed for the next board first, the run gets neither.
 """

@@ -142,7 +142,7 @@ class Mosaics:
         return content
 
     def small(self, run: str, most_px: int, lease: Lease) -> tuple[NDArray[Any], int]:
-        """Have a worker plan the mosaic of a run, in a job of the lowest priority; return a small picture of the board.
+        """Have a worker plan the mosaic of a run, in a job of spare time; return a small picture of the board.
 
         Returns its pixels, 0 where no frame shows the board, and the factor by which it is reduced. `lease` yields the
         bay of the run before the job.
@@ -151,7 +151,7 @@ class Mosaics:
         reduction = 1
         while opened.grid.width * opened.grid.height > most_px * reduction**2:
             reduction *= 2
-        spare = _Access(lease, Priority.HEIGHTS)
+        spare = _Access(lease, Priority.OVERVIEW)
         overview = (opened.planned or self._made(finished, PictureName(), opened, spare)).overview
         assert overview is not None, "it is not HDR"
         reduction = max(reduction, overview.reduction)

@@ -24,8 +24,9 @@ from vaoi_station.stitching.work import StitchSetup
 class Priority(IntEnum):
     """Order in which waiting jobs are given to workers, lowest value first.
 
-    Results come before pictures, single pictures before batches, codes of boards before heights. Small pictures also
-    have turns between links (`JobQueues.choose`).
+    Results come before pictures, single pictures before batches, and all that callers wait for before work in spare
+    time: codes of boards, then overviews, then heights. Small pictures also have turns between links
+    (`JobQueues.choose`).
     """
 
     CONCLUDE = 0
@@ -36,7 +37,8 @@ class Priority(IntEnum):
     BATCH = 5
     CHECK = 6
     IDENTITY = 7
-    HEIGHTS = 8
+    OVERVIEW = 8
+    HEIGHTS = 9
 
 
 @dataclass(frozen=True)

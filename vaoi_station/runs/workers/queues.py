@@ -30,6 +30,8 @@ MAX_PICTURES = 64
 """Largest number of waiting render jobs. The station renders only a few at a time; further requests are refused."""
 _TURN_OF_PICTURES = sorted(Priority, key=lambda p: 0.5 if p is Priority.SMALL_RENDER else p)
 """Order of priorities for a worker that has just made a link."""
+_CALLERS = Priority.SMALL_RENDER, Priority.RENDER, Priority.BATCH
+"""Priorities of what callers wait for; those after them are of work in spare time."""
 
 
 class JobQueues:
@@ -85,12 +87,13 @@ class JobQueues:
         self._hastened[kind, run] += callers
         if not self._hastened[kind, run]:
             del self._hastened[kind, run]
-        homes = self._queues[Priority.HEIGHTS]
-        for home, queue in [*homes.items()]:
-            homes[home] = deque(q for q in queue if self._priority(q.job) is Priority.HEIGHTS)
-            for queued in queue:
-                if self._priority(queued.job) is not Priority.HEIGHTS:
-                    self._queue_of(queued).append(queued)
+        for priority in (Priority.OVERVIEW, Priority.HEIGHTS):
+            homes = self._queues[priority]
+            for home, queue in [*homes.items()]:
+                homes[home] = deque(q for q in queue if self._priority(q.job) is priority)
+                for queued in queue:
+                    if self._priority(queued.job) is not priority:
+                        self._queue_of(queued).append(queued)
 
     def restart(self, worker: Worker) -> None:
         """Let the paused jobs of a worker that has died begin anew."""
@@ -146,11 +149,14 @@ class JobQueues:
         Within a priority, jobs that are assigned to this worker, or to no worker, come first. After a link, a small
         picture comes before the next one: the links of a row, which arrive together, would delay it by tens of
         milliseconds, while it delays them by no more than another link. One worker, the one that concludes, keeps to
-        links, so that many callers cannot hold up a fast line.
+        links, so that many callers cannot hold up a fast line. Work in spare time is not begun while a caller waits:
+        this worker would not be free of it when another one, which has begun the caller's job, is to go on with it.
         """
         has_turn = worker.linked_last and (worker.index != self.concluder or len(self._workers) == 1)
         for priority in _TURN_OF_PICTURES if has_turn else Priority:
             homes = self._queues[priority]
+            if priority > Priority.CHECK and any(map(self.waiting, _CALLERS)):
+                return None
             if priority >= Priority.RENDER and not self.may_render(worker, priority):
                 continue
             mine = min((homes[h] for h in (None, worker.index) if homes[h]), key=_front, default=None)
@@ -176,15 +182,15 @@ class JobQueues:
 
         A conclusion that comes meanwhile thus never waits for a picture. While a run is open, the worker that gathers
         its evidence stays free: another one would have to receive all of it first. The only sound worker renders too:
-        it would make no pictures at all otherwise, and a conclusion waits for at most the one under way. Jobs of the
-        last priority take seconds, so there they wait until no run is open. Small pictures are no longer than links.
+        it would make no pictures at all otherwise, and a conclusion waits for at most the one under way. Overviews
+        and heights take seconds, so there they wait until no run is open. Small pictures are no longer than links.
         Parts of batches may take all workers while no run is open: they are short, and the conclusion of a board that
         comes now is seconds away.
         """
         if priority is Priority.SMALL_RENDER or (priority is Priority.BATCH and not self.runs):
             return True
         others = [other for other in self._workers if other is not worker and other.ready and not other.overdue]
-        if not others and self.runs and priority is Priority.HEIGHTS:
+        if not others and self.runs and priority >= Priority.OVERVIEW:
             return False
         if others and self.runs and worker.index == self.concluder:
             return False
@@ -205,7 +211,7 @@ class JobQueues:
 
     def _priority(self, job: Job) -> Priority:
         """Return the priority of a job now: while a caller waits for one in spare time, that of single pictures."""
-        if job.priority is Priority.HEIGHTS and (type(job), job.run) in self._hastened:
+        if job.priority >= Priority.OVERVIEW and (type(job), job.run) in self._hastened:
             return Priority.RENDER
         return job.priority
 

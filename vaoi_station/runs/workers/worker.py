@@ -33,6 +33,7 @@ OVERDUE_S: Mapping[Priority, float] = {
     Priority.BATCH: 3.0,
     Priority.CHECK: 5.0,
     Priority.IDENTITY: 5.0,
+    Priority.OVERVIEW: 5.0,
     Priority.HEIGHTS: 5.0,
 }
 """Time after which a job is overdue: other workers take the jobs that wait for its worker, and an idle one repeats it.
