@@ -170,3 +170,20 @@ def test_many_rectangles_are_written_as_one_by_one() -> None:
         own = np.empty(width * height, np.uint8)
         shift(frame, matrix[None], 1, own, np.array([[0, width, width, height]]), True)
         assert (own == out[first : first + width * height]).all()
+
+
+@pytest.mark.parametrize("upside_down", [False, True])
+@pytest.mark.parametrize("channels", [1, 3])
+def test_pictures_of_hundreds_of_lines_reach_to_the_borders(upside_down: bool, channels: int) -> None:
+    """What is read ahead, some lines at a time, lies in the frame, and is in no picture."""
+    width, height = 148, 197
+    matrix = np.array(
+        [[1.003, 0, 0.001], [0, -1.0 if upside_down else 1.0, height - 0.5 if upside_down else 0.5], [0, 0, 1]]
+    )
+    out = np.empty(width * height * channels, np.uint8)
+    frame = frame_of(150, 200, channels, np.uint8)
+    assert shift(frame, matrix[None], channels, out, np.array([[0, width, width, height]]), True)[0]
+    x, y = positions(matrix, width, height)[..., :2].T
+    for n in range(channels):
+        off = out.reshape(height, width, channels)[..., n] - waves(x, y).T - 5 * n
+        assert np.abs(off).max() < 1.2
