@@ -44,19 +44,20 @@ class Footprints(NamedTuple):
     @staticmethod
     def of(components: Sequence[Component], board_type: BoardType) -> Footprints:
         """Collect the footprints of components of a board type."""
+        # Imported on first use, because Numba takes a moment to load.
+        from vaoi_station.rendering.frame_pairs import turn_boxes
+
         rows = [(*c.center, c.width, c.height, c.rotation) for c in components]
-        x, y, width, height, degrees = np.array(rows, dtype=np.float64).reshape(-1, 5).T
         # Rotations count counter-clockwise as seen on the top of the board, wherever the y axis points.
-        angle = np.radians(degrees) * (1.0 if board_type.y_axis == "up" else -1.0)
-        c, s, w, h = np.cos(angle), np.sin(angle), width / 2, height / 2
-        along = np.stack([c * w, -s * h, s * w, c * h], -1).reshape(-1, 2, 2)
-        center, half = np.stack([x, y], -1), np.stack([w, h], -1)
-        return Footprints(components, board_type, center, half, along, np.abs(along).sum(-1))
+        way = 1.0 if board_type.y_axis == "up" else -1.0
+        boxes = turn_boxes(np.array(rows, dtype=np.float64).reshape(-1, 5), way)
+        return Footprints(components, board_type, *boxes)
 
     def fitting(self, px_per_mm: float) -> Floats:
         """Return the resolutions (k,) of k pictures, px/mm: `px_per_mm`, or less where a picture would be too large."""
-        area = np.prod(2 * self.box * self.board_type.mm_per_unit, axis=-1)
-        return np.asarray(np.minimum(px_per_mm, _FITTING * np.sqrt(MOST_PIXELS / area)), dtype=np.float64)
+        sides_mm = 2 * self.box * self.board_type.mm_per_unit
+        most = _FITTING * np.sqrt(MOST_PIXELS / (sides_mm[:, 0] * sides_mm[:, 1]))
+        return np.asarray(np.minimum(px_per_mm, most), dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,10 +71,10 @@ class Crops:
     pictures are turned to the components' own orientation."""
     cad_from_crop: Floats
     """(k, 3, 3) inverse matrices, from pixels to CAD coordinates."""
-    px_per_mm: Floats
-    """(k,) resolution of each picture."""
     bare: NDArray[np.bool_]
     """(k,) whether a picture shows the footprint and nothing else."""
+    px_per_mm: Floats
+    """(k,) resolution of each picture."""
     footprints: Footprints
 
 
@@ -86,32 +87,21 @@ def compute_crops(footprints: Footprints, px_per_mm: float | Floats, framing: Fr
     Raises:
         InputError: a picture would have more than `MOST_PIXELS`.
     """
+    from vaoi_station.rendering.frame_pairs import upright
+
     components, board_type, center, half, along, box = footprints
     turned, mm, count = framing.align == "part", board_type.mm_per_unit, len(components)
     half = half if turned else box
     resolution = np.full(count, px_per_mm, dtype=np.float64)
     reach = half + framing.margin_mm / mm
-    size = np.maximum(np.round(2 * reach * resolution[:, None] * mm), 1)
-    for k in np.flatnonzero(size.prod(-1) > MOST_PIXELS).tolist():
+    size = np.maximum(np.rint(2 * reach * resolution[:, None] * mm), 1)
+    for k in np.flatnonzero(size[:, 0] * size[:, 1] > MOST_PIXELS).tolist():
         raise _too_large(components[k], (2 * half[k] * mm).tolist(), float(resolution[k]), framing, size[k].tolist())
     # Pictures show the board as the camera sees it, never mirrored (docs/conventions.md). On the bottom side, CAD x
     # runs to the left.
-    way = np.array([1.0 if board_type.side == "top" else -1.0, 1.0 if board_type.y_axis == "down" else -1.0])
-    # The scale uses the rounded size, so that the box fills the picture exactly. The sides change by less than a pixel.
-    scale = way * size / (2 * reach)
-    there, back = np.zeros((count, 3, 3)), np.zeros((count, 3, 3))
-    # Rows of `axes` are the directions in CAD that run along x and along y of the picture.
-    axes = along.swapaxes(1, 2) / half[:, :, None] if turned else np.eye(2)[None]
-    there[:, :2, :2] = scale[:, :, None] * axes
-    back[:, :2, :2] = axes.swapaxes(1, 2) / scale[:, None]
-    middle = (size - 1) / 2
-    there[:, :2, 2] = middle - (there[:, :2, :2] @ center[:, :, None])[..., 0]
-    back[:, :2, 2] = center - (back[:, :2, :2] @ middle[:, :, None])[..., 0]
-    there[:, 2, 2] = back[:, 2, 2] = 1
-    # At whole quarter turns the bounding box is the footprint.
-    quarter = np.abs(along).min((1, 2)) <= 1e-9 * half.max(1)
-    bare = (quarter | turned) & (framing.margin_mm == 0)
-    return Crops(size, there, back, resolution, bare, footprints)
+    way = 1.0 if board_type.side == "top" else -1.0, 1.0 if board_type.y_axis == "down" else -1.0
+    matrices = upright(center, half, along, reach, size, way, turned)
+    return Crops(size, *matrices, resolution, footprints)
 
 
 def _too_large(

@@ -1,8 +1,9 @@
 """Compiled search for the frames that show components: what a frame shows of a footprint, and the matrix to it.
 
 For each component it takes all frames in turn, as a picture of a board is short: numpy would need some hundred calls,
-which take longer than the arithmetic, however few components there are. The module is imported on first use, because
-Numba takes a moment to load.
+which take longer than the arithmetic, however few components there are. For the same reason footprints and the matrices
+of pictures are computed here; `crops` states what they are. The module is imported on first use, because Numba takes a
+moment to load.
 """
 
 from __future__ import annotations
@@ -88,6 +89,81 @@ class Pairs(NamedTuple):
     """(p, 9, 2) raw pixels of 3×3 points over the picture, row by row."""
 
 
+class Boxes(NamedTuple):
+    """Rectangles in CAD, as the fields of `Footprints`."""
+
+    center: Floats
+    half: Floats
+    along: Floats
+    box: Floats
+
+
+class Upright(NamedTuple):
+    """Matrices between CAD and upright pictures, as the fields of `Crops`."""
+
+    crop_from_cad: Floats
+    cad_from_crop: Floats
+    bare: NDArray[np.bool_]
+
+
+@compiled
+def turn_boxes(rows: Floats, way: float) -> Boxes:
+    """Return rectangles and their bounding boxes.
+
+    Args:
+        rows: (n, 5) centres, width and height before rotation, rotation in degrees.
+        way: 1 if rotations count from x towards y, −1 if they count the other way.
+    """
+    n = len(rows)
+    boxes = Boxes(np.empty((n, 2)), np.empty((n, 2)), np.empty((n, 2, 2)), np.empty((n, 2)))
+    for k in range(n):
+        angle, w, h = math.radians(rows[k, 4]) * way, rows[k, 2] / 2, rows[k, 3] / 2
+        c, s, along = math.cos(angle), math.sin(angle), boxes.along[k]
+        along[0, 0], along[0, 1], along[1, 0], along[1, 1] = c * w, -s * h, s * w, c * h
+        boxes.half[k, 0], boxes.half[k, 1] = w, h
+        for i in range(2):
+            boxes.center[k, i], boxes.box[k, i] = rows[k, i], abs(along[i, 0]) + abs(along[i, 1])
+    return boxes
+
+
+@compiled
+def upright(
+    center: Floats, half: Floats, along: Floats, reach: Floats, size: Floats, way: tuple[float, float], turned: bool
+) -> Upright:
+    """Return the matrices between CAD and upright pictures of rectangles.
+
+    Args:
+        center: (n, 2) centres of the rectangles.
+        half: (n, 2) half of the width and height that are shown, without margin.
+        along: (n, 2, 2) as the field of `Footprints`.
+        reach: (n, 2) half of the width and height that are shown, with margin.
+        size: (n, 2) width and height of the pictures.
+        way: direction of the pictures' axes along those of CAD, 1 or −1, or along those of the rectangles if `turned`.
+        turned: whether the pictures are turned as the rectangles are.
+    """
+    n = len(center)
+    there, back, bare = np.zeros((n, 3, 3)), np.zeros((n, 3, 3)), np.empty(n, np.bool_)
+    for k in range(n):
+        # The scale uses the rounded size, so that the box fills the picture exactly: sides change by less than a pixel.
+        for i in range(2):
+            scale = way[i] * size[k, i] / (2 * reach[k, i])
+            for j in range(2):
+                # The direction in CAD that runs along axis i of the picture.
+                axis = along[k, j, i] / half[k, i] if turned else (1.0 if i == j else 0.0)
+                there[k, i, j], back[k, j, i] = scale * axis, axis / scale
+        x, y = (size[k, 0] - 1) / 2, (size[k, 1] - 1) / 2
+        there[k, 0, 2] = x - (there[k, 0, 0] * center[k, 0] + there[k, 0, 1] * center[k, 1])
+        there[k, 1, 2] = y - (there[k, 1, 0] * center[k, 0] + there[k, 1, 1] * center[k, 1])
+        for i in range(2):
+            back[k, i, 2] = center[k, i] - (back[k, i, 0] * x + back[k, i, 1] * y)
+        there[k, 2, 2] = back[k, 2, 2] = 1.0
+        # At whole quarter turns the bounding box is the footprint.
+        a, limit = along[k], 1e-9 * max(half[k, 0], half[k, 1])
+        straight = min(abs(a[0, 0]), abs(a[0, 1]), abs(a[1, 0]), abs(a[1, 1])) <= limit
+        bare[k] = (turned or straight) and reach[k, 0] == half[k, 0] and reach[k, 1] == half[k, 1]
+    return Upright(there, back, bare)
+
+
 @inlined
 def _touching(frames: Frames, parts: Parts, least: float) -> NDArray[np.bool_]:
     """Return which frames may show which components (n, f). Most frames show only few components."""
@@ -164,7 +240,9 @@ def find_pairs(frames: Frames, parts: Parts, least: float) -> Pairs:
 
 
 def load() -> None:
-    """Load the compiled search, so that the first call takes no longer than others."""
+    """Load the compiled functions, so that their first calls take no longer than others."""
+    boxes = turn_boxes(np.ones((1, 5)), 1.0)
+    upright(boxes.center, boxes.half, boxes.along, boxes.half, np.ones((1, 2)), (1.0, 1.0), False)
     one, flags = np.ones((1, 2)), np.ones(1, np.bool_)
     matrix, numbers = np.eye(3)[None], np.ones(1)
     frames = Frames(

@@ -55,8 +55,7 @@ class ViewCalculator:
         # Imported on first use, because Numba takes a moment to load.
         from vaoi_station.rendering.frame_pairs import Frames
 
-        tester_from_cad = stitch.tester_from_cad
-        if tester_from_cad is None:
+        if stitch.cad_matrix is None:
             raise StateError(
                 "this run has no CAD mapping, so components cannot be cut out.",
                 action="; ".join(stitch.reasons),
@@ -70,7 +69,7 @@ class ViewCalculator:
         key = np.array(keys, dtype=np.int_).reshape(-1, 2)
         i, row = key.T
         motion = np.array(stitch.row_motion, dtype=np.float64).reshape(-1, 3, 3)
-        self._row_from_cad = (motion @ tester_from_cad.matrix)[row]
+        self._row_from_cad = (motion @ stitch.cad_matrix)[row]
         image_from_row = np.array([c.image_from_row.matrix for c in cameras])
         distance_mm = [c.working_distance_mm or math.inf for c in cameras]
         eye = np.array([(*c.foot_mm.tolist(), 1.0) for c in cameras])
@@ -80,10 +79,10 @@ class ViewCalculator:
         self._eye = eye[i]
         """(f, 3) centre of the camera in row coordinates; its height is NaN if it is unknown."""
         limits = [(c.width_px, c.height_px, _bend(c), _NEAR * k) for c, k in zip(cameras, px_per_mm, strict=True)]
-        size, bend, near = np.split(np.array(limits, dtype=np.float64)[i], (2, 3), axis=1)
+        limit = np.array(limits, dtype=np.float64)[i]
         self._frames = Frames(
-            image_from_row[i] @ self._row_from_cad, lean[i], np.ascontiguousarray(size), bend.ravel(),
-            near.ravel() * board_type.mm_per_unit, key, *_lenses(cameras),
+            image_from_row[i] @ self._row_from_cad, lean[i], limit[:, :2].copy(), limit[:, 2].copy(),
+            limit[:, 3] * board_type.mm_per_unit, key, *_lenses(cameras),
         )  # fmt: skip
         self._own = stitch.displacements(c.address for c in board_type.components)
         """(3, 3) by address, for components with a C of their own: CAD coordinates → those of the same place by C."""
