@@ -234,7 +234,8 @@ def _is_better(a: int, b: int, share: Floats, off: Floats, key: NDArray[np.int_]
 
 def find_pairs(frames: Frames, parts: Parts, least: float) -> Pairs:
     """Return the pairs of a component and a frame that shows at least the share `least` of its footprint."""
-    every, best = _search(frames, parts, least)
+    # A caller may give 1 for 1.0, for which Numba would compile the search a second time.
+    every, best = _search(frames, parts, float(least))
     # By numpy: Numba would compile it for longer than all the rest.
     return Pairs(*(values[best] for values in every))
 
