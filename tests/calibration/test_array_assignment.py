@@ -30,7 +30,7 @@ def _options(marks: Floats, camera: int, shift: tuple[float, float], turn_deg: f
 def test_the_common_offset_of_all_cameras_decides_for_a_grid_that_fills_every_view() -> None:
     shifts = [(1.0, 0.3), (1.4, -0.1), (2.15, 0.2)]  # the last is nearer to a wrong one
     options = [_options(ENDLESS, camera, shift, 0.3) for camera, shift in enumerate(shifts)]
-    found = assign_array(options, HEADS, 2.0)
+    found = tuple(assign_array(options, HEADS, 2.0))
     chosen = [a.chosen.offset_mm for a in found if a.chosen is not None]
     assert np.abs(np.array(chosen) - shifts).max() < 0.02
     assert all(a.rival is not None for a in found)
@@ -73,7 +73,7 @@ def test_the_designed_board_is_unambiguous() -> None:
 
 
 def test_a_camera_without_hypotheses_has_no_assignment() -> None:
-    found = assign_array([(), _options(ENDLESS, 1, (0.1, 0.0), 0.0)], HEADS[:2], 1.0)
+    found = tuple(assign_array([(), _options(ENDLESS, 1, (0.1, 0.0), 0.0)], HEADS[:2], 1.0))
     assert found[0].chosen is None
     assert not found[0].ambiguous
     assert found[1].chosen is not None

@@ -9,7 +9,7 @@ periods. If the frames do not contradict this, only the prior decides, which is 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -70,8 +70,8 @@ class Assignment:
 
 def assign_array(
     options: Sequence[tuple[Hypothesis, ...]], heads: Sequence[CameraHead], tolerance_mm: float
-) -> tuple[Assignment, ...]:
-    """Choose one hypothesis for each camera, and test each choice against the other hypotheses.
+) -> Iterator[Assignment]:
+    """Choose one hypothesis for each camera, and test each choice against the others when it is asked for.
 
     Args:
         options: hypotheses of each camera.
@@ -81,7 +81,7 @@ def assign_array(
     search = _Search.of(options, heads, tolerance_mm)
     choice = search.best()
     total = search.total(choice)
-    return tuple(_tested(search, i, choice, total) for i in range(len(options)))
+    return (_tested(search, i, choice, total) for i in range(len(options)))
 
 
 def _tested(search: _Search, i: int, choice: NDArray[np.intp], total: float) -> Assignment:

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
 import numpy as np
 
 from vaoi_station.calibration.array_assignment import assign_array
-from vaoi_station.calibration.blank_ground import find_blank_ground
-from vaoi_station.calibration.camera_fit import CameraResult, Limits, calibrate_camera
+from vaoi_station.calibration.blank_ground import BlankGround, find_blank_ground
+from vaoi_station.calibration.camera_fit import MIN_MARKS, CameraResult, Limits, calibrate_camera, is_frame_usable
 from vaoi_station.calibration.layout_variants import find_symmetries, vary_layout
 from vaoi_station.calibration.mark_detection import DetectedMarks, MarkAppearance, detect_marks
-from vaoi_station.calibration.mark_identification import find_hypotheses
+from vaoi_station.calibration.mark_identification import Hypothesis, find_hypotheses
 from vaoi_station.calibration.nominal_view import nominal_matrix
 from vaoi_station.calibration.plausibility import local_scales, print_scale_note
 from vaoi_station.errors import InputError, InternalError
@@ -134,48 +134,54 @@ def calibrate(
                 action="Film the board again; every camera is needed.",
             )
         detections.append(detect_marks(eight_bit_grey(frame), kinds[camera]))
+    grounds = [find_blank_ground(found, kind) for found, kind in zip(detections, kinds, strict=True)]
+    board = _FilmedBoard(heads, detections, kinds, grounds, limits)
     marks_mm = np.array([(m.x, m.y) for m in layout.marks]) * layout.mm_per_unit
-    results = _calibrate_cameras(heads, detections, kinds, marks_mm, limits)
+    results = tuple(board.calibrated(marks_mm, [board.hypotheses(i, marks_mm) for i in range(len(heads))]))
     # The search for a hint calibrates the array once for each variant, so it runs only after a refusal.
     unfit = any(c.refusal and not c.ambiguous for c in results)
-    hint = _layout_hint(heads, detections, kinds, marks_mm, limits) if unfit else ""
+    hint = board.layout_hint(marks_mm) if unfit else ""
     return Outcome(results, limits, hint, find_symmetries(marks_mm, layout.mark.size * layout.mm_per_unit / 4))
 
 
-def _calibrate_cameras(
-    heads: Sequence[CameraHead],
-    detections: list[DetectedMarks],
-    kinds: list[MarkAppearance],
-    marks_mm: Floats,
-    limits: Limits,
-) -> tuple[CameraResult, ...]:
-    options = [
-        find_hypotheses(
-            detections[i].px, marks_mm, head, i, kinds[i].size_px, find_blank_ground(detections[i], kinds[i])
-        )
-        for i, head in enumerate(heads)
-    ]
-    assignments = assign_array(options, heads, limits.center_tolerance_mm)
-    return tuple(
-        calibrate_camera(i, head, detections[i], assignments[i], marks_mm, kinds[i], limits)
-        for i, head in enumerate(heads)
-    )
+@dataclass(frozen=True, eq=False)
+class _FilmedBoard:
+    """What the frames of all cameras show of the calibration board, independent of its layout."""
 
+    heads: Sequence[CameraHead]
+    detections: list[DetectedMarks]
+    kinds: list[MarkAppearance]
+    grounds: list[BlankGround]
+    limits: Limits
 
-def _layout_hint(
-    heads: Sequence[CameraHead],
-    detections: list[DetectedMarks],
-    kinds: list[MarkAppearance],
-    marks_mm: Floats,
-    limits: Limits,
-) -> str:
-    """Return a sentence that names changes of the layout with which all cameras would be calibrated; "" if none."""
-    fitting = [
-        way
-        for way, changed in vary_layout(marks_mm, heads)
-        if not any(c.refusal for c in _calibrate_cameras(heads, detections, kinds, changed, limits))
-    ]
-    if not fitting:
-        return ""
-    ways = " or ".join(dict.fromkeys(fitting))
-    return f"The marks fit the layout {ways}: write layout.json as the cameras see the board, or turn the board."
+    def hypotheses(self, camera: int, marks_mm: Floats) -> tuple[Hypothesis, ...]:
+        """Return the hypotheses about which mark of a camera's frame is which mark of a layout."""
+        head, size_px = self.heads[camera], self.kinds[camera].size_px
+        return find_hypotheses(self.detections[camera].px, marks_mm, head, camera, size_px, self.grounds[camera])
+
+    def calibrated(self, marks_mm: Floats, options: Sequence[tuple[Hypothesis, ...]]) -> Iterator[CameraResult]:
+        """Calibrate the cameras by a layout, each when its result is asked for."""
+        assignments = assign_array(options, self.heads, self.limits.center_tolerance_mm)
+        for i, (head, assignment) in enumerate(zip(self.heads, assignments, strict=True)):
+            yield calibrate_camera(i, head, self.detections[i], assignment, marks_mm, self.kinds[i], self.limits)
+
+    def layout_hint(self, marks_mm: Floats) -> str:
+        """Return a sentence that names changes of the layout with which all cameras would be calibrated; "" if none."""
+        frames = zip(self.detections, self.kinds, self.heads, strict=True)
+        if not all(is_frame_usable(found, kind, head) for found, kind, head in frames):
+            return ""
+        fitting = [way for way, changed in vary_layout(marks_mm, self.heads) if self._fits(changed)]
+        if not fitting:
+            return ""
+        ways = " or ".join(dict.fromkeys(fitting))
+        return f"The marks fit the layout {ways}: write layout.json as the cameras see the board, or turn the board."
+
+    def _fits(self, marks_mm: Floats) -> bool:
+        """Return whether all cameras would be calibrated by a layout."""
+        # Most variants fit no camera: the first camera that is refused decides.
+        options = []
+        for camera in range(len(self.heads)):
+            options.append(self.hypotheses(camera, marks_mm))
+            if all(len(hypothesis.pairs) < MIN_MARKS for hypothesis in options[camera]):
+                return False
+        return not any(result.refusal for result in self.calibrated(marks_mm, options))

@@ -152,6 +152,12 @@ def calibrate_camera(
     return CameraResult(camera, head, detected, marks, fit, refusal, action, result.notes)
 
 
+def is_frame_usable(detected: DetectedMarks, appearance: MarkAppearance, head: CameraHead) -> bool:
+    """Return whether marks can be measured in a frame; if not, its camera is refused with every layout."""
+    measurable = detected.contrast >= _MIN_CONTRAST and not detected.blur_px > BLUR_LIMIT_PX
+    return measurable and _check_size(appearance, head) is None
+
+
 def _check_size(appearance: MarkAppearance, head: CameraHead) -> tuple[str, str] | None:
     """Return cause and remedy if marks of this size in px cannot be measured; None if they can."""
     most = min(head.width, head.height) / 2
