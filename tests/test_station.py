@@ -153,7 +153,7 @@ def test_without_ready_workers_no_camera_is_opened_and_no_board_accepted(
 ) -> None:
     """However long the workers take: ready means that boards are filmed and stitched at once."""
     with monkeypatch.context() as held:
-        held.setattr(WorkerPool, "_start_worker", lambda *_: None)
+        held.setattr(WorkerPool, "_start_worker", lambda _, worker: worker.backoff.record_failure())
         with Station(config) as started:
             started.coordinator.events(started.coordinator.snapshot().last_event, 1.0)
             waiting = started.coordinator.snapshot()

@@ -8,6 +8,8 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +30,8 @@ WHOLE: tuple[tuple[str, tuple[str, ...], float], ...] = (
 )
 """Cases whose whole board is one picture, options, and the largest step between blocks, 95 %."""
 
+Stitched = Callable[[str], tuple[str | Path, ...]]
+
 
 def command(*arguments: str | Path) -> None:
     subprocess.run([sys.executable, "-m", "vaoi_station", *map(str, arguments)], capture_output=True, check=True)
@@ -39,11 +43,21 @@ def score(cases: Cases, name: str, kind: str, made: Path) -> dict[str, Any]:
     return figures
 
 
-def stitched(cases: Cases, name: str, folder: Path) -> tuple[str | Path, ...]:
-    """Stitch a case and measure its flat fields; return the arguments that name case, result and fields."""
-    command("stitch", cases(name), "--out", folder / "result.json")
-    command("flatfield", cases(f"{name}-white"), "--dark", cases(f"{name}-black"), "--out", folder / "fields")
-    return cases(name), "--result", folder / "result.json", "--flatfield", folder / "fields"
+@pytest.fixture(scope="module")
+def stitched(cases: Cases, tmp_path_factory: pytest.TempPathFactory) -> Stitched:
+    """Return a function that stitches a case and measures its flat fields, once for all tests.
+
+    It returns the arguments that name case, result and fields.
+    """
+
+    @cache
+    def make(name: str) -> tuple[str | Path, ...]:
+        folder = tmp_path_factory.mktemp(name)
+        command("stitch", cases(name), "--out", folder / "result.json")
+        command("flatfield", cases(f"{name}-white"), "--dark", cases(f"{name}-black"), "--out", folder / "fields")
+        return cases(name), "--result", folder / "result.json", "--flatfield", folder / "fields"
+
+    return make
 
 
 def test_heights_of_recorded_cases(cases: Cases) -> None:
@@ -58,9 +72,10 @@ def test_heights_of_recorded_cases(cases: Cases) -> None:
 
 
 @pytest.mark.parametrize(("name", "rms"), MERGED)
-def test_merged_pictures_have_the_true_radiance(cases: Cases, tmp_path: Path, name: str, rms: float) -> None:
-    case = stitched(cases, name, tmp_path)
-    command("cut", *case, "--all", "--hdr", "--format", "npy", "--out", tmp_path / "cut")
+def test_merged_pictures_have_the_true_radiance(
+    cases: Cases, stitched: Stitched, tmp_path: Path, name: str, rms: float
+) -> None:
+    command("cut", *stitched(name), "--all", "--hdr", "--format", "npy", "--out", tmp_path / "cut")
     found = score(cases, name, "cut", tmp_path / "cut")
     assert found["rms"] <= rms
     assert found["holes"] <= 0.005
@@ -70,10 +85,9 @@ def test_merged_pictures_have_the_true_radiance(cases: Cases, tmp_path: Path, na
 
 @pytest.mark.parametrize(("name", "more", "most"), WHOLE)
 def test_the_whole_board_has_no_visible_step(
-    cases: Cases, tmp_path: Path, name: str, more: tuple[str, ...], most: float
+    cases: Cases, stitched: Stitched, tmp_path: Path, name: str, more: tuple[str, ...], most: float
 ) -> None:
-    case = stitched(cases, name, tmp_path)
-    command("mosaic", *case, *more, "--out", tmp_path / "board.tif")
+    command("mosaic", *stitched(name), *more, "--out", tmp_path / "board.tif")
     found = score(cases, name, "mosaic", tmp_path / "board.tif")
     assert found["step_p95"] <= most
     assert found["tiled"]
