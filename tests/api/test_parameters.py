@@ -87,19 +87,21 @@ def test_numbers_are_limited(parameter: Any, lowest: float, highest: float, refu
         ("GET", "/healthz?full=1", "it has none"),
     ],
 )
-def test_unknown_query_parameters_are_refused(client: TestClient, method: str, address: str, offer: str) -> None:
-    refused = client.request(method, address)
+def test_unknown_query_parameters_are_refused(
+    untouched_client: TestClient, method: str, address: str, offer: str
+) -> None:
+    refused = untouched_client.request(method, address)
     assert (refused.status_code, refused.json()["code"]) == (422, "unknown-parameter")
     assert offer in refused.json()["detail"]
-    assert client.get("/api/v1/runs?limit=2&_=1").status_code == 200
+    assert untouched_client.get("/api/v1/runs?limit=2&_=1").status_code == 200
 
 
-def test_each_operation_offers_the_query_parameters_of_the_document(client: TestClient) -> None:
-    for path, operations in client.get("/api/v1/openapi.json").json()["paths"].items():
+def test_each_operation_offers_the_query_parameters_of_the_document(untouched_client: TestClient) -> None:
+    for path, operations in untouched_client.get("/api/v1/openapi.json").json()["paths"].items():
         for method, operation in operations.items():
             names = sorted(p["name"] for p in operation.get("parameters", ()) if p["in"] == "query")
             address = re.sub(r"\{\w+\}", "1", path)
-            refused = client.request(method, f"{address}?no_such_parameter=1").json()
+            refused = untouched_client.request(method, f"{address}?no_such_parameter=1").json()
             assert refused["code"] == "unknown-parameter", (method, path)
             assert refused["detail"].endswith(f"it has {', '.join(names)}." if names else "it has none."), path
 

@@ -11,14 +11,14 @@ from tests.api.held.pictures import RUNS, picture
 from tests.runs.merging.finished_board import RADIANCE
 
 
-@pytest.fixture
-def run(station: Any) -> str:
-    name: str = station.film()
+@pytest.fixture(scope="module")
+def run(shared_client: Any) -> str:
+    name: str = shared_client.get(f"{RUNS}/latest").json()["id"]
     return name
 
 
-def test_the_list_leads_to_the_pictures(client: Any, run: str) -> None:
-    answer = client.get(f"{RUNS}/{run}/merged", params={"component": "2/R1", "light": "left", "px_per_mm": 12})
+def test_the_list_leads_to_the_pictures(shared_client: Any, run: str) -> None:
+    answer = shared_client.get(f"{RUNS}/{run}/merged", params={"component": "2/R1", "light": "left", "px_per_mm": 12})
     assert answer.status_code == 200
     pictures = answer.json()["pictures"]
     assert [p["k"] for p in pictures] == list(range(len(pictures)))
@@ -27,7 +27,7 @@ def test_the_list_leads_to_the_pictures(client: Any, run: str) -> None:
     assert len(last["merged"]) == max(len(p["merged"]) for p in pictures)
     assert last["lights"] == ["left"]
     np.testing.assert_allclose(np.array(last["cad_from_crop"]) @ last["crop_from_cad"], np.eye(3), atol=1e-9)
-    value = picture(client.get(last["url"], headers={"accept": "application/x-npy"}))
+    value = picture(shared_client.get(last["url"], headers={"accept": "application/x-npy"}))
     assert value.shape == (last["height_px"], last["width_px"])
     np.testing.assert_allclose(value[np.isfinite(value)], RADIANCE, rtol=0.01)
 
@@ -35,16 +35,16 @@ def test_the_list_leads_to_the_pictures(client: Any, run: str) -> None:
 @pytest.mark.parametrize(
     ("name", "kind"), [("png", "u1"), ("jpeg", "u1"), ("tiff", "f4"), ("npy", "f4"), ("raw", "f4")]
 )
-def test_merged_images_in_every_format(client: Any, run: str, name: str, kind: str) -> None:
+def test_merged_images_in_every_format(shared_client: Any, run: str, name: str, kind: str) -> None:
     params = {"region": "12,8,20,14", "px_per_mm": 5, "format": name}
-    shown = picture(client.get(f"{RUNS}/{run}/merged/image", params=params))
+    shown = picture(shared_client.get(f"{RUNS}/{run}/merged/image", params=params))
     assert shown.shape == (30, 40)
     assert shown.dtype == np.dtype(kind)
 
 
-def test_the_standard_deviation_of_every_pixel(client: Any, run: str) -> None:
+def test_the_standard_deviation_of_every_pixel(shared_client: Any, run: str) -> None:
     params = {"component": "U1", "sigma": True, "format": "tiff"}
-    sigma = picture(client.get(f"{RUNS}/{run}/merged/image", params=params))
+    sigma = picture(shared_client.get(f"{RUNS}/{run}/merged/image", params=params))
     assert 0 < float(sigma.min()) < 0.1
 
 
@@ -64,8 +64,8 @@ def test_the_standard_deviation_of_every_pixel(client: Any, run: str) -> None:
     ],
 )
 def test_bad_requests_are_refused_with_their_values(
-    client: Any, run: str, params: dict[str, Any], status: int, words: str
+    shared_client: Any, run: str, params: dict[str, Any], status: int, words: str
 ) -> None:
-    answer = client.get(f"{RUNS}/{run}/merged/image", params=params)
+    answer = shared_client.get(f"{RUNS}/{run}/merged/image", params=params)
     assert answer.status_code == status
     assert words in answer.json()["detail"]
