@@ -156,7 +156,7 @@ def test_shared_memory_that_is_too_small_is_named_until_it_is_larger(
     replay_config: Callable[..., StationConfig], tmp_path: Path
 ) -> None:
     config = tmp_path / "station.toml"
-    config.write_text(as_toml(replay_config()))
+    config.write_text(as_toml(replay_config().model_copy(update={"workers": 1})))
     memory = SmallDisk(tmp_path / "shm", 100_000)
     service = Service(config, memory.prefix)
     try:

@@ -17,7 +17,7 @@ TIMEOUT_S = 150.0
 def test_component_positions_agree_with_the_truth_of_the_twin(
     twin_config: StationConfig, run_station: Callable[[StationConfig], StationCoordinator], twin: Twin
 ) -> None:
-    coordinator = run_station(twin_config)
+    coordinator = run_station(twin_config.model_copy(update={"workers": 1}))
     coordinator.arm("small", runs=2)
     first = coordinator.next_run(None, TIMEOUT_S)
     assert first is not None, coordinator.snapshot()
