@@ -6,6 +6,7 @@ import ssl
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import httpx2
 import pytest
@@ -92,6 +93,26 @@ def shared_client() -> Iterator[TestClient]:
     station.film()
     with TestClient(create_app(station, ["testserver"]), raise_server_exceptions=False) as client:
         yield client
+
+
+class Filmed(NamedTuple):
+    """A station that has filmed one board, and one under two lights in turn, for tests that read only."""
+
+    client: TestClient
+    station: HeldStation
+    run: str
+    lit: str
+    """The run under the lights left and right."""
+
+
+@pytest.fixture(scope="module")
+def filmed() -> Iterator[Filmed]:
+    station = HeldStation()
+    run = station.film()
+    station.lights = ("left", "right")
+    lit = station.film()
+    with TestClient(create_app(station, ["testserver"]), raise_server_exceptions=False) as client:
+        yield Filmed(client, station, run, lit)
 
 
 @pytest.fixture

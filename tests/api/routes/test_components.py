@@ -10,28 +10,28 @@ import pytest
 from tests.api.held.pictures import RUNS, picture
 
 
-def test_the_list_of_components_leads_to_their_views(client: Any, station: Any) -> None:
-    run = station.film()
-    components = client.get(f"{RUNS}/{run}/components").json()["components"]
+def test_the_list_of_components_leads_to_their_views(filmed: Any) -> None:
+    run = filmed.run
+    components = filmed.client.get(f"{RUNS}/{run}/components").json()["components"]
     assert [c["address"] for c in components] == ["U1", "R1", "2/R1"]
     assert components[2]["panel"] == "2"
     assert "panel" not in components[0]
     for component in components:
-        content = client.get(component["url"]).json()
+        content = filmed.client.get(component["url"]).json()
         assert content["address"] == component["address"]
         assert content["views"]
 
 
-def test_a_view_matches_its_matrices(client: Any, station: Any) -> None:
+def test_a_view_matches_its_matrices(filmed: Any) -> None:
     """Pixels of the picture are pixels of the frame, shifted by the matrix; both map to the same CAD point."""
-    run = station.film()
-    view = client.get(f"{RUNS}/{run}/components/U1").json()["views"][0]
-    crop = picture(client.get(view["url"]))
+    run = filmed.run
+    view = filmed.client.get(f"{RUNS}/{run}/components/U1").json()["views"][0]
+    crop = picture(filmed.client.get(view["url"]))
     assert crop.shape == (view["height_px"], view["width_px"])
     np.testing.assert_allclose(np.array(view["cad_from_crop"]) @ view["crop_from_cad"], np.eye(3), atol=1e-9)
     corner = np.array(view["crop_from_cad"]) @ [15, 24, 1]  # upper left corner of U1's box in CAD
     np.testing.assert_allclose(corner[:2] / corner[2], [-0.5, -0.5], atol=1e-9)
-    frame = station.pixels[run, view["camera"], view["row"]]
+    frame = filmed.station.pixels[run, view["camera"], view["row"]]
     shift = np.array(view["image_from_crop"])[:2, 2]
     x, y = (round(float(v) - 0.5) for v in shift)
     both = frame[y : y + crop.shape[0] + 1, x : x + crop.shape[1] + 1].astype(float)
@@ -41,56 +41,54 @@ def test_a_view_matches_its_matrices(client: Any, station: Any) -> None:
 
 @pytest.mark.parametrize("name", ["png", "jpeg", "tiff", "npy", "raw"])
 @pytest.mark.parametrize("ref", ["U1", "2/R1", "2%2FR1"])
-def test_temporary_images_in_every_format(client: Any, station: Any, ref: str, name: str) -> None:
-    run = station.film()
-    answer = client.get(f"{RUNS}/{run}/components/{ref}/images/0", params={"format": name})
-    expected = picture(client.get(f"{RUNS}/{run}/components/{ref}/images/0"))
+def test_temporary_images_in_every_format(filmed: Any, ref: str, name: str) -> None:
+    run = filmed.run
+    answer = filmed.client.get(f"{RUNS}/{run}/components/{ref}/images/0", params={"format": name})
+    expected = picture(filmed.client.get(f"{RUNS}/{run}/components/{ref}/images/0"))
     assert picture(answer).shape == expected.shape
     assert np.abs(picture(answer).astype(int) - expected).mean() < (6 if name == "jpeg" else 1e-9)
     assert "immutable" in answer.headers["cache-control"]
-    again = client.get(answer.url, headers={"if-none-match": answer.headers["etag"]})
+    again = filmed.client.get(answer.url, headers={"if-none-match": answer.headers["etag"]})
     assert again.status_code == 304
 
 
-def test_image_addresses_keep_resolution_and_coverage_of_the_list(client: Any, station: Any) -> None:
-    address = f"{RUNS}/{station.film()}/components/2/R1"
-    views = client.get(address, params={"px_per_mm": 20, "min_coverage": 1}).json()["views"]
-    assert len(views) < len(client.get(address, params={"min_coverage": 0.01}).json()["views"])
+def test_image_addresses_keep_resolution_and_coverage_of_the_list(filmed: Any) -> None:
+    address = f"{RUNS}/{filmed.run}/components/2/R1"
+    views = filmed.client.get(address, params={"px_per_mm": 20, "min_coverage": 1}).json()["views"]
+    assert len(views) < len(filmed.client.get(address, params={"min_coverage": 0.01}).json()["views"])
     for view in views:
         assert view["coverage"] == 1
-        assert picture(client.get(view["url"])).shape == (24, 40)
+        assert picture(filmed.client.get(view["url"])).shape == (24, 40)
 
 
-def test_images_under_one_light_best_first(client: Any, station: Any) -> None:
-    station.lights = ("left", "right")
-    address = f"{RUNS}/{station.film()}/components/U1"
-    every = client.get(address).json()["views"]
-    left = client.get(address, params={"light": "left"}).json()["views"]
+def test_images_under_one_light_best_first(filmed: Any) -> None:
+    address = f"{RUNS}/{filmed.lit}/components/U1"
+    every = filmed.client.get(address).json()["views"]
+    left = filmed.client.get(address, params={"light": "left"}).json()["views"]
     assert [(v["camera"], v["row"]) for v in left] == [(v["camera"], v["row"]) for v in every if v["light"] == "left"]
     assert {v["light"] for v in every} == {"left", "right"}
-    best = client.get(f"{address}/images/0", params={"light": "left"})
-    assert (picture(best) == picture(client.get(left[0]["url"]))).all()
+    best = filmed.client.get(f"{address}/images/0", params={"light": "left"})
+    assert (picture(best) == picture(filmed.client.get(left[0]["url"]))).all()
     fields = {"view_angle_deg", "time_s", "exposure_us", "gain", "plane", "height_mm"}
     assert fields <= set(left[0])
     assert "sharpness_per_mm" not in left[0], "it is measured on request only"
-    [measured] = client.get(address, params={"light": "left", "limit": 1, "measure": True}).json()["views"]
+    [measured] = filmed.client.get(address, params={"light": "left", "limit": 1, "measure": True}).json()["views"]
     assert measured["sharpness_per_mm"] > 0
     assert measured["saturated"] == 0
 
 
-def test_a_difference_of_two_lights(client: Any, station: Any) -> None:
-    station.lights = ("left", "right")
-    run = station.film()
+def test_a_difference_of_two_lights(filmed: Any) -> None:
+    run = filmed.lit
     params = {"light": "left", "minus": "right", "margin_mm": 0.5, "align": "part"}
-    [view, *_] = client.get(f"{RUNS}/{run}/components/U1", params=params).json()["views"]
+    [view, *_] = filmed.client.get(f"{RUNS}/{run}/components/U1", params=params).json()["views"]
     assert (view["row"] % 2, view["minus"][1] % 2) == (0, 1)
-    crop = picture(client.get(view["url"]))
+    crop = picture(filmed.client.get(view["url"]))
     assert crop.shape == (view["height_px"], view["width_px"]) == (72, 88)
     assert crop.std() > 1
 
 
-def test_the_top_plane_of_a_part_without_height_is_answered_with_a_remark(client: Any, station: Any) -> None:
-    content = client.get(f"{RUNS}/{station.film()}/components/U1", params={"plane": "top"}).json()
+def test_the_top_plane_of_a_part_without_height_is_answered_with_a_remark(filmed: Any) -> None:
+    content = filmed.client.get(f"{RUNS}/{filmed.run}/components/U1", params={"plane": "top"}).json()
     assert "U1 has no height" in content["remark"]
     assert {v["plane"] for v in content["views"]} == {"board"}
 
@@ -107,32 +105,31 @@ def test_the_top_plane_of_a_part_without_height_is_answered_with_a_remark(client
     ],
 )
 def test_requests_that_cannot_be_met_are_refused_with_the_limit(
-    client: Any, station: Any, params: dict[str, Any], words: str
+    filmed: Any, params: dict[str, Any], words: str
 ) -> None:
-    station.lights = ("left", "right")
-    address = f"{RUNS}/{station.film()}/components/U1"
+    address = f"{RUNS}/{filmed.lit}/components/U1"
     for path in (address, f"{address}/images/0"):
-        answer = client.get(path, params=params)
+        answer = filmed.client.get(path, params=params)
         assert answer.status_code == 422
         assert words in answer.json()["detail"]
 
 
 @pytest.mark.parametrize("params", [{"within_deg": 181}, {"margin_mm": 101}, {"order": "worst"}, {"limit": 0}])
-def test_values_outside_their_limits_are_refused_by_name(client: Any, station: Any, params: dict[str, Any]) -> None:
-    answer = client.get(f"{RUNS}/{station.film()}/components/U1", params=params)
+def test_values_outside_their_limits_are_refused_by_name(filmed: Any, params: dict[str, Any]) -> None:
+    answer = filmed.client.get(f"{RUNS}/{filmed.run}/components/U1", params=params)
     assert answer.status_code == 422
     assert next(iter(params)) in answer.text
 
 
-def test_huge_images_are_refused(client: Any, station: Any) -> None:
-    answer = client.get(f"{RUNS}/{station.film()}/components/U1/images/0", params={"px_per_mm": 500})
+def test_huge_images_are_refused(filmed: Any) -> None:
+    answer = filmed.client.get(f"{RUNS}/{filmed.run}/components/U1/images/0", params={"px_per_mm": 500})
     assert answer.status_code == 422
     assert "megapixels" in answer.json()["detail"]
 
 
 @pytest.mark.parametrize(("ref", "k", "status"), [("U1", "99", 404), ("U1", "x", 422), ("U9", "0", 404)])
-def test_unknown_views_and_components_are_refused(client: Any, station: Any, ref: str, k: str, status: int) -> None:
-    assert client.get(f"{RUNS}/{station.film()}/components/{ref}/images/{k}").status_code == status
+def test_unknown_views_and_components_are_refused(filmed: Any, ref: str, k: str, status: int) -> None:
+    assert filmed.client.get(f"{RUNS}/{filmed.run}/components/{ref}/images/{k}").status_code == status
 
 
 def test_an_unfinished_run_is_not_cached(client: Any, station: Any) -> None:

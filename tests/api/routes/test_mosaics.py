@@ -90,10 +90,8 @@ def test_iiif_tiles_are_those_of_its_description(client: Any, board: Any) -> Non
         ("board.tif?px_per_mm=400", 422, "300 megapixels (this would be 24000×16000)"),
     ],
 )
-def test_what_cannot_be_shown_is_refused_with_numbers(
-    client: Any, station: Any, address: str, status: int, words: str
-) -> None:
-    answer = client.get(f"{RUNS}/{station.film()}/mosaics/{address}")
+def test_what_cannot_be_shown_is_refused_with_numbers(filmed: Any, address: str, status: int, words: str) -> None:
+    answer = filmed.client.get(f"{RUNS}/{filmed.run}/mosaics/{address}")
     assert (answer.status_code, words in answer.json()["detail"]) == (status, True), answer.text
 
 
