@@ -97,7 +97,7 @@ def test_faults_are_reported_with_their_cause_and_affect_no_other_frame(tmp_path
 
 def test_every_frame_of_a_light_program_is_lit_as_its_row(tmp_path: Path, films: Path) -> None:
     """Three lights in turn and a short exposure: the pins of the chip, the pixels and the statements of the station."""
-    code, report, output = rig_run(tmp_path, films, "--scenario", "light", "--boards", "1")
+    code, report, output = rig_run(tmp_path, films, "--scenario", "light", "--boards", "1", "--workers", "1")
     assert (code, report["failings"]) == (0, []), output
     [board] = report["boards"]
     assert board["status"] == "ok"
@@ -110,7 +110,7 @@ def test_an_encoder_spaces_the_rows_of_a_belt_that_slows_down(tmp_path: Path, fi
     paced = (SCENARIOS / "small.toml").read_text().replace("[line]", "[line]\nencoder_counts_per_mm = 20.0", 1)
     paced += "\n[[belt.changes]]\nat_s = 0.5\nfor_s = 0.4\nfactor = 0.5\n"
     (tmp_path / "paced.toml").write_text(paced)
-    options = ("--scenario", str(tmp_path / "paced.toml"), "--boards", "1")
+    options = ("--scenario", str(tmp_path / "paced.toml"), "--boards", "1", "--workers", "1")
     code, report, output = rig_run(tmp_path, films, *options)
     assert (code, report["failings"]) == (0, []), output
     [board] = report["boards"]
