@@ -22,9 +22,9 @@ from vaoi_station.mosaic.cells import (
 from vaoi_station.mosaic.gains import Gains
 from vaoi_station.mosaic.projection import FrameProjector
 from vaoi_station.mosaic.seams import NO_FRAME
-from vaoi_station.mosaic.survey import FieldCache, survey
+from vaoi_station.mosaic.survey import FieldCache, Floats32, survey
 from vaoi_station.photometry import FlatFields
-from vaoi_station.steps import completed
+from vaoi_station.steps import Steps, completed
 
 
 def test_sight_of_a_frame(board: Filmed) -> None:
@@ -122,3 +122,12 @@ def test_disagreement_shows_what_one_frame_alone_sees(board: Filmed) -> None:
     assert differ[y, x] > 0.4
     assert np.median(differ) < 0.15
     assert crossing_cost(differ)[y, x] < 0.4
+
+
+def test_a_large_board_is_compared_in_steps_and_an_unseen_one_has_no_disagreement(board: Filmed) -> None:
+    def comparison() -> Steps[Floats32]:
+        return disagreement((), Gains({}, {}, 0.0), board.projector, (1025, 1000))
+
+    assert sum(1 for _ in comparison()) == 65
+    assert completed(comparison()).shape == (1025, 1000)
+    assert not completed(comparison()).any()

@@ -35,6 +35,8 @@ _FLAT_MM = 0.25
 _OUTSIDE = 1e3
 """Price in mm for each px by which the centre of a cell lies beside a frame."""
 _BODY_COST, _LEAST_COST = 0.05, 0.15
+_BAND_CELLS = 16
+"""Number of rows of cells that are compared in one step: some milliseconds for the largest boards."""
 _NOISE = 0.02
 """Relative difference of frames at which ground still counts as equal."""
 
@@ -151,12 +153,16 @@ def disagreement(
         area = np.s_[s.y0 : s.y0 + s.values.shape[0], s.x0 : s.x0 + s.values.shape[1]]
         _widen(s.values, frame_from_copy, gains.coefficients(camera), log_gain, dark, low[area], high[area])
         yield
-    with np.errstate(invalid="ignore", divide="ignore"):
-        differ = (high - low) / np.maximum(high + low, 1e-9) - np.float32(_NOISE)
-    differ = np.nan_to_num(np.clip(differ, 0, 1), nan=0.0)
-    ch, cw = shape
-    step = CELL_PX // COARSE_PX
-    return np.asarray(differ.reshape(ch, step, cw, step).max((1, 3)), np.float32)
+    found, step = np.empty(shape, np.float32), CELL_PX // COARSE_PX
+    # Of a large board the whole takes a quarter of a second, for which callers would wait.
+    for y in range(0, shape[0], _BAND_CELLS):
+        lowest, highest = (each[y * step : (y + _BAND_CELLS) * step] for each in (low, high))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            differ = (highest - lowest) / np.maximum(highest + lowest, 1e-9) - np.float32(_NOISE)
+        differ = np.nan_to_num(np.clip(differ, 0, 1), nan=0.0)
+        found[y : y + _BAND_CELLS] = differ.reshape(-1, step, shape[1], step).max((1, 3))
+        yield
+    return found
 
 
 @compiled
