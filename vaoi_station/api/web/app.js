@@ -1,4 +1,5 @@
 // The frame of all pages: which view is shown, the station's state, and whether it is out of date.
+import { askAhead } from "./ahead.js";
 import { LineView } from "./line/line.js";
 import { RecentBoards } from "./line/recent_boards.js";
 import { $, make, setText } from "./parts/elements.js";
@@ -83,6 +84,7 @@ const live = new Live({
 async function route() {
   const turn = ++routed;
   const [entry, pattern, open] = VIEWS.find(([, form]) => form.test(location.hash)) ?? VIEWS[0];
+  askAhead();
   const loading = open(...(pattern.exec(location.hash) ?? []).slice(1));
   // Closed before the next one has come: what it still does must not reach the address of that one.
   view?.close?.();
@@ -143,6 +145,11 @@ function showUnloaded() {
 
 // One request at a time, and one more if an event came meanwhile.
 async function refresh() {
+  await renew(rest.station);
+}
+
+// Show the state that `ask` returns, and if an event came meanwhile the one after it.
+async function renew(ask) {
   if (asking) {
     again = true;
     return;
@@ -151,7 +158,8 @@ async function refresh() {
   try {
     do {
       again = false;
-      station.now = await rest.station();
+      station.now = await ask();
+      ask = rest.station;
       setText($("name"), station.now.name);
       document.body.classList.remove("waiting");
       showSituation();
@@ -186,14 +194,13 @@ async function start() {
   showSound();
   await loggedIn(live);
   window.addEventListener("hashchange", () => rest.unattended(route()));
+  const state = rest.station();
+  state.then(
+    (now) => live.open(Math.max(now.last_event - EARLIER_EVENTS, 0)),
+    () => live.open(0), // the stream reconnects after any failure, and the page then requests the state again
+  );
   await rest.unattended(route());
-  try {
-    station.now = await rest.station();
-    live.open(Math.max(station.now.last_event - EARLIER_EVENTS, 0));
-  } catch {
-    live.open(0); // the stream reconnects after any failure, and the page then requests the state again
-  }
-  await refresh();
+  await renew(() => state);
 }
 
 start();

@@ -43,6 +43,7 @@ export class BoardView {
   #pictures;
   #comparison;
   #decisions;
+  #opening = null;
   #closed = new AbortController();
 
   constructor(_station, id, query) {
@@ -117,7 +118,20 @@ export class BoardView {
     this.#comparison.close();
   }
 
+  // The frame of the page has a view shown when it knows the state of the station. The picture needs not wait for that, and the first list
+  // of mosaics not for the run.
+  open() {
+    const list = rest.mosaicList(this.#id);
+    list.catch(() => {}); // without a result there is none
+    this.#opening = rest.unattended(this.#renew(list));
+  }
+
   async show() {
+    await this.#opening;
+    await this.#renew();
+  }
+
+  async #renew(list) {
     let run;
     try {
       run = await rest.run(this.#id);
@@ -134,7 +148,7 @@ export class BoardView {
     this.#run = run;
     this.#showHead(run);
     // None of these is awaited by the state of the page.
-    rest.unattended(this.#showBoard(run));
+    rest.unattended(this.#showBoard(run, list));
   }
 
   #showHead(run) {
@@ -148,9 +162,9 @@ export class BoardView {
     showReport(this.#part("tab-report"), run, { parts: [], overlay: null });
   }
 
-  async #showBoard(run) {
+  async #showBoard(run, list) {
     const result = run.verdict != null && run.verdict !== "failed";
-    const begun = result ? shownMosaics(run).catch(() => []) : [];
+    const begun = result ? shownMosaics(run, list).catch(() => []) : [];
     const listed = result ? [rest.components(run.id).catch(() => []), rest.overlay(run.id).catch(() => null)] : [[], null];
     const mosaics = await begun;
     if (run === this.#run && mosaics.length) rest.unattended(this.#zoom.begin(mosaics));

@@ -130,9 +130,10 @@ export class Comparison {
 }
 
 // The pictures of the whole board that can be shown of a run: its mosaics while the frames are in memory, else the kept one.
-export async function shownMosaics(run) {
+// `asked`: the list of them, if it was asked for before; it was refused if the run had no result then.
+export async function shownMosaics(run, asked) {
   if (run.verdict == null || run.verdict === "failed") return [];
-  const { mosaics, kept } = await rest.mosaicList(run.id);
+  const { mosaics, kept } = (await asked?.catch(() => null)) ?? (await rest.mosaicList(run.id));
   if (run.frames_available) return mosaics;
   return kept ? [{ ...kept, kept: true, name: "kept" }] : [];
 }

@@ -1,18 +1,8 @@
-// The texts in the language of this browser. The choice is kept; the page is loaded anew when it changes.
-import { texts as de } from "./de.js";
-import { texts as en } from "./en.js";
-import { kept, keep } from "../parts/settings.js";
+// The texts in the language of this browser; those of the other one are not loaded.
+import { language } from "./language.js";
 
-const LANGUAGES = { en, de };
-const wanted = kept("language", navigator.language.slice(0, 2));
-export const language = wanted in LANGUAGES ? wanted : "en";
-export const texts = LANGUAGES[language];
-export const otherLanguage = language === "en" ? "de" : "en";
-
-export function changeLanguage() {
-  keep("language", otherLanguage);
-  location.reload();
-}
+export { changeLanguage, language, otherLanguage } from "./language.js";
+export const { texts } = await (language === "de" ? import("./de.js") : import("./en.js"));
 
 // A text by its name; those of a view are in an object of their own: "trends.title".
 const named = (name) => name.split(".").reduce((group, key) => group[key], texts);
