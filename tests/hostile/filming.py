@@ -90,9 +90,10 @@ def film(drawing: Drawing) -> Film:
 
 
 def taught(film: Film) -> Film:
-    """Film the next board of the same scenario without any mistake of frames or data, for a reference."""
-    plain = replace(film.drawing, mistakes=())
-    twin = Twin(film.twin.scenario.model_copy(update={"faults": type(film.twin.scenario.faults)()}))
+    """Film a further board of the board type that the station is given, without any mistake, for a reference."""
+    known = _other_board(film.drawing) or film.twin.scenario
+    plain = replace(film.drawing, mistakes=(), scenario=known)
+    twin = Twin(known.model_copy(update={"faults": type(known.faults)()}))
     passage = twin.passage(1)
     frames = passage.render_all()
     return Film(plain, passage, passage.head(), twin.calibration, twin.board_type, frames, {key: key for key in frames})

@@ -137,6 +137,17 @@ def test_a_near_copy_of_the_frame_before_is_never_right(seed: int, monkeypatch: 
     assert all(wrong != (camera, row) for views in result.components.values() for camera, row, *_ in views)
 
 
+def test_a_board_with_other_parts_than_the_reference_is_never_right(
+    plain: Drawing, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Fiducials, outline and holes of both boards are the same, and the few points of the reference there fit."""
+    other = replace(plain, mistakes=(Mistake("other-type", 1.0), Mistake("reference", 1.0)))
+    monkeypatch.setattr(judging, "draw", lambda _: other)
+    outcome = judge(plain.seed)
+    assert (outcome.status, outcome.finds) == ("degraded", ())
+    assert any("components look as in the reference" in reason for reason in outcome.reasons)
+
+
 def test_a_mistake_beyond_its_limit_is_the_reason_that_nothing_is_expected(plain: Drawing) -> None:
     assert why_impossible(film(with_mistake(plain, "pushed", 0.1))) == ()
     assert why_impossible(film(with_mistake(plain, "pushed", 0.5))) == ("pushed 0.5 is beyond its limit",)

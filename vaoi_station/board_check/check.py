@@ -20,6 +20,7 @@ from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.board.board_plane import BoardPlane, board_plane, expected_angle, typical_camera
 from vaoi_station.stitching.board.expectation import turned_by
+from vaoi_station.stitching.components.part_views import central_views
 from vaoi_station.stitching.components.shift import measure_component_shift
 
 LEAST_COMPONENTS = 3
@@ -177,7 +178,8 @@ def _measured(run: CheckedRun, plane: BoardPlane, edges: BodyEdges, pose: Pose) 
     # Centres are searched within 0.3 mm; the second time they are near.
     for _ in range(2):
         c = fit.pose.matrix @ np.diag([mm, mm, 1.0])
-        shift = measure_component_shift(seen, c, run.scene, run.motion, run.views(seen.components.center, c))
+        views = central_views(seen, c, run.scene, run.motion, run.views(seen.components.center, c))
+        shift = measure_component_shift(seen, c, run.scene, run.motion, views)
         if shift is None:
             return fit
         dx, dy, turn, stretch = shift.measured

@@ -26,6 +26,7 @@ from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.cad_mapping import CadMapping, MappingInputs, map_cad
 from vaoi_station.stitching.board.expectation import Expectation
 from vaoi_station.stitching.board.reference import Reference
+from vaoi_station.stitching.board.reference_orientation import ReferenceScene
 from vaoi_station.stitching.matching.evidence import Detections, Evidence, FrameKey, Links
 from vaoi_station.stitching.matching.link import are_copies
 from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
@@ -63,14 +64,15 @@ class PriorKnowledge:
     channels: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
     """LED channels of every light, as far as they are known."""
 
-    def reference_scene(self, cameras: tuple[Camera, ...]) -> Scene | None:
-        """Return the frames of the reference, filmed by the same cameras.
+    def taught(self, cameras: tuple[Camera, ...]) -> ReferenceScene | None:
+        """Return the result and the frames of the reference, filmed by the same cameras.
 
-        None without a reference or if they cannot be read.
+        None if the method uses no reference, or if there is none, or if its frames cannot be read.
         """
-        if self.reference is None or self.reference_frame is None:
+        if self.reference is None or self.reference_frame is None or not self.method.reference:
             return None
-        return Scene(cameras, tuple(sorted(self.reference.present)), self.reference_frame)
+        scene = Scene(cameras, tuple(sorted(self.reference.present)), self.reference_frame)
+        return ReferenceScene(self.reference.stitch, scene)
 
     @property
     def method(self) -> Method:
@@ -124,6 +126,7 @@ def conclude(
         mapping,
         prior.visibility,
         prior.reference.sigma_px if prior.reference else 0.0,
+        prior.taught(scene.cameras),
         copies=copies,
     )
     # Before rows are left out: a dark row has no links, so nothing but the belt's nominal speed places it.
@@ -212,7 +215,7 @@ def _map_cad(
         texture,
         prior.reference,
         found.reference_links,
-        prior.reference_scene(scene.cameras),
+        prior.taught(scene.cameras),
     )
     return map_cad(prior.plane, scene, problem, motion, inputs)
 

@@ -13,6 +13,7 @@ from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment.motion import nominal_motion
 from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.footprints import FootprintViews
+from vaoi_station.stitching.components.part_views import central_views
 from vaoi_station.stitching.components.shift import ComponentShift, measure_component_shift
 from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
 from vaoi_station.stitching.matching.scene import Scene
@@ -79,7 +80,9 @@ def measured(
     matrix = C if wrong is None else wrong @ C
     plane = BoardPlane(board_type, mirrored=False)
     views = FootprintViews.of(plane.components.center, matrix, (camera,), np.eye(3)[None], None)
-    return measure_component_shift(plane, matrix, Scene((camera,), ((0, 0),), lambda key: frame), STILL, views)
+    scene = Scene((camera,), ((0, 0),), lambda key: frame)
+    parts = central_views(plane, matrix, scene, STILL, views)
+    return measure_component_shift(plane, matrix, scene, STILL, parts)
 
 
 def test_components_in_their_places_show_no_shift(workshop: Any) -> None:

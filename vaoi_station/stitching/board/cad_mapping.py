@@ -103,8 +103,8 @@ class MappingInputs:
     """(k, 2) points on the board, mm, that were linked from row to row."""
     reference: Reference | None = None
     reference_links: tuple[Links, ...] = ()
-    reference_scene: Scene | None = None
-    """The frames of the reference; None if they cannot be read."""
+    taught: ReferenceScene | None = None
+    """Result and frames of the reference; None if its frames cannot be read."""
 
 
 def map_cad(
@@ -318,14 +318,9 @@ def _by_reference(
     plane: BoardPlane, scene: Scene, motion: Motion, known: MappingInputs, guess: Hypothesis, turned: Hypothesis
 ) -> Hypothesis | Failure:
     """Decide the orientation by the reference's frames; if these leave it open, by the number of fiducials that fit."""
-    if known.reference is not None and known.reference_scene is not None and known.method.reference:
-        found = compare_with_reference(
-            plane.board_type,
-            Rivals(plane.matrix(guess.c), plane.matrix(turned.c)),
-            scene,
-            motion,
-            ReferenceScene(known.reference.stitch, known.reference_scene),
-        )
+    if known.taught is not None:
+        rivals = Rivals(plane.matrix(guess.c), plane.matrix(turned.c))
+        found = compare_with_reference(plane.board_type, rivals, scene, motion, known.taught)
         if found.contradicts:
             return Turned(
                 f"the board lies turned by 180°, or is of another type than {plane.board_type.name!r}: its pictures "

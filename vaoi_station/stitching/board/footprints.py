@@ -103,7 +103,7 @@ class FootprintViews:
 
     def without_rows(self, rows: Sequence[int]) -> FootprintViews:
         """Return the views in all rows except the given ones."""
-        return self._where(~np.isin(self.row, rows))
+        return self._where(~np.isin(self.row, rows)) if rows else self
 
     def without_frames(self, frames: Collection[FrameKey]) -> FootprintViews:
         """Return the views in all frames except the given ones."""

@@ -15,6 +15,7 @@ accuracy of the shift follows from the number of kinds, not only from that of co
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -24,12 +25,12 @@ from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.adjustment.observations import Ints
 from vaoi_station.stitching.board.board_plane import BoardPlane
-from vaoi_station.stitching.board.footprints import FootprintViews
+from vaoi_station.stitching.components.part_views import PartView
 from vaoi_station.stitching.components.symmetry import centre_of_symmetry
 from vaoi_station.stitching.matching.scene import Scene
 
-_MOST, _LEAST = 32, 9
-"""Largest number of components that are measured, and least number of centres from which a shift is estimated."""
+_LEAST = 9
+"""Least number of centres from which a shift is estimated."""
 _LEAST_SCATTER_MM, _LEAST_FREE = 0.005, 0.2
 """Least scatter of the centres, and least share of the coordinates that shows scatter, not unknowns."""
 _PLACING_MM = np.array([0.012, 0.012, 0.008, 0.008])
@@ -92,7 +93,7 @@ class ComponentShift:
 
 
 def measure_component_shift(
-    plane: BoardPlane, cad_matrix: Floats, scene: Scene, motion: Motion, views: FootprintViews
+    plane: BoardPlane, cad_matrix: Floats, scene: Scene, motion: Motion, views: Sequence[PartView]
 ) -> ComponentShift | None:
     """Measure the shift of the components against the places where C puts them.
 
@@ -101,27 +102,18 @@ def measure_component_shift(
         cad_matrix: C, (3, 3) from CAD to tester coordinates.
         scene: the cameras and frames.
         motion: motion of the rows.
-        views: views of the components' centres.
+        views: one view of each component.
 
     Returns:
         The shift; None if the centres of too few components can be measured.
     """
-    best = _best_views(scene, views)
-    if len(best) < _LEAST:
+    if len(views) < _LEAST:
         return None
-    part, corners = views.point[best], apply(cad_matrix, plane.components.corners)
-    half_mm = np.ptp(corners, axis=1)[part] / 2
-    off_mm, lean_mm = np.full((len(best), 2), np.nan), np.zeros((len(best), 2))
-    # frame by frame, so that each frame is fetched only once
-    for n in np.lexsort((views.row[best], views.camera[best])).tolist():
-        view = best[n]
-        i, j, px = int(views.camera[view]), int(views.row[view]), views.px[view]
+    part = np.array([view.part for view in views])
+    off_mm, lean_mm = np.full((len(views), 2), np.nan), np.zeros((len(views), 2))
+    for n, (_, (i, j), px, half_px) in enumerate(views):
         camera, grey = scene.cameras[i], scene.prepared((i, j)).grey
-        # A footprint's extent in the picture: camera and board may be turned by quarters against one another.
-        across = camera.ground(np.array([px, px + (1, 0)]))
-        way = np.abs(motion.turned(np.array([j]), np.diff(across, axis=0))[0])
-        half = half_mm[n] if way[0] >= way[1] else half_mm[n][::-1]
-        off = centre_of_symmetry(grey, px, half * camera.px_per_mm, camera.px_per_mm)
+        off = centre_of_symmetry(grey, px, half_px, camera.px_per_mm)
         if off is not None:
             ends = camera.ground(np.array([px, px + off]))
             off_mm[n] = motion.turned(np.array([j]), np.diff(ends, axis=0))[0]
@@ -172,19 +164,6 @@ def _heights(plane: BoardPlane, part: np.ndarray) -> tuple[Floats, tuple[float, 
     if len(known) < len(stated):
         return np.ones(len(stated)), _HEIGHT_MM
     return np.array(known), _HEIGHT_SHARE
-
-
-def _best_views(scene: Scene, views: FootprintViews) -> np.ndarray:
-    """Return the indices of one view for each of up to `_MOST` components: the view nearest to the frame's centre."""
-    present = np.zeros((len(scene.cameras), int(views.row.max(initial=0)) + 1), np.bool_)
-    for i, j in scene.present:
-        if j < present.shape[1]:
-            present[i, j] = True
-    use = np.flatnonzero(present[views.camera, views.row])
-    centre = np.array([camera.center_px for camera in scene.cameras])[views.camera[use]]
-    order = use[np.lexsort((np.hypot(*(views.px[use] - centre).T), views.point[use]))]
-    each = order[np.flatnonzero(np.diff(views.point[order], prepend=-1))]
-    return np.asarray(each[np.unique(np.linspace(0, len(each) - 1, min(len(each), _MOST)).round().astype(np.int_))])
 
 
 def _equations(board_mm: Floats, middle_mm: Floats, arm_mm: float) -> Floats:

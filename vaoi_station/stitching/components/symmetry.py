@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.geometry.transforms import Floats
+from vaoi_station.stitching.components.part_views import reduced_patch, reduction
 
 _MARGIN_MM = 0.1
 """Width of the rim around a footprint that is compared too: it contains the edges of pads and body.
@@ -44,13 +45,12 @@ def centre_of_symmetry(
         The distance along x and y; None if the component is too large, too near to the border, or not symmetric.
     """
     half = half_px + _MARGIN_MM * px_per_mm
-    # An odd factor keeps the middle of the patch in the middle of a pixel.
-    factor = 2 * math.ceil((half.max() / _MOST_NODES - 1) / 2) + 1 if half.max() > _MOST_NODES else 1
+    factor = reduction(half, _MOST_NODES)
     if factor > _MOST_REDUCED:
         return None
     # A displacement of the centre by one node displaces the turned patch by two.
     reach = max(math.ceil(2 * REACH_MM * px_per_mm / factor), 2)
-    patch = _reduced_patch(grey, px, np.ceil(half / factor).astype(int) + reach, factor)
+    patch = reduced_patch(grey, px, np.ceil(half / factor).astype(int) + reach, factor)
     if patch is None:
         return None
     turned = np.ascontiguousarray(patch[::-1, ::-1][reach:-reach, reach:-reach])
@@ -65,21 +65,6 @@ def centre_of_symmetry(
     y = row - reach + _vertex(score[row - 1 : row + 2, column])
     middle = np.rint(px)
     return float(factor * x / 2 + middle[0] - px[0]), float(factor * y / 2 + middle[1] - px[1])
-
-
-def _reduced_patch(
-    grey: NDArray[np.uint8], px: Floats, nodes: NDArray[np.int_], factor: int
-) -> NDArray[np.float32] | None:
-    """Return the patch of 2·`nodes` + 1 nodes per axis about the pixel nearest to `px`; None if it is not in view.
-
-    Each node is the mean of `factor` × `factor` pixels.
-    """
-    (x, y), (far_x, far_y) = np.rint(px).astype(int), factor * nodes + factor // 2
-    if min(x - far_x, y - far_y) < 0 or x + far_x >= grey.shape[1] or y + far_y >= grey.shape[0]:
-        return None
-    patch = grey[y - far_y : y + far_y + 1, x - far_x : x + far_x + 1].astype(np.float32)
-    size = (2 * int(nodes[0]) + 1, 2 * int(nodes[1]) + 1)
-    return np.asarray(cv2.resize(patch, size, interpolation=cv2.INTER_AREA) if factor > 1 else patch, np.float32)
 
 
 def _vertex(values: NDArray[np.float32]) -> float:

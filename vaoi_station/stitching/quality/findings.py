@@ -20,10 +20,12 @@ from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.cad_mapping import CadMapping
 from vaoi_station.stitching.board.expectation import Expectation
 from vaoi_station.stitching.board.footprints import FootprintViews, frames_of_marks
+from vaoi_station.stitching.board.reference_orientation import ReferenceScene
 from vaoi_station.stitching.components.bad_board_marks import BoardMarks, MarkedPanel, read_bad_marks
 from vaoi_station.stitching.components.local_fiducials import placed_landmarks, placed_parts
 from vaoi_station.stitching.components.own_places import OwnPlaces, own_places
 from vaoi_station.stitching.components.panel_boards import components_of
+from vaoi_station.stitching.components.part_views import PartView, central_views
 from vaoi_station.stitching.components.shift import ComponentShift, measure_component_shift
 from vaoi_station.stitching.matching.evidence import FrameKey, Links
 from vaoi_station.stitching.matching.scene import Scene
@@ -83,6 +85,8 @@ class Findings:
     """How much of every component the frames must show; the board type may ask for something else."""
     reference_sigma_px: float = 0.0
     """Standard deviation of positions on account of the reference's own CAD mapping, px; 0 without a reference."""
+    taught: ReferenceScene | None = None
+    """Result and frames of the reference; None if the run does not use one, or if its frames cannot be read."""
     unplaced: tuple[int, ...] = ()
     """Rows with good frames, not part of `scene`, that have no known position: nothing shows where the board was."""
     copies: frozenset[FrameKey] = frozenset()
@@ -156,10 +160,9 @@ class Findings:
         """The views in all frames with a position, whatever they show; None without C."""
         if self.plane is None or self.cad_matrix is None:
             return None
-        rows = self.adjusted.motion.rows_from_tester
+        rows, cameras = self.adjusted.motion.rows_from_tester, self.scene.cameras
         cad = placed_landmarks(self.plane, self.cad_matrix, self.own_places.matrices)
-        views = FootprintViews.of(cad, self.cad_matrix, self.scene.cameras, rows, self.surface)
-        return views.without_rows(self.unplaced) if self.unplaced else views
+        return FootprintViews.of(cad, self.cad_matrix, cameras, rows, self.surface).without_rows(self.unplaced)
 
     @cached_property
     def bad_marks(self) -> dict[str, BoardMarks]:
@@ -167,9 +170,8 @@ class Findings:
         if self.plane is None or self.cad_matrix is None:
             return {}
         at = self.own_places.of_boards, self.adjusted.motion.rows_from_tester, self.surface
-        return read_bad_marks(
-            MarkedPanel(self.plane.board_type, self.cad_matrix, *at), self.scene, self.checked.confirmed
-        )
+        panel = MarkedPanel(self.plane.board_type, self.cad_matrix, *at)
+        return read_bad_marks(panel, self.scene, self.checked.confirmed)
 
     @cached_property
     def skipped_parts(self) -> frozenset[str]:
@@ -178,12 +180,19 @@ class Findings:
         return frozenset() if self.plane is None else components_of(self.plane, bad)
 
     @cached_property
+    def part_views(self) -> list[PartView]:
+        """One view of each of some demanded components; empty without C."""
+        if self.plane is None or self.views is None or self.cad_matrix is None:
+            return []
+        views = self.views.without_points([self.plane.components.addresses.index(ref) for ref in self.skipped_parts])
+        return central_views(self.plane, self.cad_matrix, self.scene, self.adjusted.motion, views)
+
+    @cached_property
     def component_shift(self) -> ComponentShift | None:
         """Shift of the components' pictures against their places by C; None without C, or if too few show it."""
-        if self.plane is None or self.views is None or self.cad_matrix is None:
+        if self.plane is None or self.cad_matrix is None:
             return None
-        views = self.views.without_points([self.plane.components.addresses.index(ref) for ref in self.skipped_parts])
-        return measure_component_shift(self.plane, self.cad_matrix, self.scene, self.adjusted.motion, views)
+        return measure_component_shift(self.plane, self.cad_matrix, self.scene, self.adjusted.motion, self.part_views)
 
     @cached_property
     def fiducials_in_view(self) -> dict[int, FrameKey]:
@@ -199,8 +208,7 @@ class Findings:
         """Which good frames fit the board's motion, and which contradict it."""
         beside = self.mapping.left_out.links if self.mapping and self.mapping.left_out else None
         checked = check_frames(frozenset(self.scene.present), self.copies, self.method, self.adjusted, beside)
-        c = self.adjusted.similarity
-        doubtful = self._seen - checked.sure - checked.refuted
+        c, doubtful = self.adjusted.similarity, self._seen - checked.sure - checked.refuted
         if self.plane is None or c is None or not doubtful:
             return checked
         return checked.without(repeated_frames(doubtful, self.plane, c, self.scene, self.adjusted.motion))
@@ -279,15 +287,11 @@ class Findings:
             return ()
         main = self._rows_fixed_by_cad
         with_points = set((self.problem.fiducials or FiducialPoints.empty()).row.tolist())
-        unknown = {
-            row
-            for g in self.connected_groups
-            if not main & set(g.tolist()) and not with_points & set(g.tolist())
-            for row in g.tolist()
-        }
+        groups = [set(g.tolist()) for g in self.connected_groups]
+        unknown = {row for g in groups if not main & g and not with_points & g for row in g}
         o, used = self.problem.links, self._used_between_rows
         loose = set(np.append(o.p[used], o.q[used]).tolist()) - with_points
-        unknown |= loose.difference(*(g.tolist() for g in self.connected_groups))
+        unknown |= loose.difference(*groups)
         vague = largest_sigma(self.sigma.covariance_px2) > _PLACED_SIGMA_PX
         unknown |= set(self.sigma.seen_in[vague, 1].tolist()) - main
         return tuple(sorted(unknown & {row for _, row in self.scene.present}))
@@ -295,9 +299,8 @@ class Findings:
     @property
     def unplaceable(self) -> bool:
         """Whether no connected group of rows shows two CAD points: the position of the whole board is unknown."""
-        if self.mapping is None or not self.method.links or len(self.connected_groups) < 2:
-            return False
-        return not self._rows_fixed_by_cad
+        apart = self.mapping is not None and self.method.links and len(self.connected_groups) > 1
+        return apart and not self._rows_fixed_by_cad
 
     @cached_property
     def _rows_fixed_by_cad(self) -> set[int]:
@@ -324,17 +327,14 @@ class Findings:
         estimate = self.adjusted.cameras
         if estimate is None:
             return ()
-        # If the run does not show a displacement clearly, none is reported: σ of the positions includes it. The
-        # covariance is not used for this decision: it is large where two explanations name different cameras, although
-        # both are displaced.
+        # If the run does not show a displacement clearly, none is reported, but σ contains it. The covariance does not
+        # decide: it is large where two explanations name different cameras, although both are displaced.
         if estimate.fit(estimate.displacement_px) < _SIGNIFICANT**2:
             return ()
         # An error that the calibration leaves at the seams looks like a displacement.
         limits = [max(DISPLACED_PX, _SIGNIFICANT * seam_sigma_px(camera)) for camera in self.calibrated]
-        each = zip(estimate.displacement_px, limits, strict=True)
-        large = [
-            i for i, (own, limit) in enumerate(each) if rms_displacement_px(own) > limit and i not in self._unexplained
-        ]
+        each = enumerate(zip(estimate.displacement_px, limits, strict=True))
+        large = [i for i, (own, limit) in each if rms_displacement_px(own) > limit and i not in self._unexplained]
         return tuple((i, estimate.displacement_px[i], estimate.rivals) for i in large)
 
     @cached_property

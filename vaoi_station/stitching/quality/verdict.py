@@ -21,6 +21,7 @@ from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.cad_mapping import CadMapping
 from vaoi_station.stitching.board.fiducial_assignment import outside_share
 from vaoi_station.stitching.components.board_reasons import board_reasons, mark_reasons
+from vaoi_station.stitching.components.likeness import compare_components, shown_by_points
 from vaoi_station.stitching.quality.agreement import (
     common_local_reasons,
     component_reasons,
@@ -245,6 +246,20 @@ def _shifted_board(b: _Placed) -> Iterator[Reason]:
     yield from component_reasons(b.findings.component_shift, b.plane, b.findings.adjusted, b.px_per_mm)
 
 
+def _unlike_reference(b: _Placed) -> Iterator[Reason]:
+    f = b.findings
+    if f.taught is None or shown_by_points(b.plane, b.points, f.adjusted.fiducial_px):
+        return
+    likeness = compare_components(b.plane, f.part_views, f.scene, f.taught)
+    if likeness.other_type:
+        yield Reason(
+            ReasonCode.REFERENCE_CONTRADICTS,
+            f"only {likeness.alike} of {likeness.compared} components look as in the reference: the board is of "
+            f"another type than {b.plane.board_type.name!r}, or its pictures are too dark or blurred; compare the "
+            "board with its order, or teach again if the boards were changed",
+        )
+
+
 def _ambiguous_orientation(b: _Placed) -> Iterator[Reason]:
     if b.mapping.ambiguous:
         yield Reason(
@@ -340,6 +355,7 @@ _BOARD_CHECKS: tuple[Callable[[_Placed], Iterable[Reason]], ...] = (
     _boards_of_panel,
     _disagreeing_fiducials,
     _shifted_board,
+    _unlike_reference,
     _ambiguous_orientation,
     _invisible_outline,
     _texture_off_the_board,

@@ -36,7 +36,7 @@ export const reasons = {
   "board-turned": "Die Baugruppe liegt um 180° gedreht oder ist von einem anderen Typ.",
   "orientation-ambiguous": "Um 180° gedreht würde die Baugruppe ebenso gut passen.",
   "reference-not-found": "Kein Punkt des Laufs wurde in der Referenz gefunden.",
-  "reference-contradicts": "Die Punkte der Referenz widersprechen einander oder den Passmarken.",
+  "reference-contradicts": "Die Referenz widerspricht den Passmarken, oder sie zeigt andere Bauteile.",
   "texture-off-board": "Außerhalb des Umrisses ist viel zu sehen, und die Kanten zeigen nicht, wo er liegt.",
   "positions-uncertain": "Orte von Bauteilen sind unsicher: σ ist über der Grenze.",
   "frames-unconfirmed": "Einzelbilder passen weder zu anderen noch zur Baugruppe.",

@@ -36,7 +36,7 @@ export const reasons = {
   "board-turned": "The board lies turned by 180°, or is of another type.",
   "orientation-ambiguous": "The board turned by 180° would fit as well.",
   "reference-not-found": "No point of the run was found in the reference.",
-  "reference-contradicts": "The points of the reference contradict each other or the fiducials.",
+  "reference-contradicts": "The reference contradicts the fiducials, or it shows other components.",
   "texture-off-board": "Much is seen outside the outline, and no edge shows where the outline lies.",
   "positions-uncertain": "Positions of components are uncertain: σ is above the limit.",
   "frames-unconfirmed": "Frames fit neither others nor the board.",
