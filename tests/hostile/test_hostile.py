@@ -13,7 +13,7 @@ from tests.hostile.drawing import FIRST_WITH_NEAR_COPIES, FIRST_WITH_SURROUNDING
 from tests.hostile.filming import film
 from tests.hostile.judging import OK_AND_WRONG, Outcome, judge
 from tests.hostile.mistakes import BESIDE, KINDS, MOMENTS, NEAR_COPY, Mistake, draw_beside, draw_mistakes, draw_moment
-from tests.hostile.rule import fiducials_in_view, least_overlap, least_seen, why_impossible
+from tests.hostile.rule import blank_overlap, fiducials_in_view, least_overlap, least_seen, why_impossible
 from tests.hostile.summary import kept_finds, open_classes, table, table_of_mistakes
 from tests.needs import LONG
 from vaoi_station.geometry.transforms import apply
@@ -173,6 +173,17 @@ def test_point_symmetric_fiducials_have_no_expected_answer(plain: Drawing) -> No
     marks = [{"x_mm": 3.0, "y_mm": 3.0}, {"x_mm": w - 3, "y_mm": h - 3}]
     symmetric = replace(plain, scenario=changed(plain.scenario, {"board": {"fiducials": marks}}))
     assert any("turned by 180°" in reason for reason in why_impossible(film(symmetric)))
+
+
+def test_two_fiducials_under_different_cameras_need_a_component_that_both_cameras_show() -> None:
+    """Without it, a lift of the board looks like a turn; a third fiducial, or two under one camera, show the lift."""
+    blank, joined = film(draw(91589)), film(draw(93030))
+    assert (blank_overlap(blank), blank_overlap(joined)) == ((0, 1), None)
+    assert [why for why in why_impossible(blank) if "share no component" in why]
+    board = blank.twin.scenario.board
+    third = [*board.marks, board.marks[0].model_copy(update={"y_mm": board.length_mm - 3})]
+    more = changed(blank.drawing.scenario, {"board": {"fiducials": [m.model_dump() for m in third]}})
+    assert blank_overlap(film(replace(blank.drawing, scenario=more))) is None
 
 
 def test_frames_of_another_row_keep_their_own_truth(plain: Drawing) -> None:
