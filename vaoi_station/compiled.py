@@ -50,6 +50,13 @@ def progress() -> tuple[int, int]:
     return sum(bool(made.signatures) for made in _functions), len(_functions)
 
 
+def signatures() -> set[tuple[str, str]]:
+    """Return the name of each compiled function and types of arguments for which this process has its machine code."""
+    return {
+        (f"{made.py_func.__module__}.{made.py_func.__name__}", str(s)) for made in _functions for s in made.signatures
+    }
+
+
 def inlined(function: Callable[P, R]) -> Callable[P, R]:
     """Inline a function into each compiled function of its module that calls it.
 

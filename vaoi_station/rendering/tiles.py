@@ -78,7 +78,8 @@ def rectangle_homographies(source: Floats, target: Floats) -> Floats:
     columns[:, 1] = np.stack([x3 - x0 + h * x3, y3 - y0 + h * y3, h], -1) / height[:, None]
     columns[:, 2] = np.stack([x0, y0, np.ones_like(x0)], -1)
     columns[:, 2] -= columns[:, 0] * left[:, None] + columns[:, 1] * top[:, None]
-    return np.asarray(columns.swapaxes(1, 2) / columns[:, 2, 2, None, None])
+    # In the order of C: compiled functions are compiled anew for matrices of another order.
+    return np.divide(columns.swapaxes(1, 2), columns[:, 2, 2, None, None], order="C")
 
 
 def rectangles(width: int, height: int, columns: int, rows: int) -> list[tuple[int, int, int, int]]:

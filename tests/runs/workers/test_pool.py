@@ -76,6 +76,7 @@ def test_a_job_that_ends_two_workers_is_given_up(plant: Plant) -> None:
     assert isinstance(answer.error, InternalError)
     assert answer.error.code == "worker-lost"
     assert "was given up after 2 attempt(s)" in answer.error.message
+    assert "vaoi bundle" in answer.error.action
     plant.all_idle()
     assert plant.submit(plant.link()).get().error is None
 
@@ -107,7 +108,7 @@ def test_a_worker_that_hangs_is_replaced(plant: Plant, monkeypatch: pytest.Monke
     victim, before = plant.pid(1), plant.complete
     os.kill(victim, signal.SIGSTOP)
     plant.until(lambda: len(plant.lost) > 0)
-    assert any("Worker 1 ended with code -9" in sentence for sentence in plant.lost)
+    assert any("Worker 1 did not answer for 2 s, so that the station ended it" in words for words in plant.lost)
     plant.all_idle()
     assert plant.pid(1) != victim
     plant.until(lambda: plant.complete > before)

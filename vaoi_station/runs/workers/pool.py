@@ -287,15 +287,14 @@ class WorkerPool:
         since_s = worker.since_s if busy else worker.pinged_s
         limit_s = REPEATED_LIMIT_S if outrun else longest_s if worker.ready else START_LIMIT_S
         if since_s is not None and now - since_s > limit_s:
-            worker.kill()
+            worker.kill(limit_s)
         elif not busy and worker.pinged_s is None and now - (worker.seen_s or now) > PING_INTERVAL_S:
             worker.pinged_s = now
             self._send(worker, Ping())
 
     def _reap(self, worker: Worker) -> None:
         """Collect a worker process that has died, put its jobs back into the queues, and schedule its restart."""
-        assert worker.process is not None
-        code = worker.process.exitcode
+        ended = worker.describe_end()
         with self._lock:
             self._queues.restart(worker)
             queued = worker.job
@@ -316,10 +315,11 @@ class WorkerPool:
                 queued.done = True
             self._dispatch()
         repeated = f" while doing {queued.job}, which another worker repeats" if queued and not given_up else ""
-        self._report_end(f"Worker {worker.index} ended with code {code}{repeated}; it is restarted.")
+        self._report_end(f"Worker {worker.index} {ended}{repeated}; it is restarted.")
         if queued is not None and given_up:
-            fault = f"{queued.job} was given up after {queued.deaths} attempt(s); its worker ended with code {code}."
-            self._report(queued.job, Reply.refused(InternalError(fault, code="worker-lost")))
+            fault = f"{queued.job} was given up after {queued.deaths} attempt(s); its worker {ended}."
+            action = "Ask once more. If it fails again, report it with a support bundle (vaoi bundle)."
+            self._report(queued.job, Reply.refused(InternalError(fault, action=action, code="worker-lost")))
 
     def _report_end(self, sentence: str) -> None:
         _log.warning(sentence)

@@ -113,6 +113,8 @@ class Worker:
     """Whether the job under way, or the reply to a ping, is overdue; see `update`."""
     linked_last: bool = False
     """Whether the last job that was chosen for it is a link."""
+    silent_s: float | None = None
+    """Time without a reply after which the station has killed the process; None if it has not."""
 
     @property
     def idle(self) -> bool:
@@ -150,15 +152,23 @@ class Worker:
         due_s = self.due_s()
         self.overdue = due_s is not None and now_s >= due_s
 
-    def kill(self) -> None:
-        """Kill the worker's process, if there is one."""
+    def kill(self, silent_s: float | None = None) -> None:
+        """Kill the worker's process, if there is one; `silent_s` is the limit in s within which it has not replied."""
+        if silent_s is not None:
+            self.silent_s = silent_s
         if self.process is not None:
             self.process.kill()
+
+    def describe_end(self) -> str:
+        """Describe how the process has ended: the end of a sentence that begins with its name."""
+        if self.silent_s is not None:
+            return f"did not answer for {self.silent_s:g} s, so that the station ended it"
+        return f"ended with code {self.process.exitcode if self.process else None}"
 
     def end(self) -> None:
         """Kill the process if it still runs, wait for its end, and close its handles."""
         process, pipe = self.process, self.pipe
-        self.process = self.pipe = None
+        self.process = self.pipe = self.silent_s = None
         self.progress = ""
         if process is not None:
             if process.is_alive():
