@@ -297,44 +297,6 @@ def test_a_job_in_spare_time_that_a_caller_waits_for_overtakes_others(plant: Pla
     assert first.get().value == plant.pid(0)
 
 
-@dataclasses.dataclass(frozen=True)
-class Piece(Glance):
-    """A piece of work in spare time."""
-
-    priority: Priority = Priority.HEIGHTS
-
-
-def test_a_picture_waits_for_one_piece_of_work_in_spare_time(plant: Plant, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each piece that ends has the next one submitted, as heights do: the picture comes before all later ones."""
-    for priority in (Priority.RENDER, Priority.HEIGHTS):  # for the import of this module, as above
-        monkeypatch.setitem(worker_module.OVERDUE_S, priority, 60.0)
-    plant.pool.close_run("r1")
-    plant.all_idle()
-    ended, busy = 0, True
-
-    def next_piece(job: Any) -> None:
-        nonlocal ended
-        if isinstance(job, Piece):
-            ended += 1
-            if busy:
-                plant.submit(Piece("r1", 0, plant.generation))
-
-    plant.on_reply = next_piece
-    for _ in range(2):
-        plant.submit(Piece("r1", 0, plant.generation))
-    waited = []
-    for _ in range(20):
-        picture = plant.expect(glance := Glance("r1", 0, plant.generation))
-        plant.pool.submit(glance)
-        before = ended
-        picture.get()
-        waited.append(ended - before)
-    busy = False
-    plant.all_idle()
-    assert ended > 0
-    assert max(waited) <= 2, "the one under way, and one whose reply was not yet counted"
-
-
 def test_a_paused_job_begins_anew_when_its_worker_dies(plant: Plant, walk: Pending) -> None:
     victim = plant.pid(0)
     assert plant.submit(Glance("r1", 0, plant.generation)).get().value == victim, "the job has been paused"
