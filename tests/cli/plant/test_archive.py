@@ -45,6 +45,17 @@ def test_faults_are_named_and_the_exit_code_says_so(filmed: Path, tmp_path: Path
     assert vaoi("archive", "add", filmed, tmp_path).code == 1
 
 
+def test_a_damaged_frame_comes_back_from_the_recording(filmed: Path, small_recording: Path, vaoi: Any) -> None:
+    frame = filmed / Archive.open(filmed).run("a").frames[0].key
+    damaged = bytearray(frame.read_bytes())
+    damaged[100] ^= 1
+    frame.write_bytes(damaged)
+    assert "or add the run again from its recording" in vaoi("archive", "verify", filmed).err
+    given = ("--station", "one", "--run", "a", "--time", "2026-03-01T08:00:00Z")
+    assert vaoi("archive", "add", filmed, small_recording, *given).code == 0
+    assert "0 runs damaged, 0 faults" in vaoi("archive", "verify", filmed).out
+
+
 def test_pruning_asks_for_a_confirmation(filmed: Path, vaoi: Any) -> None:
     said = vaoi("archive", "prune", filmed, "--run", "a")
     assert "1 runs, 0 blobs" in said.out

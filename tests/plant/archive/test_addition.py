@@ -132,18 +132,19 @@ def test_a_run_whose_frames_another_release_compressed_is_the_same(
     assert archive.add(recording, station="line 1", label=RunLabel("one")) == first
 
 
-def test_a_damaged_document_is_replaced_when_another_run_has_it(tmp_path: Path, recording: Path) -> None:
+@pytest.mark.parametrize("again", [RunLabel("one"), RunLabel("two")])
+def test_damaged_blobs_are_replaced_when_the_run_or_another_that_has_them_is_added(
+    tmp_path: Path, recording: Path, again: RunLabel
+) -> None:
     archive = Archive.create(tmp_path / "archive")
     first = archive.add(recording, label=RunLabel("one"))
-    shared = first.documents["board_type"]
-    path = tmp_path / "archive" / shared.key
-    damaged = bytearray(path.read_bytes())
-    damaged[5] ^= 1
-    path.write_bytes(damaged)
-    assert archive.add(recording, label=RunLabel("two")).documents["board_type"] == shared
-    faults: list[object] = []
-    archive.verify(on_fault=faults.append)
-    assert not [fault for fault in faults if "blob" in str(fault)]
+    for blob in first.blobs:
+        damaged = bytearray(archive.storage.read(blob.key))
+        damaged[5] ^= 1
+        archive.storage.write(blob.key, bytes(damaged))
+    assert archive.verify().faults == len(set(first.blobs))
+    assert list(archive.add(recording, label=again).blobs) == list(first.blobs)
+    assert archive.verify().damaged_runs == 0
 
 
 def test_a_damaged_manifest_comes_back_from_the_recording(tmp_path: Path, recording: Path) -> None:

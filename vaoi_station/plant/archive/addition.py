@@ -201,9 +201,7 @@ def _store_document(storage: Storage, kind: DocumentKind, path: Path) -> Documen
     packed = kind not in _SHARED
     stored = zlib.compress(content, 6) if packed else content
     blob = DocumentBlob(sha256=digest_of(stored), bytes=len(stored), packed=packed)
-    # Many runs refer to one document: one that is damaged is replaced, not referred to again.
-    if not _is_there(storage, blob) or digest_of(storage.read(blob.key)) != blob.sha256:
-        storage.write(blob.key, stored)
+    _store_blob(storage, blob, stored)
     return blob
 
 
@@ -213,9 +211,15 @@ def _store_frames(storage: Storage, recording: Recording) -> Iterator[FrameBlob]
             if (path := recording.frame_path(camera, row)) is not None:
                 stored = encode_frame(read_image(path))
                 blob = FrameBlob(sha256=digest_of(stored), bytes=len(stored), camera=camera, row=row)
-                if not _is_there(storage, blob):
-                    storage.write(blob.key, stored)
+                _store_blob(storage, blob, stored)
                 yield blob
+
+
+def _store_blob(storage: Storage, blob: Blob, stored: bytes) -> None:
+    """Write a blob, unless it is there undamaged."""
+    # One that is damaged is replaced, not referred to again. A run is usually new, so that few blobs are read for this.
+    if not _is_there(storage, blob) or digest_of(storage.read(blob.key)) != blob.sha256:
+        storage.write(blob.key, stored)
 
 
 def _is_there(storage: Storage, blob: Blob) -> bool:

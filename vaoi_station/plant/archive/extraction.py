@@ -72,7 +72,7 @@ def read_blob(storage: Storage, run: ArchivedRun, blob: Blob) -> bytes:
         raise InputError(
             f"{storage.url}: run {run.run}: blob {blob.sha256} is damaged: its {len(content)} bytes have another "
             f"SHA-256 (the manifest says {blob.bytes} bytes).",
-            action="Restore it from a copy of the archive, or delete it and add the run again from its recording.",
+            action="Restore it from a copy of the archive, or add the run again from its recording.",
         )
     return content
 
