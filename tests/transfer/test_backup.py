@@ -163,6 +163,24 @@ def test_nothing_is_overwritten(site: Site, tmp_path: Path, present: str) -> Non
     assert [p for p in (tmp_path / "b").rglob("*") if p.is_file()] == [path]
 
 
+def test_an_absolute_path_that_exists_is_named_as_the_reason(site: Site, tmp_path: Path) -> None:
+    absolute = f'board_types = "{tmp_path / "board-types"}"'
+    stated = site.config.read_text()
+    site.config.write_text(stated.replace('board_types = "board-types"', absolute))
+    back_up(site.config, tmp_path / "backup")
+    with pytest.raises(InputError) as refused:
+        restore(tmp_path / "backup", tmp_path / "b" / "station.toml")
+    assert refused.value.message == (
+        f"{tmp_path / 'board-types'}: exists already; nothing was restored. The station.toml of the backup states "
+        f"this path as an absolute one, which is restored to where it says and not to {tmp_path / 'b'}."
+    )
+    assert "make the backup with relative paths" in refused.value.action
+    assert list((tmp_path / "b").iterdir()) == []
+    site.config.write_text(stated)
+    back_up(site.config, tmp_path / "as advised")
+    assert restore(tmp_path / "as advised", tmp_path / "b" / "station.toml").board_types == tmp_path / "b/board-types"
+
+
 def test_a_damaged_backup_restores_nothing(site: Site, tmp_path: Path) -> None:
     back_up(site.config, tmp_path / "backup")
     content = bytearray((tmp_path / "backup").read_bytes())

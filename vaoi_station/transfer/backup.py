@@ -95,10 +95,11 @@ def restore(package: Path, config_path: Path) -> StationConfig:
         # Paths in the file are relative to its folder, so it is read as if it were there already.
         config = read_config(unpacked / CONFIG)
         # A file that exists already, such as a scenario of the package, is no problem.
-        moves = [m for m in _moves(unpacked, parts, config, config_path.resolve().parent) if not _same_file(*m)]
+        base = config_path.resolve().parent
+        moves = [m for m in _moves(unpacked, parts, config, base) if not _same_file(*m)]
         _make_private(parts / DATA)
         for _, target in moves:
-            _refuse_content(target)
+            _refuse_content(target, base)
         for source, target in moves:
             _move(source, target)
         # This is moved last, because a folder with a station.toml counts as a complete station.
@@ -232,9 +233,17 @@ def _same_file(source: Path, target: Path) -> bool:
     return source.is_file() and target.is_file() and filecmp.cmp(source, target, shallow=False)
 
 
-def _refuse_content(target: Path) -> None:
-    """Raise InputError for a target that exists, unless it is an empty folder."""
+def _refuse_content(target: Path, base: Path) -> None:
+    """Raise InputError for a target that exists, unless it is an empty folder; `base` is the folder of station.toml."""
     if target.is_dir() and not any(target.iterdir()):
         return
-    if target.exists():
+    if not target.exists():
+        return
+    if target.is_relative_to(base):
         raise InputError(f"{target}: exists already; nothing was restored.", action=_ELSEWHERE)
+    raise InputError(
+        f"{target}: exists already; nothing was restored. The station.toml of the backup states this path as an "
+        f"absolute one, which is restored to where it says and not to {base}.",
+        action="Move what is there away, restore to another machine, or make the backup with relative paths in "
+        "station.toml.",
+    )
