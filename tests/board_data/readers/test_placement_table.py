@@ -133,11 +133,12 @@ def test_another_unit_is_refused_unless_the_user_states_one(unit: str) -> None:
         ("ref,x,y,side\nR1,1,10,left\n", "b.csv, line 2: side is 'left', but must be top or bottom"),
         ("a,b,c\n1,2,3\n", "has no header with columns ref, x, y"),
         ("", "has no header"),
+        ("ref,x,y\n# none\n", "b.csv: no line has a part with ref, x, y. Name the columns by --columns"),
         ("ref,x(mm),y(mil)\nR1,1,1\n", "its header has x in mm and y in mil"),
     ],
 )
 def test_wrong_tables_are_refused(text: str, message: str) -> None:
-    units = "mm" if "mil" not in text else None
+    units = "mm" if "mil" not in text and "none" not in text else None
     with pytest.raises(InputError, match=message):
         read(text, units=units)
 
@@ -148,8 +149,9 @@ def test_wrong_tables_are_refused(text: str, message: str) -> None:
         ({"units": "cm"}, "the unit is 'cm', but must be mm, inch, mil"),
         ({"delimiter": "ab"}, "the delimiter is 'ab', but must be one character"),
         ({"columns": "place=1"}, "an entry is 'place=1', but must be NAME=COLUMN"),
-        ({"columns": "x=²"}, "--columns x is '²', but must be a number from 1, or a header"),
-        ({"columns": "x=Nowhere"}, "--columns x is 'Nowhere', but must be a number from 1, or a header"),
+        ({"columns": "x=²"}, "--columns x is '²', but must be a number from 1 to 7, or a header"),
+        ({"columns": "x=Nowhere"}, "--columns x is 'Nowhere', but must be a number from 1 to 7, or a header"),
+        ({"columns": "ref=1,x=99"}, "--columns x is '99', but must be a number from 1 to 7, or a header of .'Design"),
     ],
 )
 def test_wrong_options_are_refused(options: dict[str, str], message: str) -> None:

@@ -14,7 +14,7 @@ from vaoi_station.board_data.readers.table_columns import (
 )
 from vaoi_station.errors import InputError
 
-LINES = ["# made by a program", "ref;x (mm);Mid-Y [mm];a", "R1;1,5;2;3"]
+LINES = ["# made by a program", "ref;x (mm);Mid-Y [mm];a", "R1;1,5;2;3;10k"]
 
 
 def test_the_delimiter_is_the_one_that_makes_a_header() -> None:
@@ -25,11 +25,12 @@ def test_the_delimiter_is_the_one_that_makes_a_header() -> None:
 
 def test_columns_are_found_in_the_header_and_given_by_number_or_header() -> None:
     rows = [cells_of(line, ";") for line in LINES]
-    layout = find_layout(rows, Path("f"), (("rotation", "A"), ("value", "9")))
-    assert layout.columns == {"ref": 0, "x": 1, "y": 2, "rotation": 3, "value": 8}
+    layout = find_layout(rows, Path("f"), (("rotation", "A"), ("value", "5")))
+    assert layout.columns == {"ref": 0, "x": 1, "y": 2, "rotation": 3, "value": 4}
     assert (layout.first, layout.header_of("y"), layout.header_of("value")) == (2, "Mid-Y [mm]", "")
-    with pytest.raises(InputError, match="--columns value is '0', but must be a number from 1"):
-        find_layout(rows, Path("f"), (("value", "0"),))
+    for number in ("0", "6"):
+        with pytest.raises(InputError, match=f"--columns value is '{number}', but must be a number from 1 to 5, or a"):
+            find_layout(rows, Path("f"), (("value", number),))
 
 
 def test_cells_are_numbers_words_and_signs_of_fitting() -> None:

@@ -92,17 +92,18 @@ def read_placement_table(data: bytes, path: Path, options: TableOptions) -> Desi
     layout = replace(layout, all_on=stated_side or _SIDES_OF_SUFFIXES.get(path.suffix.lower()))
     if delimiter == " ":
         rows = [layout.aligned(row) for row in rows]
+    part_lines = [n for n in range(layout.first, len(rows)) if _is_part(rows[n], layout)]
+    if not part_lines:
+        raise _without_parts(path)
     unit, stated = _unit(lines, rows, layout, path, options)
     parts, unplaced = [], []
-    for n in range(layout.first, len(rows)):
-        if not _is_part(rows[n], layout):
-            continue
+    for n in part_lines:
         if not any(rows[n][layout.columns[name]] for name in ("x", "y")):
             unplaced.append(rows[n][layout.columns["ref"]])
         else:
             parts.append(replace(_part(rows[n], layout, unit, f"{path}, line {n + 1}"), line=n + 1))
     if not parts:
-        raise InputError(f"{path}: no line has a part with {', '.join(REQUIRED)}. Name the columns by --columns.")
+        raise _without_parts(path)
     shown = ", ".join(f"{name}: column {index + 1}" for name, index in layout.columns.items())
     named = {",": "comma", ";": "semicolon", "\t": "tab", " ": "spaces", "|": "bar"}.get(delimiter, delimiter)
     sentence = f"delimiter {named}; {shown}; unit {unit} ({stated}). Correct it by --columns, --delimiter or --units."
@@ -120,6 +121,10 @@ def read_placement_table(data: bytes, path: Path, options: TableOptions) -> Desi
     numbers = tuple((name, index + 1) for name, index in layout.columns.items())
     table = TableReading(named, unit, stated, numbers, layout.headers, stated_side)
     return Design(path.stem, "centroid", tuple(parts), table=table, notes=tuple(notes))
+
+
+def _without_parts(path: Path) -> InputError:
+    return InputError(f"{path}: no line has a part with {', '.join(REQUIRED)}. Name the columns by --columns.")
 
 
 def _required_number(cell: str, name: str, where: str) -> float:

@@ -139,13 +139,15 @@ def find_layout(rows: Sequence[list[str]], path: Path, given: Sequence[tuple[str
             header, columns = n, found
             break
     cells = [c for c in rows[header] if c not in ("#", "!", "%")] if header >= 0 else []
+    # Lines may have more cells than the header: columns without a name.
+    most = max(map(len, rows[max(header, 0) :]), default=0)
     all_on: Side | None = None
     for name, at in given:
         if name == "side" and at.lower() in ("top", "bottom"):
             all_on = "top" if at.lower() == "top" else "bottom"
             columns.pop(name, None)
         else:
-            columns[name] = _column(path, name, at, cells)
+            columns[name] = _column(path, name, at, cells, most)
     if header < 0 and not _has_required(columns):
         columns = _without_header(rows, path)
     missing = [name for name in REQUIRED if name not in columns]
@@ -169,13 +171,14 @@ def _named_columns(row: Sequence[str]) -> dict[str, int]:
     return found
 
 
-def _column(path: Path, name: str, at: str, header: Sequence[str]) -> int:
-    if re.fullmatch(r"[0-9]{1,6}", at) and int(at) >= 1:
+def _column(path: Path, name: str, at: str, header: Sequence[str], most: int) -> int:
+    """Return the index of a column that is given by its header, or by a number up to `most`."""
+    if re.fullmatch(r"[0-9]{1,6}", at) and 1 <= int(at) <= most:
         return int(at) - 1
     keys = [plain_key(cell) for cell in header]
     if plain_key(at) and plain_key(at) in keys:
         return keys.index(plain_key(at))
-    raise InputError.field(path, f"--columns {name}", at, f"a number from 1, or a header of {list(header)}")
+    raise InputError.field(path, f"--columns {name}", at, f"a number from 1 to {most}, or a header of {list(header)}")
 
 
 def _without_header(rows: Sequence[list[str]], path: Path) -> dict[str, int]:
