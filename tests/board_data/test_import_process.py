@@ -29,6 +29,15 @@ def test_refusals_and_limits_of_board_types_are_sentences(tmp_path: Path) -> Non
     assert "No such file" in run_import(ImportTask(file=tmp_path / "none")).refusal
 
 
+@pytest.mark.parametrize("name", ["", "a/b", ".a", "a\\b", "a\n", "n" * 81])
+def test_a_given_name_under_which_nothing_can_be_stored_is_refused(tmp_path: Path, name: str) -> None:
+    file = tmp_path / "b.kicad_pcb"
+    file.write_text(samples.KICAD)
+    refusal = run_import(ImportTask(file=file, name=name)).refusal
+    assert refusal.startswith("--name: the name is ")
+    assert refusal.endswith("1 to 80 characters without slashes, control characters and leading dot.")
+
+
 def test_an_error_that_no_reader_foresees_is_a_refusal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: object) -> None:
         raise ZeroDivisionError

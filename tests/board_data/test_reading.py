@@ -13,6 +13,7 @@ from tests.needs import FILMS, need_films
 from vaoi_station.board_data import Options, is_exported_run, read_design, to_board_type
 from vaoi_station.board_data.design import Design, Part, Side
 from vaoi_station.board_data.package_sizes import read_table
+from vaoi_station.board_data.readers.placement_table import TableOptions
 from vaoi_station.errors import InputError
 
 BOARDS = FILMS / "boards"
@@ -35,6 +36,24 @@ def placed(path: Path, side: Side) -> dict[str, Part]:
     board, _ = to_board_type(design, side)
     kept = {c.ref for c in board.components}
     return {p.ref: p for p in design.parts if p.side == side and p.ref in kept}
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (Options(table=TableOptions(unit="inch")), "--units is 'inch', but must be absent: it is for centroid files"),
+        (Options(table=TableOptions.parse(None, "x=1,y=2", None)), "--columns is 'x=1,y=2', but must be absent"),
+        (Options(table=TableOptions(delimiter=";")), "--delimiter is ';', but must be absent"),
+        (Options(step="panel"), r"--step is 'panel', but must be absent: it is for ODB\+\+ and IPC-2581, not kicad"),
+    ],
+)
+def test_options_that_files_of_this_format_do_not_take_are_refused(
+    tmp_path: Path, given: Options, message: str
+) -> None:
+    file = tmp_path / "b.kicad_pcb"
+    file.write_text(samples.KICAD)
+    with pytest.raises(InputError, match=message):
+        read_design(file, given)
 
 
 @pytest.mark.cases

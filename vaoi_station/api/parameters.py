@@ -10,6 +10,7 @@ from fastapi.routing import APIRoute
 from pydantic import BaseModel
 
 from vaoi_station.errors import InputError
+from vaoi_station.model.board_type import STORED_NAME
 
 PREFIX = "/api/v1"
 
@@ -17,12 +18,11 @@ PREFIX = "/api/v1"
 RunId = Annotated[
     str, Path(description="Id of a run, as listed by `runs`.", pattern=r"^[A-Za-z0-9][A-Za-z0-9._:-]{0,63}$")
 ]
-BOARD_TYPE_NAME = r"^[^./\\\x00-\x1f\x7f][^/\\\x00-\x1f\x7f]{0,79}$"
 BoardTypeName = Annotated[
     str,
     Path(
         description="Name of a board type: no slashes, no leading dot, at most 80 characters.",
-        pattern=BOARD_TYPE_NAME,
+        pattern=STORED_NAME,
     ),
 ]
 Revision = Annotated[

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import os
+import re
 import resource
 import sys
 from pathlib import Path
@@ -22,8 +23,9 @@ from vaoi_station.board_data.panels import Grid
 from vaoi_station.board_data.picture import board_picture
 from vaoi_station.board_data.readers.placement_table import TableOptions
 from vaoi_station.board_data.reading import Options, read_design
-from vaoi_station.errors import VaoiError
+from vaoi_station.errors import InputError, VaoiError
 from vaoi_station.model import Strict
+from vaoi_station.model.board_type import STORED_NAME, STORED_NAME_RULE
 
 _log = logging.getLogger(__name__)
 
@@ -95,6 +97,8 @@ def import_file(task: ImportTask) -> ImportReply:
     Raises:
         VaoiError: the file or an option is refused.
     """
+    if task.name is not None and not re.fullmatch(STORED_NAME, task.name):
+        raise InputError.field("--name", "the name", task.name, STORED_NAME_RULE)
     table = TableOptions.parse(task.units, task.columns, task.delimiter)
     grid = Grid.parse(task.repeat, task.pitch, task.rotate, task.border)
     options = Options(task.format, table, task.step, _sizes(task), grid)

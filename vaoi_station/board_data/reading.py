@@ -29,6 +29,7 @@ _BY_HEAD: tuple[tuple[str, Callable[[bytes], bool]], ...] = (
     ("eagle", is_eagle),
     ("html-bom", is_html_bom),
 )
+_WITH_STEPS = frozenset({"odb", "ipc2581"})
 _READERS: dict[str, Callable[[bytes, Path], Design]] = {
     "kicad": read_kicad,
     "gencad": read_gencad,
@@ -76,8 +77,11 @@ def read_design(path: Path, options: Options | None = None, join: Path | None = 
         raise InputError.field("--format", "the format", options.format, f"one of {', '.join(FORMATS)}")
     table = (*options.sizes, *package_sizes.shipped_table())
     design = with_copies(package_sizes.with_sizes(_read(path, options), table))
+    bodies = None
     if join is not None:
         bodies = with_copies(package_sizes.with_sizes(_read(join, Options(step=options.step)), table))
+    _refuse_without_effect(path, options, design.format, bodies.format if bodies is not None else None)
+    if bodies is not None:
         design = join_designs(design, bodies, side)
     return laid_out(repeated(design, options.grid) if options.grid is not None else design)
 
@@ -103,6 +107,22 @@ def _read(path: Path, options: Options) -> Design:
     if chosen in _READERS:
         return _READERS[chosen](data, path)
     return read_placement_table(data, path, options.table)
+
+
+def _refuse_without_effect(path: Path, options: Options, found: str, joined: str | None) -> None:
+    """Raise InputError if an option is given that files of the format found do not take."""
+    table = options.table
+    for key, value in (("units", table.unit), ("columns", table.columns), ("delimiter", table.delimiter)):
+        if value and found != "centroid":
+            raise InputError.field(path, f"--{key}", _written(value), f"absent: it is for centroid files, not {found}")
+    if options.step is not None and _WITH_STEPS.isdisjoint((found, joined)):
+        limit = f"absent: it is for ODB++ and IPC-2581, not {found}"
+        raise InputError.field(path, "--step", options.step, limit)
+
+
+def _written(value: str | tuple[tuple[str, str], ...]) -> str:
+    """Return an option as a person writes it."""
+    return value if isinstance(value, str) else ",".join(f"{name}={at}" for name, at in value)
 
 
 def _may_be_archive(path: Path) -> bool:

@@ -19,6 +19,9 @@ from vaoi_station.model.board_marks import Fiducial, OtherMark, fiducials_by_boa
 from vaoi_station.model.frozen_model import MOST_MM, Finite, FrozenModel, Millimetres, Point, Positive, Whole
 from vaoi_station.model.light_program import Program
 
+STORED_NAME = r"^[^./\\\x00-\x1f\x7f][^/\\\x00-\x1f\x7f]{0,79}$"
+"""Pattern of the names under which a station stores board types: each is the name of a file, and part of an address."""
+STORED_NAME_RULE = "1 to 80 characters without slashes, control characters and leading dot"
 _MAX_ENTRIES = {
     "components": 20_000,
     "fiducials": 1_000,

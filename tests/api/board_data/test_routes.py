@@ -127,8 +127,13 @@ def test_an_unreadable_file_is_kept_with_its_refusal(client: Any) -> None:
 
 def test_a_name_that_no_address_can_have_is_refused(client: Any) -> None:
     preview = upload(client, name="a/b")
-    answer = client.post(f"{PREVIEWS}/{preview['id']}/confirm")
-    assert (answer.status_code, "name is 'a/b'" in answer.json()["detail"]) == (422, True)
+    assert "the name is 'a/b', but must be 1 to 80 characters without slashes" in preview["refusal"]
+    assert "found" in client.put(f"{PREVIEWS}/{preview['id']}", json={"name": "b"}).json()
+    again = client.put(f"{PREVIEWS}/{preview['id']}", json={"name": ""}).json()
+    assert "the name is '', but must be" in again["refusal"]
+    design = samples.HTML_BOM.replace('"title": "', '"title": "a/')
+    answer = client.post(f"{PREVIEWS}/{upload(client, design, 'b.json')['id']}/confirm")
+    assert (answer.status_code, "name is 'a/" in answer.json()["detail"]) == (422, True), "the name of the design"
 
 
 def test_an_empty_upload_and_a_too_large_one_are_refused(client: Any, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -21,11 +21,12 @@ from vaoi_station.api.callers.caller import caller_in
 from vaoi_station.api.callers.seats import Seats
 from vaoi_station.api.callers.thread_limit import ThreadLimit
 from vaoi_station.api.http_caching import LIVE, REVALIDATE, conditional_response, require_unchanged
-from vaoi_station.api.parameters import BOARD_TYPE_NAME, IfMatch, IfNoneMatch, rest_router
+from vaoi_station.api.parameters import IfMatch, IfNoneMatch, rest_router
 from vaoi_station.api.routes.board_types import document_of, present_document
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import InputError, NotFoundError
 from vaoi_station.model import BoardType
+from vaoi_station.model.board_type import STORED_NAME, STORED_NAME_RULE
 
 PreviewId = Annotated[str, Path(description="Id of a preview.", pattern=PREVIEW_ID)]
 BODY = {
@@ -144,11 +145,8 @@ def router(services: Services, previews: Previews) -> APIRouter:
 async def _store(services: Services, request: Request, board_type: BoardType) -> bool:
     """Store a board type under the conditions of a request; return whether it is new."""
     name = board_type.name
-    if not re.fullmatch(BOARD_TYPE_NAME, name):
-        raise InputError.field(
-            "preview", "name", name, "1 to 80 characters without slashes and leading dot",
-            action="Set `name` by PUT of the preview.",
-        )  # fmt: skip
+    if not re.fullmatch(STORED_NAME, name):
+        raise InputError.field("preview", "name", name, STORED_NAME_RULE, action="Set `name` by PUT of the preview.")
     async with services.changing:
         require_unchanged(request, await present_document(services, request, name), f"Board type {name!r}")
         return await services.commands.ask(services.coordinator.put_board_type, board_type)
