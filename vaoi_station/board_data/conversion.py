@@ -242,7 +242,9 @@ def _outline(
     corners = [_rounded(p) for p in design.outline]
     corners = [p for n, p in enumerate(corners) if p != corners[n - 1]]
     if not corners:
-        notes.append(Note("outline-absent", "the file has no outline; the extent of parts and fiducials is used."))
+        # The file of a board that is repeated may have an outline, but of the board only.
+        if not any(note.code == "panel-edges-unknown" for note in notes):
+            notes.append(Note("outline-absent", "the file has no outline; the extent of parts and fiducials is used."))
         return None
     xs, ys = zip(*corners, strict=True)
     rectangle = ((min(xs), min(ys)), (max(xs), max(ys)))

@@ -99,7 +99,7 @@ def test_options_are_corrected_and_files_joined(client: Any) -> None:
     address = f"{PREVIEWS}/{bodies['id']}/board-type"
     assert {c["panel"] for c in client.get(address).json()["components"]} == {"1", "2", "3", "4"}
     refused = client.put(f"{PREVIEWS}/{bodies['id']}", json={"repeat": "2x2"}).json()["refusal"]
-    assert "--pitch: the value is None" in refused
+    assert "--repeat 2x2 needs --pitch" in refused
 
 
 def test_a_table_of_sizes_is_given_with_the_options(client: Any) -> None:

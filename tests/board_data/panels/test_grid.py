@@ -50,6 +50,7 @@ def test_without_a_border_the_edges_of_the_panel_are_unknown(board: Path) -> Non
     assert made.outline is None
     assert made.cut_outs is None
     assert [c.center[1] for c in made.components if c.ref == "R1"] == [10, -36, -82]
+    assert [note.code for note in notes if "outline" in note] == ["panel-edges-unknown"]
     assert any("state them by --border" in note for note in notes)
     assert not any("the pitch" in note for note in notes)
     _, notes = to_board_type(read_design(board, grid("2x1", "2.54x0")), "top")
@@ -63,7 +64,8 @@ def test_without_a_border_the_edges_of_the_panel_are_unknown(board: Path) -> Non
         (("2x1.5", "3x3", None, None), "--repeat: the value is '2x1.5', but must be whole numbers from 1"),
         (("0x2", "3x3", None, None), "--repeat: the value is '0x2'"),
         (("1000x1000", "3x3", None, None), "at most 1000 boards together"),
-        (("2x2", None, None, None), "--pitch: the value is None, but must be two lengths in mm"),
+        (("2x2", None, None, None), "--repeat 2x2 needs --pitch, two lengths in mm such as 30x28.5, from board to"),
+        (("2x2", "", None, None), "--repeat 2x2 needs --pitch"),
         (("2x2", "1e9x3", None, None), "--pitch: the value is '1e9x3'"),
         (("2x2", "3x99999", None, None), "--pitch: the value is '3x99999'"),
         (("2x2", "30x0.5", None, None), "--pitch: the length along y is 0.5, but must be 1 mm at least"),
@@ -104,6 +106,8 @@ def test_sizes_of_the_table_hold_for_all_boards_and_an_empty_design_stays(tmp_pa
     made, notes = to_board_type(read_design(tmp_path / "p.csv", grid("3x1", "50x50", "90")), "top")
     assert [c.width for c in made.components if c.ref == "R1"] == [2.0] * 3
     assert any("guess for 1/J1, 2/J1, 3/J1" in note for note in notes)
+    # The edges of a board that has no outline are not known either, so that --border would be refused.
+    assert [note.code for note in notes if "outline" in note] == ["outline-absent"]
     # Without an outline the board turns about the middle of its parts, (10, 7.5).
     assert next(c.center for c in made.components if c.address == "1/R1") == pytest.approx((17.5, -2.5))
     empty = Design("d", "kicad", ())

@@ -41,7 +41,10 @@ def test_a_board_type_is_written_and_what_to_check_is_printed(vaoi: Vaoi, board:
         (["--side", "left"], "the side is 'left', but must be top or bottom"),
         (["--units", "cm"], "the unit is 'cm'"),
         (["--format", "odb"], "is no readable folder, zip or tar file"),
-        (["--repeat", "2x2"], "--pitch: the value is None, but must be two lengths in mm such as 30x28.5"),
+        (
+            ["--repeat", "2x2"],
+            "--repeat 2x2 needs --pitch, two lengths in mm such as 30x28.5, from board to board along x",
+        ),
     ],
 )
 def test_wrong_options_are_refused(vaoi: Vaoi, board: Path, tmp_path: Path, options: list[str], message: str) -> None:

@@ -43,7 +43,10 @@ class Grid:
         counts = _pair("--repeat", repeat, "two whole numbers such as 3x2, along x and y")
         if min(counts) < 1 or any(c % 1 for c in counts) or counts[0] * counts[1] > MOST_BOARDS:
             raise InputError.field("--repeat", "the value", repeat, f"whole numbers from 1, {_UP_TO} boards together")
-        apart = _pair("--pitch", pitch, "two lengths in mm such as 30x28.5, from board to board along x and y")
+        lengths = "two lengths in mm such as 30x28.5, from board to board along x and y"
+        if not pitch:
+            raise InputError(f"--repeat {repeat} needs --pitch, {lengths}.")
+        apart = _pair("--pitch", pitch, lengths)
         for n, length, axis in zip(counts, apart, "xy", strict=True):
             if n > 1 and abs(length) < 1.0:
                 raise InputError.field("--pitch", f"the length along {axis}", length, "1 mm at least")
@@ -53,8 +56,8 @@ class Grid:
         return cls((int(counts[0]), int(counts[1])), apart, _degrees(rotate), edge)
 
 
-def _pair(key: str, text: str | None, limit: str) -> XY:
-    found = re.fullmatch(r"\s*([-+]?[\d.]+)\s*[x×,]\s*([-+]?[\d.]+)\s*", text or "")
+def _pair(key: str, text: str, limit: str) -> XY:
+    found = re.fullmatch(r"\s*([-+]?[\d.]+)\s*[x×,]\s*([-+]?[\d.]+)\s*", text)
     try:
         x, y = (float(word) for word in found.groups()) if found else (math.nan, math.nan)
     except ValueError:
@@ -111,10 +114,13 @@ def repeated(design: Design, grid: Grid) -> Design:
             sentence = f"the pitch along {axis} is {stated} mm, but the board measures {there} mm there."
             notes.append(Note("pitch-below-size", sentence, axis=axis, pitch_mm=stated, size_mm=there))
     outline: tuple[XY, ...] = ()
-    if grid.border is None:
-        sentence = "the edges of the panel are not known, so that it has no outline; state them by --border."
+    if grid.border is None and design.outline:
+        sentence = (
+            "the edges of the panel are not known, so that it has no outline and the extent of parts and fiducials is "
+            "used; state them by --border."
+        )
         notes.append(Note("panel-edges-unknown", sentence))
-    else:
+    elif grid.border is not None:
         (x0, y0), (x1, y1) = extent([corner for edge in edges for corner in edge])
         (bx, by) = grid.border
         outline = ((x0 - bx, y0 - by), (x1 + bx, y0 - by), (x1 + bx, y1 + by), (x0 - bx, y1 + by))
