@@ -11,8 +11,10 @@ from types import SimpleNamespace
 import pytest
 
 from vaoi_station.errors import DeviceError, InputError, NotFoundError
+from vaoi_station.files.images import read_image, write_image
 from vaoi_station.plant.archive import Archive, RunLabel, addition
 from vaoi_station.plant.archive.frames import frame_codec
+from vaoi_station.plant.archive.storage import LocalStorage
 from vaoi_station.runs.handover.paced_storage import PacedStorage
 
 
@@ -187,6 +189,35 @@ def test_the_reference_of_a_run_is_stored_once_and_comes_back(tmp_path: Path, re
     assert (restored / "reference" / "board.json").read_bytes() == (taught / "board.json").read_bytes()
     assert Archive.create(tmp_path / "second").add(restored).reference == b.reference, "it is added from there again"
     assert archive.prune(grace_s=0.0, dry=True).blobs == 0
+
+
+class ReadingsNoted(LocalStorage):
+    """A directory that notes what is read from it."""
+
+    def __init__(self, directory: Path) -> None:
+        super().__init__(directory)
+        self.keys: list[str] = []
+
+    def read(self, key: str) -> bytes:
+        self.keys.append(key)
+        return super().read(key)
+
+
+def test_for_a_new_run_no_frame_is_read_from_the_archive(tmp_path: Path, recording: Path) -> None:
+    first, second = (placed(recording, tmp_path / "data", run) for run in ("a", "b"))
+    shutil.copytree(recording, tmp_path / "data" / "references" / "taught")
+    for frame in (first / "frames").iterdir():
+        write_image(frame, read_image(frame) + 1)
+    for frame in (second / "frames").iterdir():
+        write_image(frame, read_image(frame) + 2)
+    archive = Archive.create(tmp_path / "archive")
+    archive.add(first)
+    storage = ReadingsNoted(tmp_path / "archive")
+    added = Archive(storage).add(second)
+    assert added.reference is not None
+    assert len(added.blobs) == 4 + 3 + 3 + 3
+    shared = [added.documents[kind].key for kind in ("calibration", "board_type")]
+    assert sorted(key for key in storage.keys if key.startswith("blobs")) == sorted(shared)
 
 
 def test_a_reference_that_was_archived_stays(tmp_path: Path, recording: Path) -> None:
