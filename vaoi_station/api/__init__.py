@@ -21,7 +21,7 @@ from vaoi_station.api.event_hub import EventHub
 from vaoi_station.api.hosts import allowed_names
 from vaoi_station.api.inspection import routes as inspection
 from vaoi_station.api.lighting import routes as lighting
-from vaoi_station.api.parameters import operation_id, refuse_unknown_parameters
+from vaoi_station.api.parameters import operation_id, refuse_unclear_parameters
 from vaoi_station.api.receivers import routes as webhooks
 from vaoi_station.api.request_guard import RequestGuard
 from vaoi_station.api.rest_models import Health
@@ -94,7 +94,7 @@ def create_app(
         redirect_slashes=False,
         separate_input_output_schemas=False,
         generate_unique_id_function=operation_id,
-        dependencies=[Depends(refuse_unknown_parameters)],
+        dependencies=[Depends(refuse_unclear_parameters)],
     )
     app.state.hub = services.hub
     problems.install(app)

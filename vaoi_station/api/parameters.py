@@ -1,9 +1,9 @@
-"""Path and query parameters that several routes use, with their limits, and routers that refuse unknown ones."""
+"""Path and query parameters that several routes use, with their limits, and routers that refuse unclear ones."""
 
 from __future__ import annotations
 
 from enum import Enum
-from typing import Annotated
+from typing import Annotated, get_args, get_origin
 
 from fastapi import APIRouter, Depends, Header, Path, Query, Request
 from fastapi.routing import APIRoute
@@ -83,16 +83,17 @@ def parse_box(name: str, text: str | None) -> tuple[float, float, float, float] 
     return x0, y0, x1, y1
 
 
-async def refuse_unknown_parameters(request: Request) -> None:
-    """Raise InputError if the query has a parameter that the route does not have.
+async def refuse_unclear_parameters(request: Request) -> None:
+    """Raise InputError if the query has a parameter that the route does not have, or one value too many.
 
-    An ignored parameter would give an answer to another question: `runs?verdict=failed` would list all runs. `_` is
-    ignored everywhere: pages and libraries add it to keep caches from giving an older answer.
+    An ignored parameter would give an answer to another question: `runs?verdict=failed` would list all runs, and of
+    `verdict=ok&verdict=failed` only the last would count. `_` is ignored everywhere: pages and libraries add it to
+    keep caches from giving an older answer.
     """
     route = request.scope.get("route")
     if not request.query_params or not isinstance(route, APIRoute) or not route.include_in_schema:
         return
-    known = _query_names(route)
+    known = _query_parameters(route)
     for name in request.query_params:
         if name not in known and name != FOR_CACHES:
             offer = f"it has {', '.join(sorted(known))}" if known else "it has none"
@@ -101,22 +102,34 @@ async def refuse_unknown_parameters(request: Request) -> None:
                 action="Correct or remove the parameter.",
                 code="unknown-parameter",
             )
+        count = len(request.query_params.getlist(name))
+        if count > 1 and not known.get(name, True):
+            raise InputError(
+                f"query: {name!r} is given {count} times, but {request.method} {request.url.path} takes one value.",
+                action="Send the parameter once.",
+                code="repeated-parameter",
+            )
 
 
-def _query_names(route: APIRoute) -> set[str]:
-    """Return the names of the query parameters of a route and of everything that it depends on."""
+def _query_parameters(route: APIRoute) -> dict[str, bool]:
+    """Return the names of the query parameters of a route and its dependencies, and whether each may be repeated."""
     # The OpenAPI document states the same names, but to generate it delayed the first request by 0.3 s.
-    names, left = set[str](), [route.dependant]
+    found, left = dict[str, bool](), [route.dependant]
     while left:
         dependant = left.pop()
         left += dependant.dependencies
         for field in dependant.query_params:
             model = field.field_info.annotation
             if isinstance(model, type) and issubclass(model, BaseModel):  # one parameter per field of the model
-                names.update(own.alias or name for name, own in model.model_fields.items())
+                found |= {own.alias or name: _is_list(own.annotation) for name, own in model.model_fields.items()}
             else:
-                names.add(field.alias)
-    return names
+                found[field.alias] = _is_list(model)
+    return found
+
+
+def _is_list(annotation: object) -> bool:
+    """Return whether values of a type are lists, also if there may be none: `list[X] | None`."""
+    return any(get_origin(kind) is list for kind in (annotation, *get_args(annotation)))
 
 
 def rest_router(prefix: str = "", tags: list[str | Enum] | None = None, base: str = PREFIX) -> APIRouter:
@@ -125,7 +138,7 @@ def rest_router(prefix: str = "", tags: list[str | Enum] | None = None, base: st
     `FastAPI.include_router` would add all this too, but it builds each route anew, which takes as long as the first
     time.
     """
-    checks = [Depends(refuse_unknown_parameters)]
+    checks = [Depends(refuse_unclear_parameters)]
     return APIRouter(prefix=base + prefix, tags=tags, dependencies=checks, generate_unique_id_function=operation_id)
 
 

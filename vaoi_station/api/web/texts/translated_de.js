@@ -23,6 +23,7 @@ export const translated = {
   // Ablehnungen: docs/codes.md
   refusals: {
     "invalid-input": "Ein Wert ist für die Station unbrauchbar.",
+    "repeated-parameter": "Eine Angabe steht zweimal in der Anfrage.",
     "unknown-parameter": "Die Station kennt diese Auswahl nicht.",
     "missing-scope": "Dieser Schlüssel erlaubt das nicht.",
     "no-key": "Die Anmeldung ist beendet. Neu anmelden.",
