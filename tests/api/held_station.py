@@ -293,7 +293,7 @@ class HeldStation(StationCoordinator):
 
     def run(self, run: str) -> RunDetail:
         if run not in self.filmed:
-            raise NotFoundError(f"There is no run {run!r}.")
+            raise NotFoundError(f"There is no run {run!r}.", code="unknown-run")
         return self.filmed[run]
 
     def run_figures(self) -> RunFigures:

@@ -49,7 +49,7 @@ REFUSALS = [
     ("POST", f"{API}/station/arm?board_type=unheard", 404, "unknown-board-type", "'unheard'"),
     ("POST", f"{API}/station/arm?board_type=demo-board&runs=0", 422, "invalid-input", "query.runs"),
     ("GET", f"{API}/runs/latest", 404, "no-run-yet", "No board has been filmed yet."),
-    ("GET", f"{API}/runs/r000001", 404, "not-found", "'r000001'"),
+    ("GET", f"{API}/runs/r000001", 404, "unknown-run", "'r000001'"),
     ("GET", f"{API}/runs/..%2f..%2fetc", 404, "no-route", ""),
     ("GET", f"{API}/runs/{'x' * 65}", 422, "invalid-input", "path.run"),
     ("GET", f"{API}/runs?limit=501", 422, "invalid-input", "less than or equal to 500"),

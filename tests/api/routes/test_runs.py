@@ -10,7 +10,7 @@ import pytest
 
 from vaoi_station.files.results import stitch_document
 from vaoi_station.model import Status, Stitch
-from vaoi_station.runs.states.run_ids import utc
+from vaoi_station.runs.states.run_ids import RunIds, utc
 from vaoi_station.store.history.board_figures import BoardRow
 
 RUNS = "/api/v1/runs"
@@ -27,6 +27,28 @@ def test_pages_of_the_list_have_no_gaps_or_repetitions(client: Any, station: Any
             break
         query["before"] = page["next"]
     assert seen == made[::-1]
+
+
+@pytest.mark.parametrize("filters", [{}, {"verdict": "ok"}, {"read_id": "A"}])
+def test_a_wrong_cursor_is_refused_and_one_of_a_deleted_run_goes_on(
+    client: Any, station: Any, filters: dict[str, str]
+) -> None:
+    station.film()
+    for wrong in ("bogus", "99999", "r999999"):
+        refused = client.get(RUNS, params={"before": wrong, **filters})
+        assert (refused.status_code, refused.json()["code"]) == (404, "unknown-run")
+    deleted = RunIds().next()
+    older = client.get(RUNS, params={"before": deleted, **filters})
+    assert (older.status_code, older.json()) == (200, {"runs": []})
+
+
+def test_a_span_that_ends_before_it_begins_is_refused(client: Any) -> None:
+    times = {"since": "2026-07-02T10:00:00+02:00", "until": "2026-07-02T08:00:00Z"}
+    assert client.get(RUNS, params=times).status_code == 200  # the same moment
+    times["until"] = "2026-07-02T07:59:59Z"
+    refused = client.get(RUNS, params=times)
+    assert (refused.status_code, refused.json()["code"]) == (422, "invalid-input")
+    assert "must be no later than until (2026-07-02T07:59:59.000Z)" in refused.json()["detail"]
 
 
 def test_a_full_last_page_has_no_next(client: Any, station: Any) -> None:

@@ -15,12 +15,12 @@ from vaoi_station.api.http_caching import IMMUTABLE, LIVE, REVALIDATE, condition
 from vaoi_station.api.parameters import IfMatch, RunId, TimeoutS, rest_router
 from vaoi_station.api.rest_models import DecisionRequest, IdentityReport, Matrices, RunPage
 from vaoi_station.api.routes.services import Services
-from vaoi_station.errors import NotFoundError
+from vaoi_station.errors import InputError, NotFoundError
 from vaoi_station.model.board_identity import IdentityDocument, ReportedId
 from vaoi_station.runs.archive.run_history import Wanted
 from vaoi_station.runs.states.decision_schemas import RunCounts
 from vaoi_station.runs.states.height_schemas import HeightList
-from vaoi_station.runs.states.run_ids import in_utc, last_midnight, utc
+from vaoi_station.runs.states.run_ids import in_utc, is_run_id, last_midnight, utc
 from vaoi_station.runs.states.schemas import LeaseStatus, RunDetail, RunSummary
 from vaoi_station.runs.states.tables import IN_MEMORY
 from vaoi_station.store.history.run_search import RunFilter
@@ -41,6 +41,8 @@ async def run_filter(
 ) -> RunFilter:
     """Return the filter that a query states."""
     first, last = (None if moment is None else utc(in_utc(moment)) for moment in (since, until))
+    if first is not None and last is not None and first > last:
+        raise InputError.field("query", "since", first, f"no later than until ({last})")
     return RunFilter(verdict, board_type, board_id, reason, first, last)
 
 
@@ -167,8 +169,13 @@ def _add_lists(routes: APIRouter, services: Services) -> None:
 
         With a filter, a reply may have fewer runs than `limit`, or none, although there are more: one request reads
         20,000 runs at most. Go on while there is a `next`. With `read_id`, runs are listed of which this id was read
-        from a code, or reported by the next machine.
+        from a code, or reported by the next machine. As `before` any id of a run is accepted, also of one that was
+        deleted meanwhile: the next page has what is older.
         """
+        # A wrong cursor, if it was ignored, would list the first page again, and a client that pages would not end. The
+        # id of a run is a position also when the run is deleted, because ids sort by time.
+        if before is not None and not is_run_id(before):
+            await ask(coordinator.run, before)  # raises NotFoundError
         response.headers["Cache-Control"] = LIVE
         if read_id is not None or wanted != RunFilter():
             runs: Sequence[RunSummary]
