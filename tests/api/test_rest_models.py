@@ -8,7 +8,18 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
-from vaoi_station.api.rest_models import ArmRequest, ComponentViews, MethodRequest, RunPage, TeachRequest
+from vaoi_station.api.rest_models import (
+    ArmRequest,
+    ComponentViews,
+    CorrectionRequest,
+    DecisionRequest,
+    IdentityReport,
+    MethodRequest,
+    RunPage,
+    StateRequest,
+    TeachRequest,
+)
+from vaoi_station.model import Strict
 
 
 @pytest.mark.parametrize(
@@ -47,3 +58,19 @@ def test_unknown_fields_are_left_out_of_the_json() -> None:
     assert json.loads(RunPage(runs=[]).model_dump_json(exclude_none=True)) == {"runs": []}
     views = ComponentViews(address="U1", px_per_mm=None, views=[])
     assert json.loads(views.model_dump_json(exclude_none=True)) == {"address": "U1", "views": []}
+
+
+@pytest.mark.parametrize(
+    ("model", "fields"),
+    [
+        (StateRequest, {"state": "draft", "revision": "C"}),
+        (CorrectionRequest, {"run": "r1", "revision": "C"}),
+        (DecisionRequest, {"choice": "use", "name": "Ann", "reason": "good enough"}),
+        (IdentityReport, {"board_id": "SN-1", "machine": "AOI 2"}),
+    ],
+)
+def test_texts_have_no_control_characters(model: type[Strict], fields: dict[str, str]) -> None:
+    assert model.model_validate(fields).model_dump(mode="json") == fields
+    for name in set(fields) & {"revision", "name", "reason", "board_id", "machine"}:
+        with pytest.raises(ValidationError, match="String should match pattern"):
+            model.model_validate(fields | {name: "a\tb"})

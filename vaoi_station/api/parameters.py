@@ -7,7 +7,7 @@ from typing import Annotated, get_args, get_origin
 
 from fastapi import APIRouter, Depends, Header, Path, Query, Request
 from fastapi.routing import APIRoute
-from pydantic import BaseModel
+from pydantic import BaseModel, Field
 
 from vaoi_station.errors import InputError
 from vaoi_station.model.board_type import STORED_NAME
@@ -25,6 +25,14 @@ BoardTypeName = Annotated[
         pattern=STORED_NAME,
     ),
 ]
+# Control characters would break the lines of logs and messages, and labels and other programs do not show them.
+PLAIN_TEXT = r"^[^\x00-\x1f\x7f]*$"
+PlainText = Annotated[str, Field(pattern=PLAIN_TEXT)]
+"""A text in one line."""
+# A code on a board may have the separators of ISO/IEC 15434 (EOT, FS, GS, RS, US), and its whole text may be the id.
+CALLER_ID = r"^[^\x00-\x03\x05-\x1b\x7f]*$"
+CallerId = Annotated[str, Field(pattern=CALLER_ID)]
+"""An id of a board, as the caller states it or as a code on the board has it."""
 Revision = Annotated[
     str,
     Path(
@@ -67,6 +75,12 @@ IfNoneMatch = Annotated[
 TimeoutS = Annotated[float, Query(description="Maximum wait, s.", alias="timeout", ge=0, le=60, allow_inf_nan=False)]
 
 
+IN_WORDS = {
+    PLAIN_TEXT: "must have no control characters",
+    PLAIN_TEXT.replace("*", "+"): "must have no control characters",
+    CALLER_ID: "must have no control characters but the separators of ISO/IEC 15434",
+}
+"""What a text must be that does not match a pattern: callers do not read regular expressions."""
 FOR_CACHES = "_"
 """Name of a query parameter without a meaning."""
 

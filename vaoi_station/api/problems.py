@@ -21,6 +21,7 @@ from pydantic import BaseModel, Field
 from starlette.exceptions import HTTPException
 from starlette.routing import BaseRoute, Match, Mount
 
+from vaoi_station.api.parameters import IN_WORDS
 from vaoi_station.errors import VaoiError
 
 MEDIA_TYPE = "application/problem+json"
@@ -175,6 +176,8 @@ def _fault(fault: Mapping[str, Any]) -> Fault:
     message = str(fault["msg"]).removeprefix("Value error, ")
     if fault["type"] == "json_invalid":
         message = f"is not valid JSON ({fault.get('ctx', {}).get('error', message)})"
+    if fault["type"] == "string_pattern_mismatch":
+        message = IN_WORDS.get(fault["ctx"]["pattern"], message)
     given = fault.get("input")
     if isinstance(given, str | int | float | bool) and fault["type"] != "missing":
         message += f" (given: {given!r:.80})"

@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, Field
 
+from vaoi_station.api.parameters import CallerId, PlainText
 from vaoi_station.config import MethodName
 from vaoi_station.model import Strict
 from vaoi_station.model.board_type import BoardTypeState
@@ -24,8 +25,12 @@ class ArmRequest(Strict):
     """The order for the next boards. The same fields may also be given as query parameters."""
 
     board_type: str | None = Field(default=None, max_length=200, description="Name of a stored board type.")
-    board_id: str | None = Field(default=None, max_length=200, description="The caller's id of the board.")
-    job_id: str | None = Field(default=None, max_length=200, description="The caller's id of the job.")
+    board_id: CallerId | None = Field(
+        default=None, min_length=1, max_length=200, description="The caller's id of the board."
+    )
+    job_id: PlainText | None = Field(
+        default=None, min_length=1, max_length=200, description="The caller's id of the job."
+    )
     runs: int | None = Field(default=None, ge=1, le=1_000_000, description="Disarm after this number of runs.")
     allow_lost_cameras: bool | None = Field(
         default=None, description="Arm although a camera is not ready; boards are filmed without it."
@@ -54,20 +59,17 @@ class StateRequest(Strict):
     """A request to set the state of a board type."""
 
     state: BoardTypeState = Field(description="A draft is armed with a warning, a retired board type is not armed.")
-    revision: str | None = Field(
-        default=None, min_length=1, max_length=40, pattern=r"^[^\x00-\x1f\x7f]+$", description="Revision of the data."
-    )
+    revision: PlainText | None = Field(default=None, min_length=1, max_length=40, description="Revision of the data.")
 
 
 class CorrectionRequest(Strict):
     """A request to store the correction that a check against a run proposes."""
 
     run: str = Field(min_length=1, max_length=64, description="Id of the finished run of the check.")
-    revision: str | None = Field(
+    revision: PlainText | None = Field(
         default=None,
         min_length=1,
         max_length=40,
-        pattern=r"^[^\x00-\x1f\x7f]+$",
         description="Revision of the corrected data [that of the data, with `corrected`].",
     )
 
@@ -86,8 +88,8 @@ class DecisionRequest(Strict):
     """What a person has decided about a run."""
 
     choice: Choice = Field(description="Film the board again, or use its pictures in spite of the verdict.")
-    name: str = Field(min_length=1, max_length=80, description="Name of the person.")
-    reason: str = Field(min_length=1, max_length=400, description="Why.")
+    name: PlainText = Field(min_length=1, max_length=80, description="Name of the person.")
+    reason: PlainText = Field(min_length=1, max_length=400, description="Why.")
 
 
 class MethodRequest(Strict):
@@ -106,8 +108,10 @@ class RunPage(Strict):
 class IdentityReport(Strict):
     """The id that the next machine of the line has read of the board of a run."""
 
-    board_id: str = Field(min_length=1, max_length=200, description="The id, exactly as the station's codes state it.")
-    machine: str = Field(default="", max_length=80, description="Name of the machine.")
+    board_id: CallerId = Field(
+        min_length=1, max_length=200, description="The id, exactly as the station's codes state it."
+    )
+    machine: PlainText = Field(default="", max_length=80, description="Name of the machine.")
 
 
 class ComponentEntry(Strict):

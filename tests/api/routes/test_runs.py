@@ -124,6 +124,13 @@ def test_a_hold_needs_a_holder(client: Any, station: Any, method: str) -> None:
     assert client.request(method, f"{RUNS}/{station.film()}/hold").status_code == 422
 
 
+@pytest.mark.parametrize("wrong", [{"holder": "a\0"}, {"holder": "nc", "purpose": "a\nb"}])
+def test_a_hold_has_no_control_characters(client: Any, station: Any, wrong: dict[str, str]) -> None:
+    refused = client.put(f"{RUNS}/{station.film()}/hold", params=wrong)
+    assert (refused.status_code, station.holders) == (422, {})
+    assert "must have no control characters" in refused.json()["detail"]
+
+
 def test_a_pin_is_shown_and_removed(client: Any, station: Any) -> None:
     run = station.film()
     assert client.get(f"{RUNS}/{run}").json()["pinned"] is False

@@ -55,6 +55,31 @@ def test_contradicting_ids_are_refused(client: Any, station: Any) -> None:
     assert station.armed is None
 
 
+@pytest.mark.parametrize(
+    ("wrong", "says"),
+    [
+        ({"board_id": ""}, "board_id: String should have at least 1 character"),
+        ({"job_id": ""}, "job_id: String should have at least 1 character"),
+        ({"board_id": "ab\0c"}, "must have no control characters but the separators of ISO/IEC 15434 (given: "),
+        ({"job_id": "\n"}, "job_id: must have no control characters (given: "),
+    ],
+)
+def test_empty_ids_and_control_characters_are_refused(
+    client: Any, station: Any, wrong: dict[str, str], says: str
+) -> None:
+    order = {"board_type": "demo-board", **wrong}
+    for refused in (client.post(f"{STATION}/arm", json=order), client.post(f"{STATION}/arm", params=order)):
+        assert (refused.status_code, refused.json()["code"]) == (422, "invalid-input")
+        assert says in refused.json()["detail"]
+    assert station.armed is None
+
+
+def test_an_id_may_have_the_separators_of_a_code(client: Any) -> None:
+    """The whole text of a code is the id where the board type states no pattern."""
+    order = {"board_type": "demo-board", "board_id": "[)>\x1e06\x1dS17\x1e\x04"}
+    assert client.post(f"{STATION}/arm", json=order).json()["armed_with"]["board_id"] == order["board_id"]
+
+
 @pytest.mark.parametrize("order", [{}, {"board_type": ""}, {"board_type": "x" * 201}, {"board_type": "x", "more": 1}])
 def test_incomplete_and_invalid_orders_are_refused(client: Any, order: dict[str, Any]) -> None:
     assert client.post(f"{STATION}/arm", json=order).status_code == 422

@@ -6,6 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
+from vaoi_station.api.parameters import PlainText
 from vaoi_station.board_data.overview import ImportOverview
 from vaoi_station.model import Strict
 
@@ -59,7 +60,7 @@ class ImportOptions(Strict):
 class UploadOptions(ImportOptions):
     """The parameters of an upload."""
 
-    filename: str = Field(min_length=1, max_length=200, description="Name of the file, for messages.")
+    filename: PlainText = Field(min_length=1, max_length=200, description="Name of the file, for messages.")
 
 
 class ImportPreview(Strict):

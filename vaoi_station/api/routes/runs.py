@@ -12,7 +12,7 @@ from pydantic import AwareDatetime
 
 from vaoi_station.api.callers.caller import caller_of
 from vaoi_station.api.http_caching import IMMUTABLE, LIVE, REVALIDATE, conditional_response, require_unchanged
-from vaoi_station.api.parameters import IfMatch, RunId, TimeoutS, rest_router
+from vaoi_station.api.parameters import IfMatch, PlainText, RunId, TimeoutS, rest_router
 from vaoi_station.api.rest_models import DecisionRequest, IdentityReport, Matrices, RunPage
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import InputError, NotFoundError
@@ -28,7 +28,7 @@ from vaoi_station.store.history.run_search import RunFilter
 Moment = Annotated[AwareDatetime | None, Query(description="A time with its zone, RFC 3339.")]
 Cursor = Annotated[str | None, Query(description="Id of a run.", min_length=1, max_length=64)]
 Figures = Annotated[bool, Query(description="Whether figures are wanted, as `trends` has them.")]
-Holder = Annotated[str, Query(description="Name of the holder.", min_length=1, max_length=80)]
+Holder = Annotated[PlainText, Query(description="Name of the holder.", min_length=1, max_length=80)]
 
 
 async def run_filter(
@@ -102,7 +102,9 @@ def router(services: Services) -> APIRouter:
     async def release_run(
         response: Response,
         run: RunId,
-        holder: Annotated[str | None, Query(description="Name of the holder.", min_length=1, max_length=80)] = None,
+        holder: Annotated[
+            PlainText | None, Query(description="Name of the holder.", min_length=1, max_length=80)
+        ] = None,
     ) -> RunDetail:
         """Release a finished run's frames, so that their memory is free for the next board. The result is kept.
 
@@ -116,7 +118,7 @@ def router(services: Services) -> APIRouter:
         response: Response,
         run: RunId,
         holder: Holder,
-        purpose: Annotated[str, Query(max_length=200)] = "",
+        purpose: Annotated[PlainText, Query(max_length=200)] = "",
     ) -> LeaseStatus:
         """Keep a run's frames in memory until the hold expires. A repeated call renews the hold."""
         response.headers["Cache-Control"] = LIVE

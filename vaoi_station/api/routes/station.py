@@ -11,7 +11,7 @@ from vaoi_station.api.callers.caller import caller_of
 from vaoi_station.api.callers.seats import Seats
 from vaoi_station.api.callers.thread_limit import ThreadLimit
 from vaoi_station.api.http_caching import LIVE
-from vaoi_station.api.parameters import rest_router
+from vaoi_station.api.parameters import CallerId, PlainText, rest_router
 from vaoi_station.api.rest_models import ArmRequest
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import InputError
@@ -20,7 +20,9 @@ from vaoi_station.runs.states.schemas import StationSnapshot
 
 ARMING, ARMING_OF_CALLER = 8, 4
 """Limits of requests to arm at a time, in total and of one caller: they may wait for a board that passes."""
-Text = Annotated[str | None, Query(max_length=200)]
+TypeName = Annotated[str | None, Query(max_length=200)]
+BoardId = Annotated[CallerId | None, Query(min_length=1, max_length=200)]
+JobId = Annotated[PlainText | None, Query(min_length=1, max_length=200)]
 
 
 def router(services: Services) -> APIRouter:
@@ -46,9 +48,9 @@ def router(services: Services) -> APIRouter:
         *,
         response: Response,
         request: Annotated[ArmRequest, Body(default_factory=ArmRequest)],
-        board_type: Text = None,
-        board_id: Text = None,
-        job_id: Text = None,
+        board_type: TypeName = None,
+        board_id: BoardId = None,
+        job_id: JobId = None,
         runs: Annotated[int | None, Query(ge=1, le=1_000_000)] = None,
         allow_lost_cameras: bool | None = None,
         passing: Passing | None = None,
