@@ -107,6 +107,14 @@ def test_a_large_component_gets_the_resolution_that_fits() -> None:
         crops_of(parts, board(), 20.0)
 
 
+def test_the_matrix_states_the_scale_and_px_per_mm_what_was_asked() -> None:
+    """The sides are whole pixels: 4 × 2 mm at 33.3 px/mm are 133 × 67 px."""
+    crops = crops_of([part()], board(), 33.3)
+    assert crops.size.tolist() == [[133, 67]]
+    assert crops.px_per_mm[0] == 33.3
+    assert np.abs(np.diag(crops.crop_from_cad[0])[:2]) == pytest.approx([133 / 4, 67 / 2])
+
+
 def test_a_tiny_component_has_one_pixel() -> None:
     assert crops_of([part(width=1e-4, height=1e-4)], board(), 10.0).size.tolist() == [[1, 1]]
 

@@ -195,7 +195,10 @@ class ViewEntry(Strict):
     )
     width_px: int
     height_px: int
-    px_per_mm: float
+    px_per_mm: float = Field(
+        description="Resolution as requested. The sides are whole pixels, so the scale, which `crop_from_cad` states, "
+        "differs by up to half a pixel over each side."
+    )
     covariance_px2: tuple[tuple[float, float], tuple[float, float]] | None = Field(
         default=None,
         description="Covariance of x and y of the component's centre in the frame, as placed by C and M_ij; "
