@@ -135,6 +135,9 @@ def test_a_full_ring_names_the_holders() -> None:
     memory.grant("r3")
     with pytest.raises(BusyError, match=r"r1 is held by tester 3 \(AOI\); run r2 is being filmed; run r3 is reserved"):
         memory.grant("r4")
+    leases.take("r1", "tester 3", "")
+    with pytest.raises(BusyError, match=r"r1 is held by tester 3; run r2 is being filmed"):
+        memory.grant("r4")
     leases.end("r1", "tester 3")
     assert memory.grant("r4").evicted == "r1"
 

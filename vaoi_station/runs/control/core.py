@@ -137,7 +137,7 @@ class Core:
                 f"Run {run} is {self.runs.active[run].state}; its memory is needed.", action="Wait for its result."
             )
         if others := [lease for lease in self.leases.of_callers(run) if lease.holder != holder]:
-            names = ", ".join(f"{lease.holder} ({lease.purpose})" for lease in others)
+            names = ", ".join(map(str, others))
             left_s = max(self.leases.remaining_s(lease) for lease in others)
             raise StateError(
                 f"Run {run} is held by {names} for at most another {left_s:.0f} s; nothing was released.",
@@ -173,7 +173,7 @@ class Core:
     def tick(self) -> None:
         """Remove expired leases and troubles, and try to grant memory again. The inbox calls this every tick."""
         for lease in self.leases.expire():
-            self._events.add("lease", f"The hold of {lease.holder} ({lease.purpose}) expired.", run=lease.run)
+            self._events.add("lease", f"The hold of {lease} expired.", run=lease.run)
         # In the states FAULTED and ARMING, callers need the reasons to act: reasons stay until the state changes.
         if self.machine.state not in (StationState.FAULTED, StationState.ARMING):
             self.machine.reasons.expire()

@@ -23,6 +23,10 @@ class Lease:
     purpose: str
     expires_s: float
 
+    def __str__(self) -> str:
+        """Return the holder for messages, with the purpose if one was stated."""
+        return f"{self.holder} ({self.purpose})" if self.purpose else self.holder
+
 
 class Leases:
     """The leases of all runs. A lease that is not renewed expires, so that a crashed holder cannot block the line."""

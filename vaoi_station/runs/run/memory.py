@@ -160,7 +160,7 @@ class Memory:
         parts = []
         for bay in self._bays:
             leases = self._leases.of_callers(bay.run) if bay.run else ()
-            who = ", ".join(f"{lease.holder} ({lease.purpose})" for lease in leases)
+            who = ", ".join(map(str, leases))
             parts.append(f"run {bay.run} is {f'held by {who}' if who else self._in_words(bay)}")
         return "; ".join(parts)
 
