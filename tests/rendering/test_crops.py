@@ -89,11 +89,14 @@ def test_the_whole_footprint_is_in_the_picture_and_pixels_are_square_within_roun
     assert (np.abs(scale - px_per_mm) * extent <= 0.5 + 1e-6).all() or (crops.size[0] == 1).any()
 
 
-def test_a_picture_too_large_is_refused_by_name() -> None:
-    with pytest.raises(InputError, match=r"U1: px_per_mm is 5000.0, but must be small enough for 16 megapixels"):
+def test_a_picture_too_large_is_refused_by_name_with_the_largest_resolution() -> None:
+    says = r"U1: px_per_mm is 5000.0, but must be at most 1412.79, small enough for 16 megapixels"
+    with pytest.raises(InputError, match=says):
         crops_of([part()], board(), 5000.0)
-    just = math.sqrt(MOST_PIXELS / 8) * 0.999
-    assert crops_of([part()], board(), just).size.prod() <= MOST_PIXELS
+    assert crops_of([part()], board(), 1412.79).size.prod() <= MOST_PIXELS
+    with pytest.raises(InputError, match=r"px_per_mm is 5000.0, but must be at most 92.95, small enough"):
+        crops_of([part()], board(), 5000.0, margin_mm=20.0)
+    assert crops_of([part()], board(), 92.95, margin_mm=20.0).size.prod() <= MOST_PIXELS
 
 
 def test_a_large_component_gets_the_resolution_that_fits() -> None:

@@ -111,8 +111,15 @@ def _too_large(
     (a, b), most = sides_mm, MOST_PIXELS / px_per_mm**2
     what = f"small enough for {MOST_PIXELS / 1e6:.0f} megapixels (this would be {size[0]:.0f}×{size[1]:.0f})"
     if not framing.margin_mm or a * b > most:
-        return InputError.field(component.address, "px_per_mm", px_per_mm, what)
+        area = (a + 2 * framing.margin_mm) * (b + 2 * framing.margin_mm)
+        limit = f"at most {_floored(_FITTING * math.sqrt(MOST_PIXELS / area))}, {what}"
+        return InputError.field(component.address, "px_per_mm", px_per_mm, limit)
     # The margin m at which (a + 2 m)(b + 2 m) is as large as a picture may be.
     margin = (math.sqrt((a - b) ** 2 + 4 * most) - (a + b)) / 4
-    limit = f"at most {math.floor(100 * margin) / 100:g} at {px_per_mm:g} px/mm, {what}"
+    limit = f"at most {_floored(margin)} at {px_per_mm:g} px/mm, {what}"
     return InputError.field(component.address, "margin_mm", framing.margin_mm, limit)
+
+
+def _floored(limit: float) -> str:
+    """Return a limit with two decimals that is not above it."""
+    return f"{math.floor(100 * limit) / 100:g}"
