@@ -15,9 +15,8 @@ from vaoi_station.model.board_type import STORED_NAME
 PREFIX = "/api/v1"
 
 # Patterns refuse slashes and control characters here, before a name reaches a file path or a log.
-RunId = Annotated[
-    str, Path(description="Id of a run, as listed by `runs`.", pattern=r"^[A-Za-z0-9][A-Za-z0-9._:-]{0,63}$")
-]
+RUN_ID = r"^[A-Za-z0-9][A-Za-z0-9._:-]{0,63}$"
+RunId = Annotated[str, Path(description="Id of a run, as listed by `runs`.", pattern=RUN_ID)]
 BoardTypeName = Annotated[
     str,
     Path(
@@ -33,13 +32,10 @@ PlainText = Annotated[str, Field(pattern=PLAIN_TEXT)]
 CALLER_ID = r"^[^\x00-\x03\x05-\x1b\x7f]*$"
 CallerId = Annotated[str, Field(pattern=CALLER_ID)]
 """An id of a board, as the caller states it or as a code on the board has it."""
-Revision = Annotated[
-    str,
-    Path(
-        description="Id of a version, as listed by `revisions`, or `latest`.",
-        pattern=r"^([0-9]{8}T[0-9]{9}Z-[0-9a-f]{8}|latest)$",
-    ),
-]
+REVISION = r"^([0-9]{8}T[0-9]{9}Z-[0-9a-f]{8}|latest)$"
+Revision = Annotated[str, Path(description="Id of a version, as listed by `revisions`, or `latest`.", pattern=REVISION)]
+PREVIEW_ID = r"^[0-9a-f]{16}$"
+MOSAIC_NAME = r"^board(,[^/\x00-\x1f\x7f]{1,400})?$"
 Camera = Annotated[int, Path(description="Camera, from 0.", ge=0, le=9999)]
 Row = Annotated[int, Path(description="Row, from 0.", ge=0, le=99999)]
 Address = Annotated[str, Path(description="Component: `ref`, or `panel/ref` on a panel.", min_length=1, max_length=200)]
@@ -76,6 +72,12 @@ TimeoutS = Annotated[float, Query(description="Maximum wait, s.", alias="timeout
 
 
 IN_WORDS = {
+    RUN_ID: "must be the id of a run, as listed by runs",
+    STORED_NAME: "must be the name of a board type, as listed by board-types: no slashes, no leading dot, at most "
+    "80 characters",
+    REVISION: "must be the id of a version, as listed by revisions of the board type, or latest",
+    PREVIEW_ID: "must be the id of a preview, as listed by board-data/previews",
+    MOSAIC_NAME: "must be the name of a mosaic, as listed by mosaics of the run",
     PLAIN_TEXT: "must have no control characters",
     PLAIN_TEXT.replace("*", "+"): "must have no control characters",
     CALLER_ID: "must have no control characters but the separators of ISO/IEC 15434",

@@ -73,7 +73,7 @@ KINDS: dict[str, tuple[int, str, str]] = {
         "Use the station's IP address, or add the name to [api] names in station.toml.",
     ),
     "too-slow": (408, "Request time-out", "Send the request again over a faster connection."),
-    "not-found": (404, "Not found", "Check the name or id; see /api/v1/runs and /api/v1/board-types."),
+    "not-found": (404, "Not found", "Check the names and numbers in the address; the detail says which is unknown."),
     "no-route": (404, "Unknown address", "Check the address; /docs lists all addresses."),
     "wrong-method": (405, "Method not allowed", "Use a method from the Allow header."),
     "not-acceptable": (406, "Format not available", "Request one of the listed formats, by Accept or ?format=."),

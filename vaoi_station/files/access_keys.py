@@ -189,7 +189,9 @@ def _new(name: str, scopes: Sequence[str]) -> NewKey:
 def _named(keys: dict[str, AccessKey], name: str) -> AccessKey:
     if name not in keys:
         known = ", ".join(map(repr, keys)) or "none"
-        raise NotFoundError(f"There is no key {name!r:.80}; known keys: {known}.", code="unknown-key")
+        raise NotFoundError(
+            f"There is no key {name!r:.80}; known keys: {known}.", action="See vaoi keys list.", code="unknown-key"
+        )
     return keys[name]
 
 

@@ -91,7 +91,7 @@ class BoardTypeDirectory:
         """Delete a board type; raise `NotFoundError` if it does not exist. Its last version is kept (`revisions`)."""
         path = self.path_of(name)
         if not path.is_file():
-            raise NotFoundError(f"There is no board type {name!r}.", code="unknown-board-type")
+            raise _unknown(name)
         kept = self.revisions.keep(path)
         path.unlink(missing_ok=True)
         sync_directory(self.directory)
@@ -107,7 +107,7 @@ class BoardTypeDirectory:
         path = self.path_of(name)
         found = self.revisions.list(path.stem)
         if not found and not path.is_file():
-            raise NotFoundError(f"There is no board type {name!r}.", code="unknown-board-type")
+            raise _unknown(name)
         return found
 
     def revision(self, name: str, revision: str) -> BoardType:
@@ -152,3 +152,9 @@ def _enumeration(names: Sequence[str]) -> str:
     """Return names as text for a message; if there are many, only the first ones."""
     shown = ", ".join(map(repr, names[:20]))
     return f"{shown} and {len(names) - 20} more" if len(names) > 20 else shown
+
+
+def _unknown(name: str) -> NotFoundError:
+    """Return the refusal of a board type that there is not."""
+    action = "See the list of board types."
+    return NotFoundError(f"There is no board type {name!r}.", action=action, code="unknown-board-type")

@@ -51,7 +51,8 @@ def test_an_administrator_makes_rotates_and_revokes_keys(outside: Any, keys: Key
     assert "sha256" not in listed.text
     assert outside.delete("/api/v1/keys/tester", headers=admin).status_code == 204
     assert outside.get("/api/v1/station", headers=bearer(rotated["secret"])).status_code == 401
-    assert outside.delete("/api/v1/keys/tester", headers=admin).json()["code"] == "unknown-key"
+    refused = outside.delete("/api/v1/keys/tester", headers=admin).json()
+    assert (refused["code"], refused["action"]) == ("unknown-key", "See vaoi keys list.")
     entries = outside.get("/api/v1/audit?limit=50", headers=admin).json()["entries"]
     assert (entries[-1]["key"], entries[-1]["path"], entries[-1]["status"]) == ("chief", "/api/v1/keys", 201)
 

@@ -6,12 +6,11 @@ from typing import Literal
 
 from pydantic import Field
 
-from vaoi_station.api.parameters import PlainText
+from vaoi_station.api.parameters import PREVIEW_ID, PlainText
 from vaoi_station.board_data.overview import ImportOverview
 from vaoi_station.model import Strict
 
 FormatName = Literal["kicad", "gencad", "ipc2581", "odb", "eagle", "html-bom", "centroid"]
-PREVIEW_ID = r"^[0-9a-f]{16}$"
 
 
 class ImportOptions(Strict):

@@ -17,7 +17,7 @@ from starlette.types import Receive, Scope, Send
 
 from vaoi_station.api.callers.picture_seats import FileSeats
 from vaoi_station.api.http_caching import IMMUTABLE, REVALIDATE, conditional_response
-from vaoi_station.api.parameters import RunId, rest_router
+from vaoi_station.api.parameters import MOSAIC_NAME, RunId, rest_router
 from vaoi_station.api.rest_models import KeptMosaicEntry, MosaicEntry, MosaicList
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import InputError
@@ -37,7 +37,7 @@ Picture = Annotated[
     str,
     Path(
         description="Name of a mosaic: `board`, with `,light=NAME`, `,exposure=µs` or `,hdr` added.",
-        pattern=r"^board(,[^/\x00-\x1f\x7f]{1,400})?$",
+        pattern=MOSAIC_NAME,
     ),
 ]
 Suffix = Literal["jpg", "jpeg", "png"]

@@ -243,5 +243,6 @@ def frame_record(detail: RunDetail, camera: int, row: int) -> FrameRecord:
     raise NotFoundError(
         f"Run {detail.id} has {detail.cameras} cameras and {detail.rows} rows, numbered from 0; "
         f"there is no camera {camera}, row {row}.",
+        action="Take camera and row from the frames in the document of the run.",
         code="no-such-frame",
     )
