@@ -144,6 +144,7 @@ def test_two_fiducials_are_enough_and_one_is_not(workshop: Any) -> None:
     one = find_board(plane, candidates_at(marks[:1]), 0.0, UPRIGHT, NOTHING)
     assert isinstance(one, Failure)
     assert "1 place(s) look like fiducials" in one.reason
+    assert one.reason.endswith("; compare fiducials, expected position and angle with the board")
     bare = board_plane(board(fiducials=FIDUCIALS[:1]), camera)
     refused = find_board(bare, candidates_at(marks), 0.0, UPRIGHT, NOTHING)
     assert isinstance(refused, Failure)

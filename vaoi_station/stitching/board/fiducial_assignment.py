@@ -153,7 +153,8 @@ def find_board(
     seen = f"{len(places.mm)} place(s) look like fiducials"
     hint = f"; the nearest fit is {nearest[1]}" if nearest[1] else ""
     nowhere = f"the fiducials of {board_type.name!r} are not where they should be: {seen}, no pair fits{hint}"
-    return Failure(nowhere, ReasonCode.FIDUCIALS_NOT_FOUND)
+    todo = "compare fiducials, expected position and angle with the board"
+    return Failure(f"{nowhere}; {todo}", ReasonCode.FIDUCIALS_NOT_FOUND)
 
 
 def _pairs_to_try(plane: BoardPlane) -> list[tuple[int, int]]:
