@@ -15,6 +15,8 @@ Order = Literal["best", "sharpest"]
 
 AZIMUTHS: dict[str, float] = {"right": 0.0, "back": 90.0, "left": 180.0, "front": 270.0}
 """Azimuth in the picture of each side, degrees."""
+WITHIN_DEG = 45.0
+"""Largest difference from `seen_from` if none is stated."""
 MOST_IMAGES = 100_000
 _LONGEST_US = 3.6e9
 
@@ -55,8 +57,8 @@ class Choice:
     """Subtract from each image the one under this light that sees the component most nearly from the same side."""
     seen_from: str | float | None = None
     """Only images that see the component from this side of the picture (`Side`), or from this azimuth in CAD, deg."""
-    within_deg: float = 45.0
-    """Largest difference between the azimuth of an image and `seen_from`."""
+    within_deg: float | None = None
+    """Largest difference between the azimuth of an image and `seen_from`; None: `WITHIN_DEG`."""
     order: Order = "best"
     limit: int | None = None
     """Largest number of images."""
@@ -70,7 +72,12 @@ class Choice:
         elif self.seen_from is not None and not (is_number(self.seen_from) and 0 <= self.seen_from <= 360):
             limit = "'left', 'right', 'front', 'back' or an azimuth in CAD from 0 to 360"
             raise InputError.field("component images", "seen_from", self.seen_from, limit)
-        check_number("within_deg", self.within_deg, 0.0, 180.0)
+        check_number("within_deg", self.within_deg, 0.0, 180.0, optional=True)
+        if self.within_deg is not None and self.seen_from is None:
+            raise InputError(
+                f"component images: within_deg is {self.within_deg:g}, but no seen_from is given that it belongs to.",
+                action="Add seen_from.",
+            )
         check_word("order", self.order, get_args(Order))
         if self.limit is not None and not (type(self.limit) is int and 1 <= self.limit <= MOST_IMAGES):
             raise InputError.field("component images", "limit", self.limit, f"a whole number from 1 to {MOST_IMAGES}")
@@ -100,7 +107,7 @@ class ImageOptions(TypedDict, total=False):
     light: str | None
     minus: str | None
     seen_from: str | float | None
-    within_deg: float
+    within_deg: float | None
     order: Order
     limit: int | None
     measure: bool

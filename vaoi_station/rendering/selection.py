@@ -17,7 +17,7 @@ import numpy as np
 from vaoi_station.errors import InputError, StateError
 from vaoi_station.model import RecordingHead
 from vaoi_station.rendering.measures import Measures
-from vaoi_station.rendering.request import AZIMUTHS, Bounds, Choice, ImageRequest
+from vaoi_station.rendering.request import AZIMUTHS, WITHIN_DEG, Bounds, Choice, ImageRequest
 from vaoi_station.rendering.view import View
 
 Measure = Callable[[View], "Measures | None"]
@@ -139,7 +139,8 @@ def _is_seen_from(view: View, bounds: Bounds, choice: Choice) -> bool:
     if azimuth is None:
         return False
     wanted = AZIMUTHS[choice.seen_from] if isinstance(choice.seen_from, str) else choice.seen_from
-    return abs((azimuth - wanted + 180) % 360 - 180) <= choice.within_deg
+    within_deg = WITHIN_DEG if choice.within_deg is None else choice.within_deg
+    return abs((azimuth - wanted + 180) % 360 - 180) <= within_deg
 
 
 def _is_exposed(facts: FrameFacts, bounds: Bounds) -> bool:

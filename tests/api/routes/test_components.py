@@ -101,6 +101,7 @@ def test_the_top_plane_of_a_part_without_height_is_answered_with_a_remark(filmed
         ({"seen_from": "361"}, "seen_from is 361.0, but must be 'left', 'right', 'front', 'back' or an azimuth"),
         ({"min_angle_deg": 40, "max_angle_deg": 20}, "min_angle_deg is 40.0, but must be at most max_angle_deg, 20"),
         ({"minus": "left"}, "minus is 'left', but no light is given"),
+        ({"within_deg": 30}, "within_deg is 30, but no seen_from is given"),
         ({"margin_mm": 90, "px_per_mm": 100}, "margin_mm is 90.0, but must be at most 15.5 at 100 px/mm"),
     ],
 )

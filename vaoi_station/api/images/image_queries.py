@@ -69,7 +69,9 @@ async def _choice(
             max_length=20,
         ),
     ] = None,
-    within_deg: Annotated[Number, Query(description="Largest difference from `seen_from`.", ge=0, le=180)] = 45.0,
+    within_deg: Annotated[
+        Number | None, Query(description="Largest difference from `seen_from` [45]; only with it.", ge=0, le=180)
+    ] = None,
     order: Annotated[Literal["best", "sharpest"], Query(description="What comes first; see the guide.")] = "best",
     limit: Annotated[int | None, Query(description="Largest number of images.", ge=1, le=MOST_IMAGES)] = None,
     measure: Annotated[bool, Query(description="Measure sharpness and saturation of every image.")] = False,

@@ -56,7 +56,7 @@ def cut(
     light: options.Light = None,
     minus: options.Minus = None,
     seen_from: options.SeenFrom = None,
-    within_deg: options.Within = 45.0,
+    within_deg: options.Within = None,
     exposure_us: options.Exposures = None,
     angle_deg: options.Angles = None,
     min_sharpness: options.MinSharpness = None,

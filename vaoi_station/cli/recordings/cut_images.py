@@ -22,7 +22,9 @@ SeenFrom = Annotated[
     str | None,
     typer.Option(help="Only images from this side of the image (left, right, front, back) or azimuth in CAD, degrees."),
 ]
-Within = Annotated[float, typer.Option(help="Largest difference from --seen-from, degrees.")]
+Within = Annotated[
+    float | None, typer.Option(help="With --seen-from: largest difference from it, degrees.", show_default="45")
+]
 Exposures = Annotated[
     tuple[float, float] | None, typer.Option(metavar="MIN MAX", help="Only images with such an exposure time, µs.")
 ]
