@@ -119,6 +119,16 @@ def test_a_run_is_held_and_the_hold_ended(client: Any, station: Any) -> None:
     assert not station.holders
 
 
+def test_the_end_of_a_hold_may_be_repeated_and_leaves_those_of_others(client: Any, station: Any) -> None:
+    """A client without a reply does not know whether its hold has ended: it asks again, and gets 204."""
+    address = f"{RUNS}/{station.film()}/hold"
+    for holder in ("tester 1", "tester 2"):
+        client.put(address, params={"holder": holder})
+    for _ in range(2):
+        assert client.delete(address, params={"holder": "tester 1"}).status_code == 204
+        assert [holder for _, holder in station.holders] == ["tester 2"]
+
+
 @pytest.mark.parametrize("method", ["PUT", "DELETE"])
 def test_a_hold_needs_a_holder(client: Any, station: Any, method: str) -> None:
     assert client.request(method, f"{RUNS}/{station.film()}/hold").status_code == 422

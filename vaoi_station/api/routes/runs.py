@@ -126,7 +126,7 @@ def router(services: Services) -> APIRouter:
 
     @routes.delete("/{run}/hold", status_code=204)
     async def let_go_of_run(run: RunId, holder: Holder) -> None:
-        """End the hold of one holder on a run. No effect if there is no such hold."""
+        """End the hold of one holder on a run; those of others stay. No effect if there is no such hold."""
         await ask(coordinator.end_hold, run, holder)
 
     @routes.put("/{run}/pin", response_model=RunDetail)
