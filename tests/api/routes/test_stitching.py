@@ -61,7 +61,7 @@ def test_unsuitable_runs_are_refused_as_reference(client: Any, station: Any) -> 
         return answer.status_code, answer.json()["code"]
 
     assert refused() == (422, "invalid-input")
-    assert refused(run="r000099") == (404, "not-found")
+    assert refused(run="r000099") == (404, "unknown-run")
     assert refused(run=station.film(), extra=1) == (422, "invalid-input")
     assert refused(run=station.film(verdict=Status.DEGRADED)) == (409, "not-a-reference")
     gone = station.film()
