@@ -16,7 +16,7 @@ from vaoi_station.stitching.matching.evidence import Links
 def test_results_come_before_pictures_and_heights_last() -> None:
     p = Priority
     assert sorted(p) == [
-        p.CONCLUDE, p.LINK, p.GATHER, p.SMALL_RENDER, p.RENDER, p.BATCH, p.CHECK, p.IDENTITY, p.HEIGHTS
+        p.CONCLUDE, p.LINK, p.GATHER, p.SMALL_RENDER, p.RENDER, p.BATCH, p.CHECK, p.IDENTITY, p.OVERVIEW, p.HEIGHTS
     ]  # fmt: skip
 
 
