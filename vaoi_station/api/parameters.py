@@ -10,7 +10,7 @@ from fastapi.routing import APIRoute
 from pydantic import BaseModel, Field
 
 from vaoi_station.errors import InputError
-from vaoi_station.model.board_type import STORED_NAME
+from vaoi_station.model.board_type import ONE_LINE, STORED_NAME
 
 PREFIX = "/api/v1"
 
@@ -79,7 +79,7 @@ IN_WORDS = {
     PREVIEW_ID: "must be the id of a preview, as listed by board-data/previews",
     MOSAIC_NAME: "must be the name of a mosaic, as listed by mosaics of the run",
     PLAIN_TEXT: "must have no control characters",
-    PLAIN_TEXT.replace("*", "+"): "must have no control characters",
+    ONE_LINE: "must have no control characters",
     CALLER_ID: "must have no control characters but the separators of ISO/IEC 15434",
 }
 """What a text must be that does not match a pattern: callers do not read regular expressions."""

@@ -19,6 +19,8 @@ from vaoi_station.model.board_marks import Fiducial, OtherMark, fiducials_by_boa
 from vaoi_station.model.frozen_model import MOST_MM, Finite, FrozenModel, Millimetres, Point, Positive, Whole
 from vaoi_station.model.light_program import Program
 
+ONE_LINE = r"^[^\x00-\x1f\x7f]+$"
+"""Pattern of texts without control characters."""
 STORED_NAME = r"^[^./\\\x00-\x1f\x7f][^/\\\x00-\x1f\x7f]{0,79}$"
 """Pattern of the names under which a station stores board types: each is the name of a file, and part of an address."""
 STORED_NAME_RULE = "1 to 80 characters without slashes, control characters and leading dot"
@@ -80,7 +82,7 @@ VISIBILITY = Visibility(coverage=0.99, views=0, in_one_frame=False)
 class Component(FrozenModel):
     """One component. Centre and size of its footprint before rotation are in CAD units, its rotation in degrees."""
 
-    ref: Annotated[str, Field(min_length=1, pattern=r"^[^\x00-\x1f\x7f]+$")]
+    ref: Annotated[str, Field(min_length=1, pattern=ONE_LINE)]
     center: Point
     width: Positive
     height: Positive
@@ -138,8 +140,8 @@ class BoardLine(FrozenModel):
 class BoardType(FrozenModel):
     """The content of board.json: one side of a product, in its CAD unit and axes."""
 
-    name: Annotated[str, Field(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]+$")]
-    revision: Annotated[str, Field(min_length=1, max_length=40, pattern=r"^[^\x00-\x1f\x7f]+$")] | None = None
+    name: Annotated[str, Field(min_length=1, max_length=200, pattern=ONE_LINE)]
+    revision: Annotated[str, Field(min_length=1, max_length=40, pattern=ONE_LINE)] | None = None
     """Revision of the product's data, as its owner names it."""
     state: BoardTypeState | None = None
     """Draft: armed with a warning; retired: not armed; None counts as approved."""
