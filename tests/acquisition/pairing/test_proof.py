@@ -169,6 +169,16 @@ def test_a_camera_that_was_away_restarts_its_frame_ids(script: RecorderScript) -
     assert {f.cause for f in script.finished["a"] if f.verdict is Verdict.MISSING} == {"the camera was lost: its cable"}
 
 
+def test_the_only_frame_of_a_camera_with_an_unknown_latency(script: RecorderScript) -> None:
+    """Five triggers were ignored, and something else exposed 8 ms after the sixth pulse."""
+    script.frame(("a", 0, -1), at_s(5) + 0.008, 0.02)
+    proof = proof_of(script)
+    assert set(kinds_found(proof)) >= {(0, 5, "off-beat"), (0, None, "latency-ambiguous")}
+    assert not proof.cameras[0].proven
+    [frame] = [f for f in script.finished["a"] if f.camera == 0 and f.verdict is Verdict.OK]
+    assert "8.0 ms after its pulse" in frame.cause
+
+
 faults = st.sampled_from(
     ["ok"] * 8 + ["lost", "ignored", "incomplete", "double", "spurious", "exchanged", "wrong time stamp"]
 )

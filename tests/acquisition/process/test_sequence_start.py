@@ -79,7 +79,7 @@ class Line:
             slot, stated = self.cameras[n].slots.pop(0), self._stated[n, at_s]
             frame_id = 1 + round(at_s * 10)
             arrival = Arrival(n, slot.number, True, frame_id, at_s, at_s + 0.01, stated=stated)
-            self.session.handle_arrival(arrival, at_s + 0.01)
+            self.session.handle_arrival(arrival, at_s + 0.01, at_s + 0.01)
             self.session.rewind_sequences(at_s + 0.01)
 
     def row(self, at_s: float, row: int, cameras: tuple[int, ...] = (0, 1)) -> None:

@@ -89,7 +89,6 @@ class SessionBench:
     plan: TriggerPlan
 
     def of(self, kind: type[Any]) -> list[Any]:
-        """Return the reports of a kind."""
         return [s for s in self.reports if isinstance(s, kind)]
 
     def pulse(self, at_s: float, row: int) -> None:
@@ -98,7 +97,8 @@ class SessionBench:
     def frames(self, at_s: float, row: int) -> None:
         for n, camera in enumerate(self.cameras):
             slot = camera.slots.pop(0)
-            self.session.handle_arrival(Arrival(n, slot.number, True, row + 1, at_s, at_s + 0.01), at_s + 0.01)
+            arrival = Arrival(n, slot.number, True, row + 1, at_s, at_s + 0.01)
+            self.session.handle_arrival(arrival, at_s + 0.01, at_s + 0.01)
 
 
 @contextmanager
@@ -329,7 +329,7 @@ def test_a_pulse_without_the_barrier_is_a_run_of_one_row_with_memory_beforehand(
         bench.pulse(at_s, 0)
         bench.session.handle_event(RunEnded(0, at_s, 1, "single"), at_s)
         slot = bench.cameras[0].slots.pop(0)
-        bench.session.handle_arrival(Arrival(0, slot.number, True, n + 1, at_s, at_s + 0.01), at_s + 0.01)
+        bench.session.handle_arrival(Arrival(0, slot.number, True, n + 1, at_s, at_s + 0.01), at_s + 0.01, at_s + 0.01)
     assert [(r.run, r.host_time_s) for r in bench.of(RunStarted)] == [("pulse 0", 1.0), ("pulse 1", 1.3)]
     assert bench.of(RunFinished) == []
     bench.session.tick(bench.session.deadline_s(1.4))

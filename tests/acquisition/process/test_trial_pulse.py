@@ -38,7 +38,7 @@ def frames_of(bench: SessionBench, at_s: float) -> None:
     bench.session.handle_event(RunEnded(0, at_s, 1, "single"), at_s)
     for n, camera in enumerate(bench.cameras):
         slot = camera.slots.pop(0)
-        bench.session.handle_arrival(Arrival(n, slot.number, True, 1, at_s, at_s + 0.01), at_s + 0.01)
+        bench.session.handle_arrival(Arrival(n, slot.number, True, 1, at_s, at_s + 0.01), at_s + 0.01, at_s + 0.01)
     bench.session.tick(at_s + 1.0)
 
 

@@ -98,6 +98,8 @@ def prove(
             found = _CameraCheck(camera, pulses, pulse_bound_s, assigned, extra, residuals, between).findings()
             if camera in unconfirmed and not any(f.kind == "runs-freely" for f in found):
                 found.append(_latency_ambiguous(camera, _latency_s(pulses, assigned) if assigned else None))
+                if len(assigned) == 1 < len(pulses):
+                    found.append(_unsupported(camera, assigned[0], _latency_s(pulses, assigned)))
         findings += found
         cameras.append(
             CameraProof(
@@ -295,6 +297,14 @@ def _latency_ambiguous(camera: int, assigned_s: float | None) -> TriggerFinding:
         f"its frames may be in wrong rows{taken}"
     )
     return TriggerFinding(camera=camera, row=None, kind="latency-ambiguous", text=text)
+
+
+def _unsupported(camera: int, frame: ObservedFrame, latency_s: float) -> TriggerFinding:
+    text = (
+        f"its frame comes {latency_s * 1e3:.1f} ms after its pulse, and no other frame of the camera shows whether "
+        "this is its latency: something other than its pulse may have exposed it"
+    )
+    return TriggerFinding(camera=camera, row=frame.row, kind="off-beat", text=text)
 
 
 def _in_order_s(

@@ -11,7 +11,6 @@ import contextlib
 import logging
 import math
 import multiprocessing
-import queue
 import signal
 import threading
 import time
@@ -20,12 +19,12 @@ from dataclasses import dataclass
 from functools import partial
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
-from typing import Any
 
 from vaoi_station.acquisition.cameras.interface import Arrival, CameraBack, CameraDevice, CameraLost, DeviceFault
 from vaoi_station.acquisition.clocks import ClockError, ClockModel, ClockReading
 from vaoi_station.acquisition.controller.interface import Controller, ControllerEvent, RunEnded
 from vaoi_station.acquisition.devices import Devices
+from vaoi_station.acquisition.inbox import Inbox
 from vaoi_station.acquisition.process.backends import open_devices
 from vaoi_station.acquisition.process.messages import (
     Arm,
@@ -130,7 +129,7 @@ class _MainLoop:
 
     def __init__(self, config: StationConfig, ring: Ring, devices: Devices, connection: Connection) -> None:
         self._devices, self._connection = devices, connection
-        self._inbox: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._inbox = Inbox()
         self._clocks = [ClockModel("controller"), *(ClockModel(c.label) for c in config.cameras)]
         self._session = Session(config, ring, devices, self._clocks[0], self._clocks[1:], connection.send)
         self._sources: list[Controller | CameraDevice] = [devices.controller, *devices.cameras]
@@ -155,8 +154,8 @@ class _MainLoop:
             # Threads of cameras and controller report errors themselves; one that ends by another error is noticed too.
             threading.excepthook = self._note_failure
         for camera in self._devices.cameras:
-            camera.start(self._inbox)
-        self._devices.controller.start(self._inbox)
+            camera.start(self._inbox.messages)
+        self._devices.controller.start(self._inbox.messages)
         for _ in range(FIRST_READINGS):
             self._read_clocks()
         woken, waker = multiprocessing.Pipe(duplex=False)
@@ -186,13 +185,10 @@ class _MainLoop:
                 self._check_threads()
                 self._send(self._health(now_s))
                 health_s = now_s + HEALTH_PERIOD_S
-            if now_s >= self._session.deadline_s(ticked_s):
-                self._session.tick(now_s)
-                ticked_s = now_s
-            try:
-                item = self._inbox.get(timeout=min(health_s, self._session.deadline_s(ticked_s)) - now_s)
-            except queue.Empty:
-                item = None
+            if (taken_s := self._inbox.taken_until_s) >= self._session.deadline_s(ticked_s):
+                self._session.tick(taken_s)
+                ticked_s = taken_s
+            item = self._inbox.take(min(health_s, self._session.deadline_s(ticked_s)))
             if isinstance(item, Shutdown):
                 return
             if item is not None:
@@ -201,7 +197,7 @@ class _MainLoop:
             self._try(self._retry_waiting)
             self._try(self._disarm_when_due)
             # An event that waits in the inbox may be the report of a pulse, during which no camera may be stopped.
-            if self._inbox.empty():
+            if self._inbox.messages.empty():
                 self._try(self._session.rewind_sequences)
             if isinstance(item, RunEnded) or self._session.awaits_clocks:
                 self._clocks_wanted.set()
@@ -226,7 +222,7 @@ class _MainLoop:
 
     def _handle(self, item: object, now_s: float) -> None:
         if isinstance(item, Arrival):
-            self._session.handle_arrival(item, now_s)
+            self._session.handle_arrival(item, now_s, self._inbox.taken_until_s)
         elif isinstance(item, ControllerEvent):
             self._health_is_due |= self._passage.add(item, now_s)
             self._session.handle_event(item, now_s)
@@ -302,7 +298,7 @@ class _MainLoop:
         self._disarm_by_s = math.inf
         self._devices.controller.disarm()
         # When disarm() returns, all events of the controller are in the inbox; the marker comes after them.
-        self._inbox.put(_ControllerDisarmed())
+        self._inbox.messages.put(_ControllerDisarmed())
 
     def _retry_waiting(self, now_s: float) -> None:
         """Carry out the waiting command if the clocks are accurate enough. Raise ClockError after its longest wait."""
@@ -359,7 +355,7 @@ class _MainLoop:
                 command = self._connection.recv()
             except (EOFError, OSError):
                 command = Shutdown()
-            self._inbox.put(command)
+            self._inbox.messages.put(command)
         self._threads[0].expect_end()
 
     def _poll_clocks(self) -> None:
@@ -372,9 +368,9 @@ class _MainLoop:
             for number, source in enumerate(self._sources):
                 self._clock_thread.beat()
                 try:
-                    self._inbox.put(_PolledClock(number, source.read_clock()))
+                    self._inbox.messages.put(_PolledClock(number, source.read_clock()))
                 except VaoiError as error:
-                    self._inbox.put(_PolledClock(number, error))
+                    self._inbox.messages.put(_PolledClock(number, error))
         self._clock_thread.expect_end()
 
     def _read_clocks(self) -> None:

@@ -275,10 +275,10 @@ class Session:
             if not self.is_away(number):
                 clock.require(limit_s)
 
-    def handle_arrival(self, arrival: Arrival, now_s: float) -> None:
-        """Assign a frame, delivered by a camera in a slot, to its run and pulse."""
+    def handle_arrival(self, arrival: Arrival, now_s: float, taken_until_s: float) -> None:
+        """Assign a frame, delivered by a camera in a slot, to its run and pulse. Later frames may wait in the inbox."""
         self._slot_queue.mark_returned(arrival.slot)
-        self._apply(self._recorder.add_arrival(arrival, now_s), now_s)
+        self._apply(self._recorder.add_arrival(arrival, taken_until_s), now_s)
 
     @property
     def outages(self) -> Outages:
