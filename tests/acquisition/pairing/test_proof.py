@@ -209,7 +209,8 @@ def test_with_any_combination_of_faults_a_frame_in_a_wrong_row_is_questioned(dat
         of_this_row = script.truth[frame.slot] == ("a", 0, frame.row)
         assert of_this_row or frame.row in questioned or None in questioned, fates
         assert of_this_row or frame.cause
-    if set(fates) <= {"ok", "lost", "incomplete", "ignored"}:
+    # The only frame after many pulses shows nothing about the latency of its camera.
+    if set(fates) <= {"ok", "lost", "incomplete", "ignored"} and (fates[0] == "ok" or fates.count("ok") != 1):
         assert proof.proven
     if set(fates) <= {"ok"}:
         assert not proof.findings
