@@ -48,7 +48,7 @@ def test_every_frame_is_in_its_row_and_every_camera_and_row_has_a_verdict(data: 
         for cell, fate in expected_of.items():
             if fate in ("ok", "late", "twice"):
                 assert verdicts[cell] is Verdict.OK
-            else:
+            elif not script.ambiguous(name, cell[0]):
                 assert verdicts[cell] in (
                     Verdict.MISSING,
                     Verdict.INCOMPLETE if fate == "incomplete" else verdicts[cell],
