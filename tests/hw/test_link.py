@@ -147,7 +147,8 @@ def test_a_reset_is_noticed_and_no_event_is_taken_for_one_of_another_boot(
     wire.run(2000)  # all are answered: a pulse asked for while the controller is reset may come once more
     wire.reboot()
     for nonce in range(100, 100 + after):
-        frame = encode(Message(Type.FIRE_ONE, nonce % 256, fire_one(nonce, DARK, us(100)).payload))
+        # The zero ends what is left of a damaged frame of the link.
+        frame = b"\0" + encode(Message(Type.FIRE_ONE, nonce % 256, fire_one(nonce, DARK, us(100)).payload))
         logic.bridge_talk(frame, len(frame), ctypes.create_string_buffer(100), wire.tick)
         wire.run(3)
     wire.loss = 0.0
