@@ -13,7 +13,7 @@ from tests.hostile.judging import stitched
 from tests.hostile.mistakes import Mistake, scenario_changes
 from vaoi_station.model import ReasonCode, Status, Stitch
 from vaoi_station.stitching.quality.findings import Findings
-from vaoi_station.stitching.quality.lens_errors import LensError
+from vaoi_station.stitching.quality.lens_errors import LensError, position_errors_px
 from vaoi_station.stitching.quality.verdict import decide_verdict
 
 SEEDS = (3037, 3052, 3071)
@@ -59,7 +59,21 @@ def test_a_small_distortion_widens_sigma() -> None:
 
 
 def test_noise_is_no_error() -> None:
-    assert LensError(0.05, 0.05).position_px == 0
     assert not LensError(0.3, 0.1).significant
     assert LensError(-1.0, 0.1).significant
-    assert LensError(-1.0, 0.1).position_px == pytest.approx(0.2, rel=0.03)
+    assert not any(position_errors_px({0: LensError(0.05, 0.05), 1: LensError(0.09, 0.05)}, 2).values())
+    assert position_errors_px({0: LensError(-1.0, 0.1)}, 1)[0] == pytest.approx(0.2, rel=0.03)
+    assert not position_errors_px({}, 3)
+
+
+def test_a_lens_that_is_badly_seen_has_the_error_that_the_other_cameras_show() -> None:
+    """Seed 93217: a distortion of 0.2 px, two cameras of three show it to ± 0.07 px."""
+    errors = position_errors_px({0: LensError(0.2, 0.07), 1: LensError(0.25, 0.03), 2: LensError(0.1, 0.08)}, 4)
+    assert errors[1] == pytest.approx(0.05, rel=0.05)
+    assert 0.02 < errors[2] < errors[0] < errors[1]
+    assert errors[3] == pytest.approx(0.05, rel=0.1)
+
+
+def test_a_lens_that_is_seen_well_keeps_its_own_error() -> None:
+    errors = position_errors_px({0: LensError(1.0, 0.1), 1: LensError(0.0, 0.02)}, 2)
+    assert errors == {0: pytest.approx(0.2, rel=0.05)}

@@ -39,7 +39,7 @@ from vaoi_station.stitching.quality.added_errors import (
 from vaoi_station.stitching.quality.agreement import seam_px
 from vaoi_station.stitching.quality.covariances import largest_sigma
 from vaoi_station.stitching.quality.heights import Height, component_heights
-from vaoi_station.stitching.quality.lens_errors import LensError, lens_errors
+from vaoi_station.stitching.quality.lens_errors import LensError, lens_errors, position_errors_px
 from vaoi_station.stitching.quality.missing.confirmation import CheckedFrames, check_frames
 from vaoi_station.stitching.quality.missing.dark_lights import DarkLight
 from vaoi_station.stitching.quality.missing.repeated_frames import repeated_frames
@@ -121,7 +121,7 @@ class Findings:
         share = reference_share(self.problem.fiducials, self.adjusted.fiducial_px) * self.reference_sigma_px
         predicted = with_common_error(predicted, share) if share > 0 else predicted
         predicted = with_component_errors(predicted, self.own_places.sigma_mm, self.scene.cameras, self.skipped_parts)
-        return with_camera_errors(predicted, {i: error.position_px for i, error in self.lens_errors.items()})
+        return with_camera_errors(predicted, position_errors_px(self.lens_errors, len(self.calibrated)))
 
     @cached_property
     def lens_errors(self) -> dict[int, LensError]:

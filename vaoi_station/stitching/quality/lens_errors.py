@@ -54,10 +54,9 @@ class LensError(NamedTuple):
         return abs(self.corner_px) > _SIGNIFICANT * self.sigma_px
 
     @property
-    def position_px(self) -> float:
-        """Rms error of a position, px per axis, caused by the part of the radial error that noise does not explain."""
-        beyond = self.corner_px**2 - 4 * self.sigma_px**2
-        return _SHARE * float(np.sqrt(max(beyond, 0.0)))
+    def beyond_noise_px2(self) -> float:
+        """Square of the error less what noise explains; negative if noise explains it."""
+        return self.corner_px**2 - 4 * self.sigma_px**2
 
 
 class _Radial(NamedTuple):
@@ -109,6 +108,26 @@ def lens_errors(problem: Problem, adjusted: AdjustmentResult, cameras: tuple[Cam
             # first.
             found[i] = LensError(product / information * c.px_per_mm, information**-0.5 * c.px_per_mm)
     return found
+
+
+def position_errors_px(errors: Mapping[int, LensError], cameras: int) -> dict[int, float]:
+    """Return for each camera the rms error of a position, px per axis, that radial errors cause; empty without any.
+
+    A calibration that leaves out the lens of one camera may leave out that of all. Cameras whose links show their own
+    error badly, or not at all, therefore have that which the other cameras show.
+    """
+    every = [(e.beyond_noise_px2, e.sigma_px**-4.0) for e in errors.values()]
+    shown = sum(px2 * weight for px2, weight in every) / sum(weight for _, weight in every) if every else 0.0
+    out = {}
+    for i in range(cameras):
+        own = errors.get(i)
+        expected = max(shown, own.beyond_noise_px2 if own else 0.0, 0.0)
+        if expected > 0:
+            # The estimate, drawn to 0 by the variance that is expected of errors, and what is not known of it.
+            share = expected / (expected + own.sigma_px**2) if own else 0.0
+            known = share * own.corner_px if own else 0.0
+            out[i] = _SHARE * float(np.sqrt(known**2 + (1 - share) * expected))
+    return out
 
 
 def lens_reasons(errors: Mapping[int, LensError]) -> Iterator[Reason]:
