@@ -8,8 +8,11 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.hostile.drawing import draw
+from tests.hostile.filming import film
+from tests.hostile.judging import stitched
 from vaoi_station.geometry import apply
-from vaoi_station.model import BoardType
+from vaoi_station.model import BoardType, Status
 from vaoi_station.stitching.adjustment.motion import nominal_motion
 from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.footprints import FootprintViews
@@ -132,28 +135,18 @@ def test_an_offset_of_one_kind_of_components_is_no_contradiction(workshop: Any, 
     assert not found.contradicts
 
 
-def test_few_components_show_nothing(workshop: Any) -> None:
-    assert measured(workshop, count=8) is None
+def test_single_kinds_that_look_far_off_are_no_contradiction() -> None:
+    """Two of 28 components, at one end of the board, are seen 0.1 mm off, and looked like a turn and a stretch."""
+    stitch, findings = stitched(film(draw(93216)))
+    assert findings.component_shift is not None
+    assert not findings.component_shift.contradicts
+    assert stitch.status is Status.OK
 
 
-def test_a_smaller_error_of_one_of_two_fiducials_may_go_unnoticed() -> None:
-    """Errors of the stated size, in every direction, give a χ² that is two standard deviations beyond the limit."""
-    covariance = np.diag([0.02, 0.015, 0.01, 0.012]) ** 2
-    shift = ComponentShift(np.zeros(4), covariance, np.array([4.0, -1.0]), 9.0, 20)
-    fiducials = np.array([[-12.0, -7.0], [13.0, 6.0]])
-    limit = shift.unnoticed_mm(fiducials)
-    places = np.random.default_rng(2).normal(0, 9, (40, 2))
-    each = [shift.__class__(unit, covariance, shift.middle_mm, 9.0, 20).at(places).ravel() for unit in np.eye(4)]
-    lengths = []
-    for wrong, right in (fiducials, fiducials[::-1]):
-        for angle in np.linspace(0, np.pi, 60):
-            error = limit * np.array([np.cos(angle), np.sin(angle)])
-            # the similarity that leaves `right` in place and moves `wrong` by the error
-            slope = complex(*error) / complex(*(wrong - right))
-            moved = slope * ((places - right) @ (1, 1j))
-            unknowns = np.linalg.lstsq(np.array(each).T, np.column_stack([moved.real, moved.imag]).ravel(), rcond=None)[
-                0
-            ]
-            lengths.append(np.sqrt(unknowns @ np.linalg.solve(covariance, unknowns)))
-    assert min(lengths) == pytest.approx(np.sqrt(20) + 2, rel=1e-3)
-    assert shift.unnoticed_mm(5 * fiducials) > limit, "fiducials further out are shown less well by the same components"
+def test_few_components_show_a_large_error_only(workshop: Any) -> None:
+    assert measured(workshop, count=5) is None
+    few, many = measured(workshop, count=7), measured(workshop)
+    assert few is not None
+    assert many is not None
+    assert not few.contradicts
+    assert (few.by_centres.diagonal() > 1.5 * many.by_centres.diagonal()).all()

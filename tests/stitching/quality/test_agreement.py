@@ -15,10 +15,8 @@ from vaoi_station.stitching.adjustment.observations import Observations
 from vaoi_station.stitching.adjustment.problem import REFERENCE, AdjustmentResult, FiducialPoints, Problem
 from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.outline import OutlineShift
-from vaoi_station.stitching.components.shift import ComponentShift
 from vaoi_station.stitching.quality.agreement import (
     common_local_reasons,
-    component_reasons,
     fiducial_reasons,
     outline_reasons,
     reference_reasons,
@@ -178,18 +176,6 @@ def test_a_turned_outline_is_a_reason() -> None:
     assert outline_reasons(shift(0, 0, 0.006), 10.0) == [], "0.15 mm at the ends: boards are cut so"
     ((_, reason),) = outline_reasons(shift(0, 0, 0.02), 10.0)
     assert reason.startswith("the board's outline is turned by +20.0 ± 1.0 mrad against the fiducials, 0.50 mm (5 px)")
-
-
-def test_components_that_lie_elsewhere_than_the_fiducials_put_them_are_a_reason() -> None:
-    sigma = np.diag([0.01, 0.01, 0.01, 0.01]) ** 2
-    sound = ComponentShift(np.array([0.01, -0.01, 0.0, 0.01]), sigma, np.zeros(2), 12.0, 20)
-    assert component_reasons(None, PLANE, adjusted(2), 10.0) == []
-    assert component_reasons(sound, PLANE, adjusted(2), 10.0) == []
-    wrong = replace(sound, measured=np.array([0.06, -0.02, 0.0, 0.03]))
-    ((code, text),) = component_reasons(wrong, PLANE, adjusted(2), 10.0)
-    assert code is ReasonCode.COMPONENTS_SHIFTED
-    assert "20 components are centred (+0.060, -0.020) mm ± (0.010, 0.010)" in text
-    assert "is 0.11 mm (1.1 px) at fiducial F1" in text
 
 
 def referred(off_px: tuple[float, float], count: int = 30) -> tuple[FiducialPoints, np.ndarray]:

@@ -9,7 +9,8 @@ one camera this looks like a stretch of the board. The height that explains the 
 
 Components of one kind, of the same size and turned alike, are seen off their places alike: light, shadow and shape of a
 package displace what looks symmetric. Each kind has an offset of its own, whose size the run shows, so that the
-accuracy of the shift follows from the number of kinds, not only from that of components.
+accuracy of the shift follows from the number of kinds, not only from that of components. Single kinds may look off by
+much more than the others: like single centres, they then lose their weight.
 """
 
 from __future__ import annotations
@@ -29,10 +30,11 @@ from vaoi_station.stitching.components.part_views import PartView
 from vaoi_station.stitching.components.symmetry import centre_of_symmetry
 from vaoi_station.stitching.matching.scene import Scene
 
-_LEAST = 9
+_LEAST = 6
 """Least number of centres from which a shift is estimated."""
-_LEAST_SCATTER_MM, _LEAST_FREE = 0.005, 0.2
-"""Least scatter of the centres, and least share of the coordinates that shows scatter, not unknowns."""
+_SCATTER_MM, _SCATTER_WEIGHT = 0.017, 3.0
+"""Expected scatter of the centres, per axis, mm, and its weight against what the run shows, in centres. Measured:
+0.017 mm (uncertainty.md)."""
 _PLACING_MM = np.array([0.012, 0.012, 0.008, 0.008])
 """Standard deviations of what placement and light change in all components alike: shift, turn and stretch, mm.
 
@@ -45,8 +47,6 @@ _KIND_MM, _KIND_WEIGHT = 0.01, 4.0
 """Expected standard deviation, per axis, of the offset that components of one kind have in common, mm, and its weight
 against what the run shows, in offsets. Measured: 0.010 mm (hostile.md)."""
 _KNEE, _ROUNDS = 2.0, 12
-_SURELY = 2.0
-"""Number of standard deviations beyond the limit at which an error is shown with a probability of 98 %."""
 _LIMIT = 20.0
 """Largest χ² of shift, turn and stretch (4 degrees of freedom) that is no contradiction: 1 in 2000 exceeds it."""
 
@@ -57,8 +57,8 @@ class ComponentShift:
 
     measured: Floats
     """(4,) mm: shift x and y in tester coordinates, turn and stretch as displacements at the distance `arm_mm`."""
-    covariance: Floats
-    """(4, 4) covariance of `measured`, mm²."""
+    by_centres: Floats
+    """(4, 4) covariance of `measured`, mm², by the scatter of the centres and the offsets of kinds alone."""
     middle_mm: Floats
     """(2,) mean of the components' places in tester coordinates."""
     arm_mm: float
@@ -67,25 +67,14 @@ class ComponentShift:
     """Number of components that were measured."""
 
     @property
+    def covariance(self) -> Floats:
+        """(4, 4) covariance of `measured`, mm², with what placement and light change in all components alike."""
+        return self.by_centres + np.diag(_PLACING_MM**2)
+
+    @property
     def contradicts(self) -> bool:
         """Whether the components lie elsewhere than C puts them, by more than noise and placement explain."""
         return float(self.measured @ np.linalg.solve(self.covariance, self.measured)) > _LIMIT
-
-    def unnoticed_mm(self, fiducials_mm: Floats) -> float:
-        """Return the error of one of two fiducials (2, 2), tester coordinates, mm, that these components surely show.
-
-        A smaller error in the least favourable direction may leave all checks silent. An error of one fiducial shifts,
-        turns and stretches what C predicts, and leaves the other fiducial in place.
-        """
-        place, middle = fiducials_mm @ (1, 1j), complex(*self.middle_mm)
-        weakest = np.inf
-        for own, other in (place, place[::-1]):
-            slope = np.array([1, 1j]) / (own - other)
-            shift, arm = slope * (middle - other), slope * self.arm_mm
-            effect = np.stack([shift.real, shift.imag, arm.imag, arm.real])
-            information = effect.T @ np.linalg.solve(self.covariance, effect)
-            weakest = min(weakest, float(np.linalg.eigvalsh(information)[0]))
-        return (math.sqrt(_LIMIT) + _SURELY) / math.sqrt(max(weakest, 1e-12))
 
     def at(self, board_mm: Floats) -> Floats:
         """Return the displacement (k, 2) of points (k, 2) in tester coordinates, mm."""
@@ -175,7 +164,7 @@ def _equations(board_mm: Floats, middle_mm: Floats, arm_mm: float) -> Floats:
 
 
 def _fitted(seen: _Seen, prior: tuple[float, float]) -> ComponentShift | None:
-    """Estimate the common shift of k components; wrong centres lose their weight.
+    """Estimate the common shift of k components; wrong centres and kinds lose their weight.
 
     Args:
         seen: the components' centres.
@@ -188,12 +177,13 @@ def _fitted(seen: _Seen, prior: tuple[float, float]) -> ComponentShift | None:
     j = np.concatenate(
         [_equations(board_mm, middle, arm), seen.lean_mm[:, :, None], np.kron(kinds[:, None], np.eye(2))], 2
     )
-    of_kinds, weight, scatter, kind_mm = slice(5, None), np.ones(len(board_mm)), 1.0, _KIND_MM
+    of_kinds, weight, trust = slice(5, None), np.ones(len(board_mm)), np.ones(kinds.shape[1])
+    scatter, kind_mm = 3 * _SCATTER_MM, _KIND_MM
     expected, precision = np.zeros(j.shape[2]), np.zeros(j.shape[2])
     expected[4], precision[4] = prior[0], prior[1] ** -2
     covariance, solved = np.eye(j.shape[2]), expected
     for _ in range(_ROUNDS):
-        precision[of_kinds] = kind_mm**-2
+        precision[of_kinds] = np.repeat(trust, 2) / kind_mm**2
         normal = np.einsum("k,kia,kib->ab", weight, j, j) / scatter**2
         if np.linalg.cond(normal[:4, :4]) > 1e8:
             return None
@@ -202,14 +192,22 @@ def _fitted(seen: _Seen, prior: tuple[float, float]) -> ComponentShift | None:
         solved = covariance @ (vector + precision * expected)
         variance = covariance.diagonal()
         # Few centres show their scatter badly, since they determine unknowns too, as far as the priors do not.
-        free = 1 - float((1 - precision * variance).sum()) / off_mm.size
+        free = len(board_mm) - float((1 - precision * variance).sum()) / 2
         length = np.hypot(*(off_mm - j @ solved).T)
         # 1.1774: median of the length of a normal error in the plane, in standard deviations per axis
-        scatter = max(float(np.median(length)) / 1.1774 / math.sqrt(max(free, _LEAST_FREE)), _LEAST_SCATTER_MM)
-        weight = (1 + (length / (_KNEE * scatter)) ** 2) ** -2.0
+        seen2 = len(board_mm) * (float(np.median(length)) / 1.1774) ** 2
+        scatter = math.sqrt((seen2 + _SCATTER_WEIGHT * _SCATTER_MM**2) / (max(free, 0.0) + _SCATTER_WEIGHT))
+        weight = _weights(length / scatter)
         # What the offsets of the kinds are, and what is not known of them, shows how large such offsets are.
-        shown = float((solved[of_kinds] ** 2 + variance[of_kinds]).sum())
-        kind_mm = math.sqrt((shown + _KIND_WEIGHT * _KIND_MM**2) / (len(variance) - 5 + _KIND_WEIGHT))
+        offsets, unsure = (v[of_kinds].reshape(-1, 2) for v in (solved, variance))
+        shown = float(trust @ (offsets**2 + unsure).sum(1))
+        kind_mm = math.sqrt((shown + _KIND_WEIGHT * _KIND_MM**2) / (2 * trust.sum() + _KIND_WEIGHT))
+        trust = _weights(np.hypot(*offsets.T) / kind_mm)
     if weight.sum() < _LEAST / 2:
         return None
-    return ComponentShift(solved[:4], covariance[:4, :4] + np.diag(_PLACING_MM**2), middle, arm, len(board_mm))
+    return ComponentShift(solved[:4], covariance[:4, :4], middle, arm, len(board_mm))
+
+
+def _weights(lengths: Floats) -> Floats:
+    """Return the robust weights (k,) of errors of these lengths (k,), in standard deviations per axis."""
+    return np.asarray((1 + (lengths / _KNEE) ** 2) ** -2.0)

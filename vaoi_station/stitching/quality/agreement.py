@@ -1,4 +1,4 @@
-"""Check that fiducials, CAD data, calibration, outline, components and reference agree.
+"""Check that fiducials, CAD data, calibration, outline and reference agree.
 
 A disagreement is a reason in words and numbers.
 """
@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from vaoi_station.geometry.robust import Failure, fit_similarity
-from vaoi_station.geometry.transforms import Floats, System, apply
+from vaoi_station.geometry.transforms import Floats, System
 from vaoi_station.model import Reason, ReasonCode
 from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.adjustment.observations import Ints
@@ -18,7 +18,6 @@ from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.outline import OutlineShift
 from vaoi_station.stitching.board.reference import inliers
 from vaoi_station.stitching.components.local_fiducials import common_displacement_mm
-from vaoi_station.stitching.components.shift import ComponentShift
 
 _FIDUCIAL_LIMIT_PX = 0.30
 _SCALE_LIMIT = 5e-4
@@ -154,30 +153,6 @@ def outline_reasons(shift: OutlineShift | None, px_per_mm: float) -> list[Reason
             )
         )
     return out
-
-
-def component_reasons(
-    shift: ComponentShift | None, plane: BoardPlane, adjusted: AdjustmentResult, px_per_mm: float
-) -> list[Reason]:
-    """Return a reason if the pictures of the components are centred elsewhere than C puts them."""
-    if shift is None or adjusted.similarity is None or not shift.contradicts:
-        return []
-    places = apply(plane.matrix(adjusted.similarity), plane.cad(plane.fiducials))
-    off_mm = np.hypot(*shift.at(places).T) if len(places) else np.zeros(0)
-    where = ""
-    if len(off_mm):
-        n = int(off_mm.argmax())
-        name = plane.board_type.fiducials[n].name
-        where = f", which is {off_mm[n]:.2f} mm ({off_mm[n] * px_per_mm:.1f} px) at fiducial {name}"
-    (x, y), (sx, sy) = shift.measured[:2], np.sqrt(np.diag(shift.covariance))[:2]
-    return [
-        Reason(
-            ReasonCode.COMPONENTS_SHIFTED,
-            f"the pictures of {shift.components} components are centred ({x:+.3f}, {y:+.3f}) mm ± ({sx:.3f}, "
-            f"{sy:.3f}) from where fiducials and CAD data put them, and turned or stretched{where}: a fiducial is not "
-            "at its CAD position, or the centres of the components in the CAD data are not those of the parts",
-        )
-    ]
 
 
 def reference_reasons(points: FiducialPoints | None, residual_px: Floats) -> list[Reason]:

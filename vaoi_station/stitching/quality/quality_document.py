@@ -9,6 +9,7 @@ import numpy as np
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.stitching.adjustment.motion import measured_velocity
 from vaoi_station.stitching.adjustment.problem import FIXTURE, REFERENCE
+from vaoi_station.stitching.components.two_fiducials import unnoticed_mm
 from vaoi_station.stitching.quality.covariances import matrix_sigmas, row_covariances
 from vaoi_station.stitching.quality.findings import Findings
 from vaoi_station.stitching.quality.uncertainty import surface_sigma_mm
@@ -184,7 +185,7 @@ def _fiducial_check(f: Findings) -> dict[str, Any] | None:
     shift = f.component_shift
     unnoticed = None
     if shift is not None and len(used) == 2:
-        unnoticed = _rounded(shift.unnoticed_mm(apply(f.cad_matrix, f.plane.cad(f.plane.fiducials[used]))))
+        unnoticed = _rounded(unnoticed_mm(shift, apply(f.cad_matrix, f.plane.cad(f.plane.fiducials[used]))))
     return {
         "fiducials": len(used),
         "redundant": max(2 * len(used) - 4, 0),

@@ -22,9 +22,9 @@ from vaoi_station.stitching.board.cad_mapping import CadMapping
 from vaoi_station.stitching.board.fiducial_assignment import outside_share
 from vaoi_station.stitching.components.board_reasons import board_reasons, mark_reasons
 from vaoi_station.stitching.components.likeness import compare_components, shown_by_points
+from vaoi_station.stitching.components.shift_reasons import component_reasons
 from vaoi_station.stitching.quality.agreement import (
     common_local_reasons,
-    component_reasons,
     fiducial_reasons,
     outline_reasons,
     reference_reasons,
@@ -243,7 +243,8 @@ def _disagreeing_fiducials(b: _Placed) -> Iterator[Reason]:
 
 def _shifted_board(b: _Placed) -> Iterator[Reason]:
     yield from outline_reasons(b.mapping.shift, b.px_per_mm)
-    yield from component_reasons(b.findings.component_shift, b.plane, b.findings.adjusted, b.px_per_mm)
+    f = b.findings
+    yield from component_reasons(f.component_shift, b.plane, f.adjusted, b.points, b.px_per_mm)
 
 
 def _unlike_reference(b: _Placed) -> Iterator[Reason]:
