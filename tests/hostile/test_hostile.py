@@ -43,8 +43,10 @@ SHORT = (
     82844,
     84655,
     84667,
+    84712,
     91283,
     91603,
+    93217,
 )
 """Mended finds that the short form repeats: one of each class of causes."""
 MOST_REFUSED = 0.05

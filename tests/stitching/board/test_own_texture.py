@@ -133,22 +133,37 @@ def test_an_outline_is_confirmed_only_in_its_place(shift_mm: float, confirmed: b
     assert result.status is Status.OK
 
 
-def test_a_connector_along_a_side_is_no_other_edge_of_the_board(workshop: Any) -> None:
-    """Its edge, all along a side, is stronger than that of the board; only CAD data show what it is."""
+OUTLINE = [[-11.0, -7.0], [11.0, -7.0], [11.0, 7.0], [-11.0, 7.0]]
+STILL = Motion(np.zeros(1), np.zeros((1, 2)), np.zeros(2))
+
+
+def with_bright_box(workshop: Any, middle: tuple[float, float], half: tuple[float, float]) -> Scene:
+    """Draw a board of 22 mm × 14 mm with a box on it that is brighter than its edges."""
     camera = workshop.camera((0.0, 0.0), size_px=(480, 320), px_per_mm=15.0)
     y, x = np.mgrid[:320, :480].astype(float)
     tester = camera.ground(np.stack([x, y], -1).reshape(-1, 2)).reshape(320, 480, 2)
     levels = np.where((np.abs(tester) <= (11.0, 7.0)).all(-1), 100.0, 60.0)
-    levels[(np.abs(tester - (7.0, 0.0)) <= (1.5, 6.5)).all(-1)] = 220.0
+    levels[(np.abs(tester - middle) <= half).all(-1)] = 220.0
     frame = PreparedFrame(workshop.digitised(levels + np.random.default_rng(1).normal(0, 2, levels.shape)))
-    scene = Scene((camera,), ((0, 0),), lambda key: frame)
-    still = Motion(np.zeros(1), np.zeros((1, 2)), np.zeros(2))
-    outline = [[-11.0, -7.0], [11.0, -7.0], [11.0, 7.0], [-11.0, 7.0]]
+    return Scene((camera,), ((0, 0),), lambda key: frame)
+
+
+def test_a_connector_along_a_side_is_no_other_edge_of_the_board(workshop: Any) -> None:
+    """Its edge, all along a side, is stronger than that of the board; only CAD data show what it is."""
+    scene = with_bright_box(workshop, (7.0, 0.0), (1.5, 6.5))
     connector = {"ref": "J1", "center": [7.0, 0.0], "width": 3.0, "height": 13.0}
-    assert outline_confirmed(plane_of(outline, components=[connector]), np.eye(3), scene, still)
-    assert not outline_confirmed(plane_of(outline), np.eye(3), scene, still)
+    assert outline_confirmed(plane_of(OUTLINE, components=[connector]), np.eye(3), scene, STILL)
+    assert not outline_confirmed(plane_of(OUTLINE), np.eye(3), scene, STILL)
     elsewhere = np.array([[1.0, 0, -2.0], [0, 1, 0], [0, 0, 1]])
-    assert not outline_confirmed(plane_of(outline, components=[connector]), elsewhere, scene, still)
+    assert not outline_confirmed(plane_of(OUTLINE, components=[connector]), elsewhere, scene, STILL)
+
+
+def test_a_marking_between_two_connectors_is_no_other_edge_of_the_board(workshop: Any) -> None:
+    """Of five pieces of a side, only one is not hidden by them, and shows a stronger edge (seed 96313)."""
+    scene = with_bright_box(workshop, (0.0, 3.0), (10.6, 1.5))
+    two = [{"ref": f"J{n}", "center": [x, 3.0], "width": 7.0, "height": 3.0} for n, x in ((1, -7.1), (2, 7.1))]
+    assert outline_confirmed(plane_of(OUTLINE, components=two), np.eye(3), scene, STILL)
+    assert not outline_confirmed(plane_of(OUTLINE, components=two[:1]), np.eye(3), scene, STILL)
 
 
 def test_two_fiducials_in_a_carrier_as_bright_as_the_board_fail_with_the_cause() -> None:

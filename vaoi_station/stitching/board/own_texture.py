@@ -34,7 +34,8 @@ _EDGE_NEAR_MM = 0.5
 _QUANTILE = 0.25
 """The step of grey level of a side is this quantile of the steps of its pieces.
 
-The edge of a board runs along all pieces of a side; a row of pads runs along only some of them."""
+The edge of a board runs along all pieces of a side; a row of pads runs along only some of them. Where components hide
+more than the other pieces, nothing is known of a line."""
 _LEAST_EDGE = 4.0
 """Smallest step of grey level at the edge of a side."""
 _STANDS_OUT = 1.15
@@ -131,7 +132,8 @@ def outline_confirmed(plane: BoardPlane, cad_matrix: Floats, scene: Scene, motio
         if len(mine) < _LEAST_PIECES:
             continue
         edge = np.quantile(steps[mine][:, at_edge], _QUANTILE, axis=0).max()
-        shown = np.isfinite(others[mine]).any(0)
+        # Between components that hide most of a line, a single pad or marking would count as a line.
+        shown = np.isfinite(others[mine]).mean(0) >= _QUANTILE
         other = np.nanquantile(others[mine][:, shown], _QUANTILE, axis=0).max(initial=0.0)
         if edge < max(_LEAST_EDGE, _STANDS_OUT * other):
             return False
