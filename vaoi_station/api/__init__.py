@@ -98,6 +98,8 @@ def create_app(
     )
     app.state.hub = services.hub
     problems.install(app)
+    # First, because routes are tried in order, and a browser asks for dozens of files of a page at once.
+    pages.install(app)
     pictures = (frames, components, batch_routes, merged, mosaics)
     of_types = (board_types, stitching, lighting)
     routers = [
@@ -117,7 +119,6 @@ def create_app(
         app.router.routes.extend(router.routes)
     _add_health(app, services)
     app.router.routes.extend(metrics.router(services).routes)
-    pages.install(app)
     openapi.install(app)
     # Added last, so that it is the outermost layer and sees each request first.
     app.add_middleware(RequestGuard, names=allowed_names(names), access=access)

@@ -8,43 +8,24 @@ from __future__ import annotations
 from pathlib import Path
 
 from fastapi import FastAPI, Request
-from fastapi.responses import FileResponse, PlainTextResponse
+from fastapi.responses import PlainTextResponse
 from starlette.exceptions import HTTPException
-from starlette.responses import Response
-from starlette.staticfiles import StaticFiles
-from starlette.types import Scope
+from starlette.routing import Mount, Route
 
 from vaoi_station.api.problems import KINDS
+from vaoi_station.api.static_files import StaticFiles
 
 WEB = Path(__file__).parent / "web"
-FRESH = {"Cache-Control": "no-cache"}
-
-
-class Assets(StaticFiles):
-    """Static files that browsers revalidate by ETag, so that they show an updated file at once."""
-
-    async def get_response(self, path: str, scope: Scope) -> Response:
-        """Return one file. Directories, and paths that lead out of the served directory, give 404."""
-        answer = await super().get_response(path, scope)
-        answer.headers["Cache-Control"] = "no-cache"
-        return answer
+_PAGES = {"/": "index.html", "/docs": "docs.html", "/favicon.ico": "icon.svg"}
+"""Addresses with a file of their own."""
 
 
 def install(app: FastAPI) -> None:
     """Add the pages to the application. They are not part of the OpenAPI document."""
-    app.mount("/web", Assets(directory=WEB), name="web")
-
-    @app.get("/", include_in_schema=False)
-    async def page() -> FileResponse:
-        return FileResponse(WEB / "index.html", headers=FRESH)
-
-    @app.get("/docs", include_in_schema=False)
-    async def docs() -> FileResponse:
-        return FileResponse(WEB / "docs.html", headers=FRESH)
-
-    @app.get("/favicon.ico", include_in_schema=False)
-    async def icon() -> FileResponse:
-        return FileResponse(WEB / "icon.svg", headers=FRESH)
+    files = StaticFiles(WEB)
+    app.router.routes += [Mount("/web", files, name="web")]
+    # Routes of Starlette: those of FastAPI would read parameters, which these addresses do not have.
+    app.router.routes += [Route(address, files.page(name)) for address, name in _PAGES.items()]
 
     @app.get("/problems/{kind}", include_in_schema=False)
     async def problem(request: Request, kind: str) -> PlainTextResponse:

@@ -7,11 +7,12 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from fastapi import FastAPI, Query
-from fastapi.responses import FileResponse, Response
+from fastapi.responses import Response
+from starlette.routing import Mount, Route
 
 from vaoi_station.api import pages, problems
-from vaoi_station.api.pages import FRESH, Assets
 from vaoi_station.api.request_guard import RequestGuard
+from vaoi_station.api.static_files import StaticFiles
 from vaoi_station.config import StationConfig
 from vaoi_station.version import __version__
 from vaoi_station.viewing.frame_documents import frame_document
@@ -28,16 +29,9 @@ def create_app(config: StationConfig, latest: LatestFrames, notices: Sequence[st
     """Create the application: the page, `/api/look` (figures and marks), and `/api/cameras/N/picture` (JPEG)."""
     app = FastAPI(title="VAOI view", version=__version__, docs_url=None, redoc_url=None, openapi_url=None)
     problems.install(app)
-    app.mount("/web", Assets(directory=WEB), name="web")
-    app.mount("/parts", Assets(directory=SHARED), name="parts")
-
-    @app.get("/")
-    def page() -> FileResponse:
-        return FileResponse(WEB / "index.html", headers=FRESH)
-
-    @app.get("/favicon.ico")
-    def icon() -> FileResponse:
-        return FileResponse(WEB / "icon.svg", headers=FRESH)
+    files = StaticFiles(WEB)
+    app.router.routes += [Mount("/web", files), Mount("/parts", StaticFiles(SHARED))]
+    app.router.routes += [Route("/", files.page("index.html")), Route("/favicon.ico", files.page("icon.svg"))]
 
     @app.get("/api/look")
     def list_frames(

@@ -1,0 +1,104 @@
+"""Files of a page: from memory, without threads, and as they are on disk now."""
+
+from __future__ import annotations
+
+import os
+import threading
+from pathlib import Path
+from typing import Any
+
+import pytest
+from starlette.applications import Starlette
+from starlette.routing import Mount, Route
+from starlette.testclient import TestClient
+
+from vaoi_station.api.static_files import StaticFiles
+
+THREAD = "AnyIO worker thread"
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    web = tmp_path / "web"
+    (web / "parts").mkdir(parents=True)
+    (web / "page.html").write_text("<p>ü</p>")
+    (web / "parts" / "one.js").write_text("export {};")
+    (web / "data").write_bytes(b"\0")
+    (tmp_path / "secret.js").write_text("1")
+    return web
+
+
+@pytest.fixture
+def client(folder: Path) -> TestClient:
+    files = StaticFiles(folder)
+    return TestClient(Starlette(routes=[Mount("/web", files), Route("/", files.page("page.html"))]))
+
+
+@pytest.mark.parametrize(
+    ("path", "media_type", "content"),
+    [
+        ("/", "text/html; charset=utf-8", "<p>ü</p>".encode()),
+        ("/web/page.html", "text/html; charset=utf-8", "<p>ü</p>".encode()),
+        ("/web/parts/one.js", "text/javascript; charset=utf-8", b"export {};"),
+        ("/web/data", "application/octet-stream", b"\0"),
+    ],
+)
+def test_a_file_has_its_type_and_is_revalidated(client: TestClient, path: str, media_type: str, content: bytes) -> None:
+    reply = client.get(path)
+    assert (reply.status_code, reply.content) == (200, content)
+    assert (reply.headers["content-type"], reply.headers["cache-control"]) == (media_type, "no-cache")
+    again = client.get(path, headers={"if-none-match": reply.headers["etag"]})
+    assert (again.status_code, again.content) == (304, b"")
+    assert (again.headers["etag"], again.headers["cache-control"]) == (reply.headers["etag"], "no-cache")
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "",
+        "/",
+        "/parts",
+        "/parts/",
+        "/missing.js",
+        "/page.html/",
+        "//page.html",
+        "/%2e/page.html",
+        "/parts/%2e%2e/page.html",
+        "/%2e%2e/secret.js",
+        "/parts/..%2f..%2fsecret.js",
+        "/page.html%00",
+        "/" + 300 * "a",
+    ],
+)
+def test_only_files_of_the_folder_are_there(client: TestClient, path: str) -> None:
+    assert client.get(f"/web{path}").status_code == 404
+
+
+def test_an_absolute_path_is_no_name(client: TestClient, folder: Path) -> None:
+    assert client.get(f"/web/{folder.parent / 'secret.js'}").status_code == 404
+
+
+def test_files_are_only_read(client: TestClient) -> None:
+    assert client.post("/web/page.html").status_code == 405
+    assert client.head("/web/page.html").headers["content-length"] == "9"
+
+
+def test_a_changed_file_is_shown_at_once(client: TestClient, folder: Path) -> None:
+    module = folder / "parts" / "one.js"
+    before = client.get("/web/parts/one.js").headers["etag"]
+    module.write_text("export [];")  # of the same size, at a later time
+    os.utime(module, ns=(1, module.stat().st_mtime_ns + 1))
+    after = client.get("/web/parts/one.js", headers={"if-none-match": before})
+    assert (after.status_code, after.text) == (200, "export [];")
+    module.unlink()
+    assert client.get("/web/parts/one.js").status_code == 404
+    module.write_text("export {};")
+    assert client.get("/web/parts/one.js", headers={"if-none-match": before}).status_code == 304
+
+
+def test_a_page_takes_no_thread(served: Any) -> None:
+    """Each look-up, opening and reading in a thread cost the station several times as much as the answer."""
+    before = [thread.name for thread in threading.enumerate()].count(THREAD)
+    for path in ("/", "/web/app.js", "/web/vendor/openseadragon/openseadragon.min.js"):
+        assert served.client.get(path).status_code == 200
+    assert [thread.name for thread in threading.enumerate()].count(THREAD) == before
