@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import math
 import weakref
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -13,6 +14,7 @@ from vaoi_station.errors import NotFoundError, StateError
 from vaoi_station.runs.control import pictures
 from vaoi_station.runs.control.pictures import frame_record
 from vaoi_station.runs.host import gc_policy
+from vaoi_station.runs.mosaics.picture_names import PictureName
 
 
 def test_a_frame_that_may_still_arrive_is_refused_differently_from_one_that_cannot(rig: Any) -> None:
@@ -54,13 +56,25 @@ class Knot:
         self.itself = self
 
 
-def test_no_full_garbage_collection_delays_a_caller_who_fetches(rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def fetch_frame(coordinator: Any, run: str) -> None:
+    coordinator.frame(run, 0, 0)
+
+
+def fetch_tile(coordinator: Any, run: str) -> None:
+    with pytest.raises(ValueError, match="unpack"):  # the workers of the rig make no plans
+        coordinator.mosaics.tile(run, PictureName(), 1, (0, 0, 8, 8), "jpg")
+
+
+@pytest.mark.parametrize("fetch", [fetch_frame, fetch_tile])
+def test_no_full_garbage_collection_delays_a_caller_who_fetches(
+    rig: Any, monkeypatch: pytest.MonkeyPatch, fetch: Callable[[Any, str], None]
+) -> None:
     monkeypatch.setattr(gc_policy, "IDLE_S", 0.0)
     monkeypatch.setattr(pictures, "FETCHING_S", math.inf)
     grant = rig.arm()
     rig.board(grant)
     rig.result_of(grant.run)
-    rig.coordinator.frame(grant.run, 0, 0)
+    fetch(rig.coordinator, grant.run)
     tied = Knot()
     gc.collect(1)
     gc.collect(1)  # now only a full collection finds it

@@ -105,7 +105,7 @@ class StationCoordinator:
         access = self._frames = FrameAccess(self._inbox, self._core, ring, parts.archive, requests)
         common, fields = (parts.archive, access.lease, requests.render), parts.config.flat_fields
         self.heights = MeasuredHeights(*common, access.bay_of, parts.events, fields)
-        self.mosaics = Mosaics(*common, fields, self.heights.known, parts.workers.hastened)
+        self.mosaics = Mosaics(*common, fields, self.heights.known, parts.workers.hastened, access.note_fetch)
         made = self.heights, access.kept_mosaics(parts.config, self.mosaics, parts.events)
         self.kept = KeptRuns(parts.config, parts.archive, parts.events, access, *made, requests.render)
         access.heights, parts.watch.on_checked = self.heights.known, self.kept.trends.checked

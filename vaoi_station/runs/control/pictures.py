@@ -43,7 +43,7 @@ from vaoi_station.runs.workers.jobs import Priority, RenderJob
 SMALL_PX = 400_000
 """Largest number of pixels of a small picture: rendered and encoded, it takes no longer than two links."""
 FETCHING_S = 1.0
-"""Time for which a caller that has fetched a picture or frame is likely to fetch the next one."""
+"""Time for which a caller that has fetched a picture, frame or tile is likely to fetch the next one."""
 
 
 class ViewRequest(NamedTuple):
@@ -73,7 +73,7 @@ class FrameAccess:
         self, detail: RunDetail, camera: int, row: int, allow_incomplete: bool
     ) -> tuple[NDArray[Any], FrameRecord]:
         """Copy one frame out of the ring or the recording, with its record; see `StationCoordinator.frame`."""
-        self._fetched_s = time.monotonic()
+        self.note_fetch()
         record = frame_record(detail, camera, row)
         where = f"Frame (camera {camera}, row {row}) of run {detail.id}"
         component_views.refuse_unusable(record, where, allow_incomplete)
@@ -88,7 +88,7 @@ class FrameAccess:
 
     def image(self, detail: RunDetail, wanted: ViewRequest, format: ImageFormat) -> bytes:
         """Render one temporary image, in a worker or in this thread, and return it as an encoded file."""
-        self._fetched_s = time.monotonic()
+        self.note_fetch()
         finished = self._archive.get(detail.id)
         name = f"{wanted.ref}/{wanted.k}"
         measure, heights = self._measured_by(detail), self._heights(detail.id, wanted.images)
@@ -171,8 +171,12 @@ class FrameAccess:
         """Return whether a board is being filmed or stitched."""
         return bool(self._core.runs.active)
 
+    def note_fetch(self) -> None:
+        """Note that a caller fetches a picture, a frame or a tile now."""
+        self._fetched_s = time.monotonic()
+
     def in_use(self) -> bool:
-        """Return whether a board is being filmed or stitched, or a caller fetches pictures or frames."""
+        """Return whether a board is being filmed or stitched, or a caller fetches pictures, frames or tiles."""
         return self.busy() or time.monotonic() - self._fetched_s < FETCHING_S
 
     def copier(self, bay: Bay) -> Callable[[int], NDArray[Any]]:

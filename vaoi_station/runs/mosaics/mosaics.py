@@ -69,6 +69,7 @@ class Mosaics:
         flat_fields: Path | None = None,
         heights: Callable[[str], Heights | None] = lambda _run: None,
         hastened: Callable[[type[PictureJob], str], AbstractContextManager[None]] = lambda _kind, _run: nullcontext(),
+        fetched: Callable[[], None] = lambda: None,
     ) -> None:
         """Create it.
 
@@ -80,9 +81,10 @@ class Mosaics:
             heights: returns the measured heights of a run; None while there are none.
             hastened: has the spare-time jobs of a kind and a run done as if a caller had submitted them, in a `with`
                 block.
+            fetched: notes that a caller fetches a tile, and is likely to fetch the next one.
         """
         self._archive, self._render, self._hastened = archive, render, hastened
-        self._callers = _Access(lease, Priority.RENDER)
+        self._callers, self._fetched = _Access(lease, Priority.RENDER), fetched
         self._flat_fields, self._heights = flat_fields, heights
         self.board_checks = BoardChecks(archive, lease, render)
         """Board types laid over these runs."""
@@ -133,6 +135,7 @@ class Mosaics:
             GoneError: the frames of the run are no longer in memory.
             InputError: the flat fields do not fit the run.
         """
+        self._fetched()
         finished, opened = self._archive.get(run), self._open(run, name, asked=True)
         plan, overview = self._planned(finished, name, opened)
         if overview is not None and overview.reduction <= reduction and finished.detail.frames_available:
