@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from vaoi_station.api.pages import WEB
 from vaoi_station.api.problems import KINDS
 from vaoi_station.doctor.runner import MACHINE_CHECKS, STATION_CHECKS
 from vaoi_station.model import ReasonCode
@@ -32,6 +33,17 @@ def test_pages_are_revalidated(untouched_client: Any, path: str, media_type: str
     assert reply.headers["content-type"].startswith(media_type)
     assert reply.headers["cache-control"] == "no-cache"
     assert untouched_client.get(path, headers={"if-none-match": reply.headers["etag"]}).status_code in (200, 304)
+
+
+def test_the_style_sheets_of_the_page_come_as_one(untouched_client: Any) -> None:
+    reply = untouched_client.get("/web/styles.css")
+    assert (reply.headers["content-type"], reply.headers["cache-control"]) == ("text/css; charset=utf-8", "no-cache")
+    sheets = [path.read_text() for path in WEB.rglob("*.css") if "vendor" not in path.parts]
+    assert len(reply.text) == sum(map(len, sheets))
+    assert all(sheet in reply.text for sheet in sheets)
+    assert reply.text.startswith((WEB / "style.css").read_text())
+    again = untouched_client.get("/web/styles.css", headers={"if-none-match": reply.headers["etag"]})
+    assert again.status_code == 304
 
 
 @pytest.mark.parametrize("path", ["/web/", "/web/missing.js", "/web/%2e%2e/problems.py", "/web/..%2fhosts.py"])

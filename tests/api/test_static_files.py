@@ -23,6 +23,7 @@ def folder(tmp_path: Path) -> Path:
     (web / "parts").mkdir(parents=True)
     (web / "page.html").write_text("<p>ü</p>")
     (web / "parts" / "one.js").write_text("export {};")
+    (web / "parts" / "two.js").write_text("export [];")
     (web / "data").write_bytes(b"\0")
     (tmp_path / "secret.js").write_text("1")
     return web
@@ -31,7 +32,8 @@ def folder(tmp_path: Path) -> Path:
 @pytest.fixture
 def client(folder: Path) -> TestClient:
     files = StaticFiles(folder)
-    return TestClient(Starlette(routes=[Mount("/web", files), Route("/", files.page("page.html"))]))
+    joined = Route("/both", files.joined(["parts/one.js", "parts/two.js"]))
+    return TestClient(Starlette(routes=[Mount("/web", files), Route("/", files.page("page.html")), joined]))
 
 
 @pytest.mark.parametrize(
@@ -40,6 +42,7 @@ def client(folder: Path) -> TestClient:
         ("/", "text/html; charset=utf-8", "<p>ü</p>".encode()),
         ("/web/page.html", "text/html; charset=utf-8", "<p>ü</p>".encode()),
         ("/web/parts/one.js", "text/javascript; charset=utf-8", b"export {};"),
+        ("/both", "text/javascript; charset=utf-8", b"export {};export [];"),
         ("/web/data", "application/octet-stream", b"\0"),
     ],
 )
@@ -85,11 +88,12 @@ def test_files_are_only_read(client: TestClient) -> None:
 
 def test_a_changed_file_is_shown_at_once(client: TestClient, folder: Path) -> None:
     module = folder / "parts" / "one.js"
-    before = client.get("/web/parts/one.js").headers["etag"]
+    before, both = (client.get(path).headers["etag"] for path in ("/web/parts/one.js", "/both"))
     module.write_text("export [];")  # of the same size, at a later time
     os.utime(module, ns=(1, module.stat().st_mtime_ns + 1))
     after = client.get("/web/parts/one.js", headers={"if-none-match": before})
     assert (after.status_code, after.text) == (200, "export [];")
+    assert client.get("/both", headers={"if-none-match": both}).text == "export [];export [];"
     module.unlink()
     assert client.get("/web/parts/one.js").status_code == 404
     module.write_text("export {};")

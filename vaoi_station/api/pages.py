@@ -18,12 +18,27 @@ from vaoi_station.api.static_files import StaticFiles
 WEB = Path(__file__).parent / "web"
 _PAGES = {"/": "index.html", "/docs": "docs.html", "/favicon.ico": "icon.svg"}
 """Addresses with a file of their own."""
+_STYLES = (
+    "style.css",
+    "line/line.css",
+    "boards/boards.css",
+    "trends/trends.css",
+    "parts/camera_card.css",
+    "cameras/cameras.css",
+    "setup/setup.css",
+    "setup/lights/lights.css",
+    "setup/optics/optics.css",
+    "setup/settings/settings.css",
+    "board/board.css",
+)
+"""The style sheets of the page in the order in which they apply: later ones before earlier ones."""
 
 
 def install(app: FastAPI) -> None:
     """Add the pages to the application. They are not part of the OpenAPI document."""
     files = StaticFiles(WEB)
-    app.router.routes += [Mount("/web", files, name="web")]
+    # One request in place of one for each view: a browser sends six at a time, and asks for styles before all modules.
+    app.router.routes += [Route("/web/styles.css", files.joined(_STYLES)), Mount("/web", files, name="web")]
     # Routes of Starlette: those of FastAPI would read parameters, which these addresses do not have.
     app.router.routes += [Route(address, files.page(name)) for address, name in _PAGES.items()]
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import mimetypes
 import stat
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -55,13 +55,19 @@ class StaticFiles:
 
         return reply
 
+    def joined(self, names: Sequence[str]) -> Callable[[Request], Awaitable[Response]]:
+        """Return the handler of an address for several files of one type, one after another, as one file."""
+
+        async def reply(request: Request) -> Response:
+            files = [self._read(name) for name in names]
+            content = b"".join(file.content for file in files)
+            return _reply(files[0]._replace(content=content, tag=tag_of(content)), request.headers)
+
+        return reply
+
     def reply(self, name: str, asked: Headers) -> Response:
         """Return a reply with a file, or 304 if the browser has it. Directories, and names that lead out, give 404."""
-        file = self._read(name)
-        headers = {"ETag": file.tag, "Cache-Control": REVALIDATE}
-        if matches(asked.get("if-none-match"), file.tag):
-            return Response(status_code=304, headers=headers)
-        return Response(file.content, media_type=file.media_type, headers=headers)
+        return _reply(self._read(name), asked)
 
     def _read(self, name: str) -> _Kept:
         """Return a file of the folder, which is read again only after a change."""
@@ -80,3 +86,10 @@ class StaticFiles:
         except (OSError, ValueError):  # ValueError: the name has a zero byte
             raise HTTPException(404) from None
         return kept
+
+
+def _reply(file: _Kept, asked: Headers) -> Response:
+    headers = {"ETag": file.tag, "Cache-Control": REVALIDATE}
+    if matches(asked.get("if-none-match"), file.tag):
+        return Response(status_code=304, headers=headers)
+    return Response(file.content, media_type=file.media_type, headers=headers)

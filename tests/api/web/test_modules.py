@@ -1,4 +1,4 @@
-"""Modules of the page are asked for at once, not as one names the next; the picture of a board before the rest."""
+"""What the page needs is asked for at once, not as one module names the next; the picture of a board comes first."""
 
 from __future__ import annotations
 
@@ -119,3 +119,32 @@ def test_the_picture_of_a_board_waits_for_neither_state_nor_list(page: Page, ser
     state.release()
     expect(page.locator("#zoom-view[data-mosaic]")).to_be_visible()
     assert sum(path.endswith("/mosaics") for path in asked.paths) == 1
+    assert not any(path.endswith(".dzi") for path in asked.paths), "the list says the same"
+
+
+@pytest.mark.browser
+def test_the_run_of_a_board_is_asked_for_before_its_view_has_come(page: Page, served: Any) -> None:
+    run = served.station.film()
+    asked, modules = Requests(page), Held(page, "**/web/board/*.js")
+    page.goto(f"{served.url}/#/board/{run}")
+    asked.wait_for(f"runs/{run}", "/mosaics")
+    modules.release()
+    expect(page.locator("#zoom-view[data-mosaic]")).to_be_visible()
+    assert asked.paths.count("api/v1/session") == 1
+    assert sum(path.endswith("/mosaics") for path in asked.paths) == 1
+    other = served.station.film()
+    page.goto(f"{served.url}/#/board/{other}")
+    asked.wait_for(f"runs/{other}/mosaics")
+
+
+@pytest.mark.browser
+def test_the_lists_of_a_board_follow_its_picture(page: Page, served: Any) -> None:
+    """They take the station as long as all tiles of the picture, and would be computed beside them."""
+    run = served.station.film()
+    asked, tiles = Requests(page), Held(page, "**/*_files/**")
+    page.goto(f"{served.url}/#/board/{run}")
+    asked.wait_for(".jpg", "/components", "/overlay")  # without the tiles, after a limited time
+    first = next(n for n, path in enumerate(asked.paths) if path.endswith(".jpg"))
+    assert not any(path.endswith(("/components", "/overlay")) for path in asked.paths[:first])
+    tiles.release()
+    expect(page.locator("#component")).to_have_value("U1")

@@ -1,5 +1,7 @@
-// Asks at once for the files that the page will need by its language and address: otherwise each is found when the one that names it has
-// come, one round of requests after the other. It is no fault if one does not come: it is asked for again where it is needed.
+// Asks at once for what the page will need by its language and address: otherwise each file is found when the one that names it has
+// come, and data when the module that shows them has, one round of requests after the other. It is no fault if a file does not come: it is
+// asked for again where it is needed.
+import * as rest from "./parts/rest.js";
 import { language } from "./texts/language.js";
 
 const TEXTS = {
@@ -34,5 +36,34 @@ export function askAhead() {
   if (location.hash.startsWith("#/board/")) ask(BOARD);
 }
 
+// The login of this page.
+export const session = rest.session();
+
+// Ask for the run of the board that is addressed and for its mosaics, as soon as the caller may read.
+async function askForBoard() {
+  const addressed = /^#\/board\/([^/?]+)/.exec(location.hash);
+  const may = await session.then(({ scopes }) => scopes.includes("read"), () => true); // a station without keys has no login
+  if (!addressed || !may) return null;
+  const id = boardId(addressed[1]);
+  return { id, ...askBoard(id) };
+}
+
+export const boardId = (stated) => stated.replaceAll("%20", " ");
+
+export function askBoard(id) {
+  const [run, list] = [rest.run(id), rest.mosaicList(id)];
+  // Who awaits them learns of a failure; perhaps another view is opened before.
+  for (const asked of [run, list]) asked.catch(() => {});
+  return { run, list };
+}
+
+let first = askForBoard();
 ask(TEXTS[language]);
 askAhead();
+
+// The run of a board and the list of its mosaics, both asked for: with the page, if it began with this board, else now.
+export async function boardAsked(id) {
+  const asked = await first;
+  first = null; // later it would be out of date
+  return asked?.id === id ? asked : askBoard(id);
+}

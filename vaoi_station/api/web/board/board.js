@@ -1,4 +1,5 @@
 // One board: the whole board to zoom into, the pictures of its parts, the report, the times of its steps, and files to take.
+import { boardAsked, boardId } from "../ahead.js";
 import { Decisions } from "../parts/decisions.js";
 import { make, saidOf, setText } from "../parts/elements.js";
 import { boardAdvice } from "../parts/orders.js";
@@ -14,6 +15,7 @@ import { timing } from "./timing.js";
 import { ZoomSide } from "./zoom.js";
 
 const TABS = ["part", "report", "timing", "export"];
+const PICTURE_FIRST_MS = 1000; // as long is the picture waited for: a first one, which must be planned, takes seconds
 const NARROW = matchMedia("(max-width: 1100px)"); // as board.css has it
 const PART = `
 <section id="head">
@@ -47,7 +49,7 @@ export class BoardView {
   #closed = new AbortController();
 
   constructor(_station, id, query) {
-    this.#id = id.replaceAll("%20", " ");
+    this.#id = boardId(id);
     this.#state = new PageState(this.#id, query);
     this.root = make("div", { className: "board" });
     this.root.innerHTML = PART;
@@ -121,9 +123,7 @@ export class BoardView {
   // The frame of the page has a view shown when it knows the state of the station. The picture needs not wait for that, and the first list
   // of mosaics not for the run.
   open() {
-    const list = rest.mosaicList(this.#id);
-    list.catch(() => {}); // without a result there is none
-    this.#opening = rest.unattended(this.#renew(list));
+    this.#opening = rest.unattended(boardAsked(this.#id).then(({ run, list }) => this.#renew(run, list)));
   }
 
   async show() {
@@ -131,10 +131,10 @@ export class BoardView {
     await this.#renew();
   }
 
-  async #renew(list) {
+  async #renew(asked = rest.run(this.#id), list = null) {
     let run;
     try {
-      run = await rest.run(this.#id);
+      run = await asked;
     } catch (error) {
       if (!(error instanceof rest.Refusal)) throw error;
       this.root.classList.add("unknown");
@@ -164,10 +164,11 @@ export class BoardView {
 
   async #showBoard(run, list) {
     const result = run.verdict != null && run.verdict !== "failed";
-    const begun = result ? shownMosaics(run, list).catch(() => []) : [];
+    const mosaics = result ? await shownMosaics(run, list).catch(() => []) : [];
+    // The lists take the station as long as all tiles of the picture, which would have to share its processor with them.
+    if (run === this.#run && mosaics.length) await Promise.race([this.#zoom.begin(mosaics).catch(() => {}), pause(PICTURE_FIRST_MS)]);
+    if (run !== this.#run) return;
     const listed = result ? [rest.components(run.id).catch(() => []), rest.overlay(run.id).catch(() => null)] : [[], null];
-    const mosaics = await begun;
-    if (run === this.#run && mosaics.length) rest.unattended(this.#zoom.begin(mosaics));
     const [parts, overlay] = await Promise.all(listed);
     if (run !== this.#run) return; // its state has changed meanwhile
     this.#shown = { parts, mosaics, overlay, heights: null };
@@ -209,6 +210,8 @@ export class BoardView {
     this.#pictures.compare({ run, visible, from });
   }
 }
+
+const pause = (ms) => new Promise((done) => setTimeout(done, ms));
 
 // What is shown in place of the mosaics of a run whose frames are gone.
 function whatIsShown(mosaic) {

@@ -7,6 +7,7 @@ import { classOf } from "./colours.js";
 import { Drawings } from "./drawings.js";
 
 const LIBRARY = "/web/vendor/openseadragon/openseadragon.min.js";
+const TILE_PX = 256;
 const MARGIN = 2; // surroundings of a part that is flown to, in its own sizes
 
 let loading = null;
@@ -34,8 +35,12 @@ function library() {
 // Load the library while the page waits for the parts of the board. A failure is reported when a mosaic is opened.
 export const prepare = () => library().catch(() => {});
 
-// What the viewer opens for a mosaic: tiles, or the one small picture that is kept.
-const source = (mosaic) => mosaic.dzi ?? { type: "image", url: mosaic.url };
+// What the viewer opens for a mosaic: tiles, or the one small picture that is kept. The list of mosaics says what their .dzi does.
+const source = (mosaic) => (mosaic.dzi ? tiled(mosaic) : { type: "image", url: mosaic.url });
+const tiled = ({ dzi, width_px: width, height_px: height }) => ({
+  width, height, tileSize: TILE_PX, tileOverlap: 0, maxLevel: Math.ceil(Math.log2(Math.max(width, height))),
+  getTileUrl: (level, column, row) => `${dzi.replace(/\.dzi$/, "_files")}/${level}/${column}_${row}.jpg`,
+});
 
 export class DeepZoom {
   #root;
@@ -54,6 +59,7 @@ export class DeepZoom {
   #other = { mosaic: null, visible: true, from: 0 };
   #turn = 0;
   #placed = 0;
+  complete = null; // resolves when every tile in view is there, or one could not be loaded
 
   // onChoose(address): a part was pressed; onFailed(): a piece of the picture could not be loaded.
   constructor(root, onChoose, onFailed) {
@@ -102,6 +108,10 @@ export class DeepZoom {
       this.#root.dataset.mosaic = mosaic.name;
       if (this.#wanted) this.select(...this.#wanted);
       this.#placeOther();
+    });
+    this.complete = new Promise((done) => {
+      viewer.world.addHandler("add-item", ({ item }) => item.addHandler("fully-loaded-change", ({ fullyLoaded }) => fullyLoaded && done()));
+      viewer.addHandler("tile-load-failed", done);
     });
     viewer.addHandler("tile-load-failed", () => this.#onFailed());
     viewer.addHandler("canvas-key", (event) => {

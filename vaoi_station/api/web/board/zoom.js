@@ -79,11 +79,12 @@ export class ZoomSide {
     return button;
   }
 
-  // Open the picture of a run. The list of its parts may take longer than all tiles of the picture: `show` follows with it.
+  // Open the picture of a run, and wait until it is complete. The list of its parts takes as long: `show` follows with it.
   async begin(mosaics) {
     this.#mosaics = mosaics;
     this.root.classList.remove("empty");
     await this.#open();
+    await this.#deep?.complete;
   }
 
   // Show a run: its parts, mosaics (none: `why` says so), and overlay, or null.

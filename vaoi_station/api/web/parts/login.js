@@ -1,4 +1,5 @@
 // Log the page in with a key, once. The station keeps the login as a cookie that scripts cannot read.
+import { session } from "../ahead.js";
 import * as rest from "./rest.js";
 import { make, saidOf } from "./elements.js";
 import { texts } from "../texts/texts.js";
@@ -18,7 +19,7 @@ function offerLogOut() {
 export async function loggedIn(live) {
   let state;
   try {
-    state = await rest.session();
+    state = await session;
   } catch {
     return; // a station without keys, or one that cannot be reached: the page shows that by other means
   }
