@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
-from typing import Any
+from typing import Any, cast
 
 from h11 import LocalProtocolError
 from uvicorn import Config
@@ -13,6 +13,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.server import ServerState
 
 from vaoi_station.api.listener.connections import ConnectionLimits, ConnectionTable, Idleness
+from vaoi_station.api.listener.joined_writes import JoinedWrites
 
 STREAMS = frozenset({"/api/v1/events"})
 """Paths whose replies have no end, so that only the time without progress is limited."""
@@ -91,7 +92,7 @@ class LimitedHttp(H11Protocol):
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Begin to count the time until the first request."""
-        super().connection_made(transport)
+        super().connection_made(cast("asyncio.Transport", JoinedWrites(transport, self.loop)))
         self._accepted.http = self
         self._since = self.loop.time()
 
