@@ -45,6 +45,12 @@ def server(ended: threading.Event) -> Iterator[WebServer]:
         made.stop()
 
 
+@pytest.mark.usefixtures("server")
+def test_threads_of_a_process_that_serves_take_short_turns() -> None:
+    """A reply waits for the interpreter each time that it returns from the kernel while another thread computes."""
+    assert sys.getswitchinterval() == pytest.approx(module.SWITCH_S)
+
+
 def test_it_serves_at_its_address_until_it_is_stopped(server: WebServer, ended: threading.Event) -> None:
     assert httpx2.get(server.address, timeout=20).json() == "served"
     assert not ended.is_set()

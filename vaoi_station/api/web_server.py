@@ -6,6 +6,7 @@ import errno
 import logging
 import os
 import socket
+import sys
 import threading
 from collections.abc import Callable
 
@@ -26,6 +27,10 @@ SEND_BYTES = 256 * 1024
 """Memory of the kernel for the unread reply of a connection, bytes; the kernel uses twice as much."""
 _REQUEST_THREAD, _LEFT_S = "AnyIO worker thread", 0.5
 """Name of the threads in which AnyIO runs requests, and the time for each of them to end after the server."""
+SWITCH_S = 0.0005
+"""Time, s, after which a thread that computes in Python lets another one have the interpreter; by default 5 ms.
+
+A reply waits so long each time that it returns from the kernel while another thread computes."""
 LOOP_LIMIT_S = 60.0
 """Longest time, s, for which a request may block the event loop. After it, the server counts as hung."""
 
@@ -59,7 +64,8 @@ class WebServer:
         return f"{self._scheme}://[{host}]:{port}" if ":" in host else f"{self._scheme}://{host}:{port}"
 
     def start(self) -> None:
-        """Start to serve requests, in a thread."""
+        """Start to serve requests, in a thread. From now on the threads of this process take short turns."""
+        sys.setswitchinterval(SWITCH_S)
         self.thread.start()
         _log.info("listening on %s", self.address)
 
@@ -118,7 +124,7 @@ def open_listener(host: str, port: int, where: str) -> socket.socket:
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     listener = socket.socket(family, socket.SOCK_STREAM)
     try:
-        # Head and body of a reply are two writes. Without this option, Nagle's algorithm holds back the second one
+        # A reply may take several writes. Without this option, Nagle's algorithm holds back the second one
         # until the caller's kernel acknowledges the first. On a connection that is used again, this takes 40 ms.
         listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         # Without a limit, the kernel takes several MB for each caller that does not read.
