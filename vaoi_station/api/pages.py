@@ -12,8 +12,8 @@ from fastapi.responses import PlainTextResponse
 from starlette.exceptions import HTTPException
 from starlette.routing import Mount, Route
 
+from vaoi_station.api.fast.static_files import StaticFiles
 from vaoi_station.api.problems import KINDS
-from vaoi_station.api.static_files import StaticFiles
 
 WEB = Path(__file__).parent / "web"
 _PAGES = {"/": "index.html", "/docs": "docs.html", "/favicon.ico": "icon.svg"}

@@ -9,6 +9,7 @@ from fastapi import APIRouter, Depends, Header, Path, Query, Request
 from fastapi.routing import APIRoute
 from pydantic import BaseModel, Field
 
+from vaoi_station.api.fast.rest_route import RestRoute
 from vaoi_station.errors import InputError
 from vaoi_station.model.board_type import ONE_LINE, STORED_NAME
 
@@ -155,7 +156,13 @@ def rest_router(prefix: str = "", tags: list[str | Enum] | None = None, base: st
     time.
     """
     checks = [Depends(refuse_unclear_parameters)]
-    return APIRouter(prefix=base + prefix, tags=tags, dependencies=checks, generate_unique_id_function=operation_id)
+    return APIRouter(
+        prefix=base + prefix,
+        tags=tags,
+        dependencies=checks,
+        generate_unique_id_function=operation_id,
+        route_class=RestRoute,
+    )
 
 
 def operation_id(route: APIRoute) -> str:

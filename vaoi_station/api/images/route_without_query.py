@@ -6,12 +6,13 @@ a picture this takes as long as the rest of its request, and most callers send n
 
 from __future__ import annotations
 
-from fastapi.routing import APIRoute
 from starlette.routing import Match
 from starlette.types import Scope
 
+from vaoi_station.api.fast.rest_route import RestRoute
 
-class RouteWithoutQuery(APIRoute):
+
+class RouteWithoutQuery(RestRoute):
     """A route for requests without a query. The route for all others must follow it, and describe both."""
 
     def matches(self, scope: Scope) -> tuple[Match, Scope]:
