@@ -19,12 +19,14 @@ class Certificate(NamedTuple):
     private_key: Path
 
 
-def make_certificate(folder: Path, name: str = "station", authority: Certificate | None = None) -> Certificate:
+def make_certificate(
+    folder: Path, name: str = "station", authority: Certificate | None = None, *, days: int = 2
+) -> Certificate:
     """Make a certificate for localhost and 127.0.0.1, signed by the authority or by itself."""
     made = Certificate(folder / f"{name}.pem", folder / f"{name}.key")
     names = ["-addext", "subjectAltName=IP:127.0.0.1,DNS:localhost"]
     files = ["-keyout", str(made.private_key), "-out", str(made.certificate)]
-    signed = ["-days", "2", "-x509", *_USAGE]
+    signed = ["-days", str(days), "-x509", *_USAGE]
     if authority is not None:
         signed += ["-CA", str(authority.certificate), "-CAkey", str(authority.private_key)]
     _run([*_NEW_KEY.split(), "-subj", f"/CN={name}", *names, *signed, *files])

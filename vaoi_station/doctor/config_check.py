@@ -8,7 +8,14 @@ from pathlib import Path
 
 from vaoi_station.config import StationConfig, absolute_paths
 from vaoi_station.doctor.check_context import CheckContext
-from vaoi_station.doctor.checks import configured_files, memory, receivers, running_station, storage
+from vaoi_station.doctor.checks import (
+    configured_files,
+    memory,
+    receivers,
+    running_station,
+    station_certificate,
+    storage,
+)
 from vaoi_station.doctor.finding import Finding, fault
 from vaoi_station.doctor.machine import Machine
 from vaoi_station.errors import VaoiError
@@ -27,6 +34,7 @@ FILE_CHECKS: tuple[tuple[str, frozenset[str], Callable[[CheckContext], Iterable[
     ),
     ("light programs", ALL_KEYS, configured_files.programs),
     ("stand-ins", ALL_KEYS, configured_files.stand_ins),
+    ("certificate", frozenset({"api"}), station_certificate.station_certificate),
     ("receivers", frozenset({"push", "data"}), receivers.receivers),
     ("disk", frozenset({"data"}), storage.data),
     ("shared memory", frozenset({"ring", "line", "cameras"}), memory.ring_space),

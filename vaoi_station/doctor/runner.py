@@ -22,6 +22,7 @@ from vaoi_station.doctor.checks import (
     receivers,
     running_station,
     software,
+    station_certificate,
     storage,
     usb,
 )
@@ -47,6 +48,7 @@ STATION_CHECKS: tuple[tuple[str, Callable[[CheckContext], Iterable[Finding]]], .
     ("flat fields", configured_files.flat_fields),
     ("light programs", configured_files.programs),
     ("stand-ins", configured_files.stand_ins),
+    ("certificate", station_certificate.station_certificate),
     ("receivers", receivers.receivers),
     ("disk", storage.data),
     ("shared memory", memory.ring_space),

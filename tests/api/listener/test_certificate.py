@@ -5,12 +5,13 @@ from __future__ import annotations
 import logging
 import shutil
 import subprocess
+from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
 
 from tests.peers.certificates import Certificate, make_certificate
-from vaoi_station.api.listener.certificate import CertificateFiles
+from vaoi_station.api.listener.certificate import CertificateFiles, valid_until
 from vaoi_station.errors import InputError
 
 
@@ -73,3 +74,18 @@ def test_an_encrypted_key_is_refused_without_asking_for_its_password(certificate
     subprocess.run(command, check=True, capture_output=True)
     with pytest.raises(InputError, match="not encrypted"):
         CertificateFiles(certificate.certificate, locked)
+
+
+@pytest.mark.parametrize("days", [1, 20000])
+def test_the_end_of_a_certificate_is_that_which_openssl_states(tmp_path: Path, days: int) -> None:
+    """Up to 2049 the year has two digits in a certificate, later four. Of a chain, the first certificate counts."""
+    path, chain = make_certificate(tmp_path, days=days).certificate, tmp_path / "chain.pem"
+    authority = make_certificate(tmp_path, "authority").certificate
+    chain.write_text(f"# the station's\n{path.read_text()}{authority.read_text()}")
+    asked = ["openssl", "x509", "-in", str(path), "-noout", "-enddate"]
+    stated = subprocess.run(asked, check=True, capture_output=True, text=True).stdout.strip()
+    assert valid_until(chain) == datetime.strptime(stated, "notAfter=%b %d %H:%M:%S %Y GMT").replace(tzinfo=UTC)
+
+
+def test_a_file_without_a_plain_certificate_states_no_end(certificate: Certificate) -> None:
+    assert valid_until(certificate.private_key) is None

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import logging
 import ssl
+from collections.abc import Iterator
+from datetime import UTC, datetime
 from pathlib import Path
 
 from vaoi_station.errors import InputError
@@ -11,6 +13,8 @@ from vaoi_station.errors import InputError
 _log = logging.getLogger(__name__)
 RENEW_S = 5.0
 """Time between two checks whether the certificate's files have changed, s."""
+_VERSION, _SHORT_TIME = 0xA0, 0x17
+"""Tags of ASN.1: the version of a certificate; a time with two digits for its year."""
 
 
 class CertificateFiles:
@@ -55,6 +59,37 @@ class CertificateFiles:
                 action="Give a certificate and its private key, not encrypted, as PEM files that the service can read.",
             ) from error
         return context
+
+
+def valid_until(certificate: Path) -> datetime | None:
+    """Return the end of the validity of the first certificate in a PEM file; None if the file has none that is plain.
+
+    Python reads this date only from the certificate of a connection that it trusts, so it is read here (RFC 5280, 4.1).
+    """
+    text = certificate.read_text("utf-8", errors="replace")
+    begin, end = text.find(ssl.PEM_HEADER), text.find(ssl.PEM_FOOTER)
+    if not 0 <= begin < end:
+        return None
+    ((_, whole),) = _members(ssl.PEM_cert_to_DER_cert(text[begin : end + len(ssl.PEM_FOOTER)]))
+    (_, signed), *_ = _members(whole)
+    # The version stands first, with a tag of its own, and is left out in certificates of version 1.
+    _number, _algorithm, _issuer, (_, validity), *_ = (member for member in _members(signed) if member[0] != _VERSION)
+    _, (tag, time) = _members(validity)
+    digits = time.decode("ascii")
+    if tag == _SHORT_TIME:
+        digits = ("19" if digits[:2] >= "50" else "20") + digits
+    return datetime.strptime(digits, "%Y%m%d%H%M%SZ").replace(tzinfo=UTC)
+
+
+def _members(content: bytes) -> Iterator[tuple[int, bytes]]:
+    """Yield tag and content of all members of a sequence in DER."""
+    at = 0
+    while at < len(content):
+        tag, length, at = content[at], content[at + 1], at + 2
+        if length & 0x80:  # the number of bytes that state the length
+            at, length = at + (length & 0x7F), int.from_bytes(content[at : at + (length & 0x7F)])
+        yield tag, content[at : at + length]
+        at += length
 
 
 def _no_password() -> bytes:

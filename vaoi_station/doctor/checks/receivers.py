@@ -12,15 +12,13 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 from vaoi_station.doctor.check_context import CheckContext
+from vaoi_station.doctor.checks.private_files import readable_by_others
 from vaoi_station.doctor.finding import Finding, not_applicable, ok, warning
 from vaoi_station.errors import VaoiError
 from vaoi_station.model.receivers import MqttConfig, WebhookConfig
 from vaoi_station.push.push_service import FOLDER, WEBHOOKS
 from vaoi_station.push.signing import read_secrets
 from vaoi_station.push.webhook_file import WebhookFile
-
-_OTHERS = 0o007
-"""Permissions of users who are neither owner nor group of a file."""
 
 
 def receivers(context: CheckContext) -> Iterator[Finding]:
@@ -53,7 +51,7 @@ def _webhook(webhook: WebhookConfig) -> Iterator[Finding]:
             f"webhook {webhook.name!r}: {error.message}", action, subject=webhook.name, code="webhook-secret-unusable"
         )
     else:
-        yield from _private(webhook.secret_file, f"webhook {webhook.name!r}: the secrets", webhook.name)
+        yield from readable_by_others(webhook.secret_file, f"webhook {webhook.name!r}: the secrets", webhook.name)
     parts = urlsplit(webhook.url)
     if parts.scheme == "http" and parts.query:
         yield warning(
@@ -94,7 +92,7 @@ def _broker(broker: MqttConfig) -> Iterator[Finding]:
                     code="mqtt-password-unusable",
                     figures={"path": str(broker.password_file)},
                 )
-            yield from _private(broker.password_file, "push.mqtt: the password", "mqtt")
+            yield from readable_by_others(broker.password_file, "push.mqtt: the password", "mqtt")
     if broker.ca is not None:
         yield from _authorities(broker.ca, "push.mqtt.ca")
     if broker.certificate is not None and broker.private_key is not None:
@@ -119,17 +117,5 @@ def _authorities(path: Path, key: str) -> Iterator[Finding]:
             "Give a PEM file.",
             subject=key,
             code="certificate-unusable",
-            figures={"path": str(path)},
-        )
-
-
-def _private(path: Path, what: str, subject: str) -> Iterator[Finding]:
-    """Warn of a file with a secret that every user of the machine can read."""
-    if path.stat().st_mode & _OTHERS:
-        yield warning(
-            f"{what} in {path} can be read by every user.",
-            f"chmod o= {path}",
-            subject=subject,
-            code="secret-not-private",
             figures={"path": str(path)},
         )

@@ -14,7 +14,7 @@ export const translated = {
   checks: {
     configuration: "Konfiguration", python: "Python", libraries: "Bibliotheken", "compiled code": "übersetzter Code", time: "Uhrzeit",
     "monotonic clock": "fortlaufende Uhr", others: "weitere", station: "Station", calibration: "Kalibrierung", "board types": "Baugruppentypen",
-    "flat fields": "Hellfelder", "light programs": "Lichtprogramme", "stand-ins": "Ersatz für Geräte", receivers: "Empfänger", disk: "Festplatte",
+    "flat fields": "Hellfelder", "light programs": "Lichtprogramme", "stand-ins": "Ersatz für Geräte", certificate: "Zertifikat", receivers: "Empfänger", disk: "Festplatte",
     "shared memory": "Bildspeicher", "memory lock": "Festhalten des Speichers", aravis: "Aravis", "socket buffers": "Empfangspuffer",
     "USB memory": "USB-Speicher", cameras: "Kameras", controller: "Steuerung",
   },

@@ -36,6 +36,10 @@ export const findings = {
   "mqtt-package-absent": ["Ein Broker ist eingetragen, aber das Paket paho-mqtt fehlt.", "pip install 'vaoi-station[mqtt]'"],
   "mqtt-password-unusable": [({ path }) => `Das Passwort des Brokers in ${path} ist nicht zu lesen oder leer.`, "Das Passwort eintragen und die Datei für den Dienst lesbar machen."],
   "certificate-unusable": ["Ein Zertifikat, sein Schlüssel oder eine Liste von Ausstellern ist unbrauchbar.", "PEM-Dateien ohne Passwort angeben."],
+  "certificate-expires": [
+    ({ path, days }) => (days < 0 ? `Das Zertifikat ${path} ist abgelaufen: Aufrufer lehnen es ab.` : `Das Zertifikat ${path} läuft in ${days} Tagen ab.`),
+    "Zertifikat und privaten Schlüssel ersetzen; die Station liest sie ohne Neustart.",
+  ],
   "secret-not-private": [({ path }) => `Jeder Benutzer des Rechners kann das Geheimnis in ${path} lesen.`, ({ path }) => `Als Verwalter: chmod o= ${path}`],
   "data-no-directory": [({ path }) => `${path} ist kein Verzeichnis.`, "In station.toml ein anderes Verzeichnis als data angeben."],
   "data-read-only": [({ path }) => `In ${path} darf dieser Benutzer nicht schreiben.`, ({ path }) => `Als Verwalter: chown vaoi ${path}; oder vaoi doctor als Benutzer des Dienstes ausführen.`],
