@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 
 import pytest
@@ -9,6 +10,7 @@ import pytest
 from tests.cli.conftest import Result
 from vaoi_station import __version__
 from vaoi_station.errors import DeviceError, InputError, InternalError, NotFoundError, StateError
+from vaoi_station.runs.host.journal import STREAM_VARIABLE
 
 
 def test_version_is_printed(vaoi: Callable[..., Result]) -> None:
@@ -56,6 +58,18 @@ def test_traceback_is_shown_on_request(vaoi: Callable[..., Result], monkeypatch:
     fail_with(monkeypatch, ZeroDivisionError("division by zero"))
     with pytest.raises(ZeroDivisionError):
         vaoi("stitch", "case", "--out", "out.json")
+
+
+def test_a_refusal_has_the_priority_of_an_error_in_the_journal(
+    vaoi: Callable[..., Result], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`journalctl -p warning` shows why the service has ended."""
+    stream = os.fstat(2)
+    monkeypatch.setenv(STREAM_VARIABLE, f"{stream.st_dev}:{stream.st_ino}")
+    fail_with(monkeypatch, InputError("file: no such file.\nSecond line."))
+    done = vaoi("stitch", "case", "--out", "out.json")
+    assert done.code == 2
+    assert done.err == "<3>vaoi: file: no such file.\n<3>Second line.\n"
 
 
 def fail_with(monkeypatch: pytest.MonkeyPatch, error: Exception) -> None:

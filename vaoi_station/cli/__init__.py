@@ -6,9 +6,10 @@ Heavy imports are inside the commands, so that `--help` is fast.
 from __future__ import annotations
 
 import errno
+import logging
 import os
 import sys
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import typer
 
@@ -123,17 +124,25 @@ def main() -> None:
     try:
         app()
     except VaoiError as error:
-        sys.stderr.write(f"vaoi: {error}\n")
-        sys.exit(2 if isinstance(error, InputError | NotFoundError) else 4 if isinstance(error, InternalError) else 3)
+        _end(
+            str(error),
+            2 if isinstance(error, InputError | NotFoundError) else 4 if isinstance(error, InternalError) else 3,
+        )
     except OSError as error:
         # No lower layer has described this error of a file or device. Its path is the best information available.
-        sys.stderr.write(f"vaoi: {error.filename or 'the system'}: {error.strerror or error}.\n")
-        sys.exit(3 if error.errno in _PASSING else 2)
+        _end(f"{error.filename or 'the system'}: {error.strerror or error}.", 3 if error.errno in _PASSING else 2)
     except Exception as error:  # any other exception is an internal error; the user still gets one sentence
         if os.environ.get("VAOI_TRACEBACK"):
             raise
         kind = type(error).__name__
-        sys.stderr.write(
-            f"vaoi: internal error: {kind}: {error}. Report it with the traceback that VAOI_TRACEBACK=1 shows.\n"
-        )
-        sys.exit(4)
+        _end(f"internal error: {kind}: {error}. Report it with the traceback that VAOI_TRACEBACK=1 shows.", 4)
+
+
+def _end(message: str, code: int) -> NoReturn:
+    """End the program with a message and an exit code."""
+    from vaoi_station.runs.host.journal import is_journal, with_priority
+
+    text = f"vaoi: {message}"
+    # `journalctl -p warning` shows why a service has ended: without a priority the journal counts it as information.
+    sys.stderr.write((with_priority(text, logging.ERROR) if is_journal(os.environ, 2) else text) + "\n")
+    sys.exit(code)

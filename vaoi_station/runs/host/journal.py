@@ -37,13 +37,18 @@ def is_journal(environment: Mapping[str, str], descriptor: int) -> bool:
     return environment.get(STREAM_VARIABLE) == f"{found.st_dev}:{found.st_ino}"
 
 
+def with_priority(text: str, level: int) -> str:
+    """Return a text with the priority in front of every line, as sd-daemon(3) describes it: `<4>`."""
+    return "\n".join(f"<{priority(level)}>{line}" for line in text.splitlines())
+
+
 def fields_of(record: logging.LogRecord) -> dict[str, str]:
     """Return those of `FIELDS` that a log record has and that are not empty."""
     return {name: str(value) for name in FIELDS if (value := getattr(record, name, None))}
 
 
 class PriorityPrefix(logging.Formatter):
-    """Formatter that puts the priority in front of every line, as sd-daemon(3) describes it: `<4>`."""
+    """Formatter that puts the priority in front of every line."""
 
     def __init__(self, inner: logging.Formatter) -> None:
         super().__init__()
@@ -51,8 +56,7 @@ class PriorityPrefix(logging.Formatter):
 
     def format(self, record: logging.LogRecord) -> str:
         """Return the lines of the inner formatter, each with the prefix."""
-        prefix = f"<{priority(record.levelno)}>"
-        return "\n".join(prefix + line for line in self._inner.format(record).splitlines())
+        return with_priority(self._inner.format(record), record.levelno)
 
 
 class JournalHandler(logging.Handler):
