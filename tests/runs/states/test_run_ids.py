@@ -54,7 +54,6 @@ def test_a_day_begins_at_its_midnight_also_if_the_clock_was_changed_since(
     monkeypatch: pytest.MonkeyPatch, zone: str, now: str, midnight: str
 ) -> None:
     monkeypatch.setenv("TZ", zone)
-    time.tzset()
     try:
         found = last_midnight(datetime.fromisoformat(now))
     finally:

@@ -41,6 +41,8 @@ class _Timex(ctypes.Structure):
 
 def clock_state() -> ClockState:
     """Return the present state of the machine's clock."""
+    # Otherwise the offset would be that of the time zone at the start, beside the name of the present one.
+    time.tzset()
     local = time.localtime()
     synchronised, max_error_s = _kernel_state()
     return ClockState(synchronised, max_error_s, _zone_name() or local.tm_zone, local.tm_gmtoff)

@@ -26,6 +26,8 @@ def in_utc(moment: datetime) -> datetime:
 
 def last_midnight(now: datetime | None = None) -> datetime:
     """Return in UTC when the day of a local time, by default of the present one, began in the machine's time zone."""
+    # An administrator may have set another time zone while the station runs.
+    time.tzset()
     # The offset of midnight, not the present one: summer time may have begun or ended since. `timestamp`, because
     # `astimezone` is wrong by an hour if the clock was put forward at midnight itself.
     midnight = (now or datetime.now()).replace(hour=0, minute=0, second=0, microsecond=0, fold=0)
