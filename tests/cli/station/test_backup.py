@@ -14,6 +14,8 @@ from vaoi_station.store import Database
 
 def test_a_station_is_backed_up_and_restored(vaoi: Callable[..., Result], tmp_path: Path) -> None:
     path, _ = write_station_files(scenario_path("small"), tmp_path / "a")
+    with path.open("a") as file:
+        file.write('\n[api]\ncertificate = "station.toml"\nprivate_key = "station.key"\n')
     config = read_config(path)
     backup = tmp_path / "station.backup"
     refused = vaoi("backup", backup, "--config", path)
@@ -28,7 +30,9 @@ def test_a_station_is_backed_up_and_restored(vaoi: Callable[..., Result], tmp_pa
     assert restored.code == 2, "the paths of this station.toml are absolute"
     moved = tmp_path / "old"
     (tmp_path / "a").rename(moved)
-    assert vaoi("restore", backup, "--config", path).code == 0
+    done = vaoi("restore", backup, "--config", path)
+    assert done.code == 0
+    assert f"not in the backup, put it back: {tmp_path / 'a' / 'station.key'} (api.private_key)" in done.out
     again = read_config(path)
     assert again == config
     assert again.simulation is not None

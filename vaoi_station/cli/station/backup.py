@@ -31,7 +31,10 @@ def restore(
     ] = Path("station.toml"),
 ) -> None:
     """Restore a backup where no station is. Nothing is written before the whole backup was checked."""
+    from vaoi_station.transfer.absent_files import absent_files
     from vaoi_station.transfer.backup import restore as restore_backup
 
     station = restore_backup(file, config)
     typer.echo(f"{config}: station {station.name!r} is restored; its data are in {station.data}")
+    for key, path in absent_files(station):
+        typer.echo(f"not in the backup, put it back: {path} ({key})")
