@@ -136,6 +136,20 @@ def guide(language: str) -> str:
     return str(found)
 
 
+def search_of_the_administrator(address: str) -> str:
+    """Return the search of the administrator's guide for a run, around the present time in place of yesterday."""
+    text = (ROOT / "docs" / "administrator.md").read_text(encoding="utf-8")
+    [found] = re.findall(r"^```sh\n(api=.*?)^vaoi export RUN", text, re.MULTILINE | re.DOTALL)
+    for printed, now in (
+        ("http://127.0.0.1:8350", address),
+        ("yesterday 13:55", "-1 hour"),
+        ("yesterday 14:05", "1 hour"),
+    ):
+        assert printed in found
+        found = found.replace(printed, now)
+    return str(found)
+
+
 def test_the_guide_runs_as_printed_against_the_demo_while_boards_come(start: Start, tmp_path: Path) -> None:
     """In every language, with the board type and the component that the guide names; then SIGTERM ends the demo."""
     need("curl", "cc", "curl/curl.h")
@@ -158,6 +172,10 @@ def test_the_guide_runs_as_printed_against_the_demo_while_boards_come(start: Sta
     (tmp_path / "tester.py").write_text(guide("python"), encoding="utf-8")
     said = run(sys.executable, "tester.py", "demo", "U1")
     assert re.search(r"^run \S+: ok\n  camera \d row \d+: \d+ x \d+, mean ", said)
+    made = client.get("/runs/latest")
+    searched = run("sh", "-eu", "-c", search_of_the_administrator(address).replace("RUN", made["id"]))
+    assert f'"id":"{made["id"]}"' in searched
+    assert f"'calibration': '{made['calibration']}', 'made_with': {{'configuration': " in searched
     done = run_csharp(program, address, "demo", "U1")
     assert done.returncode == 0, done.stderr
     assert re.match(r"run \S+: ok\n  C: scale 1.00\n  camera \d row \d+: \d+ x \d+, grey level \d+ in", done.stdout)
