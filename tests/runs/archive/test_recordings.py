@@ -317,3 +317,15 @@ def test_recordings_make_room_on_a_disk_that_is_nearly_full(
     monkeypatch.setattr(module, "DISK_RESERVE", 10**18)
     keeper.tend()
     assert [path.name for path in (tmp_path / "kept").iterdir()] == [run.id], "a pinned one stays"
+
+
+def test_a_lower_quota_frees_space_before_the_next_recording(rig: Any, tmp_path: Path) -> None:
+    """An administrator lowers it because the disk is full."""
+    run = a_board(rig)
+    rig.coordinator.kept.pin(run.id)
+    for name in ("0-old", "1-newer", run.id):
+        with new_directory(tmp_path / "kept" / name) as draft:
+            (draft / module.HEAD_FILE).write_bytes(bytes(1000))
+    for quota_gb, left in ((3e-6, {"0-old", "1-newer", run.id}), (2e-6, {"1-newer", run.id}), (0.0, {run.id})):
+        a_keeper(rig, tmp_path, rig.coordinator._frames, recordings_gb=quota_gb).tend()
+        assert {path.name for path in (tmp_path / "kept").iterdir()} == left

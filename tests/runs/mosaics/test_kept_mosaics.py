@@ -117,6 +117,17 @@ def test_the_oldest_makes_room_and_pinned_runs_stay(board: Filmed, tmp_path: Pat
     assert len(list(station.directory.glob("*.jpg"))) == 2
 
 
+def test_a_lower_quota_frees_space_without_a_further_picture(station: Station) -> None:
+    station.make("r1", "r2", "r3")
+    station.pinned.add("r1")
+    lowered = station.opened(2.5 * station.kept.size_bytes / 3 / 1e9)
+    lowered.tend()
+    assert [run for run in ("r1", "r2", "r3") if lowered.grid(run)] == ["r1", "r3"]
+    none = station.opened(0.0)
+    none.tend()
+    assert [path.name[:2] for path in station.directory.glob("*.jpg")] == ["r1"]
+
+
 def test_a_forgotten_run_takes_its_picture_with_it(station: Station) -> None:
     station.make("r1", "r2")
     station.forgotten.add("r1")

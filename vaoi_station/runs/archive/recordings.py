@@ -80,7 +80,7 @@ class Recordings:
     def __init__(
         self, directory: Path, keep: KeepConfig, archive: Archive, events: EventLog, frames: FrameSource
     ) -> None:
-        self.directory, self._keep = directory, keep
+        self.directory, self._keep, self._quota = directory, keep, int(keep.recordings_gb * 1e9)
         self._archive, self._events, self._frames = archive, events, frames
         self.counts = Counts()
         self.program: Program = ()
@@ -144,7 +144,7 @@ class Recordings:
 
     def _request(self, run: str, *, for_archive: bool) -> None:
         known = run in self._sizes and (for_archive or run not in self._for_archive)
-        if not self._keep.recordings_gb or known or self._stopping.is_set():
+        if not self._quota or known or self._stopping.is_set():
             return
         with self._wake:
             if has_room := len(self._waiting) < MOST_WAITING:
@@ -231,13 +231,10 @@ class Recordings:
                     self._for_archive.add(path.name)
 
     def _trim(self) -> None:
-        """Delete the oldest recordings that are not pinned while the disk is short of space for the database."""
-        while self._sizes and shutil.disk_usage(self.directory).free < DISK_RESERVE // 2:
-            with self._lock:
-                oldest = min(self._sizes.keys() - self._archive.retention.pins(), default=None)
-                if oldest is None:
-                    return
-                self._delete(oldest)
+        """Delete the oldest unpinned recordings beyond the quota, which may be lower now, and while space is short."""
+        while self._sizes and (self.size_bytes > self._quota or self._free() < DISK_RESERVE // 2):
+            if not self._drop_oldest():
+                return
 
     def _run(self) -> None:
         while (task := self._next()) is not None:
@@ -354,22 +351,24 @@ class Recordings:
 
     def _make_room(self, needed: int) -> None:
         """Delete the oldest unpinned recordings until `needed` bytes fit; DeviceError if that is not possible."""
-        quota = int(self._keep.recordings_gb * 1e9)
         self.directory.mkdir(parents=True, exist_ok=True)
-        pinned = self._archive.retention.pins()
-        while True:
-            free = shutil.disk_usage(self.directory).free - DISK_RESERVE
-            if self.size_bytes + needed <= quota and needed <= free:
-                return
-            with self._lock:
-                oldest = min(self._sizes.keys() - pinned, default=None)
-                if oldest is not None:
-                    self._delete(oldest)
-            if oldest is None:
+        while self.size_bytes + needed > self._quota or needed > self._free() - DISK_RESERVE:
+            if not self._drop_oldest():
                 raise DeviceError(
                     f"{self.directory}: a recording of {needed / 1e6:.0f} MB exceeds [keep] recordings_gb "
-                    f"({self._keep.recordings_gb:g}), or the free space of the disk.",
+                    f"({self._quota / 1e9:g}), or the free space of the disk.",
                 )
+
+    def _free(self) -> int:
+        return shutil.disk_usage(self.directory).free
+
+    def _drop_oldest(self) -> bool:
+        """Delete the oldest recording that is not pinned; return whether there was one."""
+        with self._lock:
+            oldest = min(self._sizes.keys() - self._archive.retention.pins(), default=None)
+            if oldest is not None:
+                self._delete(oldest)
+        return oldest is not None
 
     def _delete(self, run: str) -> None:
         del self._sizes[run]

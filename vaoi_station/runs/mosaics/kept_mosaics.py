@@ -130,15 +130,18 @@ class KeptMosaics:
         )
 
     def tend(self) -> None:
-        """Delete pictures of forgotten runs, and while the disk is short of space the oldest ones."""
+        """Delete pictures of forgotten runs, and the oldest ones beyond the quota and while space is short."""
         with self._lock:
             oldest = sorted(self._files)[:_MOST_SWEPT]
             known = self._archive.summaries(oldest) if oldest else {}
             for run in oldest:
                 if run not in known or known[run].forgotten:
                     self._delete(run)
-            while self._files and shutil.disk_usage(self._directory).free < DISK_RESERVE // 2 and self._drop_oldest():
-                pass
+            while self._files and (
+                self.size_bytes > self._quota or shutil.disk_usage(self._directory).free < DISK_RESERVE // 2
+            ):
+                if not self._drop_oldest():
+                    return
 
     def _path(self, run: str, reduction: int) -> Path:
         return self._directory / f"{run}_{reduction}.jpg"
