@@ -50,6 +50,7 @@ def man_page() -> str:
         ".SH FILES",
         ".TP\n/etc/vaoi-station/station.toml\nthe configuration; vaoi check-config states all its faults",
         ".TP\n/var/lib/vaoi-station\nboard types, database, results, references",
+        ".TP\n/usr/share/doc/vaoi-station/docs\nthe documents that messages call docs/; administrator.md first",
     ]
     return "\n".join(lines) + "\n"
 

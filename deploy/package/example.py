@@ -14,6 +14,7 @@ from vaoi_station.files import write_board_type, write_calibration
 from vaoi_station.simulation import Twin, read_scenario, scenario_path
 
 STATE = "/var/lib/vaoi-station"
+DOCUMENTS = "/usr/share/doc/vaoi-station/docs"
 DEPLOY = Path(__file__).resolve().parents[1]
 
 
@@ -31,6 +32,7 @@ def write_example(folder: Path) -> None:
     for key, name in (("board_types", "board-types"), ("data", "data")):
         assert f'{key} = "{name}"' in text
         text = text.replace(f'{key} = "{name}"', f'{key} = "{STATE}/{name}"')
+    text = f"# What is called docs/ here and in messages is {DOCUMENTS}.\n{text}"
     (folder / "station.toml").write_text(text, encoding="utf-8")
     read_config(folder / "station.toml")
 

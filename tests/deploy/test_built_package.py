@@ -97,6 +97,19 @@ def test_what_unit_and_scripts_name_is_in_it(built: Built) -> None:
     assert (built.root / "usr/share/vaoi-station/firmware/firmware.hex").read_text().endswith(":00000001FF\n")
 
 
+def test_the_documents_that_messages_name_are_in_it(built: Built) -> None:
+    documents = built.root / "usr/share/doc/vaoi-station"
+    named = [(built.root / "usr/share/vaoi-station/example/station.toml").read_text()]
+    named += [p.read_text("utf-8") for p in (built.root / VENV).rglob("vaoi_station/**/*.py")]
+    found = set(re.findall(r"\bdocs/[\w/-]+\.md\b", "".join(named)))
+    assert "docs/configuration.md" in found
+    assert {name for name in found if not (documents / name).is_file()} == set()
+    assert f"/{documents.relative_to(built.root)}/docs" in named[0]
+    unit = (built.root / "usr/lib/systemd/system/vaoi-station.service").read_text()
+    [guide] = re.findall(r"^Documentation=.* file:/(\S+)$", unit, re.MULTILINE)
+    assert (built.root / guide).is_file()
+
+
 def test_lintian_finds_nothing_where_it_is_installed(built: Built) -> None:
     if shutil.which("lintian") is None:
         return  # CI has none; deploy/boot runs it on the whole package
