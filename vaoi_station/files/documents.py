@@ -19,6 +19,8 @@ from vaoi_station.errors import DeviceError, InputError, InternalError, NotFound
 from vaoi_station.files.durability import make_directories, sync_directory
 
 M = TypeVar("M", bound=BaseModel)
+UNKNOWN_KEY = "is an unknown key"
+"""Begin of the text of a fault for a key that the document does not have."""
 Place = tuple[int | str, ...]
 """Keys and indices that lead to a value of a document; empty for the document itself."""
 
@@ -93,7 +95,7 @@ def faults_of(error: ValidationError) -> Iterator[tuple[Place, str]]:
     for fault in _causes(error.errors(include_url=False)):
         message = fault["msg"].removeprefix("Value error, ")
         if fault["type"] == "extra_forbidden":
-            message = "is an unknown key"
+            message = UNKNOWN_KEY
         given = fault.get("input")
         # The address of a receiver may hold the token by which it knows the sender; messages reach logs and bundles.
         hidden = isinstance(given, dict | list | tuple) or fault["type"] == "missing" or fault["loc"][-1:] == ("url",)

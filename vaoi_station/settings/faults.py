@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import copy
 from contextlib import suppress
+from difflib import get_close_matches
 from typing import Any, NamedTuple, TypeVar, cast
 
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from vaoi_station.config import TABLE_OF, CameraConfig, ControllerConfig, StationConfig, conflicts
-from vaoi_station.files.documents import Place, faults_of, key_at
+from vaoi_station.files.documents import UNKNOWN_KEY, Place, faults_of, key_at
 from vaoi_station.line_config import Line
+from vaoi_station.settings.keys import keys
 
 T = TypeVar("T", bound=BaseModel)
 _VALUES = {
@@ -51,7 +53,21 @@ def examine(data: dict[str, Any]) -> tuple[list[Fault], dict[str, Any]]:
     if between:
         # It is not clear which devices are meant, so the inputs of simulated or replayed devices are not checked.
         valid.pop("controller", None)
-    return [*(Fault(place, text) for place, text in found.items()), *(Fault((), text) for text in between)], valid
+    return [
+        *(Fault(place, text + _meant(place, text)) for place, text in found.items()),
+        *(Fault((), text) for text in between),
+    ], valid
+
+
+def _meant(place: Place, fault: str) -> str:
+    """Return the known key that an unknown one resembles, as the end of the text of its fault; empty for all others."""
+    if not fault.startswith(UNKNOWN_KEY):
+        return ""
+    table = "".join("[]" if isinstance(part, int) else f".{part}" for part in place[:-1]).lstrip(".")
+    prefix = f"{table}." if table else ""
+    below = (key.key.removeprefix(prefix) for key in keys() if key.key.startswith(prefix))
+    close = get_close_matches(str(place[-1]), {name.partition(".")[0].removesuffix("[]") for name in below}, n=1)
+    return f", perhaps {close[0]!r} is meant" if close else ""
 
 
 def _faults(model: type[BaseModel], data: dict[str, Any]) -> dict[Place, str]:
