@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import json
 import socket
+import ssl
+import threading
 from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 import pytest
 
+from tests.peers.certificates import make_certificate
 from tests.peers.web_server import ScriptedHandler, serving
 from vaoi_station.demo import client as client_module
 from vaoi_station.demo.client import Client
@@ -216,5 +221,24 @@ def test_a_command_is_repeated_with_its_key_where_its_reply_was_lost(monkeypatch
 def test_absent_station_is_a_device_error() -> None:
     with socket.create_server(("127.0.0.1", 0)) as free:
         address = f"http://127.0.0.1:{free.getsockname()[1]}"
-    with pytest.raises(DeviceError, match="does not reply"):
+    with pytest.raises(DeviceError, match="does not reply") as refused:
         Client(address).get("/station")
+    assert "https://" in refused.value.action, "a station with TLS does not answer plain HTTP either"
+
+
+def test_a_certificate_that_is_not_trusted_comes_with_what_to_do(tmp_path: Path) -> None:
+    made = make_certificate(tmp_path)
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.load_cert_chain(*made)
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+
+        def greet() -> None:
+            with listening.accept()[0] as connection, suppress(OSError):
+                context.wrap_socket(connection, server_side=True)
+
+        server = threading.Thread(target=greet)
+        server.start()
+        with pytest.raises(DeviceError, match="certificate") as refused:
+            Client(f"https://127.0.0.1:{listening.getsockname()[1]}").get("/station")
+        server.join()
+    assert "--ca" in refused.value.action

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import ssl
 import time
 import urllib.error
 import urllib.parse
@@ -226,8 +227,16 @@ def _translated_errors(url: str) -> Iterator[None]:
         lost = isinstance(cause, ConnectionResetError | BrokenPipeError | IncompleteRead)
         raise (_LostReplyError if lost else DeviceError)(
             f"{url}: the station does not reply ({error or type(error).__name__}).",
-            action="Check whether it still runs.",
+            action=_remedy(url, cause),
         ) from error
+
+
+def _remedy(url: str, cause: object) -> str:
+    """Return what to do about a connection that failed."""
+    if isinstance(cause, ssl.SSLCertVerificationError):
+        return "Name its certificate by --ca or VAOI_CA, and use a host name or address that the certificate has."
+    # A station with TLS ends a connection that speaks plain HTTP without a reply.
+    return "Check whether it still runs." + ("" if url.startswith("https:") else " With TLS its address is https://….")
 
 
 def _with_query(path: str, query: dict[str, Any]) -> str:

@@ -75,7 +75,8 @@ class AccessControl:
         if with_cookie and not states_origin and scope["method"] not in ("GET", "HEAD", "OPTIONS"):
             return problem_response(path, "foreign-origin", "The command with a cookie does not state its origin.")
         if needed is not None and needed not in caller.scopes:
-            detail = f"{scope['method']} {path} needs the scope {needed}; {caller.name} has {sorted(caller.scopes)}."
+            scopes = ", ".join(sorted(caller.scopes))
+            detail = f"{scope['method']} {path} needs the scope {needed}; {caller.name} has {scopes or 'none'}."
             # Commands to addresses that do not exist need this scope too, so that the address may be wrong.
             action = _ADDRESS_OR_KEY if needed == "admin" else ""
             return problem_response(path, "missing-scope", detail, action=action)
