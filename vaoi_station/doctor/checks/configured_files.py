@@ -68,7 +68,8 @@ def board_types(context: CheckContext) -> Iterator[Finding]:
             figures={"path": str(directory)},
         )
     elif sound:
-        yield ok(f"{directory}: {len(sound)} board types can be read", figures={"board_types": len(sound)})
+        types = "1 board type" if len(sound) == 1 else f"{len(sound)} board types"
+        yield ok(f"{directory}: {types} can be read", figures={"board_types": len(sound)})
 
 
 def flat_fields(context: CheckContext) -> Iterator[Finding]:
