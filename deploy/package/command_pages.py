@@ -47,6 +47,11 @@ def man_page() -> str:
     lines += [
         ".SH EXIT STATUS",
         "0 without errors, 2 for wrong input, 3 for a device or the present state, 4 for an internal error.",
+        r"\fBvaoi check\-config\fR and \fBvaoi doctor\fR: 0 without problems, 1 with warnings, 2 with faults.",
+        ".SH ENVIRONMENT",
+        ".TP\nVAOI_STATION\naddress of the station, for commands that call a running one",
+        ".TP\nVAOI_KEY_FILE, VAOI_KEY\nfile with the caller's key, or the key itself",
+        ".TP\nVAOI_CA\nPEM file with the trusted certificate of a station with TLS",
         ".SH FILES",
         ".TP\n/etc/vaoi-station/station.toml\nthe configuration; vaoi check-config states all its faults",
         ".TP\n/var/lib/vaoi-station\nboard types, database, results, references",

@@ -14,6 +14,7 @@ import pytest
 from vaoi_station.config import read_config
 from vaoi_station.doctor.config_check import check_config
 from vaoi_station.doctor.finding import Level
+from vaoi_station.files.caller_credentials import CA_VARIABLE, KEY_FILE_VARIABLE, KEY_VARIABLE
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "deploy" / "package"
@@ -51,6 +52,8 @@ def test_pages_name_every_command_and_option(tmp_path: Path) -> None:
         assert f".SS vaoi {command}".replace("-", r"\-") in page
         assert f'"{command}") options=' in completion
     assert not [line for line in page.splitlines() if line.startswith("'")]
+    for variable in ("VAOI_STATION", KEY_FILE_VARIABLE, KEY_VARIABLE, CA_VARIABLE):
+        assert variable in page.partition(".SH ENVIRONMENT")[2]
     (tmp_path / "vaoi").write_text(completion)
     ask = f'source {tmp_path}/vaoi; COMP_WORDS=(vaoi $1 $2); COMP_CWORD=$#; _vaoi; echo "${{COMPREPLY[@]}}"'
     for words, expected in ((("check-c",), "check-config"), (("rig", "u"), "up"), (("serve", "--lo"), "--log-json")):
