@@ -11,8 +11,8 @@ from fastapi.responses import Response
 from starlette.routing import Mount, Route
 
 from vaoi_station.api import pages, problems
-from vaoi_station.api.request_guard import RequestGuard
 from vaoi_station.api.fast.static_files import StaticFiles
+from vaoi_station.api.request_guard import RequestGuard
 from vaoi_station.config import StationConfig
 from vaoi_station.version import __version__
 from vaoi_station.viewing.frame_documents import frame_document
