@@ -1,4 +1,4 @@
-"""Grids of footprints: the frames that show them, and pictures on a plane at a height."""
+"""Grids of footprints: where they lie, and the frames that show them."""
 
 from __future__ import annotations
 
@@ -7,46 +7,41 @@ from typing import Any
 import numpy as np
 import pytest
 
+from vaoi_station.geometry.transforms import apply
 from vaoi_station.heights.part_grids import Frames, Places
 
 
-def test_pictures_on_the_plane_of_a_body_are_equal(filmed: Any) -> None:
-    places, frames = Places(filmed.board_type, filmed.stitch, filmed.cameras), Frames(filmed.frame)
-    grid = places.grid("U1", filmed.board_type.footprint(filmed.board_type.component("U1")))
+def test_a_grid_lies_on_the_footprint_and_knows_the_frames_that_show_it(filmed: Any) -> None:
+    places, footprint = Places(filmed.board_type, filmed.stitch, filmed.cameras), filmed.board_type.footprint
+    camera = filmed.cameras[0]
+    for component in filmed.board_type.components:
+        grid = places.grid(component.ref, footprint(component))
+        assert grid is not None
+        corners = apply(filmed.stitch.cad_matrix, footprint(component))
+        middle = grid.tester_from_grid @ ((grid.width - 1) / 2, (grid.height - 1) / 2, 1.0)
+        np.testing.assert_allclose(middle, corners.mean(0))
+        seen = []
+        for row, motion in enumerate(filmed.stitch.row_motion):
+            px = camera.project(apply(motion, corners))
+            if (px.max(0) > 0).all() and (px.min(0) < (camera.width_px, camera.height_px)).all():
+                seen.append((0, row))
+        assert [tuple(key) for key in grid.keys.tolist()] == seen
+        feet = np.column_stack([grid.feet_px, np.ones(len(seen))]) @ grid.tester_from_grid.T
+        expected = [apply(np.linalg.inv(filmed.stitch.row_motion[row]), camera.foot_mm) for _, row in seen]
+        np.testing.assert_allclose(feet, expected, atol=1e-9)
+        np.testing.assert_allclose(grid.distance_mm, camera.working_distance_mm)
+    u1 = places.grid("U1", footprint(filmed.board_type.component("U1")))
+    assert u1 is not None
+    assert (u1.width, u1.height, u1.level) == (60, 50, 0)
+
+
+def test_points_of_a_grid_move_with_the_row(filmed: Any) -> None:
+    places = Places(filmed.board_type, filmed.stitch, filmed.cameras)
+    grid = places.grid("U2", filmed.board_type.footprint(filmed.board_type.component("U2")))
     assert grid is not None
-    assert (grid.width, grid.height, grid.level) == (60, 50, 0)
-    views = [view for view in grid.views if view.key[1] in {1, 2}]
-
-    def differences(height_mm: float) -> float:
-        images = [image for v in views if (image := frames.get(v.key, 0)) is not None]
-        pictures = places.rectified(grid._replace(views=tuple(views)), images, 0, height_mm)
-        return float(np.nanstd((pictures[0] - pictures[1])[4:-4, 4:-4]))
-
-    assert 2 * differences(1.5) < differences(0.0)
-
-
-def test_outside_the_frame_there_are_no_values(filmed: Any) -> None:
-    places, frames = Places(filmed.board_type, filmed.stitch, filmed.cameras), Frames(filmed.frame)
-    grid = places.grid("U1", filmed.board_type.footprint(filmed.board_type.component("U1")))
-    assert grid is not None
-    image = frames.get(grid.views[0].key, 0)
-    assert image is not None
-    picture = places.rectified(grid._replace(views=grid.views[:1]), [image], 300)[0]
-    assert np.isnan(picture[0, 0])
-    assert np.isfinite(picture).any()
-
-
-def test_a_box_and_all_views_at_once_have_the_same_pixels(filmed: Any) -> None:
-    """One view after the other, and all of them, of which some belong to other cameras."""
-    places, frames = Places(filmed.board_type, filmed.stitch, filmed.cameras), Frames(filmed.frame)
-    grid = places.grid("U1", filmed.board_type.footprint(filmed.board_type.component("U1")))
-    assert grid is not None
-    images = [image for v in grid.views if (image := frames.get(v.key, 0)) is not None]
-    together = places.rectified(grid, images, 2)
-    assert together.shape == (len(grid.views), grid.height + 4, grid.width + 4)
-    for view, image, picture in zip(grid.views, images, together, strict=True):
-        alone = places.rectified_box(grid, view, image, (-2, -2, grid.width + 2, grid.height + 2))
-        np.testing.assert_allclose(picture, alone, atol=1e-3)
+    for (_, row), way in zip(grid.keys.tolist(), places.row_from_grid(grid), strict=True):
+        tester = grid.tester_from_grid @ (3.0, 5.0, 1.0)
+        np.testing.assert_allclose(way @ (3.0, 5.0, 1.0), apply(filmed.stitch.row_motion[row], tester))
 
 
 def test_large_footprints_have_larger_pixels_and_tiny_ones_no_grid(filmed: Any) -> None:

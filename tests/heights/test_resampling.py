@@ -6,7 +6,13 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vaoi_station.heights.resampling import sample
+from vaoi_station.heights import resampling
+
+
+def sample(image: np.ndarray, nodes: np.ndarray, step: int, out: np.ndarray) -> None:
+    """Sample an image of which the whole is cut out."""
+    place = np.array([0, 0, 0, *image.shape[::-1]])
+    resampling.sample(image.astype(np.float32).ravel(), place, nodes, step, out)
 
 
 def mesh(x0: float, y0: float, scale: float) -> np.ndarray:

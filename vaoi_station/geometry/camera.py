@@ -74,7 +74,7 @@ class Camera:
 
         raw, height, out = _flatten_pairs(raw_px, height_mm)
         n = self.row_from_image.matrix
-        image_to_ground(raw, height, self._viewpoint, n, self.lens.coefficients, self.lens.shape, out.reshape(-1, 2))
+        image_to_ground(raw, height, self.viewpoint, n, self.lens.coefficients, self.lens.shape, out.reshape(-1, 2))
         return out
 
     def view_mm(self, margin_px: float = 0.0, heights_mm: tuple[float, float] = (0.0, 0.0)) -> tuple[Floats, Floats]:
@@ -121,11 +121,11 @@ class Camera:
 
         place, height, out = _flatten_pairs(place_mm, height_mm)
         n = self.image_from_row.matrix
-        ground_to_image(place, height, self._viewpoint, n, self.lens.coefficients, self.lens.shape, out.reshape(-1, 2))
+        ground_to_image(place, height, self.viewpoint, n, self.lens.coefficients, self.lens.shape, out.reshape(-1, 2))
         return out
 
     @cached_property
-    def _viewpoint(self) -> tuple[float, float, float]:
+    def viewpoint(self) -> tuple[float, float, float]:
         """The foot (x, y), mm, and the inverse working distance, 1/mm, as compiled functions take them.
 
         The inverse is 0 for an unknown distance, so that heights have no effect.

@@ -16,7 +16,14 @@ from vaoi_station.geometry.transforms import Floats
 from vaoi_station.heights.levels import compare_heights, find_levels
 from vaoi_station.heights.matrix_errors import BodyEquations, combine
 from vaoi_station.heights.part_grids import Frames, PartGrid, Places
-from vaoi_station.heights.pictures import Pictures, collect_pictures, picture_stack, sweep_stack
+from vaoi_station.heights.pictures import (
+    CutPictures,
+    Pictures,
+    collect_pictures,
+    cut_pictures,
+    picture_stack,
+    surface_stack,
+)
 from vaoi_station.heights.refinement import normal_equations
 from vaoi_station.heights.sweep import sweep
 from vaoi_station.heights.tile_equations import NOISE_AREA, add_up, weigh_tiles
@@ -77,6 +84,7 @@ class _Swept(NamedTuple):
     """(t, 4) tiles on the body."""
     used: NDArray[np.bool_]
     """(t, k) pictures that show them."""
+    cut: CutPictures
 
 
 def measure_heights(
@@ -166,17 +174,17 @@ def open_places(board_type: BoardType, stitch: Stitch, cameras: Sequence[Camera]
 
 
 def _count(grid: PartGrid, frames: Frames) -> int:
-    return sum(frames.get(view.key, grid.level) is not None for view in grid.views)
+    return sum(frames.get((camera, row), grid.level) is not None for camera, row in grid.keys.tolist())
 
 
 def _sweep(places: Places, pictures: Pictures, highest_mm: float) -> _Swept | None:
     """Compute the probability of every height of the body, and the tiles that show it."""
-    grid, feet, distance = pictures.grid, pictures.feet_px, pictures.distance_mm
+    grid = pictures.grid
+    feet, distance = grid.feet_px, grid.distance_mm
     step = max(STEP_PX / pictures.spread, highest_mm / _MOST_STEPS)
     heights = np.asarray(np.arange(-2, math.ceil(highest_mm / step) + 1) * step, np.float64)
-    away = np.hypot(*(feet - (grid.width / 2, grid.height / 2)).T).max() + max(grid.width, grid.height)
-    margin = math.ceil(away * heights[-1] / float(distance.min())) + 3
-    stack = sweep_stack(places, pictures, margin, heights[[0, -1], None] / distance)
+    cut = cut_pictures(places, pictures, float(heights[0]), float(heights[-1]))
+    stack, margin = surface_stack(places, pictures, cut)
     tiles = _tiles(grid)
     for saturated in (SATURATED, math.inf):
         sums, freedom, used = sweep(stack, margin, feet, heights[:, None] / distance, tiles, pictures.group, saturated)
@@ -192,23 +200,23 @@ def _sweep(places: Places, pictures: Pictures, highest_mm: float) -> _Swept | No
     size = np.array([grid.width, grid.height])
     levels = find_levels(likelihood, board, heights, tiles, size, prior)
     mine = levels.on_body > 0.5
-    return _Swept(heights, levels.probability, tiles[mine], used[mine])
+    return _Swept(heights, levels.probability, tiles[mine], used[mine], cut)
 
 
 def _refine(places: Places, pictures: Pictures, swept: _Swept) -> BodyEquations | None:
     """Compute the equations of the most probable height; None if it is not probable enough, or without texture."""
-    heights, probability, tiles, used = swept
+    heights, probability, tiles, used, cut = swept
     best = int(probability.argmax())
     near = np.abs(heights - heights[best]) * pictures.spread <= 3.1 * STEP_PX
     if probability[near].sum() < _SURE or not len(tiles):
         return None
-    h, feet, distance = float(heights[best]), pictures.feet_px, pictures.distance_mm
+    h, feet, distance = float(heights[best]), pictures.grid.feet_px, pictures.grid.distance_mm
     centre = tiles[:, :2] + tiles[:, 2:] / 2 - 0.5
     lowest = _LOWEST_NOISE / 4**pictures.grid.level
     edge_mm = _EDGE_PX / 2**pictures.grid.level / pictures.spread
     body: BodyEquations | None = None
     for _ in range(_ROUNDS):
-        stack = picture_stack(places, pictures, 2, h)
+        stack = picture_stack(places, pictures, cut, 2, h)
         lean = (centre[:, None] - feet[None]) / (distance - h)[None, :, None]
         found = normal_equations(stack, lean, tiles + (2, 2, 0, 0), used, pictures.group)
         if not (found.variance > 0).any():

@@ -15,7 +15,7 @@ from vaoi_station.errors import InputError
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.heights.estimates import SATURATED, STEP_PX
 from vaoi_station.heights.part_grids import Frames, Places
-from vaoi_station.heights.pictures import collect_pictures, picture_stack
+from vaoi_station.heights.pictures import collect_pictures, cut_pictures, surface_stack
 from vaoi_station.heights.sweep import sweep
 from vaoi_station.heights.tile_equations import NOISE_AREA
 
@@ -71,9 +71,8 @@ def measure_map(
         )
     step = max(STEP_PX / pictures.spread, highest_mm / 240)
     heights = np.asarray(np.arange(-3, math.ceil(highest_mm / step) + 1) * step, np.float64)
-    away = np.hypot(*(pictures.feet_px - (grid.width / 2, grid.height / 2)).T).max() + max(grid.width, grid.height)
-    margin = math.ceil(away * heights[-1] / float(pictures.distance_mm.min())) + 3
-    stack = picture_stack(places, pictures, margin, 0.0)
+    cut = cut_pictures(places, pictures, float(heights[0]), float(heights[-1]))
+    stack, margin = surface_stack(places, pictures, cut)
     xs, ys = (np.arange(0, length - _TILE_PX + 1, _STRIDE_PX) for length in (grid.width, grid.height))
     tiles = np.array([(x, y, _TILE_PX, _TILE_PX) for y in ys for x in xs]).reshape(-1, 4)
     if not len(tiles):
@@ -81,8 +80,8 @@ def measure_map(
             f"map: the region {list(region)} has {grid.width} × {grid.height} px, must have at least {_TILE_PX}.",
             action="Choose a larger region.",
         )
-    shares = heights[:, None] / pictures.distance_mm
-    sums, freedom, _ = sweep(stack, margin, pictures.feet_px, shares, tiles, pictures.group, SATURATED)
+    shares = heights[:, None] / pictures.grid.distance_mm
+    sums, freedom, _ = sweep(stack, margin, pictures.grid.feet_px, shares, tiles, pictures.group, SATURATED)
     mm, sigma = _most_probable(sums, freedom, heights, (len(ys), len(xs)))
     first = (_TILE_PX - 1) / 2
     # pixel of the map → grid → tester → CAD

@@ -9,27 +9,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from vaoi_station.compiled import compiled
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats, apply
-from vaoi_station.heights.resampling import sample
+from vaoi_station.heights.resampling import Ints, camera_arrays
 from vaoi_station.model import BoardType, Stitch
 from vaoi_station.pixel_formats import eight_bit_grey
 
 FrameKey = tuple[int, int]
-Box = tuple[int, int, int, int]
 LONGEST_PX = 160
 """Longest side of a grid; larger footprints get larger pixels."""
 _MOST_LEVEL = 4
-_MESH_PX = 12
-"""Distance of the nodes at which positions in a frame are computed exactly. Between them they are interpolated."""
 _LEAST_SIDE_PX = 6
 """Least side of a grid. Smaller footprints have no height."""
 
@@ -63,17 +59,6 @@ class Frames:
         return np.asarray(cv2.resize(finer[:h, :w], (w // 2, h // 2), interpolation=cv2.INTER_AREA))
 
 
-@dataclass(frozen=True, eq=False)
-class View:
-    """One frame that shows a component."""
-
-    key: FrameKey
-    foot_px: Floats
-    """(2,) foot of the camera in grid coordinates: the point of the surface's plane below the camera centre."""
-    distance_mm: float
-    """Height of the camera above the board's surface at the component."""
-
-
 class PartGrid(NamedTuple):
     """The grid of one component."""
 
@@ -88,7 +73,27 @@ class PartGrid(NamedTuple):
     """Height of the board's surface above the calibrated plane."""
     tester_from_grid: Floats
     """(2, 3) affine map."""
-    views: tuple[View, ...]
+    keys: Ints
+    """(v, 2) camera and row of the frames that show it."""
+    feet_px: Floats
+    """(v, 2) feet of their cameras in grid coordinates: the points of the surface's plane below the camera centres."""
+    distance_mm: Floats
+    """(v,) heights of the cameras above the board's surface at the component."""
+
+
+class _RunFrames(NamedTuple):
+    """The n frames of a run that have a matrix."""
+
+    key: Ints
+    """(n, 2) camera and row."""
+    image_from_tester: Floats
+    """(n, 3, 3) M_ij."""
+    size_px: Floats
+    """(n, 2)."""
+    foot_mm: Floats
+    """(n, 2) foot of the camera in tester coordinates."""
+    distance_mm: Floats
+    """(n,) working distance; NaN if it is unknown."""
 
 
 class Places:
@@ -98,21 +103,22 @@ class Places:
         """Store the matrices of a run; `cameras` are those of its calibration."""
         assert stitch.tester_from_cad is not None
         self.board_type, self.stitch = board_type, stitch
-        self.cameras = stitch.cameras(cameras)
+        mine = stitch.cameras(cameras)
+        self.cameras = camera_arrays(mine)
         self.tester_from_cad = stitch.tester_from_cad.matrix
         """C (3, 3)."""
-        self._keys = [
-            (i, j) for i, rows in enumerate(stitch.image_matrices) for j, m in enumerate(rows) if m is not None
-        ]
-        self._px_per_mm = float(np.mean([c.px_per_mm for c in self.cameras]))
-        motion = np.array(stitch.row_motion)
-        back = np.linalg.inv(motion)
-        self._row_from_tester = motion
-        self._feet = np.array([apply(back[j], self.cameras[i].foot_mm) for i, j in self._keys])
-        self._matrices = np.array([np.asarray(stitch.image_matrices[i][j]) for i, j in self._keys])
-        distance_mm = [self.cameras[i].working_distance_mm for i, _ in self._keys]
-        self._distance_mm = np.array([np.nan if d is None else d for d in distance_mm])
-        self._frame_px = np.array([(self.cameras[i].width_px, self.cameras[i].height_px) for i, _ in self._keys])
+        keys = [(i, j) for i, rows in enumerate(stitch.image_matrices) for j, m in enumerate(rows) if m is not None]
+        self._px_per_mm = float(np.mean([c.px_per_mm for c in mine]))
+        self._row_from_tester = np.array(stitch.row_motion)
+        back = np.linalg.inv(self._row_from_tester)
+        distance_mm = [mine[i].working_distance_mm for i, _ in keys]
+        self._frames = _RunFrames(
+            np.array(keys).reshape(-1, 2),
+            np.array([np.asarray(stitch.image_matrices[i][j]) for i, j in keys]).reshape(-1, 3, 3),
+            np.array([(mine[i].width_px, mine[i].height_px) for i, _ in keys], np.float64).reshape(-1, 2),
+            np.array([apply(back[j], mine[i].foot_mm) for i, j in keys]).reshape(-1, 2),
+            np.array([np.nan if d is None else d for d in distance_mm], np.float64),
+        )
 
     def grid(self, address: str, corners_cad: Floats, longest_px: int = LONGEST_PX) -> PartGrid | None:
         """Return the grid of a component with these corners (4, 2), or None if it is too small for one.
@@ -122,79 +128,61 @@ class Places:
         matrix = self.stitch.component_matrix(address)
         assert matrix is not None
         corners = apply(matrix, corners_cad)
-        side = corners[1] - corners[0], corners[3] - corners[0]
-        length = [float(np.hypot(*s)) for s in side]
+        # Plain numbers: numpy takes ten times as long for so few.
+        (ax, ay), (bx, by), (cx, cy), (dx, dy) = corners.tolist()
+        sides = ((bx - ax, by - ay), (dx - ax, dy - ay))
+        length = [math.hypot(*side) for side in sides]
         longest = max(length) * self._px_per_mm
         level = min(max(0, math.ceil(math.log2(longest / longest_px))), _MOST_LEVEL) if longest > 0 else 0
         pitch = 2**level / self._px_per_mm
-        size = [int(v / pitch + 1e-6) for v in length]
-        if min(size) < _LEAST_SIDE_PX:
+        width, height = (int(v / pitch + 1e-6) for v in length)
+        if min(width, height) < _LEAST_SIDE_PX:
             return None
-        along = [s / v * pitch for s, v in zip(side, length, strict=True)]
-        # Sums: `mean` takes twice as long for so few numbers.
-        middle = corners.sum(0) / 4
-        origin = middle - along[0] * (size[0] - 1) / 2 - along[1] * (size[1] - 1) / 2
-        affine = np.column_stack([along[0], along[1], origin])
+        (ux, uy), (vx, vy) = ((x / v * pitch, y / v * pitch) for (x, y), v in zip(sides, length, strict=True))
+        x = (ax + bx + cx + dx) / 4 - ux * (width - 1) / 2 - vx * (height - 1) / 2
+        y = (ay + by + cy + dy) / 4 - uy * (width - 1) / 2 - vy * (height - 1) / 2
+        affine = np.array([[ux, vx, x], [uy, vy, y]])
         surface = self.stitch.surface
         z = 0.0 if surface is None else float(surface.height_mm(corners_cad.sum(0) / 4))
-        views = self._views(affine, np.concatenate([corners, middle[None]]), z)
-        return PartGrid(address, size[0], size[1], level, pitch, z, affine, views)
+        shown, feet, distance = _shown(self._frames, affine, corners, z)
+        return PartGrid(address, width, height, level, pitch, z, affine, self._frames.key[shown], feet, distance)
 
-    def _views(self, affine: Floats, points: Floats, z: float) -> tuple[View, ...]:
-        """Return the frames in which at least a part of the footprint lies; `points` (5, 2) are corners and middle."""
-        q = points @ self._matrices[:, :, :2].swapaxes(1, 2) + self._matrices[:, None, :, 2]
-        px = q[..., :2] / q[..., 2:]
-        inside = (px.max(1) > 0).all(1) & (px.min(1) < self._frame_px).all(1)
-        inside &= self._distance_mm > z
-        (a, b), (c, d) = affine[:, :2].tolist()
-        grid_from_tester = np.array([[d, -b], [-c, a]]) / (a * d - b * c)
-        shown = np.flatnonzero(inside)
-        feet, distance = (self._feet[shown] - affine[:, 2]) @ grid_from_tester.T, self._distance_mm[shown] - z
-        keys = (self._keys[n] for n in shown.tolist())
-        return tuple(View(*view) for view in zip(keys, feet, distance.tolist(), strict=True))
-
-    def rectified(
-        self, grid: PartGrid, images: Sequence[NDArray[Any]], margin: int, height_mm: float = 0.0
-    ) -> NDArray[np.float32]:
-        """Return the pixels (k, h, w) of a grid's k views on the plane at a height above the surface, with a margin.
-
-        NaN where a frame does not show the place.
-        """
-        box = (-margin, -margin, grid.width + margin, grid.height + margin)
-        out = np.empty((len(images), grid.height + 2 * margin, grid.width + 2 * margin), np.float32)
-        # All frames of one camera are projected in one call, whose cost is that of the call.
-        cameras = np.array([view.key[0] for view in grid.views])
-        for camera in set(cameras.tolist()):
-            mine = np.flatnonzero(cameras == camera).tolist()
-            raw = self._raw(grid, [grid.views[k] for k in mine], box, height_mm)
-            for k, nodes in zip(mine, raw, strict=True):
-                sample(images[k], nodes, _MESH_PX, out[k])
-        return out
-
-    def rectified_box(self, grid: PartGrid, view: View, image: NDArray[Any], box: Box) -> NDArray[np.float32]:
-        """Return the same of one view on the surface, for a box: first column, first row, and those after the last."""
-        x0, y0, x1, y1 = box
-        out = np.empty((y1 - y0, x1 - x0), np.float32)
-        sample(image, self._raw(grid, [view], box, 0.0)[0], _MESH_PX, out)
-        return out
-
-    def _raw(self, grid: PartGrid, views: Sequence[View], box: Box, height_mm: float) -> Floats:
-        """Return the positions (k, ny, nx, 2) of the nodes of a box in k frames of one camera."""
-        x0, y0, x1, y1 = box
-        nodes = _mesh((y1 - y0 - 2) // _MESH_PX + 2, (x1 - x0 - 2) // _MESH_PX + 2) + (x0, y0)
-        m, a = self._row_from_tester[[view.key[1] for view in views]], grid.tester_from_grid
-        # One affine map from the grid to row coordinates: the row's motion after the grid's place.
-        turn, shift = m[:, :2, :2] @ a[:, :2], m[:, :2, :2] @ a[:, 2] + m[:, :2, 2]
-        row = nodes.reshape(-1, 2) @ turn.swapaxes(1, 2) + shift[:, None]
-        raw = self.cameras[views[0].key[0]].project(row, grid.surface_mm + height_mm)
-        raw = raw.reshape(len(views), *nodes.shape)
-        return (raw + 0.5) * 0.5**grid.level - 0.5 if grid.level else raw
+    def row_from_grid(self, grid: PartGrid) -> Floats:
+        """Return the affine maps (v, 2, 3) from a grid to row coordinates at the rows of its frames."""
+        # The row's motion after the grid's place.
+        way = self._row_from_tester[grid.keys[:, 1], :2, :2] @ grid.tester_from_grid
+        way[:, :, 2] += self._row_from_tester[grid.keys[:, 1], :2, 2]
+        return way
 
 
-@lru_cache(maxsize=256)
-def _mesh(rows: int, columns: int) -> Floats:
-    """Return the nodes (rows, columns, 2) of a mesh that begins at the origin: column and row of the grid."""
-    nodes = np.empty((rows, columns, 2))
-    nodes[..., 0], nodes[..., 1] = np.arange(columns) * float(_MESH_PX), np.arange(rows)[:, None] * float(_MESH_PX)
-    nodes.flags.writeable = False
-    return nodes
+@compiled
+def _shown(frames: _RunFrames, affine: Floats, corners: Floats, z: float) -> tuple[Ints, Floats, Floats]:
+    """Return the numbers (v,) of the frames in which a part of a footprint lies, `feet_px` and `distance_mm`.
+
+    Args:
+        frames: the frames of the run.
+        affine: (2, 3) from the grid to tester coordinates.
+        corners: (4, 2) of the footprint, tester coordinates.
+        z: height of the board's surface above the calibrated plane.
+    """
+    shown, v = np.empty(len(frames.key), np.int64), 0
+    for n in range(len(frames.key)):
+        m, inside = frames.image_from_tester[n], frames.distance_mm[n] > z
+        for axis in range(2):
+            low, high = np.inf, -np.inf
+            for i in range(4):
+                x, y = corners[i, 0], corners[i, 1]
+                px = (m[axis, 0] * x + m[axis, 1] * y + m[axis, 2]) / (m[2, 0] * x + m[2, 1] * y + m[2, 2])
+                low, high = min(low, px), max(high, px)
+            inside = inside and high > 0 and low < frames.size_px[n, axis]
+        if inside:
+            shown[v] = n
+            v += 1
+    feet, distance = np.empty((v, 2)), np.empty(v)
+    scale = affine[0, 0] * affine[1, 1] - affine[0, 1] * affine[1, 0]
+    for i in range(v):
+        x, y = frames.foot_mm[shown[i], 0] - affine[0, 2], frames.foot_mm[shown[i], 1] - affine[1, 2]
+        feet[i, 0] = (affine[1, 1] * x - affine[0, 1] * y) / scale
+        feet[i, 1] = (affine[0, 0] * y - affine[1, 0] * x) / scale
+        distance[i] = frames.distance_mm[shown[i]] - z
+    return shown[:v], feet, distance

@@ -5,40 +5,23 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vaoi_station.geometry.transforms import Floats
 from vaoi_station.heights.part_grids import Frames, PartGrid, Places
-
-_BLUR_PX = 1.1
-"""Blur of the pictures before they are compared.
-
-Interpolation between pixels removes noise, most of all half-way between two pixels. Without blur, heights at which the
-pictures lie half-way would seem to fit best."""
-_BLUR_REACH_PX = 5
-"""Distance beyond which a pixel has no influence through the blur."""
+from vaoi_station.heights.resampling import Cuts, Ints, lay_pictures, place_cuts, surface_boxes
 
 
 class Pictures(NamedTuple):
     """What a component's frames have in common, for k frames."""
 
     grid: PartGrid
-    feet_px: Floats
-    """(k, 2)."""
-    distance_mm: Floats
-    """(k,)."""
-    group: NDArray[np.int_]
+    """The grid; `keys`, `feet_px` and `distance_mm` are those of the k frames."""
+    group: Ints
     """(k,) number of the light."""
     spread: float
     """Largest displacement between two pictures, px of the grid per mm of height."""
     images: tuple[NDArray[Any], ...]
-
-
-def blurred(picture: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return a picture with the blur that comparisons need."""
-    return np.asarray(cv2.GaussianBlur(picture, (0, 0), _BLUR_PX), np.float32)
 
 
 def collect_pictures(grid: PartGrid, frames: Frames, light: Callable[[int], int]) -> Pictures | None:
@@ -46,43 +29,64 @@ def collect_pictures(grid: PartGrid, frames: Frames, light: Callable[[int], int]
 
     `light` gives the number of the light of a row.
     """
-    images = [(view, frames.get(view.key, grid.level)) for view in grid.views]
-    there = [(view, image) for view, image in images if image is not None]
+    keys = [(camera, row) for camera, row in grid.keys.tolist()]
+    images = [frames.get(key, grid.level) for key in keys]
+    there = [n for n, image in enumerate(images) if image is not None]
     if len(there) < 2:
         return None
-    views = tuple(view for view, _ in there)
-    feet = np.array([view.foot_px for view in views])
-    distance = np.array([view.distance_mm for view in views])
-    group = np.array([light(view.key[1]) for view in views])
-    spread = float(np.hypot(*(feet[:, None] - feet[None]).reshape(-1, 2).T).max() / distance.mean())
+    if len(there) < len(keys):
+        grid = grid._replace(keys=grid.keys[there], feet_px=grid.feet_px[there], distance_mm=grid.distance_mm[there])
+    feet = [complex(x, y) for x, y in grid.feet_px.tolist()]
+    spread = max(abs(a - b) for a in feet for b in feet) / (sum(grid.distance_mm.tolist()) / len(feet))
     if spread <= 0:
         return None
-    return Pictures(grid._replace(views=views), feet, distance, group, spread, tuple(i for _, i in there))
+    group = np.array([light(keys[n][1]) for n in there])
+    return Pictures(grid, group, spread, tuple(image for image in images if image is not None))
 
 
-def picture_stack(places: Places, pictures: Pictures, margin: int, height_mm: float) -> NDArray[np.float32]:
-    """Return the blurred pictures (k, h, w) of a grid on the plane at a height above the board, with a margin."""
-    stack = places.rectified(pictures.grid, pictures.images, margin, height_mm)
-    for picture in stack:
-        cv2.GaussianBlur(picture, (0, 0), _BLUR_PX, dst=picture)
-    return stack
+class CutPictures(NamedTuple):
+    """The parts of the frames that a range of heights needs."""
+
+    cuts: Cuts
+    boxes: Ints
+    """(k, 4) what the heights need of each picture on the board's surface, as a box of the grid."""
 
 
-def sweep_stack(places: Places, pictures: Pictures, margin: int, ends: Floats) -> NDArray[np.float32]:
-    """Return the pictures (k, h, w) on the board's surface, with a margin, where the sweep reads them; else NaN.
+def cut_pictures(places: Places, pictures: Pictures, lowest_mm: float, highest_mm: float) -> CutPictures:
+    """Cut out of the frames what shows the grid at all heights between two over the board's surface."""
+    grid, images = pictures.grid, pictures.images
+    boxes = surface_boxes(grid.width, grid.height, grid.feet_px, grid.distance_mm, (lowest_mm, highest_mm))
+    place, size = np.empty((len(images), 5), np.int64), np.array([image.shape[::-1] for image in images])
+    way = places.row_from_grid(grid)
+    cuts = Cuts(
+        np.empty(0, np.float32), place, np.ascontiguousarray(grid.keys[:, 0]), way, grid.surface_mm, 0.5**grid.level
+    )
+    grey = np.empty(place_cuts(places.cameras, cuts, boxes, size), np.float32)
+    for (first, x, y, columns, rows), image in zip(place.tolist(), images, strict=True):
+        part = image[y : y + rows, x : x + columns]
+        grey[first : first + part.size].reshape(part.shape)[...] = part
+    return CutPictures(cuts._replace(grey=grey), boxes)
 
-    `ends` (2, k) are the lowest and the highest height as shares of the cameras' heights.
-    """
+
+def surface_stack(places: Places, pictures: Pictures, cut: CutPictures) -> tuple[NDArray[np.float32], int]:
+    """Return the pictures (k, h, w) on the board's surface where heights need them, else NaN; and their margin."""
+    grid, boxes = pictures.grid, cut.boxes
+    margin = max(0, -int(boxes[:, :2].min()), int((boxes[:, 2:] - (grid.width, grid.height)).max()))
+    return _stack(places, grid, cut.cuts, boxes, margin, 0.0), margin
+
+
+def picture_stack(
+    places: Places, pictures: Pictures, cut: CutPictures, margin: int, height_mm: float
+) -> NDArray[np.float32]:
+    """Return the pictures (k, h, w) of a grid on the plane at a height above the board, with a margin."""
     grid = pictures.grid
-    size = np.array([grid.width, grid.height])
-    corners = np.array([[0.0, 0.0], size - 1.0])
-    places_px = (corners[:, None, None] - ends[..., None] * pictures.feet_px) / (1 - ends[..., None])
-    low = np.floor(places_px.min((0, 1))).astype(np.int_) - _BLUR_REACH_PX
-    high = np.ceil(places_px.max((0, 1))).astype(np.int_) + 2 + _BLUR_REACH_PX
-    low, high = np.maximum(low, -margin), np.minimum(high, size + margin)
-    stack = np.full((len(grid.views), grid.height + 2 * margin, grid.width + 2 * margin), np.nan, np.float32)
-    for k, (view, image) in enumerate(zip(grid.views, pictures.images, strict=True)):
-        (x0, y0), (x1, y1) = low[k].tolist(), high[k].tolist()
-        part = blurred(places.rectified_box(grid, view, image, (x0, y0, x1, y1)))
-        stack[k, y0 + margin : y1 + margin, x0 + margin : x1 + margin] = part
+    boxes = np.array([(-margin, -margin, grid.width + margin, grid.height + margin)] * len(pictures.images))
+    return _stack(places, grid, cut.cuts, boxes, margin, height_mm)
+
+
+def _stack(
+    places: Places, grid: PartGrid, cuts: Cuts, boxes: Ints, margin: int, height_mm: float
+) -> NDArray[np.float32]:
+    stack = np.empty((len(boxes), grid.height + 2 * margin, grid.width + 2 * margin), np.float32)
+    lay_pictures(places.cameras, cuts, boxes, margin, height_mm, stack)
     return stack

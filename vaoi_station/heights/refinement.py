@@ -47,6 +47,10 @@ class _Work(NamedTuple):
     ay: Floats
     slope: Floats
     """(k, 2) products of a picture's difference with the gradients."""
+    common: Floats
+    """(3, n) the common picture and its gradients, times the sum of the squares of the gains."""
+    ramp: Floats
+    """(2, n) slopes along x and y of the pixels of a tile."""
 
 
 @compiled
@@ -75,16 +79,22 @@ def normal_equations(
         np.empty((k, m)),
         np.empty((k, m)),
         np.empty((k, 2)),
+        np.empty((3, most)),
+        np.empty((2, most)),
     )
     member = np.empty(k, np.int64)
     matrix, noisy, vector, variance = np.zeros((t, m, m)), np.zeros(t), np.zeros((t, m)), np.zeros(t)
     for n in range(t):
         size = tiles[n, 2] * tiles[n, 3]
         squares, freedom = 0.0, 0
+        if n == 0 or tiles[n, 2] != tiles[n - 1, 2] or tiles[n, 3] != tiles[n - 1, 3]:
+            for p in range(size):
+                work.ramp[0, p] = p % tiles[n, 2] - (tiles[n, 2] - 1) / 2
+                work.ramp[1, p] = p // tiles[n, 2] - (tiles[n, 3] - 1) / 2
         for first in range(k):
             c = 0
             for i in range(_members(used[n], group, first, member)):
-                if _read(stack[member[i]], tiles[n], work.value[c], work.gx[c], work.gy[c]):
+                if _read(stack[member[i]], tiles[n], work.ramp, work.value[c], work.gx[c], work.gy[c]):
                     member[c] = member[i]
                     c += 1
             if c < 2:
@@ -142,21 +152,26 @@ def _add_group(
     """Add the equations of one group in one tile; return the sum of squares of the differences."""
     value, gain, slope, ax, ay = work.value, work.gain, work.slope, work.ax, work.ay
     xx = xy = yy = sxx = sxy = syy = squares = 0.0
+    total, tx, ty = work.common[0], work.common[1], work.common[2]
+    total[:size] = tx[:size] = ty[:size] = 0.0
     for i in range(c):
-        slope[i, 0] = slope[i, 1] = 0.0
-    for p in range(size):
-        tx = ty = common = 0.0
-        for i in range(c):
-            common += gain[i] * value[i, p]
-            a, b = gain[i] * work.gx[i, p], gain[i] * work.gy[i, p]
-            tx, ty = tx + a, ty + b
+        own, gx, gy, g = value[i], work.gx[i], work.gy[i], gain[i]
+        for p in range(size):
+            a, b = g * gx[p], g * gy[p]
+            total[p] += g * own[p]
+            tx[p] += a
+            ty[p] += b
             sxx, sxy, syy = sxx + a * a, sxy + a * b, syy + b * b
-        xx, xy, yy = xx + tx * tx, xy + tx * ty, yy + ty * ty
-        for i in range(c):
-            e = value[i, p] - gain[i] * common / all2
+    for p in range(size):
+        xx, xy, yy = xx + tx[p] * tx[p], xy + tx[p] * ty[p], yy + ty[p] * ty[p]
+    for i in range(c):
+        own, share, along, across = value[i], gain[i] / all2, 0.0, 0.0
+        for p in range(size):
+            e = own[p] - share * total[p]
             squares += e * e
-            slope[i, 0] -= e * gain[i] * tx / all2
-            slope[i, 1] -= e * gain[i] * ty / all2
+            along += e * tx[p]
+            across += e * ty[p]
+        slope[i, 0], slope[i, 1] = -share * along, -share * across
     wxx, wxy, wyy = xx / all2**2, xy / all2**2, yy / all2**2
     # Products of the gradients of two different pictures: their noise is independent.
     pxx, pxy, pyy = (xx - sxx) / cross, (xy - sxy) / cross, (yy - syy) / cross
@@ -172,35 +187,39 @@ def _add_group(
 
 
 @inlined
-def _read(picture: NDArray[np.float32], tile: Ints, value: Floats, gx: Floats, gy: Floats) -> bool:
-    """Read a tile minus its mean, and its gradients; return False where the picture has no value."""
-    n, total = 0, 0.0
-    for y in range(tile[1], tile[1] + tile[3]):
-        for x in range(tile[0], tile[0] + tile[2]):
-            value[n] = picture[y, x]
-            gx[n] = (picture[y, x + 1] - picture[y, x - 1]) / 2
-            gy[n] = (picture[y + 1, x] - picture[y - 1, x]) / 2
+def _read(picture: NDArray[np.float32], tile: Ints, ramp: Floats, value: Floats, gx: Floats, gy: Floats) -> bool:
+    """Read a tile minus its mean and slope, and its gradients; return False where the picture has no value."""
+    w, total = tile[2], 0.0
+    for r in range(tile[3]):
+        above, row, below = picture[tile[1] + r - 1], picture[tile[1] + r], picture[tile[1] + r + 1]
+        for c in range(w):
+            n, x = r * w + c, tile[0] + c
+            value[n] = row[x]
+            gx[n] = (row[x + 1] - row[x - 1]) / 2
+            gy[n] = (below[x] - above[x]) / 2
             total += value[n] + 0 * (gx[n] + gy[n])
-            n += 1
     if np.isnan(total):
         return False
     # The same is removed from the gradients: a displacement shows only in what remains of the values.
     for part in (value, gx, gy):
-        _detrend(part, tile[2], tile[3])
+        _detrend(part, w, tile[3], ramp)
     return True
 
 
 @inlined
-def _detrend(values: Floats, w: int, h: int) -> None:
+def _detrend(values: Floats, w: int, h: int, ramp: Floats) -> None:
     """Subtract mean and slope from the w × h values of a tile."""
-    total = slope_x = slope_y = square_x = square_y = 0.0
+    mean = slope_x = slope_y = 0.0
+    along, across = ramp[0], ramp[1]
     for i in range(w * h):
-        dx, dy = i % w - (w - 1) / 2, i // w - (h - 1) / 2
-        total, slope_x, slope_y = total + values[i], slope_x + values[i] * dx, slope_y + values[i] * dy
-        square_x, square_y = square_x + dx * dx, square_y + dy * dy
-    total, slope_x, slope_y = total / (w * h), slope_x / (square_x + 1e-9), slope_y / (square_y + 1e-9)
+        mean += values[i]
+        slope_x += values[i] * along[i]
+        slope_y += values[i] * across[i]
+    mean /= w * h
+    slope_x /= h * w * (w * w - 1) / 12 + 1e-9
+    slope_y /= w * h * (h * h - 1) / 12 + 1e-9
     for i in range(w * h):
-        values[i] -= total + slope_x * (i % w - (w - 1) / 2) + slope_y * (i // w - (h - 1) / 2)
+        values[i] -= mean + slope_x * along[i] + slope_y * across[i]
 
 
 @inlined

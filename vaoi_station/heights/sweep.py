@@ -20,10 +20,10 @@ class _Work(NamedTuple):
 
     line: NDArray[np.float32]
     """(2, w) the two lines of a picture between which a row lies, at its columns."""
-    left: NDArray[np.int32]
-    """(w,) column of the picture to the left of each column of a plane."""
+    run: Ints
+    """(2, w + 1) first columns, on a plane and in the picture, of runs in which both advance by one."""
     part: NDArray[np.float32]
-    """(w,) distance from it."""
+    """(w,) distance of each column of a plane from the picture's column to its left."""
     slope: NDArray[np.float32]
     """(2, n) slopes along x and y of the pixels of a tile."""
     value: NDArray[np.float32]
@@ -83,7 +83,7 @@ def sweep(
     planes = np.empty((k, high[1] - low[1], high[0] - low[0]), np.float32)
     work = _Work(
         np.empty((2, planes.shape[2]), np.float32),
-        np.empty(planes.shape[2], np.int32),
+        np.empty((2, planes.shape[2] + 1), np.int64),
         np.empty(planes.shape[2], np.float32),
         np.empty((2, most), np.float32),
         np.empty((k, most), np.float32),
@@ -167,11 +167,17 @@ def _lay(
     """
     step = 1 / (1 - share)
     bx, by = (first[0] - share * foot[0]) * step + margin, (first[1] - share * foot[1]) * step + margin
-    rows, width, left, part = picture.shape[0], plane.shape[1], work.left, work.part
+    rows, width, run, part = picture.shape[0], plane.shape[1], work.run, work.part
+    runs, before = 0, -2
     for c in range(width):
         u = bx + c * step
-        left[c] = min(max(int(u), 0), picture.shape[1] - 2)
-        part[c] = u - left[c]
+        left = min(max(int(u), 0), picture.shape[1] - 2)
+        part[c] = u - left
+        if left != before + 1 or c == 0:
+            run[0, runs], run[1, runs] = c, left
+            runs += 1
+        before = left
+    run[0, runs] = width
     # The lower line of one row is most often the upper line of the next.
     last, lower = -2, 0
     for r in range(plane.shape[0]):
@@ -180,11 +186,14 @@ def _lay(
         if top != last:
             for line in range(top + (top == last + 1), top + 2):
                 lower = 1 - lower
-                source, out = picture[line], work.line[lower]
-                for c in range(width):
-                    # Unsigned: indexes that cannot be negative are read without a test.
-                    at = np.uint64(left[c])
-                    out[c] = source[at] + part[c] * (source[at + np.uint64(1)] - source[at])
+                for n in range(runs):
+                    # Within a run neighbours in the picture are neighbours in memory, as vector registers need them.
+                    c, length = run[0, n], run[0, n + 1] - run[0, n]
+                    near, out = picture[line, run[1, n] :], work.line[lower, c : c + length]
+                    away = part[c : c + length]
+                    for m in range(length):
+                        at = np.uint64(m)
+                        out[at] = near[at] + away[at] * (near[at + np.uint64(1)] - near[at])
             last = top
         down, above, below, out = np.float32(v - top), work.line[1 - lower], work.line[lower], plane[r]
         for c in range(width):
