@@ -7,8 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from vaoi_station.heights import matrix_errors
-from vaoi_station.heights.matrix_errors import BodyEquations, combine
+from vaoi_station.heights.matrix_errors import BodyEquations, combine, solve_at_sizes
 
 LEAN = np.array([[0.0, 0.5], [0.0, -0.5]])
 """Parallax of two pictures, px per mm."""
@@ -45,11 +44,16 @@ def test_no_bodies_give_no_heights() -> None:
     assert combine({}, 0.1) == {}
 
 
-def test_the_likelihood_of_all_sizes_is_that_of_the_whole_matrix() -> None:
-    body = equations(np.array([[0.02, -0.01], [0.03, 0.05]]))._replace(scale=2.0)
+def test_every_size_is_solved_as_by_the_whole_matrix() -> None:
+    body, sizes_px = equations(np.array([[0.02, -0.01], [0.03, 0.05]])), np.geomspace(0.004, 0.4, 5)
     expected = []
-    for size in matrix_errors._SIZES_PX:
-        matrix = body.matrix + np.diag([1e-9] + [(body.scale / size) ** 2] * 4)
-        fit = float(body.vector @ np.linalg.solve(matrix, body.vector))
-        expected.append((fit - np.linalg.slogdet(matrix)[1]) / 2 - 4 * math.log(size / body.scale))
-    np.testing.assert_allclose(matrix_errors._likelihoods(body), expected, rtol=1e-6)
+    for size in sizes_px:
+        matrix = body.matrix + np.diag([1e-9] + [(2.0 / size) ** 2] * 4)
+        solution, covariance = np.linalg.solve(matrix, body.vector), np.linalg.inv(matrix)
+        likelihood = (body.vector @ solution - np.linalg.slogdet(matrix)[1]) / 2 - 4 * math.log(size / 2)
+        expected.append((likelihood, solution[0], covariance[0, 0]))
+    np.testing.assert_allclose(solve_at_sizes(body.matrix, body.vector, 2.0, sizes_px), expected, rtol=1e-6)
+
+
+def test_a_matrix_that_is_not_positive_definite_has_no_likelihood() -> None:
+    assert solve_at_sizes(-np.eye(3), np.zeros(3), 1.0, np.array([10.0]))[0, 0] == -1e9

@@ -118,6 +118,7 @@ class PartMeasure(NamedTuple):
     body: BodyEquations | None
     """None if no height is probable enough."""
     low_mm: float | None
+    """With `high_mm`, the interval that contains the height; None with a body, or if nothing can be said."""
     high_mm: float | None
 
 
@@ -134,7 +135,8 @@ def measure_part(places: Places, frames: Frames, component: Component, lights: S
     found = _sweep(places, pictures, _highest_mm(grid, component.body_height, places.board_type))
     if found is None:
         return PartMeasure(views, None, None, None)
-    return PartMeasure(views, _refine(places, pictures, found), *_interval(found))
+    body = _refine(places, pictures, found)
+    return PartMeasure(views, body, *(_interval(found) if body is None else (None, None)))
 
 
 def combine_parts(parts: Mapping[str, PartMeasure], stitch: Stitch) -> dict[str, PartHeight]:

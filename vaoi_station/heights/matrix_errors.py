@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vaoi_station.compiled import compiled
 from vaoi_station.geometry.transforms import Floats
 
 _SIZES_PX = np.geomspace(0.004, 0.4, 21)
@@ -54,7 +55,7 @@ def combine(bodies: Mapping[str, BodyEquations], row_sigma_px: float) -> dict[st
     """
     if not bodies:
         return {}
-    tables = {address: _likelihoods(body) for address, body in bodies.items()}
+    tables = {ref: solve_at_sizes(b.matrix, b.vector, b.scale, _SIZES_PX)[:, 0] for ref, b in bodies.items()}
     tables = {address: table - table.max() for address, table in tables.items()}
     together = np.sum([np.maximum(table, _WORST) for table in tables.values()], axis=0)
     common = float(_SIZES_PX[int(np.argmax(together))])
@@ -63,31 +64,44 @@ def combine(bodies: Mapping[str, BodyEquations], row_sigma_px: float) -> dict[st
     for address, body in bodies.items():
         own = tables[address] - (np.log(_SIZES_PX / least) / _OWN) ** 2 / 2
         size = max(float(_SIZES_PX[int(np.argmax(own))]), least)
-        covariance = np.linalg.inv(body.matrix + _prior(body, size))
+        _, step_mm, own_variance = solve_at_sizes(body.matrix, body.vector, body.scale, np.array([size]))[0].tolist()
         # The equations belong to the height before the last step.
-        mm = body.height_mm + float((covariance @ body.vector)[0])
-        variance = float(covariance[0, 0]) + body.unlike_mm**2 + _SCATTER_MM**2 + (_SCALE * mm) ** 2
+        mm = body.height_mm + step_mm
+        variance = own_variance + body.unlike_mm**2 + _SCATTER_MM**2 + (_SCALE * mm) ** 2
         out[address] = mm, math.sqrt(variance)
     return out
 
 
-def _prior(body: BodyEquations, size_px: float) -> Floats:
-    """Return the information of a displacement's prior; the height has none."""
-    return np.diag([1e-9] + [(body.scale / size_px) ** 2] * (len(body.vector) - 1))
+@compiled
+def solve_at_sizes(matrix: Floats, vector: Floats, scale: float, sizes_px: Floats) -> Floats:
+    """Solve the equations of a body for n sizes of the displacements: their standard deviation is the prior.
 
-
-def _likelihoods(body: BodyEquations) -> Floats:
-    """Return the logarithm of the likelihood of every size of the displacements (`_SIZES_PX`), up to a constant.
-
-    Prior information s is added to the displacements' block of the matrix. With the eigenvalues λ of this block, its
-    determinant and its inverse follow for all s at once; the height is eliminated last (Schur complement).
+    Returns (n, 3): the logarithm of the likelihood of the size, up to a constant, the height and its variance. The
+    likelihood of a size for which the matrix is not positive definite is negligible.
     """
-    own, turn = np.linalg.eigh(body.matrix[1:, 1:])
-    mixed, right = body.matrix[0, 1:] @ turn, body.vector[1:] @ turn
-    added = own + ((body.scale / _SIZES_PX) ** 2)[:, None]
-    height = body.matrix[0, 0] + 1e-9 - (mixed**2 / added).sum(1)
-    sound = (added > 0).all(1) & (height > 0)
-    added, height = np.where(sound[:, None], added, 1.0), np.where(sound, height, 1.0)
-    fit = (right**2 / added).sum(1) + (body.vector[0] - (mixed * right / added).sum(1)) ** 2 / height
-    log = np.log(added).sum(1) + np.log(height)
-    return np.where(sound, (fit - log) / 2 - len(own) * np.log(_SIZES_PX / body.scale), -1e9)
+    m, n = len(vector), len(sizes_px)
+    factor, right, out = np.empty((m, m)), np.empty(m), np.empty((n, 3))
+    for s in range(n):
+        added, log, fit, sound = (scale / sizes_px[s]) ** 2, 0.0, 0.0, True
+        # Cholesky's elimination from the last unknown to the first, so that the last pivot is that of the height.
+        for i in range(m - 1, -1, -1):
+            for j in range(i, -1, -1):
+                entry = matrix[i, j]
+                if i == j:
+                    entry += added if i else 1e-9
+                for k in range(i + 1, m):
+                    entry -= factor[k, i] * factor[k, j]
+                if i == j:
+                    sound = sound and entry > 0
+                    factor[i, i] = math.sqrt(entry) if entry > 0 else 1.0
+                else:
+                    factor[i, j] = entry / factor[i, i]
+            right[i] = vector[i]
+            for k in range(i + 1, m):
+                right[i] -= factor[k, i] * right[k]
+            right[i] /= factor[i, i]
+            log += 2 * math.log(factor[i, i])
+            fit += right[i] ** 2
+        out[s, 0] = (fit - log) / 2 - (m - 1) * math.log(sizes_px[s] / scale) if sound else -1e9
+        out[s, 1], out[s, 2] = right[0] / factor[0, 0], 1 / factor[0, 0] ** 2
+    return out
