@@ -18,7 +18,7 @@ from vaoi_station.line_config import Line
 from vaoi_station.model import Calibration
 from vaoi_station.runs.host.start_wait import PASSING
 from vaoi_station.runs.states.schemas import StationSnapshot
-from vaoi_station.runs.workers.pool import WorkerPool
+from vaoi_station.runs.workers.forking.fork_server_link import ForkServerLink
 from vaoi_station.station import DATABASE, Station, serve
 
 
@@ -153,7 +153,7 @@ def test_without_ready_workers_no_camera_is_opened_and_no_board_accepted(
 ) -> None:
     """However long the workers take: ready means that boards are filmed and stitched at once."""
     with monkeypatch.context() as held:
-        held.setattr(WorkerPool, "_start_worker", lambda _, worker: worker.backoff.record_failure())
+        held.setattr(ForkServerLink, "_start", lambda link: link._backoff.record_failure())
         with Station(config) as started:
             started.coordinator.events(started.coordinator.snapshot().last_event, 1.0)
             waiting = started.coordinator.snapshot()

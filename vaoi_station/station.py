@@ -181,7 +181,7 @@ class Station:
                 board_types,
                 make_order,
                 shelf,
-                lambda: (link.status(), *workers.status()),
+                lambda: (link.status(), workers.fork_server.status(), *workers.status()),
                 lambda: thread_reasons(supervisor.faults()),
                 StatusNotice(),
             )

@@ -138,7 +138,6 @@ def test_threads_of_the_service_are_supervised() -> None:
         "vaoi_station/acquisition/cameras/aravis/connection.py": "releases one device; opening it again is limited",
         "vaoi_station/acquisition/process/main_loop.py": "closes devices; its end is awaited for END_S",
         "vaoi_station/runs/pictures/small_pictures.py": "loads compiled functions; workers render meanwhile",
-        "vaoi_station/runs/workers/worker_process.py": "reports progress; START_LIMIT_S limits the worker's start",
         "vaoi_station/station.py": "writes the event of a lost thread; its end is awaited for REPORT_S",
     }
     other_programs = {"benchmarks", "demo", "plant", "rig"}

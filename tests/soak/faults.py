@@ -59,6 +59,16 @@ def hang_worker(target: Target, chance: random.Random) -> Any:
     return _signalled(_worker(target, chance), signal.SIGSTOP, signal.SIGCONT)
 
 
+def kill_fork_server(target: Target, chance: random.Random) -> Any:
+    """Kill the fork server."""
+    return _signalled(target.pid("fork server"), signal.SIGKILL)
+
+
+def hang_fork_server(target: Target, chance: random.Random) -> Any:
+    """Stop the fork server for the time of the fault."""
+    return _signalled(target.pid("fork server"), signal.SIGSTOP, signal.SIGCONT)
+
+
 def kill_acquisition(target: Target, chance: random.Random) -> Any:
     """Kill the acquisition process."""
     return _signalled(target.pid("acquisition"), signal.SIGKILL)
@@ -136,6 +146,8 @@ class Fault:
 FAULTS = {
     "worker killed": Fault(kill_worker, weight=3),
     "worker hangs": Fault(hang_worker, (2, 12), 2),
+    "fork server killed": Fault(kill_fork_server),
+    "fork server hangs": Fault(hang_fork_server, (2, 15)),
     "acquisition killed": Fault(kill_acquisition, weight=2),
     "acquisition hangs": Fault(hang_acquisition, (1, 15)),
     "station killed": Fault(kill_station, weight=1),

@@ -122,7 +122,7 @@ def test_a_board_passes_and_the_service_ends_in_order(service: Service, tmp_path
     assert end == {"complete": True, "components": 1, "refused": 0, "images": 1}
     assert files[f"components/{address}/0.png"] == picture.content
     pids = [p["pid"] for p in service.get("/station")["processes"]]
-    assert len(pids) == 2
+    assert len(pids) == 3
     assert service.stop(signal.SIGTERM) == 0, "".join(service.log)
     assert list((tmp_path / "shm").iterdir()) == []
     assert not [pid for pid in pids if Path(f"/proc/{pid}").exists()]

@@ -22,7 +22,7 @@ from tests.test_supervised_thread import kill
 from vaoi_station import station as station_module
 from vaoi_station.config import StationConfig
 from vaoi_station.model import Status
-from vaoi_station.runs.workers.pool import WorkerPool
+from vaoi_station.runs.workers.forking.fork_server_link import ForkServerLink
 from vaoi_station.station import Station
 from vaoi_station.supervised_thread import SupervisedThread
 
@@ -63,8 +63,8 @@ class Broken:
 
 @pytest.fixture
 def no_workers(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Start no worker process: its imports and its warm-up cost more than all the threads of a station."""
-    monkeypatch.setattr(WorkerPool, "_start_worker", lambda _, worker: worker.backoff.record_failure())
+    """Start no fork server and so no worker: imports and warm-up cost more than all the threads of a station."""
+    monkeypatch.setattr(ForkServerLink, "_start", lambda link: link._backoff.record_failure())
 
 
 @pytest.fixture
@@ -201,6 +201,29 @@ def test_no_board_is_lost_by_a_worker_that_hangs(replay_config: Callable[..., St
         assert run.timings is not None
         assert run.timings.ready_after_last_frame_ms is not None
         assert run.timings.ready_after_last_frame_ms < 15_000, "its jobs did not wait for the 30 s of a hung worker"
+        coordinator.disarm()
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_no_board_is_lost_without_the_fork_server(
+    replay_config: Callable[..., StationConfig], monkeypatch: pytest.MonkeyPatch, number: signal.Signals
+) -> None:
+    with Station(replay_config(pace="original", pause_s=0.3).model_copy(update={"workers": 1})) as station:
+        coordinator = station.coordinator
+        until_state(coordinator, "idle")
+        seen = coordinator.snapshot().last_event
+        began, victim = arm_until_filming(coordinator)
+        os.kill(pid_of(coordinator, "fork server"), number)
+        with monkeypatch.context() as impatient:  # only now: the next one may start slowly
+            impatient.setattr("vaoi_station.runs.workers.forking.fork_server_link.REPLY_LIMIT_S", 1.0)
+            run = result_of(coordinator, victim, began)
+            assert (run.state, run.verdict) == ("ready", Status.OK), run.reasons
+            ended = list[str]()
+            while not ended:
+                records = coordinator.events(seen, TIMEOUT_S)
+                ended = [record.message for record in records if record.kind == "process"]
+                seen = records[-1].number
+        assert "The fork server" in ended[0]
         coordinator.disarm()
 
 

@@ -298,7 +298,11 @@ def _processes(service: Service, station: dict[str, Any]) -> dict[str, int]:
 
 def _measured_processes(service: Service, station: dict[str, Any], devices: Devices) -> dict[str, int | None]:
     """Return name → pid of all processes whose CPU time is measured, with the names that `CpuLoadMeter` expects."""
-    renamed = {name.replace("worker ", "workers "): pid for name, pid in _processes(service, station).items()}
+    # The fork server's time counts as that of the workers, whose memory and code it has prepared.
+    renamed = {
+        name if name in ("station", "acquisition") else f"workers {name}": pid
+        for name, pid in _processes(service, station).items()
+    }
     cameras = {f"cameras {n}": camera.pid for n, camera in enumerate(devices.cameras)}
     return {**renamed, **cameras, "chip": devices.chip.pid, "rig": os.getpid()}
 

@@ -69,7 +69,8 @@ def test_all_pictures_of_a_run_are_read_four_times(figures: RestFigures) -> None
     raw, again, jpeg, _ = figures.batches
     assert all(batch.complete for batch in figures.batches)
     assert raw.mbytes == again.mbytes > jpeg.mbytes
-    assert raw.memory_mb.keys() == figures.memory_before_mb.keys() == {"station", "acquisition", "worker 0", "worker 1"}
+    processes = {"station", "acquisition", "fork server", "worker 0", "worker 1"}
+    assert raw.memory_mb.keys() == figures.memory_before_mb.keys() == processes
 
 
 def test_figures_fit_into_json_and_lines(figures: RestFigures) -> None:

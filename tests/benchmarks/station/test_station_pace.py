@@ -165,6 +165,6 @@ def test_frame_and_data_rate_are_those_of_the_line(figures: RateFigures, scenari
 
 
 def test_each_process_of_the_station_is_measured(figures: RateFigures) -> None:
-    names = {"station", "sender", "acquisition", "worker 0", "worker 1"}
+    names = {"station", "sender", "acquisition", "fork server", "worker 0", "worker 1"}
     assert figures.cpu_ms_per_frame.keys() == figures.memory_mb.keys() == names
     assert all(mb > 1 for mb in figures.memory_mb.values())

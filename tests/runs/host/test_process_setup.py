@@ -72,7 +72,7 @@ def test_a_child_ignores_signals_and_may_be_limited_to_one_thread(one_thread: bo
     [
         "vaoi_station.demo.service_process",
         "vaoi_station.runs.host.process_setup",
-        "vaoi_station.runs.workers.worker_process",
+        "vaoi_station.runs.workers.forking.fork_server",
     ],
 )
 def test_a_child_process_starts_with_a_module_that_imports_little(module: str) -> None:

@@ -11,13 +11,15 @@ from typing import Any
 import pytest
 
 from tests.runs.workers.conftest import RingBoard
+from tests.runs.workers.forking.served import few_files
 from tests.runs.workers.plant import BoardPlant, Plant, conclusion
+from vaoi_station.benchmarks.station.process_usage import cpu_s
 from vaoi_station.drift.checks import RunCheck
 from vaoi_station.errors import BusyError, StateError
 from vaoi_station.runs.workers import pool as module
+from vaoi_station.runs.workers.forking import fork_server_link
 from vaoi_station.runs.workers.jobs import CheckJob
 from vaoi_station.runs.workers.queues import MAX_PICTURES
-from vaoi_station.runs.workers.worker import start_process
 
 
 def test_the_job_of_a_worker_that_hangs_is_repeated_at_once(plant: Plant) -> None:
@@ -98,18 +100,46 @@ def test_waiting_pictures_are_limited(plant: Plant, make_stitch: Callable[..., A
     assert all(p.get().error is None for p in pending)
 
 
-def test_a_worker_that_cannot_be_started_is_tried_again(plant: Plant, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_worker_that_cannot_be_started_is_tried_again(plant: Plant) -> None:
     plant.all_idle()
-    start, refusals = start_process, iter([OSError(12, "Cannot allocate memory")])
-
-    def refuse_once(*args: Any) -> Any:
-        if (refusal := next(refusals, None)) is not None:
-            raise refusal
-        return start(*args)
-
-    monkeypatch.setattr(module, "start_process", refuse_once)
-    os.kill(plant.pid(0), signal.SIGKILL)
-    plant.until(lambda: len(plant.lost) == 2)
-    assert "Worker 0 could not be started ([Errno 12] Cannot allocate memory)" in plant.lost[1]
+    server = plant.pool.fork_server.status().pid
+    assert server is not None
+    with few_files(server, 0):
+        os.kill(plant.pid(0), signal.SIGKILL)
+        plant.until(lambda: len(plant.lost) == 2)
+        assert "Worker 0 could not be started (the fork server has too many open files)" in plant.lost[1]
     plant.all_idle()
     assert plant.submit(plant.link()).get().error is None
+
+
+def test_a_killed_worker_has_a_successor_that_imports_nothing(plant: Plant) -> None:
+    plant.all_idle()
+    os.kill(plant.pid(0), signal.SIGKILL)
+    plant.until(lambda: len(plant.lost) == 1)
+    plant.all_idle()
+    assert cpu_s(plant.pid(0)) < 0.3, "a start by itself takes seconds"
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_workers_go_on_without_the_fork_server(
+    plant: Plant, monkeypatch: pytest.MonkeyPatch, number: signal.Signals
+) -> None:
+    """A worker that dies meanwhile is replaced by the next fork server; its exit code remains unknown."""
+    plant.all_idle()
+    server, workers = plant.pool.fork_server.status().pid, [plant.pid(0), plant.pid(1)]
+    assert server is not None
+    os.kill(server, number)
+    os.kill(workers[0], signal.SIGKILL)
+    pending = [plant.submit(plant.link(camera, row)) for row in range(2) for camera in (0, 1)]
+    assert all(p.get().error is None for p in pending)
+    with monkeypatch.context() as impatient:  # only now: the next server may start slowly
+        impatient.setattr(fork_server_link, "REPLY_LIMIT_S", 1.0)
+        plant.until(lambda: any("The fork server" in words for words in plant.lost))
+    plant.all_idle()
+    how = "ended with code -9" if number == signal.SIGKILL else "did not answer for 1 s, so that the station ended it"
+    assert f"The fork server {how}; it is restarted. Workers that run go on." in plant.lost
+    assert plant.pid(0) != workers[0]
+    assert plant.pid(1) == workers[1]
+    assert plant.pool.fork_server.status().pid != server
+    assert plant.submit(plant.link()).get().error is None
+    assert plant.pool.thread.fault() is None

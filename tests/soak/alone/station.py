@@ -35,6 +35,7 @@ from vaoi_station.errors import GoneError
 from vaoi_station.files import write_board_type, write_calibration
 from vaoi_station.runs.control import acquisition_link
 from vaoi_station.runs.states.schemas import ProcessStatus
+from vaoi_station.runs.workers.forking.fork_server_link import ForkServerLink
 from vaoi_station.runs.workers.jobs import ConcludeJob, Job, LinkJob, Reply
 from vaoi_station.runs.workers.worker_events import WorkerEvents
 from vaoi_station.station import Station
@@ -73,6 +74,7 @@ class ThreadedWorkers(ScriptedWorkers):
         super().__init__()
         self._queue: SupervisedQueue[Job] = SupervisedQueue(self.perform, "workers", 1000)
         self.thread = self._queue.thread
+        self.fork_server = ForkServerLink(print)
 
     def start(self, events: WorkerEvents) -> None:
         super().start(events)

@@ -21,7 +21,10 @@ def cpu_s(pid: int) -> float:
 
 
 def private_memory_bytes(pid: int | str = "self") -> int:
-    """Return the anonymous resident memory of a process. It excludes mapped files and shared memory like the ring."""
+    """Return the anonymous resident memory of a process. It excludes mapped files and shared memory like the ring.
+
+    Memory that a worker shares with the fork server, because neither has written to it, counts in each of them.
+    """
     for line in Path(f"/proc/{pid}/status").read_text().splitlines():
         if line.startswith("RssAnon:"):
             return int(line.split()[1]) * 1024

@@ -86,7 +86,7 @@ WAITING = "waiting for the workers"
 
 
 class ProcessStatus(Schema):
-    """State of one process of the station. Its name is "acquisition", "worker 0", "worker 1", …"""
+    """State of one process of the station. Its name is "acquisition", "fork server", "worker 0", "worker 1", …"""
 
     name: str
     pid: int | None
@@ -96,7 +96,7 @@ class ProcessStatus(Schema):
     """Time since the last message of the process; None before the first message."""
     doing: str = ""
     progress: str = ""
-    """How far a worker that is starting has come; empty if unknown, and while it does not start."""
+    """How far the start of the fork server has come, for which workers wait; empty if unknown, and afterwards."""
     next_try: str | None = None
     """Time of the next start of the process; None while the process runs or is being started."""
 

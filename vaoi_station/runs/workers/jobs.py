@@ -279,18 +279,9 @@ class Ping:
 
 @dataclass(frozen=True)
 class WorkerReady:
-    """Report that a worker is ready; sent after the worker's warm-up, and in reply to each `Ping`."""
+    """Report that a worker is ready; sent at its start, and in reply to each `Ping`."""
 
     pid: int
-
-
-@dataclass(frozen=True)
-class WorkerStarting:
-    """Report how far the warm-up of a worker is; sent once a second until `WorkerReady`."""
-
-    compiled: int
-    """Number of inner loops that are compiled or were loaded."""
-    of: int
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 Jobs wait in the pool, not in the pipes to the workers. A worker has one job at a time. A worker that performs a link
 job may get a second link job, so that it need not wait for the pool in between. The pool detects the end of a worker at
-once by the sentinel of its process. The worker's jobs then go to another worker, and the process is restarted. If
+once by the pidfd of its process. The worker's jobs then go to another worker, and the process is restarted. If
 `MAX_ATTEMPTS` workers died during a job, the job is given up with an error. A job that takes much longer than usual
 (`worker.OVERDUE_S`) is repeated by an idle worker. The first worker is killed once it is certain that it hangs.
 
@@ -24,6 +24,8 @@ from pathlib import Path
 from vaoi_station.errors import InternalError, StateError, VaoiError
 from vaoi_station.runs.host.message_pipe import PipeEndedError, wait_for
 from vaoi_station.runs.states.schemas import ProcessStatus
+from vaoi_station.runs.workers.forking.child_process import ChildProcess
+from vaoi_station.runs.workers.forking.fork_server_link import ForkServerLink
 from vaoi_station.runs.workers.jobs import (
     CheckJob,
     CloseRun,
@@ -38,11 +40,10 @@ from vaoi_station.runs.workers.jobs import (
     Priority,
     Reply,
     WorkerReady,
-    WorkerStarting,
     check_after,
 )
 from vaoi_station.runs.workers.queues import JobQueues
-from vaoi_station.runs.workers.worker import Queued, Worker, start_process
+from vaoi_station.runs.workers.worker import Queued, Worker, end_all
 from vaoi_station.runs.workers.worker_events import WorkerEvents
 from vaoi_station.supervised_thread import SupervisedThread
 
@@ -54,8 +55,6 @@ REPEATED_LIMIT_S = 5.0
 """Longest time for a job that another worker has finished meanwhile, s.
 
 After it, the slower worker counts as hung."""
-START_LIMIT_S = 600.0
-"""Longest time for the start of a worker. The first start after an installation compiles, which takes minutes."""
 PING_INTERVAL_S = 1.0
 """Time without a message after which an idle worker is pinged."""
 CHECK_PERIOD_S = 0.5
@@ -78,6 +77,7 @@ class WorkerPool:
         self._workers = [Worker(k) for k in range(count)]
         self._queues = JobQueues(self._workers)
         self._lock = threading.RLock()
+        self.fork_server = ForkServerLink(self._report_end)
         self._wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self._stopping = False
         self.thread = SupervisedThread(self._run, "workers")
@@ -146,7 +146,7 @@ class WorkerPool:
     def status(self) -> tuple[ProcessStatus, ...]:
         """Return the state of every worker."""
         with self._lock:
-            return tuple(worker.status() for worker in self._workers)
+            return tuple(worker.status(self.fork_server.progress) for worker in self._workers)
 
     def stop(self, timeout_s: float = 5.0) -> None:
         """End all worker processes, and report an error for every unfinished job. A second call does nothing.
@@ -163,13 +163,10 @@ class WorkerPool:
         if self.thread.ident is not None:
             self.thread.join(STOP_S)
         # All workers are asked to end before the first one is awaited, so that they end in parallel.
-        deadline = time.monotonic() + timeout_s
         for worker in self._workers:
             self._send(worker, None)
-        for worker in self._workers:
-            if worker.process is not None:
-                worker.process.join(max(0.0, deadline - time.monotonic()))
-                worker.end()
+        end_all(self._workers, timeout_s)
+        self.fork_server.stop()
         for queued in self._abandoned():
             self._report(queued.job, Reply.refused(StateError("The station was stopped before this was done.")))
         os.close(self._wake)
@@ -178,41 +175,54 @@ class WorkerPool:
         """Start workers, receive their messages, and reap workers that have died, until the pool is stopped."""
         while not self._stopping:
             self.thread.beat()
-            for worker in self._workers:
-                if worker.process is None and not worker.backoff.remaining_s():
+            for worker in self._absent():
+                if not worker.backoff.remaining_s():
                     self._start_worker(worker)
-            running = [w for w in self._workers if w.process is not None and w.pipe is not None]
+            running = [w for w in self._workers if w.process is not None and w.ended_s is None]
             pipes = {w.pipe.fileno(): w for w in running if w.pipe is not None}
-            sentinels = [w.process.sentinel for w in running if w.process is not None]
-            ready = wait_for([w.pipe for w in running if w.pipe is not None], [self._wake, *sentinels], self._pause_s())
+            ends = (w.process.fileno() for w in running if w.process is not None)
+            others = [self._wake, *ends, *self.fork_server.descriptors()]
+            ready = wait_for([w.pipe for w in running if w.pipe is not None], others, self._pause_s())
             if self._wake in ready:
                 os.eventfd_read(self._wake)
             for descriptor in ready & pipes.keys():
                 self._receive(pipes[descriptor])
-            for worker in running:
+            for index, outcome in self.fork_server.outcomes():
+                self._complete_start(self._workers[index], outcome)
+            for worker in self._workers:
                 self._supervise(worker)
             with self._lock:
                 self._dispatch()
 
+    def _absent(self) -> list[Worker]:
+        """Return the workers that have neither a process nor the request for one, if the fork server can fork."""
+        return [w for w in self._workers if w.pipe is None] if self.fork_server.ready else []
+
     def _pause_s(self) -> float:
         """Return the time until the next liveness check, restart or overdue job, s."""
         now_s = time.monotonic()
-        restarts_s = [w.backoff.remaining_s() for w in self._workers if w.process is None]
+        restarts_s = [self.fork_server.pause_s(), *(w.backoff.remaining_s() for w in self._absent())]
         with self._lock:
             due_s = [due_s - now_s for w in self._workers if not w.overdue and (due_s := w.due_s()) is not None]
         return max(min([CHECK_PERIOD_S, *restarts_s, *due_s]), 0.0)
 
     def _start_worker(self, worker: Worker) -> None:
-        worker.backoff.start_attempt()
         try:
-            process, pipe = start_process(worker.index, self._ring_path)
+            with self._lock:
+                worker.request_process(self.fork_server, self._ring_path)
         except OSError as fault:
-            # There is too little memory, or there are too many processes or files. This may pass.
-            worker.backoff.record_failure()
-            self._report_end(f"Worker {worker.index} could not be started ({fault}); it is tried again.")
+            self._complete_start(worker, str(fault))
+
+    def _complete_start(self, worker: Worker, outcome: ChildProcess | str) -> None:
+        """Take over the process of a worker, or report why it was not started."""
+        if isinstance(outcome, ChildProcess):
+            with self._lock:
+                worker.process = outcome
             return
-        with self._lock:
-            worker.process, worker.pipe, worker.since_s = process, pipe, time.monotonic()
+        # There may be too little memory, or too many processes or files. This may pass.
+        worker.end()
+        worker.backoff.record_failure()
+        self._report_end(f"Worker {worker.index} could not be started ({outcome}); it is tried again.")
 
     def _receive(self, worker: Worker) -> None:
         """Handle the messages that have arrived from a worker, and send messages that its pipe had no room for."""
@@ -245,9 +255,7 @@ class WorkerPool:
                     # The worker performs the check already. It is entered as the job under way, so that other jobs go
                     # to free workers until the check's reply, and JOB_LIMIT_S limits its time.
                     worker.jobs.appendleft(Queued(check, done=not first))
-            if isinstance(message, WorkerStarting):
-                worker.progress = f"{message.compiled} of {message.of} inner loops are compiled"
-            # The first WorkerReady ends the warm-up; later ones are replies to pings.
+            # The first WorkerReady ends the start; later ones are replies to pings.
             if isinstance(message, WorkerReady) and not worker.ready:
                 worker.ready = True
                 worker.backoff.record_success()
@@ -268,12 +276,12 @@ class WorkerPool:
         """Reap a worker that has died, and kill a worker that hangs."""
         if worker.process is None or worker.pipe is None:
             return
-        if worker.process.is_alive():
+        if not worker.process.has_ended():
             self._check_liveness(worker)
-            return
-        # The worker may have sent a reply before it died. A finished job must not be repeated.
-        self._receive(worker)
-        self._reap(worker)
+        elif not worker.awaits_code(self.fork_server):
+            # The worker may have sent a reply before it died. A finished job must not be repeated.
+            self._receive(worker)
+            self._reap(worker)
 
     def _check_liveness(self, worker: Worker) -> None:
         """Ping an idle worker, and kill a worker that exceeds its time limit."""
@@ -285,7 +293,7 @@ class WorkerPool:
             outrun = worker.ready and busy and all(queued.done for queued in worker.jobs)
             longest_s = (worker.job.longest_s if worker.job else None) or JOB_LIMIT_S
         since_s = worker.since_s if busy else worker.pinged_s
-        limit_s = REPEATED_LIMIT_S if outrun else longest_s if worker.ready else START_LIMIT_S
+        limit_s = REPEATED_LIMIT_S if outrun else longest_s
         if since_s is not None and now - since_s > limit_s:
             worker.kill(limit_s)
         elif not busy and worker.pinged_s is None and now - (worker.seen_s or now) > PING_INTERVAL_S:
@@ -305,9 +313,6 @@ class WorkerPool:
                 if not other.done and not self._is_under_way(other):
                     self._queues.put_back(other)
             worker.end()
-            worker.ready, worker.pinged_s = False, None
-            worker.opened.clear()
-            worker.evidence.clear()
             worker.restarts += 1
             worker.backoff.record_failure()
             given_up = queued is not None and not self._retry(queued)

@@ -3,27 +3,29 @@
 from __future__ import annotations
 
 import logging
-import multiprocessing
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from multiprocessing.process import BaseProcess
+from multiprocessing import Pipe
 from pathlib import Path
 
-from vaoi_station.backoff import Backoff, BackoffPolicy
+from vaoi_station.backoff import Backoff
 from vaoi_station.runs.host.message_pipe import MessagePipe
-from vaoi_station.runs.host.process_setup import keep_freed_memory
 from vaoi_station.runs.states.run_ids import utc_of_host
 from vaoi_station.runs.states.schemas import STARTING, ProcessStatus
+from vaoi_station.runs.workers.forking.child_process import ChildProcess
+from vaoi_station.runs.workers.forking.fork_server_link import (
+    END_S,
+    RESTART_POLICY,
+    ForkServerLink,
+    describe_silence,
+)
 from vaoi_station.runs.workers.jobs import ConcludeJob, Continue, Job, LinkJob, PictureJob, Priority, SteppedJob
-from vaoi_station.runs.workers.worker_process import run_worker
 from vaoi_station.stitching.matching.evidence import Task
 
 _log = logging.getLogger(__name__)
 
-RESTART_POLICY = BackoffPolicy(first_s=0.25, longest_s=30.0, proven_s=30.0)
-"""Pauses before a worker that has died is restarted."""
 OVERDUE_S: Mapping[Priority, float] = {
     Priority.LINK: 1.0,
     Priority.GATHER: 1.0,
@@ -40,11 +42,12 @@ OVERDUE_S: Mapping[Priority, float] = {
 
 This is many times the usual time of a job. A worker that was only slow finishes its job as well; the first reply
 counts."""
+CODE_S = 0.5
+"""Longest wait for the exit code of a worker that has ended, s.
+
+The fork server reports it at once, unless it hangs."""
 PING_OVERDUE_S = 1.0
 """Time after which an unanswered ping makes an idle worker overdue, so that no job is given to it."""
-
-END_S = 5.0
-"""Longest wait for a killed process. Afterwards it is given up: the kernel cannot end one that waits for a disk."""
 
 
 @dataclass(eq=False)
@@ -90,8 +93,11 @@ class Worker:
     """One worker: its process, the jobs that were given to it, and the data that it holds. It is kept over restarts."""
 
     index: int
-    process: BaseProcess | None = None
+    process: ChildProcess | None = None
     pipe: MessagePipe | None = None
+    """The station's end of the pipe to the process; it exists from the time at which the process is requested."""
+    ended_s: float | None = None
+    """Time at which the end of the process was noticed, by time.monotonic(); None while it runs."""
     ready: bool = False
     jobs: deque[Queued] = field(default_factory=deque)
     """Jobs that were given to the worker: the job under way, and possibly the next one."""
@@ -107,8 +113,6 @@ class Worker:
     """Time of the worker's latest message; None before the first message."""
     pinged_s: float | None = None
     """Time of a ping that was not answered yet; None if there is none."""
-    progress: str = ""
-    """Progress of the warm-up as text; empty before the first report."""
     overdue: bool = False
     """Whether the job under way, or the reply to a ping, is overdue; see `update`."""
     linked_last: bool = False
@@ -126,18 +130,35 @@ class Worker:
         """The job under way; None if the worker has no job."""
         return self.jobs[0] if self.jobs else None
 
-    def status(self) -> ProcessStatus:
-        """Return the state of the worker, for `GET station` and the page."""
+    def status(self, progress: str) -> ProcessStatus:
+        """Return the state of the worker, for `GET station` and the page; `progress` is that of the fork server."""
         return ProcessStatus(
             name=f"worker {self.index}",
             pid=self.process.pid if self.process else None,
-            alive=self.process is not None and self.process.is_alive(),
+            alive=self.process is not None and self.ended_s is None,
             restarts=self.restarts,
             heartbeat_age_s=None if self.seen_s is None else time.monotonic() - self.seen_s,
             doing=str(self.job.job) if self.job else "idle" if self.ready else STARTING,
-            progress="" if self.ready else self.progress,
+            progress="" if self.ready else progress,
             next_try=None if self.backoff.due_s is None else utc_of_host(self.backoff.due_s),
         )
+
+    def request_process(self, server: ForkServerLink, ring: Path) -> None:
+        """Request a process of the fork server.
+
+        Raises:
+            OSError: the fork server has ended or does not read, or there are too many open files.
+        """
+        self.backoff.start_attempt()
+        here, there = Pipe()
+        # The process gets a copy of its end. If it were kept open here, the pipe would stay open after its death.
+        with there:
+            try:
+                server.request(self.index, str(ring), there.fileno())
+            except OSError:
+                here.close()
+                raise
+        self.pipe, self.since_s = MessagePipe(here), time.monotonic()
 
     def due_s(self) -> float | None:
         """Return the time at which the worker becomes overdue; None while it starts, or is idle and not pinged."""
@@ -162,43 +183,36 @@ class Worker:
     def describe_end(self) -> str:
         """Describe how the process has ended: the end of a sentence that begins with its name."""
         if self.silent_s is not None:
-            return f"did not answer for {self.silent_s:g} s, so that the station ended it"
-        return f"ended with code {self.process.exitcode if self.process else None}"
+            return describe_silence(self.silent_s)
+        code = self.process.exit_code if self.process else None
+        return f"ended with code {code}" if code is not None else "ended with an unknown code"
+
+    def awaits_code(self, server: ForkServerLink) -> bool:
+        """Record that the process has ended, and return whether its exit code may still arrive."""
+        now_s = time.monotonic()
+        self.ended_s = self.ended_s or now_s
+        return self.process is not None and server.will_report(self.process) and now_s - self.ended_s < CODE_S
 
     def end(self) -> None:
-        """Kill the process if it still runs, wait for its end, and close its handles."""
+        """Kill the process if it still runs, wait for its end, close its handles, and forget what it held."""
         process, pipe = self.process, self.pipe
-        self.process = self.pipe = self.silent_s = None
-        self.progress = ""
+        self.process = self.pipe = self.silent_s = self.ended_s = self.pinged_s = None
+        self.ready = False
+        self.opened.clear()
+        self.evidence.clear()
         if process is not None:
-            if process.is_alive():
-                process.kill()
-            process.join(END_S)
-            if process.is_alive():
+            process.kill()
+            if not process.has_ended(END_S):
                 _log.error("process %s of worker %d cannot be ended; it is left alone", process.pid, self.index)
-            else:
-                process.close()
+            process.close()
         if pipe is not None:
             pipe.close()
 
 
-def start_process(index: int, ring: Path) -> tuple[BaseProcess, MessagePipe]:
-    """Start a worker process, and return it with the station's end of the pipe to it.
-
-    Raises:
-        OSError: the computer has too little memory, or too many processes or files.
-    """
-    spawn = multiprocessing.get_context("spawn")
-    here, there = spawn.Pipe()
-    process = spawn.Process(target=run_worker, args=(there, str(ring)), name=f"vaoi-worker-{index}", daemon=True)
-    try:
-        with keep_freed_memory():
-            process.start()
-    except OSError:
-        here.close()
-        raise
-    finally:
-        # The child process has a copy of this end. If it were kept open here, the pipe would stay open after the
-        # child's death.
-        there.close()
-    return process, MessagePipe(here)
+def end_all(workers: Sequence[Worker], timeout_s: float) -> None:
+    """Wait until the processes of all workers have ended, and kill those that still run after `timeout_s`."""
+    deadline_s = time.monotonic() + timeout_s
+    for worker in workers:
+        if worker.process is not None:
+            worker.process.has_ended(deadline_s - time.monotonic())
+        worker.end()
