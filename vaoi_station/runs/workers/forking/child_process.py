@@ -1,4 +1,4 @@
-"""A process that the station watches and ends by a pidfd, whoever its parent is."""
+"""A process that the station watches and ends by a pidfd, also if another process is its parent."""
 
 from __future__ import annotations
 
