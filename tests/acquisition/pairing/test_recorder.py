@@ -46,9 +46,11 @@ def test_every_frame_is_in_its_row_and_every_camera_and_row_has_a_verdict(data: 
         verdicts = script.verdicts(name)
         assert set(verdicts) == set(expected_of)
         for cell, fate in expected_of.items():
+            if script.ambiguous(name, cell[0]):
+                continue
             if fate in ("ok", "late", "twice"):
                 assert verdicts[cell] is Verdict.OK
-            elif not script.ambiguous(name, cell[0]):
+            else:
                 assert verdicts[cell] in (
                     Verdict.MISSING,
                     Verdict.INCOMPLETE if fate == "incomplete" else verdicts[cell],
