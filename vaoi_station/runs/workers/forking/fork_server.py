@@ -105,14 +105,18 @@ def _serve(control: socket.socket, children: dict[int, int]) -> None:
             case Ping(), _:
                 send(control, ServerReady())
             case Fork() as request, [pipe]:
-                _start(request, pipe, control, children)
+                outcome, descriptors = _started(request, pipe, control, children)
+                # Before the report: the worker alone has its end of the pipe when the station hears of it.
                 os.close(pipe)
+                send(control, outcome, descriptors)
             case Fork() as request, _:
                 send(control, NotForked(request.index, "the fork server has too many open files"))
 
 
-def _start(request: Fork, pipe: int, control: socket.socket, children: dict[int, int]) -> None:
-    """Fork a worker, and report it with its pidfd, or report why there is none."""
+def _started(
+    request: Fork, pipe: int, control: socket.socket, children: dict[int, int]
+) -> tuple[Forked | NotForked, list[int]]:
+    """Fork a worker, and return the report of it with its pidfd, or of why there is none."""
     try:
         pid = _forked(request, pipe, control, children)
         try:
@@ -123,10 +127,9 @@ def _start(request: Fork, pipe: int, control: socket.socket, children: dict[int,
             raise
     except OSError as fault:
         # There is too little memory, or there are too many processes or files. This may pass.
-        send(control, NotForked(request.index, str(fault)))
-        return
+        return NotForked(request.index, str(fault)), []
     children[pidfd] = pid
-    send(control, Forked(request.index, pid), [pidfd])
+    return Forked(request.index, pid), [pidfd]
 
 
 def _forked(request: Fork, pipe: int, control: socket.socket, children: Iterable[int]) -> int:
