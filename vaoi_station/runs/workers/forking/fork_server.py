@@ -106,7 +106,7 @@ def _serve(control: socket.socket, children: dict[int, int]) -> None:
                 send(control, ServerReady())
             case Fork() as request, [pipe]:
                 outcome, descriptors = _started(request, pipe, control, children)
-                # Before the report: the worker alone has its end of the pipe when the station hears of it.
+                # Before the report, so that the worker alone has its end of the pipe when it is reported.
                 os.close(pipe)
                 send(control, outcome, descriptors)
             case Fork() as request, _:
