@@ -23,7 +23,7 @@ _ALIKE_MM = np.array([0.012, 0.012, 0.004, 0.004])
 `ComponentShift.measured`. A light from one side shifts what is seen of all components, but hardly turns it."""
 _LIMIT = 10.0
 """Largest part of χ² that an error of one fiducial explains (2 degrees of freedom) and that is none. Measured: correct
-boards reach 5 (hostile.md)."""
+boards reach 6.1 (hostile.md)."""
 _SURELY = 2.0
 """Number of standard deviations beyond the limit at which an error is shown with a probability of 98 %."""
 
