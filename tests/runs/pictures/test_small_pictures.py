@@ -10,13 +10,15 @@ import numpy as np
 import pytest
 
 from vaoi_station.errors import GoneError
+from vaoi_station.files.images import decode
 from vaoi_station.rendering import ImageRequest
 from vaoi_station.runs.control.pictures import SMALL_PX
 from vaoi_station.runs.pictures import small_pictures as module
-from vaoi_station.runs.pictures.small_pictures import SEATS
+from vaoi_station.runs.pictures.small_pictures import LARGEST_PX, SEATS
 from vaoi_station.runs.workers.jobs import RenderJob, Reply
 from vaoi_station.runs.workers.worker_runtime import WorkerRuntime, render_picture
 
+MEDIUM = ImageRequest.of({"px_per_mm": 200})
 FINE = ImageRequest.of({"px_per_mm": 277})
 
 
@@ -54,7 +56,14 @@ def test_the_bytes_are_those_of_a_worker(rig: Any, run: str, format: Any) -> Non
 def test_a_large_picture_waits_for_a_worker(rig: Any, run: str) -> None:
     assert rig.coordinator.image(run, "U1", 0, FINE) == b"picture"
     [job] = jobs(rig)
-    assert job.view.width * job.view.height > SMALL_PX
+    assert job.view.width * job.view.height > LARGEST_PX
+
+
+def test_a_large_component_at_the_resolution_of_the_camera_waits_for_no_worker(rig: Any, run: str) -> None:
+    picture = decode(rig.coordinator.image(run, "U1", 0, MEDIUM))
+    assert jobs(rig) == []
+    assert picture is not None
+    assert SMALL_PX < picture.size <= LARGEST_PX
 
 
 def test_no_more_than_its_seats_are_rendered_at_a_time(rig: Any, run: str, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -41,7 +41,7 @@ from vaoi_station.runs.states.tables import FINISHED
 from vaoi_station.runs.workers.jobs import Priority, RenderJob
 
 SMALL_PX = 400_000
-"""Largest number of pixels of a small picture: rendered and encoded, it takes no longer than two links."""
+"""Largest number of pixels of a picture that a worker makes between two links: it takes no longer than these."""
 FETCHING_S = 1.0
 """Time for which a caller that has fetched a picture, frame or tile is likely to fetch the next one."""
 
