@@ -90,6 +90,20 @@ def render_tile(spec: TileSpec, frames: Frames, scratch: Scratch | None = None) 
     return out if channels == 1 else out.reshape(spec.height, spec.width, channels)
 
 
+def load() -> None:
+    """Load the compiled functions, so that their first calls take no longer than others."""
+    pixels, nodes = np.ones((4, 4), np.uint8), nodes_along(0.0, 0.25, 4, 2)
+    for factor in (2, 32):  # with sums of 16 and of 32 bits
+        reduced(Reduced(pixels, pixels), factor)
+    place, limits = np.array([[0, 0, 0, 4]]), np.array([[0.0, 0.0, 9.0, 9.0]])
+    pictures = Pictures(pixels.ravel(), place, np.ones(1, np.float32), np.eye(3)[None], limits)
+    cells = Cells(np.zeros((2, 2), np.int32), np.ones((2, 2), np.float32))
+    blend(pictures, cells, nodes, nodes, 1, 255.0, np.empty_like(pixels))
+    shown = pixels.view()
+    shown.flags.writeable = False
+    shift(shown, np.eye(3)[None], 1, pixels.ravel(), np.array([[0, 4, 4, 4]]), False)
+
+
 def _refuse_different_formats(frames: Sequence[NDArray[Any]]) -> None:
     """Refuse frames of which one would be read as if it had the pixels of another."""
     formats = {(frame.dtype, frame.shape[2:]): None for frame in frames}

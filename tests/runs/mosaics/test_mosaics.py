@@ -42,6 +42,7 @@ def mosaics_of(
     flat_fields: Path | None = None,
     heights: Callable[[str], Heights | None] = lambda run: None,
     hastened: Callable[[Any, str], Any] = lambda kind, run: nullcontext(),
+    own: Callable[[TileJob], bytes | None] = lambda job: None,
 ) -> Mosaics:
     """Mosaics of the run "r1", whose jobs are performed at once and are noted in `jobs`."""
     keys = [(f.camera, f.row) for f in board.taken]
@@ -52,7 +53,7 @@ def mosaics_of(
         for n, f in enumerate(board.taken)
     )
     finished = SimpleNamespace(
-        detail=SimpleNamespace(id="r1", frames=frames, frames_available=True),
+        detail=SimpleNamespace(id="r1", frames=frames, frames_available=True, bay=0, generation=1),
         board_type=board.board_type,
         cameras=board.cameras,
         stitch=board.stitch,
@@ -73,7 +74,7 @@ def mosaics_of(
     def held(run: str, purpose: str) -> Any:
         return nullcontext(SimpleNamespace(number=0, generation=1))
 
-    return Mosaics(archive, held, render, flat_fields, heights, hastened)  # type: ignore[arg-type]
+    return Mosaics(archive, held, render, flat_fields, heights, hastened, own=own)  # type: ignore[arg-type]
 
 
 def planned(mosaics: Mosaics, *, hdr: bool = False) -> MosaicPlan:
@@ -134,6 +135,19 @@ def test_measured_heights_make_new_plans_where_bodies_are_raised(film: Film) -> 
     plain, hdr = (planned(mosaics, hdr=hdr) for hdr in (False, True))
     assert plain is before[0]
     assert 1.25 in {body.height_mm for body in hdr.bodies} - {body.height_mm for body in before[1].bodies}
+
+
+def test_a_tile_is_rendered_without_a_worker_where_this_process_can(
+    board: Filmed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(mosaic_jobs, "OVERVIEW_PX", 20_000)
+    jobs, own = list[Any](), list[TileJob]()
+    mosaics = mosaics_of(board, jobs, own=lambda job: own.append(job) or b"own")  # type: ignore[func-returns-value]
+    assert mosaics.tile("r1", PictureName(), 1, (0, 0, 8, 8), "png") == b"own"
+    assert [type(job) for job in jobs] == [PlanJob]
+    by_worker = mosaics_of(board, jobs)
+    by_worker.tile("r1", PictureName(), 1, (0, 0, 8, 8), "png")
+    assert (own[0].bay, own[0].generation, own[0].slots) == (jobs[-1].bay, jobs[-1].generation, jobs[-1].slots)
 
 
 def test_plan_is_made_once_though_several_callers_ask(board: Filmed) -> None:

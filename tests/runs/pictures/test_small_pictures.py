@@ -1,21 +1,25 @@
-"""Small pictures are rendered by the station process, with the same bytes as by a worker."""
+"""Small pictures and tiles are rendered by the station process, with the same bytes as by a worker."""
 
 from __future__ import annotations
 
 import threading
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from vaoi_station.acquisition.process import messages
 from vaoi_station.errors import GoneError
 from vaoi_station.files.images import decode
+from vaoi_station.mosaic.tile_specs import TileSpec
 from vaoi_station.rendering import ImageRequest
 from vaoi_station.runs.control.pictures import SMALL_PX
 from vaoi_station.runs.pictures import small_pictures as module
 from vaoi_station.runs.pictures.small_pictures import LARGEST_PX, SEATS
 from vaoi_station.runs.workers.jobs import RenderJob, Reply
+from vaoi_station.runs.workers.mosaic_jobs import TileJob
 from vaoi_station.runs.workers.worker_runtime import WorkerRuntime, render_picture
 
 MEDIUM = ImageRequest.of({"px_per_mm": 200})
@@ -64,6 +68,45 @@ def test_a_large_component_at_the_resolution_of_the_camera_waits_for_no_worker(r
     assert jobs(rig) == []
     assert picture is not None
     assert SMALL_PX < picture.size <= LARGEST_PX
+
+
+def tile_of(rig: Any, run: str, **changes: Any) -> TileJob:
+    detail = rig.coordinator.run(run)
+    spec = TileSpec(
+        width=256, height=200, hdr=False, layers=1, cells_from_tile=np.eye(2, 3), cell_shape=(4, 5), parts=()
+    )
+    job = TileJob(run, detail.bay, detail.generation, {}, spec, (0.0, 1.0), "jpg")
+    return replace(job, **changes)
+
+
+def test_the_bytes_of_a_tile_are_those_of_a_worker(rig: Any, run: str) -> None:
+    job = tile_of(rig, run)
+    own = rig.coordinator._frames.small.render(job)
+    with WorkerRuntime(str(rig.ring.path)) as worker:
+        [reply] = worker.replies(job)
+    assert isinstance(reply, Reply)
+    assert own is not None
+    assert reply.value == own
+
+
+def test_tiles_that_take_long_are_left_to_workers(rig: Any, run: str) -> None:
+    small, spec = rig.coordinator._frames.small, tile_of(rig, run).spec
+    assert small.render(tile_of(rig, run, spec=replace(spec, hdr=True))) is None
+    assert small.render(tile_of(rig, run, spec=replace(spec, width=LARGEST_PX))) is None
+    assert small.render(tile_of(rig, run, format=None)) is None, "a file of the whole board is made of these"
+
+
+def test_tiles_are_left_to_workers_while_a_board_passes(rig: Any, run: str) -> None:
+    assert rig.coordinator._frames.tile(tile_of(rig, run)) is not None
+    rig.begin(rig.peer.expect(messages.Grant))  # the line is still armed
+    rig.wait_for(rig.coordinator._frames.busy, "the board to be filmed")
+    assert rig.coordinator._frames.tile(tile_of(rig, run)) is None
+
+
+def test_a_tile_of_memory_that_a_later_board_has_is_left_to_the_ordinary_way(rig: Any, run: str) -> None:
+    job = tile_of(rig, run)
+    rig.ring.renew(job.bay)
+    assert rig.coordinator._frames.small.render(job) is None
 
 
 def test_no_more_than_its_seats_are_rendered_at_a_time(rig: Any, run: str, monkeypatch: pytest.MonkeyPatch) -> None:

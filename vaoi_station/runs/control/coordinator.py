@@ -33,7 +33,6 @@ from vaoi_station.runs.control.status import renew_permit, snapshot_of, status_l
 from vaoi_station.runs.control.teaching import BoardTypeService, ReferenceTeaching
 from vaoi_station.runs.host.gc_policy import GcPolicy
 from vaoi_station.runs.lighting.lighting import Lighting
-from vaoi_station.runs.mosaics.mosaics import Mosaics
 from vaoi_station.runs.pictures.picture_requests import PictureRequests
 from vaoi_station.runs.run.leases import OWN
 from vaoi_station.runs.run.order import Order, Passing
@@ -105,7 +104,7 @@ class StationCoordinator:
         access = self._frames = FrameAccess(self._inbox, self._core, ring, parts.archive, requests)
         common, fields = (parts.archive, access.lease, requests.render), parts.config.flat_fields
         self.heights = MeasuredHeights(*common, access.bay_of, parts.events, fields)
-        self.mosaics = Mosaics(*common, fields, self.heights.known, parts.workers.hastened, access.note_fetch)
+        self.mosaics = access.mosaics(parts.config, self.heights.known, parts.workers.hastened)
         made = self.heights, access.kept_mosaics(parts.config, self.mosaics, parts.events)
         self.kept = KeptRuns(parts.config, parts.archive, parts.events, access, *made, requests.render)
         access.heights, parts.watch.on_checked = self.heights.known, self.kept.trends.checked

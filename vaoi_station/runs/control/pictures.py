@@ -31,7 +31,7 @@ from vaoi_station.runs.control.inbox import Inbox
 from vaoi_station.runs.merging.merged_pictures import MergedAccess
 from vaoi_station.runs.mosaics.kept_mosaics import DIRECTORY as MOSAICS
 from vaoi_station.runs.mosaics.kept_mosaics import KeptMosaics
-from vaoi_station.runs.mosaics.mosaics import Mosaics
+from vaoi_station.runs.mosaics.mosaics import Hastened, KnownHeights, Mosaics
 from vaoi_station.runs.pictures.picture_requests import PictureRequests
 from vaoi_station.runs.pictures.small_pictures import SmallPictures
 from vaoi_station.runs.run.leases import OWN, Lease
@@ -39,6 +39,7 @@ from vaoi_station.runs.run.memory import Bay
 from vaoi_station.runs.states.schemas import ImageFormat, RunDetail
 from vaoi_station.runs.states.tables import FINISHED
 from vaoi_station.runs.workers.jobs import Priority, RenderJob
+from vaoi_station.runs.workers.mosaic_jobs import TileJob
 
 SMALL_PX = 400_000
 """Largest number of pixels of a picture that a worker makes between two links: it takes no longer than these."""
@@ -157,6 +158,18 @@ class FrameAccess:
     def batches(self, merged: MergedAccess) -> BatchAccess:
         """Return the access to batches of pictures, of which `merged` makes those that are merged."""
         return BatchAccess(self._archive.get, self.lease, self.recorded, self._requests.render, merged, self.heights)
+
+    def mosaics(self, config: StationConfig, heights: KnownHeights, hastened: Hastened) -> Mosaics:
+        """Return the access to mosaics of whole boards, whose small tiles this process renders itself."""
+        access = self._archive, self.lease, self._requests.render
+        return Mosaics(*access, config.flat_fields, heights, hastened, self.note_fetch, self.tile)
+
+    def tile(self, job: TileJob) -> bytes | None:
+        """Render a tile in this thread; None if a worker has to, as while a board is filmed or stitched.
+
+        Callers of tiles come in numbers. Rendered beside the workers, tiles of eight callers delayed matrices by 0.1 s.
+        """
+        return None if self.busy() else self.small.render(job)
 
     def kept_mosaics(self, config: StationConfig, mosaics: Mosaics, events: EventLog) -> KeptMosaics:
         """Return the small pictures of whole boards that are kept, which `mosaics` makes."""

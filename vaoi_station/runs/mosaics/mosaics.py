@@ -1,4 +1,4 @@
-"""The mosaics of finished runs: plans that workers make once, and tiles that workers render."""
+"""The mosaics of finished runs: plans that workers make once, and tiles that this process or workers render."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from vaoi_station.mosaic import MosaicGrid, TakenFrame, TileRenderer, choose_fra
 from vaoi_station.mosaic.deep_zoom import Box
 from vaoi_station.mosaic.grid import Region
 from vaoi_station.mosaic.projection import FrameProjector
+from vaoi_station.mosaic.tile_specs import TileSpec
 from vaoi_station.mosaic.tiles import NODATA
 from vaoi_station.photometry import FlatFields
 from vaoi_station.photometry.flat_fields import changed_ns
@@ -34,6 +35,10 @@ from vaoi_station.runs.states.overlay_schemas import RunOverlay
 from vaoi_station.runs.workers.jobs import PictureJob, Priority
 from vaoi_station.runs.workers.mosaic_jobs import PlanJob, Slots, TileJob
 
+KnownHeights = Callable[[str], Heights | None]
+"""Function that returns the measured heights of a run; None while there are none."""
+Hastened = Callable[[type[PictureJob], str], AbstractContextManager[None]]
+"""Function that has spare-time jobs of a kind and a run done as if a caller had submitted them, in a `with` block."""
 MOST_DOWNLOAD_PX = 300_000_000
 """Largest number of pixels of a file that is sent; a board of 400 × 410 mm at 40 px/mm has 262 million."""
 LARGE_PX = 64_000_000
@@ -58,6 +63,22 @@ class _Access(NamedTuple):
     priority: Priority
 
 
+class _Tile(NamedTuple):
+    """A part of a mosaic that is rendered: all that its job needs, apart from the place of the run in memory."""
+
+    run: str
+    slots: Slots
+    spec: TileSpec
+    tone: tuple[float, float]
+    format: str | None
+    """`jpg`, `png`, or None for the pixels."""
+
+    def job(self, bay: int, generation: int) -> TileJob:
+        """Return the job that renders it from the frames in a bay of the ring."""
+        needed = {(p.camera, p.row): self.slots[p.camera, p.row] for p in self.spec.parts}
+        return TileJob(self.run, bay, generation, needed, self.spec, self.tone, self.format)
+
+
 class Mosaics:
     """Renders mosaics of runs. Methods may be called from any thread."""
 
@@ -67,9 +88,10 @@ class Mosaics:
         lease: Lease,
         render: Render,
         flat_fields: Path | None = None,
-        heights: Callable[[str], Heights | None] = lambda _run: None,
-        hastened: Callable[[type[PictureJob], str], AbstractContextManager[None]] = lambda _kind, _run: nullcontext(),
+        heights: KnownHeights = lambda _run: None,
+        hastened: Hastened = lambda _kind, _run: nullcontext(),
         fetched: Callable[[], None] = lambda: None,
+        own: Callable[[TileJob], bytes | None] = lambda _job: None,
     ) -> None:
         """Create it.
 
@@ -78,13 +100,13 @@ class Mosaics:
             lease: keeps the frames of a run in memory in a `with` block.
             render: has a worker perform a job, and returns the reply's value.
             flat_fields: directory of the station's flat fields.
-            heights: returns the measured heights of a run; None while there are none.
-            hastened: has the spare-time jobs of a kind and a run done as if a caller had submitted them, in a `with`
-                block.
+            heights: see `KnownHeights`.
+            hastened: see `Hastened`.
             fetched: notes that a caller fetches a tile, and is likely to fetch the next one.
+            own: renders a tile in this process, without a lease; None if a worker has to.
         """
         self._archive, self._render, self._hastened = archive, render, hastened
-        self._callers, self._fetched = _Access(lease, Priority.RENDER), fetched
+        self._callers, self._fetched, self._own = _Access(lease, Priority.RENDER), fetched, own
         self._flat_fields, self._heights = flat_fields, heights
         self.board_checks = BoardChecks(archive, lease, render)
         """Board types laid over these runs."""
@@ -129,7 +151,7 @@ class Mosaics:
     def tile(self, run: str, name: PictureName, reduction: int, box: Box, format: str) -> bytes:
         """Return a part of a mosaic that is reduced by a factor, as `jpg` or `png`.
 
-        It is cut from the overview, which a worker makes with the plan. A worker renders what the overview lacks.
+        It is cut from the overview, which a worker makes with the plan. What the overview lacks is rendered.
 
         Raises:
             GoneError: the frames of the run are no longer in memory.
@@ -141,7 +163,13 @@ class Mosaics:
         if overview is not None and overview.reduction <= reduction and finished.detail.frames_available:
             cut = overview.cut(reduction, box)
             return encode_jpeg(cut) if format == "jpg" else encode_png(cut)
-        content: bytes = self._tile(run, opened.slots, opened.renderer(plan, reduction), box, plan.tone, format)
+        spec, detail = opened.renderer(plan, reduction).spec(box), finished.detail
+        tile = _Tile(run, opened.slots, spec, plan.tone, format)
+        if detail.bay is not None and detail.generation is not None and detail.frames_available:
+            own = self._own(tile.job(detail.bay, detail.generation))
+            if own is not None:
+                return own
+        content: bytes = self._rendered(tile)
         return content
 
     def small(self, run: str, most_px: int, lease: Lease) -> tuple[NDArray[Any], int]:
@@ -192,11 +220,17 @@ class Mosaics:
     def _write(self, run: str, name: PictureName, grid: MosaicGrid, path: Path) -> None:
         opened = self._open(run, name, asked=True)
         plan = self._planned(self._archive.get(run), name, opened).plan
-        renderer, slots = TileRenderer(plan, opened.projector, grid), opened.slots
+        renderer = TileRenderer(plan, opened.projector, grid)
+
+        def rendered(x: int, y: int) -> NDArray[Any] | None:
+            tile = _Tile(run, opened.slots, renderer.spec(_box(grid, x, y)), plan.tone, None)
+            pixels: NDArray[Any] | None = self._rendered(tile)
+            return pixels
+
         sample: NDArray[Any] | None = None
         # The first tile with pixels says which type and how many colours the frames have.
         for x, y in np.ndindex(-(-grid.width // TILE_PX), -(-grid.height // TILE_PX)):
-            sample = self._tile(run, slots, renderer, _box(grid, x, y), plan.tone, None)
+            sample = rendered(x, y)
             if sample is not None:
                 break
         if sample is None:
@@ -213,29 +247,17 @@ class Mosaics:
 
         def tile(x: int, y: int) -> NDArray[Any]:
             whole = np.full(layout.tile_shape, np.nan if plan.hdr else NODATA, layout.dtype)
-            part = self._tile(run, slots, renderer, _box(grid, x, y), plan.tone, None)
+            part = rendered(x, y)
             if part is not None:
                 whole[: part.shape[0], : part.shape[1]] = cv2.cvtColor(part, cv2.COLOR_BGR2RGB) if colour else part
             return whole
 
         write_pyramid(path, layout, tile)
 
-    def _tile(
-        self,
-        run: str,
-        slots: Slots,
-        renderer: TileRenderer,
-        box: Box,
-        tone: tuple[float, float],
-        format: str | None,
-        access: _Access | None = None,
-    ) -> Any:
-        access = access or self._callers
-        spec = renderer.spec(box)
-        needed = {(p.camera, p.row): slots[p.camera, p.row] for p in spec.parts}
-        with access.lease(run, "tile of a mosaic") as bay:
-            job = TileJob(run, bay.number, bay.generation, needed, spec, tone, format, priority=access.priority)
-            return self._render(job, f"tile {box} of the mosaic")
+    def _rendered(self, tile: _Tile) -> Any:
+        """Have a worker render a tile, and return the reply's value."""
+        with self._callers.lease(tile.run, "tile of a mosaic") as bay:
+            return self._render(tile.job(bay.number, bay.generation), "tile of the mosaic")
 
     def _key(self, run: str, name: PictureName) -> Hashable:
         """Return what a plan depends on besides the frames.

@@ -1,4 +1,4 @@
-"""Small pictures that the station process renders itself, straight from the ring.
+"""Small pictures and tiles of mosaics that the station process renders itself, straight from the ring.
 
 A small picture takes one to ten milliseconds. By a worker it would take a lease, the queues and two pipes besides, and
 the wait for what all workers have under way: links of a row, or a piece of work in spare time. The caller's own thread
@@ -14,7 +14,8 @@ import numpy as np
 from vaoi_station.acquisition.ring.ring import Ring
 from vaoi_station.errors import GoneError
 from vaoi_station.runs.workers.jobs import RenderJob
-from vaoi_station.runs.workers.worker_runtime import render_picture
+from vaoi_station.runs.workers.mosaic_jobs import TileJob
+from vaoi_station.runs.workers.worker_runtime import perform_with_frames, render_picture
 
 SEATS = 2
 """Largest number of pictures that the station process renders at a time; workers render the others."""
@@ -40,18 +41,22 @@ class SmallPictures:
         """Load the compiled functions in a thread of their own; until they are loaded, workers render all pictures."""
         threading.Thread(target=self._load, name="small-pictures", daemon=True).start()
 
-    def render(self, job: RenderJob) -> bytes | None:
+    def render(self, job: RenderJob | TileJob) -> bytes | None:
         """Return the encoded picture of a job with its place in the ring; None if a worker has to render it.
+
+        A worker renders what is large, what no caller waits for, and HDR.
 
         No lease is needed: the generation of the bay is checked after the pixels were read, as in workers.
         """
-        whole = job.file is None and job.minus is None
-        if not whole or job.view.width * job.view.height > LARGEST_PX or not self.loaded.is_set():
+        if not _is_small(job) or not self.loaded.is_set():
             return None
         if not self._seats.acquire(blocking=False):
             return None
         try:
-            return render_picture(job, self._ring)
+            if isinstance(job, RenderJob):
+                return render_picture(job, self._ring)
+            tile: bytes = perform_with_frames(job, self._ring)
+            return tile
         except GoneError:
             return None  # the frame may be in a recording, which the caller looks up
         finally:
@@ -59,10 +64,19 @@ class SmallPictures:
 
     def _load(self) -> None:
         from vaoi_station.geometry.shifting import shift
+        from vaoi_station.mosaic import tiles
         from vaoi_station.rendering import frame_pairs
 
         frame = np.zeros((4, 4), np.uint8)
         frame.flags.writeable = False
         shift(frame, np.eye(3)[None], 1, np.empty(4, np.uint8), np.array([[0, 2, 2, 2]]), True)
         frame_pairs.load()
+        tiles.load()
         self.loaded.set()
+
+
+def _is_small(job: RenderJob | TileJob) -> bool:
+    """Return whether the station process renders the picture of a job."""
+    if isinstance(job, RenderJob):
+        return job.file is None and job.minus is None and job.view.width * job.view.height <= LARGEST_PX
+    return job.format is not None and not job.spec.hdr and job.spec.width * job.spec.height <= LARGEST_PX

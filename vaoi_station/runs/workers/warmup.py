@@ -13,16 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.geometry import Camera, Lens, Projective, System
-from vaoi_station.geometry.shifting import shift
 from vaoi_station.hdr.kernels import Source, accumulate, add_shifted, linearise, mean, noise_factors
 from vaoi_station.heights.estimates import measure_heights
 from vaoi_station.marks.subpixel_localisation import locate_mark
 from vaoi_station.model import BoardType, Stitch
-from vaoi_station.mosaic import MosaicGrid, TakenFrame, choose_frames, make_plan
-from vaoi_station.mosaic.blending import Cells, Pictures, blend, nodes_along
+from vaoi_station.mosaic import MosaicGrid, TakenFrame, choose_frames, make_plan, tiles
 from vaoi_station.mosaic.cells import label_boxes
 from vaoi_station.mosaic.projection import FrameProjector
-from vaoi_station.mosaic.reduction import Reduced, reduced
 from vaoi_station.rendering import frame_pairs
 from vaoi_station.steps import completed
 from vaoi_station.stitching.matching.prepared_frame import resample
@@ -45,7 +42,8 @@ def warm_up() -> Stitch:
     # Only frames of cameras that differ are resampled, and the cameras of the synthetic board do not differ.
     resample(picture, np.eye(2, 3), (_RESAMPLED_PX, _RESAMPLED_PX), 1.0)
     _locate_other_marks(picture)
-    _blend()
+    label_boxes(np.zeros((2, 2), np.int16), 1)
+    tiles.load()
     _merge()
     frame_pairs.load()
     lens = setup.cameras[0].lens
@@ -77,21 +75,6 @@ def _plan(setup: StitchSetup, board_type: BoardType, stitch: Stitch, picture: ND
             base=MosaicGrid.of_board(board_type, _PX_PER_MM),
         )
     )
-
-
-def _blend() -> None:
-    """Call the functions that are compiled for tiles of mosaics."""
-    label_boxes(np.zeros((2, 2), np.int16), 1)
-    nodes, pixels = nodes_along(0.0, 0.25, 4, 2), np.ones((4, 4), np.uint8)
-    for factor in (2, 32):  # with sums of 16 and of 32 bits
-        reduced(Reduced(pixels, pixels), factor)
-    place, limits = np.array([[0, 0, 0, 4]]), np.array([[0.0, 0.0, 9.0, 9.0]])
-    pictures = Pictures(pixels.ravel(), place, np.ones(1, np.float32), np.eye(3)[None], limits)
-    cells = Cells(np.zeros((2, 2), np.int32), np.ones((2, 2), np.float32))
-    blend(pictures, cells, nodes, nodes, 1, 255.0, np.empty_like(pixels))
-    shown = pixels.view()
-    shown.flags.writeable = False
-    shift(shown, np.eye(3)[None], 1, pixels.ravel(), np.array([[0, 4, 4, 4]]), False)
 
 
 def _merge() -> None:

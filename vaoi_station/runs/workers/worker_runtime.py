@@ -165,9 +165,7 @@ class WorkerRuntime:
     def _perform_with_frames(self, job: FramesJob) -> Any:
         if isinstance(job, SteppedJob):
             return self._step(job, job.steps(self._ring.frame))
-        if job.recorded:
-            return job.perform(self._ring.frame)
-        return self._guarded(job.bay, job.generation, partial(job.perform, self._ring.frame))
+        return perform_with_frames(job, self._ring)
 
     def _step(self, job: SteppedJob, steps: Steps[Any]) -> Any:
         """Go on with a stepped job for a while; return its value, or `Paused` if it is not finished."""
@@ -255,6 +253,13 @@ def render_picture(job: RenderJob, ring: Ring) -> bytes:
     if job.minus is not None:
         picture = subtract(picture, _picture(job.minus, ring), job.ratio)
     return encode(picture, job.format)
+
+
+def perform_with_frames(job: FramesJob, ring: Ring) -> Any:
+    """Perform a job that reads frames; return its value. Raise GoneError if their memory has a later run."""
+    if job.recorded:
+        return job.perform(ring.frame)
+    return _guarded(ring, job.bay, job.generation, partial(job.perform, ring.frame))
 
 
 def _picture(job: RenderJob, ring: Ring) -> NDArray[Any]:
