@@ -138,3 +138,17 @@ def test_a_reader_that_goes_without_having_read_is_no_incident(
             assert served.client.get("/api/v1/runs").status_code == 200
         served.stop()  # its requests have ended then
     assert not caplog.records, caplog.text
+
+
+def test_a_refused_stream_asks_nothing_of_the_coordinator(served: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A flood of streams over the limit costs the thread that decides for the line no time."""
+    asked, snapshot = [], served.station.snapshot
+
+    def count() -> Any:
+        asked.append(1)
+        return snapshot()
+
+    monkeypatch.setattr(served.station, "snapshot", count)
+    monkeypatch.setattr(served.app.state.hub, "streams", Seats("event streams", 1, 0))
+    assert served.client.get("/api/v1/events").status_code == 503
+    assert asked == []

@@ -11,6 +11,8 @@ from functools import partial
 from vaoi_station.api.listener.certificate import RENEW_S, CertificateFiles
 from vaoi_station.api.listener.connections import ConnectionLimits, ConnectionTable, caller_address
 from vaoi_station.api.listener.http_connection import AcceptedConnection, LimitedHttp
+from vaoi_station.api.listener.refusal import refuse
+from vaoi_station.api.listener.waiting_room import Turns, WaitingRoom
 
 _log = logging.getLogger(__name__)
 
@@ -22,6 +24,8 @@ _BATCH = 32
 _PAUSE_S = 0.2
 """Pause after an accept that failed because of too few descriptors or too little memory, s."""
 _LOG_EVERY_S = 60.0
+_TRY_WAITING_S = 0.05
+"""Time after which connections that wait are tried again, s."""
 
 MakeHttp = Callable[[AcceptedConnection, ConnectionTable], LimitedHttp]
 
@@ -38,6 +42,8 @@ class Acceptor:
         self._refresh_after = self._loop.time() + RENEW_S
         self._refresh: asyncio.Future[None] | None = None
         self.table = ConnectionTable(limits)
+        self._turns = Turns(limits.exchanges, limits.exchanges_per_s)
+        self._waiting = WaitingRoom(limits)
         listener.setblocking(False)
         listener.listen(BACKLOG)
         self._accepting = True
@@ -48,6 +54,7 @@ class Acceptor:
         """Accept no more connections."""
         self._accepting = False
         self._loop.remove_reader(self._listener.fileno())
+        self._waiting.close()
 
     async def wait_closed(self) -> None:
         """Return at once: uvicorn waits for the connections itself."""
@@ -61,13 +68,58 @@ class Acceptor:
             except OSError as error:
                 self._pause(error)
                 return
-            accepted = AcceptedConnection(caller_address(peer[0]), self._loop.time())
-            if not self.table.admit(accepted):
-                self._warn("%s connections are open, all in use: one of %s was refused", len(self.table), peer[0])
-                connected.close()
-                continue
-            accepted.task = self._loop.create_task(self._serve(accepted, connected))
-            accepted.task.add_done_callback(partial(self._served, accepted, connected))
+            address, now = caller_address(peer[0]), self._loop.time()
+            by_turn = not self.table.has_place(address)
+            # Who comes later than a waiting connection of the same caller waits behind it.
+            if address in self._waiting or not self._admit(address, connected, now, by_turn):
+                self._let_wait(address, connected, now)
+
+    def _admit(self, address: str, connected: socket.socket, now: float, by_turn: bool) -> bool:
+        """Serve a connection, if necessary in place of another one. Return False if it must wait."""
+        if by_turn and not self._turns.left(address, now):
+            return False
+        accepted = AcceptedConnection(address, now)
+        if not self.table.admit(accepted):
+            return False
+        if by_turn:
+            self._turns.take(address, now)
+        accepted.task = self._loop.create_task(self._serve(accepted, connected))
+        accepted.task.add_done_callback(partial(self._served, accepted, connected))
+        return True
+
+    def _let_wait(self, address: str, connected: socket.socket, now: float) -> None:
+        """Let a connection wait for a place, or close it if too many wait."""
+        self._warn("%s has as many connections as it may, or opens new ones too fast: they wait", address)
+        begins = not len(self._waiting)
+        if not self._waiting.add(address, connected, now):
+            connected.close()
+        elif begins:
+            self._loop.call_later(_TRY_WAITING_S, self._try_waiting)
+
+    def _try_waiting(self) -> None:
+        """Serve the connections that wait, and come again while there are any."""
+        try:
+            now = self._loop.time()
+            for address in self._waiting.addresses():
+                self._serve_waiting(address, now)
+        finally:
+            if len(self._waiting):
+                self._loop.call_later(_TRY_WAITING_S, self._try_waiting)
+
+    def _serve_waiting(self, address: str, now: float) -> None:
+        """Serve connections of a caller that have waited, as fast as it may; refuse those that have waited too long."""
+        while (waiting := self._waiting.first(address)) is not None:
+            # A free place takes a turn too, so that a caller that closes its own connections is no faster.
+            if self._admit(address, waiting.connected, now, by_turn=True):
+                self._waiting.leave(address)
+            elif waiting.until <= now:
+                self._waiting.leave(address)
+                if self._tls is None:
+                    refuse(waiting.connected)
+                else:
+                    waiting.connected.close()
+            else:
+                return
 
     async def _serve(self, accepted: AcceptedConnection, connected: socket.socket) -> None:
         """Perform the handshake of one connection, then give the connection to its protocol."""
@@ -104,6 +156,7 @@ class Acceptor:
     def _sweep(self) -> None:
         # First, so that an error with one connection ends neither this sweep for good nor the limits of the others.
         self._loop.call_later(SWEEP_S, self._sweep)
+        self._turns.forget(self._loop.time())
         for connection in self.table:
             assert isinstance(connection, AcceptedConnection)
             if connection.http is not None and connection.http.overdue():

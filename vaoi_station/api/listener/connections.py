@@ -9,12 +9,16 @@ from __future__ import annotations
 
 import ipaddress
 import resource
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple, Protocol
 
 MOST_CONNECTIONS = 256
 MOST_PER_ADDRESS = 64
+MOST_WAITING, MOST_WAITING_PER_ADDRESS = 128, 32
+"""Limits of the connections that wait for the place of another one."""
 
 
 class Idleness(NamedTuple):
@@ -60,6 +64,15 @@ class ConnectionLimits:
     """Longest total time for which one reply waits for its reader; event streams have no such limit."""
     closing_s: float = 5.0
     """Time in which the rest of a reply must be read after the station has closed the connection."""
+    exchanges: int = 32
+    """Number of new connections of one address that take the place of others at once."""
+    exchanges_per_s: float = 32.0
+    """Number of them per second after that. What comes faster waits."""
+    waiting: int = MOST_WAITING
+    """Limit of the connections that wait; others are closed at once."""
+    waiting_per_address: int = MOST_WAITING_PER_ADDRESS
+    wait_s: float = 1.0
+    """Longest time for which a connection waits. After it, its request is answered with 503."""
 
     @classmethod
     def of_this_process(cls) -> ConnectionLimits:
@@ -67,7 +80,13 @@ class ConnectionLimits:
         # Cameras, database, workers and references need file descriptors too.
         soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
         total = MOST_CONNECTIONS if soft == resource.RLIM_INFINITY else max(8, min(MOST_CONNECTIONS, soft // 3))
-        return cls(total=total, per_address=min(MOST_PER_ADDRESS, max(4, total // 2)))
+        waiting = min(MOST_WAITING, max(4, total // 2))
+        return cls(
+            total=total,
+            per_address=min(MOST_PER_ADDRESS, max(4, total // 2)),
+            waiting=waiting,
+            waiting_per_address=min(MOST_WAITING_PER_ADDRESS, waiting),
+        )
 
 
 class ConnectionTable:
@@ -76,6 +95,8 @@ class ConnectionTable:
     def __init__(self, limits: ConnectionLimits) -> None:
         self._limits = limits
         self._open: dict[int, Connection] = {}
+        self._numbers: Counter[str] = Counter()
+        """Number of open connections of each address."""
 
     def __len__(self) -> int:
         return len(self._open)
@@ -83,15 +104,19 @@ class ConnectionTable:
     def __iter__(self) -> Iterator[Connection]:
         return iter(list(self._open.values()))
 
+    def has_place(self, address: str) -> bool:
+        """Return whether a new connection of an address needs no place of another one."""
+        return self._numbers[address] < self._limits.per_address and len(self._open) < self._limits.total
+
     def admit(self, new: Connection) -> bool:
         """Add a connection, if necessary in place of another one. Return False if all others are in use."""
-        own = [c for c in self._open.values() if c.address == new.address]
-        if len(own) >= self._limits.per_address:
-            if not self._close_one(own):
+        if self._numbers[new.address] >= self._limits.per_address:
+            if not self._close_one([c for c in self._open.values() if c.address == new.address]):
                 return False
         elif len(self._open) >= self._limits.total and not self.make_room():
             return False
         self._open[id(new)] = new
+        self._numbers[new.address] += 1
         return True
 
     def make_room(self) -> bool:
@@ -107,7 +132,10 @@ class ConnectionTable:
 
     def discard(self, connection: Connection) -> None:
         """Remove a connection that has ended."""
-        self._open.pop(id(connection), None)
+        if self._open.pop(id(connection), None) is not None:
+            self._numbers[connection.address] -= 1
+            if not self._numbers[connection.address]:
+                del self._numbers[connection.address]
 
     def _close_one(self, crowd: list[Connection]) -> bool:
         idle = [(idleness, c) for c in crowd if (idleness := c.idleness()) is not None]
@@ -119,6 +147,7 @@ class ConnectionTable:
         return True
 
 
+@lru_cache(1024)
 def caller_address(host: str) -> str:
     """Return the address by which a caller is counted; for IPv6 the network, in which one host has 2^64 addresses."""
     try:

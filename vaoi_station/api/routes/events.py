@@ -39,13 +39,14 @@ def router(services: Services) -> APIRouter:
 
     async def reserve_place(request: Request) -> AsyncIterator[None]:
         """Reserve a place in the event hub for this stream."""
-        # A dependency, because it runs before the first header is sent: a refusal can still be a 503.
+        # A dependency, because it runs before the first header is sent: a refusal can still be a 503. The first one, so
+        # that a refused stream asks nothing of the coordinator.
         with services.hub.streams.take(caller_of(request).name):
             yield
 
     @routes.get("/events", response_class=EventSourceResponse)
     async def stream_events(
-        request: Request, after: int = Depends(start), _: None = Depends(reserve_place)
+        request: Request, _: None = Depends(reserve_place), after: int = Depends(start)
     ) -> AsyncIterator[ServerSentEvent]:
         """Stream every event as one message whose id is its number, in order and without gaps.
 
