@@ -1,15 +1,18 @@
 """Attack a running station that films boards on the twin: `python -m tests.attack [--seconds 30] [ATTACK …]`.
 
-Prints one line per attack, with what an honest caller noticed of it. The attacks come from another address of loopback.
+Prints one line per attack, with what an honest caller noticed of it, and the processor time that station and attacker
+used. The attacks come from another process and from another address of loopback.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
+import time
 
+from tests.attack.attacker import attacked_by_process, processor_s
 from tests.attack.attacks import ATTACKS, Target
-from tests.attack.measuring import Experience, as_table, attacked, experience
+from tests.attack.measuring import Experience, as_table, experience
 from vaoi_station.demo.client import Client
 from vaoi_station.demo.service import Service
 from vaoi_station.demo.station_files import write_station_files
@@ -47,8 +50,13 @@ def main() -> int:
                 run = poll(client, None)
                 assert run is not None
                 target = Target(int(service.address.rpartition(":")[2]), run["id"])
-                with attacked(target, ATTACKS.get(name)):
-                    rows.append((name, experience(client, given.seconds)))
+                with attacked_by_process(target, name) as attacker:
+                    pids = [service.pid, *attacker]
+                    begun, before = time.monotonic(), [processor_s(pid) for pid in pids]
+                    noted = experience(client, given.seconds)
+                    lasted_s = time.monotonic() - begun
+                    noted.busy = [(processor_s(pid) - used) / lasted_s for pid, used in zip(pids, before, strict=True)]
+                rows.append((name, noted))
                 print(as_table(rows[-1:]).splitlines()[-1], rows[-1][1].refused[:2] or "", flush=True)
             print(as_table(rows))
     return 0

@@ -35,6 +35,8 @@ class Experience:
     """Longest time from a last frame to its result."""
     missed: int = 0
     """Boards that passed without a run."""
+    busy: list[float] = field(default_factory=list)
+    """Shares of a processor that the station process and the attacker used, as far as they were measured."""
 
     def quantile_s(self, share: float) -> float:
         """Return the time within which a share of the requests was answered."""
@@ -88,14 +90,16 @@ def own_memory_bytes(client: Client) -> float:
 def as_table(rows: Sequence[tuple[str, Experience]]) -> str:
     """Return the figures as a table in Markdown."""
     lines = [
-        "| attack | boards, missed | matrices: median, p99, longest, ms | refused | latest result, ms | memory, MB |",
-        "|---|---|---|---|---|---|",
+        "| attack | boards, missed | matrices: median, p99, longest, ms | refused | latest result, ms | memory, MB "
+        "| processor: station, attacker, % |",
+        "|---|---|---|---|---|---|---|",
     ]
     for name, noted in rows:
         times = ", ".join(f"{1000 * noted.quantile_s(share):.0f}" for share in (0.5, 0.99, 1))
         refused = f"{len(noted.refused)} of {len(noted.waits_s) + len(noted.refused)}"
         lines.append(
             f"| {name.replace('_', ' ')} | {len(noted.runs)}, {noted.missed} | {times} | {refused} "
-            f"| {noted.late_ms:.0f} | {noted.memory_bytes / 1e6:.0f} |"
+            f"| {noted.late_ms:.0f} | {noted.memory_bytes / 1e6:.0f} "
+            f"| {', '.join(f'{100 * share:.0f}' for share in noted.busy)} |"
         )
     return "\n".join(lines)
