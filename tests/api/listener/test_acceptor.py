@@ -87,7 +87,9 @@ def test_an_error_with_one_connection_does_not_end_the_limits_of_others(
         pass
 
 
-ONE_PLACE = ConnectionLimits(per_address=1, exchanges=3, exchanges_per_s=1e-6, waiting_per_address=2, wait_s=0.2)
+ONE_PLACE = ConnectionLimits(
+    per_address=1, exchanges=3, exchanges_per_s=1e-6, waiting_per_address=2, wait_s=0.2, refused=5
+)
 """Limits with which a caller may exchange its connection three times, and then hardly ever again."""
 
 
@@ -162,3 +164,12 @@ def test_a_connection_that_waits_is_served_when_another_one_ends(station: Any, s
     assert received(first).startswith(b"HTTP/1.1 200")
     assert received(second).startswith(b"HTTP/1.1 200")
     server.stop()
+
+
+def test_callers_beyond_those_that_wait_are_answered_within_limits(station: Any, serve: Any) -> None:
+    server = serve(station, limits=replace(ONE_PLACE, waiting_per_address=1, wait_s=60.0))
+    server.client.close()
+    with polling(server), asked_from("127.0.0.66", server.port, CLOSING):
+        refused = [received(asked_from("127.0.0.66", server.port, CLOSING)) for _ in range(20)]
+    server.stop()
+    assert all(answer.startswith(b"HTTP/1.1 503") for answer in refused)

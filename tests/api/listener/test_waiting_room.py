@@ -81,10 +81,18 @@ def test_as_many_wait_of_one_caller_and_in_all_as_permitted(made: Callable[[], s
     assert room.add(C, made(), 0.0)
 
 
+def test_as_many_are_kept_to_be_refused_as_permitted(made: Callable[[], socket.socket]) -> None:
+    room, sockets = WaitingRoom(ConnectionLimits(refused=2)), [made(), made(), made()]
+    assert [room.refuse_later(s) for s in sockets] == [True, True, False]
+    assert len(room) == 2
+    assert room.take_refused() == sockets[:2]
+    assert len(room) == 0
+
+
 def test_a_room_that_closes_closes_all_that_wait(made: Callable[[], socket.socket]) -> None:
     room, sockets = WaitingRoom(ConnectionLimits()), [made(), made()]
-    for address, s in zip((A, B), sockets, strict=True):
-        room.add(address, s, 0.0)
+    room.add(A, sockets[0], 0.0)
+    room.refuse_later(sockets[1])
     room.close()
     assert [s.fileno() for s in sockets] == [-1, -1]
     assert len(room) == 0

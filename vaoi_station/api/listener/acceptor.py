@@ -88,10 +88,10 @@ class Acceptor:
         return True
 
     def _let_wait(self, address: str, connected: socket.socket, now: float) -> None:
-        """Let a connection wait for a place, or close it if too many wait."""
+        """Let a connection wait for a place; refuse it if too many wait."""
         self._warn("%s has as many connections as it may, or opens new ones too fast: they wait", address)
         begins = not len(self._waiting)
-        if not self._waiting.add(address, connected, now):
+        if not self._waiting.add(address, connected, now) and not self._waiting.refuse_later(connected):
             connected.close()
         elif begins:
             self._loop.call_later(_TRY_WAITING_S, self._try_waiting)
@@ -100,6 +100,8 @@ class Acceptor:
         """Serve the connections that wait, and come again while there are any."""
         try:
             now = self._loop.time()
+            for connected in self._waiting.take_refused():
+                self._refuse(connected)
             for address in self._waiting.addresses():
                 self._serve_waiting(address, now)
         finally:
@@ -114,12 +116,16 @@ class Acceptor:
                 self._waiting.leave(address)
             elif waiting.until <= now:
                 self._waiting.leave(address)
-                if self._tls is None:
-                    refuse(waiting.connected)
-                else:
-                    waiting.connected.close()
+                self._refuse(waiting.connected)
             else:
                 return
+
+    def _refuse(self, connected: socket.socket) -> None:
+        """Answer the request on a connection with 503 and close it; over TLS only close it."""
+        if self._tls is None:
+            refuse(connected)
+        else:
+            connected.close()
 
     async def _serve(self, accepted: AcceptedConnection, connected: socket.socket) -> None:
         """Perform the handshake of one connection, then give the connection to its protocol."""

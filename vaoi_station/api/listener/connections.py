@@ -69,10 +69,12 @@ class ConnectionLimits:
     exchanges_per_s: float = 32.0
     """Number of them per second after that. What comes faster waits."""
     waiting: int = MOST_WAITING
-    """Limit of the connections that wait; others are closed at once."""
+    """Limit of the connections that wait for a place; others are refused."""
     waiting_per_address: int = MOST_WAITING_PER_ADDRESS
     wait_s: float = 1.0
-    """Longest time for which a connection waits. After it, its request is answered with 503."""
+    """Longest time for which a connection waits for a place. After it, its request is answered with 503."""
+    refused: int = MOST_WAITING // 2
+    """Limit of the connections that are kept for a moment, until their request can be answered with 503."""
 
     @classmethod
     def of_this_process(cls) -> ConnectionLimits:
@@ -86,6 +88,7 @@ class ConnectionLimits:
             per_address=min(MOST_PER_ADDRESS, max(4, total // 2)),
             waiting=waiting,
             waiting_per_address=min(MOST_WAITING_PER_ADDRESS, waiting),
+            refused=waiting // 2,
         )
 
 

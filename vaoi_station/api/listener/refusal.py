@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import socket
 from contextlib import suppress
+from functools import lru_cache
 
 from vaoi_station.api.problems import problem_response
 
@@ -30,6 +31,7 @@ def refuse(connected: socket.socket) -> bool:
     return answered
 
 
+@lru_cache(64)
 def busy_answer(method: str, path: str) -> bytes:
     """Return a complete answer of HTTP: 503 with Retry-After and problem details."""
     reply = problem_response(path, "busy", _DETAIL, action=_ACTION, headers={"Connection": "close"})

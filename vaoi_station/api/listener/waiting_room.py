@@ -58,9 +58,10 @@ class WaitingRoom:
         self._limits = limits
         self._queues: dict[str, deque[WaitingConnection]] = {}
         self._size = 0
+        self._refused: list[socket.socket] = []
 
     def __len__(self) -> int:
-        return self._size
+        return self._size + len(self._refused)
 
     def __contains__(self, address: str) -> bool:
         return address in self._queues
@@ -91,8 +92,22 @@ class WaitingRoom:
         if not queue:
             del self._queues[address]
 
+    def refuse_later(self, connected: socket.socket) -> bool:
+        """Keep a connection until its request has arrived, and then refuse it. Return False if there is no room."""
+        if len(self._refused) >= self._limits.refused:
+            return False
+        self._refused.append(connected)
+        return True
+
+    def take_refused(self) -> list[socket.socket]:
+        """Return the connections that are to be refused now, and forget them."""
+        refused, self._refused = self._refused, []
+        return refused
+
     def close(self) -> None:
-        """Close all waiting connections."""
+        """Close all connections."""
+        for connected in self.take_refused():
+            connected.close()
         for address in self.addresses():
             while (waiting := self.first(address)) is not None:
                 self.leave(address)
