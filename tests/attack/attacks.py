@@ -107,6 +107,11 @@ def unread_answers(target: Target, stop: threading.Event) -> None:
     hold(target, stop, get(f"/api/v1/runs/{target.run}/frames/0/1?format=raw"), 80)
 
 
+def reconnections(target: Target, stop: threading.Event) -> None:
+    """Ask for whole frames, read nothing, and close each connection soon, so that few are open at a time."""
+    hold(target, stop, get(f"/api/v1/runs/{target.run}/frames/0/1?format=raw"), 20)
+
+
 def event_streams(target: Target, stop: threading.Event) -> None:
     """Open event streams and read nothing."""
     hold(target, stop, get("/api/v1/events?after=0"), 256)
@@ -285,6 +290,7 @@ ATTACKS: dict[str, Attack] = {
         slow_heads,
         slow_bodies,
         unread_answers,
+        reconnections,
         event_streams,
         long_polls,
         large_board_types,
