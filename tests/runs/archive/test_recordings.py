@@ -329,3 +329,23 @@ def test_a_lower_quota_frees_space_before_the_next_recording(rig: Any, tmp_path:
     for quota_gb, left in ((3e-6, {"0-old", "1-newer", run.id}), (2e-6, {"1-newer", run.id}), (0.0, {run.id})):
         a_keeper(rig, tmp_path, rig.coordinator._frames, recordings_gb=quota_gb).tend()
         assert {path.name for path in (tmp_path / "kept").iterdir()} == left
+
+
+def test_recordings_that_no_archive_has_go_last_and_are_named(rig: Any, tmp_path: Path) -> None:
+    run = a_board(rig)
+    rig.coordinator.kept.pin(run.id)
+    for name in ("0-archive", "1-archive", "2-awaited", "3-free", "4-free", run.id):
+        with new_directory(tmp_path / "kept" / name) as draft:
+            (draft / module.HEAD_FILE).write_bytes(bytes(1000))
+            if name.endswith("archive"):
+                (draft / module.FOR_ARCHIVE_FILE).touch()
+    left = []
+    for quota_gb in (5e-6, 4e-6, 3e-6, 2e-6, 0.0):
+        keeper = a_keeper(rig, tmp_path, rig.coordinator._frames, recordings_gb=quota_gb)
+        keeper.awaited = lambda: ("2-awaited",)
+        keeper.tend()
+        left.append(sorted(path.name[0] for path in (tmp_path / "kept").iterdir() if path.name != run.id))
+    assert left == [["0", "1", "2", "4"], ["0", "1", "2"], ["1", "2"], ["2"], []]
+    # The archive's thread reports those that it waits for.
+    found = [e.run for e in rig.coordinator.events(0, 0.0) if e.code == "archive-dropped"]
+    assert found == ["0-archive", "1-archive"]

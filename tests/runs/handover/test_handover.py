@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -250,6 +251,20 @@ def test_a_run_that_made_room_for_others_is_reported(line: Line) -> None:
             line.recordings._delete(run.id)
         line.wait(lambda: handover.status().dropped == 1, "the run is given up")
     assert line.codes[-1] == "archive-dropped"
+
+
+def test_runs_that_the_archive_has_make_room_before_one_that_waits_for_it(line: Line) -> None:
+    """Also if they came later: here the identity of the first one is read last."""
+    Archive.create(line.folder)
+    with line.running() as handover:
+        waits, has = line.board(Status.FAILED), line.board(Status.FAILED)
+        line.wait(lambda: handover.status().added == 2, "the runs are in the archive")
+        shutil.rmtree(line.folder)
+        handover.offer(waits.id)
+        line.wait(lambda: handover.status().problem != "", "the archive is absent")
+        assert line.recordings._drop_oldest()
+        assert line.recordings.all() == (waits.id,)
+    assert has.id > waits.id
 
 
 def test_nothing_is_written_while_a_board_is_filmed(line: Line) -> None:

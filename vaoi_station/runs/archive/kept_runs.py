@@ -15,8 +15,9 @@ from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.archive.measured_heights import MeasuredHeights
 from vaoi_station.runs.archive.read_identities import ReadIdentities
-from vaoi_station.runs.archive.recordings import DIRECTORY, FrameSource, Recordings
+from vaoi_station.runs.archive.recordings import DIRECTORY, Recordings
 from vaoi_station.runs.archive.run_history import RunHistory
+from vaoi_station.runs.run.memory import FrameSource
 from vaoi_station.runs.states.run_ids import utc
 from vaoi_station.runs.states.schemas import RunDetail, RunSummary, StationSnapshot
 from vaoi_station.runs.states.storage_schemas import ArchiveStatus

@@ -10,12 +10,12 @@ import logging
 import shutil
 import threading
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from numpy.typing import NDArray
 
@@ -32,7 +32,7 @@ from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive, FinishedRun
 from vaoi_station.runs.archive.housekeeping import TASK_LIMIT_S
 from vaoi_station.runs.archive.stored_documents import lasting, never_read
-from vaoi_station.runs.run.memory import Bay
+from vaoi_station.runs.run.memory import FrameSource
 from vaoi_station.runs.states.recording_heads import bytes_of_frames, head_of
 from vaoi_station.runs.states.schemas import RunDetail
 from vaoi_station.supervised_thread import SupervisedThread
@@ -48,19 +48,6 @@ RUN_FILE, RESULT_FILE, HEAD_FILE = "run.json", "result.json", "recording.json"
 LIGHT_PROGRAM_FILE = "light_program.json"
 FOR_ARCHIVE_FILE = "for_archive"
 """Empty file in a recording that is deleted as soon as an archive has it; it holds beyond a restart of the station."""
-
-
-class FrameSource(Protocol):
-    """Access to the frames of finished runs in the ring."""
-
-    def bay_of(self, run: str) -> Bay:
-        """Return the bay of a run. Raise GoneError if its frames are no longer in memory."""
-
-    def busy(self) -> bool:
-        """Return whether a board is being filmed or stitched."""
-
-    def copier(self, bay: Bay) -> Callable[[int], NDArray[Any]]:
-        """Return a function that copies the frame in a slot; it raises GoneError once the bay has another run."""
 
 
 @dataclass
@@ -87,6 +74,8 @@ class Recordings:
         """Light program of station.toml, for board types without one."""
         self.wanted_for_archive: Callable[[RunDetail], bool] = lambda _detail: False
         """Function that returns whether a run that is not kept otherwise is kept until an archive has it."""
+        self.awaited: Callable[[], Iterable[str]] = tuple
+        """Function that returns the runs that the archive is to take, also of those that are kept otherwise."""
         self.on_kept: Callable[[str], None] = lambda _run: None
         """Function that is called with a run whose recording is complete: its frames are kept and the identity of its
         board is decided. It is called again if its record changes. It must return at once."""
@@ -363,11 +352,22 @@ class Recordings:
         return shutil.disk_usage(self.directory).free
 
     def _drop_oldest(self) -> bool:
-        """Delete the oldest recording that is not pinned; return whether there was one."""
+        """Delete the oldest recording that is not pinned, and return whether there was one.
+
+        Those that no archive has yet go last. The archive's thread reports those that it awaits, this one the others.
+        """
         with self._lock:
-            oldest = min(self._sizes.keys() - self._archive.retention.pins(), default=None)
+            awaited = set(self.awaited())
+            no_copy = awaited | self._for_archive
+            unpinned = self._sizes.keys() - self._archive.retention.pins()
+            oldest = min(unpinned, key=lambda run: (run in no_copy, run), default=None)
             if oldest is not None:
                 self._delete(oldest)
+        if oldest in no_copy - awaited:
+            self._events.add(
+                "trouble", "The run was not archived: its recording was deleted for lack of space.",
+                run=oldest, code="archive-dropped", action="Set up [archive], or raise [keep] recordings_gb.",
+            )  # fmt: skip
         return oldest is not None
 
     def _delete(self, run: str) -> None:

@@ -97,6 +97,7 @@ class Handover:
         self._recordings = recordings
         recordings.wanted_for_archive = self.wants
         recordings.on_kept = self.offer
+        recordings.awaited = self._awaited
         recordings.offer_all()
         self.thread.start()
         try:
@@ -125,6 +126,10 @@ class Handover:
         with self._changed:
             self._waiting[run] = self._waiting.get(run, 0) + 1
             self._changed.notify_all()
+
+    def _awaited(self) -> tuple[str, ...]:
+        with self._changed:
+            return tuple(self._waiting)
 
     def status(self) -> ArchiveStatus:
         """Return what was added and what waits."""

@@ -12,7 +12,9 @@ import math
 import time
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
+
+from numpy.typing import NDArray
 
 from vaoi_station.errors import BusyError, GoneError
 from vaoi_station.runs.run.leases import Leases
@@ -40,6 +42,19 @@ class Bay:
     """Rank of the run in the order in which runs finished; the run with the lowest rank finished first."""
     kept_until_s: float = math.inf
     """Host time until which the frames of a finished run are not evicted; infinite until the run is announced."""
+
+
+class FrameSource(Protocol):
+    """Access to the frames of finished runs in the ring."""
+
+    def bay_of(self, run: str) -> Bay:
+        """Return the bay of a run. Raise GoneError if its frames are no longer in memory."""
+
+    def busy(self) -> bool:
+        """Return whether a board is being filmed or stitched."""
+
+    def copier(self, bay: Bay) -> Callable[[int], NDArray[Any]]:
+        """Return a function that copies the frame in a slot; it raises GoneError once the bay has another run."""
 
 
 @dataclass(frozen=True)
