@@ -47,6 +47,7 @@ SHORT = (
     91283,
     91603,
     93217,
+    96577,
 )
 """Mended finds that the short form repeats: one of each class of causes."""
 MOST_REFUSED = 0.05

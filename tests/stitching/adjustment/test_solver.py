@@ -303,6 +303,19 @@ def test_a_lifted_and_bent_board_is_measured(bench: Any, surface: tuple[float, .
     assert np.abs(truth.errors(blind)).max() > np.abs(truth.errors(found)).max()
 
 
+def test_a_tilt_that_few_links_show_is_not_held_back_by_its_prior(bench: Any) -> None:
+    """The tilt is five and eight standard deviations of its prior: three noisy links a pair of frames show it."""
+    tilt, found = (0.41, -0.61), []
+    for seed in range(20, 28):
+        truth = replace(bench(seed, surface=(0.1, *tilt, -0.06, 0, -0.09)), real_px=0.15)
+        frames = [((i, p), (i, q)) for i in (0, 1) for p, q in pairwise(range(ROWS))]
+        few = [truth.links(a, b, count=3)[0] for a, b in frames + [((0, j), (1, j)) for j in range(ROWS)]]
+        observed = to_observations(few, truth.cameras)
+        problem = truth.with_fiducials(Problem(TIMES, VELOCITY, observed, np.full(len(observed), -1)), surface=True)
+        found.append(adjust(problem, started(problem), np.array([1.0, 0.01, 0.2, -0.5])).surface_mm[1:3])
+    assert np.mean(found, axis=0) == pytest.approx(tilt, abs=0.06)
+
+
 def test_what_moves_with_the_lamp_does_not_move_the_rows(bench: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Links between rows of two lights are all displaced by 0.4 px; those of one light, and fiducials, are not."""
     truth, slow = bench(12), VELOCITY / 2

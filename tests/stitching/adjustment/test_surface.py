@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from vaoi_station.geometry import apply
 from vaoi_station.model import BoardType
-from vaoi_station.stitching.adjustment.surface import SIGMA_MM, basis, basis_at_board, to_surface
+from vaoi_station.stitching.adjustment.surface import SIGMA_MM, basis, basis_at_board, prior_sigma_mm, to_surface
 
 BOARD = BoardType(name="b", unit="inch", outline=((0.0, 3.0), (2.0, 0.5)))
 
@@ -33,3 +34,21 @@ def test_points_of_the_board_have_the_values_of_their_cad_points() -> None:
     c = np.array([[25.4, 0, 7], [0, -25.4, 9], [0, 0, 1.0]])
     at = np.array([[0.3, 0.7], [1.9, 2.2]])
     np.testing.assert_allclose(basis_at_board(BOARD, c, apply(c, at)), basis(BOARD, at), atol=1e-12)
+
+
+def test_the_prior_of_the_surface_has_heavy_tails() -> None:
+    assert prior_sigma_mm(np.zeros(6), SIGMA_MM).tolist() == SIGMA_MM.tolist()
+    likely = prior_sigma_mm(SIGMA_MM / 2, SIGMA_MM)
+    assert (likely < 1.1 * SIGMA_MM).all()
+    tilted = prior_sigma_mm(np.array([0.2, 0.4, -0.6, 0, 0, 0]), SIGMA_MM)
+    # A tilt along one axis widens the prior along the other one, and leaves lift and bow.
+    assert (tilted[1:3] > 3 * SIGMA_MM[1:3]).all()
+    assert tilted[[0, 3, 4, 5]].tolist() == pytest.approx(SIGMA_MM[[0, 3, 4, 5]], rel=0.01)
+
+
+@given(st.floats(0, 50))
+def test_a_larger_tilt_is_less_likely(tilt_mm: float) -> None:
+    """The gradient of the prior points to 0 everywhere, however weak it is."""
+    at = np.array([0, tilt_mm, 0, 0, 0, 0])
+    assert (at / prior_sigma_mm(at, SIGMA_MM) ** 2)[1] >= 0
+    assert tilt_mm / prior_sigma_mm(at, SIGMA_MM)[1] < 3

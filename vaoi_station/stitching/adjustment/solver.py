@@ -63,6 +63,7 @@ from vaoi_station.stitching.adjustment.observations import (
     linked_steps,
 )
 from vaoi_station.stitching.adjustment.problem import AdjustmentResult, Problem
+from vaoi_station.stitching.adjustment.surface import prior_sigma_mm
 
 _MAX_STEPS = 15
 CONVERGED_MM = 5e-5
@@ -274,8 +275,8 @@ class _Solver:
         return columns, slopes, rest
 
     def _surface(self) -> Equations:
-        """Return the prior of the surface: every coefficient is 0 with its prior standard deviation."""
-        sigma = self.problem.surface.sigma_mm if self.problem.surface else np.ones(0)
+        """Return the prior of the surface: every coefficient is 0 with its prior standard deviation at its value."""
+        sigma = prior_sigma_mm(self.surface_mm, self.problem.surface.sigma_mm) if self.problem.surface else np.ones(0)
         columns = self.shared[None, len(self.shared) - self.n_surface :]
         return columns, np.diag(1 / sigma)[None], (self.surface_mm / sigma)[None]
 

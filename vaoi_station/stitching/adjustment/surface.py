@@ -20,8 +20,27 @@ from vaoi_station.model import BoardType, Surface
 SIGMA_MM = np.array([1.0, 0.08, 0.08, 0.3, 0.1, 0.3])
 """(6,) prior standard deviations of the coefficients, mm: lift, tilt along u, tilt along v, and bow (u², uv, v²)."""
 
+_KINDS = (slice(0, 1), slice(1, 3), slice(3, 6))
+"""Coefficients that occur together: lift, tilt and bow. A board that is tilted along u may as well be along v."""
+_FREEDOM = 4.0
+"""Degrees of freedom of the t distribution of each kind: a board that lies on something is tilted by far more."""
+
 _EDGE = 1.2
 """Largest |u| and |v|. Further outside the board, the surface stays constant; a polynomial would grow there."""
+
+
+def prior_sigma_mm(coefficients_mm: Floats, sigma_mm: Floats) -> Floats:
+    """Return the standard deviations (f,) of the prior at given coefficients (f,) of the surface.
+
+    The prior of lift, of tilt and of bow has heavy tails, Student's t distribution: most boards lie well, and those
+    that do not may lie in any way. A normal distribution of these standard deviations has the same gradient. They are
+    `sigma_mm` (f,) at 0, and grow where links and fiducials contradict that.
+    """
+    out = sigma_mm.copy()
+    for kind in _KINDS:
+        far = coefficients_mm[kind] / sigma_mm[kind]
+        out[kind] *= np.sqrt(1 + float(far @ far) / (_FREEDOM + len(far)))
+    return out
 
 
 def basis(board_type: BoardType, cad: Floats) -> Floats:
