@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,8 +42,11 @@ class FiducialPoints:
     @staticmethod
     def joined(parts: Sequence[FiducialPoints]) -> FiducialPoints:
         """Concatenate several sets of observed points to one."""
-        names = ("row", "ground_mm", "lean", "cad", "sigma_mm", "px_per_mm", "which", "camera")
-        return FiducialPoints(*(np.concatenate([getattr(p, name) for p in parts]) for name in names))
+        return FiducialPoints(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(FiducialPoints)))
+
+    def select(self, at: Ints) -> FiducialPoints:
+        """Return the points of these indices only."""
+        return FiducialPoints(*(getattr(self, f.name)[at] for f in fields(self)))
 
     @property
     def fixture_marks(self) -> int:

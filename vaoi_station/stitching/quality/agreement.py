@@ -18,6 +18,7 @@ from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.outline import OutlineShift
 from vaoi_station.stitching.board.reference import inliers
 from vaoi_station.stitching.components.local_fiducials import common_displacement_mm
+from vaoi_station.stitching.quality.fiducial_errors import contradiction_reasons
 
 _FIDUCIAL_LIMIT_PX = 0.30
 _SCALE_LIMIT = 5e-4
@@ -81,6 +82,8 @@ def fiducial_reasons(
     if abs(scale) > _SCALE_LIMIT:
         out.append(_scale_reason(plane, scale, px_per_mm, _displaced_instead(adjusted, plane)))
     out += _surface_reasons(adjusted.surface_mm)
+    if not out:
+        out += contradiction_reasons(plane, adjusted, points, px_per_mm)
     # A wrong fiducial is searched only if another check fails, since correct data contain none.
     if out:
         out += _wrong_fiducial(plane, {n: place for n, (place, _) in seen.items()}, px_per_mm)
