@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,8 @@ from tests.hostile.mistakes import EVERY_KIND
 KEPT = Path(__file__).with_name("finds.json")
 """Finds of earlier runs: seed, classes, diagnosis, and whether the cause is mended."""
 _MOST_SEEDS = 12
+_TAIL, _HALVINGS = 0.025, 60
+"""Probability on either side of a 95 % interval, and halvings of the range in which its end is searched."""
 
 
 def kept_finds() -> list[dict[str, Any]]:
@@ -30,13 +33,39 @@ def open_classes(seed: int) -> set[str]:
 def table(outcomes: Sequence[Outcome]) -> str:
     """Return the finds by class as a table in Markdown: number, rate, and seeds."""
     expected, ok = sum(o.expected for o in outcomes), sum(o.status == "ok" for o in outcomes)
-    lines = ["| class | finds | of | rate | seeds |", "|---|---|---|---|---|"]
+    lines = ["| class | finds | of | rate (95 % interval) | seeds |", "|---|---|---|---|---|"]
     for name, sentence in CLASSES.items():
         seeds = [o.seed for o in outcomes if name in o.finds]
         of = {"refused": expected, "exception": len(outcomes)}.get(name, ok)
         named = ", ".join(map(str, seeds[:_MOST_SEEDS])) + (", …" if len(seeds) > _MOST_SEEDS else "")
-        lines.append(f"| {name}: {sentence} | {len(seeds)} | {of} | {len(seeds) / max(of, 1):.1%} | {named} |")
+        low, high = interval(len(seeds), of)
+        rate = f"{len(seeds) / max(of, 1):.1%} ({100 * low:.1f} … {100 * high:.1f})"
+        lines.append(f"| {name}: {sentence} | {len(seeds)} | {of} | {rate} | {named} |")
     return "\n".join(lines)
+
+
+def interval(count: int, of: int) -> tuple[float, float]:
+    """Return the 95 % interval of a rate that is seen `count` times in `of` (Clopper and Pearson); 0 to 1 for none."""
+    low = 0.0 if not count else _where_reached(lambda p: _at_least(count, of, p))
+    high = 1.0 if count == of else _where_reached(lambda p: 1 - _at_least(count + 1, of, p), falling=True)
+    return low, high
+
+
+def _at_least(count: int, of: int, rate: float) -> float:
+    """Return the probability of `count` or more of `of` at a rate."""
+    return 1 - sum(math.comb(of, k) * rate**k * (1 - rate) ** (of - k) for k in range(count))
+
+
+def _where_reached(probability: Callable[[float], float], *, falling: bool = False) -> float:
+    """Return the rate at which a probability, which rises or falls with the rate, is 2.5 %."""
+    low, high = 0.0, 1.0
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2
+        if (probability(middle) < _TAIL) != falling:
+            low = middle
+        else:
+            high = middle
+    return low
 
 
 def table_of_mistakes(outcomes: Sequence[Outcome]) -> str:

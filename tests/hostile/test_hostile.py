@@ -14,7 +14,7 @@ from tests.hostile.filming import film
 from tests.hostile.judging import OK_AND_WRONG, Outcome, judge
 from tests.hostile.mistakes import BESIDE, KINDS, MOMENTS, NEAR_COPY, Mistake, draw_beside, draw_mistakes, draw_moment
 from tests.hostile.rule import blank_overlap, fiducials_in_view, least_overlap, least_seen, why_impossible
-from tests.hostile.summary import kept_finds, open_classes, table, table_of_mistakes
+from tests.hostile.summary import interval, kept_finds, open_classes, table, table_of_mistakes
 from tests.needs import LONG
 from vaoi_station.geometry.transforms import apply
 
@@ -219,8 +219,9 @@ def test_the_tables_name_the_seeds_of_finds() -> None:
     wrong = Outcome(7, status="ok", mistakes=("glare 60",), finds=(OK_AND_WRONG[2],))
     refused = Outcome(8, expected=True, status="failed", finds=("refused",))
     lines = table([wrong, refused]).splitlines()
-    assert any(line.startswith("| wrong:") and line.endswith("| 1 | 1 | 100.0% | 7 |") for line in lines)
-    assert any(line.startswith("| refused:") and line.endswith("| 1 | 1 | 100.0% | 8 |") for line in lines)
+    end = "| 1 | 1 | 100.0% (2.5 … 100.0) |"
+    assert any(line.startswith("| wrong:") and line.endswith(f"{end} 7 |") for line in lines)
+    assert any(line.startswith("| refused:") and line.endswith(f"{end} 8 |") for line in lines)
     assert "| glare | 1 | 1 | 0 | 0 | 7 |  |" in table_of_mistakes([wrong, refused])
 
 
@@ -229,3 +230,12 @@ def test_kept_finds_have_a_diagnosis() -> None:
         assert set(find) == {"seed", "classes", "mended", "diagnosis"}
         assert find["classes"]
         assert find["diagnosis"]
+
+
+def test_rates_have_their_exact_intervals() -> None:
+    """Of the first n drawings without a find, 1 − 0.025^(1/n) is the largest rate; the others are tabulated."""
+    assert interval(0, 73) == pytest.approx((0, 1 - 0.025 ** (1 / 73)))
+    assert interval(73, 73) == pytest.approx((0.025 ** (1 / 73), 1))
+    assert interval(1, 10) == pytest.approx((0.0025, 0.4450), abs=5e-5)
+    assert interval(5, 1101) == pytest.approx((0.00148, 0.01057), abs=1e-5)
+    assert interval(0, 0) == (0.0, 1.0)
