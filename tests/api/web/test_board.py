@@ -92,11 +92,12 @@ def test_the_whole_board_does_not_wait_for_the_list_of_its_parts(page: Page, ser
         held.append(route)
 
     page.route("**/components?*", hold)
-    page.goto(f"{served.url}/#/board/{run}")
-    expect(page.locator("#zoom-view[data-mosaic]")).to_be_visible()
-    page.wait_for_function("() => OpenSeadragon.getViewer('zoom-view').world.getItemAt(0).getFullyLoaded()")
-    assert len(held) == 1
+    with page.expect_request("**/components?*"):  # it follows the picture, which may be complete before
+        page.goto(f"{served.url}/#/board/{run}")
+        expect(page.locator("#zoom-view[data-mosaic]")).to_be_visible()
+        page.wait_for_function("() => OpenSeadragon.getViewer('zoom-view').world.getItemAt(0).getFullyLoaded()")
     expect(page.locator(".outlines polygon")).to_have_count(0)
+    assert len(held) == 1
     page.evaluate("() => { window.shown = OpenSeadragon.getViewer('zoom-view'); }")
     held[0].continue_()
     expect(page.locator(".outlines polygon")).to_have_count(3)
