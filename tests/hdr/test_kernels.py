@@ -4,7 +4,17 @@ import numpy as np
 import pytest
 
 from tests.hdr.exposed_views import FRAME, NOISE, exposed
-from vaoi_station.hdr.kernels import SHARPENING_PX2, Source, accumulate, add_shifted, linearise, mean, noise_factors
+from vaoi_station.compiled import signatures
+from vaoi_station.hdr.kernels import (
+    SHARPENING_PX2,
+    Source,
+    accumulate,
+    add_shifted,
+    by_depth,
+    linearise,
+    mean,
+    noise_factors,
+)
 from vaoi_station.hdr.merging import _block_scales, _source, _warped
 from vaoi_station.photometry import FieldMaps
 from vaoi_station.rendering.view import Tile
@@ -14,9 +24,9 @@ ONE = np.ones((1, 1), np.float32)
 
 def source(pixels: np.ndarray, dark: np.ndarray, flat: np.ndarray, exposure: float) -> Source:
     full = 255.0 if pixels.dtype == np.uint8 else 65535.0
-    for array in (pixels, dark, flat):
+    for array in (dark, flat):
         array.flags.writeable = False
-    return Source(pixels, dark, flat, 255 / full, full, exposure, 2.25, 0.03)
+    return Source(*by_depth(pixels), dark, flat, 255 / full, full, exposure, 2.25, 0.03)
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
@@ -26,6 +36,16 @@ def test_grey_levels_become_radiance_and_saturated_pixels_nan(dtype: type) -> No
     linearise(source(pixels, ONE * 2, flat, 10.0), (1, 1, 4, 2), out)
     np.testing.assert_allclose(out[0, :2], np.array([196, 126]) * 0.1, rtol=1e-5)
     assert np.isnan(out[0, 2])
+
+
+def test_frames_of_8_and_16_bit_are_merged_by_the_same_code() -> None:
+    for dtype in (np.uint8, np.uint16):
+        frame = source(np.ones((20, 20), dtype), ONE, ONE, 10.0)
+        sums = np.zeros((3, 1, 9, 9), np.float32)
+        assert add_shifted(frame, np.eye(3), (0, 0, 9, 9), np.zeros(1, np.int64), sums)
+        linearise(frame, (0, 0, 9, 9), np.empty((9, 9), np.float32))
+    compiled = [name.rpartition(".")[2] for name, _ in signatures()]
+    assert (compiled.count("add_shifted"), compiled.count("linearise")) == (1, 1)
 
 
 def test_maps_of_dark_and_flat_apply_pixel_by_pixel() -> None:

@@ -42,8 +42,10 @@ both, convolved."""
 class Source(NamedTuple):
     """A frame and what turns its grey levels into radiance. All arrays are read-only."""
 
-    pixels: NDArray[Any]
-    """(h, w), 8 or 16 bit."""
+    pixels: NDArray[np.uint8]
+    """(h, w), or (0, 0) of a frame with 16 bit."""
+    deep: NDArray[np.uint16]
+    """(h, w), or (0, 0) of a frame with 8 bit: functions of either are compiled once (`by_depth`)."""
     dark: Floats32
     """Grey level of darkness (h, w), or (1, 1) for all pixels."""
     flat: Floats32
@@ -63,14 +65,32 @@ class Source(NamedTuple):
 class _Lines(NamedTuple):
     """The arrays of a frame as runs of values in memory: views of arrays cost more than the loop over a short line."""
 
-    pixels: NDArray[Any]
+    pixels: NDArray[np.uint8]
+    deep: NDArray[np.uint16]
     dark: Floats32
     flat: Floats32
 
 
+def by_depth(pixels: NDArray[Any]) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
+    """Return the first two fields of a `Source` for pixels (h, w) with 8 or 16 bit."""
+    pixels = pixels.view()
+    other = np.empty((0, 0), np.uint16 if pixels.dtype == np.uint8 else np.uint8)
+    # Numba compiles separate versions for writeable and read-only arrays, so all are passed as read-only.
+    pixels.flags.writeable = other.flags.writeable = False
+    return (pixels, other) if pixels.dtype == np.uint8 else (other, pixels)
+
+
+@inlined
+def _size(source: Source) -> tuple[int, int]:
+    """Return the number of rows and columns of a frame."""
+    rows, columns = source.pixels.shape
+    deep_rows, deep_columns = source.deep.shape
+    return max(rows, deep_rows), max(columns, deep_columns)
+
+
 @inlined
 def _lines(source: Source) -> _Lines:
-    return _Lines(source.pixels.reshape(-1), source.dark.reshape(-1), source.flat.reshape(-1))
+    return _Lines(source.pixels.reshape(-1), source.deep.reshape(-1), source.dark.reshape(-1), source.flat.reshape(-1))
 
 
 @inlined
@@ -79,6 +99,17 @@ def _linear_line(source: Source, lines: _Lines, first: int, count: int, out: Flo
 
     NaN where they are saturated or the flat field is near zero.
     """
+    if len(lines.deep):
+        _line_of(lines.deep, source, lines, first, count, out, start)
+    else:
+        _line_of(lines.pixels, source, lines, first, count, out, start)
+
+
+@inlined
+def _line_of(
+    pixels: NDArray[Any], source: Source, lines: _Lines, first: int, count: int, out: Floats32, start: int
+) -> None:
+    """Do what `_linear_line` does with pixels of 8 or 16 bit."""
     to_grey, scale = np.float32(source.to_grey), np.float32(1 / source.exposure)
     full, least, nothing = np.float32(source.full), np.float32(_LEAST_FLAT), np.float32(np.nan)
     even, level = len(lines.flat) == 1, lines.dark[0]
@@ -88,14 +119,14 @@ def _linear_line(source: Source, lines: _Lines, first: int, count: int, out: Flo
     if not even and len(lines.dark) == 1:
         for n in range(count):
             k = np.uint64(n)
-            p, f = np.float32(lines.pixels[at + k]), lines.flat[at + k]
+            p, f = np.float32(pixels[at + k]), lines.flat[at + k]
             value = (p * to_grey - level) * scale / f
             value = value if p < full else nothing
             out[goal + k] = value if f > least else nothing
         return
     for n in range(count):
         k = np.uint64(n)
-        p, f = np.float32(lines.pixels[at + k]), lines.flat[0] if even else lines.flat[at + k]
+        p, f = np.float32(pixels[at + k]), lines.flat[0] if even else lines.flat[at + k]
         d = level if len(lines.dark) == 1 else lines.dark[at + k]
         value = (p * to_grey - d) * scale / f
         value = value if p < full else nothing
@@ -108,7 +139,8 @@ def linearise(source: Source, box: tuple[int, int, int, int], out: Floats32) -> 
 
     `box` is the part: first column and row, and those after the last.
     """
-    lines, values, columns = _lines(source), out.reshape(-1), source.pixels.shape[1]
+    lines, values = _lines(source), out.reshape(-1)
+    _, columns = _size(source)
     width = box[2] - box[0]
     for y in range(box[1], box[3]):
         _linear_line(source, lines, y * columns + box[0], width, values, (y - box[1]) * width)
@@ -200,7 +232,7 @@ def add_shifted(
     if not is_almost_shift(matrix, width, height):
         return False
     side, lines, values = 1 << BLOCK_SHIFT, _lines(source), sums.reshape(-1)
-    rows, columns = source.pixels.shape
+    rows, columns = _size(source)
     # A block with its neighbours stays in the processor's cache. How much of the frame a block needs depends on the
     # steps from line to line as well, which differ from 1 where pixels are not square: the largest part is measured.
     wide = high = 0
@@ -275,8 +307,9 @@ def _sharpen(
     """
     width, height = box[2] - box[0], box[3] - box[1]
     side, middle = np.float32(_SIDE), np.float32(_MIDDLE)
+    _, columns = _size(source)
     for y in range(height):
-        _linear_line(source, lines, (box[1] + y) * source.pixels.shape[1] + box[0], width, sharp, 1)
+        _linear_line(source, lines, (box[1] + y) * columns + box[0], width, sharp, 1)
         sharp[0], sharp[width + 1] = sharp[1], sharp[width]
         at = np.uint64(y * pitch)
         for n in range(width):
@@ -321,7 +354,7 @@ def _weigh_line(source: Source, m: Floats, span: tuple[int, int, int], block: _B
     `span` is the first column, that after the last, and the line.
     """
     left, right, y = span
-    rows, columns = source.pixels.shape
+    rows, columns = _size(source)
     dark, shot = np.float32(source.read_variance), np.float32(source.shot_variance)
     longest, x = longest_run(m), left
     for n in range(right - left):

@@ -203,7 +203,7 @@ def _add(exposed: Exposed, groups: NDArray[np.int64], sums: Floats32) -> None:
 
 def _source(exposed: Exposed) -> Source:
     """Return the frame of a view for the compiled functions."""
-    from vaoi_station.hdr.kernels import Source
+    from vaoi_station.hdr.kernels import Source, by_depth
 
     pixels, maps, taken = exposed.pixels(), exposed.maps, exposed.taken
     full = FULL_SCALE if pixels.dtype == np.uint8 else 65535.0
@@ -212,11 +212,9 @@ def _source(exposed: Exposed) -> Source:
         at_limit = pixels_at_limit(pixels)
         pixels = np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY))
         pixels[at_limit] = full
-    # Numba compiles separate versions for writeable and read-only arrays, so all are passed as read-only.
-    pixels = pixels.view() if pixels.flags.c_contiguous else np.ascontiguousarray(pixels)
-    pixels.flags.writeable = False
+    grey = by_depth(np.ascontiguousarray(pixels))
     (flat, dark), noise = maps.arrays, maps.noise
-    return Source(pixels, dark, flat, FULL_SCALE / full, full, exposed.scale, noise.read**2, noise.shot * taken.gain)
+    return Source(*grey, dark, flat, FULL_SCALE / full, full, exposed.scale, noise.read**2, noise.shot * taken.gain)
 
 
 def _warped(view: View, source: Source, tiles: Sequence[Tile]) -> tuple[Floats32, Floats32]:
@@ -230,7 +228,7 @@ def _warped(view: View, source: Source, tiles: Sequence[Tile]) -> tuple[Floats32
     out, factors = np.full(shape, np.nan, np.float32), np.ones(shape, np.float32)
     taps = np.array([-SHARPENING_PX2 / 2, 1 + SHARPENING_PX2, -SHARPENING_PX2 / 2], np.float32)
     for x0, y0, x1, y1, matrix in tiles:
-        box = _used_part(matrix, (x1 - x0, y1 - y0), source.pixels.shape)
+        box = _used_part(matrix, (x1 - x0, y1 - y0), max(source.pixels.shape, source.deep.shape))
         if box is None:
             continue
         # Numba compiles a separate version for parts of arrays.

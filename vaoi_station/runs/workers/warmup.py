@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.geometry import Camera, Lens, Projective, System
-from vaoi_station.hdr.kernels import Source, accumulate, add_shifted, linearise, mean, noise_factors
+from vaoi_station.hdr.kernels import Source, accumulate, add_shifted, by_depth, linearise, mean, noise_factors
 from vaoi_station.heights.estimates import measure_heights
 from vaoi_station.marks.subpixel_localisation import locate_mark
 from vaoi_station.model import BoardType, Stitch
@@ -83,12 +83,9 @@ def _merge() -> None:
     sums, groups = np.zeros((3, 1, 4, 4), np.float32), np.zeros(1, np.int64)
     for array in (one, flat := np.ones((6, 6), np.float32)):
         array.flags.writeable = False
-    for dtype in (np.uint8, np.uint16):
-        pixels = np.ones((6, 6), dtype)
-        pixels.flags.writeable = False
-        source = Source(pixels, one, flat, 1.0, 255.0, 1.0, 1.0, 1.0)
-        linearise(source, (1, 1, 5, 5), out)
-        add_shifted(source, np.eye(3), (0, 0, 4, 4), groups, sums)
+    source = Source(*by_depth(np.ones((6, 6), np.uint8)), one, flat, 1.0, 255.0, 1.0, 1.0, 1.0)
+    linearise(source, (1, 1, 5, 5), out)
+    add_shifted(source, np.eye(3), (0, 0, 4, 4), groups, sums)
     noise_factors(np.eye(3), out)
     own = sums[0, 0], sums[1, 0], sums[2, 0]
     accumulate((out, out), np.ones((1, 1)), (1.0, 1.0), own)
