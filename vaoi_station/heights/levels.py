@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from vaoi_station.compiled import compiled, inlined
 from vaoi_station.geometry.body_extents import EXTENTS
+from vaoi_station.geometry.small_sorts import ascending
 from vaoi_station.geometry.transforms import Floats
 
 Ints = NDArray[np.int_]
@@ -57,10 +58,13 @@ def compare_heights(
     t, n = sums.shape
     least, noise = np.empty(t), np.empty(t)
     for i in range(t):
-        least[i] = sums[i].min()
+        least[i] = sums[i, 0]
+        for m in range(n):
+            least[i] = min(least[i], sums[i, m])
         noise[i] = least[i] / freedom[i]
     # A tile without texture fits at every height, and at one of them by chance better than its noise.
-    typical = max(np.median(noise), 1e-3)
+    order = ascending(noise)
+    typical = max((noise[order[(t - 1) // 2]] + noise[order[t // 2]]) / 2, 1e-3)
     likelihood, board = np.empty((t, n)), np.zeros(t)
     for i in range(t):
         scale = 1 / (2 * max(noise[i], typical) * noise_area)
@@ -92,7 +96,10 @@ def find_levels(
         count[axis] = _sort_tiles(tiles, size[axis], axis, side[axis], prior[axis])
     _tile_likelihoods(likelihood, board, heights_mm, log, inside)
     evidence = np.empty((n, count[0], count[1]))
-    extent = np.log(np.outer(prior[0, : count[0]], prior[1, : count[1]]))
+    extent = np.empty((count[0], count[1]))
+    for a in range(count[0]):
+        for b in range(count[1]):
+            extent[a, b] = math.log(prior[0, a] * prior[1, b])
     highest = _evidence(log, side, tiles, extent, evidence, log_prior)
     probability, everything, best = np.zeros(n), 0.0, 0
     for m in range(n):
@@ -172,9 +179,12 @@ def _sort_tiles(tiles: Ints, size: int, axis: int, side: Ints, prior: Floats) ->
             first, length = tiles[i, axis], tiles[i, 2 + axis]
             a, b = first - 0.5 + _EDGE_PX, first + length - 0.5 - _EDGE_PX
             side[count, i] = 2 if a >= low and b <= high else 0 if b <= low or a >= high else 1
-        same = 0
-        while (side[same] != side[count]).any():
-            same += 1
+        same, equal = 0, 0
+        while equal < len(tiles):
+            equal = 0
+            while equal < len(tiles) and side[same, equal] == side[count, equal]:
+                equal += 1
+            same += equal < len(tiles)
         prior[same] += EXTENTS[e, 2]
         count += same == count
     return count

@@ -153,7 +153,8 @@ def _add_group(
     value, gain, slope, ax, ay = work.value, work.gain, work.slope, work.ax, work.ay
     xx = xy = yy = sxx = sxy = syy = squares = 0.0
     total, tx, ty = work.common[0], work.common[1], work.common[2]
-    total[:size] = tx[:size] = ty[:size] = 0.0
+    for p in range(size):
+        total[p] = tx[p] = ty[p] = 0.0
     for i in range(c):
         own, gx, gy, g = value[i], work.gx[i], work.gy[i], gain[i]
         for p in range(size):

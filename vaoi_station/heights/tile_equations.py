@@ -5,11 +5,13 @@ A body has few tiles and few pictures. As calls of numpy, these sums would take 
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from vaoi_station.compiled import compiled, inlined
+from vaoi_station.geometry.small_sorts import ascending
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.heights.refinement import Ints, Normals
 
@@ -58,10 +60,15 @@ def weigh_tiles(found: Normals, tiles: Ints, lowest: float, edge_mm: float) -> T
         edge_mm: standard deviation of the error that tiles at edges have in common; see `edge_weights`.
     """
     t = len(tiles)
-    some = np.sort(found.variance[found.variance > 0])
+    some, count = np.empty(t), 0
+    for i in range(t):
+        if found.variance[i] > 0:
+            some[count] = found.variance[i]
+            count += 1
+    order = ascending(some[:count])
     # The value above which nine tenths lie.
-    at = 0.1 * (len(some) - 1)
-    low, high = some[int(at)], some[int(np.ceil(at))]
+    at = 0.1 * (count - 1)
+    low, high = some[order[int(at)]], some[order[math.ceil(at)]]
     floor = max(low + (at - int(at)) * (high - low), lowest)
     variance, information = np.empty(t), np.empty(t)
     for i in range(t):
@@ -79,7 +86,7 @@ def weigh_tiles(found: Normals, tiles: Ints, lowest: float, edge_mm: float) -> T
                 matrix[i, u, v] = found.matrix[i, u, v] * share
         noisy[i] = found.noisy[i] * share
         excess = max(found.variance[i] - 3 * floor, 0.0) * (tiles[i, 2] * tiles[i, 3])
-        unlike += factor[i] * information[i] * np.sqrt(excess / max(found.matrix[i, 0, 0], 1e-3))
+        unlike += factor[i] * information[i] * math.sqrt(excess / max(found.matrix[i, 0, 0], 1e-3))
         total += factor[i] * information[i]
     return TileEquations(matrix, vector, noisy, _COMMON * unlike / max(total, 1e-9))
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from vaoi_station.compiled import compiled, inlined
+from vaoi_station.geometry.small_sorts import ascending
 from vaoi_station.geometry.transforms import Floats
 
 _INFORMED = 0.1
@@ -32,7 +35,7 @@ def tile_weights(matrix: Floats, vector: Floats, noisy: Floats) -> Floats:
     for i in range(t):
         own = max(matrix[i, 0, 0], 1e-3 * noisy[i] + 1e-12)
         mm[i] = vector[i, 0] / own
-        sigma[i] = np.sqrt(noisy[i] / own**2 + _UNEVEN_MM**2)
+        sigma[i] = math.sqrt(noisy[i] / own**2 + _UNEVEN_MM**2)
     # A few tiles may show a lead, a fillet of solder or a neighbour, most often lower than the body.
     centre = _weighted_median(mm, sigma)
     for _ in range(_ROUNDS):
@@ -43,7 +46,8 @@ def tile_weights(matrix: Floats, vector: Floats, noisy: Floats) -> Floats:
             noise += weight[i] * noisy[i]
             pull += weight[i] * vector[i, 0]
         if texture <= _INFORMED * noise or texture <= 0:
-            weight[:] = 0.0
+            for i in range(t):
+                weight[i] = 0.0
             break
         centre = pull / texture
     return weight
@@ -52,7 +56,10 @@ def tile_weights(matrix: Floats, vector: Floats, noisy: Floats) -> Floats:
 @inlined
 def _weighted_median(values: Floats, sigma: Floats) -> float:
     """Return the value below and above which lies half of the weight 1/σ²."""
-    order, half, below = np.argsort(values), 0.5 * np.sum(1 / sigma**2), 0.0
+    order, total, below = ascending(values), 0.0, 0.0
+    for i in range(len(values)):
+        total += 1 / sigma[i] ** 2
+    half = 0.5 * total
     for i in order:
         below += 1 / sigma[i] ** 2
         if below >= half:

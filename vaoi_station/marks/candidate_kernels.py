@@ -60,7 +60,8 @@ def scan_candidates(
             # The buffer doubles when full: a frame with texture can have far more hits than marks.
             if count == len(found):
                 larger = np.empty((2 * count, 3))
-                larger[:count] = found
+                for n in range(count):
+                    larger[n, 0], larger[n, 1], larger[n, 2] = found[n, 0], found[n, 1], found[n, 2]
                 found = larger
             found[count, 0], found[count, 1], found[count, 2] = x, y, score
             count += 1

@@ -95,8 +95,10 @@ def _reduce(
         first, end = row * factor, min((row + 1) * factor, h)
         # Over contiguous lines, and over pairs of neighbours in them, the compiler uses vector registers.
         total, top = sums[0], most[0]
-        total[:] = pixels[first]
-        top[:] = tops[first]
+        line, high = pixels[first], tops[first]
+        for x in range(w):
+            total[x] = line[x]
+            top[x] = high[x]
         for y in range(first + 1, end):
             line, high = pixels[y], tops[y]
             for x in range(w):

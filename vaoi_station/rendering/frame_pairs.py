@@ -190,6 +190,14 @@ def _touching(frames: Frames, parts: Parts, least: float) -> NDArray[np.bool_]:
 
 
 @inlined
+def _copy(values: Floats, out: Floats) -> None:
+    """Write an array (n, m) to another one. Numba takes a second to compile an assignment of arrays."""
+    for i in range(len(values)):
+        for j in range(values.shape[1]):
+            out[i, j] = values[i, j]
+
+
+@inlined
 def _multiply(a: Floats, b: Floats, out: Floats) -> None:
     """Write the product of two (3, 3) matrices."""
     for i in range(3):
@@ -271,11 +279,11 @@ def _search(frames: Frames, parts: Parts, least: float) -> tuple[Pairs, NDArray[
         for f in range(len(frames.size)):
             if not touching[k, f]:
                 continue
-            cad[p] = frames.image_from_cad[f]
+            _copy(frames.image_from_cad[f], cad[p])
             for i in range(3):
                 cad[p, i, 2] -= parts.height_mm[k] * frames.lean[f, i]
             if len(parts.own):
-                spare[:] = cad[p]
+                _copy(cad[p], spare)
                 _multiply(spare, parts.own[k], cad[p])
             _multiply(cad[p], parts.cad_from_crop[k], crop[p])
             # The picture; then its footprint, unless it shows nothing else; then, of few, the footprint in fine steps.
@@ -285,16 +293,16 @@ def _search(frames: Frames, parts: Parts, least: float) -> tuple[Pairs, NDArray[
                 m, grid = (cad[p], footprint) if step else (crop[p], whole)
                 inside = _show(m, grid, GRID if step == 2 else 3, frames, f, points)
                 if step == 0:
-                    picture[p] = points[:9]
+                    _copy(points[:9], picture[p])
                 if step < 2:
                     for n, corner in enumerate((0, 2, 8, 6)):
-                        outline[p, n] = points[corner]
+                        outline[p, n, 0], outline[p, n, 1] = points[corner, 0], points[corner, 1]
                     x, y = (frames.size[f, 0] - 1) / 2, (frames.size[f, 1] - 1) / 2
                     off[p] = math.hypot(points[4, 0] - x, points[4, 1] - y) / math.hypot(x, y)
                 share[p] = _SHARES[inside if step == 2 else -1]
             if share[p] >= max(least, 1e-9):
                 component[p], frame[p] = k, f
-                key[p] = frames.key[f]
+                key[p, 0], key[p, 1] = frames.key[f, 0], frames.key[f, 1]
                 at = kept
                 while at > begin and _is_better(p, order[at - 1], share, off, key):
                     order[at] = order[at - 1]

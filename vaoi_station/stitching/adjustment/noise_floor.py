@@ -136,6 +136,7 @@ def noise_floor(residual: Floats, noise: Floats, per_unit: Floats, use: Ints, lo
             low, undecided = middle, above
         else:
             high, surely = middle, surely + above
-            left[: undecided - above] = left[above:undecided].copy()
             undecided -= above
+            for at in range(undecided):
+                left[at] = left[above + at]
     return math.sqrt(low * high)

@@ -189,7 +189,7 @@ def _share_in_frame(corners: Floats, height: float, i: int, d: Floats, array: _A
     """Return the share of a footprint that a frame shows; the frame's border is taken as straight there."""
     polygon, clipped = np.empty((8, 2)), np.empty((8, 2))
     for k in range(4):
-        polygon[k] = _to_pixel(corners[k, 0], corners[k, 1], height, i, d, array)
+        polygon[k, 0], polygon[k, 1] = _to_pixel(corners[k, 0], corners[k, 1], height, i, d, array)
     count, whole = 4, _area(polygon, 4)
     # The polygon is clipped at one border of the frame after the other (Sutherland and Hodgman).
     for border in range(4):
@@ -200,12 +200,15 @@ def _share_in_frame(corners: Floats, height: float, i: int, d: Floats, array: _A
             a, b = polygon[k], polygon[(k + 1) % count]
             u, v = sign * a[axis] - limit, sign * b[axis] - limit
             if u >= 0:
-                clipped[found] = a
+                clipped[found, 0], clipped[found, 1] = a[0], a[1]
                 found += 1
             if (u >= 0) != (v >= 0):
-                clipped[found] = a + (u / (u - v)) * (b - a)
+                for c in range(2):
+                    clipped[found, c] = a[c] + (u / (u - v)) * (b[c] - a[c])
                 found += 1
-        polygon[:found], count = clipped[:found], found
+        count = found
+        for k in range(count):
+            polygon[k, 0], polygon[k, 1] = clipped[k, 0], clipped[k, 1]
     return _area(polygon, count) / whole
 
 
@@ -223,7 +226,7 @@ def _share_of_union(corners: Floats, height: float, near: Ints, rows: Floats, ar
     """Return the share of a footprint that several frames show together; `near` (f, 2) holds camera and row of each."""
     # Parts that are still to be examined lie on a stack as (lowest u, lowest v, side, depth); a division adds three.
     stack = np.empty((3 * _DEEPEST + 4, 4))
-    stack[0] = (0.0, 0.0, 1.0, 0.0)
+    stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = 0.0, 0.0, 1.0, 0.0
     waiting, share, box = 1, 0.0, np.empty(4)
     while waiting:
         waiting -= 1
@@ -241,7 +244,8 @@ def _share_of_union(corners: Floats, height: float, near: Ints, rows: Floats, ar
         elif touched and depth < _DEEPEST:
             half = side / 2
             for k in range(4):
-                stack[waiting + k] = (u + half * (k % 2), v + half * (k // 2), half, depth + 1)
+                stack[waiting + k, 0], stack[waiting + k, 1] = u + half * (k % 2), v + half * (k // 2)
+                stack[waiting + k, 2], stack[waiting + k, 3] = half, depth + 1
             waiting += 4
         elif touched:
             # At the border of the frames, the middle of a smallest part decides whether the part is seen.
@@ -270,7 +274,10 @@ def _cover(
     """
     view = array.view_mm
     unit = np.array([0.0, 0.0, 1.0, 1.0])
-    outer = np.array([view[:, 0].min(), view[:, 1].min(), view[:, 2].max(), view[:, 3].max()])
+    outer = np.array([np.inf, np.inf, -np.inf, -np.inf])
+    for i in range(len(view)):
+        for k in range(2):
+            outer[k], outer[2 + k] = min(outer[k], view[i, k]), max(outer[2 + k], view[i, 2 + k])
     near = np.empty((there.size, 2), np.int64)
     for n in range(len(corners)):
         part, whole, views = corners[n], 0, 0

@@ -210,7 +210,7 @@ def best_peaks(surface: Small, most: int) -> Floats:
                 continue
             count = min(count + 1, most)
             for k in range(count - 1, at, -1):
-                found[k] = found[k - 1]
+                found[k, 0], found[k, 1], found[k, 2] = found[k - 1, 0], found[k - 1, 1], found[k - 1, 2]
             found[at, 0] = height
             found[at, 1], found[at, 2] = x + _vertex_offset(surface[y], x), y + _vertex_offset(surface[:, x], y)
     return found[:count]

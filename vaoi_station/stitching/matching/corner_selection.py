@@ -27,7 +27,6 @@ _Plane = NDArray[np.float32]
 _Ints = NDArray[np.int64]
 
 
-@compiled
 def best_corners(image: NDArray[np.uint8], x0: int, y0: int, across: tuple[int, int], down: tuple[int, int]) -> _Ints:
     """Return the corners (k, 2), x and y in the image: the best pixel of each cell, without cells of weak texture.
 
@@ -38,6 +37,18 @@ def best_corners(image: NDArray[np.uint8], x0: int, y0: int, across: tuple[int, 
         across: number of cells in x, and the width of a cell in pixels.
         down: number of cells in y, and the height of a cell in pixels.
     """
+    best, at = _best_of_cells(image, x0, y0, across, down)
+    # A high quantile over the cells is the texture of a good corner even if most cells show only the belt.
+    place = int(len(best) * _GOOD_SHARE)
+    least = np.float64(max(_WEAK * float(np.partition(best, place)[place]), _LEAST))
+    return np.asarray(at[best > least])
+
+
+@compiled
+def _best_of_cells(
+    image: NDArray[np.uint8], x0: int, y0: int, across: tuple[int, int], down: tuple[int, int]
+) -> tuple[_Plane, _Ints]:
+    """Return the texture of the best pixel of each cell (n,), and its x and y (n, 2)."""
     nx, width = across
     ny, height = down
     columns = nx * width
@@ -51,9 +62,7 @@ def best_corners(image: NDArray[np.uint8], x0: int, y0: int, across: tuple[int, 
             for x in range(left, left + width):
                 if score[y, x] > best[n]:
                     best[n], at[n, 0], at[n, 1] = score[y, x], x0 + x, y0 + y
-    # A high quantile over the cells is the texture of a good corner even if most cells show only the belt.
-    least = max(_WEAK * np.sort(best)[int(len(best) * _GOOD_SHARE)], _LEAST)
-    return np.asarray(at[best > least])
+    return best, at
 
 
 @inlined
