@@ -82,6 +82,34 @@ def test_processes_that_start_together_run_the_same_code(tmp_path: Path) -> None
     assert int(done.stdout) == 0
 
 
+_COUNTED = """
+import gc
+from vaoi_station.compiled import compiled
+
+@compiled
+def half(x):
+    return x / 2
+
+collections = []
+gc.callbacks.append(lambda phase, info: collections.append(phase))
+assert half(2.0) == 1.0
+print(len(collections), gc.isenabled())
+gc.disable()
+assert half(2) == 1.0
+print(gc.isenabled())
+"""
+
+
+def test_no_garbage_is_collected_while_the_compiler_works(tmp_path: Path) -> None:
+    source = tmp_path / "counted.py"
+    source.write_text(_COUNTED)
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    done = subprocess.run([sys.executable, source], env=environment, capture_output=True, text=True, check=True)
+    collections, *enabled = done.stdout.split()
+    assert int(collections) < 20, "there would be some hundreds"
+    assert enabled == ["True", "False"], "as before"
+
+
 _NAMED = """
 from typing import NamedTuple
 import numpy as np
