@@ -23,6 +23,8 @@ _functions: list[Any] = []
 """The compiled functions of all modules that were imported."""
 _LOCK = "vaoi-station.lock"
 """Name of the lock file, in the directory where Numba caches the machine code."""
+_before_compiling: list[Callable[[], object]] = []
+"""What this process calls before it compiles for the first time."""
 
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
@@ -49,6 +51,17 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
 def progress() -> tuple[int, int]:
     """Return how many functions this process has compiled or loaded from the cache, and how many there are."""
     return sum(bool(made.signatures) for made in _functions), len(_functions)
+
+
+@contextmanager
+def when_compiling(act: Callable[[], object]) -> Iterator[None]:
+    """Call `act` in the context once, before this process compiles a function that is not in the cache."""
+    _before_compiling.append(act)
+    try:
+        yield
+    finally:
+        if act in _before_compiling:
+            _before_compiling.remove(act)
 
 
 def signatures() -> set[tuple[str, str]]:
@@ -90,6 +103,8 @@ def _alone(made: Any) -> Callable[[Any], Any]:
                     compiling.enter_context(_lock(cache, fcntl.LOCK_EX))
                     # Another process may have compiled it between the two locks.
                     found = load(*request)
+                if found is None and _before_compiling:
+                    _before_compiling.pop()()
                 return found
 
             made._cache.load_overload = load_or_lock

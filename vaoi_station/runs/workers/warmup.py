@@ -6,6 +6,7 @@ takes no longer than later frames.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 
 import cv2
@@ -16,7 +17,7 @@ from vaoi_station.geometry import Camera, Lens, Projective, System
 from vaoi_station.hdr.kernels import Source, accumulate, add_shifted, by_depth, linearise, mean, noise_factors
 from vaoi_station.heights.estimates import measure_heights
 from vaoi_station.marks.subpixel_localisation import locate_mark
-from vaoi_station.model import BoardType, Stitch
+from vaoi_station.model import BoardType, Status, Stitch
 from vaoi_station.mosaic import MosaicGrid, TakenFrame, choose_frames, make_plan, tiles
 from vaoi_station.mosaic.cells import label_boxes
 from vaoi_station.mosaic.projection import FrameProjector
@@ -42,19 +43,50 @@ def warm_up() -> Stitch:
     # Only frames of cameras that differ are resampled, and the cameras of the synthetic board do not differ.
     resample(picture, np.eye(2, 3), (_RESAMPLED_PX, _RESAMPLED_PX), 1.0)
     _locate_other_marks(picture)
-    label_boxes(np.zeros((2, 2), np.int16), 1)
-    tiles.load()
-    _merge()
-    frame_pairs.load()
     lens = setup.cameras[0].lens
     lens.undistort(lens.distort(np.zeros((1, 2))))
     runner = TaskRunner(setup, partial(_frame, picture))
     tasks = all_tasks(present, dict(enumerate(times_s)), setup)
     stitch = runner.conclude(times_s, present, [runner.perform(task) for task in tasks])
-    assert setup.board_type is not None, "the synthetic board has a board type"
-    _plan(setup, setup.board_type, stitch, picture)
-    measure_heights(setup.board_type, stitch, setup.cameras, partial(_frame, picture))
+    for call in _calls_for_pictures(setup, stitch, picture):
+        call()
     return stitch
+
+
+def warm_up_from_the_end() -> None:
+    """Call what `warm_up` calls after it has stitched, in the opposite order, with the matrices of the synthetic board.
+
+    A second process does this while the first one warms up: neither waits long for what the other one compiles.
+    """
+    setup, picture = _setup(), _picture()
+    for call in reversed(_calls_for_pictures(setup, _true_stitch(setup), picture)):
+        call()
+
+
+def _calls_for_pictures(setup: StitchSetup, stitch: Stitch, picture: NDArray[np.uint8]) -> list[Callable[[], object]]:
+    """Return what calls the functions that are compiled for pictures and heights of a stitched run."""
+    board_type = setup.board_type
+    assert board_type is not None, "the synthetic board has a board type"
+    return [
+        frame_pairs.load,
+        partial(label_boxes, np.zeros((2, 2), np.int16), 1),
+        tiles.load,
+        _merge,
+        partial(_plan, setup, board_type, stitch, picture),
+        partial(measure_heights, board_type, stitch, setup.cameras, partial(_frame, picture)),
+    ]
+
+
+def _true_stitch(setup: StitchSetup) -> Stitch:
+    """Return the matrices with which the frames were cut out of the picture."""
+    motion = [np.array([[1, 0, 0], [0, 1, _STEP_MM * row], [0, 0, 1.0]]) for row in range(_ROWS)]
+    return Stitch(
+        method="auto",
+        image_matrices=tuple(tuple(c.image_from_row.matrix @ d for d in motion) for c in setup.cameras),
+        cad_matrix=np.eye(3),
+        row_motion=tuple(motion),
+        status=Status.OK,
+    )
 
 
 def _locate_other_marks(picture: NDArray[np.uint8]) -> None:

@@ -49,6 +49,7 @@ def run_fork_server(control: socket.socket) -> None:
     # are loaded.
     import cv2
 
+    from vaoi_station.runs.workers.forking.second_compiler import second_compiler
     from vaoi_station.runs.workers.warmup import warm_up
     from vaoi_station.runs.workers.worker_process import run_worker  # noqa: F401  for the workers: see `_work`
 
@@ -58,7 +59,7 @@ def run_fork_server(control: socket.socket) -> None:
     children: dict[int, int] = {}
     # The station may end without a message. This process must not continue without it.
     with control, suppress(ConnectionError):
-        with _progress_sent(control):
+        with _progress_sent(control), second_compiler():
             warm_up()
         # Imported and compiled objects are never freed: `freeze` excludes them from collections, which would write to
         # the memory that all workers share.
