@@ -53,35 +53,65 @@ def test_a_motion_of_the_whole_array_is_not_attributed() -> None:
     assert found.displacement_px == pytest.approx(np.zeros((4, 3)), abs=1e-6)
 
 
-STILL_PX = 0.006
+STILL_PX, UNMOVED_PX = 0.006, 0.001
+PUSHED_PX, PUSHED_SHARE = 0.1, 0.07
+DRAWN = 400_000
 
 
 @pytest.mark.parametrize("others_px", [0.003, 2.0])
 @pytest.mark.parametrize(("shown_px", "seen_at_px"), [(0.002, 0.0), (0.05, 0.0), (0.1, 0.3), (0.3, 0.1), (2.0, 0.0)])
-def test_the_spread_of_an_unseen_motion_is_that_of_the_whole_distribution(
+def test_what_a_push_adds_is_that_of_the_whole_distribution(
     shown_px: float, seen_at_px: float, others_px: float
 ) -> None:
-    """Compare with displacements drawn from the prior and weighted by the likelihood of what the run shows."""
+    """Compare with displacements drawn from the mixture and weighted by the likelihood of what the run shows."""
     information = np.diag(np.array([shown_px, others_px, others_px] * 2) ** -2.0)
     seen = np.array([seen_at_px, 0, 0, 0, 0, 0])
-    still, estimate = np.full(2, STILL_PX), np.zeros((2, 3))
-    spread = spread_of_unseen_motion(
-        information, information @ seen, estimate, prior_weights(estimate, STILL_PX), still
-    )
     g = np.random.default_rng(0)
-    drawn = STILL_PX / 2 * g.standard_cauchy(400_000)
-    # The mixture ends at 128 times its scale, which a prior without variance needs.
-    drawn = drawn[np.abs(drawn) < 150 * STILL_PX]
-    likely = np.exp(-((drawn - seen_at_px) ** 2) / (2 * shown_px**2))
-    whole = likely @ drawn**2 / likely.sum()
-    alone = 1 / (1 / shown_px**2 + prior_weights(estimate, STILL_PX)[0])
-    assert spread[0, 0] == pytest.approx(max(whole - alone, 0), rel=0.5, abs=(0.1 * STILL_PX) ** 2)
+    still = g.normal(0, UNMOVED_PX, DRAWN)
+    drawn = still + np.where(g.random(DRAWN) < PUSHED_SHARE, g.normal(0, PUSHED_PX, DRAWN), 0)
+    square = [mean_square(d, shown_px, seen_at_px) for d in (still, drawn)]
+    added = spread(information, seen, UNMOVED_PX)[0, 0] - unpushed(shown_px, UNMOVED_PX)
+    assert added == pytest.approx(square[1] - square[0], rel=0.1, abs=(0.1 * STILL_PX) ** 2)
 
 
-def test_a_camera_that_many_links_show_has_no_unseen_motion() -> None:
-    information, vector = between_neighbours(np.zeros((3, 3)))
-    estimate = np.zeros((3, 3))
-    spread = spread_of_unseen_motion(
-        information * 400, vector, estimate, prior_weights(estimate, STILL_PX), np.full(3, STILL_PX)
+@pytest.mark.parametrize("unmoved_px", [UNMOVED_PX, 0.03])
+@pytest.mark.parametrize("shown_px", [0.001, 0.003, 0.006])
+def test_a_camera_that_was_not_pushed_has_the_error_of_the_estimate(shown_px: float, unmoved_px: float) -> None:
+    """Compare with estimates of drawn displacements: narrower than the curvature of the prior, or as wide as stated."""
+    g = np.random.default_rng(1)
+    moved = g.normal(0, unmoved_px, DRAWN)
+    weight = float(prior_weights(np.zeros((1, 3)), STILL_PX)[0])
+    estimate = (moved + g.normal(0, shown_px, DRAWN)) / (1 + weight * shown_px**2)
+    assert unpushed(shown_px, unmoved_px) + 1 / (shown_px**-2 + weight) == pytest.approx(
+        np.mean((estimate - moved) ** 2), rel=0.02
     )
-    assert np.sqrt(np.diag(spread).max()) < STILL_PX / 2
+    information = np.eye(6) * shown_px**-2
+    rare = 2 * PUSHED_SHARE * shown_px**3 / PUSHED_PX
+    assert spread(information, np.zeros(6), unmoved_px)[0, 0] == pytest.approx(
+        unpushed(shown_px, unmoved_px), abs=rare + 1e-9
+    )
+
+
+def test_links_that_show_a_camera_to_a_fifth_of_a_push_leave_little_of_it() -> None:
+    """Most boards pass under cameras that have not moved, and their links say so: sigma must follow them."""
+    seen = np.sqrt(0.02**-2 + prior_weights(np.zeros((1, 3)), STILL_PX)[0]) ** -1
+    assert spread(np.eye(6) * 0.02**-2, np.zeros(6), UNMOVED_PX)[0, 0] + seen**2 < (STILL_PX / 2) ** 2
+    assert spread(np.eye(6) * 0.3**-2, np.zeros(6), UNMOVED_PX)[0, 0] > (4 * STILL_PX) ** 2
+
+
+def spread(information: Floats, seen: Floats, unmoved_px: float) -> Floats:
+    """Return the spread of two cameras that are estimated where they were calibrated, and seen at `seen` (6,)."""
+    estimate = np.zeros((2, 3))
+    weight = prior_weights(estimate, STILL_PX)
+    return spread_of_unseen_motion(information, information @ seen, estimate, weight, np.full(2, unmoved_px))
+
+
+def mean_square(drawn: Floats, shown_px: float, seen_at_px: float) -> float:
+    likely = np.exp(-((drawn - seen_at_px) ** 2) / (2 * shown_px**2))
+    return float(likely @ drawn**2 / likely.sum())
+
+
+def unpushed(shown_px: float, unmoved_px: float) -> float:
+    """Return by how much the error of a camera that was not pushed exceeds the curvature, px²."""
+    weight = float(prior_weights(np.zeros((1, 3)), STILL_PX)[0])
+    return (weight * unmoved_px**2 - 1) * weight / (shown_px**-2 + weight) ** 2

@@ -35,8 +35,12 @@ from vaoi_station.stitching.adjustment.problem import CameraEstimate, FiducialPo
 
 _STEP_PX = 0.05
 """Step of the numeric derivatives with respect to a displacement; the functions are smooth over hundreds of px."""
-_STILL_PX = 0.006
-"""Standard deviation within one run of the displacement of a camera that was not moved, for each of x, y and turn."""
+_STILL_PX, _UNMOVED_PX = 0.006, 0.001
+"""Scale of the prior of the estimate, and standard deviation of x, y and turn of a camera that was not pushed.
+
+A camera that was not pushed moves less within one run than the estimate lets it. What links between two cameras have in
+common looks like a displacement: where exposures differ by 17 : 1, positions are worse by a quarter if the estimate is
+as narrow."""
 _FIRST_STILL_PX, _TIGHTENING = 0.5, 4.0
 """The first step uses `_FIRST_STILL_PX` in place of `_STILL_PX`; each further step divides it by `_TIGHTENING`.
 
@@ -181,8 +185,13 @@ def _still_px(cameras: Sequence[Camera]) -> Floats:
 
     It is at least `_STILL_PX`. Where the calibration states its covariance, the errors of shift and turn are added.
     """
+    return np.asarray(np.hypot(_STILL_PX, _stated_px(cameras)))
+
+
+def _stated_px(cameras: Sequence[Camera]) -> Floats:
+    """Return the largest standard deviation (n,) of shift and turn that each camera's calibration states, px."""
     stated = [0.0 if c.covariance_px2 is None else float(np.diag(c.covariance_px2)[:PARAMETERS].max()) for c in cameras]
-    return np.asarray(np.hypot(_STILL_PX, np.sqrt(stated)))
+    return np.asarray(np.sqrt(np.array(stated)))
 
 
 class MovingCameras:
@@ -206,6 +215,7 @@ class MovingCameras:
         self._effects_at = self.displacement_px
         self._final_px = _still_px(self.calibrated)
         self._still_px = np.maximum(_FIRST_STILL_PX, self._final_px)
+        self._unmoved_px: Floats = np.hypot(_UNMOVED_PX, _stated_px(self.calibrated))
         self._weight: Floats | None = None
         self._information, self._vector = np.zeros((self.unknowns,) * 2), np.zeros(self.unknowns)
         self._rivals: tuple[int, ...] = ()
@@ -303,10 +313,11 @@ class MovingCameras:
         return True
 
     def widen(self, covariance: Floats, others: int) -> Floats:
-        """Return the covariance widened by the spread of other good explanations of the displacements.
+        """Return the covariance with the spread of other good explanations of the displacements.
 
-        If two explanations fit equally well, positions are as uncertain as their difference. Where hardly a link shows
-        a camera, the tails of its prior count as well. All other unknowns follow the displacements linearly.
+        If two explanations fit equally well, positions are as uncertain as their difference. Cameras that were not
+        pushed vary less than the prior of the estimate lets them; where hardly a link shows a camera, it may have been
+        pushed unseen. All other unknowns follow the displacements linearly.
 
         Args:
             covariance: (m, v, v) for each row, covariance of its unknowns, the shared ones, and the displacements.
@@ -316,7 +327,9 @@ class MovingCameras:
         if not self.unknowns or not self._information.any():
             return covariance
         weight = prior_weights(self.displacement_px, self._final_px)
-        spread = spread_of_unseen_motion(self._information, self._vector, self.displacement_px, weight, self._final_px)
+        spread = spread_of_unseen_motion(
+            self._information, self._vector, self.displacement_px, weight, self._unmoved_px
+        )
         if self._spread is not None:
             spread = spread + self._spread
         follow = covariance[:, :, others:] @ np.linalg.inv(covariance[0, others:, others:])

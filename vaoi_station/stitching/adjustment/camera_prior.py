@@ -29,16 +29,12 @@ _CLOSE = 10.0
 
 Such explanations can name different cameras. Only keystone distortion could decide between them. A camera shows it
 after a turn, but not after a shift."""
-_WIDTHS = 2.0 ** np.arange(-2, 8)
-"""Widths in units of the scale of the t distribution, of the normal distributions of which it is a mixture here."""
-_SHARE_OF_WIDTH = np.exp(-0.5 / _WIDTHS**2) / _WIDTHS
-_SHARE_OF_WIDTH /= _SHARE_OF_WIDTH.sum()
-"""Share of each in the mixture, for one degree of freedom: 1/width² has the distribution χ² of one."""
-_OF_ONE_AXIS = 1 / 2
-"""Scale of the t distribution of x, y or turn by itself, in units of the scale of that of all three together.
+_PUSHED_SHARE, _PUSHED_PX = 0.07, 0.1
+"""Share of cameras that were pushed along x (or along y, or turned), and standard deviation of such a displacement.
 
-A camera then moves far three quarters as often as by the distribution of all three. With more, σ of the many boards
-under cameras that have not moved would be too large (docs/measured/uncertainty.md)."""
+Together they are 0.03 px rms, as `STILL_PX`. With a smaller share or width, errors under pushed cameras would be too
+long in units of σ; with larger ones, σ under cameras that have not moved would be too large
+(docs/measured/uncertainty.md)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,42 +117,48 @@ def _with_rivals(chosen: Attribution, good: list[tuple[float, Attribution]]) -> 
 
 
 def spread_of_unseen_motion(
-    information: Floats, vector: Floats, displacement_px: Floats, weight: Floats, still_px: Floats
+    information: Floats, vector: Floats, displacement_px: Floats, weight: Floats, unmoved_px: Floats
 ) -> Floats:
-    """Return by how much cameras may have moved that the run does not show, beyond the covariance of the estimate.
+    """Return the mean square error of estimated displacements, beyond the curvature at the estimate.
 
-    The estimate is the maximum of the probability, with the curvature there. For a camera that hardly any link
-    compares with its neighbours, this is the curvature of the prior of a camera that was not moved, although the heavy
-    tails of the prior allow a motion that no link would show. Here each of x, y and turn of a camera has its whole
-    distribution, as a mixture of normal distributions, while all others keep theirs. One by one, because a camera may
-    move along one of them alone: that the links show no motion along the other two is no evidence against it.
+    The estimate is the maximum of the probability, under a prior that is wide near its peak and has heavy tails. The
+    error follows from where cameras are: nearly all exactly where they were calibrated, a few pushed. For the first the
+    curvature is too wide. For a camera that hardly any link compares with its neighbours it is too narrow, since that
+    camera may have been pushed by an amount that no link would show. So each of x, y and turn of a camera is a mixture
+    of two normal distributions here, not pushed and pushed, between which the links decide, while all others keep their
+    priors. One by one, because a camera may move along one of them alone: that the links show no motion along the
+    other two is no evidence against it.
 
     Args:
         information: (3n, 3n) px⁻², normal matrix of the displacements, without their prior.
         vector: (3n,) px⁻¹, its right-hand side.
         displacement_px: (n, 3) the estimated displacements.
-        weight: (n,) px⁻², weights of the prior at these.
-        still_px: (n,) scale of the prior of each camera.
+        weight: (n,) px⁻², weights of the prior at these (`prior_weights`).
+        unmoved_px: (n,) standard deviation of x, y and turn of each camera if it was not pushed.
 
     Returns:
-        (3n, 3n) px², to be added to the covariance of the displacements.
+        (3n, 3n) px², to be added to the covariance of the displacements. It may have negative eigenvalues.
     """
     n = len(displacement_px)
-    weights, scale = np.repeat(weight, PARAMETERS), np.repeat(_OF_ONE_AXIS * still_px, PARAMETERS)
+    weights, unmoved = np.repeat(weight, PARAMETERS), np.repeat(unmoved_px**2, PARAMETERS)
     whole = information + np.diag(weights)
-    spread = np.zeros(PARAMETERS * n)
+    curvature = np.linalg.inv(whole)
+    # A camera that is estimated as moved keeps the width that the prior of the estimate has there.
+    actual = unmoved + np.repeat((displacement_px**2).sum(1), PARAMETERS) / (1 + PARAMETERS)
+    spread = np.asarray(curvature * (weights**2 * (actual - 1 / weights)) @ curvature, dtype=np.float64)
+    share = np.array([1 - _PUSHED_SHARE, _PUSHED_SHARE])
     for k, estimate in enumerate(displacement_px.ravel()):
         rest = np.delete(np.arange(PARAMETERS * n), k)
         follow = information[k, rest] @ np.linalg.inv(whole[np.ix_(rest, rest)])
         alone = float(information[k, k] - follow @ information[rest, k])
         right = float(vector[k] - follow @ vector[rest])
-        width = (_WIDTHS * scale[k]) ** 2
+        width = unmoved[k] + np.array([0.0, _PUSHED_PX**2])
         variance = 1 / (alone + 1 / width)
         evidence = variance * right**2 - np.log1p(alone * width)
-        share = _SHARE_OF_WIDTH * np.exp((evidence - evidence.max()) / 2)
-        mixed = share @ (variance + (variance * right - estimate) ** 2) / share.sum()
-        spread[k] = max(float(mixed) - 1 / (alone + weights[k]), 0.0)
-    return np.diag(spread)
+        likely = share * np.exp((evidence - evidence.max()) / 2)
+        still, pushed = (variance + (variance * right - estimate) ** 2).tolist()
+        spread[k, k] += max(pushed - still, 0.0) * float(likely[1] / likely.sum())
+    return spread
 
 
 def prior_weights(displacement_px: Floats, still_px: float | Floats) -> Floats:
