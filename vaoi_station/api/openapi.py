@@ -20,6 +20,7 @@ from vaoi_station.api.callers.repeated_requests import HEADER
 from vaoi_station.api.callers.thread_limit import ThreadLimit
 from vaoi_station.api.description import headers, refusals, schemas
 from vaoi_station.api.description.examples import add_examples
+from vaoi_station.api.description.for_c import for_c
 from vaoi_station.api.description.older import downgraded
 from vaoi_station.api.http_caching import REVALIDATE, conditional_response
 from vaoi_station.api.problems import Fault, Problem
@@ -56,10 +57,12 @@ URL = "/api/v1/openapi.json"
 """Address of the document."""
 OLDER_URL = "/api/v1/openapi-3.0.json"
 """Address of the document in version 3.0."""
+C_URL = "/api/v1/openapi-c.json"
+"""Address of the document of which a C client can be made."""
 
 
 def install(app: FastAPI) -> None:
-    """Make the application publish the document, and the same in version 3.0 for older generators."""
+    """Make the application publish the document, the same in version 3.0 for older generators, and one for C."""
 
     def document() -> dict[str, Any]:
         if app.openapi_schema is None:
@@ -78,13 +81,19 @@ def install(app: FastAPI) -> None:
 
     @cache
     def text(url: str) -> bytes:
-        return json.dumps(downgraded(document()) if url == OLDER_URL else document(), ensure_ascii=False).encode()
+        shown = document()
+        if url in (OLDER_URL, C_URL):
+            shown = downgraded(shown)
+        if url == C_URL:
+            shown = for_c(shown)
+        return json.dumps(shown, ensure_ascii=False).encode()
 
     # Made once, in one thread beside the event loop: it takes longer than a second, and callers need no key.
     making = ThreadLimit(1)
 
     @app.get(URL, include_in_schema=False)
     @app.get(OLDER_URL, include_in_schema=False)
+    @app.get(C_URL, include_in_schema=False)
     async def get_document(request: Request) -> Response:
         content = await making.ask(text, request.url.path)
         return conditional_response(request, content, "application/json", cache=REVALIDATE)
