@@ -13,6 +13,7 @@ from typing import Any
 import httpx2
 import pytest
 
+from vaoi_station.api.listener import http_connection
 from vaoi_station.api.listener.connections import ConnectionLimits
 from vaoi_station.api.listener.http_connection import LimitedHttp
 
@@ -163,6 +164,33 @@ def test_a_connection_that_waits_is_served_when_another_one_ends(station: Any, s
     server.station.film()
     assert received(first).startswith(b"HTTP/1.1 200")
     assert received(second).startswith(b"HTTP/1.1 200")
+    server.stop()
+
+
+def test_a_connection_that_was_closed_while_it_waited_takes_no_turn_of_others(station: Any, serve: Any) -> None:
+    """Otherwise a program at the same address would wait for all that a flood has given up."""
+    server = serve(station, limits=replace(ONE_PLACE, waiting_per_address=20, wait_s=60.0))
+    server.client.close()
+    first = polling(server)
+    for _ in range(10):
+        asked_from("127.0.0.66", server.port, HALF).close()
+    last = asked_from("127.0.0.66", server.port, CLOSING)
+    server.station.film()
+    assert received(first).startswith(b"HTTP/1.1 200")
+    assert received(last).startswith(b"HTTP/1.1 200")
+    server.stop()
+
+
+@pytest.mark.parametrize(("young_s", "answer"), [(60.0, b"HTTP/1.1 503"), (0.0, b"HTTP/1.1 200")])
+def test_a_new_connection_keeps_its_place_for_a_moment(
+    station: Any, serve: Any, monkeypatch: pytest.MonkeyPatch, young_s: float, answer: bytes
+) -> None:
+    """Its request may be on its way: otherwise connections in a flood end before the station has read it."""
+    monkeypatch.setattr(http_connection, "_YOUNG_S", young_s)
+    server = serve(station, limits=ONE_PLACE)
+    server.client.close()
+    with asked_from("127.0.0.66", server.port, HALF):
+        assert received(asked_from("127.0.0.66", server.port, CLOSING)).startswith(answer)
     server.stop()
 
 

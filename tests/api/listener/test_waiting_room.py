@@ -81,6 +81,23 @@ def test_as_many_wait_of_one_caller_and_in_all_as_permitted(made: Callable[[], s
     assert room.add(C, made(), 0.0)
 
 
+def test_connections_that_their_callers_have_closed_leave() -> None:
+    room, pairs = WaitingRoom(ConnectionLimits(waiting_per_address=3)), [socket.socketpair() for _ in range(3)]
+    for address, (here, there) in zip((A, A, B), pairs, strict=True):
+        assert room.add(address, here, 0.0)
+        there.sendall(b"GET / HTTP/1.1\r\n\r\n")
+    for _, there in pairs[::2]:
+        there.close()
+    room.leave_closed()
+    assert (len(room), room.addresses()) == (1, [A])
+    first = room.first(A)
+    assert first is not None
+    assert first.connected is pairs[1][0]
+    assert [here.fileno() for here, _ in pairs[::2]] == [-1, -1]
+    for s in pairs[1]:
+        s.close()
+
+
 def test_as_many_are_kept_to_be_refused_as_permitted(made: Callable[[], socket.socket]) -> None:
     room, sockets = WaitingRoom(ConnectionLimits(refused=2)), [made(), made(), made()]
     assert [room.refuse_later(s) for s in sockets] == [True, True, False]

@@ -102,6 +102,7 @@ class Acceptor:
             now = self._loop.time()
             for connected in self._waiting.take_refused():
                 self._refuse(connected)
+            self._waiting.leave_closed()
             for address in self._waiting.addresses():
                 self._serve_waiting(address, now)
         finally:

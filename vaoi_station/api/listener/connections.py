@@ -17,7 +17,7 @@ from typing import NamedTuple, Protocol
 
 MOST_CONNECTIONS = 256
 MOST_PER_ADDRESS = 64
-MOST_WAITING, MOST_WAITING_PER_ADDRESS = 128, 32
+MOST_WAITING, MOST_WAITING_PER_ADDRESS, MOST_REFUSED = 512, 256, 64
 """Limits of the connections that wait for the place of another one."""
 
 
@@ -64,16 +64,18 @@ class ConnectionLimits:
     """Longest total time for which one reply waits for its reader; event streams have no such limit."""
     closing_s: float = 5.0
     """Time in which the rest of a reply must be read after the station has closed the connection."""
-    exchanges: int = 32
+    exchanges: int = 64
     """Number of new connections of one address that take the place of others at once."""
-    exchanges_per_s: float = 32.0
+    exchanges_per_s: float = 128.0
     """Number of them per second after that. What comes faster waits."""
     waiting: int = MOST_WAITING
     """Limit of the connections that wait for a place; others are refused."""
     waiting_per_address: int = MOST_WAITING_PER_ADDRESS
-    wait_s: float = 1.0
+    """More than a program opens that does not read, and served within `wait_s`: one at the same address waits for it,
+    and is not refused."""
+    wait_s: float = 5.0
     """Longest time for which a connection waits for a place. After it, its request is answered with 503."""
-    refused: int = MOST_WAITING // 2
+    refused: int = MOST_REFUSED
     """Limit of the connections that are kept for a moment, until their request can be answered with 503."""
 
     @classmethod
@@ -82,13 +84,13 @@ class ConnectionLimits:
         # Cameras, database, workers and references need file descriptors too.
         soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
         total = MOST_CONNECTIONS if soft == resource.RLIM_INFINITY else max(8, min(MOST_CONNECTIONS, soft // 3))
-        waiting = min(MOST_WAITING, max(4, total // 2))
+        waiting = MOST_WAITING if soft == resource.RLIM_INFINITY else max(4, min(MOST_WAITING, soft // 4))
         return cls(
             total=total,
             per_address=min(MOST_PER_ADDRESS, max(4, total // 2)),
             waiting=waiting,
-            waiting_per_address=min(MOST_WAITING_PER_ADDRESS, waiting),
-            refused=waiting // 2,
+            waiting_per_address=min(MOST_WAITING_PER_ADDRESS, max(2, waiting * 3 // 4)),
+            refused=min(MOST_REFUSED, waiting // 2),
         )
 
 

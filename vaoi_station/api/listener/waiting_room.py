@@ -8,6 +8,7 @@ socket: it has neither a task nor a protocol, and its request is not read.
 
 from __future__ import annotations
 
+import select
 import socket
 from collections import deque
 from typing import NamedTuple
@@ -91,6 +92,24 @@ class WaitingRoom:
         self._size -= 1
         if not queue:
             del self._queues[address]
+
+    def leave_closed(self) -> None:
+        """Close the waiting connections that their callers have closed, so that others come sooner."""
+        everyone = {w.connected.fileno() for queue in self._queues.values() for w in queue}
+        poll = select.poll()
+        for number in everyone:
+            # A request that was sent before does not hide that the caller has closed (poll(2)).
+            poll.register(number, select.POLLRDHUP)
+        closed = {number for number, _ in poll.poll(0)}
+        for address, queue in list(self._queues.items()):
+            gone = [w for w in queue if w.connected.fileno() in closed]
+            if gone:
+                self._size -= len(gone)
+                self._queues[address] = deque(w for w in queue if w.connected.fileno() not in closed)
+            for waiting in gone:
+                waiting.connected.close()
+            if not self._queues[address]:
+                del self._queues[address]
 
     def refuse_later(self, connected: socket.socket) -> bool:
         """Keep a connection until its request has arrived, and then refuse it. Return False if there is no room."""
