@@ -13,7 +13,6 @@ from typing import Any
 import httpx2
 import pytest
 
-from vaoi_station.api.listener import http_connection
 from vaoi_station.api.listener.connections import ConnectionLimits
 from vaoi_station.api.listener.http_connection import LimitedHttp
 
@@ -182,12 +181,9 @@ def test_a_connection_that_was_closed_while_it_waited_takes_no_turn_of_others(st
 
 
 @pytest.mark.parametrize(("young_s", "answer"), [(60.0, b"HTTP/1.1 503"), (0.0, b"HTTP/1.1 200")])
-def test_a_new_connection_keeps_its_place_for_a_moment(
-    station: Any, serve: Any, monkeypatch: pytest.MonkeyPatch, young_s: float, answer: bytes
-) -> None:
+def test_a_new_connection_keeps_its_place_for_a_moment(station: Any, serve: Any, young_s: float, answer: bytes) -> None:
     """Its request may be on its way: otherwise connections in a flood end before the station has read it."""
-    monkeypatch.setattr(http_connection, "_YOUNG_S", young_s)
-    server = serve(station, limits=ONE_PLACE)
+    server = serve(station, limits=replace(ONE_PLACE, young_s=young_s))
     server.client.close()
     with asked_from("127.0.0.66", server.port, HALF):
         assert received(asked_from("127.0.0.66", server.port, CLOSING)).startswith(answer)

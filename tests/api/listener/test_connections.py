@@ -44,6 +44,17 @@ def test_a_connection_that_never_sent_a_request_is_closed_before_an_idle_one() -
     assert (kept_alive.closed, half_sent.closed) == (False, True)
 
 
+def test_no_connection_is_closed_while_the_one_that_is_needed_least_is_young() -> None:
+    """Otherwise connections in a flood would end before their requests are read, or the one of a program that waits."""
+    kept_alive, new = Held(A, 1.0, served=True), Held(A, 9.0)
+    connections = ConnectionTable(ConnectionLimits(per_address=2, young_s=0.25))
+    assert all(connections.admit(c, 9.0) for c in (kept_alive, new))
+    assert not connections.admit(Held(A), 9.2)
+    assert (kept_alive.closed, new.closed) == (False, False)
+    assert connections.admit(Held(A), 9.3)
+    assert (kept_alive.closed, new.closed) == (False, True)
+
+
 def test_requests_under_way_are_not_interrupted_for_a_new_connection() -> None:
     connections = table()
     assert all(connections.admit(Held(A)) for _ in range(3))

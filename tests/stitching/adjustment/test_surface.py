@@ -46,6 +46,12 @@ def test_the_prior_of_the_surface_has_heavy_tails() -> None:
     assert tilted[[0, 3, 4, 5]].tolist() == pytest.approx(SIGMA_MM[[0, 3, 4, 5]], rel=0.01)
 
 
+def test_a_lift_of_many_millimetres_stays_unlikely() -> None:
+    """Otherwise it would explain a turned camera with a single seam (`tests/cases/test_watching.py`)."""
+    lifted = prior_sigma_mm(np.array([11.0, 0, 0, 0, 0, 0]), SIGMA_MM)
+    assert lifted.tolist() == SIGMA_MM.tolist()
+
+
 @given(st.floats(0, 50))
 def test_a_larger_tilt_is_less_likely(tilt_mm: float) -> None:
     """The gradient of the prior points to 0 everywhere, however weak it is."""

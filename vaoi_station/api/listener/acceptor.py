@@ -79,7 +79,7 @@ class Acceptor:
         if by_turn and not self._turns.left(address, now):
             return False
         accepted = AcceptedConnection(address, now)
-        if not self.table.admit(accepted):
+        if not self.table.admit(accepted, now):
             return False
         if by_turn:
             self._turns.take(address, now)

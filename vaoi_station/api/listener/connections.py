@@ -8,6 +8,7 @@ connections open without using them cannot exclude others.
 from __future__ import annotations
 
 import ipaddress
+import math
 import resource
 from collections import Counter
 from collections.abc import Iterator
@@ -64,6 +65,8 @@ class ConnectionLimits:
     """Longest total time for which one reply waits for its reader; event streams have no such limit."""
     closing_s: float = 5.0
     """Time in which the rest of a reply must be read after the station has closed the connection."""
+    young_s: float = 0.25
+    """Time for which a connection without a reply yet keeps its place: its request is on its way, or not read yet."""
     exchanges: int = 64
     """Number of new connections of one address that take the place of others at once."""
     exchanges_per_s: float = 128.0
@@ -113,18 +116,21 @@ class ConnectionTable:
         """Return whether a new connection of an address needs no place of another one."""
         return self._numbers[address] < self._limits.per_address and len(self._open) < self._limits.total
 
-    def admit(self, new: Connection) -> bool:
-        """Add a connection, if necessary in place of another one. Return False if all others are in use."""
+    def admit(self, new: Connection, now: float = math.inf) -> bool:
+        """Add a connection, if necessary in place of another one. Return False if all others are in use.
+
+        `now` is the time of the event loop; without it no other connection is young.
+        """
         if self._numbers[new.address] >= self._limits.per_address:
-            if not self._close_one([c for c in self._open.values() if c.address == new.address]):
+            if not self._close_one([c for c in self._open.values() if c.address == new.address], now):
                 return False
-        elif len(self._open) >= self._limits.total and not self.make_room():
+        elif len(self._open) >= self._limits.total and not self.make_room(now):
             return False
         self._open[id(new)] = new
         self._numbers[new.address] += 1
         return True
 
-    def make_room(self) -> bool:
+    def make_room(self, now: float = math.inf) -> bool:
         """Close the connection that is needed least, of the address with the most connections.
 
         Return whether one was closed.
@@ -133,7 +139,7 @@ class ConnectionTable:
         for connection in self._open.values():
             by_address.setdefault(connection.address, []).append(connection)
         crowds = sorted(by_address.values(), key=len, reverse=True)
-        return any(self._close_one(crowd) for crowd in crowds)
+        return any(self._close_one(crowd, now) for crowd in crowds)
 
     def discard(self, connection: Connection) -> None:
         """Remove a connection that has ended."""
@@ -142,11 +148,14 @@ class ConnectionTable:
             if not self._numbers[connection.address]:
                 del self._numbers[connection.address]
 
-    def _close_one(self, crowd: list[Connection]) -> bool:
+    def _close_one(self, crowd: list[Connection], now: float) -> bool:
         idle = [(idleness, c) for c in crowd if (idleness := c.idleness()) is not None]
         if not idle:
             return False
-        _, victim = min(idle, key=lambda entry: entry[0])
+        least, victim = min(idle, key=lambda entry: entry[0])
+        # The one that is needed least is young: those that have served are not closed for it either.
+        if not least.served and now - least.since < self._limits.young_s:
+            return False
         self.discard(victim)
         victim.cut()
         return True

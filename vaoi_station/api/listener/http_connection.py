@@ -19,8 +19,6 @@ STREAMS = frozenset({"/api/v1/events"})
 """Paths whose replies have no end, so that only the time without progress is limited."""
 _SLOW_READER_S = 2.0
 """A caller that has not read for this time, s, may lose its connection to a new one."""
-_YOUNG_S = 0.25
-"""Time for which a new connection keeps its place, s: its request is on its way, or has arrived and is not read yet."""
 _LINGER_S = 1.0
 """Time for which a TLS connection stays after its last reply, s, so that the caller receives all of it."""
 _QUIET_S = 10.0
@@ -150,8 +148,7 @@ class LimitedHttp(H11Protocol):
         if self._paused is not None:
             return Idleness(False, self._paused) if self.loop.time() - self._paused > _SLOW_READER_S else None
         if self._answered():
-            young = not self._served and self.loop.time() - self._since < _YOUNG_S
-            return None if young else Idleness(self._served, self._since)
+            return Idleness(self._served, self._since)
         return Idleness(False, self._since) if self.cycle.more_body else None
 
     def overdue(self) -> bool:

@@ -20,8 +20,10 @@ from vaoi_station.model import BoardType, Surface
 SIGMA_MM = np.array([1.0, 0.08, 0.08, 0.3, 0.1, 0.3])
 """(6,) prior standard deviations of the coefficients, mm: lift, tilt along u, tilt along v, and bow (u², uv, v²)."""
 
-_KINDS = (slice(0, 1), slice(1, 3), slice(3, 6))
-"""Coefficients that occur together: lift, tilt and bow. A board that is tilted along u may as well be along v."""
+_KINDS = (slice(1, 3), slice(3, 6))
+"""Coefficients with heavy tails that occur together: tilt and bow. A board that is tilted along u may as well be along
+v. The lift has none: rails and depth of field leave no room for one of many millimetres, which would otherwise explain
+a turned camera with a single seam."""
 _FREEDOM = 4.0
 """Degrees of freedom of the t distribution of each kind: a board that lies on something is tilted by far more."""
 
@@ -32,7 +34,7 @@ _EDGE = 1.2
 def prior_sigma_mm(coefficients_mm: Floats, sigma_mm: Floats) -> Floats:
     """Return the standard deviations (f,) of the prior at given coefficients (f,) of the surface.
 
-    The prior of lift, of tilt and of bow has heavy tails, Student's t distribution: most boards lie well, and those
+    The prior of tilt and of bow has heavy tails, Student's t distribution: most boards lie well, and those
     that do not may lie in any way. A normal distribution of these standard deviations has the same gradient. They are
     `sigma_mm` (f,) at 0, and grow where links and fiducials contradict that.
     """
