@@ -188,7 +188,7 @@ def test_weights_follow_from_noise_noise_floor_and_length(scene: Scene) -> None:
     floor, shared = np.array([0.3, 0.6]), np.array([0.1, 0.2])
     compute_weights(
         scene.links,
-        NoiseModel(kind, floor, shared, 2.0, 6.0, NONE_RAISED, FLAT, BARE, 0.0),
+        NoiseModel(kind, floor, shared, 2.0, 6.0, NONE_RAISED, FLAT, BARE, FLAT, np.inf),
         int(group.max()) + 1,
         state,
     )
@@ -213,9 +213,8 @@ def test_links_whose_patches_cover_one_another_weigh_together_as_much_as_one(sce
 def test_links_of_one_pair_never_weigh_more_than_their_common_error_allows(scene: Scene) -> None:
     state, group = LinkState.zeros(LINKS), scene.links.group
     shared_px = 0.4
-    noise = NoiseModel(
-        np.zeros(LINKS, np.int_), np.array([0.01]), np.array([shared_px]), 2.0, 6.0, NONE_RAISED, FLAT, BARE, 0.0
-    )
+    kind, floor, shared = np.zeros(LINKS, np.int_), np.array([0.01]), np.array([shared_px])
+    noise = NoiseModel(kind, floor, shared, 2.0, 6.0, NONE_RAISED, FLAT, BARE, FLAT, np.inf)
     compute_weights(scene.links, noise, int(group.max()) + 1, state)
     limit = 2 / (shared_px / 20.0) ** 2
     assert (np.bincount(group, state.weight[:, 0] + state.weight[:, 2]) <= limit * (1 + 1e-12)).all()
@@ -228,13 +227,13 @@ def weights_of(
     scatter_mm: Array = FLAT,
     cell: NDArray[np.int_] = BARE,
     common_mm: float = 0.2,
+    plainly: float = np.inf,
 ) -> LinkState:
     """Compute the weights of links whose residual changes by 0.1 mm in x per mm of height."""
     state = LinkState.zeros(LINKS)
     state.residual[:], state.lean[:] = residual, (0.1, 0.0)
-    noise = NoiseModel(
-        np.zeros(LINKS, np.int_), np.array([0.01]), np.array([0.0]), 2.0, 6.0, raised, scatter_mm, cell, common_mm
-    )
+    kind, floor, common = np.zeros(LINKS, np.int_), np.array([0.01]), np.full(LINKS, common_mm)
+    noise = NoiseModel(kind, floor, np.array([0.0]), 2.0, 6.0, raised, scatter_mm, cell, common, plainly)
     compute_weights(scene.links, noise, int(scene.links.group.max()) + 1, state)
     return state
 
@@ -281,6 +280,17 @@ def test_a_point_beside_a_component_scatters_and_may_be_raised_besides(scene: Sc
     assert 1 / plain.weight[:, 0] == pytest.approx(1e-4 + (0.01 / 20) ** 2 + 0.01**2)
     assert (raised.weight[:, 0] < 0.2 * plain.weight[:, 0]).all()
     assert (raised.robust == 1).all()
+
+
+def test_a_point_plainly_above_the_bare_board_loses_weight(scene: Scene) -> None:
+    """From three standard deviations on, it lies on a part that the board type does not list; nothing lies below."""
+    sigma_mm = float(np.hypot(0.01, 0.01 / 20))
+    for n in (-4.5, 2.9, 4.5):
+        shown = np.array([-n * sigma_mm, 0.0])
+        plain, bare = weights_of(scene, NONE_RAISED, shown), weights_of(scene, NONE_RAISED, shown, plainly=3.0)
+        less = 1 / (1 + max(n - 3, 0.0) ** 2)
+        assert bare.robust == pytest.approx(plain.robust * less)
+        assert bare.weight == pytest.approx(plain.weight * less)
 
 
 def test_the_weight_of_a_raised_link_falls_without_a_step(scene: Scene) -> None:

@@ -13,7 +13,7 @@ from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.adjustment.observations import to_observations
 from vaoi_station.stitching.adjustment.problem import Problem
 from vaoi_station.stitching.board.board_plane import BoardPlane
-from vaoi_station.stitching.board.own_texture import beside, outline_confirmed, without_seams_beside
+from vaoi_station.stitching.board.own_texture import beside, outline_confirmed, without_links_beside
 from vaoi_station.stitching.matching.evidence import Links, Task
 from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
 from vaoi_station.stitching.matching.scene import Scene
@@ -107,9 +107,27 @@ def test_links_between_cameras_beside_the_board_are_left_out(workshop: Any) -> N
     velocity, times = np.array([0.0, 50.0]), np.array([0.0, 0.1])
     problem = Problem(times, velocity, to_observations(found, cameras), np.full(8, -1))
     motion = Motion(np.zeros(2), np.zeros((2, 2)), np.zeros(2))
-    kept = without_seams_beside(plane_of([[0, 0], [20, 10]]), problem, motion, C)
-    np.testing.assert_allclose(kept.links.a_mm, [*places[[0, 2]], *places], atol=1e-9)
-    assert len(kept.component) == 6
+    plane = plane_of([[0, 0], [20, 10]])
+    kept = without_links_beside(plane, problem, motion, C, confirmed=False)
+    np.testing.assert_allclose(kept.links.a_mm, [places[0], *places], atol=1e-9)
+    assert len(kept.component) == 5
+    kept = without_links_beside(plane, problem, motion, C, confirmed=True)
+    np.testing.assert_allclose(kept.links.a_mm, places[[0, 0]], atol=1e-9)
+
+
+def test_few_links_along_the_edge_of_a_board_are_kept(workshop: Any) -> None:
+    """On an even belt the edge of a board shows how it moves; only where such links are many may a bed have won."""
+    cameras = (workshop.camera(),)
+    inside = np.column_stack([np.linspace(5, 15, 19), np.full(19, 5.0)])
+    velocity, times = np.array([0.0, 50.0]), np.array([0.0, 0.1])
+    motion, plane = Motion(np.zeros(2), np.zeros((2, 2)), np.zeros(2)), plane_of([[0, 0], [20, 10]])
+    for outside, left in ((2, 21), (3, 19)):
+        places = np.vstack([inside, np.tile([10.0, 10.4], (outside, 1))])
+        px = cameras[0].project(places)
+        n = len(px)
+        found = [Links(Task("rows", (0, 0), (0, 1)), px, px, np.tile(np.eye(2), (n, 1, 1)), np.ones(n))]
+        problem = Problem(times, velocity, to_observations(found, cameras), np.full(n, -1))
+        assert len(without_links_beside(plane, problem, motion, C, confirmed=True).links) == left
 
 
 def test_nothing_is_beside_a_board_without_an_outline() -> None:

@@ -209,7 +209,7 @@ def test_links_beside_components_show_no_offset_of_a_seam_along_their_lean() -> 
     lean = np.tile((0.1, 0.0), (30, 1))
     covariance = np.zeros((30, 2, 2))
     links = Observations(row, row, pairs, pairs, pairs, lean, covariance, np.full(30, 10.0), np.ones(30), row, ())
-    problem = replace(NO_PROBLEM, links=links, component=np.full(30, -1), near=near)
+    problem = replace(NO_PROBLEM, links=links, component=np.full(30, -1), near=np.where(near, 3, -1))
     of_sides = replace(adjusted(), link_px=np.where(near[:, None], (0.4, 0.0), (0.01, 0.02)))
     every = np.arange(30)
     assert seam_offset_px(problem, of_sides, every, least=12) == pytest.approx(0.01, abs=1e-9)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -29,6 +30,13 @@ def test_cameras_in_the_right_rows_have_no_offset(filmed: Any) -> None:
     sound = findings_of(filmed)
     assert sound.row_offsets == {}
     assert row_offset(sound.scene, sound.links, 0) == 0
+
+
+def test_a_camera_whose_neighbouring_rows_are_missing_has_no_offset(filmed: Any) -> None:
+    """Hostile drawing 101170: the overlap was searched in rows of which the other camera had no frame."""
+    sound = findings_of(filmed)
+    alone = replace(sound.scene, present=tuple(key for key in sound.scene.present if key[0] == 0))
+    assert row_offset(alone, sound.links, 0) == 0
 
 
 @pytest.mark.parametrize(

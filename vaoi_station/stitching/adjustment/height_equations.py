@@ -14,7 +14,25 @@ import numpy as np
 from vaoi_station.compiled import compiled, inlined
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.adjustment.envelope import Envelope, NormalEquations
-from vaoi_station.stitching.adjustment.observations import CameraPairs, Ints, LinkArrays, group_begins
+from vaoi_station.stitching.adjustment.observations import CameraPairs, Ints, LinkArrays, cells_of, group_begins
+from vaoi_station.stitching.adjustment.problem import Problem
+
+_BODY_MM, _COMMON_MM = 0.3, 0.2
+"""Standard deviation of the heights of a component's points about the component's height (body, leads, board between).
+
+The second value is that of the mean height of those points that one pair of frames links. Without them, links on
+components counted like those on the bare board, and estimated a bow of up to 0.8 mm that was not there
+(docs/measured/hostile.md)."""
+_SHARE = 0.3
+"""Least value of the same, as a share of the component's height.
+
+Points of tall components lie anywhere between the board and the top: heights that are distributed evenly scatter by
+0.29 of the largest."""
+_SIDE_MM = 0.1
+"""The same for links between two cameras beside a component: each camera sees another side of it, or its shadow."""
+_BESIDE_SHARE, _LOW_MM = 0.58, 0.5
+"""Root mean square height of points on the side of a component, as a share of that part of its height that exceeds
+`_LOW_MM`. The sides of lower components hardly reach into patches beside them."""
 
 
 class HeightModel(NamedTuple):
@@ -24,6 +42,49 @@ class HeightModel(NamedTuple):
     """(k, f) values of the surface's f basis functions at the links; f may be 0."""
     component: Ints
     """(k,) index of the component height, −1 for a link on the bare board."""
+
+
+class HeightScatter:
+    """The scatter of the heights of k links' points about the modelled heights.
+
+    Points of one component lie at different heights, and those beside it on its side or on the board. Their mean height
+    in one pair of frames is an error that its links have in common, so that links on one body never outweigh few on the
+    board. Both grow with the component's height, which the adjustment estimates.
+    """
+
+    cell: Ints
+    """(k,) number of the links on or beside one component in one pair of frames (`cells_of`); −1 on the bare board."""
+
+    def __init__(self, problem: Problem, height: Ints, parts: int) -> None:
+        """Find the component on or beside which each link lies.
+
+        Args:
+            problem: the problem of the adjustment.
+            height: (k,) index of the height of each link, or −1 (`HeightModel.component`).
+            parts: number of components with links.
+        """
+        links, on = problem.links, problem.component >= 0
+        self._beside = problem.reaches_component & ~on
+        sides = self._beside & (links.p == links.q)
+        self._part = np.where(self._beside, problem.near, problem.component) if len(problem.near) else problem.component
+        # Sides at a seam have their heights in common, whatever component they belong to.
+        beside = np.where(sides, 2 * parts, 2 * parts + 1 + self._part)
+        self.cell = cells_of(np.where(self._beside, beside, height), links.group)
+        self._least = np.where(on, _BODY_MM, np.where(sides, _SIDE_MM, 0.0))
+        self._least_common = np.where(self._least > 0, _COMMON_MM, 0.0)
+        self._known = np.flatnonzero((self._part >= 0) & (self._part < parts))
+
+    def at(self, heights_mm: Floats) -> tuple[Floats, Floats]:
+        """Return standard deviations (k,), mm: of the height of single points, and of the mean height of each cell.
+
+        `heights_mm` (2, n) are the estimated heights of the components by links from row to row, and by those between
+        cameras. They lie on other points of a component: the taller counts.
+        """
+        height = np.maximum(heights_mm.max(0), 0.0)[self._part[self._known]]
+        side = _BESIDE_SHARE * np.maximum(height - _LOW_MM, 0.0)
+        of_height = np.zeros(len(self._part))
+        of_height[self._known] = np.where(self._beside[self._known], side, _SHARE * height)
+        return np.maximum(self._least, of_height), np.maximum(self._least_common, of_height * (_COMMON_MM / _BODY_MM))
 
 
 class Coupling(NamedTuple):

@@ -66,8 +66,7 @@ class NoiseModel(NamedTuple):
     """The noise of k links by kind of link, and the limits of the robust loss."""
 
     kind: Ints
-    """(k,) kind of each link, an index into `floor_px` and `shared_px`: 0 between rows, 1 + i between cameras i and
-    i + 1."""
+    """(k,) kind of each link, an index into `floor_px` and `shared_px` (`NoiseFloors`)."""
     floor_px: Floats
     """(n,) noise floor of each of n kinds: scatter of single links beyond image noise."""
     shared_px: Floats
@@ -82,16 +81,15 @@ class NoiseModel(NamedTuple):
     """(k,) standard deviation of the height of each link's point about the modelled height; 0 on the bare board."""
     cell: Ints
     """(k,) number of the cell of each link (`observations.cells_of`); −1 on the bare board."""
-    common_mm: float
-    """Standard deviation of the height of a cell's points about the modelled height, which its links have in common."""
+    common_mm: Floats
+    """(k,) standard deviation of the mean height of the points of each link's cell, which its links have in common."""
+    plainly: float
+    """Number of standard deviations above the bare board from which on a point loses weight; infinite for none."""
 
 
 @compiled
 def compute_residuals(links: LinkArrays, motion: MotionArrays, height_mm: Floats, state: LinkState) -> None:
-    """Compute residual and lean of every link, for points at heights (k,) above the calibrated plane.
-
-    The values are written to `state`.
-    """
+    """Write to `state` residual and lean of every link, for points at heights (k,) above the calibrated plane."""
     p, q, a_mm, b_mm, a_lean, b_lean = links.p, links.q, links.a_mm, links.b_mm, links.a_lean, links.b_lean
     shift, pivot, residual, lean = motion.shift, motion.pivot, state.residual, state.lean
     cos, sin = np.cos(motion.angle), np.sin(motion.angle)
@@ -111,14 +109,14 @@ def compute_weights(links: LinkArrays, noise: NoiseModel, groups: int, state: Li
     """Compute sigma, robust weight and weight matrix of every link from its residual.
 
     A link may lie above the modelled height (`noise.raised`). If its residual shows this, its weight along the lean is
-    that of a point of unknown height. If not, it keeps its weight, since components stand above the board.
+    that of a point of unknown height. If not, it keeps its weight, since components stand above the board. Points of
+    the bare board lose weight if they lie plainly above it (`noise.plainly`): on a part that the board type lacks.
 
     The points of one component have different heights: body, leads, solder, board in between. Two cameras see different
-    sides of it. The scatter of heights (`noise.scatter_mm`) is noise along the lean. The mean height of the few corners
-    that a pair of frames shows has an error in common (`noise.common_mm`), which limits the sum of their weights.
-
-    Links whose patches overlap share the noise of their pixels, and weigh together as much as one. The links of one
-    pair of frames have an error in common: its inverse variance limits the sum of their weights.
+    sides of it. The scatter of heights is noise along the lean. The mean height of the few corners that a pair of
+    frames shows (a cell) has an error in common, which limits the sum of their weights. Links whose patches overlap
+    share the noise of their pixels, and weigh together as much as one. The links of one pair of frames have an error in
+    common: its inverse variance limits the sum of their weights.
 
     Args:
         links: the links, of which covariance, resolution, overlap and group are used.
@@ -144,15 +142,17 @@ def compute_weights(links: LinkArrays, noise: NoiseModel, groups: int, state: Li
             k = 1 / (1 + information * variance)
             xx, xy, yy = xx - k * variance * wx * wx, xy - k * variance * wx * wy, yy - k * variance * wy * wy
             wx, wy, information = k * wx, k * wy, k * information
-        if noise.raised[n]:
-            height = -(wx * x + wy * y)
-            # In standard deviations. Noise alone makes a point of the bare board look raised by one.
-            if height > math.sqrt(information):
-                own = (height - math.sqrt(information)) / information
-                k = 1 / (information + 1 / own**2)
-                xx, xy, yy = xx - k * wx * wx, xy - k * wx * wy, yy - k * wy * wy
+        # The height that the residual shows, times the information.
+        height = -(wx * x + wy * y)
+        # In standard deviations. Noise alone makes a point of the bare board look raised by one.
+        if noise.raised[n] and height > math.sqrt(information):
+            own = (height - math.sqrt(information)) / information
+            k = 1 / (information + 1 / own**2)
+            xx, xy, yy = xx - k * wx * wx, xy - k * wx * wy, yy - k * wy * wy
         sigma[n] = math.sqrt(max(xx * x * x + 2 * xy * x * y + yy * y * y, 0.0) / 2)
         robust[n] = 1.0 if sigma[n] <= knee else knee / sigma[n] if sigma[n] <= cut else 0.0
+        if not noise.raised[n] and noise.scatter_mm[n] == 0 and information > 0:
+            robust[n] /= 1 + max(height / math.sqrt(information) - noise.plainly, 0.0) ** 2
         part = robust[n] / links.overlap[n]
         weight[n, 0], weight[n, 1], weight[n, 2] = part * xx, part * xy, part * yy
         if noise.cell[n] >= 0:
@@ -163,7 +163,7 @@ def compute_weights(links: LinkArrays, noise: NoiseModel, groups: int, state: Li
         wx, wy = weight[n, 0] * lx + weight[n, 1] * ly, weight[n, 1] * lx + weight[n, 2] * ly
         information = lx * wx + ly * wy
         if noise.cell[n] >= 0 and information > 0:
-            k = (1 - 1 / (1 + of_cell[noise.cell[n]] * noise.common_mm**2)) / information
+            k = (1 - 1 / (1 + of_cell[noise.cell[n]] * noise.common_mm[n] ** 2)) / information
             weight[n, 0], weight[n, 1] = weight[n, 0] - k * wx * wx, weight[n, 1] - k * wx * wy
             weight[n, 2] -= k * wy * wy
         of_group[group[n]] += (weight[n, 0] + weight[n, 2]) / 2

@@ -92,8 +92,9 @@ class Problem:
     """Nominal scale of C, mm per CAD unit."""
     surface: SurfaceBasis | None = None
     """The surface to estimate; None if the board is assumed to lie in the calibrated plane."""
-    near: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, np.bool_))
-    """(k,) whether the patch of each link may reach a component; empty if the components are not placed."""
+    near: Ints = field(default_factory=lambda: np.zeros(0, np.int_))
+    """(k,) number of the component that the patch of each link may reach, −1 for none; empty if the components are not
+    placed."""
     cameras: tuple[Camera, ...] = ()
     """The cameras whose displacements are estimated; none if the calibration is taken as exact."""
     light: Ints = field(default_factory=lambda: np.zeros(0, np.int_))
@@ -102,6 +103,11 @@ class Problem:
     def select(self, at: Ints) -> Problem:
         """Return the problem with the links of these indices only, for a problem whose components are not placed."""
         return replace(self, links=self.links.select(at), component=self.component[at])
+
+    @property
+    def reaches_component(self) -> NDArray[np.bool_]:
+        """(k,) whether the patch of each link may reach a component."""
+        return self.near >= 0 if len(self.near) else np.zeros(len(self.links), np.bool_)
 
     @property
     def of_two_lights(self) -> NDArray[np.bool_]:

@@ -36,6 +36,7 @@ from vaoi_station.stitching.adjustment.height_equations import (
     Coupling,
     HeightEquations,
     HeightModel,
+    HeightScatter,
     OtherColumns,
     eliminate_heights,
     height_changes,
@@ -57,11 +58,7 @@ from vaoi_station.stitching.adjustment.motion import (
     let_irregular_steps_free,
 )
 from vaoi_station.stitching.adjustment.noise_floor import NoiseFloors
-from vaoi_station.stitching.adjustment.observations import (
-    cells_of,
-    index_in_group,
-    linked_steps,
-)
+from vaoi_station.stitching.adjustment.observations import index_in_group, linked_steps
 from vaoi_station.stitching.adjustment.problem import AdjustmentResult, Problem
 from vaoi_station.stitching.adjustment.surface import prior_sigma_mm
 
@@ -89,15 +86,9 @@ _FLOOR_STEPS = 6
 converge."""
 _HEIGHT_SIGMA_MM, _SUNK_MM = 3.0, 0.1
 """Prior standard deviation of a component's height, and of a height below the board: components do not lie there."""
-_BODY_SCATTER_MM = 0.3
-"""Standard deviation of the heights of a component's points about the component's height (body, leads, board between).
-
-Without it, links on components counted like those on the bare board, and estimated a bow of up to 0.8 mm that was not
-there (docs/measured/hostile.md)."""
-_COMMON_MM = 0.2
-"""The same of the mean height of those points of a component, or on sides at a seam, that one pair of frames links."""
-_SIDE_SCATTER_MM = 0.1
-"""The same for links between two cameras beside a component: each camera sees another side of it, or its shadow."""
+_PLAINLY = 3.0
+"""Number of standard deviations above the bare board from which on a point lies on a part that the board type does not
+list (seeds 102826, 103588: a board with other parts)."""
 _FREE_STEPS = 3
 """Number of first steps in which heights may be below the board, and links near components count as links on the board.
 The initial motion may be that of the tops of components. Relative to these, the board seems to lie too low."""
@@ -181,14 +172,9 @@ class _Solver:
         self.factor: NormalEquations | None = None
         self.state = LinkState.zeros(len(links))
         self.linked_steps = linked_steps(links, self.rows)
-        self.raised = (problem.component < 0) & problem.near if len(problem.near) else np.zeros(len(links), np.bool_)
+        self.raised = (problem.component < 0) & problem.reaches_component
         """(k,) whether each link may lie above the board although no component is under it."""
-        sides = self.raised & (between > 0)
-        of_sides = np.where(sides, _SIDE_SCATTER_MM, 0.0)
-        self.scatter_mm = np.where(problem.component >= 0, _BODY_SCATTER_MM, of_sides)
-        """(k,) standard deviation of the height of each link's point about the modelled height."""
-        self.cell = cells_of(np.where(sides, 2 * self.n_parts, component), links.group)
-        """(k,) in each pair of frames one number for the links on a component, one for those on sides; else −1."""
+        self.scatter = HeightScatter(problem, component, self.n_parts)
         self.floors = NoiseFloors(problem, self.kind, self.seams, self.raised)
         self.steps = 0
 
@@ -253,8 +239,14 @@ class _Solver:
         shared_px = np.maximum(_PAIR_SIGMA_PX[1], np.maximum(_NOISE_SHARE * noise_px, _PAIR_SHARE * floor_px))
         beyond_px = np.sqrt(max(floor_px[0] ** 2 - noise_px[0] ** 2, 0.0))
         shared_px[0], shared_px[-1] = max(_PAIR_SIGMA_PX[0], _PAIR_SHARE * beyond_px), _LIGHTS_SIGMA_PX
-        raised = self.raised if self.steps > _FREE_STEPS else np.zeros_like(self.raised)
-        noise = NoiseModel(self.kind, floor_px, shared_px, _KNEE, _CUT, raised, self.scatter_mm, self.cell, _COMMON_MM)
+        free = self.steps <= _FREE_STEPS
+        raised = np.zeros_like(self.raised) if free else self.raised
+        plainly = np.inf if free or not self.n_surface or not self.n_parts else _PLAINLY
+        scatter_mm, common_mm = self.scatter.at(self.heights_mm.reshape(2, -1))
+        loss = _KNEE, _CUT
+        noise = NoiseModel(
+            self.kind, floor_px, shared_px, *loss, raised, scatter_mm, self.scatter.cell, common_mm, plainly
+        )
         compute_weights(links.arrays, noise, len(links.groups), self.state)
 
     def _belt(self) -> Equations:

@@ -46,7 +46,7 @@ from vaoi_station.stitching.board.own_texture import (
     links_on_board,
     outline_confirmed,
     shares_beside,
-    without_seams_beside,
+    without_links_beside,
 )
 from vaoi_station.stitching.board.reference import Reference, cad_points, disagreeing_reference, initial_similarity
 from vaoi_station.stitching.board.reference_orientation import ReferenceScene, Rivals, compare_with_reference
@@ -130,7 +130,8 @@ def map_cad(
     if isinstance(guess, Failure):
         return guess
     if apart is None:
-        problem = without_seams_beside(plane, problem, moved.motion, guess.c)
+        confirmed = outline_confirmed(plane, plane.matrix(guess.c), scene, moved.motion)
+        problem = without_links_beside(plane, problem, moved.motion, guess.c, confirmed=confirmed)
     places = apply(plane.matrix(guess.c), plane.cad(plane.fiducials))
     if plane.board_type.board_fiducials:
         found = merge_detections(detections, scene.cameras, moved.motion)

@@ -35,11 +35,11 @@ def component_at(plane: BoardPlane, c: Floats, board_mm: Floats) -> Ints:
     return plane.components.find(np.asarray(np.linalg.inv(plane.matrix(c)), np.float64), board_mm)
 
 
-def near_component(plane: BoardPlane, c: Floats, board_mm: Floats, scene: Scene) -> NDArray[np.bool_]:
-    """Return for each board point (k, 2), mm, whether a link's patch there reaches a component that stands out."""
+def near_component(plane: BoardPlane, c: Floats, board_mm: Floats, scene: Scene) -> Ints:
+    """Return for each board point (k, 2), mm, the number of the component that a link's patch there reaches, or −1."""
     half_patch_mm = WINDOW_PX / 2 / float(np.mean([camera.px_per_mm for camera in scene.cameras]))
     wider = plane.components.widened(half_patch_mm)
-    return wider.find(np.asarray(np.linalg.inv(plane.matrix(c)), np.float64), board_mm) >= 0
+    return wider.find(np.asarray(np.linalg.inv(plane.matrix(c)), np.float64), board_mm)
 
 
 def landmarks(plane: BoardPlane) -> tuple[tuple[str, ...], Floats]:

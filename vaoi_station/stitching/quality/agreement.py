@@ -5,6 +5,8 @@ A disagreement is a reason in words and numbers.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from vaoi_station.geometry.robust import Failure, fit_similarity
@@ -18,6 +20,7 @@ from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.outline import OutlineShift
 from vaoi_station.stitching.board.reference import inliers
 from vaoi_station.stitching.components.local_fiducials import common_displacement_mm
+from vaoi_station.stitching.matching.evidence import Links
 from vaoi_station.stitching.quality.fiducial_errors import contradiction_reasons
 
 _FIDUCIAL_LIMIT_PX = 0.30
@@ -47,6 +50,10 @@ _C_COLUMNS = slice(3, 5)
 _LEAST_REJECTED, _USED, _MOSTLY, _REJECTED_PX = 6, 0.1, 0.5, 0.3
 """Least number of links of a seam from which most can be rejected, weight above which one is used, their share, and the
 residual of rejected links, px, that shows that the cameras disagree; a smaller one shows nothing."""
+_SAME_HEIGHT_PX, _ALIKE_SHARE = 0.5, 0.6
+"""Two heights of a component, by links across the seam and by others, agree up to this displacement at the seam, px.
+
+If at least the share `_ALIKE_SHARE` of the corners in an overlap is found again, both pictures are of one place."""
 _LEAST_REFERRED, _LEAST_AGREEING = 12, 0.5
 """Number of points of a reference from which on they are compared with the fiducials, and least share that agrees."""
 _REFERENCE_SIGMAS, _REFERENCE_LIMIT_PX = 4.0, 0.3
@@ -206,10 +213,32 @@ def seam_offset_px(problem: Problem, adjusted: AdjustmentResult, at: Ints, least
     length = np.hypot(*lean.T)
     if not (length > 0).all():
         return float(np.hypot(*np.median(off_px, axis=0)))
-    (x, y), surely = (lean / length[:, None]).T, ~problem.near[at] if len(problem.near) else np.ones(len(at), np.bool_)
+    (x, y), surely = (lean / length[:, None]).T, ~problem.reaches_component[at]
     along, across = off_px[:, 0] * x + off_px[:, 1] * y, off_px[:, 1] * x - off_px[:, 0] * y
     shown = float(np.median(along[surely])) if surely.sum() >= least else 0.0
     return float(np.hypot(shown, np.median(across)))
+
+
+def agreeing_links(problem: Problem, adjusted: AdjustmentResult, seam: Sequence[Links], left: int) -> int:
+    """Return the number of used links that are evidence that camera `left` and the next one show the same place.
+
+    On a component, its estimated height explains any residual across the seam. Such links count only if links from row
+    to row give the same height, or if nearly all corners of the overlap are found again.
+
+    Args:
+        problem: the problem of the adjustment.
+        adjusted: its solution.
+        seam: the evidence of the two cameras, from all rows.
+        left: the lower number of the two cameras.
+    """
+    o, component = problem.links, problem.component
+    used = (adjusted.weight > _USED) & (o.seam == left)
+    rows, between = adjusted.heights_mm
+    alike = sum(len(e.a_px) for e in seam) >= _ALIKE_SHARE * sum(e.tried for e in seam)
+    if len(rows) and not alike:
+        off_px = np.abs(between - rows)[component] * np.hypot(*(o.b_lean - o.a_lean).T) * o.px_per_mm
+        used &= (component < 0) | (off_px < _SAME_HEIGHT_PX)
+    return int(used.sum())
 
 
 def seam_px(problem: Problem, adjusted: AdjustmentResult, at: Ints, least: int) -> float | None:

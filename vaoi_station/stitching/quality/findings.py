@@ -36,11 +36,11 @@ from vaoi_station.stitching.quality.added_errors import (
     with_common_error,
     with_component_errors,
 )
-from vaoi_station.stitching.quality.agreement import seam_px
+from vaoi_station.stitching.quality.agreement import agreeing_links, seam_px
 from vaoi_station.stitching.quality.covariances import largest_sigma
 from vaoi_station.stitching.quality.heights import Height, component_heights
 from vaoi_station.stitching.quality.lens_errors import LensError, lens_errors, position_errors_px
-from vaoi_station.stitching.quality.missing.confirmation import CheckedFrames, check_frames
+from vaoi_station.stitching.quality.missing.confirmation import CheckedFrames, check_frames, linked_to_before
 from vaoi_station.stitching.quality.missing.dark_lights import DarkLight
 from vaoi_station.stitching.quality.missing.repeated_frames import repeated_frames
 from vaoi_station.stitching.quality.missing.unseen import FilmedBoard, SeenFrames, UnseenComponent, find_unseen
@@ -50,8 +50,6 @@ from vaoi_station.stitching.quality.uncertainty import PredictedSigma, predict_s
 
 _USED = 0.1
 """Weight above which a link counts as used."""
-_SAME_HEIGHT_PX = 0.5
-"""Two heights of a component, by links across the seam and by others, agree up to this displacement at the seam, px."""
 SEAM_LIMIT_PX = 0.30
 """Largest accepted disagreement of two cameras at their seam, px."""
 DISPLACED_PX = 0.20
@@ -208,7 +206,9 @@ class Findings:
         """Which good frames fit the board's motion, and which contradict it."""
         beside = self.mapping.left_out.links if self.mapping and self.mapping.left_out else None
         checked = check_frames(frozenset(self.scene.present), self.copies, self.method, self.adjusted, beside)
-        c, doubtful = self.adjusted.similarity, self._seen - checked.sure - checked.refuted
+        # Where a board gets stuck and a camera repeats a frame, other rows confirm both frames (seed 107464).
+        linked = linked_to_before(self.adjusted.problem.links, self.adjusted.weight)
+        c, doubtful = self.adjusted.similarity, self._seen - (checked.sure & linked) - checked.refuted
         if self.plane is None or c is None or not doubtful:
             return checked
         return checked.without(repeated_frames(doubtful, self.plane, c, self.scene, self.adjusted.motion))
@@ -368,18 +368,6 @@ class Findings:
         return {camera for pair in apart for camera in pair} - agreeing
 
     @cached_property
-    def _usable_seam_links(self) -> np.ndarray:
-        """(k,) whether each link can serve as evidence that two neighbouring cameras agree."""
-        o, component = self.problem.links, self.problem.component
-        rows, seam = self.adjusted.heights_mm
-        if not len(rows):
-            return component < 0
-        # On a component, its estimated height explains any residual across the seam. Such links count only if
-        # links from row to row give the same height.
-        off_px = np.abs(seam - rows)[component] * np.hypot(*(o.b_lean - o.a_lean).T) * o.px_per_mm
-        return np.asarray((component < 0) | (off_px < _SAME_HEIGHT_PX))
-
-    @cached_property
     def non_overlapping_pairs(self) -> dict[tuple[int, int], int]:
         """Pairs of neighbouring cameras whose overlap has texture but too few matches, with the number of such rows."""
         unmatched = Counter(e.task.a[0] for e in self.links if e.task.kind == "neighbours" and e.unmatched)
@@ -387,8 +375,8 @@ class Findings:
         for i, rows in sorted(unmatched.items()):
             # A failed match in a single row is no evidence of a moved camera.
             if rows >= 2 and (i, i + 1) not in self.seams_px:
-                used = (self.adjusted.weight > _USED) & self._usable_seam_links
-                if (used & (self.problem.links.seam == i)).sum() < _SEAM_LINKS:
+                seam = [e for e in self.links if e.task.kind == "neighbours" and e.task.a[0] == i]
+                if agreeing_links(self.problem, self.adjusted, seam, i) < _SEAM_LINKS:
                     out[i, i + 1] = rows
         return out
 

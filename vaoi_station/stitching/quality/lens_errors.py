@@ -88,9 +88,8 @@ def lens_errors(problem: Problem, adjusted: AdjustmentResult, cameras: tuple[Cam
         cameras: the cameras.
     """
     o = problem.links
-    near = problem.near if len(problem.near) else np.zeros(len(o), np.bool_)
     use = np.flatnonzero((o.p != o.q) & (adjusted.weight > _LEAST_WEIGHT))
-    raised = near | (problem.component >= 0)
+    raised = problem.reaches_component | (problem.component >= 0)
     radial = _Radial(
         np.array([c.ground(np.array([c.center_px]))[0] for c in cameras]),
         np.array([float(np.hypot(*c.center_px)) / c.px_per_mm for c in cameras]),

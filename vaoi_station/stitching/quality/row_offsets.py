@@ -49,6 +49,8 @@ def row_offset(scene: Scene, links: Iterable[Links], left: int) -> int:
             for offset in (-1, 0, 1)
             if (left + 1, row + offset) in present
         }
+        if not counts:
+            continue
         total.update(counts)
         best = max(counts, key=lambda offset: counts[offset])
         votes[best] += counts[best] > 0

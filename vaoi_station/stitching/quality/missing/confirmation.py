@@ -169,6 +169,12 @@ def confirmed_beside(beside: Observations, motion: Motion, undecided: Collection
     }
 
 
+def linked_to_before(links: Observations, weight: NDArray[np.float64]) -> set[FrameKey]:
+    """Return the frames of which a used link leads to the frame before; `weight` (k,) are the links' robust weights."""
+    used = {links.groups[n].task for n in np.unique(links.group[weight > _USED]).tolist()}
+    return {t.b for t in used if t.b is not None and t.kind == "rows" and t.b == (t.a[0], t.a[1] + 1)}
+
+
 def _sure(links: Observations, weight: NDArray[np.float64]) -> set[FrameKey]:
     """Return the frames of which more links fit than may fit by chance."""
     return {key for key, one in _fits(links, weight > _USED).items() if one.fitting >= _SURE}
