@@ -55,6 +55,7 @@ def test_a_motion_of_the_whole_array_is_not_attributed() -> None:
 
 STILL_PX, UNMOVED_PX = 0.006, 0.001
 PUSHED_PX, PUSHED_SHARE = 0.1, 0.07
+BLIND_PX, PUSHED_BLIND_PX = 0.2, 0.35
 DRAWN = 400_000
 
 
@@ -66,9 +67,9 @@ def test_what_a_push_adds_is_that_of_the_whole_distribution(
     """Compare with displacements drawn from the mixture and weighted by the likelihood of what the run shows."""
     information = np.diag(np.array([shown_px, others_px, others_px] * 2) ** -2.0)
     seen = np.array([seen_at_px, 0, 0, 0, 0, 0])
-    g = np.random.default_rng(0)
+    g, push_px = np.random.default_rng(0), PUSHED_PX if others_px < BLIND_PX else PUSHED_BLIND_PX
     still = g.normal(0, UNMOVED_PX, DRAWN)
-    drawn = still + np.where(g.random(DRAWN) < PUSHED_SHARE, g.normal(0, PUSHED_PX, DRAWN), 0)
+    drawn = still + np.where(g.random(DRAWN) < PUSHED_SHARE, g.normal(0, push_px, DRAWN), 0)
     square = [mean_square(d, shown_px, seen_at_px) for d in (still, drawn)]
     added = spread(information, seen, UNMOVED_PX)[0, 0] - unpushed(shown_px, UNMOVED_PX)
     assert added == pytest.approx(square[1] - square[0], rel=0.1, abs=(0.1 * STILL_PX) ** 2)
@@ -97,6 +98,20 @@ def test_links_that_show_a_camera_to_a_fifth_of_a_push_leave_little_of_it() -> N
     seen = np.sqrt(0.02**-2 + prior_weights(np.zeros((1, 3)), STILL_PX)[0]) ** -1
     assert spread(np.eye(6) * 0.02**-2, np.zeros(6), UNMOVED_PX)[0, 0] + seen**2 < (STILL_PX / 2) ** 2
     assert spread(np.eye(6) * 0.3**-2, np.zeros(6), UNMOVED_PX)[0, 0] > (4 * STILL_PX) ** 2
+
+
+def test_a_camera_beside_a_blank_overlap_may_have_been_pushed_further() -> None:
+    """Hostile drawing 106038: nothing across the row of cameras shows where camera 0 is, and σ was 0.03 px.
+
+    Along the row of cameras any push looks like a lift of the board, blank overlap or not: that decides nothing.
+    """
+    shown = np.diag(np.array([0.1, 0.02, 0.02] * 2) ** -2.0)
+    blank = shown.copy()
+    blank[1, 1] = 0.3**-2
+    seen, blind = (np.diag(spread(i, np.zeros(6), UNMOVED_PX)) for i in (shown, blank))
+    assert blind[1] > 0.04**2
+    assert seen[1] < 1e-5
+    assert blind[3:] == pytest.approx(seen[3:])
 
 
 def spread(information: Floats, seen: Floats, unmoved_px: float) -> Floats:

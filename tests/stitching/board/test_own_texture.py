@@ -13,7 +13,7 @@ from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.adjustment.observations import to_observations
 from vaoi_station.stitching.adjustment.problem import Problem
 from vaoi_station.stitching.board.board_plane import BoardPlane
-from vaoi_station.stitching.board.own_texture import beside, outline_confirmed, without_links_beside
+from vaoi_station.stitching.board.own_texture import _quantile_of_known, beside, outline_confirmed, without_links_beside
 from vaoi_station.stitching.matching.evidence import Links, Task
 from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
 from vaoi_station.stitching.matching.scene import Scene
@@ -108,10 +108,10 @@ def test_links_between_cameras_beside_the_board_are_left_out(workshop: Any) -> N
     problem = Problem(times, velocity, to_observations(found, cameras), np.full(8, -1))
     motion = Motion(np.zeros(2), np.zeros((2, 2)), np.zeros(2))
     plane = plane_of([[0, 0], [20, 10]])
-    kept = without_links_beside(plane, problem, motion, C, confirmed=False)
+    kept = without_links_beside(plane, problem, motion, C, lambda: False)
     np.testing.assert_allclose(kept.links.a_mm, [places[0], *places], atol=1e-9)
     assert len(kept.component) == 5
-    kept = without_links_beside(plane, problem, motion, C, confirmed=True)
+    kept = without_links_beside(plane, problem, motion, C, lambda: True)
     np.testing.assert_allclose(kept.links.a_mm, places[[0, 0]], atol=1e-9)
 
 
@@ -127,7 +127,7 @@ def test_few_links_along_the_edge_of_a_board_are_kept(workshop: Any) -> None:
         n = len(px)
         found = [Links(Task("rows", (0, 0), (0, 1)), px, px, np.tile(np.eye(2), (n, 1, 1)), np.ones(n))]
         problem = Problem(times, velocity, to_observations(found, cameras), np.full(n, -1))
-        assert len(without_links_beside(plane, problem, motion, C, confirmed=True).links) == left
+        assert len(without_links_beside(plane, problem, motion, C, lambda: True).links) == left
 
 
 def test_nothing_is_beside_a_board_without_an_outline() -> None:
@@ -190,3 +190,12 @@ def test_two_fiducials_in_a_carrier_as_bright_as_the_board_fail_with_the_cause()
     _, _, result = filmed_with(carrier={"rim_mm": 9.0, "grey": 62.0}, board={"fiducials": marks})
     assert result.status is Status.FAILED, result.reasons
     assert "2 of them fit, but the edges of the board do not show" in result.reasons[0]
+
+
+def test_the_quantile_of_known_values_is_that_of_numpy() -> None:
+    g = np.random.default_rng(3)
+    values = np.where(g.random((17, 40)) < 0.4, np.nan, g.normal(0, 1, (17, 40)))
+    values[0] = np.arange(40.0)
+    assert _quantile_of_known(values) == pytest.approx(np.nanquantile(values, 0.25, axis=0))
+    assert _quantile_of_known(values[:1]) == pytest.approx(values[0])
+    assert _quantile_of_known(np.zeros((4, 0))).shape == (0,)

@@ -37,6 +37,14 @@ long in units of σ; with larger ones, σ under cameras that have not moved woul
 (docs/measured/uncertainty.md)."""
 
 
+_BLIND_PX, _PUSHED_BLIND_PX = 0.2, 0.35
+"""Standard deviation, px, above which links do not show where a camera lies across its neighbours' seams, and the width
+of a push that they then would not show.
+
+Along the row of cameras a board that is lifted explains any push. Across it, only a blank overlap hides one: then a
+camera may have been pushed further than what an overlap would have shown on earlier boards (seed 106038)."""
+
+
 @dataclass(frozen=True, eq=False)
 class Attribution:
     """The most likely displacements of n cameras, their covariance, and the cameras that may have moved instead."""
@@ -147,12 +155,16 @@ def spread_of_unseen_motion(
     actual = unmoved + np.repeat((displacement_px**2).sum(1), PARAMETERS) / (1 + PARAMETERS)
     spread = np.asarray(curvature * (weights**2 * (actual - 1 / weights)) @ curvature, dtype=np.float64)
     share = np.array([1 - _PUSHED_SHARE, _PUSHED_SHARE])
-    for k, estimate in enumerate(displacement_px.ravel()):
+    shown = np.empty((PARAMETERS * n, 2))
+    for k in range(PARAMETERS * n):
         rest = np.delete(np.arange(PARAMETERS * n), k)
         follow = information[k, rest] @ np.linalg.inv(whole[np.ix_(rest, rest)])
-        alone = float(information[k, k] - follow @ information[rest, k])
-        right = float(vector[k] - follow @ vector[rest])
-        width = unmoved[k] + np.array([0.0, _PUSHED_PX**2])
+        shown[k] = information[k, k] - follow @ information[rest, k], vector[k] - follow @ vector[rest]
+    blind = np.repeat(shown[1::PARAMETERS, 0] < _BLIND_PX**-2, PARAMETERS)
+    pushed_px = np.where(blind, _PUSHED_BLIND_PX, _PUSHED_PX)
+    for k, estimate in enumerate(displacement_px.ravel()):
+        alone, right = shown[k].tolist()
+        width = unmoved[k] + np.array([0.0, pushed_px[k] ** 2])
         variance = 1 / (alone + 1 / width)
         evidence = variance * right**2 - np.log1p(alone * width)
         likely = share * np.exp((evidence - evidence.max()) / 2)

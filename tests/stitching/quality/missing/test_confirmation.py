@@ -17,6 +17,7 @@ from vaoi_station.stitching.quality.missing.confirmation import (
     confirmed_beside,
     confirmed_by_links,
     confirmed_by_points,
+    linked_to_before,
 )
 
 STEP_MM = 10.0
@@ -43,6 +44,14 @@ def ways(*mm: float) -> Floats:
 
 
 ROWS = Task("rows", (0, 0), (0, 1))
+
+
+def test_a_frame_is_linked_to_the_one_before_by_used_links_of_its_camera() -> None:
+    """Links over two rows or to another camera do not show that it is no repetition, and neither do rejected ones."""
+    tasks = ROWS, Task("rows", (0, 0), (0, 2)), Task("neighbours", (0, 1), (1, 1)), Task("rows", (1, 0), (1, 1))
+    links = observed(*((task, ways(STEP_MM, STEP_MM)) for task in tasks))
+    assert linked_to_before(links, np.array([1, 1, 1, 1, 1, 1, 0.05, 0])) == {(0, 1)}
+    assert linked_to_before(links, np.array([0, 1, 1, 1, 1, 1, 0.2, 0])) == {(0, 1), (1, 1)}
 
 
 @pytest.mark.parametrize(
