@@ -13,6 +13,8 @@ _FINE = 8
 """Points per axis within a pixel."""
 
 Picture = NDArray[np.uint8]
+Light = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
+"""Brightness at the points (x, y), before the camera's blur."""
 
 
 def covered(shape: str, x: NDArray[np.float64], y: NDArray[np.float64], size: float) -> NDArray[np.float64]:
@@ -33,7 +35,7 @@ def covered(shape: str, x: NDArray[np.float64], y: NDArray[np.float64], size: fl
 
 @pytest.fixture(scope="session")
 def paint() -> Callable[..., Picture]:
-    """Marks [(shape, x, y, size)] on a plain ground, with a camera's blur, rounded to whole grey levels."""
+    """Marks [(shape, x, y, size)] on a plain ground, under a light, with a camera's blur, in whole grey levels."""
 
     def make(
         marks: list[tuple[str, float, float, float]],
@@ -43,6 +45,7 @@ def paint() -> Callable[..., Picture]:
         ground: float = 60.0,
         noise: float = 0.0,
         blur_px: float = 0.6,
+        light: Light | None = None,
     ) -> Picture:
         w, h = size
         at_x = (np.arange(w * _FINE) + 0.5) / _FINE - 0.5
@@ -50,6 +53,8 @@ def paint() -> Callable[..., Picture]:
         fine = np.full((h * _FINE, w * _FINE), ground)
         for shape, x, y, extent in marks:
             fine += (mark - ground) * covered(shape, at_x[None] - x, at_y[:, None] - y, extent)
+        if light:
+            fine *= light(at_x[None], at_y[:, None])
         smooth = cv2.GaussianBlur(fine, (0, 0), blur_px * _FINE) if blur_px else fine
         grey = smooth.reshape(h, _FINE, w, _FINE).mean((1, 3))
         grey += np.random.default_rng(1).normal(0, noise, grey.shape) if noise else 0

@@ -2,13 +2,15 @@
 
 Discs are located by a fit of their image (`disc_fit`), all other marks by their point symmetry (`symmetry_fit`). The
 positions of both methods do not depend on brightness, gain, a gradient of the gain, or the width of the bare rim. A
-mark that is partly covered or lies in glare gets a large standard deviation (`asymmetry`).
+mark that is partly covered or lies in glare gets a large standard deviation (`asymmetry`). If the edge of a shadow
+crosses a mark, the light is made even first (`shadow_edge`).
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -20,6 +22,7 @@ from vaoi_station.marks import disc_fit, symmetry_fit
 from vaoi_station.marks.asymmetry import asymmetry_sigma_px
 from vaoi_station.marks.candidate_search import SURROUND
 from vaoi_station.marks.mark_shape import CROSS_ARM, Shape
+from vaoi_station.marks.shadow_edge import compared_reach_px, even_light, find_shadow_edge, light_unevenness
 from vaoi_station.marks.template_correlation import SHAPE_CODE, correlate_with_shape
 
 _COARSE_SIDE = 24
@@ -42,6 +45,12 @@ _MIN_SIGMA_PX = 0.005
 """Lower limit of the standard deviation, because systematic errors of lens and sensor remain even without noise."""
 _MAX_SIZE_ERROR = 0.15
 """Accepted relative difference between the fitted and the nominal diameter of a disc."""
+_UNEVEN_CHI2 = 15.0
+"""χ² of the light's unevenness above which a shadow's edge is searched. Undisturbed marks exceed it rarely."""
+_SHADOW_SIGMA = 0.2
+"""Standard deviation of a correction for a shadow's edge, as a share of its length."""
+_BEYOND_PX = 6
+"""Width of what is cut out around a mark beyond its bare rim, px: the fit itself needs 4 px around its start."""
 
 
 @dataclass(frozen=True)
@@ -75,14 +84,34 @@ def locate_mark(
         surround: diameter of the disc compared with the shape (mark and bare rim), divided by the size of the mark.
         precise: if false, the fit of discs takes a third of the time, with errors of a few hundredths of a pixel.
     """
-    half = int(np.ceil(surround * size_px / 2)) + 4
-    x, y = (round(float(v)) for v in near_px)
-    if not (half <= x < image.shape[1] - half and half <= y < image.shape[0] - half):
-        return Failure(f"the mark at ({x}, {y}) px is cut off by the frame's border")
     image = image.view()
     # Numba compiles separate versions for writeable and read-only arrays, so all images are passed as read-only.
     image.flags.writeable = False
-    start = float(near_px[0]), float(near_px[1])
+    sought = _Sought(shape, size_px, arm, surround)
+    found = _locate(image, (float(near_px[0]), float(near_px[1])), sought, precise)
+    if isinstance(found, Failure):
+        return found
+    return _without_shadow(image, *found, sought) if precise else found[0]
+
+
+class _Sought(NamedTuple):
+    """The mark that is sought; see the arguments of `locate_mark`."""
+
+    shape: Shape
+    size_px: float
+    arm: float
+    surround: float
+
+
+def _locate(
+    image: NDArray[np.uint8], start: tuple[float, float], sought: _Sought, precise: bool
+) -> tuple[Mark, bool] | Failure:
+    """Locate a mark near a predicted position. The second value is whether it is less symmetric than usual."""
+    shape, size_px, arm, surround = sought
+    half = math.ceil(surround * size_px / 2) + 4
+    x, y = round(start[0]), round(start[1])
+    if not (half <= x < image.shape[1] - half and half <= y < image.shape[0] - half):
+        return Failure(f"the mark at ({x}, {y}) px is cut off by the frame's border")
     found = (
         _locate_disc(image, start, size_px, precise)
         if shape == "circle"
@@ -97,9 +126,30 @@ def locate_mark(
         return Failure(f"contrast {abs(contrast):.0f} of the mark at ({x}, {y}) px is below {_MIN_CONTRAST:.0f}")
     if score < _MIN_CORRELATION:
         return Failure(f"correlation {score:.2f} of the mark at ({x}, {y}) px is below {_MIN_CORRELATION}")
-    if precise:
-        sigma = math.hypot(sigma, asymmetry_sigma_px(image, px, size_px, contrast, sigma))
-    return Mark(np.array(px), max(sigma, _MIN_SIGMA_PX), score, contrast > 0)
+    asymmetric = asymmetry_sigma_px(image, px, size_px, contrast, sigma) if precise else 0.0
+    return Mark(np.array(px), max(math.hypot(sigma, asymmetric), _MIN_SIGMA_PX), score, contrast > 0), asymmetric > 0
+
+
+def _without_shadow(image: NDArray[np.uint8], mark: Mark, asymmetric: bool, sought: _Sought) -> Mark:
+    """Return a located mark, located again in even light if the edge of a shadow displaces it."""
+    (x, y), radius = mark.px.tolist(), sought.size_px / 2
+    reach = compared_reach_px(sought.size_px, sought.surround)
+    uneven, noise = light_unevenness(image, x, y, SHAPE_CODE[sought.shape], sought.size_px, sought.arm, reach)
+    if math.isinf(noise) or (uneven < _UNEVEN_CHI2 and not asymmetric):
+        return mark
+    half = math.ceil(sought.surround * radius) + _BEYOND_PX
+    left, top = max(round(x) - half, 0), max(round(y) - half, 0)
+    patch, centre = image[top : round(y) + half + 1, left : round(x) + half + 1], (x - left, y - top)
+    edge = find_shadow_edge(patch, centre, radius, reach, noise)
+    found = _locate(even_light(patch, centre, edge), centre, sought, True) if edge else None
+    if found is None or isinstance(found, Failure):
+        return mark
+    again, px = found[0], found[0].px + (left, top)
+    correction = math.dist(px, mark.px)
+    # A mark that is less symmetric in even light was not in the light that was found.
+    if again.sigma_px > mark.sigma_px + correction:
+        return mark
+    return replace(again, px=px, sigma_px=math.hypot(again.sigma_px, _SHADOW_SIGMA * correction))
 
 
 Position = tuple[tuple[float, float], float]

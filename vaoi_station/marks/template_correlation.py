@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from vaoi_station.compiled import compiled
+from vaoi_station.compiled import compiled, inlined
 from vaoi_station.marks.mark_shape import Shape
 
 SHAPE_CODE: dict[Shape, int] = {"circle": 0, "square": 1, "diamond": 2, "cross": 3}
@@ -46,14 +46,7 @@ def correlate_with_shape(
             weight = min(reach - far, 1.0)
             if weight <= 0:
                 continue
-            if code == 0:
-                outside = far - r
-            elif code == 1:
-                outside = max(u, v) - r
-            elif code == 2:
-                outside = (u + v - r) * 0.7071067811865476
-            else:
-                outside = min(max(u - r, v - thin), max(u - thin, v - r))
+            outside = outside_shape(code, u, v, far, r, thin)
             # The edge is modelled by the smoothstep polynomial 3t² − 2t³, which is faster than erf.
             t = min(max(0.5 - outside / _EDGE_PX, 0.0), 1.0)
             q, p = t * t * (3 - 2 * t), float(line[column])
@@ -71,3 +64,25 @@ def correlate_with_shape(
     if of_picture <= 1e-6 or of_artwork <= 1e-6:
         return 0.0, 0.0
     return abs(covariance) / math.sqrt(of_picture * of_artwork), covariance / of_artwork
+
+
+@inlined
+def outside_shape(code: int, u: float, v: float, far: float, r: float, thin: float) -> float:
+    """Compute the distance of a point from the outline of a shape, px; negative inside, approximate outside corners.
+
+    Args:
+        code: code of the shape, see `SHAPE_CODE`.
+        u: absolute distance of the point from the centre along x, px.
+        v: the same along y.
+        far: length of (u, v).
+        r: half the size of the mark, px.
+        thin: half the width of a cross' arm, px.
+    """
+    outside = max(u, v) - r
+    if code == 0:
+        outside = far - r
+    elif code == 2:
+        outside = (u + v - r) * 0.7071067811865476
+    elif code == 3:
+        outside = min(max(u - r, v - thin), max(u - thin, v - r))
+    return outside

@@ -1,0 +1,172 @@
+"""Marks across which the edge of a shadow lies, and marks on which no shadow may be found."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from vaoi_station.marks import subpixel_localisation
+from vaoi_station.marks.shadow_edge import ShadowEdge, compared_reach_px, even_light, find_shadow_edge, light_unevenness
+from vaoi_station.marks.subpixel_localisation import Mark, locate_mark
+from vaoi_station.stitching.matching.prepared_frame import read_only
+
+(X, Y), SIZE = (60.3, 59.6), 16.0
+PLACE = np.array([X, Y])
+SHAPES = ["circle", "square", "diamond", "cross"]
+Paint = Callable[..., Any]
+Light = Callable[[Any, Any], Any]
+
+
+def shadow(depth: float, angle: float, offset_px: float) -> Light:
+    """Darken what lies further than `offset_px` from the mark's centre in the direction of `angle`."""
+    return lambda x, y: (
+        1 - depth * ((x - PLACE[0]) * np.cos(angle) + (y - PLACE[1]) * np.sin(angle) > offset_px).astype(float)
+    )
+
+
+def marked(paint: Paint, shape: str, light: Light | None = None, *, ground: float = 45.0, noise: float = 2.0) -> Any:
+    return paint([(shape, *PLACE, SIZE)], size=(120, 120), mark=210.0, ground=ground, noise=noise, light=light)
+
+
+def located(picture: Any, shape: Any) -> Mark:
+    mark = locate_mark(picture, PLACE + (0.7, -0.4), shape, SIZE)
+    assert isinstance(mark, Mark)
+    return mark
+
+
+def error_px(mark: Mark) -> float:
+    return float(np.hypot(*(mark.px - PLACE)))
+
+
+@pytest.fixture
+def without_search(monkeypatch: pytest.MonkeyPatch) -> Callable[[Any, Any], Mark]:
+    """Locate a mark as if no shadow were found."""
+
+    def locate(picture: Any, shape: Any) -> Mark:
+        with monkeypatch.context() as patch:
+            patch.setattr(subpixel_localisation, "find_shadow_edge", lambda *_: None)
+            return located(picture, shape)
+
+    return locate
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("depth", [0.1, 0.3])
+@pytest.mark.parametrize("offset_px", [-8.0, -6.5, 3.0, 5.0, 7.5])
+@pytest.mark.parametrize("angle", [0.1, 1.6, 2.4, 4.0])
+def test_the_edge_of_a_shadow_does_not_displace_a_mark(
+    paint: Paint, shape: str, depth: float, offset_px: float, angle: float
+) -> None:
+    mark = located(marked(paint, shape, shadow(depth, angle, offset_px), noise=1.0), shape)
+    assert error_px(mark) < 0.04
+    assert error_px(mark) < 3 * mark.sigma_px + 0.005
+    assert mark.sigma_px < 0.2
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_without_the_search_shadows_displace_marks(
+    paint: Paint, shape: str, without_search: Callable[[Any, Any], Mark]
+) -> None:
+    lights = [shadow(0.2, angle, offset) for angle in (0.4, 1.5, 3.3) for offset in (5.0, 6.5, 8.0)]
+    pictures = [marked(paint, shape, light, noise=1.0) for light in lights]
+    before = [error_px(without_search(picture, shape)) for picture in pictures]
+    now = [error_px(located(picture, shape)) for picture in pictures]
+    assert max(before) > 0.05
+    assert max(now) < 0.03
+    assert np.mean(np.square(now)) < 0.1 * np.mean(np.square(before))
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    st.sampled_from(SHAPES),
+    st.floats(0.1, 0.3),
+    st.floats(0, 6.28),
+    st.floats(-1.1, 1.1),
+    st.sampled_from([45.0, 70.0]),
+)
+def test_the_sigma_of_a_mark_under_a_shadow_covers_its_error(
+    paint: Paint, shape: str, depth: float, angle: float, share: float, ground: float
+) -> None:
+    mark = located(marked(paint, shape, shadow(depth, angle, share * SIZE / 2), ground=ground), shape)
+    assert error_px(mark) < 4 * mark.sigma_px + 0.02
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("noise", [0.0, 1.0, 3.0])
+def test_no_shadow_is_found_on_an_undisturbed_mark_or_under_a_gradient(
+    paint: Paint, shape: str, noise: float, without_search: Callable[[Any, Any], Mark]
+) -> None:
+    slope: Light = lambda x, y: 1 + 0.002 * (x - PLACE[0]) - 0.001 * (y - PLACE[1])  # noqa: E731
+    for picture in (marked(paint, shape, noise=noise), marked(paint, shape, slope, noise=noise)):
+        expected, mark = without_search(picture, shape), located(picture, shape)
+        assert (mark.px == expected.px).all()
+        assert mark.sigma_px == expected.sigma_px
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("angle", [0.0, 0.7, 2.0])
+def test_a_cover_a_smudge_and_a_track_are_no_shadow(
+    paint: Paint, shape: str, angle: float, without_search: Callable[[Any, Any], Mark]
+) -> None:
+    y, x = np.mgrid[:120, :120]
+    along = (x - PLACE[0]) * np.cos(angle) + (y - PLACE[1]) * np.sin(angle)
+    away = np.hypot(x - PLACE[0] - 0.4 * SIZE * np.cos(angle), y - PLACE[1] - 0.4 * SIZE * np.sin(angle))
+    plain = marked(paint, shape)
+    covered, track = plain.copy(), plain.copy()
+    covered[along > 0.36 * SIZE] = 45
+    track[abs(along - 0.95 * SIZE) < 2] = 210
+    smudged = np.clip(plain - 70.0 * np.exp(-((away / 3.0) ** 2)), 0, 255).astype(np.uint8)
+    for picture in (covered, track, smudged):
+        expected, mark = without_search(picture, shape), located(picture, shape)
+        assert (mark.px == expected.px).all()
+        assert mark.sigma_px == expected.sigma_px
+
+
+def test_the_unevenness_differs_between_a_step_and_a_gradient(paint: Paint) -> None:
+    reach = compared_reach_px(SIZE, 2.0)
+
+    def chi2(light: Light | None) -> tuple[float, float]:
+        return light_unevenness(read_only(marked(paint, "circle", light)), X, Y, 0, SIZE, 0.25, reach)
+
+    assert chi2(None)[0] < 12
+    assert chi2(None)[1] == pytest.approx(2.0, rel=0.15)
+    assert chi2(lambda x, y: 1 + 0.002 * (x - PLACE[0]) + 0 * y)[0] < 12
+    assert chi2(shadow(0.15, 1.0, 7.0))[0] > 30
+
+
+def test_without_ground_in_reach_nothing_is_compared(paint: Paint) -> None:
+    picture = read_only(marked(paint, "square"))
+    assert light_unevenness(picture, X, Y, 1, SIZE, 0.25, SIZE / 2) == (0.0, np.inf)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1.0, 3.0, 5.0])
+def test_the_line_and_the_depth_of_a_shadow_are_found(paint: Paint, angle: float) -> None:
+    picture = read_only(marked(paint, "circle", shadow(0.2, angle, 5.0)))
+    reach = compared_reach_px(SIZE, 2.0)
+    edge = find_shadow_edge(picture, (X, Y), SIZE / 2, reach, 2.0)
+    assert edge is not None
+    assert edge.depth == pytest.approx(0.2, abs=0.03)
+    # The opposite step on the opposite side of the centre is as good.
+    assert abs(np.cos(edge.angle - angle)) == pytest.approx(1, abs=0.01)
+    assert abs(edge.offset_px) == pytest.approx(5.0, abs=0.3)
+
+
+def test_a_patch_that_is_too_small_shows_no_shadow(paint: Paint) -> None:
+    picture = read_only(marked(paint, "circle", shadow(0.2, 1.0, 5.0))[50:, 50:])
+    assert find_shadow_edge(picture, (10.3, 9.6), SIZE / 2, compared_reach_px(SIZE, 2.0), 2.0) is None
+
+
+@pytest.mark.parametrize("step", [-0.2, 0.25])
+def test_in_even_light_both_sides_are_as_dark_as_the_shadow(step: float) -> None:
+    edge = ShadowEdge(0.0, 3.0, step)
+    x = np.arange(61.0)[None] - 30
+    picture = np.rint(200 * edge.light(x, np.zeros((61, 1)))).astype(np.uint8)
+    assert np.ptp(picture) > 30
+    even = even_light(picture, (30.0, 30.0), edge)
+    assert abs(even.astype(int) - 160).max() <= 1
+    assert not even.flags.writeable
