@@ -42,7 +42,7 @@ _SEARCHED = 300
 _LEAST_CHI2, _LEAST_SHARE = 20.0, 0.8
 """A step counts if its χ² is larger, and if it explains this share of the differences beyond noise.
 
-On 1500 undisturbed marks with noise χ² is 19 at most. Smudges and copper beside a mark leave more unexplained."""
+On 1500 undisturbed marks with noise χ² is 13 at most. Smudges and copper beside a mark leave more unexplained."""
 _LEAST_STEP, _LARGEST_STEP = 0.02, 0.4
 """Smallest and largest share of the light that a shadow takes away."""
 _LINES = 12
