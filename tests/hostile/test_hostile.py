@@ -49,6 +49,14 @@ SHORT = (
     91603,
     93217,
     96577,
+    100346,
+    101170,
+    101221,
+    101800,
+    102577,
+    103588,
+    105410,
+    107464,
 )
 """Mended finds that the short form repeats: one of each class of causes."""
 MOST_REFUSED = 0.05

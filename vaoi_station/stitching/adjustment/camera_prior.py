@@ -155,15 +155,13 @@ def spread_of_unseen_motion(
     actual = unmoved + np.repeat((displacement_px**2).sum(1), PARAMETERS) / (1 + PARAMETERS)
     spread = np.asarray(curvature * (weights**2 * (actual - 1 / weights)) @ curvature, dtype=np.float64)
     share = np.array([1 - _PUSHED_SHARE, _PUSHED_SHARE])
-    shown = np.empty((PARAMETERS * n, 2))
-    for k in range(PARAMETERS * n):
-        rest = np.delete(np.arange(PARAMETERS * n), k)
-        follow = information[k, rest] @ np.linalg.inv(whole[np.ix_(rest, rest)])
-        shown[k] = information[k, k] - follow @ information[rest, k], vector[k] - follow @ vector[rest]
-    blind = np.repeat(shown[1::PARAMETERS, 0] < _BLIND_PX**-2, PARAMETERS)
+    blind = np.repeat(np.diag(information)[1::PARAMETERS] < _BLIND_PX**-2, PARAMETERS)
     pushed_px = np.where(blind, _PUSHED_BLIND_PX, _PUSHED_PX)
     for k, estimate in enumerate(displacement_px.ravel()):
-        alone, right = shown[k].tolist()
+        rest = np.delete(np.arange(PARAMETERS * n), k)
+        follow = information[k, rest] @ np.linalg.inv(whole[np.ix_(rest, rest)])
+        alone = float(information[k, k] - follow @ information[rest, k])
+        right = float(vector[k] - follow @ vector[rest])
         width = unmoved[k] + np.array([0.0, pushed_px[k] ** 2])
         variance = 1 / (alone + 1 / width)
         evidence = variance * right**2 - np.log1p(alone * width)

@@ -122,7 +122,7 @@ def without_links_beside(
     share = np.bincount(links.group, off) / np.maximum(np.bincount(links.group), 1)
     between = links.p == links.q
     at_edge = off & ~between & (share[links.group] > _MOST_AT_EDGE)
-    # The pictures are looked at only if it matters: this takes longer than all else here.
+    # The outline is checked only where it matters: that takes longer than all else here.
     off &= between | (at_edge if at_edge.any() and confirmed() else between)
     return problem.select(np.flatnonzero(~off)) if off.any() else problem
 
