@@ -52,12 +52,18 @@ def test_selected_runs_that_are_half_written_are_reported(tmp_path: Path) -> Non
 
 def test_manifests_are_read_many_at_a_time_and_yielded_in_order(tmp_path: Path) -> None:
     class Slow(LocalStorage):
-        """A storage whose reads end only when another one has begun."""
+        """A storage whose reads end only when two have been in progress at once."""
 
-        both = threading.Barrier(2)
+        lock, inside, together = threading.Lock(), 0, threading.Event()
 
         def read(self, key: str) -> bytes:
-            self.both.wait(timeout=60)
+            with self.lock:
+                self.inside += 1
+                if self.inside > 1:
+                    self.together.set()
+            assert self.together.wait(timeout=60)
+            with self.lock:
+                self.inside -= 1
             return super().read(key)
 
     storage = Slow(tmp_path)

@@ -108,7 +108,10 @@ def test_links_between_cameras_beside_the_board_are_left_out(workshop: Any) -> N
     problem = Problem(times, velocity, to_observations(found, cameras), np.full(8, -1))
     motion = Motion(np.zeros(2), np.zeros((2, 2)), np.zeros(2))
     plane = plane_of([[0, 0], [20, 10]])
-    kept = without_links_beside(plane, problem, motion, C)
+    kept = without_links_beside(plane, problem, motion, C, lambda: False)
+    np.testing.assert_allclose(kept.links.a_mm, [places[0], *places], atol=1e-9)
+    assert len(kept.component) == 5
+    kept = without_links_beside(plane, problem, motion, C, lambda: True)
     np.testing.assert_allclose(kept.links.a_mm, places[[0, 0]], atol=1e-9)
 
 
@@ -124,7 +127,7 @@ def test_few_links_along_the_edge_of_a_board_are_kept(workshop: Any) -> None:
         n = len(px)
         found = [Links(Task("rows", (0, 0), (0, 1)), px, px, np.tile(np.eye(2), (n, 1, 1)), np.ones(n))]
         problem = Problem(times, velocity, to_observations(found, cameras), np.full(n, -1))
-        assert len(without_links_beside(plane, problem, motion, C).links) == left
+        assert len(without_links_beside(plane, problem, motion, C, lambda: True).links) == left
 
 
 def test_nothing_is_beside_a_board_without_an_outline() -> None:

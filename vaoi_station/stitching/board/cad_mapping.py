@@ -8,6 +8,7 @@ end, the shift of the outline against the adjusted C is measured.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -130,7 +131,8 @@ def map_cad(
     if isinstance(guess, Failure):
         return guess
     if apart is None:
-        problem = without_links_beside(plane, problem, moved.motion, guess.c)
+        confirmed = partial(outline_confirmed, plane, plane.matrix(guess.c), scene, moved.motion)
+        problem = without_links_beside(plane, problem, moved.motion, guess.c, confirmed)
     places = apply(plane.matrix(guess.c), plane.cad(plane.fiducials))
     if plane.board_type.board_fiducials:
         found = merge_detections(detections, scene.cameras, moved.motion)

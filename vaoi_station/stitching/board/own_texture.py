@@ -8,6 +8,7 @@ by, but for those of components.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -105,19 +106,24 @@ def links_on_board(
     return np.flatnonzero(~beside(plane, c, motion.board(links.p, links.a_mm), -HALF_PATCH_PX / px_per_mm))
 
 
-def without_links_beside(plane: BoardPlane, problem: Problem, motion: Motion, c: Floats) -> Problem:
+def without_links_beside(
+    plane: BoardPlane, problem: Problem, motion: Motion, c: Floats, confirmed: Callable[[], bool]
+) -> Problem:
     """Return a problem without those links beside a board at position `c` that may be left out in any case.
 
     Carrier, belt or bed lie at another height than the board. Links between cameras there would bend its estimated
     surface, or show a displaced camera (seed 100346). They say nothing about the motion of the rows, so that they need
     not be confirmed by an edge. Between rows, links outside the outline are left out if they are more than
-    `_MOST_AT_EDGE` of a pair of frames: along the edge of the board, patches are found where the texture of a bed or a
-    belt is (seed 102577: nine of them outvoted two on a component).
+    `_MOST_AT_EDGE` of a pair of frames, and if the pictures confirm the outline (`confirmed`): along the edge of the
+    board, patches are found where the texture of a bed is (seed 102577: nine of them outvoted two on a component).
     """
     links = problem.links
     off = beside(plane, c, motion.board(links.p, links.a_mm), 0.0)
     share = np.bincount(links.group, off) / np.maximum(np.bincount(links.group), 1)
-    off &= (links.p == links.q) | (share[links.group] > _MOST_AT_EDGE)
+    between = links.p == links.q
+    at_edge = off & ~between & (share[links.group] > _MOST_AT_EDGE)
+    # The outline is checked only where it matters: that takes longer than all else here.
+    off &= between | (at_edge if at_edge.any() and confirmed() else between)
     return problem.select(np.flatnonzero(~off)) if off.any() else problem
 
 
