@@ -157,7 +157,7 @@ def outline_confirmed(plane: BoardPlane, cad_matrix: Floats, scene: Scene, motio
 def _quantile_of_known(values: Floats) -> Floats:
     """Return the `_QUANTILE` of every column (n,) of values (k, n) without those that are NaN; each has one at least.
 
-    `numpy.nanquantile` gives the same, but takes fifty times as long.
+    `numpy.nanquantile` gives the same, but takes more than a hundred times as long.
     """
     if not values.size:
         return np.zeros(values.shape[1])

@@ -223,7 +223,7 @@ def agreeing_links(problem: Problem, adjusted: AdjustmentResult, seam: Sequence[
     """Return the number of used links that are evidence that camera `left` and the next one show the same place.
 
     On a component, its estimated height explains any residual across the seam. Such links count only if links from row
-    to row give the same height, or if nearly all corners of the overlap are found again.
+    to row give the same height, or if most corners of the overlap are found again.
 
     Args:
         problem: the problem of the adjustment.
