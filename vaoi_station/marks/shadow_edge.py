@@ -56,10 +56,11 @@ _USUAL_GRADIENT, _USUAL_CHANGE = 0.001, 0.04
 """Usual gradient of the light, share per px, and usual change from the centre to the end of the compared disc."""
 _REFINEMENTS, _PATIENCE = 7, 3
 """Largest number of refinements, and the number after which a poor one ends."""
-_RANGES, _LEAST_FIRST_SHARE = 5, 0.3
-"""Number of ranges of distances from which a step is refined.
+_RANGES, _LEAST_FIRST_SHARE, _LIKELY_STEP = 5, 0.5, 0.9 * _LEAST_STEP
+"""Number of ranges of distances from which a step is refined, and the least depth of the steps that are.
 
-Others than the best are refined if the best explains this share of the differences."""
+Others than the best are refined if the best explains this share of the differences beyond noise. Of 776 painted marks
+with shadows of 2 to 30 % the best explains 0.80 at least, and the deepest likely step is 0.023."""
 _DELTA = np.array([0.02, 0.1, 0.01])
 """Differences of angle (rad), offset (px) and step from which derivatives are computed."""
 _LARGEST_CHANGE, _ENOUGH = np.array([0.3, 1.5, 0.15]), np.array([0.003, 0.01, 0.001])
@@ -231,7 +232,8 @@ def find_shadow_edge(
     used = (u**2 + v**2 < reach**2) & ((v < 0) | ((v == 0) & (u < 0)))
     compared = _Comparison(patch.astype(np.float32), centre, half, used, u[used], v[used])
     lines, chi2 = _likely_lines(compared, min(radius + EDGE_PX, reach - 1), noise)
-    if not chi2 > _LEAST_CHI2:
+    lines = [line for line in lines if line.depth >= _LIKELY_STEP]
+    if not chi2 > _LEAST_CHI2 or not lines:
         return None
     edge, share = _refine(compared, lines, noise)
     return edge if share > _LEAST_SHARE and _LEAST_STEP <= edge.depth <= _LARGEST_STEP else None
