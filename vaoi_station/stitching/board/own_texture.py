@@ -135,23 +135,44 @@ def outline_confirmed(plane: BoardPlane, cad_matrix: Floats, scene: Scene, motio
     board = apply(cad_matrix, pieces[subsample_pieces(len(pieces))])
     step_mm, normal, steps = edge_profiles(board, scene, motion)
     offset = (np.arange(steps.shape[1]) - steps.shape[1] // 2) * step_mm
-    at_edge, away = np.abs(offset) <= _EDGE_NEAR_MM, np.abs(offset) > 2 * _EDGE_NEAR_MM
-    seen = (steps > 0).mean(1) > 0.5
-    others = np.where(away & ~_shows_part(plane, cad_matrix, board, normal[:, None] * offset[:, None]), steps, np.nan)
+    at_edge, seen = np.abs(offset) <= _EDGE_NEAR_MM, (steps > 0).mean(1) > 0.5
+    others = other_steps(plane, cad_matrix, board, normal[:, None] * offset[:, None], steps, 2 * _EDGE_NEAR_MM)
     side = np.rint(np.arctan2(normal[:, 1], normal[:, 0]) / (np.pi / 4)).astype(int) % 8
     sides = 0
     for one in np.unique(side[seen]).tolist():
         mine = np.flatnonzero(seen & (side == one))
         if len(mine) < _LEAST_PIECES:
             continue
-        edge = np.quantile(steps[mine][:, at_edge], _QUANTILE, axis=0).max()
-        # Between components that hide most of a line, a single pad or marking would count as a line.
-        shown = np.isfinite(others[mine]).mean(0) >= _QUANTILE
-        other = _quantile_of_known(others[mine][:, shown]).max(initial=0.0)
-        if edge < max(_LEAST_EDGE, _STANDS_OUT * other):
+        if strongest_line(steps[mine][:, at_edge]) < max(_LEAST_EDGE, _STANDS_OUT * strongest_line(others[mine])):
             return False
         sides += 1
     return sides > 0
+
+
+def other_steps(
+    plane: BoardPlane, cad_matrix: Floats, board_mm: Floats, offset_mm: Floats, steps: Floats, beyond_mm: float
+) -> Floats:
+    """Return the steps across pieces of the outline without those at its edge and at the edges of components, as NaN.
+
+    Args:
+        plane: plane of the board type.
+        cad_matrix: C, (3, 3).
+        board_mm: (k, 2, 2) start and end of the pieces, tester coordinates.
+        offset_mm: (k, samples, 2) displacements at which the steps were measured.
+        steps: (k, samples) the steps of grey level.
+        beyond_mm: steps up to this distance from a piece belong to its edge.
+    """
+    away = np.hypot(offset_mm[..., 0], offset_mm[..., 1]) > beyond_mm
+    return np.where(away & ~_shows_part(plane, cad_matrix, board_mm, offset_mm), steps, np.nan)
+
+
+def strongest_line(steps: Floats) -> float:
+    """Return the strongest step of a line along pieces of a side, from their steps (k, samples); NaN is unknown.
+
+    Between components that hide most of a line, a single pad or marking would count as a line: such lines are left out.
+    """
+    shown = np.isfinite(steps).mean(0) >= _QUANTILE
+    return float(_quantile_of_known(steps[:, shown]).max(initial=0.0))
 
 
 def _quantile_of_known(values: Floats) -> Floats:

@@ -40,6 +40,7 @@ from vaoi_station.stitching.quality.agreement import agreeing_links, seam_px
 from vaoi_station.stitching.quality.covariances import largest_sigma
 from vaoi_station.stitching.quality.heights import Height, component_heights
 from vaoi_station.stitching.quality.lens_errors import LensError, lens_errors, position_errors_px
+from vaoi_station.stitching.quality.missing.board_edge import frames_with_edge
 from vaoi_station.stitching.quality.missing.confirmation import CheckedFrames, check_frames, linked_to_before
 from vaoi_station.stitching.quality.missing.dark_lights import DarkLight
 from vaoi_station.stitching.quality.missing.repeated_frames import repeated_frames
@@ -206,6 +207,10 @@ class Findings:
         """Which good frames fit the board's motion, and which contradict it."""
         beside = self.mapping.left_out.links if self.mapping and self.mapping.left_out else None
         checked = check_frames(frozenset(self.scene.present), self.copies, self.method, self.adjusted, beside)
+        undecided = self._seen - checked.confirmed - checked.refuted
+        if undecided and self.plane is not None and self.cad_matrix is not None:
+            board = self.plane, self.cad_matrix, self.scene, self.adjusted.motion, self.problem.velocity_mm_s
+            checked = checked.plus(frames_with_edge(undecided, *board))
         # Where a board gets stuck and a camera repeats a frame, other rows confirm both frames (seed 107464).
         linked = linked_to_before(self.adjusted.problem.links, self.adjusted.weight)
         c, doubtful = self.adjusted.similarity, self._seen - (checked.sure & linked) - checked.refuted

@@ -69,6 +69,10 @@ class CheckedFrames(NamedTuple):
     repeated: frozenset[FrameKey] = frozenset()
     """Refuted frames that show the moment of the frame before, in other pixels."""
 
+    def plus(self, confirmed: frozenset[FrameKey]) -> CheckedFrames:
+        """Return the same with further frames confirmed."""
+        return self._replace(confirmed=self.confirmed | confirmed)
+
     def without(self, repeated: frozenset[FrameKey]) -> CheckedFrames:
         """Return the same with frames refuted that show the moment of the frame before."""
         return CheckedFrames(self.confirmed - repeated, self.refuted | repeated, self.sure, repeated)
