@@ -57,6 +57,7 @@ SHORT = (
     103588,
     105410,
     107464,
+    108935,
 )
 """Mended finds that the short form repeats: one of each class of causes."""
 MOST_REFUSED = 0.05

@@ -42,6 +42,7 @@ class ReasonCode(StrEnum):
     OUTLINE_TURNED = "outline-turned"
     OUTLINE_INVISIBLE = "outline-invisible"
     COMPONENTS_SHIFTED = "components-shifted"
+    UNLISTED_PARTS = "unlisted-parts"
     BOARD_TURNED = "board-turned"
     ORIENTATION_AMBIGUOUS = "orientation-ambiguous"
     REFERENCE_NOT_FOUND = "reference-not-found"

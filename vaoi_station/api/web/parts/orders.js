@@ -30,7 +30,7 @@ const BOARD_GROUPS = {
   flat: ["board-off-plane", "links-scatter", "surface-unlikely"],
   right: [
     "fiducials-not-found", "outline-shifted", "outline-turned", "outline-invisible", "board-turned", "texture-off-board",
-    "reference-contradicts",
+    "reference-contradicts", "unlisted-parts",
   ],
   marks: ["fiducial-missing", "fiducial-off-place", "local-fiducial-unusable", "board-unplaced", "bad-board-doubtful"],
   light: ["no-texture", "light-dark", "overlap-blank", "overlap-exposure"],

@@ -32,6 +32,7 @@ export const reasons = {
   "outline-shifted": "Der Umriss liegt verschoben.",
   "outline-turned": "Der Umriss liegt verdreht.",
   "components-shifted": "Die Bauteile liegen nicht dort, wo die Daten sie haben.",
+  "unlisted-parts": "Bauteile stehen, wo die Baugruppe laut ihren Daten keine hat.",
   "outline-invisible": "Wo der Umriss sein soll, ist keine Kante.",
   "board-turned": "Die Baugruppe liegt um 180° gedreht oder ist von einem anderen Typ.",
   "orientation-ambiguous": "Um 180° gedreht würde die Baugruppe ebenso gut passen.",

@@ -32,6 +32,7 @@ export const reasons = {
   "outline-shifted": "The outline lies shifted.",
   "outline-turned": "The outline lies turned.",
   "components-shifted": "The components do not lie where the data put them.",
+  "unlisted-parts": "Parts stand where the board type has none.",
   "outline-invisible": "There is no edge where the outline should be.",
   "board-turned": "The board lies turned by 180°, or is of another type.",
   "orientation-ambiguous": "The board turned by 180° would fit as well.",
