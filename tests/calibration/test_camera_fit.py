@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from vaoi_station.calibration.array_assignment import Assignment
-from vaoi_station.calibration.camera_fit import BLUR_LIMIT_PX, CameraResult, Limits, calibrate_camera
+from vaoi_station.calibration.camera_fit import CameraResult, Limits, calibrate_camera
 from vaoi_station.calibration.mark_detection import DetectedMarks, MarkAppearance
 from vaoi_station.calibration.mark_identification import Hypothesis
 from vaoi_station.calibration.nominal_view import nominal_matrix
 from vaoi_station.geometry.transforms import Floats, apply
+from vaoi_station.marks.blur import BLUR_LIMIT_PX
 from vaoi_station.model import CameraHead
 
 HEAD = CameraHead(width=480, height=360, exposure_us=1.0, nominal_center_mm=(0.0, 0.0), nominal_px_per_mm=20.0)

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from vaoi_station.calibration.mark_detection import MarkAppearance, detect_marks, measure_blur_px
+from vaoi_station.calibration.mark_detection import MarkAppearance, detect_marks
 from vaoi_station.files.layouts import Layout
 from vaoi_station.pixel_formats import eight_bit_grey
 
@@ -53,14 +53,6 @@ def test_a_half_covered_mark_is_doubtful(rig: Any) -> None:
     seen = detect_marks(frame, KIND)
     assert len(seen.px) == len(at) - 1
     assert all("covered or damaged" in why for _, why in seen.doubtful)
-
-
-@pytest.mark.parametrize("sigma", [1.0, 2.0, 3.0])
-def test_blur_is_measured_at_the_edges(rig: Any, sigma: float) -> None:
-    frame, at = _of(rig)
-    soft = cv2.GaussianBlur(frame, (0, 0), sigma)
-    expected = np.sqrt(sigma**2 + 0.6**2 + 1 / 12)
-    assert measure_blur_px(soft, at, KIND.size_px) == pytest.approx(expected, rel=0.2)
 
 
 def test_kinds_follow_the_layout() -> None:

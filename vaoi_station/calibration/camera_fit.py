@@ -17,11 +17,11 @@ from vaoi_station.calibration.outlier_removal import remove_outliers
 from vaoi_station.calibration.plausibility import find_implausibility
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats, apply
+from vaoi_station.marks.blur import BLUR_LIMIT_PX
 from vaoi_station.model import CameraHead
 from vaoi_station.model.note import Note
 
 MIN_MARKS = 4
-BLUR_LIMIT_PX = 2.0
 _MIN_CONTRAST = 20.0
 _MIN_SIZE_PX = 8
 _MIN_SHARE = 0.3

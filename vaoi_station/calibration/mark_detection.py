@@ -12,6 +12,7 @@ from vaoi_station.files.layouts import Layout
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.marks import Mark, find_candidates, locate_mark
+from vaoi_station.marks.blur import measure_blur_px, steepest_edge_blur
 
 SURROUND = 1.3
 """Diameter of the compared disc, divided by the size of the mark.
@@ -20,8 +21,6 @@ Calibration marks can be close together, so the compared rim around a mark is na
 COARSE_PX = 10.0
 """Approximate size of marks in the reduced frame of the search, px."""
 _MAX_CANDIDATES = 400
-_STEEPEST = 200
-"""Number of pixels on edges from which the blur is measured."""
 _SCORE_MARGIN = (0.02, 0.08)
 _SCORE_FACTOR = 3.0
 """A mark is covered or damaged if its correlation is lower than that of the other marks of its frame.
@@ -93,7 +92,7 @@ def detect_marks(grey: NDArray[np.uint8], kind: MarkAppearance) -> DetectedMarks
     blur = (
         measure_blur_px(grey, np.array([m.px for m in kept]), kind.size_px)
         if kept
-        else _steepest_edge_blur(grey, high - low)
+        else steepest_edge_blur(grey, high - low)
     )
     return DetectedMarks(
         np.array([m.px for m in kept]).reshape(-1, 2),
@@ -109,32 +108,6 @@ def detect_marks(grey: NDArray[np.uint8], kind: MarkAppearance) -> DetectedMarks
 def locate_cross(grey: NDArray[np.uint8], near_px: Floats, kind: MarkAppearance) -> Mark | Failure:
     """Locate one mark near a position that is accurate to a third of the mark's size."""
     return locate_mark(grey, near_px, "cross", kind.size_px, arm=kind.arm, surround=SURROUND)
-
-
-def measure_blur_px(grey: NDArray[np.uint8], px: Floats, size_px: float) -> float:
-    """Measure the median standard deviation of the blur at the edges of marks at px (k, 2).
-
-    The largest slope of an edge of height C blurred by sigma is C / (sigma √(2π)). The result includes the width of a
-    pixel.
-    """
-    half, found = int(np.ceil(0.6 * size_px)), []
-    for x, y in np.round(px).astype(int):
-        patch = grey[max(y - half, 0) : y + half + 1, max(x - half, 0) : x + half + 1]
-        low, high = (float(v) for v in np.percentile(patch, [5, 95]))
-        found.append(_steepest_edge_blur(patch, high - low))
-    return float(np.median(found))
-
-
-def _steepest_edge_blur(patch: NDArray[np.uint8], contrast: float) -> float:
-    """Measure the blur at the steepest edges of a patch, as a standard deviation in px."""
-    # Smoothing suppresses noise in the slopes. The variance of the smoothing, 1 px², and that of a difference over two
-    # pixels, 1/3 px², are subtracted.
-    smooth = cv2.GaussianBlur(patch.astype(np.float32), (0, 0), 1.0)
-    gx, gy = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, scale=1 / 8), cv2.Sobel(smooth, cv2.CV_32F, 0, 1, scale=1 / 8)
-    slopes = np.hypot(gx, gy).ravel()
-    few = min(_STEEPEST, slopes.size // 20 + 1)
-    steepest = max(float(np.median(np.partition(slopes, -few)[-few:])), 1e-6)
-    return float(np.sqrt(max((contrast / (steepest * np.sqrt(2 * np.pi))) ** 2 - 1.3, 0.0)))
 
 
 def score_limit(scores: Floats) -> float:

@@ -20,6 +20,7 @@ class ReasonCode(StrEnum):
     LINKS_SCATTER = "links-scatter"
     WRONG_ROWS = "wrong-rows"
     CAMERA_DISPLACED = "camera-displaced"
+    PICTURES_BLURRED = "pictures-blurred"
     LENS_DIFFERS = "lens-differs"
     OVERLAP_BLANK = "overlap-blank"
     OVERLAP_EXPOSURE = "overlap-exposure"

@@ -57,7 +57,7 @@ INSIDE = {
     "vaoi_station.stitching.board.coverage._relation",
     "vaoi_station.stitching.board.coverage._share_in_frame",
     "vaoi_station.stitching.board.coverage._share_of_union",
-    "vaoi_station.stitching.quality.lens_errors._eliminate",
+    "vaoi_station.stitching.quality.pictures.lens_errors._eliminate",
 }
 """Functions that only compiled functions call: when these are loaded, the code of the others is part of theirs."""
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from tests.stitching.quality.test_findings import findings_of
-from vaoi_station.model import Status
+from vaoi_station.model import ReasonCode, Status
+from vaoi_station.stitching.quality.row_connections import scattered_links
 from vaoi_station.stitching.quality.verdict import decide_verdict
 
 
@@ -33,3 +36,25 @@ def test_lost_rows_are_blamed_before_the_fiducials(filmed: Any, lost: tuple[int,
     reasons = decide_verdict(findings_of(filmed, there, conveyor_mm_s=slow))[1]
     assert reasons[0].code == "rows-lost", reasons
     assert f"of rows {', '.join(map(str, lost))}" in reasons[0].text
+
+
+@pytest.mark.parametrize(
+    ("floor_px", "noise_px", "named"),
+    [
+        (0.31, 0.3, "not rigid or flat"),
+        (0.29, 0.15, ""),  # a dark or blurred picture: σ contains its noise
+        (0.18, 0.03, "does not move as one board"),
+        (0.14, 0.03, ""),
+    ],
+)
+def test_scatter_of_links_that_noise_does_not_explain_is_a_reason(
+    filmed: Any, floor_px: float, noise_px: float, named: str
+) -> None:
+    found = findings_of(filmed)
+    links = found.problem.links
+    noise = np.tile(np.eye(2), (len(links), 1, 1)) * (noise_px / links.px_per_mm[:, None, None]) ** 2
+    problem = replace(found.problem, links=replace(links, noise_mm2=noise))
+    doubtful = SimpleNamespace(problem=problem, adjusted=replace(found.adjusted, floor_px=floor_px))
+    reasons = list(scattered_links(doubtful))  # type: ignore[arg-type]
+    assert [r.code for r in reasons] == [ReasonCode.LINKS_SCATTER] * bool(named)
+    assert all(named in r.text for r in reasons)

@@ -13,13 +13,7 @@ from tests.stitching.quality.test_findings import findings_of
 from vaoi_station.model import BoardType, Calibration, ReasonCode, Status
 from vaoi_station.stitching.components.local_fiducials import LocalPlace
 from vaoi_station.stitching.method import METHODS
-from vaoi_station.stitching.quality.verdict import (
-    OK_SIGMA_PX,
-    _Placed,
-    _scattered_links,
-    _unusable_local_fiducials,
-    decide_verdict,
-)
+from vaoi_station.stitching.quality.verdict import OK_SIGMA_PX, _Placed, _unusable_local_fiducials, decide_verdict
 
 
 def with_changes(board_type: BoardType, **keys: Any) -> BoardType:
@@ -186,28 +180,6 @@ def test_a_board_whose_fiducials_no_links_connect_is_not_placed(filmed: Any) -> 
     result = filmed.stitched(frames=frames, board_type=with_changes(filmed.board_type, fiducials=lone))
     assert result.status is Status.FAILED
     assert result.cad_matrix is None
-
-
-@pytest.mark.parametrize(
-    ("floor_px", "noise_px", "named"),
-    [
-        (0.31, 0.3, "not rigid or flat"),
-        (0.29, 0.15, ""),  # a dark or blurred picture: σ contains its noise
-        (0.18, 0.03, "does not move as one board"),
-        (0.14, 0.03, ""),
-    ],
-)
-def test_scatter_of_links_that_noise_does_not_explain_is_a_reason(
-    filmed: Any, floor_px: float, noise_px: float, named: str
-) -> None:
-    found = findings_of(filmed)
-    links = found.problem.links
-    noise = np.tile(np.eye(2), (len(links), 1, 1)) * (noise_px / links.px_per_mm[:, None, None]) ** 2
-    problem = replace(found.problem, links=replace(links, noise_mm2=noise))
-    doubtful = SimpleNamespace(problem=problem, adjusted=replace(found.adjusted, floor_px=floor_px))
-    reasons = list(_scattered_links(doubtful))  # type: ignore[arg-type]
-    assert [r.code for r in reasons] == [ReasonCode.LINKS_SCATTER] * bool(named)
-    assert all(named in r.text for r in reasons)
 
 
 def test_empty_frames_fail_for_lack_of_texture(filmed: Any) -> None:

@@ -39,12 +39,12 @@ from vaoi_station.stitching.quality.added_errors import (
 from vaoi_station.stitching.quality.agreement import agreeing_links, seam_px
 from vaoi_station.stitching.quality.covariances import largest_sigma
 from vaoi_station.stitching.quality.heights import Height, component_heights
-from vaoi_station.stitching.quality.lens_errors import LensError, lens_errors, position_errors_px
 from vaoi_station.stitching.quality.missing.board_edge import frames_with_edge
 from vaoi_station.stitching.quality.missing.confirmation import CheckedFrames, check_frames, linked_to_before
 from vaoi_station.stitching.quality.missing.dark_lights import DarkLight
 from vaoi_station.stitching.quality.missing.repeated_frames import repeated_frames
 from vaoi_station.stitching.quality.missing.unseen import FilmedBoard, SeenFrames, UnseenComponent, find_unseen
+from vaoi_station.stitching.quality.pictures.lens_errors import LensError, lens_errors, position_errors_px
 from vaoi_station.stitching.quality.row_offsets import row_offset
 from vaoi_station.stitching.quality.seam_causes import LIFT_LIMIT_MM, Lift, measure_lift
 from vaoi_station.stitching.quality.uncertainty import PredictedSigma, predict_sigma, seam_sigma_px

@@ -15,7 +15,6 @@ import numpy as np
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Reason, ReasonCode, Status
-from vaoi_station.stitching.adjustment.observations import median_noise_px
 from vaoi_station.stitching.adjustment.problem import FiducialPoints
 from vaoi_station.stitching.adjustment.row_motion import board_texture
 from vaoi_station.stitching.board.board_plane import BoardPlane
@@ -34,25 +33,18 @@ from vaoi_station.stitching.quality.agreement import (
 )
 from vaoi_station.stitching.quality.fiducial_sizes import wrong_size
 from vaoi_station.stitching.quality.findings import DISPLACED_PX, SEAM_LIMIT_PX, Findings
-from vaoi_station.stitching.quality.lens_errors import lens_reasons
 from vaoi_station.stitching.quality.missing.absent_cameras import absent_camera_reasons
 from vaoi_station.stitching.quality.missing.dark_lights import dark_light_reasons
 from vaoi_station.stitching.quality.missing.unseen import unconfirmed_reasons, unseen_reasons
-from vaoi_station.stitching.quality.row_connections import repeated_rows, unconnected_rows
+from vaoi_station.stitching.quality.pictures.lens_errors import lens_reasons
+from vaoi_station.stitching.quality.pictures.sharpness import blur_reasons, camera_blurs
+from vaoi_station.stitching.quality.row_connections import repeated_rows, scattered_links, unconnected_rows
 from vaoi_station.stitching.quality.row_offsets import shifted_cameras
 from vaoi_station.stitching.quality.seam_causes import explain_seam, repeated_overlap
 from vaoi_station.stitching.quality.uncertainty import uncertain_calibration
 
 OK_SIGMA_PX = 0.20
-_FLOOR_LIMIT_PX, _UNEXPLAINED_PX, _UNEXPLAINED = 0.30, 0.15, 3.0
-"""Largest scatter of links beyond image noise: in any case, and if it exceeds the image noise by the last factor.
-
-Scatter that noise does not explain comes from links that do not move with the board, for example on a belt as bright as
-the board (seed 108935). Of 3191 drawings that were `ok`, no other one had more than 0.15 px and three times the noise.
-"""
 _OUTSIDE_LIMIT = 0.03
-_USED = 0.1
-"""Weight above which a link counts as used."""
 _CAUSES_OF_FAILURE = (ReasonCode.ROWS_LOST, ReasonCode.BOARD_OFF_PLANE)
 _ENOUGH_FIDUCIALS = 3
 """Least number of found fiducials for which an error of one fiducial leaves residuals."""
@@ -127,21 +119,6 @@ def _no_texture(f: Findings) -> Iterator[Reason]:
 
 def _dark_lights(f: Findings) -> Iterable[Reason]:
     return dark_light_reasons(f.dark)
-
-
-def _scattered_links(f: Findings) -> Iterator[Reason]:
-    links, floor = f.problem.links, f.adjusted.floor_px
-    noise = median_noise_px(links, np.flatnonzero((f.adjusted.weight > _USED) & (links.p != links.q)))
-    if floor > _FLOOR_LIMIT_PX:
-        scatter = f"links scatter by {floor:.2f} px (limit {_FLOOR_LIMIT_PX})"
-        yield Reason(ReasonCode.LINKS_SCATTER, f"{scatter}: the board is not rigid or flat")
-    elif floor > max(_UNEXPLAINED_PX, _UNEXPLAINED * noise):
-        yield Reason(
-            ReasonCode.LINKS_SCATTER,
-            f"links scatter by {floor:.2f} px, of which image noise explains {noise:.2f} px (limit {_UNEXPLAINED_PX}): "
-            "what the frames show does not move as one board; use a belt or carrier that is darker or brighter than "
-            "the board's edge, and check that the board is rigid",
-        )
 
 
 def _cameras_in_wrong_rows(f: Findings) -> Iterator[Reason]:
@@ -358,6 +335,10 @@ def _distorted_pictures(b: _Placed) -> Iterable[Reason]:
     return lens_reasons(b.findings.lens_errors)
 
 
+def _blurred_pictures(b: _Placed) -> Iterable[Reason]:
+    return [] if b.points is None else blur_reasons(camera_blurs(b.plane, b.findings.scene, b.points))
+
+
 def _unseen_components(b: _Placed) -> Iterable[Reason]:
     f, total = b.findings, len(b.plane.board_type.components)
     return unseen_reasons(f.unseen, total, len(f.scene.cameras), f.rows, f.scene.present, f.unplaced)
@@ -370,7 +351,7 @@ _RUN_CHECKS: tuple[Callable[[Findings], Iterable[Reason]], ...] = (
     _dark_lights,
     unconnected_rows,
     repeated_rows,
-    _scattered_links,
+    scattered_links,
     _cameras_in_wrong_rows,
     _disagreeing_cameras,
     _displaced_cameras,
@@ -388,6 +369,7 @@ _BOARD_CHECKS: tuple[Callable[[_Placed], Iterable[Reason]], ...] = (
     _invisible_outline,
     _texture_off_the_board,
     _distorted_pictures,
+    _blurred_pictures,
     _uncertain_positions,
     _unconfirmed_frames,
     _unseen_components,

@@ -38,7 +38,7 @@ const BOARD_GROUPS = {
   identify: [
     "board-id-differs", "next-machine-differs", "codes-disagree", "product-differs", "code-unread", "identity-not-read", "board-id-uncertain",
   ],
-  camera: ["wrong-rows", "camera-displaced", "lens-differs", "not-explained"],
+  camera: ["wrong-rows", "camera-displaced", "lens-differs", "pictures-blurred", "not-explained"],
   type: [
     "overlap-repetitive", "rows-repetitive", "no-board-type", "too-few-fiducials", "fiducial-size", "fiducial-wrong", "scale-wrong",
     "components-shifted", "orientation-ambiguous", "reference-not-found", "positions-uncertain", "no-error-measure", "reference-unusable",

@@ -17,6 +17,7 @@ export const reasons = {
   "overlap-repetitive": "Wo zwei Kameras sich überlappen, passt ein Muster an mehreren Stellen.",
   "board-off-plane": "Die Baugruppe liegt zu hoch oder zu tief.",
   "not-explained": "Zwei Kameras zeigen nicht dasselbe; die Ursache ist unbekannt.",
+  "pictures-blurred": "Die Bilder einer Kamera sind unscharf.",
   "no-board-type": "Es war kein Baugruppentyp angegeben.",
   "too-few-fiducials": "Der Baugruppentyp hat weniger als zwei Passmarken.",
   "fiducials-not-found": "Keine zwei Marken passen zu den Passmarken des Baugruppentyps.",

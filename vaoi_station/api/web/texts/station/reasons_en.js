@@ -17,6 +17,7 @@ export const reasons = {
   "overlap-repetitive": "Where two cameras overlap, a pattern fits at several places.",
   "board-off-plane": "The board lies too high or too low.",
   "not-explained": "Two cameras do not show the same; the cause is not known.",
+  "pictures-blurred": "The pictures of a camera are blurred.",
   "no-board-type": "No board type was given.",
   "too-few-fiducials": "The board type has fewer than two fiducials.",
   "fiducials-not-found": "No two marks fit the fiducials of the board type.",

@@ -1,0 +1,1 @@
+"""What the pictures of a camera are worth: errors of its lens, and blur."""
