@@ -187,15 +187,14 @@ class _Comparison(NamedTuple):
     def differences(self, image: NDArray[np.float32]) -> tuple[Floats, Floats, Floats]:
         """Return differences and sums of opposite pixels of an image of the patch, (n,) each.
 
-        The last value (n, 4) is an orthonormal basis of the effects of a shift and of a gradient of the light.
+        The last value (n, 4) has the effects of a shift along x and y, px, and of a gradient of the light.
         """
         window = _smooth_window(image, *self.centre, self.half + 1)
         here = window[1:-1, 1:-1]
         slopes = (window[1:-1, 2:] - window[1:-1, :-2], window[2:, 1:-1] - window[:-2, 1:-1])
         odd, both = ((here + sign * here[::-1, ::-1])[self.used] for sign in (-1, 1))
         shifts = [(s - s[::-1, ::-1])[self.used] for s in slopes]
-        basis, _ = np.linalg.qr(np.stack([*shifts, self.u * both, self.v * both], -1))
-        return odd, both, np.asarray(basis)
+        return odd, both, np.stack([*shifts, self.u * both, self.v * both], -1)
 
 
 def _smooth_window(image: NDArray[np.float32], x: float, y: float, half: int) -> Floats:
@@ -213,8 +212,11 @@ def _smooth_window(image: NDArray[np.float32], x: float, y: float, half: int) ->
 
 def find_shadow_edge(
     patch: NDArray[np.uint8], centre: tuple[float, float], radius: float, reach: float, noise: float
-) -> ShadowEdge | None:
+) -> tuple[ShadowEdge, float] | None:
     """Find the step of the light across a mark; None if there is none that counts, or if the patch is too small.
+
+    The second value is the factor by which the unknown line and step make the centre less certain: close to an edge of
+    the mark that is parallel to it, the line of a shadow has nearly the effect of a shift.
 
     Args:
         patch: (h, w) grey levels around the mark, up to 5 px beyond `reach`.
@@ -236,7 +238,25 @@ def find_shadow_edge(
     if not chi2 > _LEAST_CHI2 or not lines:
         return None
     edge, share = _refine(compared, lines, noise)
-    return edge if share > _LEAST_SHARE and _LEAST_STEP <= edge.depth <= _LARGEST_STEP else None
+    if share <= _LEAST_SHARE or not _LEAST_STEP <= edge.depth <= _LARGEST_STEP:
+        return None
+    return edge, _weakening(compared, edge)
+
+
+def _weakening(compared: _Comparison, edge: ShadowEdge) -> float:
+    """Return by which factor the centre is less certain if line and step are unknown too; at least 1."""
+    u, v = _offsets(compared.patch.shape, compared.centre)
+
+    def odd(of: ShadowEdge) -> tuple[Floats, Floats]:
+        differences, _, effects = compared.differences(np.asarray(compared.patch / of.light(u, v), np.float32))
+        return differences, effects
+
+    now, known = odd(edge)
+    slopes = [odd(ShadowEdge(*(edge + _DELTA * axis)))[0] - now for axis in np.eye(3)]
+    both = np.column_stack([known, *slopes])
+    both, known = (a / np.maximum(np.linalg.norm(a, axis=0), 1e-9) for a in (both, known))
+    alone, together = (np.linalg.inv(a.T @ a + 1e-9 * np.eye(a.shape[1]))[:2, :2] for a in (known, both))
+    return float(np.sqrt(max(np.linalg.eigvals(np.linalg.solve(alone, together)).real.max(), 1.0)))
 
 
 def _likely_lines(compared: _Comparison, furthest: float, noise: float) -> tuple[list[ShadowEdge], float]:
@@ -247,8 +267,8 @@ def _likely_lines(compared: _Comparison, furthest: float, noise: float) -> tuple
     """
     # The time is that of the number of lines times that of the pixels. A part of a large mark's pixels suffices.
     each = slice(None, None, math.ceil(len(compared.u) / _SEARCHED))
-    odd, both, basis = (values[each] for values in compared.differences(compared.patch))
-    basis, _ = np.linalg.qr(basis)
+    odd, both, effects = (values[each] for values in compared.differences(compared.patch))
+    basis, _ = np.linalg.qr(effects)
     left = odd - basis @ (basis.T @ odd)
     angles = np.arange(_DIRECTIONS) * (2 * math.pi / _DIRECTIONS)
     offsets = np.linspace(0, furthest, min(math.ceil(furthest / _OFFSET_PX) + 1, _OFFSETS))
@@ -283,7 +303,8 @@ def _refine(compared: _Comparison, likely: Sequence[ShadowEdge], noise: float) -
 
     def rest(of: ShadowEdge) -> Floats:
         """Compute what remains of the differences in even light, beyond a shift and a gradient."""
-        odd, _, basis = compared.differences(np.asarray(compared.patch / of.light(u, v), np.float32))
+        odd, _, effects = compared.differences(np.asarray(compared.patch / of.light(u, v), np.float32))
+        basis, _ = np.linalg.qr(effects)
         return np.asarray(odd - basis @ (basis.T @ odd))
 
     before = rest(ShadowEdge(0.0, 0.0, 0.0))

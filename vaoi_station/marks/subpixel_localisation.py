@@ -140,16 +140,16 @@ def _without_shadow(image: NDArray[np.uint8], mark: Mark, asymmetric: bool, soug
     half = math.ceil(sought.surround * radius) + _BEYOND_PX
     left, top = max(round(x) - half, 0), max(round(y) - half, 0)
     patch, centre = image[top : round(y) + half + 1, left : round(x) + half + 1], (x - left, y - top)
-    edge = find_shadow_edge(patch, centre, radius, reach, noise)
-    found = _locate(even_light(patch, centre, edge), centre, sought, True) if edge else None
-    if found is None or isinstance(found, Failure):
+    shadow = find_shadow_edge(patch, centre, radius, reach, noise)
+    found = _locate(even_light(patch, centre, shadow[0]), centre, sought, True) if shadow else None
+    if shadow is None or found is None or isinstance(found, Failure):
         return mark
     again, px = found[0], found[0].px + (left, top)
     correction = math.dist(px, mark.px)
     # A mark that is less symmetric in even light was not in the light that was found.
     if again.sigma_px > mark.sigma_px + correction:
         return mark
-    return replace(again, px=px, sigma_px=math.hypot(again.sigma_px, _SHADOW_SIGMA * correction))
+    return replace(again, px=px, sigma_px=math.hypot(again.sigma_px * shadow[1], _SHADOW_SIGMA * correction))
 
 
 Position = tuple[tuple[float, float], float]
