@@ -58,6 +58,7 @@ SHORT = (
     105410,
     107464,
     108935,
+    111947,
 )
 """Mended finds that the short form repeats: one of each class of causes."""
 MOST_REFUSED = 0.05

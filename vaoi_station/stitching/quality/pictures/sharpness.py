@@ -1,7 +1,7 @@
 """Blur of the cameras' pictures, measured at the edges of fiducials.
 
 In blurred pictures the patches of corners near the board's edge show the edge and what lies beyond it, and a last row
-that few corners place is off by up to 1.5 px (seed 111791), beyond its σ. Nor are such pictures of use to look at.
+that few corners place is off by up to 1.5 px (seed 111791), beyond its σ. Such pictures serve no inspection either.
 """
 
 from __future__ import annotations
