@@ -66,6 +66,19 @@ def test_a_sound_board_shows_no_such_parts(filmed: Any) -> None:
     assert not parts.other_type
 
 
+def test_without_an_outline_of_the_board_nothing_is_counted(filmed: Any) -> None:
+    """What stands on a carrier, or beside a board, would look like parts of the board."""
+    some, _ = without_largest(filmed.board_type)
+    findings: Any = findings_of(filmed, board_type=some)
+    problem, adjusted = findings.problem, findings.adjusted
+    marks = {"fixture_mark": {"size": 2.0}, "fixture_marks": [{"x": 1.0, "y": 1.0}, {"x": 5.0, "y": 1.0}]}
+    data = some.model_dump(mode="json", exclude_none=True)
+    without = {key: value for key, value in data.items() if key != "outline"}
+    for document in (without, data | marks):
+        plane = BoardPlane(BoardType.model_validate(document), findings.plane.mirrored)
+        assert find_unlisted_parts(plane, problem, adjusted).bare == 0
+
+
 PLACES = np.array([(1.0, 2.0), (3.26, 4.0), (5.0, 6.0), (7.0, 8.0)])
 
 

@@ -2,7 +2,7 @@
 
 Fiducials and outline of two board types may be the same. Their parts are not: corners of a part that the board type
 does not list move from row to row as points above the bare board do. A list without connectors causes the same, so
-the parts are counted only if no component shows its centre where C puts it.
+the parts are a reason only if too few components show their centres where C puts them.
 """
 
 from __future__ import annotations
@@ -65,8 +65,12 @@ def find_unlisted_parts(plane: BoardPlane, problem: Problem, adjusted: Adjustmen
         adjusted: its solution.
     """
     o, motion, c = problem.links, adjusted.motion, adjusted.similarity
+    nothing = UnlistedParts(0, 0, 0, np.zeros((0, 2)))
     if problem.surface is None or c is None or not len(adjusted.surface_mm) or not len(o):
-        return UnlistedParts(0, 0, 0, np.zeros((0, 2)))
+        return nothing
+    # Without an outline of the board itself, what stands on a carrier or beside the board would count.
+    if plane.board_type.outline is None or plane.board_type.fixture_marks:
+        return nothing
     on_board = links_on_board(plane, c, o, motion, float(np.median(o.px_per_mm)))
     bare = (problem.component < 0) & ~problem.reaches_component & (o.p != o.q)
     at = on_board[bare[on_board]]
@@ -102,8 +106,8 @@ def unlisted_part_reasons(parts: UnlistedParts, plane: BoardPlane) -> list[Reaso
         Reason(
             ReasonCode.UNLISTED_PARTS,
             f"parts stand at about {len(parts.places)} places where board type {plane.board_type.name!r} has none ("
-            f"{where}{more}, CAD coordinates in {unit}), and none of its components is recognised at its place: the "
-            "board is of another type; compare it with its order. If it is of this type, add the missing parts to the "
-            "board type, or teach a reference",
+            f"{where}{more}, CAD coordinates in {unit}), and too few of its components are recognised at their "
+            "places: the board is of another type; compare it with its order. If it is of this type, add the missing "
+            "parts to the board type, or teach a reference",
         )
     ]
