@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import signal
+import threading
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
-from distributed import Future, LocalCluster
+from distributed import Future, LocalCluster, get_worker
 
 from tests.plant.conftest import add_runs, task_of
 from vaoi_station import RecordedRun
@@ -19,6 +23,7 @@ from vaoi_station.plant.restitch import ClusterOptions, Terms
 from vaoi_station.plant.restitch.task import RunTask, read_outcome, restitch_run
 from vaoi_station.plant.workers.cluster import cluster_address, connection
 from vaoi_station.plant.workers.dispatch import AHEAD, Dispatch
+from vaoi_station.plant.workers.run_work import UnseenArchive
 from vaoi_station.plant.workers.software import software
 
 
@@ -140,6 +145,55 @@ def test_without_a_usable_worker_the_wait_is_bounded(stored: Archive, cluster: C
     assert len(dispatch.refused_workers) == 2
 
 
+@contextmanager
+def mounted(cluster: ClusterOptions, archive: Path, machines: Path) -> Iterator[str]:
+    """Give each worker a mount point of its own, to which the relative path `share` of the archive leads."""
+    assert cluster.scheduler is not None
+    with connection(cluster.scheduler, cluster.patience_s) as client:
+        client.wait_for_workers(2, timeout=120)  # The test before may have killed one.
+        before = client.run(os.getcwd)
+        client.run(software)  # The first time takes long on a busy machine.
+        for n, address in enumerate(before):
+            (machines / f"machine{n}").mkdir()
+            (machines / f"machine{n}" / "share").symlink_to(archive)
+            client.run(os.chdir, str(machines / f"machine{n}"), workers=[address])
+        try:
+            yield cluster.scheduler
+        finally:
+            for address, folder in before.items():
+                client.run(os.chdir, folder, workers=[address])
+
+
+def test_runs_that_wait_at_a_worker_without_its_share_are_given_to_another(
+    board: RecordedRun, cluster: ClusterOptions, tmp_path: Path
+) -> None:
+    """A worker never begins a run that it was given before it lost the resource, and Dask leaves it there."""
+    archive = Archive.create(tmp_path / "archive")
+    add_runs(archive, board.directory, 6)
+    tasks = [replace(task_of(archive, run.run), archive="share") for run in archive.runs()]
+    marker, kept = tmp_path / "lost", list[RunTask]()
+
+    def lose_share(_: RunTask) -> bytes | UnseenArchive:
+        try:
+            marker.mkdir()
+        except FileExistsError:
+            return b"done"
+        worker: Any = get_worker()
+        while len(worker.state.tasks) < AHEAD:
+            threading.Event().wait(0.02)
+        (name,) = (name for name in worker.state.total_resources if name.startswith("vaoi-"))
+        taken = worker.set_resources(**{name: 0})
+        asyncio.run_coroutine_threadsafe(taken, worker.loop.asyncio_loop).result(30)
+        Path("share").unlink()
+        return UnseenArchive("the share is gone", worker.address)
+
+    with mounted(cluster, tmp_path / "archive", tmp_path) as address:
+        dispatch = Dispatch(software(), lose_share, lambda task, _: kept.append(task), refuse, lambda _: None)
+        dispatch.work(address, tasks, ["share"], cluster.patience_s)
+    assert sorted(t.key for t in kept) == sorted(t.key for t in tasks)
+    assert len(dispatch.refused_workers) == 1
+
+
 def test_a_worker_that_loses_its_share_costs_no_run(
     board: RecordedRun, cluster: ClusterOptions, tmp_path: Path
 ) -> None:
@@ -147,28 +201,15 @@ def test_a_worker_that_loses_its_share_costs_no_run(
     add_runs(archive, board.directory, 8)
     kept: list[RunTask] = []
     reported: list[str] = []
-    assert cluster.scheduler is not None
-    with connection(cluster.scheduler, cluster.patience_s) as client:
-        client.wait_for_workers(2, timeout=120)  # The test before may have killed one.
-        before = client.run(os.getcwd)
-        client.run(software)  # The first time takes long on a busy machine.
-        for n, address in enumerate(before):
-            # Each worker has a mount point of its own, to which the relative path of the archive leads.
-            (tmp_path / f"machine{n}").mkdir()
-            (tmp_path / f"machine{n}" / "share").symlink_to(tmp_path / "archive")
-            client.run(os.chdir, str(tmp_path / f"machine{n}"), workers=[address])
-        tasks = [replace(task_of(archive, run.run), archive="share") for run in archive.runs()]
+    tasks = [replace(task_of(archive, run.run), archive="share") for run in archive.runs()]
 
-        def keep(task: RunTask, _: bytes) -> None:
-            kept.append(task)
-            (tmp_path / "machine1" / "share").unlink(missing_ok=True)
+    def keep(task: RunTask, _: bytes) -> None:
+        kept.append(task)
+        (tmp_path / "machine1" / "share").unlink(missing_ok=True)
 
-        try:
-            dispatch = Dispatch(software(), restitch_run, keep, refuse, reported.append)
-            dispatch.work(cluster.scheduler, tasks, [tasks[0].archive], cluster.patience_s)
-        finally:
-            for address, folder in before.items():
-                client.run(os.chdir, folder, workers=[address])
+    with mounted(cluster, tmp_path / "archive", tmp_path) as address:
+        dispatch = Dispatch(software(), restitch_run, keep, refuse, reported.append)
+        dispatch.work(address, tasks, ["share"], cluster.patience_s)
     assert sorted(t.key for t in kept) == sorted(t.key for t in tasks)
     assert len(dispatch.refused_workers) == 1
     assert "share: is no archive" in dispatch.refused_workers[0]

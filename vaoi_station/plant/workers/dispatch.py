@@ -6,7 +6,7 @@ import threading
 import time
 import uuid
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from itertools import islice
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
@@ -123,7 +123,7 @@ class Dispatch(Generic[_Task]):
                 if now_s - looked_s >= _LOOK_S:
                     looked_s = now_s
                     _in_time(crew.update)
-                    found = _in_time(lambda: _unassigned(client, given))
+                    found = _in_time(lambda: _unassigned(client, given, crew.admitted))
                     self._take_back(client, given, found & unassigned)
                     unassigned = found
                 seen_s = now_s if crew.admitted else seen_s
@@ -210,15 +210,15 @@ def _submit(client: Client, perform: Callable[[_Task], Outcome], task: _Task, re
     return client.submit(perform, task, key=key, resources={resource: 1}, retries=RETRIES, pure=False)
 
 
-def _unassigned(client: Client, given: dict[Any, _Task]) -> set[Any]:
-    """Return the runs that are not done and that no worker has.
+def _unassigned(client: Client, given: dict[Any, _Task], admitted: Collection[str]) -> set[Any]:
+    """Return the runs that are not done and that no admitted worker has.
 
     When the last worker of a resource ends, Dask keeps its tasks; and it gives them to no worker that gets the resource
-    after it has joined.
+    after it has joined. A worker that loses the resource keeps the tasks that it has not begun, and never begins them.
     """
     if not given:
         return set()
-    assigned = {key for keys in client.processing().values() for key in keys}
+    assigned = {key for address, keys in client.processing().items() if address in admitted for key in keys}
     return {future for future in given if future.status in {"pending", "lost"} and future.key not in assigned}
 
 
