@@ -34,7 +34,7 @@ _LEAST_PLACES, _LEAST_SHARE, _SUNK = 3, 0.03, 1 / 3
 seem to lie below it.
 
 On boards of their own type, in 106 drawings of the hostile suite whose components show no centres and in the recorded
-cases, the share is 0.9 % at most; on boards of another type it is 8 % in the median (hostile.md)."""
+cases, the share is 0.9 % at most; on boards of another type it is 8 % in the median (docs/measured/uncertainty.md)."""
 
 
 class UnlistedParts(NamedTuple):
