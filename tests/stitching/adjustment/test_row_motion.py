@@ -11,11 +11,14 @@ from numpy.typing import NDArray
 from vaoi_station.stitching.adjustment.motion import nominal_motion
 from vaoi_station.stitching.adjustment.observations import to_observations
 from vaoi_station.stitching.adjustment.problem import Problem
-from vaoi_station.stitching.adjustment.row_motion import board_texture, motion_from_links, motion_from_marks
+from vaoi_station.stitching.adjustment.row_motion import board_texture, mark_links, motion_from_links, motion_from_marks
 from vaoi_station.stitching.matching.evidence import Detections, Links, Task
 
 TIMES, VELOCITY = np.array([0.0, 0.1, 0.2, 0.3]), np.array([0.0, 40.0])
 NOMINAL = nominal_motion(TIMES, VELOCITY, np.zeros(2))
+BELT = nominal_motion(np.array([0.0, 0.1, 0.2]), np.array([0.0, 50.0]), np.zeros(2))
+STEP_PX = 50.0
+MARKS = np.array([[30.0, 20.0], [90.0, 25.0], [150.0, 22.0]])
 MOVED_PX = np.array([[0.0, 0.0], [0.5, 41.0], [0.2, 79.5], [-0.4, 121.0]])
 
 
@@ -52,15 +55,50 @@ def test_the_texture_of_the_board_leaves_outliers_out_and_is_a_sample(workshop: 
     assert 4000 <= len(board_texture(many.links, motion_from_links(many, NOMINAL))) < 8000
 
 
-def marks(row: int, px: NDArray[np.float64]) -> Detections:
+def detections(camera: int, row: int, px: NDArray[np.float64], kind: list[int] | None = None) -> Detections:
     k = len(px)
-    return Detections(Task("marks", (0, row)), px, np.full(k, 0.02), np.full(k, 0.9), np.zeros(k, dtype=np.int_))
+    kinds = np.array(kind if kind is not None else [0] * k, dtype=np.int_)
+    return Detections(Task("marks", (camera, row)), px, np.full(k, 0.02), np.full(k, 0.9), kinds)
 
 
 def test_marks_give_the_motion_without_links(workshop: Any) -> None:
     camera = workshop.camera()
     at = np.array([[30.0, 10.0], [100.0, 15.0], [170.0, 12.0]])
     none = Problem(TIMES, VELOCITY, to_observations([], (camera,)), np.zeros(0, dtype=np.int_))
-    seen = [marks(row, at + MOVED_PX[row]) for row in range(4)]
+    seen = [detections(0, row, at + MOVED_PX[row]) for row in range(4)]
     result = motion_from_marks(none, NOMINAL, seen, (camera,))
     assert result.motion.shift * -camera.px_per_mm == pytest.approx(MOVED_PX, abs=0.1)
+
+
+def test_a_mark_is_linked_to_where_the_belt_carried_it(workshop: Any) -> None:
+    moved = MARKS[::-1] + (3.0, STEP_PX - 4.0)
+    (links,) = mark_links([detections(0, 0, MARKS), detections(0, 1, moved)], (workshop.camera(),), BELT)
+    assert links.task == Task("rows", (0, 0), (0, 1))
+    assert links.a_px.tolist() == MARKS.tolist()
+    assert links.b_px == pytest.approx(MARKS + (3.0, STEP_PX - 4.0))
+    assert links.information[0] == pytest.approx(np.eye(2) / (2 * 0.02**2))
+
+
+def test_an_ambiguous_mark_is_not_linked(workshop: Any) -> None:
+    camera = (workshop.camera(),)
+    twice = np.concatenate([MARKS, MARKS[:1] + 2.0])
+    for a, b in ((MARKS, twice + (0, STEP_PX)), (twice, MARKS + (0, STEP_PX))):
+        (links,) = mark_links([detections(0, 0, a), detections(0, 1, b)], camera, BELT)
+        assert sorted(links.a_px[:, 0]) == [90.0, 150.0]
+
+
+def test_marks_of_another_kind_or_too_far_away_are_not_linked(workshop: Any) -> None:
+    camera = (workshop.camera(),)
+    carried = MARKS + (0, STEP_PX)
+    for other in (detections(0, 1, carried, [1, 1, 1]), detections(0, 1, carried + (0, 20.0))):
+        (links,) = mark_links([detections(0, 0, MARKS), other], camera, BELT)
+        assert (len(links.a_px), links.note) == (0, "no mark is in both rows")
+
+
+def test_rows_without_marks_are_skipped_and_cameras_are_separate(workshop: Any) -> None:
+    cameras = (workshop.camera((0, 0)), workshop.camera((15, 0)))
+    none = np.zeros((0, 2))
+    seen = [detections(0, 2, MARKS + (0, 2 * STEP_PX)), detections(0, 1, none), detections(0, 0, MARKS)]
+    links = mark_links([*seen, detections(1, 1, MARKS)], cameras, BELT)
+    assert [(e.task.a, e.task.b) for e in links] == [((0, 0), (0, 2))]
+    assert len(links[0].a_px) == 3
