@@ -12,7 +12,7 @@ from vaoi_station.geometry.similarity import apply_similarity
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment.motion import Motion, nominal_motion
 from vaoi_station.stitching.adjustment.observations import Observations
-from vaoi_station.stitching.adjustment.problem import AdjustmentResult, Problem
+from vaoi_station.stitching.adjustment.problem import AdjustmentResult, Influence, Problem
 from vaoi_station.stitching.board.board_plane import board_plane
 from vaoi_station.stitching.board.footprints import FootprintViews, landmarks
 from vaoi_station.stitching.matching.scene import Scene
@@ -77,6 +77,22 @@ def test_shift_uncertainty_scales_with_the_resolution(scene: Scene, plane: Any) 
 def test_uncertainty_of_c_counts_in_every_row(scene: Scene, plane: Any) -> None:
     sigma = predicted(scene, plane, adjusted([0.0] * 3, c_sigma_mm=0.02))
     assert sigma.rows_px == pytest.approx([np.hypot(0.2, MODEL_PX)] * 3)
+
+
+@pytest.mark.parametrize(
+    ("moved_px", "expected_px", "beyond_px"), [(0.4, 0.0, 0.4), (0.4, 0.3, 0.265), (0.3, 0.4, 0.0), (0.09, 0.0, 0.0)]
+)
+def test_what_noise_does_not_explain_of_the_influence_of_one_place_widens_sigma(
+    scene: Scene, plane: Any, moved_px: float, expected_px: float, beyond_px: float
+) -> None:
+    """Row 2 has σ 0.1 px. Without one place it moves; with another one, by as much as noise explains."""
+    found = adjusted([0.0, 0.0, 0.01])
+    change, growth = np.zeros((2, ROWS, 7)), np.zeros((2, ROWS, 7, 7))
+    change[0, 2, 1], growth[0, 2, 1, 1] = moved_px / 10, (expected_px / 10) ** 2
+    change[1, 2, 1], growth[1, 2, 1, 1] = 0.02, 0.02**2
+    sigma = predicted(scene, plane, replace(found, influence=Influence(change, growth)))
+    assert sigma.rows_px[:2] == pytest.approx([MODEL_PX] * 2)
+    assert sigma.rows_px[2] == pytest.approx(np.hypot(np.hypot(0.1, beyond_px), MODEL_PX), abs=1e-3)
 
 
 def test_angle_uncertainty_grows_with_the_distance_from_the_pivot(scene: Scene, plane: Any) -> None:

@@ -150,6 +150,16 @@ class CameraEstimate:
 
 
 @dataclass(frozen=True, eq=False)
+class Influence:
+    """How the solution changes if the links of one place are left out, for c such places (`influence.py`)."""
+
+    change: Floats
+    """(c, m, u) for each place and row, change of the u unknowns of `AdjustmentResult.covariance`."""
+    growth: Floats
+    """(c, m, u, u) by how much their covariance grows: the covariance of the change, if the noise model is right."""
+
+
+@dataclass(frozen=True, eq=False)
 class AdjustmentResult:
     """The solution of an adjustment with its covariance and its residuals."""
 
@@ -180,3 +190,5 @@ class AdjustmentResult:
     """The problem, with the displacements of the cameras applied to its links, points and cameras."""
     cameras: CameraEstimate | None = None
     """The displacements of the cameras; None if the calibration was taken as exact."""
+    influence: Influence | None = None
+    """The influence of the links of single places; None if it is small everywhere."""

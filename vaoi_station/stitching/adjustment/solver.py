@@ -19,7 +19,6 @@ from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.adjustment.camera_equations import MovingCameras, row_changes
 from vaoi_station.stitching.adjustment.envelope import (
     NormalEquations,
-    add_equations,
     factorise,
     hold_first_row,
     inverse,
@@ -41,12 +40,12 @@ from vaoi_station.stitching.adjustment.height_equations import (
     eliminate_heights,
     height_changes,
 )
+from vaoi_station.stitching.adjustment.influence import Assembly, examine_clusters
 from vaoi_station.stitching.adjustment.link_equations import (
     LinkModel,
     LinkState,
     MotionArrays,
     NoiseModel,
-    add_links,
     compute_residuals,
     compute_weights,
 )
@@ -59,7 +58,7 @@ from vaoi_station.stitching.adjustment.motion import (
 )
 from vaoi_station.stitching.adjustment.noise_floor import NoiseFloors
 from vaoi_station.stitching.adjustment.observations import index_in_group, linked_steps
-from vaoi_station.stitching.adjustment.problem import AdjustmentResult, Problem
+from vaoi_station.stitching.adjustment.problem import AdjustmentResult, Influence, Problem
 from vaoi_station.stitching.adjustment.surface import prior_sigma_mm
 
 _MAX_STEPS = 15
@@ -189,18 +188,13 @@ class _Solver:
     def step(self) -> float:
         """Make one reweighted Gauss-Newton step; return the largest change of a shift in mm."""
         self.steps += 1
-        normal = self.envelope.zeros()
-        sunk_mm = _HEIGHT_SIGMA_MM if self.steps <= _FREE_STEPS else _SUNK_MM
-        heights = self.coupling.equations(self.heights_mm, _HEIGHT_SIGMA_MM, sunk_mm)
-        for equations in (self._belt(), *self._fiducials(), self._surface()):
-            add_equations(*equations, normal)
+        priors = self._priors()
         self._compute_residuals()
         # in this order: the noise floor depends on the residuals, and the weights depend on the noise floor
         if self.steps <= _FLOOR_STEPS:
             self.floors.update(self.state.residual, displaceable=bool(self.cameras.unknowns))
         self._compute_weights()
-        model = LinkModel(self.heights, self.coupling, self.problem.links.pairs, self.cameras.effects)
-        add_links(self.cameras.links, self._motion_arrays(), model, self.state, heights, normal)
+        normal, heights = self._assembly(priors).whole()
         eliminate_heights(self.coupling, heights, normal)
         hold_first_row(normal)
         self.cameras.regularise(self.envelope, normal)
@@ -208,6 +202,17 @@ class _Solver:
         forward = self.cameras.constrain(self.envelope, normal)
         self.factor = normal
         return self._move(solve_backward(normal, forward), heights)
+
+    def _priors(self) -> tuple[Equations, ...]:
+        """Return all equations but those of links: of the belt, of detections and scale, of the surface."""
+        return self._belt(), *self._fiducials(), self._surface()
+
+    def _assembly(self, priors: tuple[Equations, ...]) -> Assembly:
+        """Return the parts of the normal equations at the current unknowns, residuals and weights."""
+        sunk_mm = _HEIGHT_SIGMA_MM if self.steps <= _FREE_STEPS else _SUNK_MM
+        heights = self.coupling.equations(self.heights_mm, _HEIGHT_SIGMA_MM, sunk_mm)
+        model = LinkModel(self.heights, self.coupling, self.problem.links.pairs, self.cameras.effects)
+        return Assembly(self.envelope, priors, self.cameras.links, self._motion_arrays(), model, self.state, heights)
 
     def _move(self, delta: Floats, heights: HeightEquations) -> float:
         """Add the solution (n,) of a step to all unknowns; return the largest change of a shift in mm.
@@ -321,7 +326,16 @@ class _Solver:
             sigma0,
             self.cameras.displaced_problem(),
             self.cameras.estimate(covariance, u),
+            self._influence(),
         )
+
+    def _influence(self) -> Influence | None:
+        """Examine the influence of the links of single places on the solution; None before C is an unknown."""
+        if self.similarity is None or not self.steps:
+            return None
+        first = 3 * self.rows + len(self.shared)
+        held = np.arange(first, first + self.cameras.unknowns)
+        return examine_clusters(self._assembly(self._priors()), self.problem.links.seam, len(self.shared), held)
 
     def _covariance(self) -> Floats:
         """Return for each row the covariance (v, v) of its unknowns, C, the surface and the cameras.

@@ -1,8 +1,9 @@
-"""Reasons for rows whose links do not connect them: none, only a repeated pattern, or links that do not agree."""
+"""Reasons for rows that links do not connect well: there are none, they repeat, they disagree, or they scatter."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from vaoi_station.model import Reason, ReasonCode
 from vaoi_station.stitching.adjustment.observations import Ints, median_noise_px
 from vaoi_station.stitching.quality.findings import Findings
+from vaoi_station.stitching.quality.uncertainty import predict_sigma
 
 _FLOOR_LIMIT_PX, _UNEXPLAINED_PX, _UNEXPLAINED = 0.30, 0.15, 3.0
 """Largest scatter of links beyond image noise: in any case, and if it exceeds the image noise by the last factor.
@@ -129,3 +131,23 @@ def scattered_links(f: Findings) -> Iterator[Reason]:
             "what the frames show does not move as one board; use a belt or carrier that is darker or brighter than "
             "the board's edge, and check that the board is rigid",
         )
+
+
+def disputed_rows(f: Findings, limit_px: float) -> str:
+    """Return a clause that names rows whose positions single places decide by more than noise explains; empty if none.
+
+    These are the rows that would be known better than `limit_px` if the links of all places agreed.
+    """
+    if f.adjusted.influence is None:
+        return ""
+    agreed = predict_sigma(f.scene, f.plane, replace(f.adjusted, influence=None), f.views)
+    rows = [j for j, (px, calm) in enumerate(zip(f.sigma.rows_px, agreed.rows_px, strict=True)) if px > limit_px > calm]
+    if not rows:
+        return ""
+    named = ", ".join(f"{a}" if a == b else f"{a}–{b}" for a, b in _ranges(tuple(rows)))
+    return (
+        f"; positions in row{'s' if len(rows) > 1 else ''} {named} follow from few places of the pictures, and without "
+        "one of these they move by more than noise explains: it may show the belt, a shadow, or a part that the board "
+        "type lacks. Let consecutive frames overlap more (a slower belt or a shorter period), and keep belt and "
+        "carrier darker or brighter than the board's edge"
+    )

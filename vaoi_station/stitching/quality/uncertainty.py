@@ -113,12 +113,11 @@ def predict_sigma(
     part, camera, row = (numbers[inside] for numbers in (views.point, views.camera, views.row))
     place = views.place_mm[inside]
     functions = basis(plane.board_type, cad) if len(adjusted.surface_mm) else np.zeros((len(cad), 0))
-    covariance = position_covariances(
-        ViewArrays(row, part, place, _leans(scene.cameras, camera, place)),
-        PointArrays(plane.flat(cad), functions),
-        RowArrays(adjusted.motion.angle, adjusted.motion.pivot, adjusted.covariance),
-        _displacements(scene, adjusted, camera, row),
-    )
+    seen = ViewArrays(row, part, place, _leans(scene.cameras, camera, place))
+    points = PointArrays(plane.flat(cad), functions)
+    displacements = _displacements(scene, adjusted, camera, row)
+    covariance = position_covariances(seen, points, _row_arrays(adjusted, adjusted.covariance), displacements)
+    covariance = covariance + _unexplained_influence(seen, points, adjusted, covariance)
     px_per_mm = np.array([c.px_per_mm for c in scene.cameras])[camera]
     # The adjustment takes artwork and calibrated camera shapes as exact: their errors are added here.
     covariance = covariance * px_per_mm[:, None, None] ** 2 + MODEL_PX**2 * np.eye(2)
@@ -128,6 +127,37 @@ def predict_sigma(
     worst = float(rows.max(initial=0)) or None
     by_row = tuple(float(v) or w for v, w in zip(rows, motion, strict=True))
     return PredictedSigma(by_row, worst, names, part, np.column_stack([camera, row]), covariance)
+
+
+def _row_arrays(adjusted: AdjustmentResult, covariance: Floats) -> RowArrays:
+    return RowArrays(adjusted.motion.angle, adjusted.motion.pivot, covariance)
+
+
+def _unexplained_influence(
+    seen: ViewArrays, points: PointArrays, adjusted: AdjustmentResult, covariance: Floats
+) -> Floats:
+    """Return the covariance (k, 2, 2) mm² of k views that follows from the influence of the links of single places.
+
+    If a view moves further without the links of one place than the noise model explains, these links or the others are
+    wrong. What the model does not explain of these changes is added up. It counts where it is larger than the
+    covariance (k, 2, 2) by the model.
+    """
+    total = np.zeros_like(covariance)
+    if adjusted.influence is None or not len(covariance):
+        return total
+    exact = _exact_cameras(adjusted, np.zeros(len(covariance), dtype=np.int_))
+    for change, growth in zip(adjusted.influence.change, adjusted.influence.growth, strict=True):
+        beyond = change[:, :, None] * change[:, None] - growth
+        values, axes = np.linalg.eigh(position_covariances(seen, points, _row_arrays(adjusted, beyond), exact))
+        total += (axes * np.maximum(values, 0.0)[:, None]) @ axes.swapaxes(1, 2)
+    counts = largest_sigma(total) > largest_sigma(covariance)
+    return np.where(counts[:, None, None], total, 0.0)
+
+
+def _exact_cameras(adjusted: AdjustmentResult, camera: Ints) -> DisplacementArrays:
+    """Return the displacements of cameras (k,) that are taken as exact."""
+    u = adjusted.covariance.shape[1]
+    return DisplacementArrays(camera, np.zeros((len(camera), 3, 3)), np.zeros((1, u, 0)), np.zeros((0, 0)))
 
 
 def _leans(cameras: Sequence[Camera], camera: Ints, place: Floats) -> Floats:
@@ -196,8 +226,7 @@ def _displacements(scene: Scene, adjusted: AdjustmentResult, camera: Ints, row: 
     """Collect the uncertainty of the cameras' displacements for k views, of cameras (k,) in rows (k,)."""
     estimate, motion = adjusted.cameras, adjusted.motion
     if estimate is None:
-        u = adjusted.covariance.shape[1]
-        return DisplacementArrays(camera, np.zeros((len(camera), 3, 3)), np.zeros((1, u, 0)), np.zeros((0, 0)))
+        return _exact_cameras(adjusted, camera)
     effects = camera_effects(scene.cameras, np.zeros_like(estimate.displacement_px))
     by_camera = row_changes(effects, camera, motion.angle[row], motion.pivot)
     return DisplacementArrays(camera, by_camera, estimate.cross, estimate.covariance)

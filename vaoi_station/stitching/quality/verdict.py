@@ -38,7 +38,12 @@ from vaoi_station.stitching.quality.missing.dark_lights import dark_light_reason
 from vaoi_station.stitching.quality.missing.unseen import unconfirmed_reasons, unseen_reasons
 from vaoi_station.stitching.quality.pictures.lens_errors import lens_reasons
 from vaoi_station.stitching.quality.pictures.sharpness import blur_reasons, camera_blurs
-from vaoi_station.stitching.quality.row_connections import repeated_rows, scattered_links, unconnected_rows
+from vaoi_station.stitching.quality.row_connections import (
+    disputed_rows,
+    repeated_rows,
+    scattered_links,
+    unconnected_rows,
+)
 from vaoi_station.stitching.quality.row_offsets import shifted_cameras
 from vaoi_station.stitching.quality.seam_causes import explain_seam, repeated_overlap
 from vaoi_station.stitching.quality.uncertainty import uncertain_calibration
@@ -320,6 +325,7 @@ def _uncertain_positions(b: _Placed) -> Iterator[Reason]:
         blamed = uncertain_detections(b.plane, b.points, OK_SIGMA_PX) + uncertain_calibration(
             b.findings.calibrated, OK_SIGMA_PX / 2
         )
+        blamed += disputed_rows(b.findings, OK_SIGMA_PX)
         uncertain = f"positions are uncertain by {worst:.3f} px (1 σ, limit {OK_SIGMA_PX}){blamed}"
         yield Reason(ReasonCode.POSITIONS_UNCERTAIN, uncertain)
 
