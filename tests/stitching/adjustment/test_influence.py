@@ -1,4 +1,4 @@
-"""The influence of the links of single places, against adjustments without them."""
+"""The influence of the links of single places and of marks, against adjustments without them."""
 
 from __future__ import annotations
 
@@ -13,9 +13,16 @@ from numpy.typing import NDArray
 
 from tests.stitching.adjustment.test_solver import PX_PER_MM, Bench, C, bench, started
 from vaoi_station.stitching.adjustment import influence, solver
-from vaoi_station.stitching.adjustment.influence import number_clusters
+from vaoi_station.stitching.adjustment.influence import groups_of_marks, number_clusters
 from vaoi_station.stitching.adjustment.observations import LinkArrays, Observations
-from vaoi_station.stitching.adjustment.problem import AdjustmentResult, Influence, Problem
+from vaoi_station.stitching.adjustment.problem import (
+    FIXTURE,
+    REFERENCE,
+    AdjustmentResult,
+    FiducialPoints,
+    Influence,
+    Problem,
+)
 from vaoi_station.stitching.adjustment.solver import adjust
 
 __all__ = ["bench"]
@@ -55,18 +62,22 @@ def examined(problem: Problem) -> tuple[AdjustmentResult, Influence]:
     return found, found.influence
 
 
-def test_changes_are_those_of_an_adjustment_without_the_links(bench: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def wide(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Examine and keep all; weights, which a change may change too, stay as they are."""
     monkeypatch.setattr(influence, "_FEW", 10**6)
     monkeypatch.setattr(influence, "_LEAST_PX", -1.0)
-    # A wide knee: weights, which a change may change too, stay as they are.
     monkeypatch.setattr(solver, "_KNEE", 6.0)
     monkeypatch.setattr(solver, "_FLOOR_STEPS", 0)
+
+
+def test_changes_without_links_are_those_of_an_adjustment_without_them(bench: Any, wide: None) -> None:
     problem = first_row_of_few_links(bench(3))
     found, of = examined(problem)
     cluster = number_clusters(problem.links.arrays, found.weight, 0.1, 5.0)
-    assert len(of.change) == cluster.max() + 1
+    assert (~of.of_marks).sum() == cluster.max() + 1
     shift_px = np.abs(first_row_px(of.change)).max(1)
-    for number in np.argsort(shift_px)[-2:].tolist():
+    for number in np.argsort(shift_px[~of.of_marks])[-2:].tolist():
         rest = solved(problem.select(np.flatnonzero(cluster != number)))
         assert rest.similarity is not None
         assert found.similarity is not None
@@ -76,12 +87,31 @@ def test_changes_are_those_of_an_adjustment_without_the_links(bench: Any, monkey
         assert of.change[number, 0, 3:7] == pytest.approx(rest.similarity - found.similarity, rel=0.2, abs=2e-4)
         # the covariance of both adjustments with the same noise floor
         grown = rest.covariance[1, 1:3, 1:3] - found.covariance[1, 1:3, 1:3]
-        assert of.growth[number, 1, 1:3, 1:3] == pytest.approx(grown, rel=0.3, abs=1e-6)
+        assert of.explained[number, 1, 1:3, 1:3] == pytest.approx(grown, rel=0.3, abs=1e-6)
+
+
+def test_changes_without_a_mark_are_those_of_an_adjustment_without_it(bench: Any, wide: None) -> None:
+    truth = bench(3)
+    problem = truth.with_fiducials(truth.problem())
+    (found, of), points = examined(problem), problem.fiducials
+    assert points is not None
+    assert found.similarity is not None
+    assert of.of_marks.sum() == 3
+    for which, number in enumerate(np.flatnonzero(of.of_marks).tolist()):
+        others = points.select(np.flatnonzero(points.which != which))
+        rest = solved(replace(problem, fiducials=others))
+        assert rest.similarity is not None
+        assert np.sqrt(3) * of.change[number, 0, 3:7] == pytest.approx(
+            rest.similarity - found.similarity, rel=0.1, abs=4e-4
+        )
+        grown = np.sqrt(np.diag(rest.covariance[1] - found.covariance[1])[3:7])
+        explained = np.sqrt(3 * np.diag(of.explained[number, 1])[3:7]) / influence._MARK_SIGMAS
+        assert explained == pytest.approx(grown, rel=0.1, abs=1e-6)
 
 
 def beyond_noise_px(of: Influence) -> float:
     """Return the largest part of the shifts of row 1 that the growth of its covariance does not explain, px."""
-    shift, growth = first_row_px(of.change), of.growth[:, 1, 1:3, 1:3] * PX_PER_MM**2
+    shift, growth = first_row_px(of.change), of.explained[:, 1, 1:3, 1:3] * PX_PER_MM**2
     values = np.linalg.eigvalsh(shift[:, :, None] * shift[:, None] - growth)
     return float(np.sqrt(np.maximum(values, 0).max()))
 
@@ -108,7 +138,55 @@ def test_many_places_are_not_examined(bench: Any, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(influence, "_LEAST_PX", 0.0)
     for few, examines in ((min(of_row) - 1, False), (max(of_row), True)):
         monkeypatch.setattr(influence, "_FEW", few)
-        assert (solved(between).influence is not None) == examines
+        found = solved(between).influence
+        assert found is not None
+        assert (~found.of_marks).any() == examines
+
+
+def test_a_mark_that_is_not_where_the_cad_data_have_it_has_an_influence_beyond_noise(bench: Any) -> None:
+    """Three fiducials, of which one is off by 1 px in the CAD data: nothing shows which."""
+    right, wrong = [], []
+    for seed in range(30, 36):
+        truth = bench(seed)
+        problem = truth.with_fiducials(truth.problem())
+        right.append(cad_beyond_noise_mm(solved(problem).influence))
+        points = problem.fiducials
+        assert points is not None
+        cad = points.cad + 1.0 / PX_PER_MM * np.array([0.6, 0.8]) * (points.which == 1)[:, None]
+        wrong.append(cad_beyond_noise_mm(solved(replace(problem, fiducials=replace(points, cad=cad))).influence))
+    print("beyond noise, mm:", np.round(right, 4), np.round(wrong, 4))
+    assert max(right) < 0.01
+    assert min(wrong) > 0.02
+
+
+def cad_beyond_noise_mm(of: Influence | None) -> float:
+    """Return the largest part of the changes of C's shift without one mark that noise does not explain, mm."""
+    if of is None:
+        return 0.0
+    shift, explained = of.change[of.of_marks, 0, 5:7], of.explained[of.of_marks][:, 0, 5:7, 5:7]
+    values = np.linalg.eigvalsh(shift[:, :, None] * shift[:, None] - explained)
+    return float(np.sqrt(np.maximum(values, 0).max(initial=0)))
+
+
+@pytest.mark.parametrize(
+    ("which", "groups"),
+    [
+        ([0, 1, 0, 1], []),  # two fiducials: without one of them, nothing places the board
+        ([0, 1, 2, 0], [[0, 3], [1], [2]]),
+        ([0, 1, REFERENCE, REFERENCE], [[2, 3], [0], [1]]),
+        ([FIXTURE, FIXTURE, 0], [[2]]),
+        ([REFERENCE, REFERENCE], []),
+        ([], []),
+    ],
+)
+def test_marks_are_left_out_where_others_place_the_board(which: list[int], groups: list[list[int]]) -> None:
+    k, pairs = len(which), np.zeros((len(which), 2))
+    sigma_mm, number = np.full(k, 0.001), np.array(which, np.int_)
+    points = FiducialPoints(number, pairs, pairs, pairs, sigma_mm, np.full(k, 10.0), number, number)
+    assert [g.tolist() for g in groups_of_marks(points)] == groups
+    # Fiducials of single boards of a panel do not place the panel.
+    of_boards = replace(points, which=number[::-1] + 10, sigma_mm=np.full(k, 0.5))
+    assert [g.tolist() for g in groups_of_marks(FiducialPoints.joined([points, of_boards]))] == groups
 
 
 def test_without_c_or_links_nothing_is_examined(bench: Any) -> None:

@@ -12,7 +12,7 @@ import pytest
 from tests.stitching.quality.test_findings import findings_of
 from vaoi_station.model import ReasonCode, Status
 from vaoi_station.stitching.adjustment.problem import Influence
-from vaoi_station.stitching.quality.row_connections import disputed_rows, scattered_links
+from vaoi_station.stitching.quality.row_connections import disputed_positions, scattered_links
 from vaoi_station.stitching.quality.verdict import decide_verdict
 
 
@@ -61,20 +61,27 @@ def test_scatter_of_links_that_noise_does_not_explain_is_a_reason(
     assert all(named in r.text for r in reasons)
 
 
-def test_places_that_disagree_widen_sigma_and_are_named(filmed: Any) -> None:
-    """Without the links of one place, row 0 moves by 0.5 px more than noise explains."""
+@pytest.mark.parametrize(
+    ("of_marks", "named"),
+    [
+        (False, "positions in row 0 follow from few places of the pictures"),
+        (True, "without one of the fiducials, or without the reference, positions move by more"),
+    ],
+)
+def test_what_decides_positions_beyond_noise_widens_sigma_and_is_named(filmed: Any, of_marks: bool, named: str) -> None:
+    """Without the links of one place, or one mark, row 0 moves by 0.5 px more than noise explains."""
     found = findings_of(filmed)
     assert decide_verdict(found)[0] is Status.OK
-    assert disputed_rows(found, 0.2) == ""
+    assert disputed_positions(found, 0.2) == ""
     m, u = found.adjusted.covariance.shape[:2]
     change = np.zeros((1, m, u))
     # The gauge holds row 0: the other rows and C move against it.
     change[0, 1:, 2] = change[0, :, 6] = 0.5 / found.scene.cameras[0].px_per_mm
-    influence = Influence(change, np.zeros((1, m, u, u)))
+    influence = Influence(change, np.zeros((1, m, u, u)), np.array([of_marks]))
     assert found.mapping is not None
     disputed = replace(found, found=replace(found.mapping, adjusted=replace(found.adjusted, influence=influence)))
     assert disputed.sigma.rows_px[0] == pytest.approx(0.5, abs=0.03)
     assert disputed.sigma.rows_px[1:] == found.sigma.rows_px[1:]
     status, reasons = decide_verdict(disputed)
     assert (status, [r.code for r in reasons]) == (Status.DEGRADED, [ReasonCode.POSITIONS_UNCERTAIN])
-    assert "positions in row 0 follow from few places of the pictures" in reasons[0].text
+    assert named in reasons[0].text

@@ -1,16 +1,18 @@
-"""Compute how the solution of an adjustment changes if the links of one place are left out.
+"""Compute how the solution of an adjustment changes without the links of one place, or without one mark.
 
 A cluster is the links of one pair of frames within one square of the ground. They have causes of errors in common that
-the noise model does not contain: a part that the board type does not list, a shadow, the belt in a hole. The noise
-model states how much the solution should change without a cluster: if the covariance grows from Σ to Σ', the change has
-the covariance Σ' − Σ. A larger change contradicts the model. (External reliability of a group of observations: Baarda,
-A testing procedure for use in geodetic networks, 1968. Influence of an observation: Cook, Technometrics 19, 1977.)
+the noise model does not contain: a part that the board type does not list, a shadow, the belt in a hole. So have the
+detections of one fiducial (CAD data, dirt) and all points of a reference. The noise model states how much the solution
+should change without a group of observations: if the covariance grows from Σ to Σ', the change has the covariance
+Σ' − Σ. A larger change contradicts the model. (External reliability of a group of observations: Baarda, A testing
+procedure for use in geodetic networks, 1968. Influence of an observation: Cook, Technometrics 19, 1977.)
 
 Only clusters of rows and seams that few clusters connect are left out: among many, one has little influence.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -34,7 +36,7 @@ from vaoi_station.stitching.adjustment.fiducial_equations import Equations
 from vaoi_station.stitching.adjustment.height_equations import HeightEquations, HeightModel, eliminate_heights
 from vaoi_station.stitching.adjustment.link_equations import LinkModel, LinkState, MotionArrays, add_links
 from vaoi_station.stitching.adjustment.observations import Ints, LinkArrays
-from vaoi_station.stitching.adjustment.problem import Influence
+from vaoi_station.stitching.adjustment.problem import FiducialPoints, Influence
 
 _SQUARE_MM = 5.0
 """Side of the squares: about the size of components, holes and their shadows."""
@@ -44,6 +46,11 @@ _USED = 0.1
 """Robust weight above which a link counts as used."""
 _LEAST_PX = 0.03
 """Changes up to this, px, are not kept."""
+_MARK_SIGMAS = 2.0
+"""Changes without one mark are explained up to this number of standard deviations. Few marks place a board: without one
+of three, changes are large by chance."""
+_PLACING_MM, _NONE = 0.1, -9
+"""Points with a σ from this on do not place the board: fiducials of components, and of single boards of a panel."""
 _HELD = 1e12
 """Added to the diagonal entry of an unknown that must not change, px⁻²."""
 
@@ -53,8 +60,8 @@ class Assembly:
     """The parts of which the normal equations of an adjustment are summed, at the current unknowns."""
 
     envelope: Envelope
-    priors: tuple[Equations, ...]
-    """All equations but those of links: belt, detections, scale, surface."""
+    priors: list[Equations]
+    """All equations but those of links: belt, then detections and scale if there are any, then surface."""
     links: LinkArrays
     motion: MotionArrays
     model: LinkModel
@@ -73,12 +80,22 @@ class Assembly:
 
     def part(self, at: Ints) -> tuple[NormalEquations, HeightEquations]:
         """Return the same equations of the links `at` alone, which are of one pair of frames."""
-        normal, heights = self.envelope.zeros(), HeightEquations(*(np.zeros_like(values) for values in self.heights))
+        normal, heights = self._nothing()
         links, state = LinkArrays._make(v[at] for v in self.links), LinkState._make(v[at] for v in self.state)
         of_heights = self.model.heights
         own = self.model._replace(heights=HeightModel(of_heights.basis[at], of_heights.component[at]))
         add_links(links, self.motion, own, state, heights, normal)
         return normal, heights
+
+    def part_of_marks(self, at: Ints) -> tuple[NormalEquations, HeightEquations]:
+        """Return the same equations of the points `at` of `Problem.fiducials` alone."""
+        normal, heights = self._nothing()
+        columns, slopes, rest = self.priors[1]
+        add_equations(columns[at], slopes[at], rest[at], normal)
+        return normal, heights
+
+    def _nothing(self) -> tuple[NormalEquations, HeightEquations]:
+        return self.envelope.zeros(), HeightEquations(*(np.zeros_like(values) for values in self.heights))
 
 
 class Reach(NamedTuple):
@@ -94,34 +111,56 @@ class Reach(NamedTuple):
         return float(max(rows.max(), x_y.max(initial=0.0), surface.sum() * self.lean))
 
 
-def examine_clusters(assembly: Assembly, seam: Ints, shared: int, held: Ints) -> Influence | None:
-    """Leave out each cluster of rows and seams that few clusters connect; return None if no change is of interest.
+def examine_influence(
+    assembly: Assembly, seam: Ints, points: FiducialPoints, shared: int, held: Ints
+) -> Influence | None:
+    """Leave out each cluster of rows and seams that few clusters connect, and each mark; return None if little changes.
 
     Args:
         assembly: the equations at the solution.
         seam: (k,) of each link between two cameras the lower of their numbers; −1 for links from row to row.
+        points: the points of `Problem.fiducials`.
         shared: number of unknowns that all rows share, without cameras.
         held: columns of the unknowns that are taken as exact: the displacements of the cameras.
     """
     links, motion = assembly.links, assembly.motion
-    cluster = number_clusters(links, assembly.state.robust, _USED, _SQUARE_MM)
-    few = np.flatnonzero(_of_few(links, cluster, seam, len(motion.angle)))
-    if not len(few):
+    if not len(links.p):
         return None
-    whole = assembly.whole()
-    every, covariance = _solve(assembly, whole, None, held)
-    u = 3 + shared
+    cluster = number_clusters(links, assembly.state.robust, _USED, _SQUARE_MM)
+    few = np.flatnonzero(_of_few(links, cluster, seam, len(motion.angle))).tolist()
+    marks = groups_of_marks(points)
+    if not few and not marks:
+        return None
+    u, whole = 3 + shared, assembly.whole()
+    every, factor = _solve(assembly, whole, None, held)
+    covariance = _covariance(assembly, factor, u)
     reach = Reach(float(np.abs(links.b_mm - motion.pivot).max()), float(np.hypot(*links.b_lean.T).max()))
     least_mm = _LEAST_PX / float(np.median(links.px_per_mm))
-    changes, growth = [], []
-    for number in few.tolist():
-        part = assembly.part(np.flatnonzero(cluster == number))
-        solution, without = _solve(assembly, whole, part, held)
+    found = []
+    for number in [*few, *range(-len(marks), 0)]:
+        of_marks = number < 0
+        at = marks[number] if of_marks else np.flatnonzero(cluster == number)
+        solution, factor = _solve(assembly, whole, assembly.part_of_marks(at) if of_marks else assembly.part(at), held)
         change = _of_rows(solution - every, len(motion.angle), u)
         if reach.extent_mm(change) > least_mm:
-            changes.append(change)
-            growth.append(_covariance(assembly, without, u) - _covariance(assembly, covariance, u))
-    return Influence(np.array(changes), np.array(growth)) if changes else None
+            explained = _covariance(assembly, factor, u) - covariance
+            if of_marks:
+                # One of them is wrong, and each as probably as the others: the mean of their squares is expected.
+                change, explained = change / math.sqrt(len(marks)), explained * (_MARK_SIGMAS**2 / len(marks))
+            found.append((change, explained, of_marks))
+    return Influence(*(np.array(values) for values in zip(*found, strict=True))) if found else None
+
+
+def groups_of_marks(points: FiducialPoints) -> list[Ints]:
+    """Return the indices of points that are left out together: those of one fiducial, of the fixture, of the reference.
+
+    A group is left out only if other points place the board: two fiducials, the fixture, or the reference.
+    """
+    which = np.where(points.sigma_mm < _PLACING_MM, points.which, _NONE)
+    marks = np.unique(which[which != _NONE]).tolist()
+    others = [[other for other in marks if other != mark] for mark in marks]
+    places = [len(rest) >= 2 or any(other < 0 for other in rest) for rest in others]
+    return [np.flatnonzero(which == mark) for mark, enough in zip(marks, places, strict=True) if enough]
 
 
 @compiled

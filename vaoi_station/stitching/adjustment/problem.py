@@ -151,12 +151,18 @@ class CameraEstimate:
 
 @dataclass(frozen=True, eq=False)
 class Influence:
-    """How the solution changes if the links of one place are left out, for c such places (`influence.py`)."""
+    """How the solution changes without c groups of observations, each left out by itself (`influence.py`)."""
 
     change: Floats
-    """(c, m, u) for each place and row, change of the u unknowns of `AdjustmentResult.covariance`."""
-    growth: Floats
-    """(c, m, u, u) by how much their covariance grows: the covariance of the change, if the noise model is right."""
+    """(c, m, u) for each group and row, change of the u unknowns of `AdjustmentResult.covariance`."""
+    explained: Floats
+    """(c, m, u, u) covariance of that change as far as the noise model explains it."""
+    of_marks: NDArray[np.bool_]
+    """(c,) whether each group is of points of `Problem.fiducials`; the others are of links."""
+
+    def select(self, at: NDArray[np.bool_]) -> Influence | None:
+        """Return the influence of these groups only; None if there are none."""
+        return Influence(self.change[at], self.explained[at], self.of_marks[at]) if at.any() else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,4 +197,4 @@ class AdjustmentResult:
     cameras: CameraEstimate | None = None
     """The displacements of the cameras; None if the calibration was taken as exact."""
     influence: Influence | None = None
-    """The influence of the links of single places; None if it is small everywhere."""
+    """The influence of the links of single places and of single marks; None if it is small everywhere."""

@@ -40,7 +40,7 @@ from vaoi_station.stitching.adjustment.height_equations import (
     eliminate_heights,
     height_changes,
 )
-from vaoi_station.stitching.adjustment.influence import Assembly, examine_clusters
+from vaoi_station.stitching.adjustment.influence import Assembly, examine_influence
 from vaoi_station.stitching.adjustment.link_equations import (
     LinkModel,
     LinkState,
@@ -203,11 +203,11 @@ class _Solver:
         self.factor = normal
         return self._move(solve_backward(normal, forward), heights)
 
-    def _priors(self) -> tuple[Equations, ...]:
+    def _priors(self) -> list[Equations]:
         """Return all equations but those of links: of the belt, of detections and scale, of the surface."""
-        return self._belt(), *self._fiducials(), self._surface()
+        return [self._belt(), *self._fiducials(), self._surface()]
 
-    def _assembly(self, priors: tuple[Equations, ...]) -> Assembly:
+    def _assembly(self, priors: list[Equations]) -> Assembly:
         """Return the parts of the normal equations at the current unknowns, residuals and weights."""
         sunk_mm = _HEIGHT_SIGMA_MM if self.steps <= _FREE_STEPS else _SUNK_MM
         heights = self.coupling.equations(self.heights_mm, _HEIGHT_SIGMA_MM, sunk_mm)
@@ -330,12 +330,14 @@ class _Solver:
         )
 
     def _influence(self) -> Influence | None:
-        """Examine the influence of the links of single places on the solution; None before C is an unknown."""
-        if self.similarity is None or not self.steps:
+        """Examine the influence of single places and marks on the solution; None before C is an unknown."""
+        points = self.cameras.points
+        if self.similarity is None or points is None or not self.steps:
             return None
         first = 3 * self.rows + len(self.shared)
         held = np.arange(first, first + self.cameras.unknowns)
-        return examine_clusters(self._assembly(self._priors()), self.problem.links.seam, len(self.shared), held)
+        assembly = self._assembly(self._priors())
+        return examine_influence(assembly, self.problem.links.seam, points, len(self.shared), held)
 
     def _covariance(self) -> Floats:
         """Return for each row the covariance (v, v) of its unknowns, C, the surface and the cameras.

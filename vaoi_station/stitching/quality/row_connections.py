@@ -10,6 +10,7 @@ import numpy as np
 
 from vaoi_station.model import Reason, ReasonCode
 from vaoi_station.stitching.adjustment.observations import Ints, median_noise_px
+from vaoi_station.stitching.adjustment.problem import Influence
 from vaoi_station.stitching.quality.findings import Findings
 from vaoi_station.stitching.quality.uncertainty import predict_sigma
 
@@ -133,15 +134,21 @@ def scattered_links(f: Findings) -> Iterator[Reason]:
         )
 
 
-def disputed_rows(f: Findings, limit_px: float) -> str:
-    """Return a clause that names rows whose positions single places decide by more than noise explains; empty if none.
+def disputed_positions(f: Findings, limit_px: float) -> str:
+    """Return a clause that names what decides positions by more than noise explains; empty if nothing does.
 
-    These are the rows that would be known better than `limit_px` if the links of all places agreed.
+    These are positions that would be known better than `limit_px` if the links of all places, and all marks, agreed.
     """
-    if f.adjusted.influence is None:
+    influence = f.adjusted.influence
+    if influence is None:
         return ""
-    agreed = predict_sigma(f.scene, f.plane, replace(f.adjusted, influence=None), f.views)
-    rows = [j for j, (px, calm) in enumerate(zip(f.sigma.rows_px, agreed.rows_px, strict=True)) if px > limit_px > calm]
+    if _uncertain_by(f, influence.select(influence.of_marks), limit_px):
+        return (
+            "; without one of the fiducials, or without the reference, positions move by more than noise explains: "
+            "they do not fit one another. Check whether a fiducial is dirty or covered, compare the fiducials of the "
+            "board type with the board, and teach the reference again if the board was changed"
+        )
+    rows = _uncertain_by(f, influence, limit_px)
     if not rows:
         return ""
     named = ", ".join(f"{a}" if a == b else f"{a}–{b}" for a, b in _ranges(tuple(rows)))
@@ -151,3 +158,12 @@ def disputed_rows(f: Findings, limit_px: float) -> str:
         "type lacks. Let consecutive frames overlap more (a slower belt or a shorter period), and keep belt and "
         "carrier darker or brighter than the board's edge"
     )
+
+
+def _uncertain_by(f: Findings, influence: Influence | None, limit_px: float) -> list[int]:
+    """Return the rows with positions that have a standard deviation above a limit only on account of an influence."""
+    without, by_it = (
+        predict_sigma(f.scene, f.plane, replace(f.adjusted, influence=one), f.views).rows_px
+        for one in (None, influence)
+    )
+    return [j for j, (calm, px) in enumerate(zip(without, by_it, strict=True)) if px > limit_px >= calm]

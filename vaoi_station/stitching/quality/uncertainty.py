@@ -136,18 +136,18 @@ def _row_arrays(adjusted: AdjustmentResult, covariance: Floats) -> RowArrays:
 def _unexplained_influence(
     seen: ViewArrays, points: PointArrays, adjusted: AdjustmentResult, covariance: Floats
 ) -> Floats:
-    """Return the covariance (k, 2, 2) mm² of k views that follows from the influence of the links of single places.
+    """Return the covariance (k, 2, 2) mm² of k views that follows from the influence of single places and marks.
 
     If a view moves further without the links of one place than the noise model explains, these links or the others are
-    wrong. What the model does not explain of these changes is added up. It counts where it is larger than the
-    covariance (k, 2, 2) by the model.
+    wrong, and so with marks. What the model does not explain of these changes is added up. It counts where it is larger
+    than the covariance (k, 2, 2) by the model.
     """
     total = np.zeros_like(covariance)
     if adjusted.influence is None or not len(covariance):
         return total
     exact = _exact_cameras(adjusted, np.zeros(len(covariance), dtype=np.int_))
-    for change, growth in zip(adjusted.influence.change, adjusted.influence.growth, strict=True):
-        beyond = change[:, :, None] * change[:, None] - growth
+    for change, explained in zip(adjusted.influence.change, adjusted.influence.explained, strict=True):
+        beyond = change[:, :, None] * change[:, None] - explained
         values, axes = np.linalg.eigh(position_covariances(seen, points, _row_arrays(adjusted, beyond), exact))
         total += (axes * np.maximum(values, 0.0)[:, None]) @ axes.swapaxes(1, 2)
     counts = largest_sigma(total) > largest_sigma(covariance)

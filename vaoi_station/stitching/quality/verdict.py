@@ -39,7 +39,7 @@ from vaoi_station.stitching.quality.missing.unseen import unconfirmed_reasons, u
 from vaoi_station.stitching.quality.pictures.lens_errors import lens_reasons
 from vaoi_station.stitching.quality.pictures.sharpness import blur_reasons, camera_blurs
 from vaoi_station.stitching.quality.row_connections import (
-    disputed_rows,
+    disputed_positions,
     repeated_rows,
     scattered_links,
     unconnected_rows,
@@ -325,7 +325,7 @@ def _uncertain_positions(b: _Placed) -> Iterator[Reason]:
         blamed = uncertain_detections(b.plane, b.points, OK_SIGMA_PX) + uncertain_calibration(
             b.findings.calibrated, OK_SIGMA_PX / 2
         )
-        blamed += disputed_rows(b.findings, OK_SIGMA_PX)
+        blamed += disputed_positions(b.findings, OK_SIGMA_PX)
         uncertain = f"positions are uncertain by {worst:.3f} px (1 σ, limit {OK_SIGMA_PX}){blamed}"
         yield Reason(ReasonCode.POSITIONS_UNCERTAIN, uncertain)
 
