@@ -18,7 +18,7 @@ from vaoi_station.acquisition.controller.interface import (
     PulseSkipped,
     RunEnded,
 )
-from vaoi_station.acquisition.process.messages import BoardMissed, Grant, MissedPassage, RunFinished
+from vaoi_station.acquisition.process.messages import BoardMissed, Grant, MissedPassage, RunFinished, RunStarted
 from vaoi_station.config import StationConfig
 from vaoi_station.line_config import Encoder
 
@@ -118,6 +118,8 @@ def test_a_board_whose_edge_was_lost_has_no_interruptions_of_the_one_before(benc
     bench.session.handle_event(RunEnded(2, 20.1, 1, "clear"), 20.1)
     bench.session.tick(30.0)
     assert [finished.interruptions for finished in bench.of(RunFinished)] == [((-0.3, None),), ()]
+    # Nor its time: a run whose edge is not known must not get the order of the board before.
+    assert [(r.host_time_s, r.edge_known) for r in bench.of(RunStarted)] == [(9.7, True), (20.0, False)]
 
 
 def test_a_run_on_a_fast_belt_is_described_by_what_the_belt_did(bench: SessionBench) -> None:

@@ -152,6 +152,22 @@ def test_while_the_barrier_is_not_watched_ids_become_uncertain(books: Books) -> 
     assert books.account.missed == 0
 
 
+def test_a_board_whose_edge_is_older_than_the_loss_is_doubted_too(books: Books) -> None:
+    """Edges are reported late: of two boards that came during a loss of events, the second may be the one reported."""
+    books.account.unwatched(70.0, "the controller did not report all boards for a time")
+    assert books.orders.doubt_of(books.progress.armed_s, books.progress.barrier_s) is None, "it has its run"
+    assert books.orders.doubt_of(books.progress.armed_s, 69.0) is not None
+    books.orders.accept(books.progress.order, None, 71.0)
+    assert books.orders.doubt_of(71.0, 72.0) is None, "its caller could know of the loss"
+
+
+def test_a_run_whose_edge_was_lost_is_degraded_and_has_no_id(books: Books) -> None:
+    books.account.begin(books.progress, 40.0, edge_known=False)
+    books.finish(())
+    assert books.codes() == ["edge-lost", "board-id-uncertain"]
+    assert books.progress.board_id is None
+
+
 def test_a_run_without_an_id_needs_no_certainty(books: Books) -> None:
     books.progress.order = replace(books.progress.order, board_id=None)
     books.account.unwatched(45.0, "the controller did not report all boards for a time")

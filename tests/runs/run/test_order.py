@@ -39,6 +39,39 @@ def test_a_board_that_was_there_first_belongs_to_the_order_before(
     assert orders.take(20.1) is second
 
 
+def test_orders_that_come_before_its_first_pulse_do_not_change_that_of_a_board(
+    config: StationConfig, calibration: Calibration, store: Store, board_type: BoardType
+) -> None:
+    """An order that is repeated, corrected or cancelled while a board waits is for the next one."""
+    desk, orders = make_desk(config, calibration, store), Orders()
+    of = {name: order_of(desk, board_type, name) for name in "abcd"}
+    orders.accept(of["a"], 1, 10.0)
+    orders.accept(of["b"], None, 20.0)
+    orders.cancel(21.0)
+    orders.accept(of["c"], 2, 22.0)
+    orders.accept(of["d"], 3, 23.0)
+    assert orders.take(19.0) is of["a"]
+    assert orders.taken_since_s == 10.0
+    assert orders.take(20.5) is of["b"]
+    assert orders.take(21.5) is of["b"], "it came while no order was in force"
+    assert orders.take(22.5) is of["c"]
+    assert orders.runs_left == 3, "boards of former orders do not count"
+    assert orders.take(24.0) is of["d"]
+    assert (orders.taken_since_s, orders.runs_left) == (23.0, 2)
+    assert orders.references == set()
+
+
+def test_a_board_that_waits_longer_than_orders_are_kept_has_no_certain_id(
+    config: StationConfig, calibration: Calibration, store: Store, board_type: BoardType
+) -> None:
+    orders, order = Orders(), order_of(make_desk(config, calibration, store), board_type, "b")
+    for n in range(30):
+        orders.accept(order, None, 10.0 + n)
+    orders.take(10.5)
+    assert orders.doubt_of(orders.taken_since_s, 10.5) == "more orders were given while it waited than are kept"
+    assert orders.doubt_of(39.0, 45.0) is None
+
+
 def test_an_order_ends_after_its_number_of_runs(
     config: StationConfig, calibration: Calibration, store: Store, board_type: BoardType
 ) -> None:

@@ -112,6 +112,9 @@ class RunStarted:
     bay: int
     host_time_s: float
     """Time at which the board interrupted the barrier, or at which a single pulse was requested."""
+    edge_known: bool = True
+    """Whether that time is known. If not, the controller's report of the edge was lost: it is that of the first pulse,
+    and nothing shows which board it is, or whether another one follows it."""
 
 
 @dataclass(frozen=True)

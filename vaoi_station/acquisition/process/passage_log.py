@@ -29,27 +29,30 @@ class PassageLog:
         """The interruptions of the latest passage."""
         self.edge_s = 0.0
         """Host time of the latest edge that begins a passage, or of the latest request of a single pulse."""
+        self.edge_known = False
+        """Whether that is the edge of the run that begins next; if not, the report of its edge was lost."""
 
     def forget(self) -> None:
         """Begin without a passage: what is in the barrier is not known."""
-        self.barrier = BarrierLog()
+        self.barrier, self.edge_known = BarrierLog(), False
 
     def begin_single(self, now_s: float) -> None:
         """Begin the passage of a single pulse, which no edge begins."""
-        self.edge_s = now_s
         self.forget()
+        self.edge_s, self.edge_known = now_s, True
 
     def begin_run(self) -> BarrierLog:
         """Return the interruptions of the run that begins. There are none if the report of its edge was lost."""
         if self.barrier.over:
             self.forget()
+        self.edge_known = False
         return self.barrier
 
     def add(self, event: ControllerEvent, now_s: float) -> BoardMissed | None:
         """Add an edge to its passage. Return a report if it shows that a board passed without a run."""
         if isinstance(event, BarrierBlocked):
-            self.edge_s = self._host_s(event, now_s)
             self.forget()
+            self.edge_s, self.edge_known = self._host_s(event, now_s), True
             self.barrier.blocked(event.time_s, event.counts)
         elif isinstance(event, BarrierBlockedAgain):
             self.barrier.blocked(event.time_s, event.counts)

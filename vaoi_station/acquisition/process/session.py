@@ -303,15 +303,17 @@ class Session:
         period_s = plan.period_s if plan else self._config.line.trigger_period_s
         rows = plan.max_rows if plan else self._ring.layout.slots_per_camera
         grant, self._next = self.trial.take() or self._next, None
+        known = self._passages.edge_known
+        edge_s = self._passages.edge_s if known else now_s
         self._silent_s = now_s + rows * (plan.longest_period_s if plan else period_s) + SILENCE_S
         if grant is None:
             self._run = self._recorder.begin_run(None, None, period_s)
             reason = "no memory was free for its frames: all bays of the ring are in use"
-            self._send(BoardMissed(self._passages.edge_s, reason))
+            self._send(BoardMissed(edge_s, reason))
         else:
             self._devices.feedback.set_memory(False)
             self._run = self._recorder.begin_run(grant.run, grant.bay, period_s)
-            self._send(RunStarted(grant.run, grant.bay, self._passages.edge_s))
+            self._send(RunStarted(grant.run, grant.bay, edge_s, known))
         self._run.skipped, self._skipped = self._skipped, {}
         if plan is not None:
             self._run.program, self._run.conveyor_mm_s = plan.program, plan.conveyor_mm_s

@@ -264,7 +264,7 @@ class Core:
         bay = self.memory.use(report.run, "filming")
         self.machine.advance_if_allowed(StationStep.BOARD_ARRIVED)
         progress = Progress.begin(report, bay, order)
-        self.boards.begin(progress, self.line.orders.taken_since_s)
+        self.boards.begin(progress, self.line.orders.taken_since_s, edge_known=report.edge_known)
         self.runs.open(progress)
         # The next board may follow closely and needs memory at once: its bay is granted while the present bay is
         # filled.

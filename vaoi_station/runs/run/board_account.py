@@ -20,6 +20,15 @@ from vaoi_station.runs.states.schemas import Reason
 UNWATCHED = frozenset({"controller-safe", "controller-reset", "events-lost"})
 """Codes of troubles during which boards may have passed without a report."""
 
+EDGE_LOST = Reason(
+    code="edge-lost",
+    message=(
+        "The controller's report of the edge at which this board met the barrier was lost: it is not known for which "
+        "board the order was, nor whether another board followed in this run."
+    ),
+    action="Identify the board, check cable and load of the controller, and film it again.",
+)
+
 
 class BoardAccount:
     """Counts the boards that were missed, and decides which board ids are certain. Used by the coordinator's thread."""
@@ -66,11 +75,17 @@ class BoardAccount:
     def unwatched(self, now_s: float, why: str) -> None:
         """Record that boards may have passed without a report until now."""
         self.reports += 1
-        self._orders.doubt(now_s, now_s, why)
+        self._orders.doubt_since_last(now_s, why)
 
-    def begin(self, progress: Progress, armed_s: float) -> None:
-        """Record since when the order of a new run was in force, and whether its board id is certain by now."""
+    def begin(self, progress: Progress, armed_s: float, *, edge_known: bool = True) -> None:
+        """Record since when the order of a new run was in force, and whether its board id is certain by now.
+
+        `edge_known` is whether the controller reported when the board interrupted the barrier.
+        """
         progress.armed_s = armed_s
+        if not edge_known:
+            progress.add_fault(EDGE_LOST)
+            progress.doubt_id("the report of the edge at which the board met the barrier was lost")
         self._check_id(progress)
 
     def end(self, progress: Progress, now_s: float) -> None:

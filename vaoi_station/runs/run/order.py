@@ -21,6 +21,8 @@ from vaoi_station.stitching.method import METHODS
 from vaoi_station.stitching.work import StitchSetup
 from vaoi_station.store import Store
 
+_MOST_FORMER = 16
+"""Number of former orders that are kept for boards that have interrupted the barrier, but have no pulse yet."""
 Passing = Literal["wait", "after", "refuse"]
 """What a request to arm does while a board passes: it waits until the board has left; it returns at once and takes
 effect then; it is refused."""
@@ -79,15 +81,22 @@ class Doubt(NamedTuple):
     edge_s: float
     """Host time at which the board interrupted the barrier.
 
-    If that time is not known, it is the latest time at which the board may have done so."""
+    If that time is not known, it is the earliest time at which the board may have done so."""
     published_s: float
     """Host time at which callers could first know of the board."""
     why: str
 
 
+class FormerOrder(NamedTuple):
+    """An order that was in force before the present one; None: no order was in force."""
+
+    order: Order | None
+    since_s: float
+
+
 @dataclass
 class Orders:
-    """The order in force, and the previous one, which still applies to boards at the barrier before the change.
+    """The order in force, and those before it, which still apply to boards at the barrier before the change.
 
     `runs_left` is the number of boards still to be filmed (None: no limit). `since_s` is the time since which the order
     is in force, by time.monotonic().
@@ -100,32 +109,52 @@ class Orders:
     """Time since which the order that was taken last has been in force."""
     resumed: bool = False
     """Whether the order was in force before a restart of the station, and no caller has armed since."""
-    _before: Order | None = None
-    _before_since_s: float = float("-inf")
+    _former: deque[FormerOrder] = field(default_factory=lambda: deque(maxlen=_MOST_FORMER))
+    """From the oldest to the newest, those that a board may still need whose first pulse was not fired yet."""
+    _edge_s: float = float("-inf")
+    """Time at which the latest board that has a run interrupted the barrier."""
     _doubts: deque[Doubt] = field(default_factory=lambda: deque(maxlen=64))
 
     def accept(self, order: Order, runs: int | None, now_s: float) -> None:
         """Put an order in force for the boards that interrupt the barrier after `now_s`; `runs` limits their number."""
-        self._before, self._before_since_s = self.order, self.since_s
+        self._put_aside()
         self.order, self.runs_left, self.since_s, self.resumed = order, runs, now_s, False
 
     def take(self, barrier_s: float) -> Order | None:
         """Return the order of a board that interrupted the barrier at `barrier_s`, and count the board."""
-        # The time at the barrier decides: the report of an earlier board may arrive after a new order was accepted.
-        if self.order is None or (barrier_s < self.since_s and self._before is not None):
-            self.taken_since_s = self._before_since_s
-            return self._before
-        self.taken_since_s = self.since_s
+        self._edge_s = max(self._edge_s, barrier_s)
+        # The time at the barrier decides: until the first pulse, orders may be accepted that are for later boards.
+        every = [*self._former, FormerOrder(self.order, self.since_s)]
+        latest = max((n for n, one in enumerate(every) if one.since_s <= barrier_s), default=0)
+        # A board that came while no order was in force belongs to the order before, else to the next one.
+        found = next((n for n in (*range(latest, -1, -1), *range(latest, len(every))) if every[n].order), latest)
+        if len(self._former) == _MOST_FORMER and barrier_s < every[0].since_s:
+            self.doubt(float("-inf"), every[found].since_s, "more orders were given while it waited than are kept")
+        # Boards come in the order of their edges: no later one needs the orders before this one.
+        for _ in range(found):
+            self._former.popleft()
+        self.taken_since_s = every[found].since_s
         # Only boards of the present order are counted, because `runs_left` belongs to it.
-        if self.runs_left is not None:
+        if found == len(every) - 1 and self.runs_left is not None:
             self.runs_left = max(self.runs_left - 1, 0)
-        return self.order
+        return every[found].order
 
     def cancel(self, now_s: float) -> None:
         """End the order in force. A board that interrupted the barrier before `now_s` keeps the order."""
         if self.order is not None:
-            self._before, self._before_since_s = self.order, self.since_s
+            self._put_aside()
             self.order, self.runs_left, self.since_s = None, None, now_s
+
+    def _put_aside(self) -> None:
+        """Keep the present order for boards that interrupted the barrier while it was in force."""
+        self._former.append(FormerOrder(self.order, self.since_s))
+
+    def doubt_since_last(self, now_s: float, why: str) -> None:
+        """Record that boards may have passed without a run since the latest board that has one, until now.
+
+        Edges are reported late: a board whose edge is older than `now_s` may still begin its run after this.
+        """
+        self.doubt(min(self._edge_s, now_s), now_s, why)
 
     def doubt(self, edge_s: float, published_s: float, why: str) -> None:
         """Record that a board may have passed without a run, and when callers could first know of it."""
@@ -158,7 +187,8 @@ class Orders:
     @property
     def references(self) -> set[str]:
         """Ids of the reference runs against which boards may still be placed."""
-        return {order.reference.run for order in (self.order, self._before) if order and order.reference}
+        every = [self.order, *(former.order for former in self._former)]
+        return {order.reference.run for order in every if order and order.reference}
 
     @property
     def wants_more(self) -> bool:

@@ -37,6 +37,7 @@ const BOARD_GROUPS = {
   place: ["components-unseen"],
   identify: [
     "board-id-differs", "next-machine-differs", "codes-disagree", "product-differs", "code-unread", "identity-not-read", "board-id-uncertain",
+    "edge-lost",
   ],
   camera: ["wrong-rows", "camera-displaced", "lens-differs", "pictures-blurred", "not-explained"],
   type: [

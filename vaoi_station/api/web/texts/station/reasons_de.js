@@ -66,6 +66,7 @@ export const reasons = {
   "acquisition-lost": "Die Aufnahme ist während dieser Baugruppe ausgefallen.",
   "station-restarted": "Die Station endete, bevor dieser Lauf ein Ergebnis hatte.",
   "worker-lost": "Zwei Prozesse sind an diesem Lauf ausgefallen.",
+  "edge-lost": "Die Meldung der Lichtschranke für diese Baugruppe ging verloren.",
   "board-id-uncertain": "Die Nummer gehört vielleicht zu einer anderen Baugruppe.",
   "reference-unusable": "Die Referenz des Baugruppentyps ist unbrauchbar.",
 

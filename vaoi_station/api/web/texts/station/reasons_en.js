@@ -66,6 +66,7 @@ export const reasons = {
   "acquisition-lost": "The acquisition ended while this board was filmed.",
   "station-restarted": "The station ended before this run had a result.",
   "worker-lost": "Two processes ended while they worked on this run.",
+  "edge-lost": "The report of the board's edge at the barrier was lost.",
   "board-id-uncertain": "The id may belong to another board.",
   "reference-unusable": "The reference of the board type is unusable.",
 
