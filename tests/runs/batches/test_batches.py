@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from tests.api.held.batches import held_batches
 from tests.api.held_station import HeldStation
 from vaoi_station.errors import GoneError, InputError
 from vaoi_station.files.images import write_image
+from vaoi_station.model import Status
 from vaoi_station.rendering import ImageRequest
 from vaoi_station.runs.batches import batches as module
 from vaoi_station.runs.batches.batch_request import BatchRequest
@@ -105,6 +107,15 @@ def test_frames_that_have_gone_are_read_from_a_recording(station: HeldStation, t
     assert {e.crc for e in from_files.packed.entries[1:]} <= expected
     with pytest.raises(GoneError):
         access.cut(batch, batch.parts()[0])
+
+
+def test_the_first_file_has_the_verdict_that_callers_see(station: HeldStation) -> None:
+    """An identity that differs degrades a run whose result is sound."""
+    access = held_batches(station)
+    head = json.loads(opened(access, BatchRequest()).head.content)
+    assert head["verdict"] == "ok"
+    lowered = replace(access, published=lambda detail: detail.model_copy(update={"verdict": Status.DEGRADED}))
+    assert json.loads(opened(lowered, BatchRequest()).head.content)["verdict"] == "degraded"
 
 
 def test_the_end_states_whether_all_was_sent(station: HeldStation) -> None:

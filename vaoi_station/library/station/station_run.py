@@ -80,8 +80,8 @@ class StationRun:
 
     @property
     def status(self) -> Status:
-        """The verdict of the run: ok, degraded or failed."""
-        return self.result.status
+        """The verdict of the run: ok, degraded or failed. Its faults and identity may lower that of the result."""
+        return Status(self.summary.get("verdict") or self.result.status)
 
     @property
     def reasons(self) -> tuple[str, ...]:

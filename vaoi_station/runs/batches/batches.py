@@ -40,6 +40,7 @@ from vaoi_station.runs.batches.batch_request import BatchRequest, smallest
 from vaoi_station.runs.batches.containers import Member, Packed, pack
 from vaoi_station.runs.merging.merged_pictures import MergedAccess, MergedChoice, MergeRequest
 from vaoi_station.runs.run.memory import Bay
+from vaoi_station.runs.states.schemas import RunDetail
 from vaoi_station.stitching.matching.evidence import FrameKey
 from vaoi_station.version import __version__
 
@@ -129,6 +130,8 @@ class BatchAccess:
     merged: MergedAccess
     heights: Callable[[str], Heights | None] = lambda _run: None
     """Function that returns the measured heights of a run's components."""
+    published: Callable[[RunDetail], RunDetail] = lambda detail: detail
+    """Function that returns the document of a run as callers see it: its identity may lower the verdict."""
 
     def open(self, run: str, request: BatchRequest, address: str, query: str = "") -> Batch:
         """Check a request, and prepare its batch.
@@ -185,7 +188,7 @@ class BatchAccess:
                 quality = {**quality, **{key: result.quality[key] for key in ("heights_mm", "height_sigma_mm")}}
             return Prepared(pickle.dumps(setup, pickle.HIGHEST_PROTOCOL), quality)
 
-        head = _head(finished, request, len(components), resolution)
+        head = _head(self.published(finished.detail), request, len(components), resolution)
         return Batch(run, request, components, prepare, bool(files), modified_s, head)
 
     def cut(self, batch: Batch, part: BatchPart) -> tuple[CutPart, BatchPart | None]:
@@ -284,9 +287,8 @@ def _slots(finished: FinishedRun) -> dict[FrameKey, int]:
     return {(f.camera, f.row): f.slot for f in finished.detail.frames if f.usable and f.slot is not None}
 
 
-def _head(finished: FinishedRun, request: BatchRequest, components: int, px_per_mm: float) -> Member:
+def _head(detail: RunDetail, request: BatchRequest, components: int, px_per_mm: float) -> Member:
     """Return the first file: the run, and what was asked of it."""
-    detail = finished.detail
     document = {
         "run": detail.id,
         "board_type": detail.board_type,

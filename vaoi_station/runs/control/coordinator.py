@@ -109,7 +109,7 @@ class StationCoordinator:
         self.kept = KeptRuns(parts.config, parts.archive, parts.events, access, *made, requests.render)
         access.heights, parts.watch.on_checked = self.heights.known, self.kept.trends.checked
         access.recorded, self.merged = self.kept.recordings.frame_file, access.merged(parts.config)
-        self.batches = access.batches(self.merged)
+        self.batches = access.batches(self.merged, self.kept.shown)
         teaching = ReferenceTeaching(references, parts.config.method)
         self._board_types = BoardTypeService(board_types, teaching, parts, self._core, self._inbox, access)
         self.lighting = Lighting(parts.config, parts.px_per_mm, ring, self._inbox, self._core)

@@ -155,9 +155,15 @@ class FrameAccess:
             self._archive.get, self.lease, recorded, self._requests.render, config.flat_fields, self.heights
         )
 
-    def batches(self, merged: MergedAccess) -> BatchAccess:
-        """Return the access to batches of pictures, of which `merged` makes those that are merged."""
-        return BatchAccess(self._archive.get, self.lease, self.recorded, self._requests.render, merged, self.heights)
+    def batches(self, merged: MergedAccess, published: Callable[[RunDetail], RunDetail]) -> BatchAccess:
+        """Return the access to batches of pictures.
+
+        Args:
+            merged: makes those pictures that are merged.
+            published: returns the document of a run as callers see it.
+        """
+        pixels = self._archive.get, self.lease, self.recorded, self._requests.render
+        return BatchAccess(*pixels, merged, self.heights, published)
 
     def mosaics(self, config: StationConfig, heights: KnownHeights, hastened: Hastened) -> Mosaics:
         """Return the access to mosaics of whole boards, whose small tiles this process renders itself."""
