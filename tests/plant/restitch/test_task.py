@@ -15,7 +15,8 @@ from vaoi_station.errors import InputError, StateError
 from vaoi_station.files.results import stitch_document
 from vaoi_station.model import Status
 from vaoi_station.plant.archive import Archive
-from vaoi_station.plant.restitch.task import _with_verdict, read_outcome, restitch_run
+from vaoi_station.plant.archive.station_record import StationRecord
+from vaoi_station.plant.restitch.task import _with_verdict, read_outcome, restitch_run, with_lasting_reasons
 from vaoi_station.plant.restitch.terms import Terms
 from vaoi_station.plant.workers.run_work import RunFault, UnseenArchive
 from vaoi_station.plant.workers.software import software
@@ -48,6 +49,36 @@ def test_verdict_of_the_run_holds_for_both_results(
     former, new = (stitched.result.model_copy(update={"status": Status(s)}) for s in statuses.split())
     found = _with_verdict(Status(verdict) if verdict else None, former, new)
     assert " ".join(result.status for result in found) == expected
+
+
+def test_reasons_that_another_result_does_not_mend_keep_a_run_degraded(stitched: StitchedRun) -> None:
+    """Two boards in one run, or another board than was armed, are no matter of the pictures."""
+    sound = stitched.result
+    former = sound.model_copy(
+        update={
+            "status": Status.DEGRADED,
+            "reasons": ("blank", "2 boards passed in this run"),
+            "reason_codes": ("overlap-blank", "boards-too-close"),
+        }
+    )
+    found = with_lasting_reasons(None, former, sound)
+    assert (found.status, found.reason_codes, found.reasons) == (
+        Status.DEGRADED,
+        ("boards-too-close",),
+        ("2 boards passed in this run",),
+    )
+    reasons = [
+        {"code": code, "message": code}
+        for code in ("stitch-degraded", "frames-missing", "board-id-differs", "board-type-draft")
+    ]
+    record = StationRecord.model_validate(
+        {"id": "r", "started": "2026-11-27T10:00:00Z", "verdict": "degraded", "reasons": reasons}
+    )
+    assert with_lasting_reasons(record, None, sound).reason_codes == ("board-id-differs",)
+    assert with_lasting_reasons(record.model_copy(update={"verdict": Status.OK}), None, sound) is sound
+    failed = sound.model_copy(update={"status": Status.FAILED})
+    assert with_lasting_reasons(record, former, failed).status is Status.FAILED
+    assert with_lasting_reasons(None, None, sound) is sound
 
 
 def test_another_calibration_is_used(stored: Archive, moved_calibration: Path, tmp_path: Path) -> None:

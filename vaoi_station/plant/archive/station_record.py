@@ -22,6 +22,13 @@ class _Identity(BaseModel):
     board_id: str | None = None
 
 
+class RecordedReason(BaseModel):
+    """A reason of a run."""
+
+    code: str
+    message: str
+
+
 class MadeWith(BaseModel):
     """With what a station stitched a run."""
 
@@ -40,6 +47,7 @@ class StationRecord(BaseModel):
     board_id: str | None = None
     verdict: Status | None = None
     identity: _Identity | None = None
+    reasons: tuple[RecordedReason, ...] = ()
     made_with: MadeWith | None = None
 
     @property

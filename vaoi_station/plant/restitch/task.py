@@ -15,9 +15,10 @@ from typing import Any
 from vaoi_station.errors import InputError
 from vaoi_station.files import read_board_type, read_stitch
 from vaoi_station.files.results import stitch_document
-from vaoi_station.model import Status, Stitch
+from vaoi_station.model import ReasonCode, Status, Stitch
 from vaoi_station.plant.archive import Archive
 from vaoi_station.plant.archive.manifest import ArchivedRun
+from vaoi_station.plant.archive.station_record import StationRecord, read_record
 from vaoi_station.plant.restitch.opening import open_archived
 from vaoi_station.plant.restitch.terms import Terms
 from vaoi_station.plant.tables import RunKey, Tables, result_tables
@@ -27,6 +28,12 @@ from vaoi_station.stitching.recordings.opening import OpenedRun
 from vaoi_station.stitching.recordings.origin import with_origin
 
 FORMAT, VERSION = "vaoi-restitched-run", 1
+_OF_RESULTS = frozenset(code.value for code in ReasonCode)
+"""Codes of reasons that the pictures of a run give: another result has its own."""
+_NOTES = frozenset({"board-type-draft", "reference-unusable"})
+"""Codes of remarks, which degrade no run."""
+_REPEATED = ("stitch-", "trigger-", "frames-")
+"""Beginnings of the codes of reasons in the record of a run that another stitch of its recording finds again."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +76,9 @@ def _restitch(archive: Archive, run: ArchivedRun, scratch: Path, terms: Terms) -
     result = with_origin(result, opened.recording, opened.calibration, opened.setup.board_type)
     path = folder / "result.json"
     former = read_stitch(path) if path.is_file() else None
+    if former is not None:
+        former, result = _with_verdict(run.verdict, former, result)
+    result = with_lasting_reasons(read_record(folder), former, result)
     tables = _tables(run, former, result, opened)
     cost = {
         "extract_s": round(extracted_s - began_s, 4),
@@ -104,8 +114,6 @@ def _tables(run: ArchivedRun, former: Stitch | None, result: Stitch, opened: Ope
     """Return the rows of both results; those of the former one come first."""
     key = RunKey(run.station, run.run, run.time, run.board_type, run.serial)
     head = opened.recording.head
-    if former is not None:
-        former, result = _with_verdict(run.verdict, former, result)
     tables = result_tables(key, "new", result, opened.setup.board_type, head)
     if former is None:
         return tables
@@ -125,3 +133,31 @@ def _with_verdict(verdict: Status | None, former: Stitch, result: Stitch) -> tup
         return former, result
     lowered = max(verdict, result.status, key=order.index)
     return former.model_copy(update={"status": verdict}), result.model_copy(update={"status": lowered})
+
+
+def with_lasting_reasons(record: StationRecord | None, former: Stitch | None, result: Stitch) -> Stitch:
+    """Return a result with those reasons of the run that another result does not mend: it is degraded by them.
+
+    These are faults of the run, such as several boards in it, and an identity that differs. The station writes them
+    into the record of the run, and into its result.
+    """
+    found: dict[str, str] = {}
+    if former is not None and former.reason_codes:
+        found |= dict(zip(former.reason_codes, former.reasons, strict=True))
+    if record is not None and record.verdict not in (None, Status.OK):
+        found |= {reason.code: reason.message for reason in record.reasons}
+    lasting = {
+        code: text
+        for code, text in found.items()
+        if code and code not in _OF_RESULTS | _NOTES and not code.startswith(_REPEATED)
+    }
+    if not lasting:
+        return result
+    codes = result.reason_codes or ("",) * len(result.reasons)
+    return result.model_copy(
+        update={
+            "status": Status.DEGRADED if result.status is Status.OK else result.status,
+            "reasons": (*result.reasons, *lasting.values()),
+            "reason_codes": (*codes, *lasting),
+        }
+    )
