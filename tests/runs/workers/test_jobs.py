@@ -34,7 +34,7 @@ def test_a_conclusion_leaves_out_the_evidence_that_a_worker_holds(ring_board: Ri
     first, second, *_ = ring_board.tasks
     linked = {task: Linked.of(Links.empty(task, ""), 0.0) for task in (first, second)}
     job = ring_board.conclusion(linked, CHECK)
-    assert job.without({first}) == replace(job, linked={second: linked[second]})
+    assert job.without({first}) == replace(job, linked={second: linked[second]}, held=frozenset({first}))
     assert job.without(()) == job
     assert job.without({first, second}).check == CHECK
 

@@ -93,6 +93,17 @@ def test_a_result_does_not_depend_on_the_worker_that_found_the_evidence(
         assert matrices(only(other, ring_board.conclusion(linked))) == split
 
 
+def test_a_result_never_follows_from_less_evidence_than_there_is(
+    runtime: WorkerRuntime, ring_board: RingBoard, linked: dict[Task, Linked]
+) -> None:
+    """The transfer of three tasks' evidence has failed; the pool believes that the worker holds it."""
+    job = ring_board.conclusion(linked).without(ring_board.tasks[:3])
+    reply = only(runtime, job)
+    assert reply.error is not None
+    assert "the evidence of 3 tasks did not reach this worker" in reply.error.message
+    assert only(runtime, ring_board.conclusion(linked)).error is None
+
+
 def test_excluded_evidence_is_not_used(
     runtime: WorkerRuntime, ring_board: RingBoard, linked: dict[Task, Linked]
 ) -> None:

@@ -125,6 +125,8 @@ class ConcludeJob:
     check: CheckJob | None = None
     """The calibration check that the worker performs with the same evidence after it has sent the result; None: no
     check."""
+    held: Set[Task] = frozenset()
+    """Tasks whose evidence the worker holds already."""
 
     priority = Priority.CONCLUDE
     affinity: int | None = None
@@ -136,7 +138,9 @@ class ConcludeJob:
 
     def without(self, there: Collection[Task]) -> ConcludeJob:
         """Return a copy of the job without the evidence of the tasks in `there`, which the worker holds already."""
-        return replace(self, linked={task: linked for task, linked in self.linked.items() if task not in there})
+        held = frozenset(self.linked).intersection(there)
+        linked = {task: linked for task, linked in self.linked.items() if task not in held}
+        return replace(self, linked=linked, held=held)
 
     def __str__(self) -> str:
         return f"the conclusion of run {self.run}"

@@ -200,6 +200,9 @@ class WorkerRuntime:
         opened = self._runs[job.run]
         opened.slots.update(job.slots)
         self._gather(job)
+        # If its transfer failed, the result would follow from less evidence, and nothing would show it.
+        if lost := job.held - opened.evidence.keys():
+            raise InternalError(f"{job}: the evidence of {len(lost)} tasks did not reach this worker.")
         evidence = self._evidence(job)
         stitch, findings = self._guarded(
             job.context.bay,
