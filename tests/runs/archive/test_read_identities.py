@@ -255,10 +255,14 @@ def test_report_before_the_run_is_announced_waits() -> None:
     assert refused.value.code == "identity-pending"
 
 
-def test_run_is_shown_without_an_identity_that_cannot_be_read() -> None:
+def test_run_whose_identity_cannot_be_read_is_not_ok() -> None:
     station = Station()
     station.saved["r1"] = IdentityRow('{"of": "another version"}')
-    assert station.shown().identity is None
+    shown = station.shown()
+    assert shown.identity is not None
+    assert (shown.identity.state, shown.verdict) == ("not-read", Status.DEGRADED)
+    assert [reason.code for reason in shown.reasons] == ["identity-not-read"]
+    station.saved.clear()
     station.unreadable = DeviceError("cannot be read.")
     assert station.shown().identity is None
     station.unreadable = None

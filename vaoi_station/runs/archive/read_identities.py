@@ -148,7 +148,9 @@ class ReadIdentities:
                 try:
                     found[run] = IdentityDocument.model_validate_json(text)
                 except ValidationError:
-                    continue  # It is of another version: the run is shown without it.
+                    # It is of another version. It may state that this is another board: the run is not shown as ok.
+                    found[run] = IdentityDocument(state="not-read", required=True)
+                    continue
                 self._remember(run, found[run])
         return found
 
