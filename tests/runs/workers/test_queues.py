@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.runs.workers.conftest import CHECK, RingBoard
-from vaoi_station.errors import GoneError
+from vaoi_station.errors import GoneError, InternalError
 from vaoi_station.runs.batches.batch_job import BatchJob
 from vaoi_station.runs.workers.jobs import (
     ConcludeJob,
@@ -92,6 +92,16 @@ def test_one_waiting_job_is_left_to_its_worker_and_a_second_one_is_not(hall: Hal
     assert hall.choose(1) is None
     hall.add(hall.link(0, 1))
     assert hall.choose(1) == hall.link(0, 0)
+
+
+def test_evidence_that_a_worker_could_not_take_over_is_not_its_own(hall: Hall) -> None:
+    worker, task = hall.workers[0], hall.board.tasks[0]
+    worker.evidence["r1"] = {task}
+    job = GatherJob(hall.board.context, {task: None})  # type: ignore[dict-item]
+    hall.queues.share_evidence(worker, job, Reply(None, None, 0.1))
+    assert worker.evidence["r1"] == {task}
+    hall.queues.share_evidence(worker, job, Reply.refused(InternalError("no memory.")))
+    assert worker.evidence["r1"] == set()
 
 
 def test_jobs_of_a_worker_that_is_not_ready_go_to_others(hall: Hall) -> None:

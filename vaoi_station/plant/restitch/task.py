@@ -29,7 +29,7 @@ from vaoi_station.stitching.recordings.origin import with_origin
 
 FORMAT, VERSION = "vaoi-restitched-run", 1
 _OF_RESULTS = frozenset(code.value for code in ReasonCode)
-"""Codes of reasons that the pictures of a run give: another result has its own."""
+"""Codes of reasons that follow from the pictures of a run: another result finds them again if they hold."""
 _NOTES = frozenset({"board-type-draft", "reference-unusable"})
 """Codes of remarks, which degrade no run."""
 _REPEATED = ("stitch-", "trigger-", "frames-")

@@ -249,9 +249,6 @@ class WorkerPool:
                     return
                 # A job that was repeated has two replies. The first one counts.
                 first, queued.done = not queued.done, True
-                if isinstance(queued.job, GatherJob) and message.error is not None:
-                    # The conclude job brings this evidence along.
-                    worker.evidence.get(queued.job.run, set()).difference_update(queued.job.linked)
                 if first:
                     self._queues.share_evidence(worker, queued.job, message)
                 if (check := check_after(queued.job, message)) is not None:

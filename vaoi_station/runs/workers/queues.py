@@ -128,7 +128,12 @@ class JobQueues:
         return mine.popleft() if mine and not worker.overdue and mine[0].job.run in worker.opened else None
 
     def share_evidence(self, worker: Worker, job: Job, reply: Reply) -> None:
-        """Record that a worker holds the evidence of its link job, and queue a gather job for the concluding worker."""
+        """Record that a worker holds the evidence of its link job, and queue a gather job for the concluding worker.
+
+        If that worker could not take it over, the conclude job brings it along.
+        """
+        if isinstance(job, GatherJob) and reply.error is not None:
+            worker.evidence.get(job.run, set()).difference_update(job.linked)
         # A reply that arrives after the run was closed must not add an entry for the run, which would never be removed.
         if not isinstance(job, LinkJob) or reply.error is not None or job.run not in self.runs:
             return
