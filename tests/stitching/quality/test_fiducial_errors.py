@@ -32,7 +32,7 @@ def test_an_error_of_which_little_is_left_in_the_residuals_is_a_reason(
     result = filmed.stitched(board_type=moved(filmed, which, off_mm))
     assert result.status is Status.DEGRADED
     text, uncertain = result.reasons
-    assert "without one of the fiducials" in uncertain, "whichever of them it is"
+    assert "without one of the marks that place the board" in uncertain, "whichever of them it is"
     assert text.startswith("the fiducials do not fit together: FID")
     assert f"FID{which + 1} by 0.05 mm" in text
     assert filmed.error_px(result) > 0.5

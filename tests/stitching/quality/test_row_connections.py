@@ -65,7 +65,7 @@ def test_scatter_of_links_that_noise_does_not_explain_is_a_reason(
     ("of_marks", "named"),
     [
         (False, "positions in row 0 follow from few places of the pictures"),
-        (True, "without one of the fiducials, or without the reference, positions move by more"),
+        (True, "without one of the marks that place the board (fiducials, fixture, reference) positions move by"),
     ],
 )
 def test_what_decides_positions_beyond_noise_widens_sigma_and_is_named(filmed: Any, of_marks: bool, named: str) -> None:
@@ -77,7 +77,7 @@ def test_what_decides_positions_beyond_noise_widens_sigma_and_is_named(filmed: A
     change = np.zeros((1, m, u))
     # The gauge holds row 0: the other rows and C move against it.
     change[0, 1:, 2] = change[0, :, 6] = 0.5 / found.scene.cameras[0].px_per_mm
-    influence = Influence(change, np.zeros((1, m, u, u)), np.array([of_marks]))
+    influence = Influence(change, np.zeros((1, m, u, u)), np.full((1, 4), not of_marks), 1)
     assert found.mapping is not None
     disputed = replace(found, found=replace(found.mapping, adjusted=replace(found.adjusted, influence=influence)))
     assert disputed.sigma.rows_px[0] == pytest.approx(0.5, abs=0.03)

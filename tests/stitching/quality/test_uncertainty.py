@@ -90,7 +90,7 @@ def test_what_noise_does_not_explain_of_the_influence_of_one_place_widens_sigma(
     change, growth = np.zeros((2, ROWS, 7)), np.zeros((2, ROWS, 7, 7))
     change[0, 2, 1], growth[0, 2, 1, 1] = moved_px / 10, (expected_px / 10) ** 2
     change[1, 2, 1], growth[1, 2, 1, 1] = 0.02, 0.02**2
-    sigma = predicted(scene, plane, replace(found, influence=Influence(change, growth, np.zeros(2, np.bool_))))
+    sigma = predicted(scene, plane, replace(found, influence=Influence(change, growth, np.ones((2, 4), np.bool_), 0)))
     assert sigma.rows_px[:2] == pytest.approx([MODEL_PX] * 2)
     assert sigma.rows_px[2] == pytest.approx(np.hypot(np.hypot(0.1, beyond_px), MODEL_PX), abs=1e-3)
 

@@ -1,18 +1,20 @@
 """Compute how the solution of an adjustment changes without the links of one place, or without one mark.
 
 A cluster is the links of one pair of frames within one square of the ground. They have causes of errors in common that
-the noise model does not contain: a part that the board type does not list, a shadow, the belt in a hole. So have the
-detections of one fiducial (CAD data, dirt) and all points of a reference. The noise model states how much the solution
-should change without a group of observations: if the covariance grows from Σ to Σ', the change has the covariance
-Σ' − Σ. A larger change contradicts the model. (External reliability of a group of observations: Baarda, A testing
-procedure for use in geodetic networks, 1968. Influence of an observation: Cook, Technometrics 19, 1977.)
+the noise model does not contain: a part that the board type does not list, a shadow, the belt in a hole. The detections
+of one fiducial have such causes too (CAD data, dirt), and so have all points of a reference. The noise model states how
+much the solution should change without a group of observations: if the covariance grows from Σ to Σ', the change has
+the covariance Σ' − Σ. A larger change contradicts the model. (External reliability of a group of observations: Baarda,
+A testing procedure for use in geodetic networks, 1968. Influence of an observation: Cook, Technometrics 19, 1977.)
 
-Only clusters of rows and seams that few clusters connect are left out: among many, one has little influence.
+A place on the line between two squares is in both, and without one of them the other still holds the solution. So there
+are four grids of squares, displaced by half a side. Only clusters that connect rows or cameras which few clusters
+connect are left out: among many, one has little influence. The displacements of the cameras are held: what a place at a
+seam does to them is not examined.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -20,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.compiled import compiled
+from vaoi_station.geometry.similarity import similarity_jacobian
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.adjustment.envelope import (
     Envelope,
@@ -36,21 +39,23 @@ from vaoi_station.stitching.adjustment.fiducial_equations import Equations
 from vaoi_station.stitching.adjustment.height_equations import HeightEquations, HeightModel, eliminate_heights
 from vaoi_station.stitching.adjustment.link_equations import LinkModel, LinkState, MotionArrays, add_links
 from vaoi_station.stitching.adjustment.observations import Ints, LinkArrays
-from vaoi_station.stitching.adjustment.problem import FiducialPoints, Influence
+from vaoi_station.stitching.adjustment.problem import REFERENCE, FiducialPoints, Influence
 
 _SQUARE_MM = 5.0
 """Side of the squares: about the size of components, holes and their shadows."""
-_FEW = 24
-"""Rows and seams with at most this many clusters are examined (seed 105309 has 22)."""
+_GRIDS = (0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (0.5, 0.5)
+"""Displacements of the four grids, in sides of a square."""
+_FEW, _FEW_AT_SEAM = 24, 12
+"""Clusters are left out if at most this many connect the rows on both sides of a gap between two rows, or two cameras.
+
+A frame of 1392×1040 px at 40 px/mm has about 30 to 50 in its overlap with the next row, one of 480×360 px 5 to 30. All
+rows of two cameras together have 10 to 60; little depends on one of them, since the cameras are held."""
 _USED = 0.1
 """Robust weight above which a link counts as used."""
 _LEAST_PX = 0.03
 """Changes up to this, px, are not kept."""
-_MARK_SIGMAS = 2.0
-"""Changes without one mark are explained up to this number of standard deviations. Few marks place a board: without one
-of three, changes are large by chance."""
 _PLACING_MM, _NONE = 0.1, -9
-"""Points with a σ from this on do not place the board: fiducials of components, and of single boards of a panel."""
+"""Fiducials with a σ from this on do not place the board: those of components, and of single boards of a panel."""
 _HELD = 1e12
 """Added to the diagonal entry of an unknown that must not change, px⁻²."""
 
@@ -81,8 +86,11 @@ class Assembly:
     def part(self, at: Ints) -> tuple[NormalEquations, HeightEquations]:
         """Return the same equations of the links `at` alone, which are of one pair of frames."""
         normal, heights = self._nothing()
-        links, state = LinkArrays._make(v[at] for v in self.links), LinkState._make(v[at] for v in self.state)
-        of_heights = self.model.heights
+        # Of the other arrays nothing is read: indexing them would take half of the time.
+        links, state, of_heights = self.links, self.state, self.model.heights
+        links = links._replace(p=links.p[at], q=links.q[at], a_mm=links.a_mm[at], b_mm=links.b_mm[at])
+        links = links._replace(group=links.group[at])
+        state = state._replace(residual=state.residual[at], lean=state.lean[at], weight=state.weight[at])
         own = self.model._replace(heights=HeightModel(of_heights.basis[at], of_heights.component[at]))
         add_links(links, self.motion, own, state, heights, normal)
         return normal, heights
@@ -99,56 +107,93 @@ class Assembly:
 
 
 class Reach(NamedTuple):
-    """How far points of the board are from the pivot, mm, and their largest lean in mm per mm of height."""
+    """Where a board is seen, to compute roughly how far changes of the unknowns move its points."""
 
     mm: float
+    """Largest distance of a point from the pivot."""
     lean: float
+    """Largest lean, mm per mm of height."""
+    cad: Floats
+    """(s, 2) places of marks, CAD coordinates."""
 
-    def extent_mm(self, change: Floats) -> float:
-        """Return roughly by how much changes (m, u) of the unknowns move points of the board at most."""
-        rows = np.hypot(change[:, 1], change[:, 2]) + np.abs(change[:, 0]) * self.mm
-        x_y, surface = np.abs(change[0, 5:7]), np.abs(change[0, 7:])
-        return float(max(rows.max(), x_y.max(initial=0.0), surface.sum() * self.lean))
+    @staticmethod
+    def of(links: LinkArrays, points: FiducialPoints, pivot: Floats) -> Reach:
+        """Return the reach of all links and points."""
+        seen = np.concatenate([links.b_mm, points.ground_mm]) - pivot
+        lean = np.concatenate([links.b_lean, points.lean])
+        return Reach(float(np.abs(seen).max()), float(np.hypot(*lean.T).max()), points.cad)
+
+    def extents_mm(self, changes: Floats) -> Floats:
+        """Return roughly by how much each of c changes (c, m, u) of the unknowns moves points of the board at most."""
+        rows = np.hypot(changes[:, :, 1], changes[:, :, 2]) + np.abs(changes[:, :, 0]) * self.mm
+        by_c = np.hypot(*np.moveaxis(changes[:, 0, 3:7] @ similarity_jacobian(self.cad).swapaxes(1, 2), -1, 0))
+        surface = np.abs(changes[:, 0, 7:]).sum(1) * self.lean
+        return np.asarray(np.maximum(np.maximum(rows.max(1), by_c.max(0)), surface))
 
 
 def examine_influence(
     assembly: Assembly, seam: Ints, points: FiducialPoints, shared: int, held: Ints
 ) -> Influence | None:
-    """Leave out each cluster of rows and seams that few clusters connect, and each mark; return None if little changes.
+    """Leave out each cluster of weakly connected rows and cameras, and each mark; return None if little changes.
 
     Args:
         assembly: the equations at the solution.
         seam: (k,) of each link between two cameras the lower of their numbers; −1 for links from row to row.
-        points: the points of `Problem.fiducials`.
+        points: the points of `Problem.fiducials`, at least one.
         shared: number of unknowns that all rows share, without cameras.
         held: columns of the unknowns that are taken as exact: the displacements of the cameras.
     """
     links, motion = assembly.links, assembly.motion
-    if not len(links.p):
-        return None
-    cluster = number_clusters(links, assembly.state.robust, _USED, _SQUARE_MM)
-    few = np.flatnonzero(_of_few(links, cluster, seam, len(motion.angle))).tolist()
-    marks = groups_of_marks(points)
-    if not few and not marks:
+    places, marks = few_places(links, assembly.state.robust, seam, len(motion.angle)), groups_of_marks(points)
+    if not places and not marks:
         return None
     u, whole = 3 + shared, assembly.whole()
     every, factor = _solve(assembly, whole, None, held)
     covariance = _covariance(assembly, factor, u)
-    reach = Reach(float(np.abs(links.b_mm - motion.pivot).max()), float(np.hypot(*links.b_lean.T).max()))
-    least_mm = _LEAST_PX / float(np.median(links.px_per_mm))
-    found = []
-    for number in [*few, *range(-len(marks), 0)]:
-        of_marks = number < 0
-        at = marks[number] if of_marks else np.flatnonzero(cluster == number)
-        solution, factor = _solve(assembly, whole, assembly.part_of_marks(at) if of_marks else assembly.part(at), held)
-        change = _of_rows(solution - every, len(motion.angle), u)
-        if reach.extent_mm(change) > least_mm:
-            explained = _covariance(assembly, factor, u) - covariance
-            if of_marks:
-                # One of them is wrong, and each as probably as the others: the mean of their squares is expected.
-                change, explained = change / math.sqrt(len(marks)), explained * (_MARK_SIGMAS**2 / len(marks))
-            found.append((change, explained, of_marks))
-    return Influence(*(np.array(values) for values in zip(*found, strict=True))) if found else None
+    reach = Reach.of(links, points, motion.pivot)
+    least_mm = _LEAST_PX / float(np.median(points.px_per_mm))
+    groups = [*(place.links for place in places), *marks]
+    parts = [assembly.part] * len(places) + [assembly.part_of_marks] * len(marks)
+    solved = [_solve(assembly, whole, part(at), held) for part, at in zip(parts, groups, strict=True)]
+    changes = _of_rows(np.array([solution for solution, _ in solved]) - every, len(motion.angle), u)
+    # in this form, because a change that is no number must not be left out
+    kept = np.flatnonzero(~(reach.extents_mm(changes) <= least_mm)).tolist()
+    if not kept:
+        return None
+    growth = [_covariance(assembly, solved[n][1], u) - covariance for n in kept]
+    grids = np.zeros((len(groups), len(_GRIDS)), np.bool_)
+    for n, place in enumerate(places):
+        grids[n, sorted(place.grids)] = True
+    return Influence(changes[kept], np.array(growth), grids[kept], len(marks))
+
+
+class Place(NamedTuple):
+    """The links of one cluster, and the numbers of the grids in which they are a cluster."""
+
+    links: Ints
+    grids: set[int]
+
+
+def few_places(links: LinkArrays, robust: Floats, seam: Ints, rows: int) -> list[Place]:
+    """Return the clusters that are left out, each once, with the grids in which it occurs.
+
+    Args:
+        links: the links.
+        robust: (k,) their robust weights.
+        seam: (k,) of each link between two cameras the lower of their numbers; −1 for links from row to row.
+        rows: number of rows.
+    """
+    found: dict[bytes, Place] = {}
+    for grid, offset in enumerate(_GRIDS):
+        cluster = number_clusters(links, robust, _USED, _SQUARE_MM, offset)
+        few = np.flatnonzero(_of_few(links, cluster, seam, rows))
+        # The grids hardly differ in their number of clusters.
+        if not len(few):
+            break
+        for number in few.tolist():
+            at = np.flatnonzero(cluster == number)
+            found.setdefault(at.tobytes(), Place(at, set())).grids.add(grid)
+    return list(found.values())
 
 
 def groups_of_marks(points: FiducialPoints) -> list[Ints]:
@@ -156,7 +201,8 @@ def groups_of_marks(points: FiducialPoints) -> list[Ints]:
 
     A group is left out only if other points place the board: two fiducials, the fixture, or the reference.
     """
-    which = np.where(points.sigma_mm < _PLACING_MM, points.which, _NONE)
+    apart = (points.sigma_mm >= _PLACING_MM) & (points.which != REFERENCE)
+    which = np.where(apart, _NONE, points.which)
     marks = np.unique(which[which != _NONE]).tolist()
     others = [[other for other in marks if other != mark] for mark in marks]
     places = [len(rest) >= 2 or any(other < 0 for other in rest) for rest in others]
@@ -164,8 +210,13 @@ def groups_of_marks(points: FiducialPoints) -> list[Ints]:
 
 
 @compiled
-def number_clusters(links: LinkArrays, robust: Floats, used: float, square_mm: float) -> Ints:
-    """Return the number (k,) of the cluster of each link; −1 for links whose robust weight is at most `used`."""
+def number_clusters(
+    links: LinkArrays, robust: Floats, used: float, square_mm: float, offset: tuple[float, float]
+) -> Ints:
+    """Return the number (k,) of the cluster of each link; −1 for links whose robust weight is at most `used`.
+
+    `offset` displaces the grid, in sides of a square.
+    """
     group, b_mm = links.group, links.b_mm
     out = np.full(len(group), -1)
     x, y = np.zeros(len(group), np.int64), np.zeros(len(group), np.int64)
@@ -175,7 +226,8 @@ def number_clusters(links: LinkArrays, robust: Floats, used: float, square_mm: f
             first = count
         if robust[n] <= used:
             continue
-        at_x, at_y = int(np.floor(b_mm[n, 0] / square_mm)), int(np.floor(b_mm[n, 1] / square_mm))
+        at_x = int(np.floor(b_mm[n, 0] / square_mm + offset[0]))
+        at_y = int(np.floor(b_mm[n, 1] / square_mm + offset[1]))
         for c in range(first, count):
             if x[c] == at_x and y[c] == at_y:
                 out[n] = c
@@ -187,17 +239,21 @@ def number_clusters(links: LinkArrays, robust: Floats, used: float, square_mm: f
 
 
 def _of_few(links: LinkArrays, cluster: Ints, seam: Ints, rows: int) -> NDArray[np.bool_]:
-    """Return of each cluster whether it connects a row or a seam that few clusters connect."""
+    """Return of each cluster whether it is one of few that connect the rows beside a gap, or two cameras."""
     numbers, first = np.unique(cluster[cluster >= 0], return_index=True)
     if not len(numbers):
         return np.zeros(0, np.bool_)
     at = np.flatnonzero(cluster >= 0)[first]
     p, q, of_seam = links.p[at], links.q[at], seam[at]
-    between = p != q
-    of_row = np.bincount(np.append(p[between], q[between]), minlength=rows)
-    of_seams = np.bincount(of_seam[~between], minlength=1)
-    count = np.where(between, np.minimum(of_row[p], of_row[q]), of_seams[np.maximum(of_seam, 0)])
-    return np.asarray(count <= _FEW)
+    low, high = np.minimum(p, q), np.maximum(p, q)
+    between = high > low
+    # number of clusters across the gap after each row
+    begin, end = (np.bincount(row[between], minlength=rows) for row in (low, high))
+    across = np.cumsum(begin - end)
+    spans, span = np.unique(low * rows + high, return_inverse=True)
+    least = np.array([across[n // rows : max(n % rows, n // rows + 1)].min() for n in spans.tolist()])
+    of_seams = np.bincount(of_seam[~between], minlength=1)[np.maximum(of_seam, 0)]
+    return np.asarray(np.where(between, least[span.ravel()] <= _FEW, of_seams <= _FEW_AT_SEAM))
 
 
 def _solve(
@@ -223,14 +279,12 @@ def _solve(
     return solve_backward(normal, solve_forward(normal)), normal
 
 
-def _of_rows(delta: Floats, rows: int, unknowns: int) -> Floats:
-    """Return for each row the changes (m, u) of its unknowns and of those that all rows share."""
-    own, shared = delta[: 3 * rows].reshape(rows, 3), delta[3 * rows : 3 * rows + unknowns - 3]
-    return np.concatenate([own, np.broadcast_to(shared, (rows, unknowns - 3))], 1)
+def _of_rows(deltas: Floats, rows: int, unknowns: int) -> Floats:
+    """Return of c solutions (c, n) the changes (c, m, u) of each row's unknowns and of those that all rows share."""
+    own, shared = deltas[:, : 3 * rows].reshape(-1, rows, 3), deltas[:, None, 3 * rows : 3 * rows + unknowns - 3]
+    return np.concatenate([own, np.broadcast_to(shared, (len(deltas), rows, unknowns - 3))], 2)
 
 
 def _covariance(assembly: Assembly, factor: NormalEquations, unknowns: int) -> Floats:
-    """Return the covariance (m, u, u) of the unknowns of each row; that of row 0 is fixed by the gauge."""
-    blocks = row_blocks(assembly.envelope, inverse(factor, assembly.envelope.rows))
-    blocks[0, :3] = blocks[0, :, :3] = 0.0
-    return blocks[:, :unknowns, :unknowns]
+    """Return the covariance (m, u, u) of the unknowns of each row."""
+    return row_blocks(assembly.envelope, inverse(factor, assembly.envelope.rows))[:, :unknowns, :unknowns]

@@ -155,14 +155,21 @@ class Influence:
 
     change: Floats
     """(c, m, u) for each group and row, change of the u unknowns of `AdjustmentResult.covariance`."""
-    explained: Floats
-    """(c, m, u, u) covariance of that change as far as the noise model explains it."""
-    of_marks: NDArray[np.bool_]
-    """(c,) whether each group is of points of `Problem.fiducials`; the others are of links."""
+    growth: Floats
+    """(c, m, u, u) by how much their covariance grows: the covariance of the change, if the noise model is right."""
+    grids: NDArray[np.bool_]
+    """(c, 4) the grids in which each group of links is a cluster; none for a group of points of `Problem.fiducials`."""
+    marks: int
+    """Number of marks that were left out in turn, with those without which little changes."""
 
-    def select(self, at: NDArray[np.bool_]) -> Influence | None:
-        """Return the influence of these groups only; None if there are none."""
-        return Influence(self.change[at], self.explained[at], self.of_marks[at]) if at.any() else None
+    @property
+    def of_marks(self) -> NDArray[np.bool_]:
+        """(c,) whether each group is of points of `Problem.fiducials`."""
+        return np.logical_not(self.grids.any(1))
+
+    def select(self, at: NDArray[np.bool_]) -> Influence:
+        """Return the influence of these groups only."""
+        return Influence(self.change[at], self.growth[at], self.grids[at], self.marks)
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,4 +204,4 @@ class AdjustmentResult:
     cameras: CameraEstimate | None = None
     """The displacements of the cameras; None if the calibration was taken as exact."""
     influence: Influence | None = None
-    """The influence of the links of single places and of single marks; None if it is small everywhere."""
+    """The influence of the links of single places and of single marks; None if it is small, or was not examined."""

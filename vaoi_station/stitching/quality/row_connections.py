@@ -12,7 +12,6 @@ from vaoi_station.model import Reason, ReasonCode
 from vaoi_station.stitching.adjustment.observations import Ints, median_noise_px
 from vaoi_station.stitching.adjustment.problem import Influence
 from vaoi_station.stitching.quality.findings import Findings
-from vaoi_station.stitching.quality.uncertainty import predict_sigma
 
 _FLOOR_LIMIT_PX, _UNEXPLAINED_PX, _UNEXPLAINED = 0.30, 0.15, 3.0
 """Largest scatter of links beyond image noise: in any case, and if it exceeds the image noise by the last factor.
@@ -135,35 +134,40 @@ def scattered_links(f: Findings) -> Iterator[Reason]:
 
 
 def disputed_positions(f: Findings, limit_px: float) -> str:
-    """Return a clause that names what decides positions by more than noise explains; empty if nothing does.
+    """Return clauses that name what decides positions by more than noise explains; empty if nothing does.
 
     These are positions that would be known better than `limit_px` if the links of all places, and all marks, agreed.
     """
     influence = f.adjusted.influence
-    if influence is None:
-        return ""
-    if _uncertain_by(f, influence.select(influence.of_marks), limit_px):
-        return (
-            "; without one of the fiducials, or without the reference, positions move by more than noise explains: "
-            "they do not fit one another. Check whether a fiducial is dirty or covered, compare the fiducials of the "
-            "board type with the board, and teach the reference again if the board was changed"
-        )
     rows = _uncertain_by(f, influence, limit_px)
-    if not rows:
+    if influence is None or not rows:
         return ""
-    named = ", ".join(f"{a}" if a == b else f"{a}–{b}" for a, b in _ranges(tuple(rows)))
-    return (
-        f"; positions in row{'s' if len(rows) > 1 else ''} {named} follow from few places of the pictures, and without "
-        "one of these they move by more than noise explains: it may show the belt, a shadow, or a part that the board "
-        "type lacks. Let consecutive frames overlap more (a slower belt or a shorter period), and keep belt and "
-        "carrier darker or brighter than the board's edge"
-    )
+    of_marks = influence.of_marks
+    marks, places = (_uncertain_by(f, influence.select(at), limit_px) for at in (of_marks, ~of_marks))
+    clauses = ""
+    if marks or not places:
+        clauses += (
+            "; without one of the marks that place the board (fiducials, fixture, reference) positions move by more "
+            "than noise explains: these marks contradict one another. Check whether a mark is dirty or covered, and "
+            "compare the marks in the board type with the board"
+        )
+    if places or not marks:
+        named = ", ".join(f"{a}" if a == b else f"{a}–{b}" for a, b in _ranges(tuple(places or rows)))
+        clauses += (
+            f"; positions in row{'s' if len(places or rows) > 1 else ''} {named} follow from few places of the "
+            "pictures, and without one of these they move by more than noise explains: it may show the belt, a shadow, "
+            "or a part that the board type lacks. Let consecutive frames overlap more (a slower belt or a shorter "
+            "period), and keep belt and carrier darker or brighter than the board's edge"
+        )
+    return clauses
 
 
 def _uncertain_by(f: Findings, influence: Influence | None, limit_px: float) -> list[int]:
     """Return the rows with positions that have a standard deviation above a limit only on account of an influence."""
-    without, by_it = (
-        predict_sigma(f.scene, f.plane, replace(f.adjusted, influence=one), f.views).rows_px
-        for one in (None, influence)
+    if influence is None or f.mapping is None:
+        return []
+    with_it, without = (
+        replace(f, found=replace(f.mapping, adjusted=replace(f.adjusted, influence=of))).sigma.rows_px
+        for of in (influence, None)
     )
-    return [j for j, (calm, px) in enumerate(zip(without, by_it, strict=True)) if px > limit_px >= calm]
+    return [j for j, (px, calm) in enumerate(zip(with_it, without, strict=True)) if px > limit_px >= calm]

@@ -32,6 +32,11 @@ from vaoi_station.stitching.quality.covariances import largest_sigma
 
 MODEL_PX = 0.002
 """Standard deviation of errors that no residual shows: errors of calibration, artwork and flatness."""
+_MARK_SIGMAS = 2.0
+"""Changes without one mark are explained up to this number of standard deviations. Few marks place a board: without one
+of three, changes are large by chance."""
+_LEAST_MM2 = 1e-12
+"""Added to covariances that are inverted: a thousandth of a px at 1000 px/mm."""
 _DIGITS = 4
 
 
@@ -139,19 +144,33 @@ def _unexplained_influence(
     """Return the covariance (k, 2, 2) mm² of k views that follows from the influence of single places and marks.
 
     If a view moves further without the links of one place than the noise model explains, these links or the others are
-    wrong, and so with marks. What the model does not explain of these changes is added up. It counts where it is larger
-    than the covariance (k, 2, 2) by the model.
+    wrong, and so with marks. What the model does not explain is added up over the places of a grid, and the grid with
+    the largest sum counts. One of the marks is wrong, each as probably as the others: the mean over them counts. Both
+    count along the axes on which they are larger than the covariance (k, 2, 2) by the model.
     """
-    total = np.zeros_like(covariance)
-    if adjusted.influence is None or not len(covariance):
-        return total
+    influence = adjusted.influence
+    if influence is None or not len(covariance):
+        return np.zeros_like(covariance)
     exact = _exact_cameras(adjusted, np.zeros(len(covariance), dtype=np.int_))
-    for change, explained in zip(adjusted.influence.change, adjusted.influence.explained, strict=True):
+    of_grids, of_marks = np.zeros((influence.grids.shape[1], *covariance.shape)), np.zeros_like(covariance)
+    for change, growth, grids in zip(influence.change, influence.growth, influence.grids, strict=True):
+        explained = growth if grids.any() else _MARK_SIGMAS**2 * growth
         beyond = change[:, :, None] * change[:, None] - explained
-        values, axes = np.linalg.eigh(position_covariances(seen, points, _row_arrays(adjusted, beyond), exact))
-        total += (axes * np.maximum(values, 0.0)[:, None]) @ axes.swapaxes(1, 2)
-    counts = largest_sigma(total) > largest_sigma(covariance)
-    return np.where(counts[:, None, None], total, 0.0)
+        views = _positive(position_covariances(seen, points, _row_arrays(adjusted, beyond), exact), 0.0)
+        of_grids[grids] += views
+        of_marks += 0.0 if grids.any() else views / influence.marks
+    largest = largest_sigma(of_grids).argmax(0)
+    total = of_grids[largest, np.arange(len(covariance))] + of_marks
+    # in units of the covariance by the model, along whose axes it is 1
+    root = np.linalg.cholesky(covariance + _LEAST_MM2 * np.eye(2))
+    inverse = np.linalg.inv(root)
+    return np.asarray(root @ _positive(inverse @ total @ inverse.swapaxes(1, 2), 1.0) @ root.swapaxes(1, 2))
+
+
+def _positive(matrices: Floats, limit: float) -> Floats:
+    """Return symmetric matrices (k, 2, 2) without their parts along axes on which they are at most `limit`."""
+    values, axes = np.linalg.eigh(matrices)
+    return np.asarray((axes * np.where(values > limit, values, 0.0)[:, None]) @ axes.swapaxes(1, 2))
 
 
 def _exact_cameras(adjusted: AdjustmentResult, camera: Ints) -> DisplacementArrays:

@@ -321,7 +321,8 @@ def _placed_by_fiducials(b: _Placed) -> bool:
 
 def _uncertain_positions(b: _Placed) -> Iterator[Reason]:
     worst = b.findings.sigma.worst_px
-    if worst is not None and worst > OK_SIGMA_PX:
+    # in this form, because a value that is no number must not be ok
+    if worst is not None and not worst <= OK_SIGMA_PX:
         blamed = uncertain_detections(b.plane, b.points, OK_SIGMA_PX) + uncertain_calibration(
             b.findings.calibrated, OK_SIGMA_PX / 2
         )
