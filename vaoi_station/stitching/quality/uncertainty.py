@@ -36,7 +36,7 @@ _MARK_SIGMAS = 2.0
 """Changes without one mark are explained up to this number of standard deviations. Few marks place a board: without one
 of three, changes are large by chance."""
 _LEAST_MM2 = 1e-12
-"""Added to covariances that are inverted: a thousandth of a px at 1000 px/mm."""
+"""Least variance by the model along an axis: a thousandth of a px at 1000 px/mm."""
 _DIGITS = 4
 
 
@@ -161,10 +161,12 @@ def _unexplained_influence(
         of_marks += 0.0 if grids.any() else views / influence.marks
     largest = largest_sigma(of_grids).argmax(0)
     total = of_grids[largest, np.arange(len(covariance))] + of_marks
-    # in units of the covariance by the model, along whose axes it is 1
-    root = np.linalg.cholesky(covariance + _LEAST_MM2 * np.eye(2))
-    inverse = np.linalg.inv(root)
-    return np.asarray(root @ _positive(inverse @ total @ inverse.swapaxes(1, 2), 1.0) @ root.swapaxes(1, 2))
+    # In units of the covariance by the model, along whose axes it is 1. Rounding may leave a huge one, of an unobserved
+    # unknown, without an inverse: its axes are bounded from below.
+    values, axes = np.linalg.eigh(covariance)
+    length = np.sqrt(np.maximum(values, _LEAST_MM2))[:, None]
+    root, inverse = axes * length, axes / length
+    return np.asarray(root @ _positive(inverse.swapaxes(1, 2) @ total @ inverse, 1.0) @ root.swapaxes(1, 2))
 
 
 def _positive(matrices: Floats, limit: float) -> Floats:
