@@ -122,6 +122,17 @@ def test_a_board_whose_edge_was_lost_has_no_interruptions_of_the_one_before(benc
     assert [(r.host_time_s, r.edge_known) for r in bench.of(RunStarted)] == [(9.7, True), (20.0, False)]
 
 
+def test_the_edge_of_a_board_without_a_pulse_is_not_that_of_the_next_one(bench: SessionBench) -> None:
+    bench.session.grant(Grant("a", 0))
+    bench.session.arm(bench.plan)
+    bench.session.handle_event(BarrierBlocked(0, 9.7), 9.7)
+    bench.session.handle_event(RunEnded(1, 9.9, 0, "clear"), 9.9)
+    assert len(bench.of(BoardMissed)) == 1
+    # The report of the next board's edge is lost.
+    bench.pulse(20.0, 0)
+    assert [(r.host_time_s, r.edge_known) for r in bench.of(RunStarted)] == [(20.0, False)]
+
+
 def test_a_run_on_a_fast_belt_is_described_by_what_the_belt_did(bench: SessionBench) -> None:
     """The rows come every 0.8 periods; row 1 is skipped, and the report of row 3 is lost."""
     period_s = bench.plan.period_s

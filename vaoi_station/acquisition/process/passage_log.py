@@ -29,30 +29,36 @@ class PassageLog:
         """The interruptions of the latest passage."""
         self.edge_s = 0.0
         """Host time of the latest edge that begins a passage, or of the latest request of a single pulse."""
-        self.edge_known = False
-        """Whether that is the edge of the run that begins next; if not, the report of its edge was lost."""
+        self._edge_taken = True
+        """Whether a run has begun since that edge."""
+
+    @property
+    def edge_known(self) -> bool:
+        """Whether `edge_s` is the edge of the run that begins next; if not, the report of its edge was lost."""
+        # A passage may end without a pulse: its edge is not that of the next board.
+        return not self._edge_taken and not self.barrier.over
 
     def forget(self) -> None:
         """Begin without a passage: what is in the barrier is not known."""
-        self.barrier, self.edge_known = BarrierLog(), False
+        self.barrier, self._edge_taken = BarrierLog(), True
 
     def begin_single(self, now_s: float) -> None:
         """Begin the passage of a single pulse, which no edge begins."""
         self.forget()
-        self.edge_s, self.edge_known = now_s, True
+        self.edge_s, self._edge_taken = now_s, False
 
     def begin_run(self) -> BarrierLog:
         """Return the interruptions of the run that begins. There are none if the report of its edge was lost."""
         if self.barrier.over:
             self.forget()
-        self.edge_known = False
+        self._edge_taken = True
         return self.barrier
 
     def add(self, event: ControllerEvent, now_s: float) -> BoardMissed | None:
         """Add an edge to its passage. Return a report if it shows that a board passed without a run."""
         if isinstance(event, BarrierBlocked):
             self.forget()
-            self.edge_s, self.edge_known = self._host_s(event, now_s), True
+            self.edge_s, self._edge_taken = self._host_s(event, now_s), False
             self.barrier.blocked(event.time_s, event.counts)
         elif isinstance(event, BarrierBlockedAgain):
             self.barrier.blocked(event.time_s, event.counts)
