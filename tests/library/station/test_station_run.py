@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Iterator, Mapping
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -34,6 +35,15 @@ def test_a_frame_is_an_array(run: vaoi.StationRun) -> None:
     assert run.frame(0, 1, incomplete=True).shape == frame.shape
     with pytest.raises(vaoi.InputError, match="row is -1"):
         run.frame(0, -1)
+
+
+def test_the_verdict_of_the_run_counts_with_its_reasons(run: vaoi.StationRun) -> None:
+    """A board id that differs degrades the run, not its matrices."""
+    assert (run.status, run.reasons) == ("ok", run.result.reasons)
+    differs = {"code": "board-id-differs", "message": "The code states SN-2."}
+    degraded = replace(run, summary=run.summary | {"verdict": "degraded", "reasons": [differs]})
+    assert degraded.result.status == "ok"
+    assert (degraded.status, degraded.reasons) == ("degraded", (*run.result.reasons, "The code states SN-2."))
 
 
 def test_a_region_has_pictures(run: vaoi.StationRun) -> None:

@@ -85,8 +85,11 @@ class StationRun:
 
     @property
     def reasons(self) -> tuple[str, ...]:
-        """Reasons for a verdict other than ok, in sentences."""
-        return self.result.reasons
+        """Reasons for a verdict other than ok, in sentences: those of the result, then those of the run."""
+        if self.status is Status.OK:
+            return self.result.reasons
+        of_run = (str(reason["message"]) for reason in self.summary.get("reasons", ()))
+        return (*self.result.reasons, *(text for text in of_run if text not in self.result.reasons))
 
     @cached_property
     def refs(self) -> tuple[str, ...]:
