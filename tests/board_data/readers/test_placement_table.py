@@ -133,7 +133,7 @@ def test_another_unit_is_refused_unless_the_user_states_one(unit: str) -> None:
         ("ref,x,y,side\nR1,1,10,left\n", "b.csv, line 2: side is 'left', but must be top or bottom"),
         ("a,b,c\n1,2,3\n", "has no header with columns ref, x, y"),
         ("", "has no header"),
-        ("ref,x,y\n# none\n", "b.csv: no line has a part with ref, x, y. Name the columns by --columns"),
+        ("ref,x,y\n# none\n", "b.csv: no line has a part with ref, x, y. Export it with its parts"),
         ("ref,x(mm),y(mil)\nR1,1,1\n", "its header has x in mm and y in mil"),
     ],
 )
@@ -157,6 +157,184 @@ def test_wrong_tables_are_refused(text: str, message: str) -> None:
 def test_wrong_options_are_refused(options: dict[str, str], message: str) -> None:
     with pytest.raises(InputError, match=message):
         read(ALTIUM, **options)
+
+
+HEADER = "Designator,X (mm),Y (mm),Rotation,Side,Comment\n"
+
+
+def lines_read(design: Design) -> str:
+    return next(note for note in design.notes if note.code == "lines-read")
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("R9,20", "line 3 has 2 of 6 cells, it seems to be part R9"),
+        ("R9,20,30,90", "line 3 has 4 of 6 cells, it seems to be part R9"),
+        ("R9;20;30;90;Top;x", "line 3 seems to have another delimiter, semicolon: 'R9;20;30;90;Top;x'"),
+        ("R9\t20\t30\t90\tTop\tx", "line 3 seems to have another delimiter, tab"),
+        ("R9,20,5,30,5,90,Top,x", "line 3 has 8 of 6 cells, it seems to be part R9"),
+        ("#R9,20,30,90,Top,x", "line 3 is a comment that holds 'R9'"),
+        ("Total: 2 parts", "line 3 has 1 of 6 cells: 'Total: 2 parts'"),
+        (",20,30,90,Top,x", "line 3 has no designator or no place"),
+    ],
+)
+def test_a_line_that_is_left_out_is_named_with_what_it_seems_to_hold(line: str, said: str) -> None:
+    design = read(f"{HEADER}R1,10,20,90,Top,a\n{line}\nC1,60,50,0,Bottom,b\n")
+    assert [part.ref for part in design.parts] == ["R1", "C1"]
+    assert said in lines_read(design)
+    assert "4 lines read: 2 parts, 1 header, 1 left out" in lines_read(design)
+
+
+def test_more_lines_that_cannot_be_read_than_parts_refuse_the_file() -> None:
+    with pytest.raises(InputError, match="2 lines cannot be read as parts, more than can: line 3 has 2 of 6 cells"):
+        read(f"{HEADER}R1,10,20,90,Top,a\nR2,20\nR3,30\n")
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "R9,20,30,90,Top,10k, 1%",
+        'R9,20,30,90,Top,"10k\n1%"',
+        'R9,20,30,90,Top,"HEADER .05""',
+        'R9,20,30,90,Top,"HEADER .05\\""',
+        'R9,20,30,90,Top,"a ""b"", c"',
+        'R9,20,30,90,Top,"10k',
+        "R9,20,30,90,Top,10k,,,",
+    ],
+)
+def test_quotation_marks_and_commas_in_a_value_do_no_harm(line: str) -> None:
+    design = read(f"{HEADER}R1,10,20,90,Top,a\n{line}\nC1,60,50,0,Bottom,b\n")
+    assert {part.ref: (part.side, part.origin, part.rotation) for part in design.parts} == {
+        "R1": ("top", (10, 20), 90), "R9": ("top", (20, 30), 90), "C1": ("bottom", (60, 50), 0),
+    }  # fmt: skip
+    assert "left out" not in lines_read(design)
+
+
+def test_a_second_table_below_the_first_is_read() -> None:
+    design = read(f"{HEADER}R1,10,20,90,Top,a\n\n{HEADER}C1,60,50,0,Bottom,b\n")
+    assert [(part.ref, part.side) for part in design.parts] == [("R1", "top"), ("C1", "bottom")]
+    assert "5 lines read: 2 parts, 2 header, 1 comments" in lines_read(design)
+
+
+@pytest.mark.parametrize(
+    ("text", "role", "header", "given"),
+    [
+        ("Ref,X(mm),Y(mm),Side,Dir.\nR1,10,20,Top,90\nC1,60,50,Top,0\n", "rotation", "Dir.", "rotation=5"),
+        ("Ref,X(mm),Y(mm),Side,Ugol\nR1,10,20,Top,90\nC1,60,50,Top,0\n", "rotation", "Ugol", "rotation=Ugol"),
+        ("Ref,X(mm),Y(mm),Side,Dir.\nR1,10,20,Top,90\nC1,60,50,Top,0\n", "rotation", "Dir.", "rotation=none"),
+        ("Ref,X(mm),Y(mm),Rot,Lg\nR1,10,20,0,T\nC1,60,50,0,B\n", "side", "Lg", "side=5"),
+        ("Ref,X(mm),Y(mm),Rot,Type\nR1,10,20,0,Top\nC1,60,50,0,Top\n", "side", "Type", "side=Type"),
+        ("Ref,X(mm),Y(mm),Rot,Lg\nR1,10,20,0,1\nC1,60,50,0,2\n", "side", "Lg", "side=Lg"),
+        ("Ref,X(mm),Y(mm),Rot,Cara\n" + "R1,1,2,0,Haut\nR2,3,2,0,Bas\n" * 3, "side", "Cara", "side=bottom"),
+    ],
+)
+def test_a_column_that_is_not_understood_is_never_taken_as_absent(
+    text: str, role: str, header: str, given: str
+) -> None:
+    with pytest.raises(InputError, match=f"no column is recognised as the {role}, but it may be '{header}'") as refused:
+        read(text)
+    assert f"--columns {role}=5" in refused.value.action
+    assert read(text, columns=given).parts, "what the message advises is accepted"
+
+
+@pytest.mark.parametrize("header", ["Teil,Ort_X,Ort_Q,Dreh,Lg", "a;b;c;d;e", "Uno Due Tre Quattro Cinque"])
+def test_a_header_in_other_words_is_no_absent_header(header: str) -> None:
+    delimiter = next(d for d in ";, " if d in header)
+    lines = [delimiter.join(cells) for cells in (("R1", "10", "20", "90", "T"), ("C1", "60", "50", "0", "B"))]
+    text = "\n".join([header, *lines])
+    with pytest.raises(InputError, match=r"line 1: the header .* has no column that is recognised as"):
+        read(text, units="mm")
+    design = read(text, units="mm", columns="ref=1,x=2,y=3,rotation=4,side=5")
+    assert [(part.ref, part.origin, part.rotation, part.side) for part in design.parts] == [
+        ("R1", (10, 20), 90, "top"), ("C1", (60, 50), 0, "bottom"),
+    ]  # fmt: skip
+
+
+def test_columns_that_are_not_used_are_named() -> None:
+    design = read("Designator,Supplier,X (mm),Y (mm),Rotation,Side,Zone\nR1,ACME,1,2,0,Top,7b\n")
+    assert "columns that are not used: Supplier, Zone." in design.notes
+
+
+@pytest.mark.parametrize(
+    ("cells", "place"),
+    [
+        (("1000mil", "25.4mm"), (25.4, 25.4)),
+        (("1in", '0.5"'), (25.4, 12.7)),
+        (("0", "500 mil"), (0, 12.7)),
+        (("1000 thou", "1inch"), (25.4, 25.4)),
+    ],
+)
+def test_every_value_may_have_a_unit_of_its_own(cells: tuple[str, str], place: tuple[float, float]) -> None:
+    design = read(f"ref;x;y;rotation;side\nR1;{';'.join(cells)};0;top\nR2;2in;10mm;0;top\n")
+    assert design.parts[0].origin == pytest.approx(place)
+    assert "(by the values)" in design.notes[0]
+
+
+def test_a_value_without_unit_beside_others_with_one_is_refused_unless_a_unit_is_given() -> None:
+    text = "ref,x,y,rotation,side\nR1,1000mil,12.7,0,top\n"
+    with pytest.raises(InputError, match=r"line 2: y is '12.7' without a unit, but others state mil"):
+        read(text)
+    assert read(text, units="mm").parts[0].origin == pytest.approx((25.4, 12.7))
+    with pytest.raises(InputError, match="line 2: x is '1cm', but must be a number in mm, inch, mil"):
+        read("ref,x (mm),y (mm),rotation,side\nR1,1cm,12.7,0,top\n")
+
+
+def test_rotations_are_degrees_counter_clockwise() -> None:
+    text = "ref,x (mm),y (mm),{},side\nR1,1,2,{},top\nR2,1,3,0,top\n"
+    clockwise = read(text.format("Rotation (CW)", "90"))
+    assert clockwise.parts[0].rotation == 270
+    assert any("states clockwise rotations" in note for note in clockwise.notes)
+    assert read(text.format("Rotation (CCW)", "90")).parts[0].rotation == 90
+    assert read(text.format("Rotation (rad)", "1.5707963")).parts[0].rotation == pytest.approx(90, abs=1e-4)
+    with pytest.raises(InputError, match="rotation is '2700', but must be from -360"):
+        read(text.format("Rotation", "2700"))
+    assert read(text.format("Rotation", "2700"), columns="rotation=none").parts[0].rotation == 0
+
+
+@pytest.mark.parametrize("name", ["relay-bottom.csv", "PnP_relay_back.csv", "relay Bot.txt"])
+def test_the_side_of_all_parts_is_that_of_the_name_of_the_file(name: str) -> None:
+    text = "ref,x (mm),y (mm),rotation\nR1,1,2,0\n"
+    design = read_placement_table(text.encode(), Path(name), TableOptions())
+    assert design.parts[0].side == "bottom"
+    assert any("those of the bottom, by the name of the file" in note for note in design.notes)
+    by_line = read_placement_table(f"# Board Side: Top\n{text}".encode(), Path(name), TableOptions())
+    assert by_line.parts[0].side == "top"
+    assert any("those of the top, by line 1" in note for note in by_line.notes)
+
+
+def test_empty_sides_and_rotations_are_named() -> None:
+    notes = read(f"{HEADER}R1,10,20,90,,a\nC1,60,50,,Bottom,b\n").notes
+    assert "1 parts have no side in column 'Side'; they are taken as those of the top: R1." in notes
+    assert "1 parts have no rotation in column 'Rotation'; 0° is taken: C1." in notes
+
+
+@pytest.mark.parametrize(
+    ("xs", "negated"),
+    [((-60, -20), True), ((-60, 20), False), ((-60, -160), False), ((-10, -90), True), ((60, 20), False)],
+)
+def test_negated_x_of_the_bottom_is_made_positive_where_the_top_shows_it(xs: tuple[int, int], negated: bool) -> None:
+    top = "R1,10,20,90,Top,a\nR2,90,20,90,Top,a\n"
+    design = read(f"{HEADER}{top}C1,{xs[0]},50,90,Bottom,b\nC2,{xs[1]},50,0,Bottom,b\n")
+    bottom = [part for part in design.parts if part.side == "bottom"]
+    assert [part.origin[0] for part in bottom] == [-x if negated else x for x in xs]
+    assert bottom[0].rotation == 90
+    assert any("the bottom is negated" in note for note in design.notes) == negated
+
+
+def test_negative_x_of_the_bottom_alone_is_remarked() -> None:
+    design = read(f"{HEADER}C1,-60,50,90,Bottom,b\nC2,-20,50,0,Bottom,b\n")
+    assert [part.origin[0] for part in design.parts] == [-60, -20]
+    assert any("if the program has negated it, the places are mirrored" in note for note in design.notes)
+
+
+def test_a_table_without_header_whose_fourth_column_is_no_rotation_is_refused() -> None:
+    for text in (
+        "R1 90 10.5 20.3\nR2 0 11.7 33.9\n",
+        '"R1","15","1206",TOP,180,1548,90\n"R3","15","1206",TOP,18,21,0\n',
+    ):
+        with pytest.raises(InputError, match="its lines are not designator, x, y, rotation"):
+            read(text)
 
 
 @given(st.text(alphabet='ref,xy;\t "m0.-1\n#R', max_size=120))

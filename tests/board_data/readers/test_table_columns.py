@@ -1,46 +1,103 @@
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
 from vaoi_station.board_data.readers.table_columns import (
-    cells_of,
-    find_delimiter,
-    find_layout,
+    angle_in,
+    columns_by_header,
+    decimal_separator,
     is_fitted,
+    is_known_header,
+    named_columns,
     number_in,
     plain_key,
+    side_of,
 )
-from vaoi_station.errors import InputError
-
-LINES = ["# made by a program", "ref;x (mm);Mid-Y [mm];a", "R1;1,5;2;3;10k"]
 
 
-def test_the_delimiter_is_the_one_that_makes_a_header() -> None:
-    assert find_delimiter(LINES) == ";"
-    assert find_delimiter(["R1 1 2 90", "R2 3 4 0"]) == " "
-    assert cells_of('R1 "10 k" 5', " ") == ["R1", "10 k", "5"]
+def test_headers_are_compared_without_unit_case_and_punctuation() -> None:
+    keys = ["Center-X(mm)", "X [mil]", "PosX mm", "Gehäuse", "Ref. Des.", "Bestückungsseite", "Winkel in °"]
+    assert list(map(plain_key, keys)) == ["centerx", "x", "posx", "gehaeuse", "refdes", "bestueckungsseite", "winkel"]
+    assert [is_known_header(words) for words in ("Mid X", "Pad Y", "Pad Y TB")] == [True, True, False]
 
 
-def test_columns_are_found_in_the_header_and_given_by_number_or_header() -> None:
-    rows = [cells_of(line, ";") for line in LINES]
-    layout = find_layout(rows, Path("f"), (("rotation", "A"), ("value", "5")))
-    assert layout.columns == {"ref": 0, "x": 1, "y": 2, "rotation": 3, "value": 4}
-    assert (layout.first, layout.header_of("y"), layout.header_of("value")) == (2, "Mid-Y [mm]", "")
-    for number in ("0", "6"):
-        with pytest.raises(InputError, match=f"--columns value is '{number}', but must be a number from 1 to 5, or a"):
-            find_layout(rows, Path("f"), (("value", number),))
+@pytest.mark.parametrize(
+    ("header", "chosen"),
+    [
+        (["Ref X", "Ref Y", "Mid X", "Mid Y"], (2, 3)),
+        (["Position X", "Position Y", "Place X", "Place Y"], (2, 3)),
+        (["X", "Y", "Pad X", "Pad Y"], (0, 1)),
+        (["Part X", "Part Y", "Part Center X", "Part Center Y"], (2, 3)),
+        (["Y-Koordinate", "X-Koordinate", "Size X", "Size Y"], (1, 0)),
+        (["Center X", "Ref Y", "Ref X", "Center Y"], (0, 3)),
+    ],
+)
+def test_both_axes_are_those_of_the_centre_where_there_are_several(header: list[str], chosen: tuple[int, int]) -> None:
+    found = columns_by_header(header, [["1"] * len(header)])
+    assert (found["x"], found["y"]) == chosen
 
 
-def test_cells_are_numbers_words_and_signs_of_fitting() -> None:
-    assert [number_in(cell) for cell in ("1,5", "-.5e1", "2 mm", "90°", "1.2.3", "1e400")] == [
-        1.5,
-        -5.0,
-        2.0,
-        90.0,
-        None,
-        None,
+def test_the_place_of_a_pad_is_none_of_the_part() -> None:
+    assert "x" not in named_columns(["Designator", "Pad X", "Pad Y"])
+
+
+@pytest.mark.parametrize(
+    ("header", "rows", "column"),
+    [
+        (["Name", "Part"], [["R1", "RES10K"], ["R2", "RES1K"]], 0),
+        (["Part", "Name"], [["R1", "RES10K"], ["R2", "RES1K"]], 0),
+        (["Component", "Designator"], [["C0402", "C1"], ["C0402", "C2"]], 1),
+        (["Designator", "Part"], [["Mechanical", "X"], ["Bracket", "Y"]], 0),
+        (["Teil", "Wert"], [["R1", "10k"], ["U7", "LM358"]], 0),
+        (["Reference", "ID"], [["IC1", "1"], ["K7", "2"]], 0),
+    ],
+)
+def test_the_designators_are_chosen_by_their_values(header: list[str], rows: list[list[str]], column: int) -> None:
+    assert columns_by_header(header, rows)["ref"] == column
+
+
+def test_numbers_have_a_decimal_comma_or_separate_thousands() -> None:
+    cells = ("1,5", "-.5e1", "2 mm", "90°", "1.2.3", "1e400", "−3", "1,000.5", "1.000,5", "1'000.5", "1,234")
+    assert [number_in(cell) for cell in cells] == [
+        1.5, -5.0, 2.0, 90.0, None, None, -3.0, 1000.5, 1000.5, 1000.5, 1.234,
+    ]  # fmt: skip
+    assert decimal_separator(["1,234", "1.5"]) == "."
+    assert decimal_separator(["1.234", "12,5"]) == ","
+    assert (number_in("1,234", "."), number_in("1.234", ",")) == (1234, 1234)
+    assert decimal_separator(["1,234", "5"]) is None
+    assert decimal_separator(["12,5", "0.5"]) is None
+
+
+def test_angles_may_be_those_of_eagle() -> None:
+    assert [angle_in(cell) for cell in ("R90", "MR180", "SMR45.5", "-90", "x")] == [90, 180, 45.5, -90, None]
+
+
+@pytest.mark.parametrize(
+    ("cells", "marks_mirrored", "sides"),
+    [
+        (("T", "TopLayer", "F.Cu", "Oben", "Component side", "A", "BS"), False, "top"),
+        (("B", "BottomLayer", "B.Cu", "Unterseite", "Solder", "Rückseite", "LS"), False, "bottom"),
+        (("no", "0", "", "-", "Nein"), True, "top"),
+        (("YES", "1", "m", "Mirror", "ja"), True, "bottom"),
+    ],
+)
+def test_words_of_both_sides(cells: tuple[str, ...], marks_mirrored: bool, sides: str) -> None:
+    assert [side_of(cell, marks_mirrored, frozenset()) for cell in cells] == [sides] * len(cells)
+
+
+def test_numbers_of_layers_are_sides_where_there_are_two() -> None:
+    for numbers in ({"1", "16"}, {"0", "31"}, {"0", "1"}, {"1", "4"}):
+        low, high = sorted(numbers, key=int)
+        assert side_of(low, False, frozenset(numbers)) == "top"
+        assert side_of(high, False, frozenset(numbers)) == "bottom"
+    assert side_of("1", False, frozenset({"1"})) is None, "the only layer may be either"
+    assert side_of("2", False, frozenset({"1", "2", "3"})) is None
+
+
+def test_signs_of_fitting() -> None:
+    assert (is_fitted("x", "D.N.P.", ()), is_fitted("x", "Fitted", ())) == (False, True)
+    assert [is_fitted("", "", cells) for cells in (("SMD", "DNP"), ("nicht bestückt",), ("SMD",))] == [
+        False,
+        False,
+        True,
     ]
-    assert plain_key("Center-X(mm)") == "centerx"
-    assert (is_fitted("x", "D.N.P.", ""), is_fitted("x", "Fitted", "")) == (False, True)

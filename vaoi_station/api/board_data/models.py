@@ -24,7 +24,7 @@ class ImportOptions(Strict):
         default=None,
         max_length=500,
         description="Of a centroid file, as `ref=1,x=3,y=Mid Y,rotation=5,side=Layer,fitted=DNP`; `side=bottom` states "
-        "the side of all parts.",
+        "the side of all parts, `rotation=none` that there is none.",
     )
     delimiter: str | None = Field(
         default=None, max_length=10, description="Of a centroid file: one character or its name."

@@ -1,11 +1,17 @@
-"""Recognise how a centroid file is laid out: its delimiter, its header and what its columns hold."""
+"""Recognise what the columns of a centroid file hold: by the words of the header, and by the values below it.
+
+The words are in `table_words.toml`.
+"""
 
 from __future__ import annotations
 
-import csv
+import math
 import re
-from collections.abc import Mapping, Sequence
+import tomllib
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from importlib import resources
 from pathlib import Path
 
 from vaoi_station.board_data.design import Side
@@ -15,52 +21,45 @@ from vaoi_station.errors import InputError
 COLUMNS = ("ref", "x", "y", "rotation", "side", "package", "value", "fitted")
 REQUIRED = ("ref", "x", "y")
 
-_NOT_FITTED = frozenset(
-    {
-        "dnp", "dni", "dnf", "dns", "nopop", "nofit", "notfitted", "notpopulated", "notmounted", "unpopulated",
-        "unfitted", "donotplace", "donotpopulate", "donotfit", "donotinstall", "donotstuff",
-    }
-)  # fmt: skip
-"""What a header or a cell says of a part that is not fitted."""
-_YES, _NO = frozenset({"yes", "y", "true", "1", "x"}), frozenset({"no", "n", "false", "0"})
-_NAMES: dict[str, tuple[str, ...]] = {
-    "ref": ("ref", "refdes", "designator", "reference", "referencedesignator", "part", "component", "name", "id"),
-    "x": (
-        "x",
-        "posx",
-        "midx",
-        "centerx",
-        "centrex",
-        "xcenter",
-        "refx",
-        "locationx",
-        "xlocation",
-        "xcoord",
-        "xpos",
-        "partx",
-    ),
-    "y": (
-        "y",
-        "posy",
-        "midy",
-        "centery",
-        "centrey",
-        "ycenter",
-        "refy",
-        "locationy",
-        "ylocation",
-        "ycoord",
-        "ypos",
-        "party",
-    ),
-    "rotation": ("rot", "rotation", "angle", "orientation", "theta", "r"),
-    "side": ("side", "layer", "tb", "boardside", "placementside", "mirror"),
-    "package": ("package", "footprint", "pattern", "decal", "symname", "pkg", "case", "shape"),
-    "value": ("val", "value", "comment", "partnumber", "device", "devtype"),
-    "fitted": ("fitted", "populate", "populated", "mounted", "assembled", "stuffed", *sorted(_NOT_FITTED)),
-}
-NUMBER = re.compile(r"^([+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?)\s*(mm|mils?|inch|in|\"|°|deg)?$")
-_REF = re.compile(r"^[A-Za-z*_][\w*.\-/+$]*$")
+NUMBER = re.compile(
+    r"^\(?([+\-−]?)(\d+[.,]?\d*|[.,]\d+|\d{1,3}(?:,\d{3})+(?:\.\d*)?|\d{1,3}(?:\.\d{3})+(?:,\d*)?|\d{1,3}(?:'\d{3})+(?:[.,]\d*)?)"
+    r"(?:([eE][+-]?\d+))?\s*(mm|mils?|thou|inch(?:es)?|in|cm|[uµμ]m|\"|″|°|deg)?\)?$"
+)
+"""A number with its unit, as tables write it: sign, digits with separators, exponent, unit."""
+_UMLAUTS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss", "é": "e", "°": " deg "})
+
+
+def _words(group: str) -> dict[str, tuple[str, ...]]:
+    """Return the lists of one group of `table_words.toml`."""
+    return {name: tuple(words.split()) for name, words in _TABLE[group].items()}
+
+
+_TABLE = tomllib.loads((resources.files(__package__) / "table_words.toml").read_text(encoding="utf-8"))
+_VALUES = {name: frozenset(words) for name, words in _words("values").items()}
+_HEADERS = _words("headers")
+_OTHER, _MIRRORED = frozenset(_HEADERS.pop("other")), frozenset(_HEADERS["mirrored"])
+_HEADERS["side"] = (*_HEADERS["side"], *_HEADERS.pop("mirrored"))
+_HEADERS["fitted"] = (*_HEADERS["fitted"], *sorted(_VALUES["not_fitted"]))
+_YES, _NO, _NOT_FITTED = _VALUES["yes"] | {"1"}, _VALUES["no"] | {"0"}, _VALUES["not_fitted"]
+_TOP_WORDS, _BOTTOM_WORDS = _VALUES["top"], _VALUES["bottom"]
+_MIRROR_TOP = _NO | {"", "none", "normal", "-"}
+_MIRROR_BOTTOM = _YES | {"mirror", "mirrored", "m", "gespiegelt", "flipped"}
+_BESIDE_AXIS = _words("beside_axis")
+_RANKS = {"center": 0, "place": 1, "": 2, "position": 3, "part": 4, "origin": 5}
+"""Which x and y are preferred: the centre of the body to the origin of the CAD part."""
+_RANKED = tuple((word, _RANKS[kind]) for kind, words in _BESIDE_AXIS.items() for word in words)
+_BESIDE = "|".join(sorted((word for word, _ in _RANKED), key=len, reverse=True))
+_AXIS = {axis: re.compile(rf"^((?:{_BESIDE})*){axis}((?:{_BESIDE})*)$") for axis in "xy"}
+_DESIGNATOR = re.compile(r"^([A-Za-z]{1,5})[-_]?([1-9]\d{0,4})([A-Za-z]{0,2}|[-_.:/]\w{1,3})$")
+_BARE_REF = re.compile(r"^[A-Za-z*_][\w*.\-/+$]*$")
+_LEAST_DESIGNATORS = 0.3
+"""Score of a column of designators; below it values do not decide."""
+_CLEARLY_DESIGNATORS = 0.8
+_SAME_SCORE = 0.1
+_LIKELY_ANGLES = 0.5
+"""Share of angles that are multiples of 15° in a column of rotations."""
+NOT_THERE = "none"
+"""What the user states as the column of a rotation that the file does not have."""
 
 
 @dataclass(frozen=True)
@@ -68,145 +67,364 @@ class TableLayout:
     """What the columns of a table hold."""
 
     columns: Mapping[str, int]
-    first: int
-    """Index of the first line with a part."""
+    header: int = -1
+    """Index of the record with the header; −1 without one."""
+    first: int = 0
+    """Index of the first record with a part."""
     all_on: Side | None = None
     """The side of all parts, as the user states it."""
-    width: int = 0
-    """Number of columns; 0 without a header."""
     headers: tuple[str, ...] = ()
+    without_rotation: bool = False
+    """Whether the user states that there is no rotation."""
+    unused: tuple[str, ...] = ()
+    """Headers of the columns that are not used; of a table without header their numbers."""
+    marks_mirrored: bool = False
+    """Whether the column of the side says which parts are mirrored."""
 
     def header_of(self, name: str) -> str:
         """Return the header of a column; empty without one."""
-        at = self.columns.get(name, self.width)
+        at = self.columns.get(name, len(self.headers))
         return self.headers[at] if at < len(self.headers) else ""
 
-    def aligned(self, row: list[str]) -> list[str]:
-        """Return a line whose value has spaces, or none at all, with as many cells as the header has."""
-        at, surplus = self.columns.get("value"), len(row) - self.width
-        if not self.width or at is None or surplus == 0 or surplus < -1:
-            return row
-        return [
-            *row[:at],
-            *([" ".join(row[at : at + surplus + 1])] if surplus > 0 else [""]),
-            *row[at + max(surplus, -1) + 1 :],
-        ]
-
-
-def find_delimiter(lines: Sequence[str]) -> str:
-    """Return the delimiter that makes a header of one line, or designator, x and y of most lines."""
-    sample = [line for line in lines[:400] if line.strip()]
-
-    def fitness(delimiter: str) -> tuple[int, int]:
-        rows = [cells_of(line, delimiter) for line in sample]
-        header = max((len(found) for row in rows if _has_required(found := _named_columns(row))), default=0)
-        return header, sum(map(_is_bare_part, rows))
-
-    return max(("\t", ";", "|", ",", " "), key=fitness)
-
-
-def _has_required(columns: Mapping[str, int]) -> bool:
-    return all(name in columns for name in REQUIRED)
-
-
-def _is_bare_part(row: Sequence[str]) -> bool:
-    """Return whether a line without a header is designator, x, y and rotation."""
-    return len(row) >= 4 and bool(_REF.match(row[0])) and all(number_in(c) is not None for c in row[1:4])
-
-
-def cells_of(line: str, delimiter: str) -> list[str]:
-    """Return the cells of a line."""
-    if delimiter == " ":
-        return [quoted or plain for quoted, plain in re.findall(r'"([^"]*)"|(\S+)', line)]
-    try:
-        return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter), [])]
-    except csv.Error:  # a quotation mark within a cell
-        return [cell.strip() for cell in line.split(delimiter)]
+    @property
+    def last(self) -> int:
+        """Index of the last column that every part must have."""
+        return max(self.columns[name] for name in REQUIRED)
 
 
 def plain_key(cell: str) -> str:
-    """Return a header without case, unit and punctuation: `Center-X(mm)` is `centerx`."""
-    return re.sub(r"[^a-z]", "", re.sub(r"[\(\[].*?[\)\]]", "", cell.lower()))
+    """Return a header as lower-case letters, without unit, brackets and punctuation: `Center-X(mm)` is `centerx`."""
+    text = re.sub(r"[\(\[{].*?[\)\]}]", " ", cell.lower().translate(_UMLAUTS))
+    words = re.findall(r"[a-z]+", text)
+    while len(words) > 1 and words[-1] in _VALUES["units"]:
+        words.pop()
+    return "".join(words)
 
 
-def find_layout(rows: Sequence[list[str]], path: Path, given: Sequence[tuple[str, str]]) -> TableLayout:
-    """Return what the columns hold, by a header or by the lines, and by what the user has `given` for a column."""
-    header = -1
-    columns: dict[str, int] = {}
-    for n, row in enumerate(rows[:200]):
-        found = _named_columns(row)
-        if _has_required(found):
-            header, columns = n, found
-            break
-    cells = [c for c in rows[header] if c not in ("#", "!", "%")] if header >= 0 else []
-    # Lines may have more cells than the header: columns without a name.
-    most = max(map(len, rows[max(header, 0) :]), default=0)
-    all_on: Side | None = None
-    for name, at in given:
-        if name == "side" and at.lower() in ("top", "bottom"):
-            all_on = "top" if at.lower() == "top" else "bottom"
-            columns.pop(name, None)
-        else:
-            columns[name] = _column(path, name, at, cells, most)
-    if header < 0 and not _has_required(columns):
-        columns = _without_header(rows, path)
-    missing = [name for name in REQUIRED if name not in columns]
-    if missing:
-        raise InputError(
-            f"{path}: no column is recognised as {', '.join(missing)}. Name it by --columns {missing[0]}=N."
-        )
-    return TableLayout(columns, header + 1, all_on, len(cells), tuple(cells))
+def is_known_header(words: str) -> bool:
+    """Return whether words are the header of one column."""
+    key = plain_key(words)
+    return bool(key) and (
+        key in _OTHER or any(key in names for names in _HEADERS.values()) or any(p.match(key) for p in _AXIS.values())
+    )
 
 
-def _named_columns(row: Sequence[str]) -> dict[str, int]:
-    cells = [c for c in row if c not in ("#", "!", "%")]  # a header in a comment: `# Ref Val Package …`
-    keys = [plain_key(cell.lstrip("#!% ")) for cell in cells]
-    found: dict[str, int] = {}
-    for name, words in _NAMES.items():
-        # The words are in the order of preference: with "Mid X" and "Ref X" the former is the body's centre.
-        for word in words:
-            if word in keys and keys.index(word) not in found.values():
-                found[name] = keys.index(word)
-                break
-    return found
+def number_in(cell: str, decimal: str | None = None) -> float | None:
+    """Return the number of a cell, which may have a unit; None if it has none.
 
-
-def _column(path: Path, name: str, at: str, header: Sequence[str], most: int) -> int:
-    """Return the index of a column that is given by its header, or by a number up to `most`."""
-    if re.fullmatch(r"[0-9]{1,6}", at) and 1 <= int(at) <= most:
-        return int(at) - 1
-    keys = [plain_key(cell) for cell in header]
-    if plain_key(at) and plain_key(at) in keys:
-        return keys.index(plain_key(at))
-    raise InputError.field(path, f"--columns {name}", at, f"a number from 1 to {most}, or a header of {list(header)}")
-
-
-def _without_header(rows: Sequence[list[str]], path: Path) -> dict[str, int]:
-    """Return the columns of a table without a header: designator, x, y, rotation, then side or package (Allegro)."""
-    usual = [row for row in rows if _is_bare_part(row)]
-    if 2 * len(usual) < sum(len(row) > 1 for row in rows) or not usual:
-        raise InputError(
-            f"{path}: has no header with columns {', '.join(REQUIRED)}, and its lines are not designator, x, y, "
-            "rotation. Name the columns by --columns, for example --columns ref=1,x=3,y=4,rotation=5."
-        )
-    found = {"ref": 0, "x": 1, "y": 2, "rotation": 3}
-    if all(len(row) == 6 and row[4] != "m" for row in usual):  # EAGLE's .mnt
-        found |= {"value": 4, "package": 5}
-    elif any(len(row) == 5 for row in usual):
-        found["package"] = 4
-    return found
-
-
-def number_in(cell: str) -> float | None:
-    """Return the number of a cell, which may have a decimal comma and a unit; None if it has none."""
+    `decimal` is the decimal separator of the table, if it is known: `1,234` is above a thousand beside `1.5`.
+    """
     match = NUMBER.match(cell.strip())
-    return number_of(match[1].replace(",", ".")) if match else None
+    if match is None:
+        return None
+    text = match[2].replace("'", "")
+    if "." in text and "," in text:
+        decimal = "," if text.rindex(",") > text.rindex(".") else "."
+    elif max(text.count(","), text.count(".")) > 1:
+        decimal = "." if "," in text else ","
+    elif decimal is None or not _may_be_thousands(text):
+        decimal = "," if "," in text else "."
+    text = text.replace("." if decimal == "," else ",", "").replace(",", ".")
+    return number_of(f"{match[1].replace('−', '-')}{text}{match[3] or ''}")
 
 
-def is_fitted(cell: str, header: str, value: str) -> bool:
-    """Return whether a part is fitted, by its cell of the column `fitted`, the header of that column, and its value."""
-    if _NOT_FITTED & {plain_key(cell), plain_key(value)}:
+def _may_be_thousands(digits: str) -> bool:
+    """Return whether the only separator of a number may separate thousands: `1,234`."""
+    return re.fullmatch(r"[1-9]\d{0,2}[.,]\d{3}", digits) is not None
+
+
+def decimal_separator(cells: Iterable[str]) -> str | None:
+    """Return the decimal separator that numbers of a table show; None if they show none, or both."""
+    found = set()
+    for cell in cells:
+        match = NUMBER.match(cell.strip())
+        separators = re.findall(r"[.,]", match[2]) if match else []
+        if match and separators and (len(set(separators)) == 2 or not _may_be_thousands(match[2])):
+            several = len(separators) > 1 and len(set(separators)) == 1
+            found.add({",": ".", ".": ","}[separators[0]] if several else separators[-1])
+    return found.pop() if len(found) == 1 else None
+
+
+def header_cells(cells: Sequence[str]) -> list[str]:
+    """Return the cells of a header without the signs of a comment: `# RefDes`, `Fields: Part ID` of Proteus."""
+    found = [cell.strip() for cell in cells]
+    if found:
+        found[0] = re.sub(r"^(?:[#!%;*/]+|fields\s*:)\s*", "", found[0], flags=re.IGNORECASE)
+    return found
+
+
+def named_columns(header: Sequence[str]) -> dict[str, list[int]]:
+    """Return role → the columns whose headers name it, the preferred one first."""
+    keys = [plain_key(cell) for cell in header]
+    found: dict[str, list[int]] = {}
+    for axis in "xy":
+        ranked = [(_axis_rank(axis, key), n) for n, key in enumerate(keys) if _AXIS[axis].match(key)]
+        found[axis] = [n for _, n in sorted(ranked)]
+    for role, words in _HEADERS.items():
+        ranked = [(words.index(key), n) for n, key in enumerate(keys) if key in words]
+        found[role] = [n for _, n in sorted(ranked)]
+    return {role: columns for role, columns in found.items() if columns}
+
+
+def _axis_rank(axis: str, key: str) -> int:
+    match = _AXIS[axis].match(key)
+    words = match[1] + match[2] if match else ""
+    ranks = [rank for word, rank in _RANKED if word in words]
+    # "Ref X" is the origin, "Part Center X" the centre.
+    return min((r for r in ranks if r < 2), default=max(ranks, default=2))
+
+
+def has_required(columns: Mapping[str, object]) -> bool:
+    """Return whether designator, x and y are among the columns."""
+    return all(name in columns for name in REQUIRED)
+
+
+def columns_by_header(header: Sequence[str], rows: Sequence[Sequence[str]]) -> dict[str, int]:
+    """Return role → column, by the words of the header; the designators are chosen by their values."""
+    named = named_columns(header)
+    found: dict[str, int] = {}
+    pairs = [(x, y) for x in named.get("x", ()) for y in named.get("y", ())]
+    if pairs:
+        # Both axes are of one kind: no "Mid X" beside "Ref Y".
+        x, y = min(pairs, key=lambda p: (_kind(header[p[0]]) != _kind(header[p[1]]), named["x"].index(p[0])))
+        found |= {"x": x, "y": y}
+    taken = set(found.values())
+    if (ref := _designators(named.get("ref", ()), rows, taken, len(header))) is not None:
+        found["ref"] = ref
+        taken.add(ref)
+    for role in ("side", "rotation", "fitted", "package", "value"):
+        column = next((n for n in named.get(role, ()) if n not in taken and _fits(role, n, rows)), None)
+        if column is not None:
+            found[role] = column
+            taken.add(column)
+    return found
+
+
+def _kind(header: str) -> str:
+    """Return the words beside x or y in a header."""
+    return re.sub(r"[xy]", "", plain_key(header))
+
+
+def _fits(role: str, column: int, rows: Sequence[Sequence[str]]) -> bool:
+    """Return whether the values of a column can be of the role that its header names.
+
+    Words such as `Layer`, `Place`, `Type` and `Direction` are used for other things as well.
+    """
+    values = [value for value in _values(rows, column) if value]
+    if not values:
+        return True
+    if role == "rotation":
+        return sum(angle_in(value) is not None for value in values) * 2 > len(values)
+    if role == "fitted":
+        known = _YES | _NO | _NOT_FITTED | {"fitted", "populated", "mounted", "placed", "bestueckt"}
+        return any(value.lower() in known or plain_key(value) in known for value in values)
+    return True
+
+
+def _values(rows: Sequence[Sequence[str]], column: int) -> list[str]:
+    return [row[column] for row in rows if column < len(row)]
+
+
+def _designators(named: Sequence[int], rows: Sequence[Sequence[str]], taken: set[int], width: int) -> int | None:
+    """Return the column of the designators: of those that are named so, the one whose values look most like it."""
+    candidates = [n for n in named if n not in taken]
+    scores = {n: _designator_score(_values(rows, n)) for n in range(width) if n not in taken}
+    if not candidates:
+        best = max(scores, key=lambda n: scores[n], default=None)
+        return best if best is not None and scores[best] >= _CLEARLY_DESIGNATORS else None
+    best = max(candidates, key=lambda n: scores[n])
+    if scores[best] < _LEAST_DESIGNATORS:
+        return candidates[0]
+    return next(n for n in candidates if scores[n] >= scores[best] - _SAME_SCORE)
+
+
+def _designator_score(values: Sequence[str]) -> float:
+    """Return from 0 to 1 how much values look like designators: different ones of letters, then a number."""
+    if not values:
+        return 0.0
+    total = 0.0
+    for value in values:
+        match = _DESIGNATOR.match(value)
+        if match is not None:
+            prefix = match[1].lower()
+            usual = 1.0 if prefix in _VALUES["prefixes"] else 0.8 if len(prefix) <= 2 else 0.6
+            total += usual - (0.1 if match[3] else 0.0)
+    # On panels every designator occurs once a board, but values and packages occur more often.
+    return total / len(values) * math.sqrt(len(set(values)) / len(values))
+
+
+def angle_in(cell: str) -> float | None:
+    """Return the angle of a cell in degrees: a number, or EAGLE's `R90` and `MR90`."""
+    match = re.fullmatch(r"[MS]*R(-?\d+(?:\.\d+)?)", cell.strip())
+    return number_of(match[1]) if match else number_in(cell)
+
+
+def is_comment(cells: Sequence[str]) -> bool:
+    """Return whether a line is a comment."""
+    return bool(cells) and cells[0].startswith(("#", "//", "!"))
+
+
+def looks_like_part(cells: Sequence[str]) -> bool:
+    """Return whether a line has a word and at least two numbers, as every part has."""
+    numbers = sum(number_in(cell) is not None for cell in cells)
+    return len(cells) > 2 and numbers >= 2 and numbers < len(cells)
+
+
+def side_of(cell: str, marks_mirrored: bool, numbers: frozenset[str] = frozenset()) -> Side | None:
+    """Return the side that a cell states; None if it states none.
+
+    Args:
+        cell: the cell.
+        marks_mirrored: whether the column says which parts are mirrored.
+        numbers: all numbers of the column. EAGLE has layers 1 and 16, KiCad 0 and 31, others 0 and 1, or 1 and 2.
+    """
+    text = cell.strip().lower()
+    key = "".join(re.findall(r"[a-z]+", text.translate(_UMLAUTS)))
+    if marks_mirrored:
+        if text in _MIRROR_TOP:
+            return "top"
+        if text in _MIRROR_BOTTOM:
+            return "bottom"
+    if text.isdigit():
+        lowest = min(numbers, key=int, default="")
+        if numbers == {"1"} or len(numbers) > 2 or lowest not in ("0", "1"):
+            return None
+        return "top" if text == lowest else "bottom"
+    if key in _TOP_WORDS:
+        return "top"
+    return "bottom" if key in _BOTTOM_WORDS or (key in ("y", "yes") and marks_mirrored) else None
+
+
+def is_mirror_header(header: str) -> bool:
+    """Return whether the header of a side says that its values are those of mirrored parts."""
+    return plain_key(header) in _MIRRORED
+
+
+def is_fitted(cell: str, header: str, others: Iterable[str]) -> bool:
+    """Return whether a part is fitted, by its cell of column `fitted`, its header, and other cells."""
+    if any(plain_key(text) in _NOT_FITTED for text in (cell, *others)):
         return False
     word = cell.strip().lower()
     # A column "DNP" states of which parts the opposite holds.
     return word not in _YES if plain_key(header) in _NOT_FITTED else word not in _NO
+
+
+def doubtful_columns(layout: TableLayout, rows: Sequence[Sequence[str]]) -> dict[str, list[int]]:
+    """Return which unused columns may hold the rotation or the side, where the header does not show which does.
+
+    A column that is not understood may be anything that its values allow: it must not be taken as absent.
+    """
+    found: dict[str, list[int]] = {}
+    width = max((len(row) for row in rows), default=0)
+    free = [n for n in range(width) if n not in layout.columns.values()]
+    headers = layout.headers
+
+    def is_foreign(n: int) -> bool:
+        """Return whether the header of a column is none that is known to hold something else."""
+        key = plain_key(headers[n]) if n < len(headers) else ""
+        named = key in _OTHER or any(
+            key in names for role, names in _HEADERS.items() if role not in ("side", "rotation")
+        )
+        return not named and not any(pattern.match(key) for pattern in _AXIS.values())
+
+    if "rotation" not in layout.columns and not layout.without_rotation:
+        found["rotation"] = [n for n in free if is_foreign(n) and _may_be_angles(_values(rows, n))]
+    if "side" not in layout.columns and layout.all_on is None:
+        found["side"] = [n for n in free if _may_be_sides(_values(rows, n), is_foreign(n))]
+    return {role: columns for role, columns in found.items() if columns}
+
+
+def _may_be_angles(values: Sequence[str]) -> bool:
+    found = [angle_in(value) for value in values if value]
+    angles = [angle for angle in found if angle is not None]
+    if not angles or len(angles) < 0.9 * len(found) or max(map(abs, angles)) > 360:
+        return False
+    return angle_share(values) >= _LIKELY_ANGLES
+
+
+def angle_share(values: Sequence[str]) -> float:
+    """Return the share of values that are multiples of 15°, as most rotations on boards are."""
+    angles = [angle_in(value) for value in values if value]
+    usual = sum(angle is not None and abs(angle / 15 - round(angle / 15)) < 1e-6 for angle in angles)
+    return usual / max(len(angles), 1)
+
+
+def _may_be_sides(values: Sequence[str], is_foreign: bool) -> bool:
+    present = [value for value in values if value]
+    kinds = set(present)
+    if not present or len(kinds) > 3 or len(present) < 0.9 * len(values):
+        return False
+    plain = {"".join(re.findall(r"[a-z]+", v.lower().translate(_UMLAUTS))) for v in kinds}
+    if plain <= _TOP_WORDS | _BOTTOM_WORDS and (is_foreign or all(len(word) > 1 for word in plain)):
+        return True
+    if not is_foreign or len(kinds) != 2:
+        return False
+    if kinds <= {"0", "1", "2", "16", "31"}:
+        return True
+    # Two words in a column of an unknown name may be the sides in another language.
+    words = all(number_in(kind) is None and len(kind) < 16 for kind in kinds)
+    return words and len(present) > 3 and not plain & _VALUES["technology"]
+
+
+def columns_without_header(rows: Sequence[Sequence[str]]) -> dict[str, int] | None:
+    """Return the columns of a table without a header: designator, x, y, rotation, then side, value and package.
+
+    Returns None if the lines are of another kind, or if x or y looks more like a rotation than the fourth column.
+    """
+    usual = [row for row in rows if is_bare_part(row)]
+    if not usual or 2 * len(usual) < sum(len(row) > 1 for row in rows):
+        return None
+    shares = [angle_share(_values(usual, n)) for n in (1, 2, 3)]
+    angles = [angle for value in _values(usual, 3) if (angle := angle_in(value)) is not None]
+    if max(map(abs, angles)) > 360 or shares[2] < min(max(shares[:2]), _LIKELY_ANGLES):
+        return None
+    found = {"ref": 0, "x": 1, "y": 2, "rotation": 3}
+    width = Counter(map(len, usual)).most_common(1)[0][0]
+    rest = [n for n in range(4, width) if not any(row[4] == "m" for row in usual if len(row) > 4)]
+    if (side := next((n for n in rest if _may_be_sides(_values(usual, n), is_foreign=True)), None)) is not None:
+        found["side"] = side
+        rest.remove(side)
+    if len(rest) == 2:  # EAGLE's .mnt
+        found |= {"value": rest[0], "package": rest[1]}
+    elif rest or any(len(row) > 4 for row in usual):
+        found["package"] = rest[0] if rest else 4
+    return found
+
+
+def is_bare_part(row: Sequence[str]) -> bool:
+    """Return whether a line without a header is designator, x, y and rotation."""
+    return len(row) >= 4 and bool(_BARE_REF.match(row[0])) and all(number_in(c) is not None for c in row[1:4])
+
+
+def given_columns(
+    path: Path, given: Sequence[tuple[str, str]], headers: Sequence[str], most: int
+) -> tuple[dict[str, int], Side | None, bool]:
+    """Return the columns that the user names, the side of all parts, and whether there is no rotation.
+
+    Raises:
+        InputError: a column does not exist.
+    """
+    columns: dict[str, int] = {}
+    all_on: Side | None = None
+    without_rotation = False
+    for name, at in given:
+        if name == "side" and at.lower() in ("top", "bottom"):
+            all_on = "top" if at.lower() == "top" else "bottom"
+        elif name == "rotation" and at.lower() == NOT_THERE:
+            without_rotation = True
+        else:
+            columns[name] = _column(path, name, at, headers, most)
+    return columns, all_on, without_rotation
+
+
+def _column(path: Path, name: str, at: str, headers: Sequence[str], most: int) -> int:
+    """Return the index of a column that is given by its header, or by a number up to `most`."""
+    if re.fullmatch(r"[0-9]{1,6}", at) and 1 <= int(at) <= most:
+        return int(at) - 1
+    same = [n for n, header in enumerate(headers) if header.strip().lower() == at.strip().lower()]
+    keys = [plain_key(cell) for cell in headers]
+    if not same and plain_key(at) and plain_key(at) in keys:
+        same = [keys.index(plain_key(at))]
+    if same:
+        return same[0]
+    raise InputError.field(path, f"--columns {name}", at, f"a number from 1 to {most}, or a header of {list(headers)}")

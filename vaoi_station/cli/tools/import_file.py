@@ -34,7 +34,7 @@ def import_file(
         str | None,
         typer.Option(
             help="Centroid file: columns by number or header, as ref=1,x=3,y=4,rotation=5,side=Layer,fitted=DNP; "
-            "side=bottom states the side of all parts."
+            "side=bottom states the side of all parts, rotation=none that there is none."
         ),
     ] = None,
     delimiter: Annotated[str | None, typer.Option(help="Centroid file: one character; by default recognised.")] = None,

@@ -42,6 +42,20 @@ def test_remarks_of_an_import_are_in_the_language_of_the_page(page: Page, engine
     assert "undefined" not in " ".join(remarks.all_text_contents())
 
 
+def test_a_table_that_is_refused_is_read_with_the_columns_that_the_message_asks_for(page: Page, engineer: Any) -> None:
+    page.goto(f"{engineer.url}/#/setup")
+    table = "Ref,X (mm),Y (mm),Ugol\nR1,110,10,0\nJ1,130,20,90\nTP2,140,5,0\n"
+    choose_file(page, "#board-file", "places.csv", table)
+    expect(page.locator(".answer.refused").first).to_contain_text("no column is recognised as the rotation")
+    page.get_by_label("Columns, as the message names them").fill("rotation=4")
+    page.keyboard.press("Tab")
+    expect(page.locator(".board-drawing .body")).to_have_count(3)
+    expect(page.get_by_label("Column of the rotation")).to_have_value("4")
+    page.get_by_label("Column of the rotation").select_option(label="none")
+    expect(page.locator(".warnings")).to_contain_text("rotation")
+    expect(page.locator(".board-drawing .body")).to_have_count(3)
+
+
 def test_a_file_becomes_an_approved_board_type(page: Page, engineer: Any, fits: Any) -> None:
     page.goto(f"{engineer.url}/#/setup")
     expect(page.get_by_role("link", name="demo-board")).to_be_visible()
@@ -50,7 +64,7 @@ def test_a_file_becomes_an_approved_board_type(page: Page, engineer: Any, fits: 
     expect(page.get_by_role("heading", name="places.csv")).to_be_visible()
     expect(page.locator(".board-drawing .body.guess")).to_have_count(4)
     expect(page.locator(".warnings")).to_contain_text("1 too few fiducials")
-    page.get_by_label("Column of the rotation").select_option("")
+    page.get_by_label("Column of the rotation").select_option(label="none")
     page.get_by_label("Unit").select_option("mil")
     expect(page.locator(".size")).to_contain_text("mm, bar")
     page.get_by_label("Unit").select_option("mm")

@@ -60,7 +60,7 @@ class Preview {
   }
 
   // Side, name, for a centroid file its unit and columns, and which panel the board is of. Every change is imported anew
-  // by the station.
+  // by the station. Of a file that was refused nothing is known: a person states unit and columns in the words of the refusal.
   #options(found) {
     const [t, options] = [texts.setup, this.#preview.options];
     const side = choice("side", t.sides, options.side);
@@ -69,15 +69,19 @@ class Preview {
     const centroid = found?.table;
     const unit = choice("units", { "": t.recognised, mm: "mm", inch: "inch", mil: "mil" }, options.units ?? "");
     const columns = new Map();
-    if (centroid || options.format === "centroid") {
+    const refused = !found && /--(columns|units)/.test(this.#preview.refusal);
+    if (centroid || refused) {
       fields.push(labelled(t.unit, unit));
+      if (refused) fields.push(labelled(t.columns, input("columns", options.columns ?? "", { maxLength: 400, placeholder: "ref=1,x=3,y=4,rotation=5,side=Layer" })));
       const headers = centroid?.headers ?? [];
       for (const column of centroid ? COLUMNS : []) {
         const now = centroid.columns.find((c) => c.name === column)?.number ?? "";
         const last = Math.max(headers.length, ...centroid.columns.map((c) => c.number));
-        const list = { "": t.noColumn, ...Object.fromEntries(Array.from({ length: last }, (_, n) => [n + 1, `${n + 1}: ${headers[n] ?? ""}`])) };
+        // A rotation that no column states is stated as absent: else a column that may be one would refuse the file.
+        const none = column === "rotation" ? "none" : "";
+        const list = { [none]: t.noColumn, ...Object.fromEntries(Array.from({ length: last }, (_, n) => [n + 1, `${n + 1}: ${headers[n] ?? ""}`])) };
         if (column === "side") Object.assign(list, t.allOn);
-        columns.set(column, choice(`column-${column}`, list, String((column === "side" && centroid.all_on) || now)));
+        columns.set(column, choice(`column-${column}`, list, String((column === "side" && centroid.all_on) || now || none)));
         fields.push(labelled(t.columnNames[column], columns.get(column)));
       }
     }

@@ -37,6 +37,7 @@ export const setup = {
   unit: "Einheit",
   recognised: "wie erkannt",
   noColumn: "keine",
+  columns: "Spalten, wie die Meldung sie nennt",
   columnNames: { ref: "Spalte der Bezeichnung", x: "Spalte von x", y: "Spalte von y", rotation: "Spalte der Drehung", side: "Spalte der Seite", package: "Spalte der Bauform", value: "Spalte des Werts", fitted: "Spalte, ob bestückt" },
   allOn: { top: "alle oben", bottom: "alle unten" },
   step: "Schritt (Step) der Daten: Leiterplatte oder Nutzen",

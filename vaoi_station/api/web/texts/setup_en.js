@@ -39,6 +39,7 @@ export const setup = {
   unit: "Unit",
   recognised: "as recognised",
   noColumn: "none",
+  columns: "Columns, as the message names them",
   columnNames: { ref: "Column of the designator", x: "Column of x", y: "Column of y", rotation: "Column of the rotation", side: "Column of the side", package: "Column of the package", value: "Column of the value", fitted: "Column of whether fitted" },
   allOn: { top: "all on the top", bottom: "all on the bottom" },
   step: "Step of the design: board or panel",

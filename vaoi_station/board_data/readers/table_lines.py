@@ -1,0 +1,201 @@
+"""Cut the lines of a table into cells: by a delimiter, at the positions of the header's words, or at spaces.
+
+A record is one line, or several where a quoted cell has line breaks. Every line is part of a record.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+MOST_LINES_OF_A_RECORD = 20
+"""A quoted cell with more line breaks is a cell with a single quotation mark, such as an inch mark."""
+RULER = re.compile(r"^[\s=_*+|#-]*$")
+"""A line that only separates."""
+MOST_CUT_WORDS = 0.2
+"""Share of lines in which a boundary of columns may cut a word; above it the table has no fixed columns."""
+
+
+@dataclass(frozen=True)
+class Record:
+    """One line of a table, or several that belong together."""
+
+    line: int
+    """Number of its first line, from 1."""
+    text: str
+    cells: tuple[str, ...]
+    lines: int = 1
+    cut: bool = False
+    """Whether a boundary of the fixed columns cuts one of its words, so that its cells cannot be trusted."""
+
+
+def split_lines(text: str) -> list[str]:
+    """Return the lines of a text; form feeds and other separators of Unicode do not end a line."""
+    lines = re.split(r"\r\n|\n|\r", text)
+    return lines[:-1] if lines and not lines[-1] else lines
+
+
+# By a delimiter.
+
+
+def delimited(lines: Sequence[str], delimiter: str) -> list[Record]:
+    """Return the records of a table with a delimiter.
+
+    Quotation marks enclose cells (RFC 4180), but programs also write them as inch marks without doubling them. Of the
+    ways to read a record, the first that gives the usual number of cells is taken.
+    """
+    simple = [_standard(line, delimiter) for line in lines]
+    counts = Counter(len(cells) for cells in simple if cells is not None and len(cells) > 2)
+    usual = counts.most_common(1)[0][0] if counts else 0
+    records: list[Record] = []
+    n = 0
+    while n < len(lines):
+        record = _record(lines, n, delimiter, usual)
+        records.append(record)
+        n += record.lines
+    return records
+
+
+def _record(lines: Sequence[str], n: int, delimiter: str, usual: int) -> Record:
+    line = lines[n]
+    one = [cells for cells in (_standard(line, delimiter), _lenient(line, delimiter)) if cells is not None]
+    best = next((cells for cells in one if len(cells) == usual), None)
+    if best is None and '"' in line:
+        for count in range(2, min(MOST_LINES_OF_A_RECORD, len(lines) - n) + 1):
+            text = "\n".join(lines[n : n + count])
+            for read in (_standard, _lenient):
+                if (cells := read(text, delimiter)) is not None and len(cells) == usual:
+                    return Record(n + 1, text, tuple(cells), count)
+    if best is None:
+        best = one[0] if one else line.split(delimiter)
+    return Record(n + 1, line, tuple(cell.strip() for cell in best))
+
+
+def _standard(text: str, delimiter: str) -> list[str] | None:
+    """Return the cells of a record by RFC 4180; None if a quoted cell does not end, or is followed by other text."""
+    try:
+        rows = list(csv.reader([text], delimiter=delimiter, strict=True, skipinitialspace=True))
+    except csv.Error:
+        return None
+    return [_joined(cell) for cell in rows[0]] if rows else [""]
+
+
+def _lenient(text: str, delimiter: str) -> list[str] | None:
+    """Return the cells of a record in which a quotation mark ends a cell only before a delimiter or the end."""
+    cells, at = [], 0
+    while True:
+        while text[at : at + 1] == " ":
+            at += 1
+        if text[at : at + 1] == '"':
+            found = re.compile(rf'"[ \t]*(?={re.escape(delimiter)}|$)').search(text, at + 1)
+            if found is None:
+                return None
+            cells.append(_joined(text[at + 1 : found.start()]))
+            at = found.end()
+        else:
+            end = text.find(delimiter, at)
+            end = len(text) if end < 0 else end
+            cells.append(_joined(text[at:end]))
+            at = end
+        if at >= len(text):
+            return cells
+        at += 1
+
+
+def _joined(cell: str) -> str:
+    return " ".join(cell.split())
+
+
+# At spaces.
+
+
+def spaced(lines: Sequence[str]) -> list[Record]:
+    """Return the records of a table whose cells are separated by spaces or tabs."""
+    return [Record(n, line, tuple(_words(line))) for n, line in enumerate(lines, 1)]
+
+
+def _words(line: str) -> list[str]:
+    return [quoted or plain for quoted, plain in re.findall(r'"([^"]*)"(?=\s|$)|(\S+)', line)]
+
+
+# At the positions of the header's words.
+
+
+def fixed_width(
+    lines: Sequence[str], header: int, is_known: Callable[[str], bool], most_header_words: int = 3
+) -> list[Record] | None:
+    """Return the records of a table with columns of fixed width; None if its lines have no such columns.
+
+    Args:
+        lines: all lines.
+        header: index of the line with the header.
+        is_known: whether words are the header of one column, so that "Mid X" is one and "Pad Y TB" are two.
+        most_header_words: largest number of words of a known header.
+    """
+    lines = [line.expandtabs(8) for line in lines]
+    if "  " not in lines[header].strip():
+        return None
+    headers = _headers(lines[header], is_known, most_header_words)
+    body = [line for line in lines[header + 1 :] if line.strip() and not RULER.match(line) and line.lstrip()[:1] != "#"]
+    if len(headers) < 3 or not body:
+        return None
+    bounds = [0]
+    for (start, _), following in pairwise(headers):
+        bounds.append(_boundary(body, max(start, bounds[-1]) + 1, *following))
+    cut = [any(_cuts(line, bound) for bound in bounds[1:]) for line in body]
+    if sum(cut) > MOST_CUT_WORDS * len(body):
+        return None
+    ends = [*bounds[1:], None]
+    records = []
+    for n, line in enumerate(lines):
+        if n == header:
+            cells = tuple(words for _, words in headers)
+        else:
+            cells = tuple(_unquoted(line[a:b]) for a, b in zip(bounds, ends, strict=True))
+        below = n > header and any(_cuts(line, bound) for bound in bounds[1:])
+        records.append(Record(n + 1, line, cells, cut=below))
+    return records
+
+
+def _headers(line: str, is_known: Callable[[str], bool], most_words: int) -> list[tuple[int, str]]:
+    """Return position and words of every column of a header. A single `#` before the first one is left out."""
+    words = [(m.start(), m.end(), m[0]) for m in re.finditer(r"\S+", line)]
+    if len(words) > 1 and not re.search(r"\w", words[0][2]):
+        words = words[1:]
+    found: list[tuple[int, str]] = []
+    n = 0
+    while n < len(words):
+        count = 1
+        for more in range(min(most_words, len(words) - n), 1, -1):
+            near = all(a[1] + 1 == b[0] for a, b in zip(words[n : n + more], words[n + 1 : n + more], strict=False))
+            if near and is_known(" ".join(w for _, _, w in words[n : n + more])):
+                count = more
+                break
+        found.append((words[n][0], " ".join(w for _, _, w in words[n : n + count])))
+        n += count
+    return found
+
+
+def _boundary(body: Sequence[str], first: int, header: int, words: str) -> int:
+    """Return where a column begins whose `words` are at `header`: behind a position that is blank in most lines.
+
+    Values may begin left of their header (numbers are set to the right) or right of it: the blank position nearest to
+    the left of the header is taken, else the nearest to its right.
+    """
+    candidates: list[int] = [*range(header, first - 1, -1), *range(header + 1, header + len(words))]
+    counts = [(sum(_cuts(line, at) for line in body), n) for n, at in enumerate(candidates)]
+    return candidates[min(counts)[1]]
+
+
+def _cuts(line: str, at: int) -> bool:
+    """Return whether a boundary lies within a word."""
+    return line[at - 1 : at].strip() != "" and line[at : at + 1].strip() != ""
+
+
+def _unquoted(cell: str) -> str:
+    cell = " ".join(cell.split())
+    return cell[1:-1].strip() if len(cell) > 1 and cell[0] == cell[-1] == '"' else cell
